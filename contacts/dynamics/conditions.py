@@ -192,7 +192,6 @@ class ConditionsAt:
 
     @cached_property
     def _margins(self) -> tuple[Array, Array]:
-        """Margins (k,) of all atoms, and their round-off."""
         rows = self._values.reshape(-1, PER_CONDITION)[: len(self._verdicts)]
         bands = [round_off(size, self._setup.precision) for size in rows[:, 2].tolist()]
         return rows[:, 0], np.array(bands)

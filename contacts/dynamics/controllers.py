@@ -76,7 +76,6 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
 
 
 def _flows(mechanics: Mechanics, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
-    """Return the rates of a controller's variables in a state."""
     rates = mechanics.controller_rates
     flows = mechanics.scene.controlled.flows(region, state)
     return {rates[v]: parse(text).to_sympy(mechanics.known) for v, text in flows.items()}
@@ -192,14 +191,30 @@ class ControlGuards:
         self, setup: SceneSetup, time: float, state: Array, solved: Array | None = None
     ) -> Array:
         """Evaluate `GuardWatch.at`; `solved` are accelerations and forces."""
-        unknowns = self._unsolved if solved is None else solved
-        inputs = np.concatenate([state, unknowns, [np.nan]])
-        return self.watch.at(setup, inputs, self._sizes(setup), time)
+        return self.watch.at(setup, self._inputs(state, solved), self._sizes(setup), time)
 
-    def table(self, setup: SceneSetup, times: Array, states: Array, solved: Array) -> Array:
-        """Return `rows` for many instants (m,), states (m, 2 n) and unknowns (m, u)."""
+    def rates_of(
+        self, k: int, setup: SceneSetup, time: float, state: Array, solved: Array | None
+    ) -> Array:
+        """Evaluate `GuardWatch.rates_of`."""
+        inputs = self._inputs(state, solved)
+        return self.watch.rates_of(k, setup, inputs, self._sizes(setup), time)
+
+    def table(
+        self,
+        setup: SceneSetup,
+        times: Array,
+        states: Array,
+        solved: Array,
+        *,
+        rates: bool = False,
+    ) -> Array:
+        """Return `GuardWatch.table` for instants (m,), states (m, 2 n) and unknowns (m, u)."""
         inputs = np.hstack([states, solved, np.full((len(states), 1), np.nan)])
-        return self.watch.table(setup, inputs, self._sizes(setup), times)
+        return self.watch.table(setup, inputs, self._sizes(setup), times, rates=rates)
+
+    def _inputs(self, state: Array, solved: Array | None) -> Array:
+        return np.concatenate([state, self._unsolved if solved is None else solved, [np.nan]])
 
     def _sizes(self, setup: SceneSetup) -> Array:
         assert setup.sizes is not None

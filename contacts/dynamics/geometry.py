@@ -180,7 +180,6 @@ class Geometry:
         )
 
     def _frame(self, surface: Surface) -> tuple[Vector, sp.Expr]:
-        """Return the origin and the angle of the frame of a surface."""
         if surface.body is not None:
             return self.body_frame(surface.body)
         x0, y0, angle = surface_frame(surface, self.known)

@@ -596,7 +596,6 @@ class Mechanics(Geometry):
         )
 
     def _nonzero(self, row: Sequence[sp.Expr]) -> list[sp.Expr]:
-        """Return the terms of a row of coefficients times the accelerations."""
         return [j * a for j, a in zip(row, self.a, strict=True) if j != 0]
 
     @cached_property
@@ -617,7 +616,6 @@ class Mechanics(Geometry):
     def _padded(
         self, name: str, normal: Sequence[sp.Expr], tangential: Sequence[sp.Expr]
     ) -> tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]:
-        """Return the Jacobian rows of a contact, pads included."""
         pads = [*self._no_pads]
         if name in self.pads:
             normal = (sp.S.Zero,) * len(normal)
@@ -625,7 +623,6 @@ class Mechanics(Geometry):
         return (*normal, *pads), (*tangential, *self._no_pads)
 
     def _compliance(self, contact: Contact, local: _SurfaceGeometry) -> sp.Expr | None:
-        """Return the spring and damper force of a compliant contact."""
         if contact.stiffness is None:
             return None
         k, d = (self._formula(text or 0) for text in (contact.stiffness, contact.damping))
@@ -678,7 +675,6 @@ class Mechanics(Geometry):
         return sp.sqrt(inertia / mass + x**2 + y**2)
 
     def _stop(self, name: str, contact: Contact, stop: Stop) -> ContactGeometry:
-        """Return the geometry of the limit of an angle: a frictionless gap."""
         turn = self.body_frame(contact.point.body)[1] - self._formula(stop.limit)
         if stop.other is not None:
             turn -= self.body_frame(stop.other)[1]

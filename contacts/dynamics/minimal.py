@@ -107,7 +107,6 @@ def motion(
 def _columns(
     mechanics: Mechanics, elimination: Elimination, free: Iterable[int]
 ) -> list[dict[int, sp.Expr]]:
-    """Return the derivatives of all coordinates by each free coordinate."""
     columns: list[dict[int, sp.Expr]] = []
     for i in free:
         column: dict[int, sp.Expr] = {i: sp.S.One}
@@ -133,7 +132,6 @@ def _constraint_forces(
 
 
 def _terms(expression: sp.Expr, variables: Collection[sp.Symbol]) -> _Terms:
-    """Return the terms of a sum: varying factor -> coefficient."""
     terms: _Terms = {}
     for term in sp.Add.make_args(sp.expand_mul(expression)):
         coefficient, varying = term.as_independent(*variables, as_Add=False)
@@ -195,7 +193,6 @@ def _joined(products: dict[tuple[type, sp.Expr, type, sp.Expr], sp.Expr]) -> lis
 
 
 def _sign(first: sp.Expr, second: sp.Expr | None) -> int:
-    """Return 1 if two coefficients are equal, -1 if their sum is zero, else 0."""
     if second is None:
         return 0
     if sp.expand(first - second) == 0:

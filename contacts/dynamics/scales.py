@@ -234,7 +234,6 @@ def _derived(expressions: Iterable[sp.Expr], symbol: sp.Symbol, order: int) -> l
 
 
 def _extents(mechanics: Mechanics) -> list[sp.Expr]:
-    """Return radii of discs and circular surfaces, and coordinates of points in their bodies."""
     scene = mechanics.scene
     texts = [contact.radius for contact in scene.contacts.values()]
     texts += [scene.surfaces[contact.surface].radius for contact in scene.contacts.values()]

@@ -289,7 +289,6 @@ def _far(scales: Scales, limit: float) -> Iterator[str]:
 
 
 def _known(memory: Array, values: Array) -> Array:
-    """Return the controllers' variables and the parameters: inputs of a scene's tapes."""
     return np.concatenate([memory, values]) if len(memory) else values
 
 

@@ -267,7 +267,6 @@ def _contradiction(names: Sequence[str], residual: Array, quantity: str) -> Decl
 
 
 def _nearest(mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup) -> str:
-    """Return a position that closes the joints as advice, by Gauss-Newton from the start."""
     size = len(setup.initial) // 2
     state = setup.initial.copy()
     closest = np.inf

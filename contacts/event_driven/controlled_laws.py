@@ -222,7 +222,6 @@ class ControlledLaws:
         return self._contacts.remarks(setup, arcs)
 
     def _at(self, states: Key) -> SceneLaws:
-        """Return the contacts' laws with the controllers in `states`."""
         if states not in self._under:
             states_by_name = self._states.named(states)
             self._under[states] = self._contacts.under(
@@ -255,11 +254,15 @@ class ControlledLaws:
             guarded.watch.single or not watched.all()
         ):
             return None, rows
-        rows = guarded.rows(setup, clock.high, state, self._solved(setup, clock, flow, state))
+        solved = self._solved(setup, clock, flow, state)
+        rows = guarded.rows(setup, clock.high, state, solved)
         relative = setup.precision
 
         assert setup.sizes is not None
         sizes = setup.sizes
+
+        def rates(k: int) -> Array:
+            return guarded.rates_of(k, setup, clock.high, state, solved)
 
         def later(margin: str) -> float:
             return self._derivatives.sign(
@@ -267,13 +270,14 @@ class ControlledLaws:
             )
 
         active = active_in(self._regions, flow.mode)
-        judged = Judgement(guarded.watch, rows, flow.tolerances, fired, relative, later, active)
+        judged = Judgement(
+            guarded.watch, rows, rates, flow.tolerances, fired, relative, later, active
+        )
         return judged, rows
 
     def _holding(
         self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array
     ) -> set[tuple[int, int]]:
-        """Return the guards of event transitions that hold."""
         guarded = self._states.guards(flow.mode[self._count :], at_events=True)
         rows = guarded.rows(setup, clock.high, state, self._solved(setup, clock, flow, state))
         return guarded.watch.holding(rows, setup.precision, active_in(self._regions, flow.mode))
@@ -297,7 +301,6 @@ class ControlledLaws:
         return np.concatenate([accelerations, forces[:contact_count].ravel(), couples, joints])
 
     def _parted(self, flow: Flow) -> Flow:
-        """Return the flow of the contacts alone."""
         return flow._replace(
             mode=flow.mode[: self._count],
             roles=flow.roles[: self._count],

@@ -102,7 +102,6 @@ class Handovers:
         return tables if inside else {}
 
     def _tape(self, states: Key) -> Tape:
-        """Return the tape of gate margin and gap of each gated contact."""
         if states not in self._tapes:
             controllers = self._mechanics.scene.controlled.flat
             controlled = values_in(self._mechanics, dict(zip(controllers, states, strict=True)))

@@ -241,7 +241,6 @@ def _struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
 
 
 def _entered(rules: Rules, landing: Landing, struck: _Struck, touching: list[bool]) -> _Entered:
-    """Select the mode after an impact."""
     setup, following = landing.setup, struck.snapshot
     # If a contact still approaches after a sequence of impacts, the next jump is its impact.
     settled = not any(

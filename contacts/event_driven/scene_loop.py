@@ -398,7 +398,6 @@ def _run(
 
 @kernel
 def _tolerances(scene: SceneBatch, scales: Array, kinds: Array) -> None:
-    """Write the tolerance of each kind of margin."""
     kinds[PLAIN], kinds[GAP] = 0.0, max(scene.gap * scales[0], scales[4])
     kinds[SPEED], kinds[FORCE] = scene.speed * scales[1], FORCE_BAND * scales[3]
     kinds[HOLD] = HOLD_PART * kinds[FORCE]
@@ -554,7 +553,6 @@ class SceneLoop:
         self._call(scene, _SINGLE_RUN._replace(floor=floor, resumed=True), block, result)
 
     def _write_numbers(self, setup: Setup, values: Array) -> SceneBatch:
-        """Write the setup of a run to the buffers."""
         assert isinstance(setup, SceneSetup)
         assert setup.sizes is not None
         numbers, (watch, _) = self._scene.numbers, self._buffers
@@ -618,7 +616,6 @@ def _declared(
     laws: Sequence[ContactLaw],
     relative: float,
 ) -> SceneBatch:
-    """Return the constants of a batch."""
     count = len(laws)
     gap, speed, _ = tolerated(relative)
     stops = [*numbers.stops]
@@ -639,7 +636,6 @@ def _declared(
 def _buffers(
     numbers: SceneNumbers, loop: Loop, laws: Sequence[ContactLaw]
 ) -> tuple[Watch, SceneWatch]:
-    """Allocate the watches of a run."""
     variables, parameters = len(loop.workspace.state), len(numbers.parameters.names)
     contacts, count = len(laws), int(loop.tapes[1, 5])
     watch = Watch(

@@ -161,7 +161,6 @@ def rest_of_passages(
 
 
 def _lying(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> list[bool]:
-    """Return a mask of the contacts that stay on their surfaces."""
     speed_tolerance = setup.tolerances["speed"]
     return [
         is_closed and contact.gap_rate <= speed_tolerance
@@ -170,7 +169,6 @@ def _lying(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> lis
 
 
 def _chosen(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Array:
-    """Return the accelerations in the mode in which these contacts are closed."""
     slip_tolerance = 2.0 * setup.tolerances["speed"]
     choice = choose(snapshot, setup.contacts, lying, setup.scales, setup.tie, slip_tolerance)
     return choice.taken.accelerations

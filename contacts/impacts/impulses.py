@@ -437,7 +437,6 @@ def _modes_of(law: ContactLaw) -> list[int]:
 
 
 def _solutions(problem: ImpactProblem, codes: Sequence[Sequence[int]]) -> list[Impulses]:
-    """Solve the combinations of modes, and return the consistent ones."""
     count, size = len(problem.cones), len(problem.mass)
     table = np.array(codes, dtype=np.int64).reshape(-1, count)
     changes, impulses = np.empty((len(table), size)), np.empty((len(table), count, 2))
@@ -487,13 +486,11 @@ def _mode(impulse: tuple[float, float], cone: tuple[float, float]) -> int:
 
 
 def _motion(problem: ImpactProblem, change: Array) -> tuple[Array, Array, float]:
-    """Return velocities, sizes of terms, and their maximum (`velocities_after`)."""
     after, terms = np.empty((2, len(problem.cones), 2))
     return after, terms, velocities_after(problem, change, after, terms)
 
 
 def _same_motion(problem: ImpactProblem, first: Impulses, second: Impulses) -> bool:
-    """Return whether two solutions for the impulses give the same velocities."""
     after, terms, _ = _motion(problem, first.change)
     other_after, sizes, _ = _motion(problem, second.change)
     return bool((np.abs(after - other_after) <= _SAME_IMPULSE * (terms + sizes)).all())

@@ -178,7 +178,6 @@ def _conditions(states: Sequence[str], count: int) -> list[Condition]:
 
 
 def _scaled(jacobians: Array) -> Array:
-    """Scale columns and rows to a size of 1, so that units drop out."""
     if not np.isfinite(jacobians).all():
         raise ValueError("the contacts' Jacobians are not finite at this configuration")
     if not jacobians.size:
@@ -262,7 +261,6 @@ def _formulas(conflict: Sequence[Condition]) -> tuple[tuple[int, str], ...]:
 
 
 def _words(conflict: Sequence[Condition], names: Sequence[str]) -> str:
-    """Format an irreducible conflict as a sentence."""
     zero: dict[int, set[int]] = {}
     for c, row, sign in conflict:
         if sign == 0:

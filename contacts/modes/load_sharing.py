@@ -178,12 +178,10 @@ def rank(states: Sequence[str], jacobians: Array) -> int:
 
 
 def _own(code: Iterable[int]) -> list[tuple[int, int]]:
-    """Return the constraints of a mode as (contact, direction)."""
     return [(k, "nt".index(row)) for k, c in enumerate(code) for row in _LETTERS.get(c, "n")]
 
 
 def _row_names(code: Ints, jacobians: Array) -> tuple[str, ...]:
-    """Return the independent constraints of each contact, as letters."""
     constraints = _own(code.tolist())
     count, order, _ = independent(np.array([jacobians[k, d] for k, d in constraints]))
     independent_rows = {constraints[i] for i in order[:count]}

@@ -817,7 +817,6 @@ def _check_joined(scene: SceneFields) -> None:
 
 
 def _moving_names(scene: SceneFields) -> set[str]:
-    """Return the names of what impulses of contacts change."""
     return {*scene.variables, *map(scene.rate_name, scene.variables)}
 
 

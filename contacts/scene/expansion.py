@@ -129,7 +129,6 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
 
 
 def _resistance(scene: SceneFields, name: str, contact: Contact) -> Rolling:
-    """Return the rolling resistance of a contact as a coupling of its body with its surface."""
     carrier = scene.surface_of(name).body
     bodies = (contact.point.body,) if carrier is None else (contact.point.body, carrier)
     return Rolling.model_construct(limit=contact.rolling_resistance, bodies=bodies, contact=name)
@@ -218,7 +217,6 @@ def holds_at_start(scene: SceneFields, term: Term) -> bool | None:
 
 
 def _start(scene: SceneFields) -> dict[str, float]:
-    """Return the initial values of the names in formulas."""
     known = scene.values()
     texts: dict[str, Any] = {}
     for name, coordinate in scene.coordinates.items():
@@ -233,7 +231,6 @@ def _start(scene: SceneFields) -> dict[str, float]:
 
 
 def _frame(scene: SceneFields, name: str) -> tuple[str, str, str]:
-    """Return the position and the angle of a body as formulas."""
     body = scene.single_bodies()[name]
     if body.position is not None:
         x, y = body.position
@@ -242,7 +239,6 @@ def _frame(scene: SceneFields, name: str) -> tuple[str, str, str]:
 
 
 def _turned(vector: tuple[str, str], angle: str, back: bool = False) -> tuple[str, str]:
-    """Return a vector turned by an angle, or back by it."""
     x, y = vector
     if angle == "0":
         return x, y

@@ -363,7 +363,6 @@ def _sampled_forces(
 
 
 def _states(scene: Scene, arc: Arc) -> Iterator[tuple[str, str]]:
-    """Yield every contact with its mode."""
     return zip(scene.contacts, moving_mode(arc.roles), strict=False)  # controllers follow
 
 

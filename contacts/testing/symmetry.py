@@ -190,7 +190,6 @@ class _Change:
         return found | dict.fromkeys(old.controlled.clocks, self.time)
 
     def _couple(self, name: str) -> tuple[float, float]:
-        """Return the factors of the couple and of the slip of a coupling."""
         along = ("X", "Y").index(self.declared.along_guide(name) or "X")
         if self.declared.along_guide(name):
             return self._units["force"][along], self._units["length/time"][along]
@@ -210,7 +209,6 @@ class _Change:
         return Coupling(**found)
 
     def _start(self, key: str) -> float:
-        """Return the factor of a coordinate of a free body, or of its rate."""
         found = {"x": self.x, "y": self.y, "angle": math.copysign(1.0, self.x)}
         return found[key] if key in found else found[key[1:]] / self.time
 
@@ -248,7 +246,6 @@ class _Change:
 
 
 def _times(text: FormulaText, factor: float) -> FormulaText:
-    """Return a formula times a factor."""
     if factor == 1.0:
         return text
     return text * factor if isinstance(text, int | float) else f"({text})*({factor!r})"

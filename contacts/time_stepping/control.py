@@ -191,8 +191,9 @@ class StepControl:
     def _due(self, times: Array, states: Array, solved: Array, h: float, codes: Ints) -> Bools:
         """Return which guards (m, g) are due; `codes` (m, r) are modes of contacts."""
         guards = self._states.guards(self.states)
-        rows = guards.table(self._setup, times, states, solved[:, self._order])
-        margin, rate, second, size = (rows[..., k] for k in range(4))
+        points = self._setup, times, states, solved[:, self._order]
+        margin, size = np.moveaxis(guards.table(*points), -1, 0)
+        rate, second = np.moveaxis(guards.table(*points, rates=True)[..., :2], -1, 0)
         passing = (rate > 0.0) & (margin + h * rate >= 0.0)
         falling = np.minimum(np.nan_to_num(rate, neginf=0.0), 0.0)
         true: Bools = (margin + _AT_END * h * falling < 0.0) & ~passing
@@ -210,7 +211,7 @@ class StepControl:
         """Return the guards at events that hold at the end of a step."""
         guards = self._states.guards(self.states, at_events=True)
         rows = guards.table(self._setup, times, states, solved[:, self._order])
-        margin, size = rows[..., 0], rows[..., 3]
+        margin, size = rows[..., 0], rows[..., 1]
         zero = self._setup.rounded * size
         atoms = margin <= np.where(guards.watch.closed, zero, -zero)
         held = guards.watch.truths(atoms, self._active.at(codes, self.states))[0]

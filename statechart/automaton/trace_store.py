@@ -168,7 +168,6 @@ def event_of(block: TraceBuffer, row: int, j: int, kinds: Sequence[Kind]) -> Rec
 
 @lru_cache(maxsize=64)
 def _no_buffer(variables: int) -> TraceBuffer:
-    """Return a buffer without capacity."""
     return _empty((0, 0, 0, 0), variables)
 
 
@@ -280,7 +279,6 @@ class TraceStore:
         return self._jump(event_of(*self._locate(self._events, j), j, self._kinds))
 
     def _locate(self, begins: list[int], place: int) -> tuple[TraceBuffer, int]:
-        """Return the block and the row of one item of a sequence."""
         block = bisect_right(begins, place) - 1
         row = place - begins[block]
         return (self.buffer if block == len(self._blocks) else self._blocks[block]), row

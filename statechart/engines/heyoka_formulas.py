@@ -168,7 +168,6 @@ class Converter:
 
 
 def _product(base: Any, exponent: int) -> Any:
-    """Return a whole power by repeated squaring."""
     if exponent == 1:
         return base
     square = _product(base, exponent // 2) ** 2.0

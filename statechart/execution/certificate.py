@@ -155,12 +155,10 @@ class Certificate:
         self._unknown = through @ self._unknown @ through.T
 
     def _displaced(self, state: Array, by: Array) -> list[Array]:
-        """Return a state, and those displaced along the columns of `by`."""
         state = contiguous(state)
         return [state, *(state + _STEP * self._scale * column for column in by.T)]
 
     def _through(self, states: list[Array]) -> Array:
-        """Return the propagated displacements as columns."""
         return np.array([(state - states[0]) / (_STEP * self._scale) for state in states[1:]]).T
 
     def _constrained(self, states: list[Array], arc: Arc, time: float) -> list[Array]:
@@ -244,7 +242,6 @@ class Certificate:
         return slope, rates, guard_rate
 
     def _rate(self, guards: Tape, guard: int, state: Array, time: float) -> float:
-        """Return the partial derivative of a guard by time."""
         step = _STEP * self._end
         times, states = np.array([time - step, time + step]), np.array([state, state])
         below, above = guards.table(states, self._setup.values, times)[:, guard]

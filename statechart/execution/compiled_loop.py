@@ -257,7 +257,6 @@ class LoopModes:
         return Batch(np.zeros(1, np.intp), result, buffer, kinds, self, zeros, series)
 
     def _calls(self) -> Any:
-        """Return the calls of a loop over all modes."""
         if self._call is None:
             self._call = self.laws.call(self._loop(), self._engine.tolerance)
         return self._call

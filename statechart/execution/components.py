@@ -202,7 +202,6 @@ class MergedRun:
         return tuple(merged)
 
     def _jump(self, number: int) -> Jump:
-        """Return a merged jump."""
         time, places = self._groups[number]
         jumps = {place: self._parts[place].trace.jumps[j] for place, j in places.items()}
         counts = [bisect_right(run.numbers, number - 1) for run in self._parts]
@@ -262,7 +261,6 @@ class MergedRun:
         return [pair for pair in zip(starts, ends, strict=True) if between(*pair) > 0.0]
 
     def _arc(self, place: int) -> Arc:
-        """Return a merged arc on the common refinement of the steps."""
         start, end = self._spans[place]
         duration = between(start, end)
         number = bisect_right(self._times, start.high + _ONE_INSTANT * _ULP * start.high)

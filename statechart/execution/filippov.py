@@ -145,7 +145,6 @@ class Filippov:
         return abs(value) <= _round_off(at, taped.guards, place, at.state)
 
     def _tolerances(self, at: Instant, roles: Roles, zeros: frozenset[int]) -> dict[str, float]:
-        """Return the round-off of the margins of switches."""
         mode = self._modes.taped(roles, zeros)
         return {
             name: _round_off(at, mode.guards, place, at.state)
@@ -157,7 +156,6 @@ class Filippov:
 def _round_off(
     at: Instant, tape: Tape, place: int, state: Array, signs: Array | None = None
 ) -> float:
-    """Return the round-off of an output of a tape."""
     sizes = flow_sizes(at.setup, at.flow, at.state)
     if signs is not None:
         state, sizes = np.concatenate([state, signs]), np.concatenate([sizes, np.abs(signs)])

@@ -258,7 +258,6 @@ class Simulator:
         return merged.trace(self.engine.title, self.engine.tolerance, built)
 
     def _of_component(self, automaton: Automaton) -> Simulator:
-        """Return what runs a component."""
         simulator = self._of_components.get(automaton)
         if simulator is None:
             simulator = Simulator(automaton, self.engine, solved=self.modes.solved.part(automaton))
@@ -266,14 +265,12 @@ class Simulator:
         return simulator
 
     def _from(self, setup: Setup, until: float, max_jumps: int) -> Trace:
-        """Run with the numbers of a run."""
         setup = replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
         loop = self._loop(setup.zeros)
         batch = None if loop is None else loop.begin(setup, until, max_jumps, self.buffer)
         return self._finish(batch, lambda: setup, until, max_jumps, setup.warnings)
 
     def _setup(self, parameters: Mapping[str, float]) -> Setup:
-        """Return the numbers of a run."""
         setup = self.automaton.setup(parameters, self.engine.tolerance)
         return replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
 

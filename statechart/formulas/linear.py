@@ -298,14 +298,12 @@ def _blocks(
 
 
 def _components(rows: list[Equation]) -> list[list[int | sp.Symbol]]:
-    """Return the places of equations and the unknowns that belong together."""
     edges = [(index, unknown) for index, (row, _, _) in enumerate(rows) for unknown in row]
     vertices = [*range(len(rows)), *dict.fromkeys(unknown for _, unknown in edges)]
     return connected_components((vertices, edges))
 
 
 def _largest(rows: list[Equation]) -> int:
-    """Return the size of the largest connected component."""
     return max((len(component) for component in _components(rows)), default=0)
 
 

@@ -191,7 +191,6 @@ def _log(a: Series) -> Series:
 
 
 def _arc(a: Series) -> Series:
-    """Return the derivative of asin."""
     return _div(_one(a), _sqrt(_sub(_one(a), _mul(a, a))))
 
 
@@ -219,7 +218,6 @@ def _pow(a: Series, b: Series) -> Series:
 
 
 def _sign_of(a: Series) -> float:
-    """Return the sign that a series has just after its start."""
     for value, size in zip(a.values, a.sizes, strict=True):
         if not abs(value) <= _ZERO_COEFFICIENT * size:
             return math.copysign(1.0, value)

@@ -207,7 +207,6 @@ def _names(ax: Axes, film: Film, radius: float) -> Iterator[_Name]:
 
 
 def _size(ax: Axes, text: str) -> Array:
-    """Return width and height of a text in pixels."""
     drawn = ax.text(0.0, 0.0, text, fontsize=_SIZE)
     extent = drawn.get_window_extent()
     drawn.remove()
@@ -285,7 +284,6 @@ def crossing(low: Array, high: Array, one: Array, two: Array) -> Array:
 
 
 def _marks(film: Film) -> Array:
-    """Return the places (m, 2) of all marks of the first picture."""
     found = [touch.places[:1] for touch in film.touches]
     marked = [s for s in film.shapes if s.kind in ("mass", "joint", "pivot")]
     found += [placed(shape.points, film.poses[0, shape.frame]) for shape in marked]

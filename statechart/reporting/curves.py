@@ -365,7 +365,6 @@ def strongest(times: Array, sizes: Array, end: float) -> tuple[Array, Array]:
 
 
 def _first_rows(t: Array) -> NDArray[np.intp]:
-    """Return the first row in every column of the figure that has one."""
     edges = np.linspace(t[0], t[-1], COLUMNS + 1)[:-1]
     begins: NDArray[np.intp] = np.unique(np.searchsorted(t, edges))
     return begins

@@ -488,6 +488,5 @@ def stack(
 
 
 def _outer(ax: Axes) -> float:
-    """Return where the labels on the left of axes begin, in pixels."""
     box = ax.yaxis.get_tightbbox()
     return ax.bbox.x0 if box is None else float(box.x0)

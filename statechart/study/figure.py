@@ -179,7 +179,6 @@ def _dress(ax: Axes, label: str) -> None:
 
 
 def _work(point: Point) -> float:
-    """Return evaluations; steps, where they are fixed; not a number where neither is counted."""
     count = point.steps if point.setting.step else point.evaluations
     return float(count) if count else math.nan
 

@@ -170,7 +170,6 @@ class _Grid:
         return f"{self.prefix}{'hv'[axis]}{number}"
 
     def _size(self, axis: int, bond: int) -> Point:
-        """Return width and height of the words on an arrow."""
         return self.sizes.get(self._key(axis, bond), (0.0, 0.0))
 
     def _measure(self) -> None:
@@ -330,6 +329,5 @@ def _turned(axis: int, along: float, across: float) -> Point:
 
 
 def _point(axis: int, u: float, v: float) -> Point:
-    """Return a place on the page, y upwards."""
     x, y = _turned(axis, u, v)
     return x, -y
