@@ -115,10 +115,12 @@ def _div(a: Series, b: Series) -> Series:
     below = [-x for x in b.values]
 
     def quotient(above: Sequence[float], signed: Sequence[float]) -> list[float]:
-        found: list[float] = []
+        quotients: list[float] = []
         for k, x in enumerate(above):
-            found.append((x + sum(found[i] * signed[k - i] for i in range(k))) / abs(b.values[0]))
-        return found
+            quotients.append(
+                (x + sum(quotients[i] * signed[k - i] for i in range(k))) / abs(b.values[0])
+            )
+        return quotients
 
     sign = math.copysign(1.0, b.values[0])
     values = quotient([sign * x for x in a.values], [sign * x for x in below])

@@ -113,7 +113,7 @@ def compare(
     end = max(coarse.t_end, fine.t_end)
     times = [("the end", coarse.t_end, fine.t_end)] if same_end else []
     times += [(f"the time of {one.region}.{one.cause}", one.t, other.t) for one, other in pairs]
-    late = _worst(Compared(*time, _relative(time[1], time[2], end, 0.0)) for time in times)
+    delay = _worst(Compared(*time, _relative(time[1], time[2], end, 0.0)) for time in times)
     outputs: dict[str, Compared] = {}
     for name, one in coarse_outputs.items():
         size = scales.outputs.get(name, 0.0)
@@ -124,9 +124,9 @@ def compare(
         )
     return Difference(
         state.off if same_end else math.inf,
-        late.off,
+        delay.off,
         {name: one.off for name, one in outputs.items()},
-        _worst((state, late, *outputs.values())),
+        _worst((state, delay, *outputs.values())),
         diverged,
     )
 
@@ -222,10 +222,10 @@ def paired(
     pairs: list[tuple[Jump, Jump]] = []
     a, b = coarse.jumps, fine.jumps
     ends: set[int] = set()
-    left = without_summed([a, b])
-    if left is not None:
-        ends = {id(jump) for run in left for jump, end in run if end}
-        a, b = (tuple(jump for jump, _ in run) for run in left)
+    unpaired = without_summed([a, b])
+    if unpaired is not None:
+        ends = {id(jump) for run in unpaired for jump, end in run if end}
+        a, b = (tuple(jump for jump, _ in run) for run in unpaired)
     window = brief * max(coarse.t_end, fine.t_end)
     i = j = 0
     while i < len(a) and j < len(b):
@@ -240,15 +240,15 @@ def paired(
         elif _accumulates(other) and _repeats(one, other):
             i += 1
         else:
-            again = _next_common_mode(a, b, i, j, window) if window > 0.0 else None
-            if again is None:
+            next_match = _next_common_mode(a, b, i, j, window) if window > 0.0 else None
+            if next_match is None:
                 return pairs, min(one.t, other.t)
-            i, j = again
-    rest = (*a[i:], *b[j:])
-    if not rest:
+            i, j = next_match
+    remainder = (*a[i:], *b[j:])
+    if not remainder:
         return pairs, None
-    ended = rest[0].t
-    passed = 0.0 <= rest[-1].t - ended < window and rest[-1].target == rest[0].source
+    ended = remainder[0].t
+    passed = 0.0 <= remainder[-1].t - ended < window and remainder[-1].target == remainder[0].source
     return pairs, None if passed else ended
 
 

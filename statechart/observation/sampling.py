@@ -58,17 +58,17 @@ class Endpoint(NamedTuple):
 def subdivided(arcs: Sequence[Arc], per_step: float) -> list[Array]:
     """Return local times: `per_step` intervals in every step, both ends of each arc included."""
     every, count = max(1, math.ceil(1.0 / per_step)), math.ceil(per_step)
-    alike: dict[int, list[int]] = {}
+    uniform: dict[int, list[int]] = {}
     for place, arc in enumerate(arcs):
-        alike.setdefault(len(arc.times), []).append(place)
-    found: dict[int, Array] = {}
-    for places in alike.values():
+        uniform.setdefault(len(arc.times), []).append(place)
+    samples: dict[int, Array] = {}
+    for places in uniform.values():
         times = np.array([arcs[place].times for place in places])
         ends = np.concatenate([times[:, :-1:every], times[:, -1:]], axis=1)
         inner = ends[:, :-1, None] + np.diff(ends)[..., None] * (np.arange(count) / count)
         local = np.concatenate([inner.reshape(len(places), -1), ends[:, -1:]], axis=1)
-        found |= zip(places, local, strict=True)
-    return [found[place] for place in range(len(arcs))]
+        samples |= zip(places, local, strict=True)
+    return [samples[place] for place in range(len(arcs))]
 
 
 def along(arcs: Sequence[Arc], local: Sequence[Array]) -> Points:
@@ -149,8 +149,8 @@ def places_in(regions: Sequence[Region], key: Key, where: Sequence[Where]) -> li
     states = {region.name: region.active(state) for region, state in zip(regions, key, strict=True)}
     return [
         place
-        for place, wanted in enumerate(where)
-        if all(state in states[region] for region, state in wanted)
+        for place, requested in enumerate(where)
+        if all(state in states[region] for region, state in requested)
     ]
 
 

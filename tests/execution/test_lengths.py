@@ -131,7 +131,7 @@ def test_a_trace_of_many_blocks_takes_few_files(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(trace_store, "IN_MEMORY", 2**18)
     monkeypatch.setattr(trace_store, "_TERMS", 2**11)
     # What a flow may take of a pad fits on it.
-    monkeypatch.setattr(compiled_loop, "_PART", 2**9)
+    monkeypatch.setattr(compiled_loop, "_MAX_COEFFICIENTS", 2**9)
     runner = Runner("stick_slip_block", engine="taylor")
     resource.setrlimit(resource.RLIMIT_NOFILE, (opened + 60, most[1]))
     try:

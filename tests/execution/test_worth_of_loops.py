@@ -1,6 +1,6 @@
 """Choice of the compiled loop: cached on disk, or worth compiling."""
 
-from statechart.execution.compiled_loop import _WORTH, _CompilationPolicy
+from statechart.execution.compiled_loop import _WORTH_COMPILING, _CompilationPolicy
 
 
 def test_the_cache_is_checked_when_the_requests_have_doubled() -> None:
@@ -17,5 +17,5 @@ def test_the_cache_is_checked_when_the_requests_have_doubled() -> None:
 
 def test_loop_is_compiled_after_enough_requests() -> None:
     worth = _CompilationPolicy(lambda: False)
-    assert not worth.pays(_WORTH)
+    assert not worth.pays(_WORTH_COMPILING)
     assert worth.pays()

@@ -281,7 +281,7 @@ def test_sums_of_alternating_impacts_that_begin_elsewhere_are_the_same_motion(
 ) -> None:
     many = run("rocking_block", until=13.0, engine="scipy", tolerance=2.3e-14)
     # They begin at a part of the length, whatever the tolerance.
-    monkeypatch.setattr(accumulation, "_LOW_AT_REST", 1e-4)
+    monkeypatch.setattr(accumulation, "_MAX_HEIGHT_AT_REST", 1e-4)
     few = run("rocking_block", until=13.0, engine="scipy", tolerance=1e-11)
     assert len(many.trace.jumps) > len(few.trace.jumps)
     assert few.endless == many.endless != frozenset()

@@ -76,7 +76,7 @@ def compared(
 ) -> int:
     """Run cells together and alone; return how many went through together."""
     # Else they do so where the call lies compiled on disk.
-    monkeypatch.setattr(compiled_loop, "_WORTH", -1)
+    monkeypatch.setattr(compiled_loop, "_WORTH_COMPILING", -1)
     columns = dict(zip(model.ranges, table.T, strict=True))
     plan = Plan(model, Setting(), columns, grid=False, until=until)
     sweep_cells._cells.cache_clear()
@@ -138,7 +138,7 @@ def test_conditions_lists_counts_and_plastic_impacts(monkeypatch: pytest.MonkeyP
 def test_outputs_of_one_run_are_those_of_its_jumps_and_arcs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(compiled_loop, "_WORTH", -1)
+    monkeypatch.setattr(compiled_loop, "_WORTH_COMPILING", -1)
     model = interpret(read_text(HAIRY))
     assert isinstance(model, Declaration)
     runner, made = Runner(model), 0
@@ -181,7 +181,7 @@ def test_a_stop_time_that_varies(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_call_is_compiled_once_so_many_cells_are_worth_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(compiled_loop, "_WORTH", 300)
+    monkeypatch.setattr(compiled_loop, "_WORTH_COMPILING", 300)
     monkeypatch.setattr(CompiledSceneLaws, "compiled", lambda self: False)
     model = load("toppling_stick")
     plan = Plan(model, Setting(), {"mu": [0.2, 0.4]})
