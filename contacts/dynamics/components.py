@@ -49,7 +49,7 @@ def components(
         return ()
     return composed(
         parts,
-        _form,
+        _scene_form,
         automaton,
         lambda made: partial(_restricted, numbers[id(made)]),
         _shown,
@@ -57,7 +57,7 @@ def components(
     )
 
 
-def _form(declaration: Data) -> Data:
+def _scene_form(declaration: Data) -> Data:
     """Return a declaration without the numbers that its equations take as parameters."""
     form = deepcopy(declaration)
     for section in ("bodies", "coordinates"):

@@ -46,7 +46,7 @@ class Rim:
             rolled = self.radius * self.turn
             return _sum(centre, tangent, rolled), tangent
         (x, y), _ = self.circle
-        back = _turned(-self._orbit_angle)
+        back = _rotation(-self._orbit_angle)
         return back((centre[0] - x, centre[1] - y)), back(tangent)
 
     def centre(self, anchor: Vector, tangent: Vector) -> Vector:
@@ -56,7 +56,7 @@ class Rim:
         if self.circle is None:
             return _sum(anchor, tangent, -self.radius * self.turn)
         (x, y), _ = self.circle
-        dx, dy = _turned(self._orbit_angle)(anchor)
+        dx, dy = _rotation(self._orbit_angle)(anchor)
         return x + dx, y + dy
 
     @property
@@ -70,7 +70,7 @@ def _sum(place: Vector, direction: Vector, by: sp.Expr) -> Vector:
     return place[0] + by * direction[0], place[1] + by * direction[1]
 
 
-def _turned(angle: sp.Expr) -> Callable[[Vector], Vector]:
+def _rotation(angle: sp.Expr) -> Callable[[Vector], Vector]:
     c, s = sp.cos(angle), sp.sin(angle)
     return lambda v: (c * v[0] - s * v[1], s * v[0] + c * v[1])
 

@@ -196,7 +196,7 @@ def check_joints(
         raise DeclarationProblem(
             f"joint {worst!r} does not hold at the start: {_ends(mechanics, worst)} moving apart "
             f"at {speeds[worst]:.6g}",
-            advice="velocities that it allows: " + _listed(rate_names, rates, change),
+            advice="velocities that it allows: " + _format_values(rate_names, rates, change),
             loc=("joints", worst),
         )
     _, residual = least(joints.jacobian, -joints.biases)
@@ -280,7 +280,9 @@ def _nearest(mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup) -
         closest = min(closest, float(np.abs(gaps).max()))
         if closest <= setup.tolerances["gap"]:
             shift = state[:size] - setup.initial[:size]
-            return "a position that closes all: " + _listed(mechanics.names, state[:size], shift)
+            return "a position that closes all: " + _format_values(
+                mechanics.names, state[:size], shift
+            )
         state[:size] += least(reduction.joints.jacobian[on], -gaps)[0]
     return (
         f"no position near the start closes all joints (least distance found: {closest:.6g}); "
@@ -288,7 +290,7 @@ def _nearest(mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup) -
     )
 
 
-def _listed(names: Sequence[str], values: Array, changes: Array) -> str:
+def _format_values(names: Sequence[str], values: Array, changes: Array) -> str:
     """Return the values that changed, the largest changes first."""
     order = np.argsort(-np.abs(changes))
     changed = [

@@ -54,7 +54,7 @@ _PATH_ROUND_OFF = 8 * 2.0**-52
 
 
 @kernel
-def _along(
+def _unit_impulse(
     mass: Array, jacobian: Array, n: float, t: float, change: Array
 ) -> tuple[int, float, float, float, float]:
     """Return the impulse along (n, t) scaled to a unit change of normal velocity.
@@ -98,7 +98,7 @@ def _next_segment(
     """Compute the next segment; `WEDGE` if friction prevents every motion."""
     cone_n, cone_t = cone[0], cone[1]
     if cone_t == 0.0 or (u_t == 0.0 and _guided(jacobian)):
-        status, un, ut, normal, tangential = _along(mass, jacobian, cone_n, 0.0, change)
+        status, un, ut, normal, tangential = _unit_impulse(mass, jacobian, cone_n, 0.0, change)
         return status, SLIP, un, ut, normal, tangential
     if u_t == 0.0:
         size = len(change)
@@ -114,7 +114,7 @@ def _next_segment(
             continue
         at = 2 if sign > 0.0 else 4
         n, t = cone[at], -sign * cone[at + 1]
-        status, un, ut, normal, tangential = _along(mass, jacobian, n, t, change)
+        status, un, ut, normal, tangential = _unit_impulse(mass, jacobian, n, t, change)
         if status != ENDED or u_t != 0.0 or sign * ut > 0.0:
             return status, SLIP_PLUS if sign > 0.0 else SLIP_MINUS, un, ut, normal, tangential
     return ENDED, WEDGE, 0.0, 0.0, 0.0, 0.0

@@ -653,7 +653,7 @@ def _verdicts(case: Case, tried: Iterable[Candidate], taken: Candidate | None) -
     return verdicts
 
 
-def _listed(refused: Mapping[str, str]) -> Iterator[str]:
+def _rejections(refused: Mapping[str, str]) -> Iterator[str]:
     """Yield the first rejected modes with reasons, and the number of the others."""
     for label, why in [*refused.items()][:_MAX_LISTED]:
         contact = f"{label.partition(':')[0]}: "
@@ -749,7 +749,7 @@ def choose(
             )
         refused = _verdicts(case, tried, None)
         note = "Lemke's algorithm tried only these modes" if by_pivoting else ""
-        reasons = "; ".join(filter(None, (*_listed(refused), note)))
+        reasons = "; ".join(filter(None, (*_rejections(refused), note)))
         advice = "; ".join(_advice(laws, closed, tried))
         raise NoConsistentMode(". ".join(filter(None, (reasons, advice))), considered=refused)
     taken, warning = _rivals(_continuing(agreeing, tried, case, before), case, before)

@@ -281,15 +281,15 @@ def _words(conflict: Sequence[Condition], names: Sequence[str]) -> str:
         verb = "slide" if zero.pop(c, None) else "slip"
         moving.append(f"{names[c]} " + (f"{verb}{'+' if sign > 0 else '-'}" if row else "free"))
     premise = f" with {_held(zero, names)}" if zero else ""
-    return f"{_listed(moving)} exclude one another{premise}"
+    return f"{_joined(moving)} exclude one another{premise}"
 
 
 def _held(zero: Mapping[int, set[int]], names: Sequence[str]) -> str:
     phrases = {(0,): "closed", (1,): "without slip", (0, 1): "pin"}
-    return _listed([f"{names[c]} {phrases[tuple(sorted(rows))]}" for c, rows in zero.items()])
+    return _joined([f"{names[c]} {phrases[tuple(sorted(rows))]}" for c, rows in zero.items()])
 
 
-def _listed(phrases: Sequence[str]) -> str:
+def _joined(phrases: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(phrases[:-1]), phrases[-1])))
 
 

@@ -517,7 +517,7 @@ def check_polygon(corners: _Corners) -> None:
     if turns[wrong - 1] < -_STRAIGHT:
         how, advice = "points inwards", _split(corners, wrong)
     raise DeclarationProblem(
-        f"{_WHAT}; corner {wrong + 1}, at {_place(corners[wrong])}, {how}",
+        f"{_WHAT}; corner {wrong + 1}, at {_format_corner(corners[wrong])}, {how}",
         advice=advice,
         loc=(wrong,),
     )
@@ -538,7 +538,7 @@ def _check_places(corners: _Corners) -> None:
             twice = same[0], k
     if len(apart) < 2:
         raise DeclarationProblem(
-            f"all corners are at {_place(corners[0])}: a polygon has an area",
+            f"all corners are at {_format_corner(corners[0])}: a polygon has an area",
             advice="place them around it, or write disc: RADIUS",
         )
     # Those farthest from each other have the line between them that all others might lie on.
@@ -546,13 +546,14 @@ def _check_places(corners: _Corners) -> None:
     away = [_cross(a, b, corner) / math.dist(a, b) for corner in apart]
     if max(map(abs, away)) <= _STRAIGHT * size:
         raise DeclarationProblem(
-            f"all corners lie on the line from {_place(a)} to {_place(b)}: a polygon has an area",
+            f"all corners lie on the line from {_format_corner(a)} to {_format_corner(b)}: "
+            "a polygon has an area",
             advice="give it a width; a thin bar is polygon: [[-a, -b], [a, -b], [a, b], [-a, b]]",
         )
     if twice is not None:
         one, other = twice
         raise DeclarationProblem(
-            f"corners {one + 1} and {other + 1} are in one place, {_place(corners[one])}",
+            f"corners {one + 1} and {other + 1} are in one place, {_format_corner(corners[one])}",
             advice="leave one of them out",
             loc=(other,),
         )
@@ -618,7 +619,7 @@ def _split(corners: _Corners, inward: int) -> str:
     return "split it there into convex ones: shape: [{polygon: [...]}, {polygon: [...]}]"
 
 
-def _place(corner: _Corner) -> str:
+def _format_corner(corner: _Corner) -> str:
     x, y = (value + 0.0 for value in corner)  # no negative zero
     return f"({x:.6g}, {y:.6g})"
 

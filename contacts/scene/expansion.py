@@ -238,7 +238,7 @@ def _frame(scene: SceneFields, name: str) -> tuple[str, str, str]:
     return f"{name}.x", f"{name}.y", f"{name}.angle" if body.inertia is not None else "0"
 
 
-def _turned(vector: tuple[str, str], angle: str, back: bool = False) -> tuple[str, str]:
+def _rotated_formulas(vector: tuple[str, str], angle: str, back: bool = False) -> tuple[str, str]:
     x, y = vector
     if angle == "0":
         return x, y
@@ -249,12 +249,12 @@ def _turned(vector: tuple[str, str], angle: str, back: bool = False) -> tuple[st
 def _captures(scene: SceneFields, name: str, joint: Joint) -> dict[str, str]:
     """Return the formulas of the captured pose of a joint, by variable."""
     x, y, angle = _frame(scene, joint.point.body)
-    arm_x, arm_y = _turned(_texts(joint.point.at), angle)
+    arm_x, arm_y = _rotated_formulas(_texts(joint.point.at), angle)
     position = f"{x} + {arm_x}", f"{y} + {arm_y}"
     if isinstance(joint.to, Point):
         x0, y0, angle0 = _frame(scene, joint.to.body)
         distance = f"{position[0]} - ({x0})", f"{position[1]} - ({y0})"
-        relative = _turned(distance, angle0, back=True)
+        relative = _rotated_formulas(distance, angle0, back=True)
     else:
         angle0 = "0"
         relative = f"{position[0]} - ({joint.to.x or 0})", f"{position[1]} - ({joint.to.y or 0})"

@@ -230,7 +230,7 @@ def _work_of_forces(
         return np.zeros(len(grid))
     held: list[sp.Expr] = []
     if trace.step is None:
-        for name, state in _states(mechanics.scene, arc):
+        for name, state in _contact_modes(mechanics.scene, arc):
             at = mechanics.contact(name).symbols
             held += [] if state in OPEN else [at.V * at.gap_rate]
             held += [at.H * at.slip] if state == "pin" else []
@@ -253,7 +253,7 @@ def _work_of_catches(
     shown do not explain.
     """
     n, found = len(mechanics.q), np.zeros(len(arc.times))
-    names = [name for name, state in _states(mechanics.scene, arc) if state not in OPEN]
+    names = [name for name, state in _contact_modes(mechanics.scene, arc) if state not in OPEN]
     if all(rates[name] == (0, 0) for name in names):
         return found
     steps = np.diff(arc.times)[:HOLDING]
@@ -357,12 +357,12 @@ def _sampled_forces(
     for arc, tau in dense(trace):
         times = arc.start.high + (arc.start.low + tau)
         forces = iter(subject.solved(trace, arc, tau, expressions).T)
-        for name, state in _states(scene, arc):
+        for name, state in _contact_modes(scene, arc):
             V, H, slips, used = (next(forces) for _ in range(4))
             yield arc, name, state, times, V, H, slips, used
 
 
-def _states(scene: Scene, arc: Arc) -> Iterator[tuple[str, str]]:
+def _contact_modes(scene: Scene, arc: Arc) -> Iterator[tuple[str, str]]:
     return zip(scene.contacts, moving_mode(arc.roles), strict=False)  # controllers follow
 
 

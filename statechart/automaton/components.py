@@ -68,7 +68,7 @@ def split(
     groups = [group for group in groups if group not in idle]
     if len(groups) < 2:
         return []
-    if any(not _mentioned(event, owners) for event in _events(data, "contacts" in data)):
+    if any(not _mentioned(event, owners) for event in _declared_events(data, "contacts" in data)):
         # An event without the name of its region is heard from all of them.
         return []
     words = {*_reserved(schema), *_words_of_regions(data, regions)}
@@ -146,17 +146,17 @@ def _mentioned(value: Any, owners: Mapping[str, set[Entity]]) -> set[Entity]:
     return set().union(*(owners[name] for name in names if name in owners))
 
 
-def _events(value: Any, shared_zeno: bool) -> Iterator[str]:
+def _declared_events(value: Any, shared_zeno: bool) -> Iterator[str]:
     """Yield the events of `on:`; `zeno` is a state's own unless `shared_zeno` may have it."""
     if isinstance(value, Mapping):
         for key, entry in value.items():
             for text in _texts(entry) if key == "on" else ():
                 events = (event.strip() for event in re.split(r"\bor\b", text))
                 yield from (event for event in events if shared_zeno or event != "zeno")
-            yield from _events(entry, shared_zeno)
+            yield from _declared_events(entry, shared_zeno)
     elif isinstance(value, list | tuple):
         for entry in value:
-            yield from _events(entry, shared_zeno)
+            yield from _declared_events(entry, shared_zeno)
 
 
 def _words_of_regions(data: Data, regions: Collection[str]) -> set[str]:

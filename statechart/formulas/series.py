@@ -58,7 +58,7 @@ def expand(
             if name in _BINARY:
                 found = _BINARY[name](a, register(right))
             else:
-                found = _power(a, right) if name == "powi" else _UNARY[name](a)
+                found = _integer_power(a, right) if name == "powi" else _UNARY[name](a)
         except (ValueError, ZeroDivisionError, OverflowError):
             found = Series([math.nan] * terms, [math.nan] * terms)
         registers[place] = found
@@ -202,7 +202,7 @@ def _atan2(y: Series, x: Series) -> Series:
     return _chain(first, (y, _div(x, square)), (x, _neg(_div(y, square))))
 
 
-def _power(a: Series, exponent: int) -> Series:
+def _integer_power(a: Series, exponent: int) -> Series:
     result = None
     while exponent:
         if exponent & 1:
@@ -215,7 +215,7 @@ def _power(a: Series, exponent: int) -> Series:
 def _pow(a: Series, b: Series) -> Series:
     n = b.values[0]
     if not any(b.values[1:]) and n == math.floor(n) and 0.0 <= n <= _MAX_EXPONENT:
-        return _power(a, int(n))
+        return _integer_power(a, int(n))
     return _exp(_mul(b, _log(a)))
 
 

@@ -161,7 +161,10 @@ def parted(reference: Trace, trace: Trace, *, brief: float = 0.0) -> float | Non
         return diverged
     scale = _scales(reference, trace)
     with np.errstate(invalid="ignore"):
-        apart = np.abs(_states(reference, times) - _states(trace, times)) > _PARTED_PART * scale
+        apart = (
+            np.abs(_sampled_states(reference, times) - _sampled_states(trace, times))
+            > _PARTED_PART * scale
+        )
     where = np.flatnonzero(apart.any(axis=1))
     return float(times[where[0]]) if len(where) else diverged
 
@@ -185,7 +188,7 @@ def distance(reference: Trace, trace: Trace) -> float:
     weights = np.repeat(lengths / counts, counts)
     times = np.minimum(np.repeat(marks[:-1], counts) + (place + 0.5) * weights, end)
     with np.errstate(invalid="ignore"):
-        apart = np.abs(_states(reference, times) - _states(trace, times))
+        apart = np.abs(_sampled_states(reference, times) - _sampled_states(trace, times))
     return float((weights @ apart / (end * _scales(reference, trace))).max(initial=0.0))
 
 
@@ -292,7 +295,7 @@ def _scales(reference: Trace, trace: Trace) -> Array:
     return scale
 
 
-def _states(trace: Trace, times: Array) -> Array:
+def _sampled_states(trace: Trace, times: Array) -> Array:
     arcs, local = at_times(trace, times)
     return np.concatenate([arc.states(tau) for arc, tau in zip(arcs, local, strict=True)])
 

@@ -160,7 +160,7 @@ def visible_expressions(expressions: Sequence[sp.Expr], mode: Mode | None) -> tu
     return tuple([e.xreplace(hidden) for e in expressions]) if hidden else tuple(expressions)
 
 
-def _place(arcs: Sequence[Arc], j: int, ends: bool) -> int:
+def _arc_index(arcs: Sequence[Arc], j: int, ends: bool) -> int:
     """Return the last arc after up to `j` jumps, or the first after so many or more."""
     if ends:
         return bisect_right(arcs, j, key=lambda arc: arc.j) - 1
@@ -172,7 +172,7 @@ def roles_at(trace: Trace, j: int, mode: Key, *, ends: bool) -> Roles:
 
     `ends`: at the end of that time, else at its start.
     """
-    arcs, place = trace.arcs, _place(trace.arcs, j, ends)
+    arcs, place = trace.arcs, _arc_index(trace.arcs, j, ends)
     if 0 <= place < len(arcs) and arcs[place].j == j and arcs[place].mode == mode:
         return arcs[place].roles
     # A stop, for one, changes nothing: the arc before it goes on.
@@ -191,7 +191,7 @@ def _solved_rows(trace: Trace, endpoints: Sequence[Endpoint], width: int) -> Arr
     rows = np.full((len(endpoints), width), np.nan)
     for row, one in zip(rows, endpoints, strict=True):
         if trace.arcs:
-            place = min(max(_place(trace.arcs, one.j, one.ends), 0), len(trace.arcs) - 1)
+            place = min(max(_arc_index(trace.arcs, one.j, one.ends), 0), len(trace.arcs) - 1)
             solved = trace.arcs[place].solved
             assert solved is not None
             row[:] = solved[-1 if one.ends else 0]

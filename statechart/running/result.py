@@ -240,7 +240,6 @@ class Result:
             )
         from statechart.automaton.product import feasibility
         from statechart.diagram.build import build
-        from statechart.diagram.write import write
 
         automaton = self.observer.automaton
         setup = automaton.setup(self.overrides, self.trace.tolerance)
@@ -300,10 +299,10 @@ class Result:
         StatechartError
             If the suffix is another, the study is of another model, or the file cannot be written.
         """
-        from statechart.pages.page import write
+        from statechart.pages.page import write_page
 
         path = Path(path)
-        write(_page_content(self, study), path)
+        write_page(_page_content(self, study), path)
         return path
 
     @property

@@ -100,7 +100,7 @@ def figure(study: Measurements) -> Figure:
         return entitle(drawing, study.model)
 
 
-def write(folder: Path | str, study: Measurements) -> None:
+def write_study_figure(folder: Path | str, study: Measurements) -> None:
     """Write a study's figure (trade.svg, trade.png) and table (trade.csv) to a folder."""
     from matplotlib import rc_context
 

@@ -235,7 +235,7 @@ def test_the_ground_below_a_body_with_a_shape_is_seen(tmp_path, monkeypatch):
     )
     drawn = []
     monkeypatch.setattr("statechart.pictures.drawing.picture", drawn.append)
-    monkeypatch.setattr("statechart.reporting.figure.write", lambda drawing, path: None)
+    monkeypatch.setattr("statechart.reporting.figure.write_figure", lambda drawing, path: None)
     draw_scene(path, tmp_path / "scene.png")
     (film,) = drawn
     assert film.centres[0, 1] - film.half[1] < 0.0
@@ -334,7 +334,7 @@ def test_the_scene_at_the_start_has_the_forces_and_modes_of_the_first_step(
 ):
     drawn = []
     monkeypatch.setattr("statechart.pictures.drawing.picture", drawn.append)
-    monkeypatch.setattr("statechart.reporting.figure.write", lambda drawing, path: None)
+    monkeypatch.setattr("statechart.reporting.figure.write_figure", lambda drawing, path: None)
     draw_scene(name, tmp_path / "scene.png")
     (film,) = drawn
     assert film.times.tolist() == [0.0]

@@ -263,7 +263,7 @@ class _Grid:
             top = self.places[across][0] - self.reach[across] - _MARGIN * deep
             end = self.size[across] + _MARGIN * deep
             colour = FRAME if node.infeasible is None else FAINT
-            size = _turned(k, high - low, end - top)
+            size = _along_axis(k, high - low, end - top)
             centre = _point(k, (low + high) / 2, (top + end) / 2)
             yield Box(self._key(k, f"_{number}"), centre, size, {**_BAND, "color": colour})
             name = self._key(k, f"in{number}")
@@ -324,10 +324,10 @@ class _Grid:
         return self._side(k, span[side > 0], side, deep)
 
 
-def _turned(axis: int, along: float, across: float) -> Point:
+def _along_axis(axis: int, along: float, across: float) -> Point:
     return (along, across) if axis == 0 else (across, along)
 
 
 def _point(axis: int, u: float, v: float) -> Point:
-    x, y = _turned(axis, u, v)
+    x, y = _along_axis(axis, u, v)
     return x, -y
