@@ -289,7 +289,7 @@ def modes(arguments: argparse.Namespace) -> int:
 def draw(arguments: argparse.Namespace) -> int:
     """Draw the statechart, with the path of a run where asked for or needed; or the scene."""
     from statechart.diagram.scxml import lost
-    from statechart.diagram.write import SUFFIXES
+    from statechart.diagram.write import SUFFIXES, write
     from statechart.reporting.figure import SUFFIXES as FIGURES
     from statechart.running.drawing import draw_scene, drawn
 

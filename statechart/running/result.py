@@ -240,6 +240,7 @@ class Result:
             )
         from statechart.automaton.product import feasibility
         from statechart.diagram.build import build
+        from statechart.diagram.write import write
 
         automaton = self.observer.automaton
         setup = automaton.setup(self.overrides, self.trace.tolerance)
