@@ -222,6 +222,7 @@ class ControlledLaws:
         return self._contacts.remarks(setup, arcs)
 
     def _at(self, states: Key) -> SceneLaws:
+        """Return the contacts' laws with the controllers in `states`."""
         if states not in self._under:
             states_by_name = self._states.named(states)
             self._under[states] = self._contacts.under(
@@ -278,6 +279,7 @@ class ControlledLaws:
     def _holding(
         self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array
     ) -> set[tuple[int, int]]:
+        """Return the guards of event transitions that hold."""
         guarded = self._states.guards(flow.mode[self._count :], at_events=True)
         rows = guarded.rows(setup, clock.high, state, self._solved(setup, clock, flow, state))
         return guarded.watch.holding(rows, setup.precision, active_in(self._regions, flow.mode))
@@ -301,6 +303,7 @@ class ControlledLaws:
         return np.concatenate([accelerations, forces[:contact_count].ravel(), couples, joints])
 
     def _parted(self, flow: Flow) -> Flow:
+        """Return the flow of the contacts alone."""
         return flow._replace(
             mode=flow.mode[: self._count],
             roles=flow.roles[: self._count],
@@ -350,17 +353,19 @@ def displaced(scene: Scene, setup: SceneSetup, mode: Key, before: Snapshot, afte
     laws = zip(setup.contacts, mode, before.contacts, after.contacts, strict=True)
     modes = []
     for law, state, contact, moved in laws:
-        # Couplings have no surface; compliant contacts follow their surface by force alone.
-        if law.name not in scene.contacts or scene.contacts[law.name].stiffness is not None:
+        # Couplings have no surface.
+        if law.name not in scene.contacts:
             modes.append(state)
             continue
+        # Compliant contacts follow their surface by force alone.
+        rigid = scene.contacts[law.name].stiffness is None
         # Approach and departure count relative to the motion before the jump.
         separates = (
             abs(moved.gap - contact.gap) > gap_tolerance
             or abs(moved.gap_rate - contact.gap_rate) > speed_tolerance
         )
-        is_closed = state not in OPEN
-        if state != OFF and moved.gap < min(contact.gap, 0.0) - gap_tolerance:
+        separates, is_closed = separates and rigid, state not in OPEN
+        if rigid and state != OFF and moved.gap < min(contact.gap, 0.0) - gap_tolerance:
             raise jumped_in(scene.contacts[law.name].surface, law.name, -moved.gap)
         target = state
         if is_closed and separates:

@@ -23,7 +23,8 @@ from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import EDGES, SCALARS, PerContact, Snapshot
 from contacts.modes.load_sharing import Share, bearing, prestressed_contacts, rank, share
-from contacts.scene.modes import OWN
+from contacts.modes.signs_at_rest import laws_of, signs_at_rest, with_signs
+from contacts.scene.modes import OWN, SignFriction
 from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.solvers.mode_solver import (
     AGAINST,
@@ -100,6 +101,7 @@ class Case(NamedTuple):
     at_rest: Sequence[bool]
     scales: Scales  # For judging inequalities
     tie: float = 0.0  # Relative violations up to this are boundary cases
+    signs: int = 0  # How many of the laws, the last, are signs (`contacts.modes.signs_at_rest`)
 
 
 class Candidate(NamedTuple):
@@ -115,6 +117,11 @@ class Candidate(NamedTuple):
     broken: tuple[str, int, float]
     share: Share | None = None  # Smallest forces, if the motion does not determine them
     undetermined: str = ""  # Reason why it determines no motion
+
+    def of_contacts(self, count: int, frictions: Sequence[SignFriction]) -> Candidate:
+        """Return the mode of the first contacts, those behind them being signs."""
+        share = None if self.share is None else self.share.of_contacts(count, frictions)
+        return self._replace(states=self.states[:count], forces=self.forces[:count], share=share)
 
     @property
     def roles(self) -> Roles:
@@ -150,7 +157,7 @@ def candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
 def _solved_combinations(
     case: Case, combinations: Sequence[tuple[str, ...]], codes: Ints
 ) -> list[Candidate]:
-    snapshot, laws, closed, at_rest, scales, tie = case
+    snapshot, laws, closed, at_rest, scales, tie, _ = case
     edges = bounds(laws, snapshot)
     count, contacts = codes.shape
     status, verdicts = np.empty(count, np.int64), np.empty((count, 4))
@@ -227,7 +234,13 @@ def _explain(
             chosen = np.empty((len(codes[k]), 2))
             choose_edges(edges, codes[k], chosen)
             shared_forces = share(
-                codes[k], snapshot, chosen, carriers(tuple(case.laws)), candidate.forces, inward
+                codes[k],
+                snapshot,
+                chosen,
+                carriers(tuple(case.laws)),
+                candidate.forces,
+                inward,
+                case.signs,
             )
         if shared_forces is None or shared_forces.violation > tie * scales.force:
             failed.append((candidate, codes[k]))
@@ -298,7 +311,7 @@ def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     Trinkle's form; the force of a slipping contact is along the edge that opposes the slip). It
     only proposes modes; these are solved and checked as all others. Empty without a solution.
     """
-    snapshot, laws, closed, at_rest, scales, _ = case
+    snapshot, laws, closed, at_rest, scales, *_ = case
     group = [i for i, is_closed in enumerate(closed) if is_closed]
     slides = np.array([0.0 if at_rest[i] else np.sign(snapshot.contacts[i].slip) for i in group])
     # Contacts at rest have their static friction.
@@ -557,6 +570,14 @@ class ForceUncertainty(NamedTuple):
     # Contacts with a force that has just passed its bound, which is certain, too
     fell: Collection[int] = ()
 
+    def with_signs(self, which: Sequence[int]) -> ForceUncertainty:
+        """Return the uncertainty of contacts and signs."""
+
+        def at(state: Array, later: float) -> Snapshot:
+            return with_signs(self.at(state, later), which)
+
+        return self._replace(at=at, certain_modes=(*self.certain_modes, *(["locked"] * len(which))))
+
     def sticking(
         self, case: Case, options: Sequence[Sequence[str]], taken: Candidate
     ) -> Candidate | None:
@@ -699,6 +720,10 @@ class Before(NamedTuple):
     # Contacts that may bear a load; a load on others would have no cause
     bearing: frozenset[int] = frozenset()
 
+    def is_mode(self, states: tuple[str, ...]) -> bool:
+        """Return whether contacts, which signs may follow, are in the mode."""
+        return self.mode is not None and states[: len(self.mode)] == self.mode
+
     @classmethod
     def flow(cls, roles: Roles, mode: tuple[str, ...] | None = None) -> Before:
         """Return mode and loads of a flow."""
@@ -724,20 +749,26 @@ def choose(
     Raises `NoConsistentMode` or `AmbiguousMode` with every candidate and its reason, and
     `NonFinite` if the state has no finite forces.
     """
+    count, resting = len(laws), signs_at_rest(snapshot, slip_tolerance)
+    before = before or Before(bearing=frozenset(range(count)))
+    if resting:
+        snapshot, laws = with_signs(snapshot, resting), (*laws, *laws_of(snapshot, resting))
+        closed, signs = [*closed, *([True] * len(resting))], range(count, len(laws))
+        before = before._replace(bearing=before.bearing.union(signs))
+        uncertainty = None if uncertainty is None else uncertainty.with_signs(resting)
     at_rest = [abs(contact.slip) <= slip_tolerance for contact in snapshot.contacts]
     options = [*map(_options, snapshot.contacts, laws, closed, at_rest)]
     for i, carrier in _loads(tuple(laws)):
         options[i] = options[i] if closed[carrier] else ("free",)
-    case = Case(snapshot, laws, closed, at_rest, scales, tie)
-    before = before or Before(bearing=frozenset(range(len(laws))))
+    case = Case(snapshot, laws, closed, at_rest, scales, tie, len(resting))
     tried: list[Candidate] = []
     agreeing: list[Candidate] = []
-    count = sum(closed)
-    by_pivoting = count > _MAX_ENUMERATED
+    touching = sum(closed)
+    by_pivoting = touching > _MAX_ENUMERATED
     if by_pivoting:
         tried = by_lemke(case, options)
         agreeing = consistent(tried, tie)
-    if not agreeing and count <= _MAX_ENUMERATED_LAST:
+    if not agreeing and touching <= _MAX_ENUMERATED_LAST:
         by_pivoting = False
         tried = candidates(case, options)
         agreeing = consistent(tried, tie)
@@ -761,7 +792,7 @@ def choose(
     # A rejected mode of undetermined load may close contacts that the selected mode opens.
     if (
         not warning
-        and taken.violation >= 0.0
+        and taken.violation >= -tie
         and any(_opens(taken, rejected, closed) for rejected in tried)
     ):
         warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken.states)} taken"
@@ -777,6 +808,8 @@ def choose(
             if _comes_to_rest(state, was)
         )
     considered = LazyMapping(partial(_verdicts, case, tried, taken))
+    if snapshot.signs is not None:
+        taken = taken.of_contacts(count, [snapshot.signs.frictions[k] for k in resting])
     return Choice(taken, considered, warning, notes, uncertain is not None)
 
 
@@ -793,7 +826,8 @@ def _continuing(
     """
     previous = None
     if len(agreeing) > 1 and before.mode is not None:
-        previous = next((c for c in tried if c.states == before.mode and not c.undetermined), None)
+        of_mode = (c for c in (*agreeing, *tried) if before.is_mode(c.states))
+        previous = next((c for c in of_mode if not c.undetermined), None)
     if previous is None or (
         previous.share is not None and not _bearing(previous) <= before.bearing
     ):
@@ -811,13 +845,13 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
 
     Raises `AmbiguousMode` if their motions differ and all keep every contact closed.
     """
-    _, laws, closed, _, scales, tie = case
+    _, laws, closed, _, scales, tie, _ = case
     taken = agreeing[0]
     if len(agreeing) == 1:
         return taken, ""
     clear = [c for c in agreeing if c.violation <= _NEGLIGIBLE_TIE * tie]
     for candidate in clear:
-        if candidate.share is not None and candidate.states == before.mode:
+        if candidate.share is not None and before.is_mode(candidate.states):
             return _without_new_loads(candidate, clear, case, before.bearing)
     # A contact held by static friction does not start to slip because another does.
     firmer, holding = _firmer(case), clear

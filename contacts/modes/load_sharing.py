@@ -11,12 +11,12 @@ mode; the mode ends when no forces in the cones explain the motion.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from contacts.dynamics.snapshot import Snapshot
-from contacts.scene.modes import OWN, Bearing
+from contacts.scene.modes import OWN, Bearing, SignFriction
 from contacts.solvers.dependence import independent
 from contacts.solvers.mode_solver import is_coupling, judge_forces, write_limits
 from contacts.solvers.redundancy import mode_columns, sharing
@@ -58,6 +58,18 @@ class Share:
     joints: tuple[int, ...]
     # Largest violation of a zone, in units of force; <= 0: none
     violation: float
+    signs: tuple[tuple[SignFriction, str], ...] = ()  # Signs that share, and their zones
+
+    def of_contacts(self, count: int, frictions: Sequence[SignFriction]) -> Share | None:
+        """Return what the first contacts share, those behind them being signs."""
+        behind = zip(frictions, self.zones[count:], strict=True)
+        signs = tuple((sign, zone) for sign, zone in behind if zone != OWN)
+        zones, rows, carriers = self.zones[:count], self.rows[:count], self.carriers[:count]
+        if all(zone == OWN for zone in zones):
+            return None
+        return replace(
+            self, forces=self.forces[:count], zones=zones, rows=rows, carriers=carriers, signs=signs
+        )
 
     def roles(self, states: Sequence[str]) -> Roles:
         """Return the roles of contacts in `states`, with their zones and independent rows."""
@@ -68,8 +80,8 @@ class Share:
         for k, (state, zone, rows, carriers) in enumerate(contacts):
             bearing = None
             if zone != OWN:
-                joints = self.joints if k == first_shared else ()
-                bearing = Bearing(zone, rows, carriers, self.coordinates, joints)
+                once = (self.joints, self.signs) if k == first_shared else ((), ())
+                bearing = Bearing(zone, rows, carriers, self.coordinates, *once)
             elif rows != all_rows.get(state, "n"):
                 bearing = Bearing(zone, rows)
             result.append(Role(state, share=bearing))
@@ -81,21 +93,31 @@ _MIN_PRESSURE = 1e-6
 
 
 def share(
-    code: Ints, snapshot: Snapshot, cones: Array, loaded_by: Ints, forces: Array, inward: float
+    code: Ints,
+    snapshot: Snapshot,
+    cones: Array,
+    loaded_by: Ints,
+    forces: Array,
+    inward: float,
+    signs: int,
 ) -> Share | None:
     """Return the smallest forces within the cones equivalent to `forces`; None if there are none.
 
     The modes `code` (c,) are those of `contacts.states`; `forces` explain the motion, inside their
     `cones` or not. A bias `inward` into the cones regularises the search of zones, so that they
     determine the forces also on the boundary of the feasible loads. `loaded_by` are the carriers of
-    `solve_modes`.
+    `solve_modes`; the last `signs` modes are those of sign functions, which carry nothing in the
+    equations of a flow.
     """
     limits, cones = cones, cones.copy()
     couplings = np.flatnonzero([is_coupling(c) for c in code.tolist()])
     cones[couplings] = 0.0, 1.0
     jacobians = snapshot.jacobians
     flat, owners = mode_columns(code, cones, jacobians, -1)
-    count, order, _ = independent(flat)
+    count, _, _ = independent(flat)
+    least, order, _ = independent(flat[owners < len(code) - signs])
+    if least < count:
+        return None
     shared = np.flatnonzero(sharing(code, cones, jacobians, count, len(flat)))
     load = np.einsum("gdn,gd->n", jacobians[shared], forces[shared])
     motion_rank, chosen, _ = independent(np.ascontiguousarray(flat[np.isin(owners, shared)].T))
@@ -140,7 +162,8 @@ def share(
         "".join(letters[i] for i in np.nonzero(owners == k)[0].tolist() if i in independent_rows)
         for k in range(len(code))
     )
-    rows, joints = _row_names(code, jacobians), np.zeros(0, dtype=np.int64)
+    rows = _row_names(code[: len(code) - signs], jacobians) + ("",) * signs
+    joints = np.zeros(0, dtype=np.int64)
     if snapshot.reduction is not None:
         joints = np.nonzero(~snapshot.reduction.joints.redundant)[0]
         contact_rows, _ = mode_columns(
@@ -178,10 +201,12 @@ def rank(states: Sequence[str], jacobians: Array) -> int:
 
 
 def _own(code: Iterable[int]) -> list[tuple[int, int]]:
+    """Return the constraints of a mode as (contact, direction)."""
     return [(k, "nt".index(row)) for k, c in enumerate(code) for row in _LETTERS.get(c, "n")]
 
 
 def _row_names(code: Ints, jacobians: Array) -> tuple[str, ...]:
+    """Return the independent constraints of each contact, as letters."""
     constraints = _own(code.tolist())
     count, order, _ = independent(np.array([jacobians[k, d] for k, d in constraints]))
     independent_rows = {constraints[i] for i in order[:count]}
