@@ -193,14 +193,30 @@ class ControlGuards:
         self, setup: SceneSetup, time: float, state: Array, solved: Array | None = None
     ) -> Array:
         """Return what `GuardWatch.at` does; `solved` are accelerations and forces."""
-        found = self._unsolved if solved is None else solved
-        inputs = np.concatenate([state, found, [np.nan]])
-        return self.watch.at(setup, inputs, self._sizes(setup), time)
+        return self.watch.at(setup, self._inputs(state, solved), self._sizes(setup), time)
 
-    def table(self, setup: SceneSetup, times: Array, states: Array, solved: Array) -> Array:
-        """Return `rows` for many instants (m,), states (m, 2 n) and unknowns (m, u)."""
+    def rates_of(
+        self, k: int, setup: SceneSetup, time: float, state: Array, solved: Array | None
+    ) -> Array:
+        """Return what `GuardWatch.rates_of` does."""
+        inputs = self._inputs(state, solved)
+        return self.watch.rates_of(k, setup, inputs, self._sizes(setup), time)
+
+    def table(
+        self,
+        setup: SceneSetup,
+        times: Array,
+        states: Array,
+        solved: Array,
+        *,
+        rates: bool = False,
+    ) -> Array:
+        """Return `GuardWatch.table` for instants (m,), states (m, 2 n) and unknowns (m, u)."""
         inputs = np.hstack([states, solved, np.full((len(states), 1), np.nan)])
-        return self.watch.table(setup, inputs, self._sizes(setup), times)
+        return self.watch.table(setup, inputs, self._sizes(setup), times, rates=rates)
+
+    def _inputs(self, state: Array, solved: Array | None) -> Array:
+        return np.concatenate([state, self._unsolved if solved is None else solved, [np.nan]])
 
     def _sizes(self, setup: SceneSetup) -> Array:
         assert setup.sizes is not None

@@ -248,11 +248,15 @@ class ControlledLaws:
             guarded.watch.single or not watched.all()
         ):
             return None, rows
-        rows = guarded.rows(setup, clock.high, state, self._solved(setup, clock, flow, state))
+        solved = self._solved(setup, clock, flow, state)
+        rows = guarded.rows(setup, clock.high, state, solved)
         relative = setup.precision
 
         assert setup.sizes is not None
         sizes = setup.sizes
+
+        def rates(k: int) -> Array:
+            return guarded.rates_of(k, setup, clock.high, state, solved)
 
         def later(margin: str) -> float:
             return self._derivatives.sign(
@@ -260,7 +264,9 @@ class ControlledLaws:
             )
 
         active = active_in(self._regions, flow.mode)
-        judged = Judgement(guarded.watch, rows, flow.tolerances, fired, relative, later, active)
+        judged = Judgement(
+            guarded.watch, rows, rates, flow.tolerances, fired, relative, later, active
+        )
         return judged, rows
 
     def _holding(
@@ -343,14 +349,16 @@ def displaced(scene: Scene, setup: SceneSetup, mode: Key, before: Snapshot, afte
     laws = zip(setup.contacts, mode, before.contacts, after.contacts, strict=True)
     found = []
     for law, state, was, now in laws:
-        # Couplings touch no surface; forces of compliant contacts follow whatever a surface does.
-        if law.name not in scene.contacts or scene.contacts[law.name].stiffness is not None:
+        # Couplings touch no surface.
+        if law.name not in scene.contacts:
             found.append(state)
             continue
+        # The normal forces of compliant contacts follow whatever a surface does.
+        rigid = scene.contacts[law.name].stiffness is None
         # Where the surface begins to approach, or to leave, is judged by what it did before.
         parts = abs(now.gap - was.gap) > near or abs(now.gap_rate - was.gap_rate) > slow
-        touches = state not in OPEN
-        if state != OFF and now.gap < min(was.gap, 0.0) - near:
+        parts, touches = parts and rigid, state not in OPEN
+        if rigid and state != OFF and now.gap < min(was.gap, 0.0) - near:
             raise jumped_in(scene.contacts[law.name].surface, law.name, -now.gap)
         target = state
         if touches and parts:

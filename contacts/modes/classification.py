@@ -731,7 +731,7 @@ def choose(
     if doubted is not None:
         taken, warning = doubted, ""
     # What a mode left open closes besides must not move away.
-    if not warning and taken.violation >= 0.0 and any(_opens(taken, one, closed) for one in tried):
+    if not warning and taken.violation >= -tie and any(_opens(taken, one, closed) for one in tried):
         warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken.states)} taken"
     notes: tuple[str, ...] = (_UNCHECKED,) if many else ()
     if taken.share is not None:

@@ -63,6 +63,8 @@ class StepControl:
         self._order = [*range(n), *range(n + r, n + r + c), *range(n, n + r)]
         self.states = controllers.initial
         self._begun = False
+        # A surface that was moved strikes in the next step, before anything else happens.
+        self._strikes, self._pending = False, dict[str, tuple[Raised, ...]]()
         self._mechanics = mechanics
         self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
 
@@ -76,6 +78,7 @@ class StepControl:
         asked: Bools = np.any(due, axis=1)
         if self._listening.waits(self._controllers, self.states):
             asked |= recorder.changes(chunk)
+        asked[:1] |= self._strikes
         if not asked[:-1].any():
             return chunk, bool(asked.any())
         self._scene.forget()
@@ -93,7 +96,7 @@ class StepControl:
         EventLoop
             If they do not end.
         """
-        pending: dict[str, tuple[Raised, ...]] = {}
+        pending, self._pending, self._strikes = self._pending, {}, False
         for first, *others in _simultaneous(jumps):
             # Jumps of several contacts at one instant are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
@@ -130,11 +133,14 @@ class StepControl:
             )
             if name in self._joints and taken.target == CLOSED:
                 after = self._closed(name, after, recorder, h)
-            opened = self._scene.switch(
+            moved, strikes = self._scene.switch(
                 self._states.named(self.states), (state, after, recorder.clock.high)
             )
-            jump = recorder.turn(name, taken.name, self.states, (state, after), fired, opened)
+            jump = recorder.turn(name, taken.name, self.states, (state, after), fired, moved)
             pending, state = self._listening.pending_after(firing.pending, jump), after
+            if strikes:
+                self._pending, self._strikes = pending, True
+                return state
         last = (
             f"{jump.cause} -> {' '.join(jump.target)}"
             for jump in recorder.control_jumps[-_MAX_LISTED:]
@@ -191,8 +197,9 @@ class StepControl:
     def _due(self, times: Array, states: Array, solved: Array, h: float, codes: Ints) -> Bools:
         """Return which guards (m, g) are due; `codes` (m, r) are modes of contacts."""
         guards = self._states.guards(self.states)
-        rows = guards.table(self._setup, times, states, solved[:, self._order])
-        margin, rate, second, size = (rows[..., k] for k in range(4))
+        points = self._setup, times, states, solved[:, self._order]
+        margin, size = np.moveaxis(guards.table(*points), -1, 0)
+        rate, second = np.moveaxis(guards.table(*points, rates=True)[..., :2], -1, 0)
         passing = (rate > 0.0) & (margin + h * rate >= 0.0)
         falling = np.minimum(np.nan_to_num(rate, neginf=0.0), 0.0)
         true: Bools = (margin + _AT_END * h * falling < 0.0) & ~passing
@@ -210,7 +217,7 @@ class StepControl:
         """Return the guards at events that hold at the end of a step."""
         guards = self._states.guards(self.states, at_events=True)
         rows = guards.table(self._setup, times, states, solved[:, self._order])
-        margin, size = rows[..., 0], rows[..., 3]
+        margin, size = rows[..., 0], rows[..., 1]
         zero = self._setup.rounded * size
         atoms = margin <= np.where(guards.watch.closed, zero, -zero)
         held = guards.watch.truths(atoms, self._active.at(codes, self.states))[0]

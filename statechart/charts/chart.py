@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import model_validator
 
@@ -39,6 +39,12 @@ from statechart.formulas.formula import parse
 
 class State(BaseState):
     """One state of a region: how variables change in it, and what holds in it."""
+
+    OTHER_WORDS: ClassVar = {
+        **BaseState.OTHER_WORDS,
+        "sets": "entry: {u: 1}, with u among the variables; controls are of scenes",
+        "invariant": "invariants: {NAME: RELATION}",
+    }
 
     invariants: dict[Label, RelationText] = declare(
         "Named relations that hold as long as the state is active.",
@@ -76,6 +82,15 @@ class Chart(Declaration):
     gives it and is constant where none does. Formulas may use variables, parameters and `time`;
     initial values only parameters.
     """
+
+    OTHER_WORDS: ClassVar = {
+        **dict.fromkeys(("controls", "inputs"), "variables: {u: 0}, and entry: {u: 1} in states"),
+        **dict.fromkeys(("clocks", "timers"), "variables: {c: 0} with flows: {c: 1}, or after: T"),
+        "events": "a transition; its name is an event that other regions hear",
+        **dict.fromkeys(
+            ("initial", "states", "transitions"), "regions: {NAME: {initial: ..., states: ...}}"
+        ),
+    }
 
     kind: Literal["chart"] = declare("What is declared.", "chart", default="chart")
     variables: dict[ValueName, FiniteText] = declare(

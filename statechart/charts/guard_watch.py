@@ -31,7 +31,7 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import EPS, Array, Bools
-from statechart.automaton.laws import Setup
+from statechart.automaton.laws import UNBOUNDED, Setup
 from statechart.automaton.margin_derivatives import UNDERFLOW, rounding_scale, time_derivative
 from statechart.automaton.regions import Claim, Edge, Margin, Raised, Region, margins_of, raised
 from statechart.automaton.trace import Jump, Key
@@ -59,8 +59,8 @@ class GuardWatch:
     values of symbols in `known` in the mode.
 
     `margins` names the atoms of all guards, `firsts` is the place of the first of every guard.
-    `timed` atoms depend on time alone, `closed` ones hold on their boundary, too, and the flow
-    does not change `still` ones. `single` is whether no guard has several atoms.
+    `timed` atoms depend on time alone, `closed` ones hold on their boundary, too. `single` is
+    whether no guard has several atoms.
     """
 
     def __init__(
@@ -78,11 +78,10 @@ class GuardWatch:
         self.guards = tuple(watched)
         self.conditions = tuple(guard.relation.condition(known) for guard in self.guards)
         self.single = all(condition.single for condition in self.conditions)
-        self._tapes: list[Tape] = []
+        self.atoms: list[_AtomTapes] = []
         names: list[str] = []
         firsts: list[int] = []
         timed: list[bool] = []
-        still: list[bool] = []
         closed: list[bool] = []
         for guard, condition in zip(self.guards, self.conditions, strict=True):
             firsts.append(len(names))
@@ -92,33 +91,42 @@ class GuardWatch:
                 near = {v for v in margin.free_symbols if v in rates}
                 near |= {w for v in near for w in rates[v].free_symbols if w in rates}
                 moving = tuple((v, rates[v]) for v in rates if v in near)
-                tape, rests = _atom_tape(margin, moving, tuple(inputs), tuple(parameters), time)
-                self._tapes.append(tape)
+                found = _atom_tapes(margin, moving, tuple(inputs), tuple(parameters), time)
+                self.atoms.append(found)
                 timed.append(margin.free_symbols <= {time, *timers, *parameters})
-                still.append(rests)
                 closed.append(not atom.strict)
-        self.margins, self.firsts, self.still = tuple(names), tuple(firsts), tuple(still)
+        self.margins, self.firsts = tuple(names), tuple(firsts)
         self.timed, self.closed = np.array(timed, np.bool_), np.array(closed, np.bool_)
 
     def at(self, setup: Setup, inputs: Array, sizes: Array, time: float) -> Array:
-        """Return (a, 6): margin, its first and second derivative in time, sizes of their terms."""
-        state, found = np.concatenate([inputs, sizes]), np.empty((len(self._tapes), 6))
-        for row, tape in zip(found, self._tapes, strict=True):
-            tape_values(*tape.program, state, setup.values, time, row)
+        """Return (a, 2): margins, and sizes of their terms."""
+        state, found = np.concatenate([inputs, sizes]), np.empty((len(self.atoms), 2))
+        for row, atom in zip(found, self.atoms, strict=True):
+            tape_values(*atom.margin.program, state, setup.values, time, row)
         return found
 
-    def table(self, setup: Setup, inputs: Array, sizes: Array, times: Array) -> Array:
-        """Return `at` for many instants: inputs (m, n), times (m,) to (m, a, 6)."""
+    def rates_of(self, k: int, setup: Setup, inputs: Array, sizes: Array, time: float) -> Array:
+        """Return (4,): first and second derivative of a margin, and sizes of their terms."""
+        return self.atoms[k].rates.values(np.concatenate([inputs, sizes]), setup.values, time)
+
+    def table(
+        self, setup: Setup, inputs: Array, sizes: Array, times: Array, *, rates: bool = False
+    ) -> Array:
+        """Return `at`, or `rates` of all margins, for many instants.
+
+        Inputs (m, n), times (m,) to (m, a, 2) or (m, a, 4).
+        """
         rows = np.hstack([inputs, np.broadcast_to(sizes, (len(inputs), len(sizes)))])
-        found = [tape.table(rows, setup.values, times) for tape in self._tapes]
-        return np.stack(found, axis=1) if found else np.zeros((len(inputs), 0, 6))
+        tapes = [atom.rates if rates else atom.margin for atom in self.atoms]
+        found = [tape.table(rows, setup.values, times) for tape in tapes]
+        return np.stack(found, axis=1) if found else np.zeros((len(inputs), 0, 4 if rates else 2))
 
     def tolerances(self, rows: Array, relative: float) -> dict[str, float]:
         """Return margin -> how near zero it is on its boundary: `relative` to its terms.
 
         A guard of time alone is as exact as time, whatever the tolerance of the run.
         """
-        sizes = np.where(np.isfinite(rows[:, 3]), rows[:, 3], 0.0)
+        sizes = np.where(np.isfinite(rows[:, 1]), rows[:, 1], 0.0)
         parts = np.where(self.timed, min(relative, _TIME_ROUND_OFF), relative) * sizes
         return {
             margin: max(part, UNDERFLOW)
@@ -168,7 +176,7 @@ class GuardWatch:
         for guard, condition, first in self.placed:
             if (guard.place, guard.trigger) not in due or not condition.single:
                 continue
-            margin, size = rows[first, 0], rows[first, 3]
+            margin, size = rows[first]
             if guard.name not in fired and margin > _ZERO_MARGIN * size:
                 return (
                     f"{guard.name} counts as true: it is {margin:.2g} short of it, within the "
@@ -177,41 +185,66 @@ class GuardWatch:
         return ""
 
 
-@lru_cache(4096)
-def _atom_tape(
-    margin: sp.Expr,
-    rates: tuple[tuple[sp.Symbol, sp.Expr], ...],
-    inputs: tuple[sp.Symbol, ...],
-    parameters: tuple[sp.Symbol, ...],
-    time: sp.Symbol,
-) -> tuple[Tape, bool]:
-    """Compile a margin, its first and second derivative in time, and the sizes of their terms.
+@dataclass(frozen=True)
+class _AtomTapes:
+    """The margin of an atom and its derivatives in time, compiled when they are first asked for.
 
-    The tape is shared by all modes in which the variables that the margin depends on move alike.
-    Also returns whether the first derivative is zero everywhere.
+    Shared by all modes in which the variables that the margin depends on move alike.
     """
-    sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in inputs}
-    first = time_derivative(margin, dict(rates), time)
-    found = margin, first, time_derivative(first, dict(rates), time)
-    outputs = [*found, *(rounding_scale(expression, sizes) for expression in found)]
-    variables = (*inputs, *sizes.values())
-    tape = compile_tape(outputs, variables=variables, parameters=parameters, time=time)
-    return tape, first == 0
+
+    expression: sp.Expr
+    flow: tuple[tuple[sp.Symbol, sp.Expr], ...]
+    inputs: tuple[sp.Symbol, ...]
+    parameters: tuple[sp.Symbol, ...]
+    time: sp.Symbol
+
+    @cached_property
+    def margin(self) -> Tape:
+        """The margin and the size of its terms."""
+        return self._tape(self.expression)
+
+    @cached_property
+    def rates(self) -> Tape:
+        """Its first and second derivative, and the sizes of their terms."""
+        return self._tape(self._first, time_derivative(self._first, dict(self.flow), self.time))
+
+    @cached_property
+    def rests(self) -> bool:
+        """True if the flow does not change the margin."""
+        return bool(self._first == 0)
+
+    @cached_property
+    def _first(self) -> sp.Expr:
+        return time_derivative(self.expression, dict(self.flow), self.time)
+
+    def _tape(self, *found: sp.Expr) -> Tape:
+        sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in self.inputs}
+        return compile_tape(
+            [*found, *(rounding_scale(expression, sizes) for expression in found)],
+            variables=(*self.inputs, *sizes.values()),
+            parameters=self.parameters,
+            time=self.time,
+        )
+
+
+_atom_tapes = lru_cache(4096)(_AtomTapes)
 
 
 class Judgement:
     """The guards of a mode at an instant: which are true, and what decides that others are not.
 
-    `rows` (a, 6) are from `GuardWatch.at`; an atom whose rate is not a number waits on its
-    boundary until its margin falls. `tolerances` are infinite of margins that the flow did not
-    watch; `fired` were found to fall. Rates as small as `relative` to their terms are zero.
-    `later` returns the sign of a margin's first derivative from the third on that is not zero.
+    `rows` (a, 2) are from `GuardWatch.at`, `rates` returns `GuardWatch.rates_of` an atom.
+    One whose rate is not a number waits on its boundary until its margin falls. `tolerances` are
+    infinite of margins that the flow did not watch; `fired` were found to fall. Rates as small as
+    `relative` to their terms are zero. `later` returns the sign of a margin's first derivative from
+    the third on that is not zero.
     """
 
     def __init__(
         self,
         watch: GuardWatch,
         rows: Array,
+        rates: Callable[[int], Array],
         tolerances: Mapping[str, float],
         fired: Collection[str],
         relative: float,
@@ -223,20 +256,26 @@ class Judgement:
         if math.inf in own:
             fresh = watch.tolerances(rows, relative).values()
             own = [one if one < math.inf else new for one, new in zip(own, fresh, strict=True)]
-        table = rows.tolist()
 
         def way(k: int) -> float:
-            _, first, second, _, slow, slower = table[k]
+            first, second, slow, slower = rates(k).tolist()
             if not abs(first) <= relative * slow:
                 return float(first)
             if not abs(second) <= relative * slower:
                 return float(second)
-            return 0.0 if watch.still[k] else later(watch.margins[k])
+            return 0.0 if watch.atoms[k].rests else later(watch.margins[k])
 
         self._fell = [k for k, margin in enumerate(watch.margins) if margin in fired]
+        if UNBOUNDED in fired:
+            # The flow ends on their boundary: no rate says which way they go.
+            final, move = frozenset(self._fell), way
+
+            def way(k: int) -> float:
+                return 0.0 if k in final else move(k)
+
         self._atoms = AtomsAt(
-            [row[0] for row in table], own, watch.closed.tolist(), way,
-            fell=self._fell, alone=watch.singles, still=watch.still,
+            rows[:, 0].tolist(), own, watch.closed.tolist(), way,
+            fell=self._fell, alone=watch.singles, still=lambda k: watch.atoms[k].rests,
         )  # fmt: skip
 
     def due(self) -> set[tuple[int, int]]:

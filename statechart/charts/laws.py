@@ -208,13 +208,18 @@ class ChartLaws:
                 found = conditions.at(setup, state, sizes, clock.high)
                 return conditions.holding(found, setup.precision, active)
 
+            def rates(k: int) -> Array:
+                return watch.rates_of(k, setup, state, sizes, clock.high)
+
             def later(margin: str) -> float:
                 return self._derivatives.sign(
                     setup, flow.moving, margin, state, sizes, clock.high, setup.precision
                 )
 
             rows = watch.at(setup, state, sizes, clock.high)
-            judged = Judgement(watch, rows, flow.tolerances, fired, setup.precision, later, active)
+            judged = Judgement(
+                watch, rows, rates, flow.tolerances, fired, setup.precision, later, active
+            )
             firing = self._listening.first(self._flat, flow.mode, pending, judged.due(), holding)
             if firing is None:
                 tolerances = judged.watched()

@@ -21,14 +21,20 @@ from statechart.documents.outputs import Event, EventText, check_event, parse_ev
 from statechart.errors import DeclarationProblem, Loc, undeclared
 from statechart.formulas.formula import parse
 
+_OUTSIDE = "transitions: [{name: go, from: STATE, to: STATE, on: EVENT}] beside `states`"
+
 
 class Transition(Part):
     """A way from one state of a region to another (or the same), and what fires it."""
 
     OTHER_WORDS: ClassVar = {
-        **dict.fromkeys(("when", "if", "condition"), "guard"),
+        **dict.fromkeys(("when", "if", "cond", "condition"), "guard"),
         **dict.fromkeys(("event", "trigger"), "on: REGION.EVENT, or guard: RELATION"),
-        **dict.fromkeys(("reset", "action", "actions"), "updates: {VARIABLE: FORMULA}"),
+        **dict.fromkeys(
+            ("reset", "action", "actions", "assign", "do"), "updates: {VARIABLE: FORMULA}"
+        ),
+        **dict.fromkeys(("timeout", "delay"), "after"),
+        "priority": "the transitions in their order: of those that are due the first is taken",
         "source": "from",
         "target": "to",
     }
@@ -123,6 +129,14 @@ class BaseState(Part):
 
     With `history` it is none, but a target in the place of its siblings: those last active.
     """
+
+    OTHER_WORDS: ClassVar = {
+        **dict.fromkeys(("on", "after", "always"), _OUTSIDE),
+        **dict.fromkeys(("onentry", "on_entry", "enter"), "entry: {VARIABLE: FORMULA}"),
+        **dict.fromkeys(("onexit", "on_exit", "leave"), "exit: {VARIABLE: FORMULA}"),
+        **dict.fromkeys(("do", "ode", "dynamics"), "flows: {VARIABLE: FORMULA}"),
+        **dict.fromkeys(("parallel", "type"), "regions: {NAME: ...} in it, or final: true"),
+    }
 
     initial: str | None = declare(
         "Inner state that is entered with the state.", "waiting", default=None

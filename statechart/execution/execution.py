@@ -13,7 +13,7 @@ import numpy as np
 
 from statechart import interrupts
 from statechart.automaton.clock import Clock, between
-from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup
+from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup, flow_sizes
 from statechart.automaton.switches import is_of_switch
 from statechart.automaton.time_stepper import Sample, Sampling, in_order
 from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace, check_size
@@ -29,6 +29,7 @@ from statechart.execution.flow import FOLLOWED, UNFOLLOWED, Advance
 from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, looping
 from statechart.execution.outcome import Progress, error_of
 from statechart.execution.zeno import Accumulation
+from statechart.formulas.series import sizes_at
 from statechart.kernels.polynomials import summands
 from statechart.tabular import several
 
@@ -395,6 +396,20 @@ class Execution:
                     self._stop(met)
         return (margin.name,)
 
+    def _fell_at_last(self) -> tuple[str, ...]:
+        """Return what fired where rates end on its boundary: h' = -sqrt(h) comes to h <= 0.
+
+        They end where steps became too short, not where the state grew without bound.
+        """
+        if not isinstance(self.failure, StepFailure):
+            return ()
+        compiled, setup, state = self._enter(self.flow.moving), self.setup, self.state
+        guards, time = compiled.guards, self.clock.high
+        sizes, places = flow_sizes(setup, self.flow, state), tuple(range(len(guards.outputs)))
+        terms = sizes_at(guards, places, state, sizes, setup.values, time)
+        near = np.abs(guards.values(state, setup.values, time)) <= setup.precision * np.array(terms)
+        return self.fell(compiled, int(near.argmax())) if near.any() else ()
+
     def _unbounded(self) -> bool:
         """Return whether rates have grown without bound towards here, and a jump resolves it."""
         flow, laws = self.flow, self.automaton.laws_of_events
@@ -478,7 +493,9 @@ class Execution:
             raise looping(self.record.jumps[-6:], self.clock, self.automaton)
         if fired and not moved:
             if self.failure is not None:
-                raise self.failure
+                if fired != (UNBOUNDED,) or not (last := self._fell_at_last()):
+                    raise self.failure
+                return self.outcome is Outcome.STOPPED or self.settle((*last, UNBOUNDED))
             if self._livelock.stalled(self.clock, fired) and not self._widen(*fired):
                 self.failure = EventLoop(
                     f"{', '.join(fired)} falls at t = {self.clock.high:.6g}, but no jump follows"

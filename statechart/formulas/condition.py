@@ -162,7 +162,7 @@ class AtomsAt:
         *,
         fell: Collection[int] = (),
         alone: Collection[int] = (),
-        still: Sequence[bool] = (),
+        still: Callable[[int], bool] = lambda _: False,
     ) -> None:
         self.tolerances = tolerances
         self._margins, self._closed, self._still = margins, closed, still
@@ -200,8 +200,7 @@ class AtomsAt:
 
     def rests(self, k: int) -> bool:
         """Return whether an atom stays as it is in this flow."""
-        still = bool(self._still) and self._still[k]
-        return still or (self.near(k) and self.way(k) == 0.0)
+        return self._still(k) or (self.near(k) and self.way(k) == 0.0)
 
     def _holds_now(self, k: int) -> bool:
         """Return whether an atom holds at this very instant."""

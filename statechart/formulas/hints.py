@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from collections.abc import Collection, Iterable, Mapping
 
@@ -59,6 +60,7 @@ def no_name(text: str) -> str:
     return next(filter(None, advice), _LETTERS)
 
 
+_CHOICE = "write min and max, or a state or transition for each case"
 TOKENS: Mapping[str, str] = {
     "^": "write a power as **",
     "=": "a formula is a value, not an assignment; compare with <=, <, >= or >",
@@ -69,10 +71,21 @@ TOKENS: Mapping[str, str] = {
     "(": "write a product as a*b",
     ")": "there is no ( before it that it could close",
     **dict.fromkeys(("and", "or", "not", "in"), "comparisons stand on both sides of `and`, `or`"),
-    **dict.fromkeys(("if", "else"), "write min and max, or a state for each case"),
+    **dict.fromkeys(("if", "else", "then"), _CHOICE),
     "deg": "angles are in radians: 30*pi/180",
 }
 """Part of a formula that cannot stand where it does -> what to write."""
+
+_PROGRAMS: Mapping[str, str] = {
+    r"\s*if\b|.*\?": _CHOICE,
+    r".*(\+\+|--)\s*$|\s*[-+*/]=": "write the new value, such as n + 1",
+}
+
+
+def program(text: str) -> str:
+    """Return advice on a formula with a choice or an assignment of a programming language."""
+    return next((advice for form, advice in _PROGRAMS.items() if re.match(form, text)), "")
+
 
 DELAY = (
     "formulas read the present, and equations with delays are not solved; write a lag as "
@@ -97,6 +110,20 @@ _WHOLE: Mapping[str, str] = {
     **dict.fromkeys(("int", "trunc"), "floor(x)"),
     **dict.fromkeys(("fmod", "remainder"), "mod(x, y)"),
 }  # fmt: skip
+_HYBRID: Mapping[str, str] = {
+    "der": "a rate stands in flows; of a coordinate x it is dx",
+    **dict.fromkeys(("pre", "previous"), "updates see the values before; write the variable"),
+    **dict.fromkeys(
+        ("edge", "rising", "rise", "change"),
+        "write the relation: a guard fires as it becomes true",
+    ),
+    **dict.fromkeys(
+        ("rand", "random", "randn", "noise", "uniform", "normal"),
+        "runs are not random; write a parameter, and sweep it",
+    ),
+    "log10": "write log(x)/log(10)",
+    **dict.fromkeys(("log2", "lb"), "write log(x)/log(2)"),
+}
 _DELAYED = frozenset({"delay", "delayed", "lag", "past", "transport", "transportdelay"})
 _CONVERTED = frozenset({"deg", "degrees", "radians", "deg2rad"})
 _MODULES = ("math.", "np.", "numpy.")
@@ -116,6 +143,10 @@ def meant(
         return "where it switches, a state of a region ends: write a state for each piece"
     if bare.lower() in _WHOLE:
         return f"write {_WHOLE[bare.lower()]}"
+    if bare.lower() in _HYBRID:
+        return _HYBRID[bare.lower()]
+    if name == "e":
+        return "its power is exp(...); a number of your own stands in parameters"
     if bare.lower() == "nan":
         return "nothing follows from what is not a number; write one"
     if bare in ("pow", "power"):

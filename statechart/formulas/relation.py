@@ -325,7 +325,8 @@ class _RelationReader(Reader):
         left = self.sum()
         sign = self.token
         if sign.kind == "end" or sign.text in ("and", "or", ")"):
-            self.source.fail("a comparison is missing", sign.offset, "write it as x <= 0")
+            advice = "write it as x <= 0, or in(REGION.STATE)"
+            self.source.fail("a comparison is missing", sign.offset, advice)
         if sign.text not in _COMPARISONS:
             self.expect_end()
         self.advance()

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NoReturn
 
-from statechart.formulas.hints import DELAY, TOKENS, character, meant
+from statechart.formulas.hints import DELAY, TOKENS, character, meant, program
 from statechart.formulas.tree import (
     CONSTANTS,
     FUNCTIONS,
@@ -256,7 +256,8 @@ class Reader:
         key = "<" if token.text in RELATIONS else token.text
         if key == "=" and self.source.text[token.offset + 1 : token.offset + 2] in ("<", ">"):
             key = "=>"
-        self.source.fail(found, token.offset, advice.get(key) or advice.get(token.kind, ""))
+        otherwise = advice.get(key) or advice.get(token.kind, "")
+        self.source.fail(found, token.offset, program(self.source.text) or otherwise)
 
 
 def _literal(text: str) -> int | float | None:

@@ -657,9 +657,9 @@ class RunPlanner:
             return False
         method, why = self.setting.method, trace.message
         if STIFF in why:
-            method, why = "Radau", why.partition("; use")[0]
+            method = "Radau"
         self.setting = replace(self.setting, engine="scipy", method=method)
-        self.reason = f"engine scipy{' Radau' if STIFF in why else ''}: {why}"
+        self.reason = f"engine scipy{' Radau' if STIFF in why else ''}: {why.partition('; use')[0]}"
         return True
 
     def _search(

@@ -433,3 +433,42 @@ def test_a_scene_ends_at_the_bounce_that_is_asked_for() -> None:
     rows = sweep(bounces, {"N": [1, 2, 3]})
     assert rows["n"].values.tolist() == [1, 2, 3]
     assert rows["t"].values == pytest.approx([0.4, 1.12, 1.768], rel=1e-12)
+
+
+TANK = """\
+kind: chart
+name: tank
+parameters: {c: 0.5, full: 1}
+variables: {h: full}
+regions:
+  tank:
+    initial: drains
+    states: {drains: {flows: {h: -c*sqrt(h)}}, empty: {}}
+    transitions: [{name: dry, from: drains, to: empty, guard: h <= 0}]
+stop: {time: 20}
+outputs: {dry: {value: time, at: first dry}, rest: {value: h}}
+"""
+
+
+@pytest.mark.parametrize(("c", "full"), [(0.5, 1.0), (1.0, 2.0), (0.3, 3.7)])
+def test_a_tank_is_empty_where_the_root_of_its_level_ends(c: float, full: float) -> None:
+    result = run_model(interpret(read_text(TANK)), parameters={"c": c, "full": full})
+    # The level is zero to round-off, and so its root, which is the time that is left, is small.
+    assert result.outputs["dry"] == pytest.approx(2.0 * math.sqrt(full) / c, rel=3e-8)
+    assert abs(result.outputs["rest"]) < 1e-15
+    assert any("whether it passes is not known" in warning for warning in result.warnings)
+
+
+def test_a_stop_condition_ends_a_run_where_its_rates_end() -> None:
+    text = TANK.replace("stop: {time: 20}", "stop: {time: 20, conditions: {dry: h <= 0}}")
+    transition = "    transitions: [{name: dry, from: drains, to: empty, guard: h <= 0}]\n"
+    text = text.replace(transition, "").replace("at: first dry", "at: end")
+    result = run_model(interpret(read_text(text)))
+    assert result.trace.outcome is Outcome.STOPPED
+    assert result.outputs["dry"] == pytest.approx(4.0, rel=3e-8)
+
+
+def test_a_guard_that_is_not_near_where_rates_end_does_not_fire() -> None:
+    text = TANK.replace("guard: h <= 0", "guard: h <= -1e-3")
+    result = run_model(interpret(read_text(text)), throw=False)
+    assert result.trace.outcome is Outcome.STEP_FAILURE

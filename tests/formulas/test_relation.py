@@ -149,7 +149,7 @@ def test_the_margin_of_a_tree_falls_as_it_begins_to_hold():
         ("x <= 0 && y <= 0", "unexpected character '&'; where both must hold, write `and`", 7),
         ("x <= 0 || y <= 0", "unexpected character '|'; where one is enough, write `or`", 7),
         ("!(x <= 0)", "unexpected character '!'; write `not`", 0),
-        ("x <= 0 and y", "a comparison is missing; write it as x <= 0", 12),
+        ("x <= 0 and y", "a comparison is missing; write it as x <= 0, or in(REGION.STATE)", 12),
         ("x <= 0 and", "the formula ends early", 10),
         ("x + (y <= 0) > 1", "unexpected '<='", 7),
         ("(x <= 0) + 1 > 0", "a relation is no value; it is true or false", 9),
