@@ -75,13 +75,14 @@ class Draw(random.Random):
         )
 
     def limit(self, size: float) -> str:
-        """Return the limit of a coupling."""
+        """Return the limit of a coupling, quoted."""
         s = self.uniform(0.2, 1.0) * size
         return self.choice(
             [
                 f"{s:.3f}",
                 f"{{static: {s:.3f}, kinetic: {s * self.uniform(0.4, 1):.3f}}}",
                 f"{s:.3f}*(1.2 + sin({self.number(1, 5)}*time))",
+                f"'{s:.3f}*(1.2 - mod(time, {self.number(0.2, 0.7)}))'",
                 f"{s:.3f}*(1.5 + u)",
             ]
         )
@@ -101,7 +102,7 @@ class Draw(random.Random):
                 relation,
             ]
         )
-        return f", enabled: {gate}"
+        return f", enabled: '{gate}'"
 
     def closing(self) -> str:
         """Return the normal law of a contact."""
@@ -196,112 +197,110 @@ def box(draw: Draw) -> Scene:
 
 def hanging(draw: Draw) -> Scene:
     """Two rods on a rope, a rod or a pin above a floor."""
-    first = draw.choice(["rope: 0.5", "rod: 0.5", "pin"])
+    first, angle = draw.choice(["rope: 0.5", "rod: 0.5", ""]), draw.number(-1, 1)
+    hook, x = f"0.25*(1 - cos({angle}))", "0.75" if first else "0.25"
     e = f", restitution: {draw.number(0, 0.6)}" if draw.random() < 0.5 else ""
-    at = "at: [-0.25, 0]"
-    angle = draw.uniform(-1, 1)
-    second = f"point: {{body: c, {at}}}, to: {{body: b, at: [0.25, 0]}}"
-    limits = f", limits: [{draw.number(-1.5, -0.1)}, {draw.number(0.1, 1.5)}]{e}"
-    if first == "pin":
-        hook = f"point: {{body: b, {at}}}, to: [0.25*(1 - cos({angle:.3f})), 0]"
-        start = f"x: 0.25, y: 0.25*sin({angle:.3f}), angle: {angle:.3f}"
-        joint = f"hook: {{{hook}{draw.choice(['', limits])}"
-    else:
-        start = f"x: 0.75, angle: {angle:.3f}, y: 0.25*sin({angle:.3f})"
-        hook = f"point: {{body: b, {at}}}, to: [{1 - 0.25 - 0.25:.3f} - 0.5 + 0.75 - 0.25*cos({angle:.3f}), 0]"
-        hook = f"point: {{body: b, {at}}}, to: [0.25 - 0.25*cos({angle:.3f}), 0]"
-        joint = f"hook: {{{hook}, {first}{e if first.startswith('rope') else ''}"
-    strong = f", enabled: 'hypot(elbow.X, elbow.Y) <= {draw.number(5, 40)}'"
-    gate = draw.choice(["", strong, f", rest: captured, enabled: time >= {draw.number(0.1, 0.6)}"])
-    start_c = f"x: 0.25 + 0.25*cos({angle:.3f}) + 0.25, y: 0.5*sin({angle:.3f})"
-    if first != "pin":
-        start_c = f"x: 0.75 + 0.25*cos({angle:.3f}) + 0.25, y: 0.5*sin({angle:.3f})"
+    if not first:
+        stops = f"limits: [{draw.number(-1.5, -1)}, {draw.number(1, 1.5)}]{e}"
+        first = draw.choice(["restitution: 0, limits: [-9, 9]", stops])
+    elif first.startswith("rope"):
+        first += e
+    gates = [
+        "",
+        f", enabled: 'hypot(elbow.X, elbow.Y) <= {draw.number(5, 40)}'",
+        f", rest: captured, enabled: time >= {draw.number(0.1, 0.6)}",
+    ]
     law = f"friction: {draw.friction()}, {draw.closing()}"
+    push = draw.push(0.5, "b.dangle", "b.angle")
     scene: Scene = {
         "bodies": [
-            f"b: {{mass: 1, inertia: 0.02, start: {{{start}}}}}",
-            f"c: {{mass: {draw.number(0.2, 1)}, inertia: 0.01, start: {{{start_c}}}}}",
+            f"b: {{mass: 1, inertia: 0.02,"
+            f" start: {{x: {x}, y: 0.25*sin({angle}), angle: {angle}}}}}",
+            f"c: {{mass: {draw.number(0.2, 1)}, inertia: 0.01,"
+            f" start: {{x: {x} + 0.25 + 0.25*cos({angle}), y: 0.5*sin({angle})}}}}",
         ],
         "surfaces": [f"floor: {{height: -{draw.number(0.5, 1)}}}"],
         "contacts": [f"tip: {{point: {{body: c, at: [0.25, 0]}}, surface: floor, {law}}}"],
-        "joints": [joint + "}", f"elbow: {{{second}{gate}}}"],
-        "forces": [
-            f"push: {{body: b, moment: '{draw.push(0.5, 'b.dangle', 'b.angle')}', force: [0, 0]}}"
+        "joints": [
+            f"hook: {{point: {{body: b, at: [-0.25, 0]}}, to: ['{hook}', 0], {first}}}",
+            f"elbow: {{point: {{body: c, at: [-0.25, 0]}}, to: {{body: b, at: [0.25, 0]}}"
+            f"{draw.choice(gates)}}}",
         ],
+        "forces": [f"push: {{body: b, moment: '{push}'}}"],
     }
     if draw.random() < 0.6:
-        bodies = draw.choice(["joint: elbow", "bodies: [b]", "bodies: [b, c]"])
-        scene["couplings"] = [f"rub: {{{bodies}, limit: {draw.limit(0.5)}{draw.enabled()}}}"]
+        held = draw.choice(["joint: elbow", "bodies: [b]", "bodies: [b, c]"])
+        scene["couplings"] = [f"rub: {{{held}, limit: {draw.limit(0.5)}{draw.enabled()}}}"]
     return scene
 
 
 def shapes(draw: Draw) -> Scene:
     """A box and a disc on fixed crates, pushed by a led slider; by steps only."""
-    path = draw.choice(
-        ["0.5*mod(time, 0.4)", "0.2*sin(5*time)", "0.4*time", "0.3*mod(time, 0.7)", "s"]
-    )
-    if path.startswith("0.5") or path.startswith("0.3"):
-        path = "0.1*sin(5*time)"
-    joint = draw.choice(
+    at = draw.number(0.1, 1)
+    link = draw.choice(
         [
             "point: {body: box, at: [0, 0.05]}, to: {body: disc}, rope: 0.4",
-            f"point: {{body: box}}, to: {{x: 0.3}}, rest: captured, enabled: time >= {draw.number(0.1, 1)}",
-            f"point: {{body: disc}}, to: {{x: 0.6}}, rest: captured, enabled: time <= {draw.number(0.1, 1)}",
-            f"point: {{body: box}}, to: {{body: disc}}, rest: captured, angle: held, enabled: in(control.high)",
+            f"point: {{body: box}}, to: {{x: 0.3}}, rest: captured, enabled: time >= {at}",
+            f"point: {{body: disc}}, to: {{x: 0.6}}, rest: captured, enabled: time <= {at}",
+            "point: {body: box}, to: {body: disc}, rest: captured, angle: held,"
+            " enabled: in(control.high)",
         ]
     )
-    square = "[[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]"
+    square = "shape: {polygon: [[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]}"
+    slab = "shape: {polygon: [[-0.5, -0.2], [0.5, -0.2], [0.5, 0], [-0.5, 0]]}"
     rolls = draw.choice(["", f", rolling_resistance: {draw.number(0.001, 0.02)}"])
     start = f"x: 0.3, y: {draw.choice(['0.05', '0.08'])}, dx: {draw.number(-1, 1)}"
-    slab = "{polygon: [[-0.5, -0.2], [0.5, -0.2], [0.5, 0], [-0.5, 0]]}"
-    law = draw.closing()
+    ground = f"friction: {draw.friction(False)}, {draw.closing()}{rolls}"
+    path = draw.choice(["0.1*sin(5*time)", "0.4*time", "s"])
     return {
         "bodies": [
-            f"box: {{mass: 1, inertia: 0.002, shape: {{polygon: {square}}}, start: {{{start}}}}}",
-            f"disc: {{mass: 0.5, inertia: 0.000625, shape: {{disc: 0.05}}, start: {{x: 0.6, y: 0.05, dx: {draw.number(-1, 1)}}}}}",
-            f"crate: {{fixed: true, copies: 3, shape: {slab}, start: {{x: index - 0.5}}}}",
-            f"slider: {{position: ['{path}', 0.05], shape: {{polygon: {square}}}}}",
+            f"box: {{mass: 1, inertia: 0.002, {square}, start: {{{start}}}}}",
+            "disc: {mass: 0.5, inertia: 0.000625, shape: {disc: 0.05},"
+            f" start: {{x: 0.6, y: 0.05, dx: {draw.number(-1, 1)}}}}}",
+            f"crate: {{fixed: true, copies: 3, {slab}, start: {{x: index - 0.5}}}}",
+            f"slider: {{position: ['{path}', 0.05], {square}}}",
         ],
         "collisions": [
-            f"ground: {{bodies: [box, disc, crate], friction: {draw.friction(False)}, {law}{rolls}}}",
-            f"pushes: {{bodies: [box, disc, slider], friction: {draw.friction(False)}, restitution: 0}}",
+            f"ground: {{bodies: [box, disc, crate], {ground}}}",
+            f"pushes: {{bodies: [box, disc, slider], friction: {draw.friction(False)},"
+            " restitution: 0}",
         ],
-        "joints": [f"link: {{{joint}}}"],
-        "forces": [
-            f"drive: {{body: box, force: ['{draw.push(4, 'box.dx', 'box.x').replace('sat(', 'sat(')}', 0]}}"
-        ],
+        "joints": [f"link: {{{link}}}"],
+        "forces": [f"drive: {{body: box, force: ['{draw.push(4, 'box.dx', 'box.x')}', 0]}}"],
     }
 
 
-FAMILIES: list[Callable[[Draw], Scene]] = [wheels, ball, box, hanging, shapes]
+SPEEDS = {wheels: "dp0", ball: "b.dx", box: "b.dx", hanging: "b.dangle", shapes: "box.dx"}
+FAMILIES: list[Callable[[Draw], Scene]] = [*SPEEDS]
 
 
-def control(draw: Draw, scene: Scene) -> list[str]:
-    """Return a controller that sets `u` and the variable `s`."""
-    events = [f"{line.split(':')[0]}.{event}" for section, event in (
-        ("couplings", "lock"), ("couplings", "slip"), ("contacts", "stick"), ("contacts", "touchdown"),
-    ) for line in scene.get(section, [])] or ["control.fall"]  # fmt: skip
-    speed = {"coordinates": "dp0"}.get(
-        next(iter(scene)), "b.dx" if "box: " not in scene["bodies"][0] else "box.dx"
-    )
-    up = draw.choice([
-        f"on: {draw.choice(events)}",
-        f"on: {draw.choice(events)}, guard: time >= {draw.number(0.1, 0.8)}",
+def control(draw: Draw, scene: Scene, speed: str) -> list[str]:
+    """Return a controller that sets the control `u` and lets the variable `s` flow."""
+    regions = {"couplings": ("lock", "slip"), "contacts": ("stick", "touchdown", "liftoff")}
+    events = [
+        f"on: {line.split(':')[0]}.{event}"
+        for section, causes in regions.items()
+        for line in scene.get(section, [])
+        for event in causes
+    ]
+    ways = [
         f"guard: '{speed} >= {draw.number(0.1, 1)}'",
         f"after: {draw.number(0.1, 0.5)}",
         f"after: {draw.number(0.1, 0.5)}, guard: '{speed} <= {draw.number(-0.5, 0.5)}'",
-    ])  # fmt: skip
+        *events,
+        *(f"{event}, guard: time >= {draw.number(0.1, 0.8)}" for event in events),
+    ]
     down = draw.choice([f"after: {draw.number(0.05, 0.6)}", f"every: {draw.number(0.2, 0.6)}"])
     return [
         "control:",
-        "    initial: low",
-        "    variables: {s: 0}",
-        "    states:",
-        f"      low: {{sets: {{u: {draw.number(-1, 0)}}}, flows: {{s: 0.3}}}}",
-        f"      high: {{sets: {{u: {draw.number(0, 1)}}}, flows: {{s: -0.2}}}}",
-        "    transitions:",
-        f"      - {{name: rise, from: low, to: high, {up}}}",
-        f"      - {{name: fall, from: high, to: low, {down}}}",
+        "  initial: low",
+        "  variables: {s: 0}",
+        "  states:",
+        f"    low: {{sets: {{u: {draw.number(-1, 0)}}}, flows: {{s: 0.3}}}}",
+        f"    high: {{sets: {{u: {draw.number(0, 1)}}}, flows: {{s: -0.2}}}}",
+        "  transitions:",
+        f"    - {{name: rise, from: low, to: high, {draw.choice(ways)}}}",
+        f"    - {{name: fall, from: high, to: low, {down}}}",
     ]
 
 
@@ -311,11 +310,9 @@ def write_scene(seed: int) -> tuple[str, str]:
     family = FAMILIES[seed % len(FAMILIES)]
     scene = family(draw)
     scene["controls"] = ["u: 0.3"]
-    scene["regions"] = control(draw, scene)
-    lines = [
-        line for key, lines in scene.items() for line in [f"{key}:", *(f"  {x}" for x in lines)]
-    ]
-    return family.__name__, HEAD + "\n".join(lines) + "\n"
+    scene["regions"] = control(draw, scene, SPEEDS[family])
+    sections = ("\n  ".join([f"{key}:", *lines]) for key, lines in scene.items())
+    return family.__name__, HEAD + "\n".join(sections) + "\n"
 
 
 def run(text: str, **settings: object) -> Result | str:
@@ -353,10 +350,13 @@ def judge(family: str, text: str) -> str:
     if scipy.trace.outcome is not taylor.trace.outcome:
         return f"engines: {name}, {scipy.trace.outcome.name}{told}"
     if name != "HORIZON":
-        return f"ends: {name} at {taylor.trace.t_final:.4g} {taylor.message}"
+        return f"ends: {name} at {taylor.trace.t_end:.4g} {taylor.message}"
     if events(taylor) != events(scipy):
         return f"engines: events {len(events(taylor))}, {len(events(scipy))}{told}"
-    late = max((abs(a.t - b.t) for a, b in zip(taylor.trace.jumps, scipy.trace.jumps)), default=0.0)
+    late = max(
+        (abs(a.t - b.t) for a, b in zip(taylor.trace.jumps, scipy.trace.jumps, strict=True)),
+        default=0.0,
+    )
     off = max(late, distance(taylor, scipy))
     if off > AGREE:
         return f"engines: off by {off:.2g}{told}"
@@ -364,7 +364,7 @@ def judge(family: str, text: str) -> str:
         if result.trace.outcome is not taylor.trace.outcome:
             return f"steps: {result.trace.outcome.name}"
     coarse, fine = (distance(taylor, result) for result in steps)
-    if fine > NEAR and fine > 0.5 * coarse or fine > 0.3:
+    if (fine > NEAR and fine > 0.5 * coarse) or fine > 0.3:
         warns = " (warns)" if steps[1].warnings else ""
         return f"steps: off by {coarse:.2g}, {fine:.2g}{warns}"
     return ""
