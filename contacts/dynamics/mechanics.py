@@ -332,7 +332,7 @@ class Mechanics(Geometry):
             stretch = ((x - x0) ** 2 + (y - y0) ** 2 - length**2) / (2 * length)
             stretch_rate = (
                 (x - x0) * sp.diff(x0, self.time) + (y - y0) * sp.diff(y0, self.time)
-            ) / length
+            ) / length + sp.diff(length, self.time)
             yield "T", -stretch, -stretch_rate
             return
         for component, end, target in (("X", x, x0), ("Y", y, y0)):
@@ -370,8 +370,9 @@ class Mechanics(Geometry):
         surface = self.scene.surfaces[self.scene.contacts[name].surface]
         frame = surface_frame(surface, self.known)
         rates = [self.rate(expression) for expression in frame]
+        radius_rate = self.rate(self._formula(surface.radius or 0))
         if rates == [0, 0, 0]:
-            return sp.S.Zero, sp.S.Zero
+            return -radius_rate if surface.hollow else radius_rate, sp.S.Zero
         (n_x, n_y), (t_x, t_y) = self.contact(name).normal, self.contact(name).tangent
         # In its frame, as the normal and the point are.
         (x, y), (c, s) = self.contact(name).point, (sp.cos(frame[2]), sp.sin(frame[2]))
@@ -379,7 +380,9 @@ class Mechanics(Geometry):
             c * rates[0] + s * rates[1] - rates[2] * y,
             c * rates[1] - s * rates[0] + rates[2] * x,
         )
-        return n_x * moved[0] + n_y * moved[1], t_x * moved[0] + t_y * moved[1]
+        normal = n_x * moved[0] + n_y * moved[1]
+        normal += -radius_rate if surface.hollow else radius_rate
+        return normal, t_x * moved[0] + t_y * moved[1]
 
     def contact(self, name: str) -> ContactGeometry:
         """Return the geometry of a contact or a coupling; cached."""
@@ -564,6 +567,8 @@ class Mechanics(Geometry):
         function, direction, factor = self._surface(surface, *local)
         # A disc touches lines and circles only, so that the function is the distance.
         function -= radius / factor
+        # Rate of the radius of a circle: a rope that is hauled in.
+        radius_rate = self.rate(function)
         at_rest = dict.fromkeys(self.a, sp.S.Zero)
         rates = self.rate(centre[0]), self.rate(centre[1])
         drifts = self.rate(rates[0]).xreplace(at_rest), self.rate(rates[1]).xreplace(at_rest)
@@ -586,9 +591,9 @@ class Mechanics(Geometry):
         return _SurfaceGeometry(
             function.xreplace(substitution),
             unit * function.xreplace(substitution),
-            unit * times(gradient, rates),
+            unit * (times(gradient, rates) + radius_rate),
             # Equals the derivative of the normal velocity on the surface (gap = gap' = 0).
-            unit * (times(gradient, drifts) + second_order(curvature)),
+            unit * (times(gradient, drifts) + second_order(curvature) + self.rate(radius_rate)),
             (direction[0].xreplace(substitution), direction[1].xreplace(substitution)),
             rates,
             drifts,
