@@ -30,8 +30,8 @@ def choose(setting: Setting) -> tuple[Engine, str]:
     engine, method, tolerance = setting.engine or "auto", setting.method, setting.tolerance
     longest = setting.max_step or math.inf
     if engine not in ENGINES:
-        known = ", ".join((*ENGINES, "impulse"))
-        raise DeclarationError(f"no engine {engine!r}", advice=f"known: {known}")
+        engines = ", ".join((*ENGINES, "impulse"))
+        raise DeclarationError(f"no engine {engine!r}", advice=f"known: {engines}")
     reason = ""
     if engine == "auto":
         # Only scipy has methods to choose from.
@@ -200,9 +200,11 @@ def _stepping(
             of_file,
         )
     if steps_only:
-        said = model.settings
+        messages = model.settings
         try:
-            Setting("impulse", said.method, said.tolerance, max_step=said.max_step).check()
+            Setting(
+                "impulse", messages.method, messages.tolerance, max_step=messages.max_step
+            ).check()
         except DeclarationProblem as problem:
             problem.loc = ("settings", *problem.loc)
             raise
