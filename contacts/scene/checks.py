@@ -717,9 +717,9 @@ def check_collisions(scene: SceneFields) -> None:
     for name, body in scene.bodies.items():
         if not (body.prescribed or body.linked) and body.inertia is None:
             raise DeclarationProblem(
-                "a body that collides is free and has an inertia, or coordinates place it",
-                advice="give it an inertia, or a position by coordinates; or a path, position and "
-                "angle, and no mass",
+                "a free body that collides needs an inertia",
+                advice="write inertia: m*r**2/2 of a disc, m*(width**2 + height**2)/12 of a box; or "
+                "place it by coordinates, or lead it along a path without a mass",
                 loc=("bodies", name),
             )
         if body.linked and body.copies is not None:

@@ -124,7 +124,7 @@ def _unknown(argument: str, verb: argparse.ArgumentParser) -> str:
         return f"{argument!r} is left over; put arguments with blanks in quotes"
     if name in verb._option_string_actions:
         return f"write {name} after the verb"
-    if (written := _OPTIONS.get(name)) in verb._option_string_actions:
+    if (written := _OPTIONS.get(name, "")) in verb._option_string_actions:
         return f"no option {name}; write {written}"
     advice = close_matches(name, (o for o in verb._option_string_actions if o.startswith("--")))
     return f"no option {name}; {advice.partition(' known:')[0]}"

@@ -115,10 +115,10 @@ class _MachineWriter:
             parent = ET.SubElement(self.root, "parallel", {"id": together})
         if self._starting:
             run, before, self._started = named(["run", "starting", "started"], taken).values()
-            top = ET.SubElement(parent, "state", {"id": run, "initial": before})
-            begin = ET.SubElement(top, "state", {"id": before})
+            whole = ET.SubElement(parent, "state", {"id": run, "initial": before})
+            begin = ET.SubElement(whole, "state", {"id": before})
             ET.SubElement(begin, "transition", {"target": self._started})
-            ET.SubElement(top, "state", {"id": self._started})
+            ET.SubElement(whole, "state", {"id": self._started})
         self._ids: dict[str, dict[str, str]] = {}
         tops = [self._named(region, taken, single=single) for region in machine.regions]
         self._ends: dict[tuple[str, str], str] = {}  # region, state that can be done -> event
