@@ -272,8 +272,8 @@ def _message_and_advice(
         given = context["actual_length"] or "none"
         return f"must have at least {least} item{'s' if least != 1 else ''}, not {given}", ""
     if kind == "literal_error":
-        known = context["expected"]
-        return f"must be {known}, not {shown}", other_value(given, known)
+        expected = context["expected"]
+        return f"must be {expected}, not {shown}", other_value(given, expected)
     return f"{details['msg'].replace('Input should', 'must', 1)}; got {shown}", ""
 
 
