@@ -141,14 +141,16 @@ def _flag(parser: argparse._ActionsContainer, names: str, words: str) -> None:
 
 
 def _running(parser: argparse.ArgumentParser) -> None:
-    _value(parser, "--until", "T", "end of the run", type=_number)
+    _value(parser, "--until", "T", "end of the run", type=_number_argument)
     _engine(parser)
     words = (
         "allowed residual of the contact impulses, relative to the fastest approach velocity in "
         "the step (engine impulse)"
     )
-    _value(parser, "--impulse-tolerance", "R", words, type=_number)
-    _value(parser, "--impulse-bound", "R", "residual above which the run ends", type=_number)
+    _value(parser, "--impulse-tolerance", "R", words, type=_number_argument)
+    _value(
+        parser, "--impulse-bound", "R", "residual above which the run ends", type=_number_argument
+    )
     parser.add_argument(
         "--record",
         choices=("modes", "poses", "nothing"),
@@ -156,17 +158,17 @@ def _running(parser: argparse.ArgumentParser) -> None:
         "or start, end and outputs",
     )
     words = "longest time step of the other engines"
-    _value(parser, "--max-step", "H", words, type=_number)
+    _value(parser, "--max-step", "H", words, type=_number_argument)
     words = "RK45, DOP853, Radau or LSODA (engine scipy), 'long double' (engine taylor)"
     _value(parser, "--method", "M", words)
     error = parser.add_mutually_exclusive_group()
     _errors(error)
-    _value(error, "--budget", "S", "best accuracy within so many seconds", type=_number)
+    _value(error, "--budget", "S", "best accuracy within so many seconds", type=_number_argument)
 
 
 def _errors(group: argparse._ActionsContainer) -> None:
-    _value(group, "--accuracy", "A", "relative error allowed", type=_number)
-    _value(group, "--tolerance", "R", "relative tolerance of every step", type=_number)
+    _value(group, "--accuracy", "A", "relative error allowed", type=_number_argument)
+    _value(group, "--tolerance", "R", "relative tolerance of every step", type=_number_argument)
 
 
 def _reporting(parser: argparse.ArgumentParser) -> None:
@@ -185,10 +187,10 @@ def _reporting(parser: argparse.ArgumentParser) -> None:
     )
     _value(parser, "--animate", "FILM", "draw the bodies in motion: .gif, or .mp4 with ffmpeg")
     words = "run time that passes in a second of the film"
-    _value(parser, "--speed", "V", words, type=_number)
+    _value(parser, "--speed", "V", words, type=_number_argument)
     _value(parser, "--size", "PIXELS", "longer side of the film; 720", type=_count)
     words = "time that trails of the film reach back; 0 for none"
-    _value(parser, "--trail", "T", words, type=_number)
+    _value(parser, "--trail", "T", words, type=_number_argument)
     _value(parser, "--report", "PAGE", "write the run as one page: .html")
     _json(parser, digits=True)
 
@@ -202,7 +204,7 @@ def _json(parser: argparse.ArgumentParser, *, digits: bool = False) -> None:
 
 def _viewing(parser: argparse.ArgumentParser) -> None:
     _settable(parser)
-    _value(parser, "--until", "T", "end of the run", type=_number)
+    _value(parser, "--until", "T", "end of the run", type=_number_argument)
     _value(parser, "-o --output", "PAGE", "file of the page; a temporary one by default")
 
 
@@ -216,8 +218,8 @@ def _listing(parser: argparse.ArgumentParser) -> None:
     _settable(parser)
     where = parser.add_mutually_exclusive_group()
     words = "check this configuration instead of the initial one, such as bar.angle=0.3"
-    _value(where, "--at", "NAME=VALUE", words, action="append", default=[], type=_place)
-    _value(where, "--until", "T", "check the state of a run at this time", type=_number)
+    _value(where, "--at", "NAME=VALUE", words, action="append", default=[], type=_assigned_value)
+    _value(where, "--until", "T", "check the state of a run at this time", type=_number_argument)
     _json(parser, digits=True)
     words = "print the equations of motion of a mode, such as 'tip:pin' or 'A:free B:slide+'"
     _value(parser, "--equations", "MODE", words)
@@ -254,7 +256,7 @@ def _engine(parser: argparse.ArgumentParser) -> None:
         choices=("auto", "taylor", "scipy", "impulse"),
         help="taylor and scipy locate events, impulse takes fixed time steps; auto chooses",
     )
-    _value(parser, "--step", "H", "time step of the engine impulse", type=_number)
+    _value(parser, "--step", "H", "time step of the engine impulse", type=_number_argument)
 
 
 def _sweeping(parser: argparse.ArgumentParser) -> None:
@@ -274,7 +276,7 @@ def _sweeping(parser: argparse.ArgumentParser) -> None:
         "outputs to compute, separated by commas; all by default",
         type=_names,
     )
-    _value(parser, "--until", "T", "end of the runs", type=_number)
+    _value(parser, "--until", "T", "end of the runs", type=_number_argument)
     _engine(parser)
     _errors(parser.add_mutually_exclusive_group())
     where = parser.add_mutually_exclusive_group()
@@ -311,7 +313,7 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def _number(text: str) -> float:
+def _number_argument(text: str) -> float:
     from statechart.errors import FormulaError
     from statechart.formulas.formula import parse
 
@@ -325,7 +327,7 @@ def _assignment(text: str) -> tuple[str, float]:
     name, equals, value = text.partition("=")
     if not equals or not name.strip():
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
-    return name.strip(), _number(value)
+    return name.strip(), _number_argument(value)
 
 
 def _range(text: str) -> tuple[str, str]:
@@ -342,7 +344,7 @@ def _names(text: str) -> tuple[str, ...]:
     return names
 
 
-def _place(text: str) -> tuple[str, float]:
+def _assigned_value(text: str) -> tuple[str, float]:
     name, value = _assignment(text)
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r}: must be finite")

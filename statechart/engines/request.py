@@ -31,9 +31,9 @@ def choose(setting: Setting) -> tuple[Engine, str]:
     engine, method, tolerance = setting.engine or "auto", setting.method, setting.tolerance
     longest = setting.max_step or math.inf
     if engine not in ENGINES:
-        known = ", ".join((*ENGINES, "impulse"))
+        engines = ", ".join((*ENGINES, "impulse"))
         written = other_value(engine, "'scipy', 'impulse'")
-        raise DeclarationError(f"no engine {engine!r}", advice=written or f"known: {known}")
+        raise DeclarationError(f"no engine {engine!r}", advice=written or f"known: {engines}")
     reason = ""
     if engine == "auto":
         # Only scipy has methods to choose from.
@@ -202,9 +202,11 @@ def _stepping(
             of_file,
         )
     if steps_only:
-        said = model.settings
+        messages = model.settings
         try:
-            Setting("impulse", said.method, said.tolerance, max_step=said.max_step).check()
+            Setting(
+                "impulse", messages.method, messages.tolerance, max_step=messages.max_step
+            ).check()
         except DeclarationProblem as problem:
             problem.loc = ("settings", *problem.loc)
             raise

@@ -300,10 +300,10 @@ class Result:
         StatechartError
             If the suffix is another, the study is of another model, or the file cannot be written.
         """
-        from statechart.pages.page import write
+        from statechart.pages.page import write_page
 
         path = Path(path)
-        write(_page_content(self, study), path)
+        write_page(_page_content(self, study), path)
         return path
 
     @property

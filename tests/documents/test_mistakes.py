@@ -455,7 +455,7 @@ OF_JOINTS = {
 
 
 @pytest.mark.parametrize("mistake", OF_JOINTS)
-def test_keys_of_other_programs_are_told_what_to_write(mistake: str) -> None:
+def test_keys_of_other_programs_have_hints(mistake: str) -> None:
     old, new, words = OF_JOINTS[mistake]
     assert old in LINKED
     with pytest.raises(DeclarationError) as caught:

@@ -199,7 +199,7 @@ def test_a_part_of_a_part_has_the_path_of_its_field_in_the_whole() -> None:
     ]
 
 
-def test_an_error_of_a_type_inside_of_a_call_stays_what_it_is() -> None:
+def test_a_type_error_inside_a_call_is_not_changed() -> None:
     def broken(line: str) -> None:
         raise TypeError(line)
 

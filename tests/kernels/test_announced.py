@@ -118,7 +118,7 @@ def test_a_failure_ends_the_progress_line(tmp_path, kernels, clock, lines):
     assert compiling.working_time() == began + 3.0
 
 
-def test_time_stands_still_while_something_compiles(kernels, clock, monkeypatch):
+def test_compile_time_does_not_count_as_working_time(kernels, clock, monkeypatch):
     allowance = Allowance(2.5)
     allowance.begin()
     slow(monkeypatch, clock, 10.0)

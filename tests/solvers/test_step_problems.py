@@ -69,7 +69,7 @@ def test_a_problem_without_solution_says_so():
     assert missed > 0.1
 
 
-def test_restitution_is_not_given_back_where_the_plastic_impulses_are_not_known():
+def test_restitution_is_omitted_if_plastic_impulses_are_undetermined():
     # As restitution asks there are impulses; plastic ones there are none.
     delassus = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.diag([1.0, 0.0]))
     before, free = np.array([[-1.0, 0.0], [1.0, 0.0]]), np.array([[-2.0, 0.0], [-1.0, 0.0]])
