@@ -179,7 +179,8 @@ name: root
 gravity: 9.81
 bodies: {{b: {{mass: 1, start: {{x: 0, y: 1, dx: 1}}}}}}
 surfaces: {{f: {{height: 0}}}}
-contacts: {{c: {{point: {{body: b}}, surface: f, friction: 0, restitution: 0, enabled: "{relation}"}}}}
+contacts:
+  c: {{point: {{body: b}}, surface: f, friction: 0, restitution: 0, enabled: "{relation}"}}
 stop: {{time: 0.5}}
 """
     jumps = statechart.run(interpret(read_text(scene, "scene.yaml")), engine=engine).trace.jumps
