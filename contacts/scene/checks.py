@@ -40,6 +40,9 @@ from statechart.formulas.tree import names_in
 _OF_CONTACTS = ("gap", "slip", "V", "H")
 
 # Advice on formulas that must not change along a run.
+_NEVER_SLIPS = (
+    "a large number never slips; what never turns is a joint with angle: held, or one coordinate"
+)
 _MOVED = "a surface that moves has a displacement, or a turn; a hill is a height, a formula of x"
 _SWITCHED = (
     "write a control, which the states of a region set, and transitions where it changes "
@@ -448,6 +451,8 @@ def check_kinks(scene: SceneFields) -> None:
     for loc, text in texts:
         # Guards of controllers are derived along the motion, twice.
         check_derived(parse(text).root, changing, loc, order=1)
+        if loc[0] == "couplings":
+            check_named_infinity(text, *loc, advice=_NEVER_SLIPS)
         check_named_infinity(text, *loc)
         if scene.collisions and switching(text, changing, ("sign",)):
             raise DeclarationProblem(

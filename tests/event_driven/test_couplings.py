@@ -779,3 +779,10 @@ outputs: {{w: {{value: dp0}}, closes: {{value: time, at: first c1.close}}}}
     result = statechart.run(interpret(read_text(text)), engine=engine)
     assert result.outputs == pytest.approx({"w": 0.9, "closes": 0.5}, abs=1e-12)
     assert [jump.cause for jump in result.trace.jumps] == ["close"]
+
+
+def test_a_limit_without_end_is_told_what_to_write() -> None:
+    text = ROTOR.replace("limit: T", "limit: inf")
+    assert text != ROTOR
+    with pytest.raises(statechart.DeclarationError, match="a joint with angle: held"):
+        run(text)
