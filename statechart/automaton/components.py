@@ -76,12 +76,14 @@ def split(
         return []
     groups[0] = groups[0].union(*idle, (e for e in static if e[0] == "stop"))
     return [
-        _part(data, group.union(*(mentions[e] & static for e in group)), static, words)
+        _component_declaration(
+            data, group.union(*(mentions[e] & static for e in group)), static, words
+        )
         for group in groups
     ]
 
 
-def _part(
+def _component_declaration(
     data: Data, group: set[Entity], static: set[Entity], words: set[str]
 ) -> tuple[Data, dict[str, str]]:
     entities = [

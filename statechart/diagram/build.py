@@ -196,7 +196,7 @@ def _run(automaton: Automaton, trace: Trace, modes: Product) -> tuple[Chart, tup
         path = modes_on_path(automaton, trace)
         links = _taken(automaton, modes)
     else:
-        path, links = _stepped(automaton, trace)
+        path, links = _stepped_links(automaton, trace)
     drawn_path = path if len(set(path)) <= _MAX_VISITED else path[:MAX_STEPS]
     shown = list(dict.fromkeys(drawn_path))
     visits = Counter(path)
@@ -228,7 +228,7 @@ def _run(automaton: Automaton, trace: Trace, modes: Product) -> tuple[Chart, tup
     )
 
 
-def _stepped(automaton: Automaton, trace: Trace) -> tuple[tuple[Key, ...], list[Link]]:
+def _stepped_links(automaton: Automaton, trace: Trace) -> tuple[tuple[Key, ...], list[Link]]:
     """Return the modes that steps led to, and the links between them.
 
     All changes of a step happen at once: the order in which its jumps are written means nothing.
