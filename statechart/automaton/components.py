@@ -163,15 +163,15 @@ def _declared_events(value: Any, shared_zeno: bool) -> Iterator[str]:
 
 def _words_of_regions(data: Data, regions: Collection[str]) -> set[str]:
     """Return the names of states and transitions."""
-    names_found: set[str] = set()
+    names: set[str] = set()
 
     def walk(value: Any) -> None:
         if isinstance(value, Mapping):
             for key, entry in value.items():
                 if key in ("states", "regions") and isinstance(entry, Mapping):
-                    names_found.update(map(str, entry))
+                    names.update(map(str, entry))
                 if key in ("initial", "from", "to", "name"):
-                    names_found.update(_texts(entry))
+                    names.update(_texts(entry))
                 walk(entry)
         elif isinstance(value, list | tuple):
             for entry in value:
@@ -180,7 +180,7 @@ def _words_of_regions(data: Data, regions: Collection[str]) -> set[str]:
     for section in regions:
         for content in data.get(section, {}).values():
             walk(content)
-    return names_found
+    return names
 
 
 @cache
