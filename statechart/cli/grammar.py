@@ -71,6 +71,32 @@ def parser() -> argparse.ArgumentParser:
     return whole
 
 
+_OPTIONS = {
+    **dict.fromkeys(("--page", "--html"), "--report"),
+    **dict.fromkeys(("--t-end", "--tmax", "--t-max", "--end", "--time", "--duration"), "--until"),
+    **dict.fromkeys(("--dt", "--timestep", "--time-step"), "--step"),
+    **dict.fromkeys(("--tol", "--rtol", "--atol"), "--tolerance"),
+    **dict.fromkeys(("--solver", "--integrator"), "--engine"),
+    **dict.fromkeys(("--param", "--parameter", "-p"), "--set"),
+    **dict.fromkeys(("--gif", "--film", "--video", "--movie"), "--animate"),
+    **dict.fromkeys(("--out", "--plot", "--figure"), "--output"),
+}
+"""Option of another program -> option of ours."""
+
+_VERBS = {
+    **dict.fromkeys(("simulate", "sim", "solve"), "run"),
+    **dict.fromkeys(("animate", "film"), "run FILE --animate FILM.gif"),
+    "plot": "run FILE -o DIR",
+    "report": "run FILE --report PAGE.html",
+    **dict.fromkeys(("test", "verify"), "check"),
+    **dict.fromkeys(("show", "open"), "view"),
+    **dict.fromkeys(("diagram", "chart", "graph"), "draw"),
+    **dict.fromkeys(("init", "create"), "new"),
+    "lint": "validate",
+}
+"""Verb of another program -> what ours are called."""
+
+
 def read(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Return what a command line says; end the process with the reason where it cannot be read."""
     whole = parser()
@@ -80,7 +106,8 @@ def read(arguments: Sequence[str] | None) -> argparse.Namespace:
     if not words:
         whole.error(f"no verb; such as: statechart run FILE; known: {', '.join(verbs.choices)}")
     if first is not None and first not in verbs.choices:
-        whole.error(f"no verb {first!r}; {close_matches(first, verbs.choices)}")
+        written = f"write statechart {_VERBS[first]}" if first in _VERBS else ""
+        whole.error(f"no verb {first!r}; {written or close_matches(first, verbs.choices)}")
     chosen, unknown = whole.parse_known_args(arguments)
     if unknown:
         verb: argparse.ArgumentParser = verbs.choices[chosen.verb]
@@ -97,8 +124,10 @@ def _unknown(argument: str, verb: argparse.ArgumentParser) -> str:
         return f"{argument!r} is left over; put arguments with blanks in quotes"
     if name in verb._option_string_actions:
         return f"write {name} after the verb"
-    advice = close_matches(name, verb._option_string_actions)
-    return f"no option {name}; {advice}"
+    if (written := _OPTIONS.get(name, "")) in verb._option_string_actions:
+        return f"no option {name}; write {written}"
+    advice = close_matches(name, (o for o in verb._option_string_actions if o.startswith("--")))
+    return f"no option {name}; {advice.partition(' known:')[0]}"
 
 
 def _value(

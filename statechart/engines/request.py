@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from statechart.automaton.automaton import Automaton
 from statechart.documents.declaration import Declaration
+from statechart.documents.hints import other_value
 from statechart.documents.setting import LONG_DOUBLE, Record, Setting
 from statechart.engines.engine import Engine
 from statechart.errors import DeclarationError, DeclarationProblem
@@ -31,7 +32,8 @@ def choose(setting: Setting) -> tuple[Engine, str]:
     longest = setting.max_step or math.inf
     if engine not in ENGINES:
         engines = ", ".join((*ENGINES, "impulse"))
-        raise DeclarationError(f"no engine {engine!r}", advice=f"known: {engines}")
+        written = other_value(engine, "'scipy', 'impulse'")
+        raise DeclarationError(f"no engine {engine!r}", advice=written or f"known: {engines}")
     reason = ""
     if engine == "auto":
         # Only scipy has methods to choose from.

@@ -256,6 +256,9 @@ def test_every_option_and_argument_has_a_help_text(action: argparse.Action) -> N
         ("run toppling_stick --set mu=1 g=2", "'g=2' is left over; write --set before each"),
         ("sweep toppling_stick mu=1", "'mu=1' is left over; write --over before each"),
         ("run toppling_stick twice", "'twice' is left over; put arguments with blanks in quotes"),
+        ("run toppling_stick --page a.html", "no option --page; write --report\n"),
+        ("run toppling_stick --t-end 3", "no option --t-end; write --until\n"),
+        ("animate toppling_stick", "write statechart run FILE --animate FILM.gif"),
         ("rnu toppling_stick", "no verb 'rnu'; did you mean 'run'? known: "),
     ],
 )  # fmt: skip

@@ -65,6 +65,7 @@ MISTAKES = {
     "no restitution": (", restitution: e", "", "write restitution: 0 for an impact without rebou"),
     "friction below zero": ("friction: mu", "friction: -0.1", "must be zero or positive, not -0.1"),
     "restitution above one": ("restitution: e", "restitution: 2", "between 0 and 1, not 2"),
+    "mode of another name": ("friction: mu", "friction: mu, modes: [stick]", "; write pin"),
     "mode misspelt": ("friction: mu", "friction: mu, modes: [free, slip]", "'slide', 'pin', not"),
     "one mode": ("friction: mu", "friction: mu, modes: slide", "such as [slide, pin]"),
     "useless friction": ("friction: mu", "friction: mu, modes: [free, pin]", "list slide among"),

@@ -56,6 +56,9 @@ def scene(**changes: object) -> Scene:
             lambda: setattr(Body(mass=1), "mass", 2),
             "Body: mass does not change once it is built; build another one: model_copy(",
         ),
+        (lambda: run(scene(), parameters={"gravity": 1}), "get a name by parameters: {g: 9.81}"),
+        (lambda: run(scene(), parameters={"dt": 1}), "no parameter 'dt'; write --step, in Python"),
+        (lambda: run(scene(), engine="RK45"), "no engine 'RK45'; write scipy"),
         (lambda: run(scene(), parameters={"m": "1"}), "no parameter 'm'; known: none"),
         (
             lambda: run("toppling_stick", parameters={"mu": "0.3"}),
