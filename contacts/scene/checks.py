@@ -220,7 +220,6 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
 
 
 def _changing(scene: SceneFields) -> Collection[str]:
-    """Return what changes along a run."""
     names = {f"{contact}.{quantity}" for contact in scene.contacts for quantity in _OF_CONTACTS}
     names |= {f"{name}.{force}" for name, joint in scene.joints.items() for force in joint.forces}
     names |= {f"{name}.{quantity}" for name in scene.couplings for quantity in ("M", "slip")}

@@ -282,7 +282,6 @@ def _impulses(subject: Subject, trace: Trace) -> None:
 
 
 def _pushed(subject: Subject) -> bool:
-    """Return whether more than gravity and contacts acts on bodies."""
     scene = _scene(subject)
     return bool(scene.forces or scene.joints)
 

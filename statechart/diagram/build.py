@@ -381,7 +381,6 @@ def _initial_states(region: Region, name: str) -> set[str]:
 
 
 def _around(region: Region, name: str) -> list[str]:
-    """Return the states that enclose one, inner first."""
     found: list[str] = []
     while (name := region.superstates.get(name, "")) and name not in found:
         found.append(name)
@@ -431,7 +430,6 @@ def abbreviate(names: list[str]) -> list[str]:
 
 
 def _superstates(region: Region) -> Iterator[str]:
-    """Return what holds other states, outer first."""
     found = dict.fromkeys(region.superstates.values())
     return iter(sorted(found, key=lambda name: len(region.active(name))))
 

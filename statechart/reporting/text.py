@@ -110,7 +110,6 @@ def _evident(names: Sequence[str]) -> str:
 
 
 def _cut(names: Sequence[str], most: int | None = _NAMES) -> str:
-    """Return names with commas between; of more than `most` the first, and how many more."""
     if most is None or len(names) <= most:
         return ", ".join(names)
     return f"{', '.join(names[: most - 1])}, {len(names) - most + 1} more"

@@ -145,5 +145,4 @@ def _without_empty_columns(head: Sequence[str], rows: Sequence[Sequence[str]]) -
 
 
 def _plain(value: float) -> float | str:
-    """Return a number that JSON has, else its name."""
     return float(value) if math.isfinite(value) else str(float(value))

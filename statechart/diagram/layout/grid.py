@@ -242,7 +242,6 @@ class _Grid:
         return tracks, total
 
     def _side(self, axis: int, place: int, side: int, deep: int) -> float:
-        """Return where a state, or a frame around it, ends on one side (-1, 1)."""
         half = self.sides[axis][side > 0] + _MARGIN * deep if deep else self.cell[axis] / 2
         return self.places[axis][place] + side * half
 

@@ -133,7 +133,6 @@ def arrow(links: Sequence[Link]) -> dict[str, str]:
 
 
 def _details(node: Node, chart: Chart, style: Style, ink: str) -> list[str]:
-    """Return conditions, actions and loops of a state as small lines."""
     inline = style.guards == "inline"
     small = [*(node.invariants if inline else ()), *(node.actions if inline or fits(node) else ())]
     loops = (text(line, colour=ink) for line in _self_links(node, chart, style))
