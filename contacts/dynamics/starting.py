@@ -208,14 +208,16 @@ def check_closing(
 ) -> None:
     """Raise `NoConsistentMode` if the points of a joint are apart that closes.
 
-    By more than `near` and what they move in a time `late`. Also if the other closed joints imply
-    a row of it, as forces would not be determined.
+    By more than `near` and what they move in a time `late`, to second order. Also if the other
+    closed joints imply a row of it, as forces would not be determined.
     """
     held = snapshot.held
     assert held is not None
     rows = [row.joint == joint for row in mechanics.joint_rows]
     gaps, rates = np.abs(held.joints.gaps[rows]), np.abs(held.joints.rates[rows])
-    if (gaps > near + late * rates).any():
+    # Closed joints are apart by h^2 w^2/8 between steps, and so is one that takes over from them.
+    bends = 0.5 * late * late * np.abs(held.joints.biases[rows])
+    if (gaps > near + late * rates + bends).any():
         raise NoConsistentMode(
             f"joint {joint!r} closes while {_ends(mechanics, joint)} {gaps.max():.6g} apart; write "
             "rest: captured, or enable it where they meet"
