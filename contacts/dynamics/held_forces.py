@@ -31,7 +31,8 @@ class HeldForces:
         self, setup: SceneSetup, flow: Flow, state: Array, time: float, tape: SnapshotTape
     ) -> SceneSetup:
         """Return the numbers of a run with the forces of signs in a flow that is in a state."""
-        if setup.modes is None or not any(slides(role) for role in flow.signs):
+        # The laws know signs that are dry friction by their limits.
+        if setup.modes is None or tape.signs or not any(map(slides, flow.signs)):
             return setup
         mechanics, mode = self._mechanics, setup.modes(flow.moving)
         if mode not in self._tapes:

@@ -335,7 +335,7 @@ class Mechanics(Geometry):
             apart = ((x - x0) ** 2 + (y - y0) ** 2 - length**2) / (2 * length)
             toward = (
                 (x - x0) * sp.diff(x0, self.time) + (y - y0) * sp.diff(y0, self.time)
-            ) / length
+            ) / length + sp.diff(length, self.time)
             yield "T", -apart, -toward
             return
         for component, here, there in (("X", x, x0), ("Y", y, y0)):
@@ -373,8 +373,9 @@ class Mechanics(Geometry):
         surface = self.scene.surfaces[self.scene.contacts[name].surface]
         frame = surface_frame(surface, self.known)
         rates = [self.rate(expression) for expression in frame]
+        swells = self.rate(self._formula(surface.radius or 0))
         if rates == [0, 0, 0]:
-            return sp.S.Zero, sp.S.Zero
+            return -swells if surface.hollow else swells, sp.S.Zero
         (n_x, n_y), (t_x, t_y) = self.contact(name).normal, self.contact(name).tangent
         # In its frame, as the normal and the point are.
         (x, y), (c, s) = self.contact(name).point, (sp.cos(frame[2]), sp.sin(frame[2]))
@@ -382,7 +383,10 @@ class Mechanics(Geometry):
             c * rates[0] + s * rates[1] - rates[2] * y,
             c * rates[1] - s * rates[0] + rates[2] * x,
         )
-        return n_x * moved[0] + n_y * moved[1], t_x * moved[0] + t_y * moved[1]
+        normal = n_x * moved[0] + n_y * moved[1]
+        return normal - swells if surface.hollow else normal + swells, t_x * moved[0] + t_y * moved[
+            1
+        ]
 
     def contact(self, name: str) -> ContactGeometry:
         """Return the geometry of a contact or a coupling, derived when first asked for."""
@@ -573,6 +577,8 @@ class Mechanics(Geometry):
         function, direction, factor = self._surface(surface, *own)
         # For a disc the function is linear, or a distance.
         function -= radius / factor
+        # A rope that is hauled in: its circle shrinks.
+        swells = self.rate(function)
         at_rest = dict.fromkeys(self.a, sp.S.Zero)
         rates = self.rate(centre[0]), self.rate(centre[1])
         drifts = self.rate(rates[0]).xreplace(at_rest), self.rate(rates[1]).xreplace(at_rest)
@@ -590,9 +596,9 @@ class Mechanics(Geometry):
         return _SurfaceGeometry(
             function.xreplace(here),
             unit * function.xreplace(here),
-            unit * times(gradient, rates),
+            unit * (times(gradient, rates) + swells),
             # On the surface (gap = gap' = 0) this is the derivative of the normal velocity.
-            unit * (times(gradient, drifts) + bent(curvature)),
+            unit * (times(gradient, drifts) + bent(curvature) + self.rate(swells)),
             (direction[0].xreplace(here), direction[1].xreplace(here)),
             rates,
             drifts,

@@ -253,6 +253,7 @@ def _prescribed(mechanics: Mechanics) -> tuple[list[sp.Expr], list[sp.Expr], lis
     levers: list[sp.Expr] = []
     for contact in scene.contacts.values():
         surface = scene.surfaces[contact.surface]
+        shifts[parse(surface.radius or 0).to_sympy(mechanics.known)] = None
         if not surface.moves:
             continue
         shifts |= dict.fromkeys(

@@ -12,6 +12,8 @@ import sympy as sp
 
 from contacts.dynamics.joints import OFF_ROW, JointGroup, JointNumbers, joint_groups, motions
 from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.sign_friction import sign_frictions
+from contacts.scene.modes import SignFriction
 from contacts.solvers.saddle_point import INEXACT, SINGULAR, saddle
 from statechart.arrays import Array
 from statechart.errors import SingularMode
@@ -69,6 +71,7 @@ class Snapshot(NamedTuple):
     # (c, n): What normal forces of compliant contacts do to the bodies; of those whose gap is 0,
     # part of `forces`
     pushes: Array | None = None
+    signs: SignNumbers | None = None  # None where no sign is dry friction
 
     @property
     def whole(self) -> Snapshot:
@@ -97,6 +100,14 @@ class Snapshot(NamedTuple):
         found = np.zeros(len(needed))
         found[needed] = np.linalg.lstsq(self.held.joints.jacobian[needed].T, left)[0]
         return full[: len(full) - whole.pads], found
+
+
+class SignNumbers(NamedTuple):
+    """Signs that are dry friction."""
+
+    frictions: tuple[SignFriction, ...]
+    numbers: Array  # (k, 3): slip, its bias, limit
+    rows: Array  # (k, coordinates)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +171,10 @@ class SnapshotTape:
         self._limits = 2 * len(couplings)
         for name in couplings:
             outputs += mechanics.limits(name)
+        self._end = len(outputs)
+        self.signs = sign_frictions(mechanics, mechanics.controlled(states))
+        for sign in self.signs:
+            outputs += [sign.slip, sign.bias, sign.limit, *sign.row]
         self.tape: Tape = mechanics.tape(outputs, definitions=mechanics.controlled(states))
 
     def at(self, values: Array, state: Array, time: float) -> Snapshot:
@@ -173,7 +188,8 @@ class SnapshotTape:
         """Return the numbers as if there were no joints, and those of the joints."""
         n, count = self.size, self.count
         square, at, end, further, last = self._ends
-        numbers = self.tape.at(state, values, time)
+        found = self.tape.at(state, values, time)
+        numbers, signs = found[: self._end], found[self._end :]
         jacobians = numbers[at:end].reshape(count, 2, n)
         listed = numbers[end:last].tolist()
         further -= end
@@ -200,6 +216,9 @@ class SnapshotTape:
             numbers[end : end + further].reshape(count, 2),
             limits=numbers[len(numbers) - self._limits :].reshape(-1, 2),
         )
+        if self.signs:
+            rows = np.pad(signs.reshape(-1, 3 + n), ((0, 0), (0, len(self._pads))))
+            whole = whole._replace(signs=SignNumbers(self.signs, rows[:, :3], rows[:, 3:]))
         if self._pads:
             end = len(numbers) - self._limits
             whole = self._padded(whole, numbers[end - 3 * len(self._pads) : end])
@@ -284,6 +303,7 @@ def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[JointGroup]) ->
         whole.limits,
         whole.pads,
         None if whole.pushes is None else whole.pushes @ basis,
+        whole.signs,
     )
 
 

@@ -12,7 +12,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
-from contacts.scene.expansion import Reach, Stop
+from contacts.scene.expansion import Reach, Stop, reach_of
 from contacts.scene.parts import Point, Surface
 from contacts.scene.scene import Scene
 from contacts.solvers.dependence import implied, least
@@ -302,7 +302,9 @@ def torn(surface: str, contact: str, state: str) -> NoConsistentMode:
 
 def jumped_in(surface: str, contact: str, depth: float) -> NoConsistentMode:
     """Return why a run ends where a transition displaces a surface into a point."""
+    what = f"surface {surface!r} jumps {depth:.3g} deep into the point of {contact!r}"
+    if surface == reach_of(contact):
+        what = f"rope {contact!r} jumps to {depth:.3g} below the distance of its ends"
     return NoConsistentMode(
-        f"surface {surface!r} jumps {depth:.3g} deep into the point of {contact!r}; write a path "
-        "that moves there in a time, or let a variable flow"
+        f"{what}; write a path that moves there in a time, or let a variable flow"
     )

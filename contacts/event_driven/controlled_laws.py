@@ -350,14 +350,16 @@ def displaced(scene: Scene, setup: SceneSetup, mode: Key, before: Snapshot, afte
     laws = zip(setup.contacts, mode, before.contacts, after.contacts, strict=True)
     found = []
     for law, state, was, now in laws:
-        # Couplings touch no surface; forces of compliant contacts follow whatever a surface does.
-        if law.name not in scene.contacts or scene.contacts[law.name].stiffness is not None:
+        # Couplings touch no surface.
+        if law.name not in scene.contacts:
             found.append(state)
             continue
+        # The normal forces of compliant contacts follow whatever a surface does.
+        rigid = scene.contacts[law.name].stiffness is None
         # Where the surface begins to approach, or to leave, is judged by what it did before.
         parts = abs(now.gap - was.gap) > near or abs(now.gap_rate - was.gap_rate) > slow
-        touches = state not in OPEN
-        if state != OFF and now.gap < min(was.gap, 0.0) - near:
+        parts, touches = parts and rigid, state not in OPEN
+        if rigid and state != OFF and now.gap < min(was.gap, 0.0) - near:
             raise jumped_in(scene.contacts[law.name].surface, law.name, -now.gap)
         target = state
         if touches and parts:

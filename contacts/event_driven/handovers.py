@@ -85,8 +85,9 @@ class Handovers:
                     continue
                 tape = self._tape(after.mode[len(self._mechanics.scene.frictional) :])
                 gap, later = (
-                    tape.values(after.states(np.array([t]))[0], setup.values, after.start.high + t)
-                    .item(2 * place + 1)
+                    tape.values(
+                        after.states(np.array([t]))[0], setup.values, after.start.high + t
+                    ).item(2 * place + 1)
                     for t in after.times[:2].tolist()
                 )
                 if abs(gap) <= near and later < -near:

@@ -2,5 +2,5 @@
 
 `classification` solves the modes, judges them by their inequalities and takes the one that agrees;
 its kernel takes unambiguous instants. `load_sharing` divides loads that the motion does not
-determine. `feasibility` proves which modes are kinematically possible.
+determine, also with `signs_at_rest`. `feasibility` proves which modes are kinematically possible.
 """

@@ -23,7 +23,8 @@ from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import EDGES, SCALARS, PerContact, Snapshot
 from contacts.modes.load_sharing import Share, bearing, prestressed_contacts, rank, share
-from contacts.scene.modes import OWN
+from contacts.modes.signs_at_rest import laws_of, signs_at_rest, with_signs
+from contacts.scene.modes import OWN, SignFriction
 from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.solvers.mode_solver import (
     AGAINST,
@@ -100,6 +101,7 @@ class Case(NamedTuple):
     still: Sequence[bool]
     scales: Scales  # For judging inequalities
     tie: float = 0.0  # Violations up to this (relative) count as boundary cases, not as violations
+    signs: int = 0  # How many of the laws, the last, are signs (`contacts.modes.signs_at_rest`)
 
 
 class Candidate(NamedTuple):
@@ -116,6 +118,11 @@ class Candidate(NamedTuple):
     # How the contacts share the forces, where the motion does not determine them
     share: Share | None = None
     undetermined: str = ""  # Why it determines no motion
+
+    def of_contacts(self, count: int, frictions: Sequence[SignFriction]) -> Candidate:
+        """Return the mode of the first contacts, those behind them being signs."""
+        share = None if self.share is None else self.share.of_contacts(count, frictions)
+        return self._replace(states=self.states[:count], forces=self.forces[:count], share=share)
 
     @property
     def roles(self) -> Roles:
@@ -151,7 +158,7 @@ def candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
 def _solved_combinations(
     case: Case, combinations: Sequence[tuple[str, ...]], codes: Ints
 ) -> list[Candidate]:
-    snapshot, laws, closed, still, scales, tie = case
+    snapshot, laws, closed, still, scales, tie, _ = case
     edges = bounds(laws, snapshot)
     count, contacts = codes.shape
     status, verdicts = np.empty(count, np.int64), np.empty((count, 4))
@@ -222,7 +229,13 @@ def _explain(
             chosen = np.empty((len(codes[k]), 2))
             choose_edges(edges, codes[k], chosen)
             given = share(
-                codes[k], snapshot, chosen, carriers(tuple(case.laws)), candidate.forces, inward
+                codes[k],
+                snapshot,
+                chosen,
+                carriers(tuple(case.laws)),
+                candidate.forces,
+                inward,
+                case.signs,
             )
         if given is None or given.violation > tie * scales.force:
             failed.append((candidate, codes[k]))
@@ -293,7 +306,7 @@ def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     form; where there is slip, the force is along the edge that opposes it). It serves to find the
     modes only; they are solved and judged as any others. None: it found no solution.
     """
-    snapshot, laws, closed, still, scales, _ = case
+    snapshot, laws, closed, still, scales, *_ = case
     group = [i for i, shut in enumerate(closed) if shut]
     slides = np.array([0.0 if still[i] else np.sign(snapshot.contacts[i].slip) for i in group])
     # The first answer of a contact at rest is by its static friction.
@@ -540,6 +553,14 @@ class ForceUncertainty(NamedTuple):
     # Contacts of which a force has just passed its bound: that is in no doubt either
     fell: Collection[int] = ()
 
+    def with_signs(self, which: Sequence[int]) -> ForceUncertainty:
+        """Return the uncertainty of contacts and signs."""
+
+        def at(state: Array, later: float) -> Snapshot:
+            return with_signs(self.at(state, later), which)
+
+        return self._replace(at=at, sure=(*self.sure, *(["locked"] * len(which))))
+
     def sticking(
         self, case: Case, options: Sequence[Sequence[str]], taken: Candidate
     ) -> Candidate | None:
@@ -673,6 +694,10 @@ class Before(NamedTuple):
     # Contacts that may bear. What presses others against each other comes without cause
     bearing: frozenset[int] = frozenset()
 
+    def is_mode(self, states: tuple[str, ...]) -> bool:
+        """Return whether contacts, which signs may follow, are in the mode."""
+        return self.mode is not None and states[: len(self.mode)] == self.mode
+
     @classmethod
     def flow(cls, roles: Roles, mode: tuple[str, ...] | None = None) -> Before:
         """Return what held in a flow."""
@@ -698,20 +723,26 @@ def choose(
     Raises `NoConsistentMode` or `AmbiguousMode` with every candidate and its reason. Raises
     `NonFinite` if the state has no finite forces.
     """
+    count, resting = len(laws), signs_at_rest(snapshot, still_below)
+    before = before or Before(bearing=frozenset(range(count)))
+    if resting:
+        snapshot, laws = with_signs(snapshot, resting), (*laws, *laws_of(snapshot, resting))
+        closed, signs = [*closed, *([True] * len(resting))], range(count, len(laws))
+        before = before._replace(bearing=before.bearing.union(signs))
+        uncertainty = None if uncertainty is None else uncertainty.with_signs(resting)
     still = [abs(contact.slip) <= still_below for contact in snapshot.contacts]
     options = [*map(_options, snapshot.contacts, laws, closed, still)]
     for i, carrier in _loads(tuple(laws)):
         options[i] = options[i] if closed[carrier] else ("free",)
-    case = Case(snapshot, laws, closed, still, scales, tie)
-    before = before or Before(bearing=frozenset(range(len(laws))))
+    case = Case(snapshot, laws, closed, still, scales, tie, len(resting))
     tried: list[Candidate] = []
     agreeing: list[Candidate] = []
-    count = sum(closed)
-    many = count > _ENUMERATED
+    touching = sum(closed)
+    many = touching > _ENUMERATED
     if many:
         tried = by_lemke(case, options)
         agreeing = consistent(tried, tie)
-    if not agreeing and count <= _ENUMERATED_LAST:
+    if not agreeing and touching <= _ENUMERATED_LAST:
         many = False
         tried = candidates(case, options)
         agreeing = consistent(tried, tie)
@@ -731,7 +762,7 @@ def choose(
     if doubted is not None:
         taken, warning = doubted, ""
     # What a mode left open closes besides must not move away.
-    if not warning and taken.violation >= 0.0 and any(_opens(taken, one, closed) for one in tried):
+    if not warning and taken.violation >= -tie and any(_opens(taken, one, closed) for one in tried):
         warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken.states)} taken"
     notes: tuple[str, ...] = (_UNCHECKED,) if many else ()
     if taken.share is not None:
@@ -745,6 +776,8 @@ def choose(
             if _comes_to_rest(state, was)
         )
     considered = LazyMapping(partial(_verdicts, case, tried, taken))
+    if snapshot.signs is not None:
+        taken = taken.of_contacts(count, [snapshot.signs.frictions[k] for k in resting])
     return Choice(taken, considered, warning, notes, doubted is not None)
 
 
@@ -761,7 +794,8 @@ def _continuing(
     """
     left = None
     if len(agreeing) > 1 and before.mode is not None:
-        left = next((c for c in tried if c.states == before.mode and not c.undetermined), None)
+        of_mode = (c for c in (*agreeing, *tried) if before.is_mode(c.states))
+        left = next((c for c in of_mode if not c.undetermined), None)
     if left is None or (left.share is not None and not _bearing(left) <= before.bearing):
         return agreeing
     if left.violation > _NEARLY * case.tie:
@@ -777,13 +811,13 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
 
     Raises `AmbiguousMode` where they move it apart, and all keep every contact closed.
     """
-    _, laws, closed, _, scales, tie = case
+    _, laws, closed, _, scales, tie, _ = case
     taken = agreeing[0]
     if len(agreeing) == 1:
         return taken, ""
     clear = [c for c in agreeing if c.violation <= _NEARLY * tie]
     for one in clear:
-        if one.share is not None and one.states == before.mode:
+        if one.share is not None and before.is_mode(one.states):
             return _without_new_loads(one, clear, case, before.bearing)
     # What static friction holds does not begin to slip because something else does.
     firmer, held = _firmer(case), clear

@@ -12,12 +12,12 @@ mode ends.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from contacts.dynamics.snapshot import Snapshot
-from contacts.scene.modes import OWN, Bearing
+from contacts.scene.modes import OWN, Bearing, SignFriction
 from contacts.solvers.dependence import independent
 from contacts.solvers.mode_solver import is_coupling, judge_forces, write_limits
 from contacts.solvers.redundancy import mode_columns, sharing
@@ -60,6 +60,18 @@ class Share:
     joints: tuple[int, ...]
     # How far the worst contact is outside its zone, in units of force; <= 0: not at all
     violation: float
+    signs: tuple[tuple[SignFriction, str], ...] = ()  # Signs that share, and their zones
+
+    def of_contacts(self, count: int, frictions: Sequence[SignFriction]) -> Share | None:
+        """Return what the first contacts share, those behind them being signs."""
+        behind = zip(frictions, self.zones[count:], strict=True)
+        signs = tuple((sign, zone) for sign, zone in behind if zone != OWN)
+        zones, rows, carriers = self.zones[:count], self.rows[:count], self.carriers[:count]
+        if all(zone == OWN for zone in zones):
+            return None
+        return replace(
+            self, forces=self.forces[:count], zones=zones, rows=rows, carriers=carriers, signs=signs
+        )
 
     def roles(self, states: Sequence[str]) -> Roles:
         """Return the roles of contacts in `states`, with what of their equations to use."""
@@ -70,8 +82,8 @@ class Share:
         for k, (state, zone, rows, carriers) in enumerate(parts):
             bearing = None
             if zone != OWN:
-                joints = self.joints if k == first else ()
-                bearing = Bearing(zone, rows, carriers, self.coordinates, joints)
+                once = (self.joints, self.signs) if k == first else ((), ())
+                bearing = Bearing(zone, rows, carriers, self.coordinates, *once)
             elif rows != whole.get(state, "n"):
                 bearing = Bearing(zone, rows)
             result.append(Role(state, share=bearing))
@@ -83,21 +95,31 @@ _PRESSED = 1e-6
 
 
 def share(
-    code: Ints, snapshot: Snapshot, cones: Array, loaded_by: Ints, forces: Array, inward: float
+    code: Ints,
+    snapshot: Snapshot,
+    cones: Array,
+    loaded_by: Ints,
+    forces: Array,
+    inward: float,
+    signs: int,
 ) -> Share | None:
     """Return the smallest forces within the cones that act like `forces`; None: there are none.
 
     The modes `code` (c,) are numbered as in `contacts.states`; `forces` explain the motion, in
     their `cones` or not. Forces as small as `inward` inside the cones are added when zones are
     looked for: on the boundary of what can be explained the zones then still determine the forces.
-    `loaded_by` are the carriers of `solve_modes`.
+    `loaded_by` are the carriers of `solve_modes`; the last `signs` of the modes are those of signs,
+    which carry nothing in the equations of a flow.
     """
     limits, cones = cones, cones.copy()
     couplings = np.flatnonzero([is_coupling(c) for c in code.tolist()])
     cones[couplings] = 0.0, 1.0
     jacobians = snapshot.jacobians
     flat, owners = mode_columns(code, cones, jacobians, -1)
-    count, order, _ = independent(flat)
+    count, _, _ = independent(flat)
+    least, order, _ = independent(flat[owners < len(code) - signs])
+    if least < count:
+        return None
     shared = np.flatnonzero(sharing(code, cones, jacobians, count, len(flat)))
     load = np.einsum("gdn,gd->n", jacobians[shared], forces[shared])
     reach, chosen, _ = independent(np.ascontiguousarray(flat[np.isin(owners, shared)].T))
@@ -142,7 +164,8 @@ def share(
         "".join(letters[i] for i in np.nonzero(owners == k)[0].tolist() if i in kept)
         for k in range(len(code))
     )
-    rows, joints = _row_names(code, jacobians), np.zeros(0, dtype=np.int64)
+    rows = _row_names(code[: len(code) - signs], jacobians) + ("",) * signs
+    joints = np.zeros(0, dtype=np.int64)
     if snapshot.held is not None:
         joints = np.nonzero(~snapshot.held.joints.redundant)[0]
         seen, _ = mode_columns(code[shared], cones[shared], snapshot.whole.jacobians[shared], -1)

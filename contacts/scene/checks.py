@@ -122,6 +122,9 @@ def names_for(scene: SceneFields, loc: Loc) -> frozenset[str]:
                 return parameters | {TIME, *memory, *(() if scene.collisions else scene.controls)}
             if loc[-1] in ("x", "y"):
                 return parameters | {TIME, *(memory if scene.collisions else ())}
+        case "joints", "rope" | "rod" if not scene.collisions:
+            led = {*scene.controlled.controller_state, *scene.controls} if key == "rope" else ()
+            return parameters | {TIME, *led}
         case "contacts", "friction" | "restitution":
             law = scene.friction_of(name) if key == "friction" and loc[-1] != "static" else None
             return parameters | {*scene.controls} | (law.slips if law else frozenset())
@@ -172,6 +175,13 @@ def _check_law(scene: SceneFields, name: str) -> None:
 
 def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> tuple[str, str]:
     """Return why a name cannot stand in a place, and what to write; nothing for any other."""
+    if loc[0] == "joints" and loc[-1] in ("rod", "rope") and name in _changing(scene):
+        advice = f"write a formula of {TIME}, or a rope, whose length may use controls"
+        if loc[-1] == "rope":
+            advice = f"write a formula of {TIME}, controls and variables of controllers"
+        if scene.collisions:
+            advice = "lead its end along a path, to: [x, y]"
+        return f"the length of a {loc[-1]} does not follow it", advice
     led = loc[0] in ("surfaces", "joints") and TIME in known
     if led and name in scene.controls and scene.collisions:
         return (
@@ -288,7 +298,8 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
                     yield Limit((section, name, key), text, 0.0, _MAX_NUMBER)
     for name, joint in scene.joints.items():
         for key in ("rod", "rope"):
-            if (text := getattr(joint, key)) is not None:
+            text = getattr(joint, key)
+            if text is not None and parse(text).names <= scene.parameters.keys():
                 yield Limit(("joints", name, key), text, *_POSITIVE)
         if joint.restitution is not None:
             yield Limit(("joints", name, "restitution"), joint.restitution, *_PART)
@@ -719,9 +730,9 @@ def check_collisions(scene: SceneFields) -> None:
     for name, body in scene.bodies.items():
         if not (body.prescribed or body.linked) and body.inertia is None:
             raise DeclarationProblem(
-                "a body that collides is free and has an inertia, or coordinates place it",
-                advice="give it an inertia, or a position by coordinates; or a path, position and "
-                "angle, and no mass",
+                "a free body that collides needs an inertia",
+                advice="write inertia: m*r**2/2 of a disc, m*(width**2 + height**2)/12 of a box; or "
+                "place it by coordinates, or lead it along a path without a mass",
                 loc=("bodies", name),
             )
         if body.linked and body.copies is not None:

@@ -57,6 +57,11 @@ class Reach(Surface):
     """The circle that a rope keeps a point in."""
 
 
+def reach_of(name: str) -> str:
+    """Return the name of the circle of a rope."""
+    return f"{name}.surface"
+
+
 class Stop(Surface):
     """A limit of the angle of a body, against another or the world."""
 
@@ -81,10 +86,10 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
         if scene.collisions:
             # Steps of bodies with shapes have rows for bounds of distances and angles.
             return
-        surfaces[f"{name}.surface"] = surface
+        surfaces[reach_of(name)] = surface
         contacts[name] = Contact(
             point=joint.point,
-            surface=f"{name}.surface",
+            surface=reach_of(name),
             friction=0,
             restitution=0 if joint.restitution is None else joint.restitution,
             enabled=gate,

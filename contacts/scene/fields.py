@@ -399,6 +399,8 @@ class SceneFields(Declaration):
         if self.collisions:
             return frozenset()
         texts = [text for s in self.surfaces.values() for text in (*s.displacement, s.turn)]
+        texts += [joint.rope for joint in self.joints.values() if joint.rope is not None]
+        texts += [s.radius for s in self.surfaces.values() if s.radius is not None]
         found, memory = set[str](), {*self.controlled.controller_state, *self.controls}
         while fresh := {n for text in texts for n in parse(text).names & memory} - found:
             found |= fresh

@@ -571,7 +571,7 @@ def step_scene(
             if not math.isfinite(state[i]):
                 return k, NOT_FINITE
         # Compliant contacts have no accelerations to read modes from.
-        if unsettle(memory, k, chunk) and not scene.soft.any():
+        if unsettle(memory, k, chunk) and (scene.soft[:, 0] == 0.0).any():
             _settle(scene, memory, tape, equations, StepInstant(time, state, middle), k, chunk)
         _age_contacts(memory, met.active)
         _flow_controllers(scene, time, middle, h, state)

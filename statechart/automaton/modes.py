@@ -30,7 +30,10 @@ def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) 
     if bare != roles:
         return captured(automaton, build_mode(automaton, bare, zeros), roles)
     states = [region.build(role) for region, role in zip(automaton.regions, roles, strict=True)]
-    substitution: dict[sp.Symbol, sp.Expr] = dict.fromkeys(zeros, sp.S.Zero)
+    loads = [state.loads for state in states if state.loads is not None]
+    substitution: dict[sp.Expr, sp.Expr] = dict.fromkeys(zeros, sp.S.Zero)
+    for load in loads:
+        substitution |= load.known
     values = {control: value for state in states for control, value in state.values.items()}
     controls = []
     for control in automaton.controls:
@@ -39,7 +42,6 @@ def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) 
         if value.is_Atom:
             # Zeros and synonyms must show before solving.
             substitution[control] = value
-    loads = [state.loads for state in states if state.loads is not None]
     margins = (*(m for state in states for m in state.margins), *automaton.stop_margins)
     margins = tuple(margin.replaced(substitution) for margin in margins)
     rates = tuple(rate.xreplace(substitution) for rate in automaton.rates)
@@ -100,7 +102,7 @@ def _solved(
     automaton: Automaton,
     states: Sequence[State],
     loads: Sequence[Loads],
-    substitution: Mapping[sp.Symbol, sp.Expr],
+    substitution: Mapping[sp.Expr, sp.Expr],
 ) -> tuple[Definition, ...]:
     """Solve the equations of a mode for all accelerations and forces at once."""
     carried = {unknown: by for load in loads for unknown, by in load.carried.items()}
@@ -129,7 +131,7 @@ def _minimal(
     automaton: Automaton,
     states: Sequence[State],
     elimination: Elimination,
-    substitution: Mapping[sp.Symbol, sp.Expr],
+    substitution: Mapping[sp.Expr, sp.Expr],
 ) -> tuple[Definition, ...]:
     """Solve the equations of a mode for the coordinates that an elimination leaves."""
     coordinates = automaton.coordinates
@@ -197,7 +199,7 @@ def _without(margins: Iterable[Margin], hidden: Mapping[sp.Symbol, sp.Expr]) -> 
 
 
 def _shared(
-    loads: Sequence[Loads], substitution: Mapping[sp.Symbol, sp.Expr]
+    loads: Sequence[Loads], substitution: Mapping[sp.Expr, sp.Expr]
 ) -> tuple[Definition, ...]:
     """Solve for what the motion leaves open: shared forces, displacements, relieved joints.
 

@@ -239,6 +239,8 @@ class Loads:
     laws: Mapping[sp.Symbol, sp.Expr]
     # Unknown, which states share -> what this one adds to a sum over them that is zero.
     balances: Mapping[sp.Symbol, sp.Expr]
+    # Expression that the motion leaves open -> its value.
+    known: Mapping[sp.Expr, sp.Expr] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

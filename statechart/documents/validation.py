@@ -190,6 +190,9 @@ def _to_error(
         if kind == "missing" and isinstance(loc[-1], str) and shown:
             name = details["loc"][-1]
             advice = f"such as {name}={shown}" if built else f"such as {name}: {shown}"
+        elif kind == "model_type" and loc[-1] in known_keys(model, loc):
+            given = flow(details["input"])
+            advice = f"it belongs below a name, such as NAME: {{{loc[-1]}: {given}}}"
         elif kind in _SHAPES and shown:
             advice = f"such as {shown}"
     path = ".".join(str(part) for part in document.existing(loc))

@@ -31,7 +31,7 @@ NAMES = {
     str(page.relative_to(DOCS)): page
     for page in sorted(DOCS.rglob("*.md"))
     if "made" not in page.relative_to(DOCS).parts
-}
+} | {"README.md": ROOT / "README.md"}
 
 
 def thinner(command: str) -> str:

@@ -20,7 +20,9 @@ def rows(folder: Path, kind: str) -> dict[tuple[str, str], list[str]]:
     """Return of every heading and key the cells of its row."""
     formats.make(folder)
     found, head = {}, ""
-    for line in (folder / f"keys-of-a-{kind}.md").read_text(encoding="utf-8").splitlines():
+    pages = sorted(folder.glob(f"keys-of-a-{kind}*.md"))
+    for line in (line for page in pages for line in page.read_text("utf-8").splitlines()):
+        head = "" if line.startswith("# ") else head
         head = line.removeprefix("## ") if line.startswith("## ") else head
         if row := re.match(r"\| `(\w+)` \| (.*) \|$", line):
             found[head, row[1]] = [cell.strip() for cell in re.split(r"(?<!\\)\|", row[2])]

@@ -54,6 +54,7 @@ MISTAKES = {
     "inside its surface": ("y: h", "y: 0", "0.477668 deep; move the body out of the surface"),
     "height of another name": ("height: 0", "height: level", "unknown name 'level'; known:"),
     "ground in a word": ("{height: 0}", "flat", "must be a mapping, not 'flat'; such as {height:"),
+    "surface without a name": ("ground: {height: 0}", "height: 0", "such as NAME: {height: 0}"),
     "two forms of a surface": ("height: 0", "height: 0, incline: 0", "exactly one of height, in"),
     "circle without radius": ("height: 0", "circle: [0, 0]", "write circle: [0, 0], radius: 1"),
     "no surface of this name": ("surface: ground", "surface: floor", "no surface 'floor'; known: "),

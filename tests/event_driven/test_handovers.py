@@ -145,5 +145,7 @@ def test_a_contact_that_goes_off_as_it_touches_is_warned_of(when, count):
     warned = [w for w in result.warnings if "soles goes off at t = 1.024182" in w]
     assert len(warned) == count
     # It falls through the platform, or stands on it.
-    landed = any(jump.region == "soles" and jump.cause == "touchdown" for jump in result.trace.jumps)
+    landed = any(
+        jump.region == "soles" and jump.cause == "touchdown" for jump in result.trace.jumps
+    )
     assert landed == ("0.9" in when or when == "hero.dy <= 0")

@@ -108,7 +108,7 @@ settings: {engine: impulse, step: 1e-2}
         ("[1, 1], [-1, 1]]", "[1, 0], [1, 1], [-1, 1]]", r"corner 3, at \(1, 0\), lies on"),
         ("copies: 2", "copies: 1.5", "whole number"),
         ("bodies: [block], surf", "bodies: [brick], surf", "no body 'brick'"),
-        ("    inertia: 1\n", "", "free and has an inertia"),
+        ("    inertia: 1\n", "", "needs an inertia; write inertia: m"),
         ("restitution: 0", "restitution: 2", "between 0 and 1"),
     ],
 )
