@@ -34,14 +34,14 @@ def with_signs(snapshot: Snapshot, which: Sequence[int]) -> Snapshot:
     """Return the snapshot with signs as its last couplings, and without their forces."""
     assert snapshot.signs is not None
     slips, biases, limits = snapshot.signs.numbers[which].T
-    rows, held = snapshot.signs.rows[which], snapshot.held
+    rows, reduction = snapshot.signs.rows[which], snapshot.reduction
     effect = np.sign(slips) * limits
-    if held is None:
+    if reduction is None:
         return _extended(snapshot, rows, biases, limits, effect)
-    whole = _extended(snapshot.whole, rows, biases, limits, effect)
-    biases, rows = biases + rows @ held.drift, rows @ held.basis
+    whole = _extended(snapshot.unreduced, rows, biases, limits, effect)
+    biases, rows = biases + rows @ reduction.drift, rows @ reduction.basis
     extended = _extended(snapshot, rows, biases, limits, effect)
-    return extended._replace(held=replace(held, whole=whole))
+    return extended._replace(reduction=replace(reduction, unreduced=whole))
 
 
 def _extended(
