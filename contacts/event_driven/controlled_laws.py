@@ -114,7 +114,7 @@ class ControlledLaws:
             return jump, self._joined(setup, clock, following, controllers, after, flow)
         judged, rows = self._judged(setup, clock, flow, state, fired)
         true = set() if judged is None else judged.due()
-        guarded = opening_first(true, self._names, own, self._joints)
+        guarded = opening_first(true, self._names, controllers, self._joints)
         firing = self._listening.first(
             self._controllers,
             controllers,
