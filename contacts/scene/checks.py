@@ -715,7 +715,9 @@ def check_collisions(scene: SceneFields) -> None:
         if declared:
             raise DeclarationProblem(
                 f"a scene with collisions has no {section} yet",
-                advice="bodies touch by their shapes: list them, and surfaces, in collisions",
+                advice="brake by a moment among the forces: -c*NAME.dangle"
+                if section == "couplings"
+                else "bodies touch by their shapes: list them, and surfaces, in collisions",
                 loc=(section,),
                 key=True,
             )
