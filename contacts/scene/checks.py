@@ -223,7 +223,6 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
 
 
 def _changing(scene: SceneFields) -> Collection[str]:
-    """Return what changes along a run."""
     names = {f"{contact}.{quantity}" for contact in scene.contacts for quantity in _OF_CONTACTS}
     names |= {f"{name}.{force}" for name, joint in scene.joints.items() for force in joint.forces}
     names |= {f"{name}.{quantity}" for name in scene.couplings for quantity in ("M", "slip")}
@@ -721,7 +720,9 @@ def check_collisions(scene: SceneFields) -> None:
         if declared:
             raise DeclarationProblem(
                 f"a scene with collisions has no {section} yet",
-                advice="bodies touch by their shapes: list them, and surfaces, in collisions",
+                advice="brake by a moment among the forces: -c*NAME.dangle"
+                if section == "couplings"
+                else "bodies touch by their shapes: list them, and surfaces, in collisions",
                 loc=(section,),
                 key=True,
             )

@@ -163,7 +163,6 @@ class Execution:
         return Sample(self.clock.high, dict(states), dict(values))
 
     def _change(self, overrides: Mapping[str, float]) -> bool:
-        """Continue with other parameters; return whether the run ends."""
         setup = self.automaton.setup(overrides, self.engine.tolerance)
         self.zeros, self.entered = setup.zeros, {}
         self.setup = replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
@@ -544,7 +543,6 @@ class Execution:
         return too_many
 
     def _skip(self, jump: Jump) -> None:
-        """Skip the rest of a Zeno sequence of jumps, if the laws can."""
         pair, flowed = (jump.region, jump.cause), bool(jump.fired)
         remaining = self.accumulation.watch(pair, self.clock, self.setup.short, flowed=flowed)
         if remaining is not None:
