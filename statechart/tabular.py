@@ -18,7 +18,7 @@ DIGITS, ALL_DIGITS = 7, 17
 """Significant digits of numbers for people, and those that tell all floats apart."""
 MAX_LISTED = 6
 """Values of a list that are written out; a longer one is summarised."""
-_NUMBER = re.compile(r"(-?\d+)(\.\d+)?(e[+-]?\d+)?")
+_NUMERIC_CELL = re.compile(r"(-?\d+)(\.\d+)?(e[+-]?\d+)?")
 
 # What is counted one by one; above it two digits say as much.
 _COUNTED = 10**9
@@ -32,18 +32,18 @@ class Table:
     headed: bool = False  # Whether the first row is the head.
 
 
-Block = str | Table
+TextBlock = str | Table
 """A part of a text: lines, or a table."""
 
 
-def plain(blocks: Iterable[Block]) -> str:
+def plain(blocks: Iterable[TextBlock]) -> str:
     """Return a text as it is written to a file."""
     return "".join(block if isinstance(block, str) else table(block.rows) for block in blocks)
 
 
-def join_blocks(parts: Iterable[Sequence[Block]]) -> list[Block]:
+def join_blocks(parts: Iterable[Sequence[TextBlock]]) -> list[TextBlock]:
     """Return parts of a text as one, an empty line between them."""
-    result: list[Block] = []
+    result: list[TextBlock] = []
     for part in parts:
         if part:
             result += [*(["\n"] if result else []), *part]
@@ -80,7 +80,7 @@ def number(value: Any, digits: int = DIGITS) -> str:
 
 def aligned(texts: Sequence[str]) -> list[str]:
     """Return the texts of a column with the decimal points of its numbers below each other."""
-    found = [_NUMBER.fullmatch(text) for text in texts]
+    found = [_NUMERIC_CELL.fullmatch(text) for text in texts]
     width = max((len(one[1]) for one in found if one), default=0)
     return [
         text if one is None else " " * (width - len(one[1])) + text

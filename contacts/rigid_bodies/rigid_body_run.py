@@ -269,7 +269,9 @@ class RigidBodyRun(SteppedSystem):
         seen = seen[:count]
         self._angular = np.flatnonzero(seen)
 
-    def switch(self, states: Mapping[str, str], at: tuple[Array, Array, float]) -> Ints:
+    def switch(
+        self, states: Mapping[str, str], at: tuple[Array, Array, float]
+    ) -> tuple[dict[int, int], bool]:
         """Go on with controllers in other states; see `SteppedSystem`."""
         self._around.switch(states)
         on = self.numbers.joints.on
@@ -278,7 +280,7 @@ class RigidBodyRun(SteppedSystem):
                 if states[joint] == CLOSED and not on[j]:
                     self._close(j, joint, at[1], at[2])
                 on[j] = states[joint] == CLOSED
-        return np.zeros(0, np.int64)
+        return {}, False
 
     def _close(self, j: int, joint: str, state: Array, time: float) -> None:
         """Let a joint hold the pose that it has captured.

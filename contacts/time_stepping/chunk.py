@@ -137,10 +137,12 @@ class SteppedSystem(ABC):
         """Take back the last steps."""
 
     @abstractmethod
-    def switch(self, states: Mapping[str, str], at: tuple[Array, Array, float]) -> Ints:
+    def switch(
+        self, states: Mapping[str, str], at: tuple[Array, Array, float]
+    ) -> tuple[dict[int, int], bool]:
         """Go on with controllers in other states; `at`: from a state, to another, at a time.
 
-        Return which regions are free from then on, as what they touched was moved away.
+        Return the modes of regions whose surface was moved, and whether one is struck at once.
         """
 
     @abstractmethod

@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from contacts.dynamics.contact_law import cones
-from contacts.dynamics.controllers import Controllers, ControllerState
+from contacts.dynamics.controllers import Controllers, ControllerState, opening_first
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.projection import on_constraints
 from contacts.dynamics.setup import SceneSetup
@@ -63,6 +63,8 @@ class StepControl:
         self._order = [*range(n), *range(n + r, n + r + c), *range(n, n + r)]
         self.states = controllers.initial
         self._begun = False
+        # A surface that was moved strikes in the next step, before anything else happens.
+        self._strikes, self._pending = False, dict[str, tuple[Raised, ...]]()
         self._mechanics = mechanics
         self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
 
@@ -76,6 +78,7 @@ class StepControl:
         asked: Bools = np.any(due, axis=1)
         if self._listening.waits(self._controllers, self.states):
             asked |= recorder.changes(chunk)
+        asked[:1] |= self._strikes
         if not asked[:-1].any():
             return chunk, bool(asked.any())
         self._scene.forget()
@@ -93,7 +96,7 @@ class StepControl:
         EventLoop
             If they do not end.
         """
-        pending: dict[str, tuple[Raised, ...]] = {}
+        pending, self._pending, self._strikes = self._pending, {}, False
         for first, *others in _simultaneous(jumps):
             # Jumps of several contacts at one instant are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
@@ -109,11 +112,12 @@ class StepControl:
             watched = self._states.guards(self.states).watch.guards
             at_end = time, state[None], solved[None]
             due = self._due(*at_end, h, recorder.row[None])[0]
+            true = {(g.place, g.trigger) for g, now in zip(watched, due, strict=True) if now}
             firing = self._listening.first(
                 self._controllers,
                 self.states,
                 pending,
-                {(g.place, g.trigger) for g, now in zip(watched, due, strict=True) if now},
+                opening_first(true, self._names, self.states, self._joints),
                 partial(self._holding, *at_end, recorder.row[None]),
             )
             if firing is None:
@@ -130,11 +134,14 @@ class StepControl:
             )
             if name in self._joints and taken.target == CLOSED:
                 after = self._closed(name, after, recorder, h)
-            opened = self._scene.switch(
+            moved, strikes = self._scene.switch(
                 self._states.named(self.states), (state, after, recorder.clock.high)
             )
-            jump = recorder.turn(name, taken.name, self.states, (state, after), fired, opened)
+            jump = recorder.turn(name, taken.name, self.states, (state, after), fired, moved)
             pending, state = self._listening.pending_after(firing.pending, jump), after
+            if strikes:
+                self._pending, self._strikes = pending, True
+                return state
         last = (
             f"{jump.cause} -> {' '.join(jump.target)}"
             for jump in recorder.control_jumps[-_MAX_LISTED:]

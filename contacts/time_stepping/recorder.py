@@ -8,7 +8,7 @@ landing: what is shown is that of the nearest other step of the mode.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -189,15 +189,16 @@ class Recorder:
         controls: Key,
         states: tuple[Array, Array],
         fired: tuple[str, ...],
-        opened: Ints,
+        moved: Mapping[int, int],
     ) -> Jump:
         """Append a jump of a further region, from one state to another; return it.
 
-        The regions `opened` are free after it.
+        The regions `moved` have these modes after it.
         """
         self.close()
         self.row = self.row.copy()
-        self.row[opened] = FREE
+        for i, code in moved.items():
+            self.row[i] = code
         target = (*self._key(self.row)[: len(self.row)], *controls)
         jump = Jump(self.clock.high, self.count, region, cause, self.key, target, *states, fired)
         self._note(jump)

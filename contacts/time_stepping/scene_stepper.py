@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -24,8 +25,21 @@ from contacts.dynamics.starting import (
 )
 from contacts.scene.lint import NEARLY_MEETING, stays_off
 from contacts.solvers.contact_rows import STEEPEST
+from contacts.solvers.dependence import independent
+from contacts.solvers.redundancy import mode_columns
 from contacts.solvers.step_impulses import smoothed
-from contacts.states import FREE, LOCKED, OFF, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
+from contacts.states import (
+    FREE,
+    LOCKED,
+    OFF,
+    OFF_CODE,
+    OPEN_CODE,
+    PIN,
+    SLIDE,
+    SLIDE_MINUS,
+    SLIDE_PLUS,
+    STATES,
+)
 from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem
 from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
@@ -115,6 +129,9 @@ class SteppedScene(SteppedSystem):
         self._swing = self._length = 0.0
         self._errors = DiscretisationError(setup.scales)
         self._saved_errors = self._errors.copy()
+        # Modes, and what is said of their loads.
+        self._loads: dict[bytes, str] = {}
+        self._saved_loads = self._loads.copy()
 
     def change(self, values: Mapping[str, float]) -> SceneSetup:
         """Go on with other values of parameters; return the numbers."""
@@ -123,13 +140,15 @@ class SteppedScene(SteppedSystem):
         self._use(self._source, setup.contacts)
         return setup
 
-    def switch(self, states: Mapping[str, str], at: tuple[Array, Array, float]) -> Ints:
+    def switch(
+        self, states: Mapping[str, str], at: tuple[Array, Array, float]
+    ) -> tuple[dict[int, int], bool]:
         """Go on with controllers in other states; see `SteppedSystem`."""
         was, (before, after, time) = self._source, at
         contacts = self._numbers.contacts(self._values, states)
         self._use(self._tapes.at(tuple(states.values())), contacts)
         if not was.scene.leading:
-            return np.zeros(0, np.int64)
+            return {}, False
         memory, now = self._step_state.contacts, self._source.contacts(self._values, after, time)
         old = was.contacts(self._values, before, time)
         near, deep = self._near, np.minimum(old[:, 0], 0.0) - now[:, 0]
@@ -145,11 +164,18 @@ class SteppedScene(SteppedSystem):
         # What a surface strikes, or leaves, does not last.
         parts = rigid & (np.abs(now - old)[:, :2] > [near, self._still]).any(axis=1)
         memory.closed[parts] = False
-        opened = parts & (self._step_state.codes != FREE) & ~memory.off
-        for i in np.flatnonzero(opened & self._undeclared[:, FREE]).tolist():
-            raise torn(was.scene.contacts[was.names[i]].surface, was.names[i], STATES[FREE])
-        self._step_state.codes[opened] = memory.shown[opened] = FREE
-        return np.flatnonzero(opened)
+        codes, slips = self._step_state.codes, np.abs(now[:, 2]) > self._still
+        touched = (codes != FREE) & ~memory.off
+        touched[len(rigid) - was.couplings :] = False
+        slips &= touched & (codes != SLIDE) & (np.abs(now - old)[:, 2] > self._still)
+        after = np.where(slips, np.where(now[:, 2] > 0.0, SLIDE_PLUS, SLIDE_MINUS), codes)
+        after[touched & parts] = FREE
+        moved = {i: int(after[i]) for i in np.flatnonzero(after != codes).tolist()}
+        for i, code in moved.items():
+            if self._undeclared[i, code]:
+                raise torn(was.scene.contacts[was.names[i]].surface, was.names[i], STATES[code])
+            codes[i] = memory.shown[i] = code
+        return moved, bool((touched & parts & (now[:, 1] < -self._still)).any())
 
     def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Use these equations and coefficients."""
@@ -177,6 +203,7 @@ class SteppedScene(SteppedSystem):
     def forget(self) -> None:
         """Take back the last steps."""
         self._step_state, self._errors = self._saved.copy(), self._saved_errors.copy()
+        self._loads = self._saved_loads.copy()
 
     @property
     def margins(self) -> dict[str, float]:
@@ -200,6 +227,7 @@ class SteppedScene(SteppedSystem):
         return (
             *remarks(self._swing, self._length),
             *self._errors.remarks(self._length),
+            *filter(None, self._loads.values()),
             *self._stays_off(),
         )
 
@@ -224,18 +252,19 @@ class SteppedScene(SteppedSystem):
         n, c, r = source.size, len(source.names), source.joint_rows
         chunk = Chunk.allocate(h, state, n + r + 2 * c + source.given, c, count)
         self._saved, self._saved_errors = self._step_state.copy(), self._errors.copy()
+        self._saved_loads = self._loads.copy()
         memory = self._step_state.contacts
         scene = StepConstants(
             tape.program, source.flows.program, n, source.damped, self._values, self._cones,
-            source.used, self._restitution, source.plastic, source.bodies, source.pairs,
-            source.held, source.slips, r, source.signs, self._near, self._still,
+            source.used, self._restitution, source.plastic, source.capped, source.pairs,
+            source.held, source.slips, r, source.signs, self._allowed, self._near, self._still,
             ROUNDING * self._speed,
             self._speed, _SLOWEST * self._speed, self._negligible, self._soft, source.couplings,
             source.carriers,
         )  # fmt: skip
         swings = self._check_springs(chunk, start)
 
-        done, status = step_scene(scene, memory, start, self._allowed, chunk)
+        done, status = step_scene(scene, memory, start, chunk)
         if not done:
             raise _failure(status)
         followed = self._count_allowed(chunk.first(done), start)
@@ -247,6 +276,7 @@ class SteppedScene(SteppedSystem):
         forces = chunk.solved[:, n + r : n + r + 2 * c].reshape(len(chunk.codes), c, 2)
         self._note(chunk.gaps, forces, chunk.codes, chunk.solved[:, n + r + 2 * c :])
         self._note_passed(chunk, start)
+        self._note_loads(chunk, start)
         if len(chunk.codes):
             now = Equations(source, self._values, self._cones, self._restitution)
             self._errors.add(now, chunk, start, self._saved.codes, swings)
@@ -324,6 +354,32 @@ class SteppedScene(SteppedSystem):
                 chunk.passed[k] = max(chunk.passed[k], min(1.0, h * approach / depth))
                 break
 
+    def _note_loads(self, chunk: Chunk, start: float) -> None:
+        """Note the first mode in which how contacts share a load changes the motion.
+
+        Constraints that depend on each other leave their forces open, and where contacts slide
+        under friction these need not act alike.
+        """
+        n, modes, source = self._source.size, chunk.modes, self._source
+        changed = np.any(modes != np.vstack([modes[:1] - 1, modes[:-1]]), axis=1)
+        for k in np.flatnonzero(changed).tolist():
+            key, bears = modes[k].tobytes(), ~np.isin(modes[k], (FREE, OFF_CODE, OPEN_CODE))
+            if key in self._loads or bears.sum() < 2 or any(self._loads.values()):
+                continue
+            time = start + (k + 1) * chunk.h
+            _, rows, joints = source.equations(self._values, chunk.states[k + 1], time)
+            jacobians = rows[bears, : 2 * n].reshape(-1, 2, n)
+            acts = partial(_spare_rows, modes[k, bears], jacobians, joints[:, :n])
+            smooth, self._loads[key] = self._cones[bears] * (1.0, 0.0), ""
+            spare = acts(smooth)
+            if spare > acts(self._cones[bears]):
+                names = np.array(source.names)[bears]
+                shared = [i for i in range(len(names)) if acts(smooth, i) < spare]
+                self._loads[key] = (
+                    f"from t = {time:.6g} how {', '.join(names[shared])} share the load changes "
+                    "the motion, and nothing determines it: another engine or step may differ"
+                )
+
     def _count_allowed(self, chunk: Chunk, start: float) -> int:
         """Return how many steps take modes that are allowed; replace a stick that only passes.
 
@@ -395,6 +451,14 @@ class SteppedScene(SteppedSystem):
             borne = (codes != FREE) & (codes != OFF_CODE) & ~np.isnan(values)
             seen = np.where(borne, values, np.inf).min(axis=0)
             memory.least[:, k] = np.minimum(memory.least[:, k], seen)
+
+
+def _spare_rows(
+    codes: Ints, jacobians: Array, joints: Array, cones: Array, left_out: int = -1
+) -> int:
+    """Return how many columns of contacts and joints depend on the others."""
+    rows = np.vstack([mode_columns(codes, cones, jacobians, left_out)[0], joints])
+    return len(rows) - int(independent(rows)[0])
 
 
 def _failure(status: int) -> SingularMode | NonFinite:

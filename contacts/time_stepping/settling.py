@@ -43,10 +43,11 @@ from contacts.time_stepping.step_contacts import (
     coupling_mode,
     delassus_of,
     load_couplings,
+    normal_pads,
     unit_responses,
     write_cone,
 )
-from statechart.arrays import Array, Bools
+from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import kernel
 
@@ -88,6 +89,30 @@ def _free_accelerations(
             right[at] = -numbers[row + n + 2]
         at += 1
     return solve_factored(equations.factors, equations.order, right)
+
+
+@kernel
+def _is_yielding(scene: StepConstants, i: int) -> bool:
+    """Return whether contact i is compliant, or the rolling resistance of one that is."""
+    carrier = scene.carriers[i]
+    return scene.soft[i, 0] > 0.0 or (carrier >= 0 and scene.soft[carrier, 0] > 0.0)
+
+
+@kernel
+def _add_yielding_forces(
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
+    codes: Ints, h: float, moving: Array,
+) -> None:  # fmt: skip
+    """Add to accelerations what compliant contacts bore in a step with these codes (c,)."""
+    bears = np.zeros(len(codes), np.bool_)
+    for i in range(len(codes)):
+        bears[i] = _is_yielding(scene, i) and codes[i] != FREE and not memory.off[i]
+    which = indices(bears)
+    columns = unit_responses(tape, equations, which)
+    for a in range(2 * len(which)):
+        force = memory.pushes[which[a // 2], a % 2] / h
+        for j in range(len(moving)):
+            moving[j] += columns[a, j] * force
 
 
 @kernel
@@ -207,10 +232,14 @@ def settle(
     """
     c, n, h = len(scene.cones), tape.size, chunk.h
     moving = _free_accelerations(scene, tape, equations)
+    if scene.soft.any():
+        _add_yielding_forces(scene, memory, tape, equations, chunk.codes[k], h, moving)
     free, sizes = np.zeros((c, 2)), np.zeros((c, 2))
     closed, near, landed = np.zeros(c, np.bool_), np.zeros(c, np.bool_), False
     for i in range(c):
         _write_accelerations(tape, i, moving, free[i], sizes[i])
+        if _is_yielding(scene, i):
+            continue
         if is_coupling(scene, i):
             closed[i] = not memory.off[i]
         elif scene.held[i] == 0 and not memory.off[i]:
@@ -243,14 +272,17 @@ def settle(
             brakes[a] = landed and is_coupling(scene, i) and scene.carriers[i] < 0
             against[a] = against[a] or brakes[a]
         ended, solved, forces = False, False, np.zeros((m, 2))
+        pads = normal_pads(scene, tape, which, columns, h)
+        for a in range(m):
+            delassus[2 * a, 2 * a] += pads[a]
         loads = coupling_loads(scene, which, columns, moving, forces, 1.0)
-        load_couplings(scene, tape, which, loads, delassus, alone)
+        load_couplings(scene, tape, which, loads, pads, alone)
         for _ in range(LOADINGS):
             solved, forces = solve_accelerations(
                 delassus, alone, cones, slides, terms, forced, sums
             )
             loads = coupling_loads(scene, which, columns, moving, forces, 1.0)
-            if load_couplings(scene, tape, which, loads, delassus, alone) > LOADED:
+            if load_couplings(scene, tape, which, loads, pads, alone) > LOADED:
                 continue
             for a in range(m):
                 if brakes[a]:

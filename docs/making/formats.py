@@ -12,6 +12,18 @@ from statechart.loading.load import schema
 
 KINDS = ("scene", "chart")
 
+# Parts of a kind that have pages of their own, by subject; the page of the kind has the others.
+PAGES = {
+    "scene": {
+        "bodies": ("Body", "Coordinate", "Force", "Path", "Point", "Shape", "Surface"),
+        "contacts": (
+            "Collision", "Contact", "Coupling", "Free", "Friction", "Joint", "Pin", "Slide",
+            "StaticKinetic",
+        ),
+        "controllers": ("ControlRegion", "ControlState", "Controller", "Transition"),
+    }
+}  # fmt: skip
+
 _FORMULA = {"string", "integer", "number"}
 
 Schema = Mapping[str, Any]
@@ -28,11 +40,24 @@ def make(folder: Path) -> None:
             "",
         ]
         lines += _table(whole)
-        for name, part in sorted(whole["$defs"].items()):
-            lines += [f"({kind}-{name.lower()})=", f"## {name}", ""]
-            lines += [part.get("description", "").splitlines()[0], ""]
-            lines += _table(part)
+        apart = PAGES.get(kind, {})
+        parts = dict(sorted(whole["$defs"].items()))
+        for subject, names in apart.items():
+            page = [f"# Keys of a {kind}: {subject}", ""]
+            page += _sections(kind, {name: parts.pop(name) for name in names})
+            write(folder / f"keys-of-a-{kind}-{subject}.md", _linked(page, kind))
+        lines += _sections(kind, parts)
+        lines += ["```{toctree}", ":hidden:", ""] if apart else []
+        lines += [f"keys-of-a-{kind}-{subject}" for subject in apart]
+        lines += ["```"] if apart else []
         write(folder / f"keys-of-a-{kind}.md", _linked(lines, kind))
+
+
+def _sections(kind: str, parts: Schema) -> Iterator[str]:
+    for name, part in parts.items():
+        yield from (f"({kind}-{name.lower()})=", f"## {name}", "")
+        yield from (part.get("description", "").splitlines()[0], "")
+        yield from _table(part)
 
 
 def _linked(lines: list[str], kind: str) -> Iterator[str]:

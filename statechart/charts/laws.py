@@ -172,7 +172,6 @@ class ChartLaws:
 
     @cached_property
     def _zeno(self) -> tuple[Mapping[str, FlatTransition], ...]:
-        """Per region: state -> its transition on: zeno; the first of several."""
         return tuple(
             {t.source: t for t in reversed(region.transitions) if t.on_zeno}
             for region in self._flat.values()
@@ -393,7 +392,7 @@ def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Com
     try:
         return composed(
             parts,
-            _form,
+            _chart_form,
             lambda part: compose(Chart.model_validate(part)),
             lambda _: _restricted,
             joint=False,
@@ -402,8 +401,7 @@ def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Com
         return ()
 
 
-def _form(part: Data) -> Data:
-    """Return a declaration without the values that its variables start from."""
+def _chart_form(part: Data) -> Data:
     return {**part, "variables": list(part.get("variables", ()))}
 
 

@@ -31,7 +31,7 @@ from statechart.cli.places import (
 )
 from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.reporting.partial_report import PartialReport
-from statechart.tabular import Block, Table, plain, table
+from statechart.tabular import Table, TextBlock, plain, table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -341,9 +341,11 @@ def trade(arguments: argparse.Namespace) -> int:
     study = study_of(runner, folder=arguments.output, progress=_printer(arguments))
     pieces = PartialReport()
     if arguments.output is not None:
-        from statechart.study.figure import write
+        from statechart.study.figure import write_study_figure
 
-        pieces.attempt("tables and figure", lambda: write(arguments.output, study), None)
+        pieces.attempt(
+            "tables and figure", lambda: write_study_figure(arguments.output, study), None
+        )
     if arguments.json:
         print_json(to_dict(study))
     else:
@@ -523,7 +525,7 @@ def _print_left_out(pieces: PartialReport) -> None:
         print(f"left out: {pieces.text()}", file=sys.stderr)
 
 
-def show(blocks: Iterable[Block]) -> None:
+def show(blocks: Iterable[TextBlock]) -> None:
     """Print a text."""
     if not sys.stdout.isatty():
         print(plain(blocks), end="")

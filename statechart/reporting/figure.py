@@ -27,7 +27,7 @@ from statechart.pictures.drawing import strip_height
 from statechart.pictures.film import Film
 from statechart.reporting.curves import (
     COLUMNS,
-    Line,
+    DrawnCurve,
     Panel,
     busy_until,
     curves,
@@ -116,11 +116,11 @@ def figure(
         result.suptitle(trace.name)
         stack(result, axes, heights, lines=lines, strip=strip)
     if path is not None:
-        write(result, path)
+        write_figure(result, path)
     return result
 
 
-def write(drawing: Figure, path: Path | str) -> None:
+def write_figure(drawing: Figure, path: Path | str) -> None:
     """Write a figure to a file: svg, png or pdf by its suffix."""
     path = Path(path)
     kind = path.suffix.lower().lstrip(".")
@@ -166,7 +166,7 @@ def entitle(drawing: Figure, title: str) -> Figure:
 
 def _draw_panel(ax: Axes, panel: Panel, samples: Samples, trace: Trace) -> None:
     # Broken at jumps, which take no time: a vertical line would be no part of the motion.
-    line = Line.of(samples)
+    line = DrawnCurve.of(samples)
     ax.axhline(0.0, color=INK, linewidth=0.6, zorder=1)
     values = [samples.columns[name] for name in panel.names]
     for name, column, colour in zip(panel.names, values, LINES, strict=False):
@@ -488,6 +488,5 @@ def stack(
 
 
 def _outer(ax: Axes) -> float:
-    """Return where the labels on the left of axes begin, in pixels."""
     box = ax.yaxis.get_tightbbox()
     return ax.bbox.x0 if box is None else float(box.x0)

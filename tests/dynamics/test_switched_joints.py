@@ -7,11 +7,14 @@ import re
 from typing import Any
 
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.special import ellipk
 
 import statechart
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, NoConsistentMode
 from statechart.loading.load import interpret
+from statechart.testing.checking import check
 
 _BREAKS = """
 kind: scene
@@ -223,9 +226,161 @@ def test_a_broken_joint_does_not_close_again() -> None:
         ("rope: 1, restitution: 0.5", "rest: captured", "write enabled"),
         ("rope: 1, restitution: 0.5", "limits: [0, 1]", "a particle, which has no angle"),
         ("rope: 1,", "rope: 1, enabled: rope.X <= 1,", "rope.X"),
+        ("rope: 1,", "rope: 2 + a.x,", "write a formula of time, controls and variables"),
+        ("rope: 1, restitution: 0.5", "rod: 2 + a.x", "write a formula of time, or a rope"),
     ],
 )
 def test_a_mistake_in_a_joint_is_reported(old: str, new: str, told: str) -> None:
     assert old in _ROPE
     with pytest.raises(DeclarationError, match=re.escape(told)):
         statechart.run(interpret(read_text(_ROPE.replace(old, new), "joint.yaml")))
+
+
+_SWAP = """
+kind: scene
+name: swap
+bodies: {bob: {mass: 1, start: {x: 1, dy: 1}}}
+joints:
+  second: {point: {body: bob}, to: [2, 2], rod: "hypot(2 - cos(T), 2 - sin(T))", enabled: SECOND}
+  first: {point: {body: bob}, to: [0, 0], rod: 1, enabled: FIRST}
+parameters: {T: 0.5}
+regions:
+  hand:
+    initial: one
+    states: {one: {}, two: {}}
+    transitions: [{name: swaps, from: one, to: two, after: T}]
+stop: {time: 0.6}
+outputs: {v: {value: "hypot(bob.dx, bob.dy)"}}
+"""
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy", "impulse"])
+@pytest.mark.parametrize(
+    ("first", "second"), [("time < T", "time >= T"), ("in(hand.one)", "in(hand.two)")]
+)
+def test_a_joint_that_closes_does_not_stop_at_one_that_lets_go(
+    engine: str, first: str, second: str
+) -> None:
+    text = _SWAP.replace("FIRST", first).replace("SECOND", second)
+    setting = {"engine": engine} | ({"step": 1e-3} if engine == "impulse" else {})
+    way = math.atan2(2.0 - math.sin(0.5), 2.0 - math.cos(0.5))
+    # The velocity along the second rod is lost.
+    expected = abs(math.sin(0.5 + math.pi / 2.0 - way))
+    error = 1e-5 if engine == "impulse" else 1e-9
+    assert _outputs(text, **setting)["v"] == pytest.approx(expected, rel=error)
+
+
+_PEG = """
+kind: scene
+name: peg
+gravity: 9.81
+parameters: {L: 1, d: 0.5, tilt: 0.5}
+bodies: {bob: {mass: 1, start: {x: L*sin(tilt), y: -L*cos(tilt)}}}
+joints:
+  long: {point: {body: bob}, to: [0, 0], rod: L, enabled: bob.x >= 0}
+  short: {point: {body: bob}, to: [0, -d], rod: L - d, enabled: bob.x < 0}
+stop: {time: 4}
+outputs: {swaps: {value: time, at: each long.disable or long.enable}, low: {minimum: bob.x}}
+"""
+
+
+@pytest.mark.parametrize("step", [None, 2e-3, 1e-3, 5e-4])
+def test_galileos_pendulum_swings_on_about_its_peg(step: float | None) -> None:
+    setting = {"engine": "scipy"} if step is None else {"engine": "impulse", "step": step}
+    found = _outputs(_PEG, **setting)
+    fall = 1.0 - math.cos(0.5)
+    tilt = math.acos(1.0 - fall / 0.5)
+    long, short = (
+        math.sqrt(length / 9.81) * float(ellipk(math.sin(0.5 * angle) ** 2))
+        for length, angle in ((1.0, 0.5), (0.5, tilt))
+    )
+    times = [long, long + 2 * short, 3 * long + 2 * short, 3 * long + 4 * short]
+    assert found["swaps"] == pytest.approx(times, abs=1e-9 if step is None else 2.0 * step)
+    assert found["low"] == pytest.approx(-0.5 * math.sin(tilt), abs=1e-9 if step is None else 1e-4)
+
+
+_ENGINES = [
+    ({"engine": "taylor"}, 1e-9),
+    ({"engine": "scipy"}, 1e-9),
+    ({"engine": "impulse", "step": 1e-3}, 2e-3),
+]
+_WINCH = """
+kind: scene
+name: winch
+gravity: 9.81
+parameters: {v: 0.3}
+bodies: {load: {mass: 2, start: {y: -2}}}
+surfaces: {floor: {height: -2}}
+contacts: {foot: {point: {body: load}, surface: floor, friction: 0.5, restitution: 0}}
+joints: {rope: {point: {body: load}, to: [0, 0], rope: l}}
+regions:
+  winch:
+    initial: idle
+    variables: {l: 2.06}
+    states: {idle: {}, hauls: {flows: {l: -v}}, holds: {}}
+    transitions:
+      - {name: go, from: idle, to: hauls, after: 0.5}
+      - {name: done, from: hauls, to: holds, guard: l <= 1.5}
+stop: {time: 3}
+outputs:
+  taut: {value: time, at: each rope.touchdown}
+  top: {maximum: load.y}
+  pull: {value: rope.V}
+"""
+_HAULED = """
+kind: scene
+name: hauled
+gravity: 9.81
+parameters: {L: 2, v: 0.3, phi: 0.1}
+bodies:
+  load: {mass: 2, start: {x: L*sin(phi), y: -L*cos(phi), dx: -v*sin(phi), dy: v*cos(phi)}}
+joints: {line: {point: {body: load}, to: [0, 0], KIND: L - v*time}}
+stop: {time: 3}
+outputs: {x: {value: load.x}, y: {value: load.y}, pull: {value: line.FORCE}}
+"""
+
+
+@pytest.mark.parametrize(("settings", "near"), _ENGINES)
+def test_a_winch_lifts_a_load_and_stops(settings: dict[str, Any], near: float) -> None:
+    got = statechart.run(interpret(read_text(_WINCH)), **settings).outputs
+    flight = 2 * 0.3 / 9.81
+    assert got["taut"] == pytest.approx([0.7, 0.7 + 0.5 / 0.3 + flight], abs=near)
+    assert got["top"] == pytest.approx(-1.5 + 0.3 * flight / 4, abs=near)
+    assert got["pull"] == pytest.approx(2 * 9.81, abs=near)
+
+
+@pytest.mark.parametrize(("kind", "force"), [("rope", "V"), ("rod", "T")])
+@pytest.mark.parametrize(("settings", "near"), _ENGINES)
+def test_a_pendulum_that_is_hauled_in(
+    kind: str, force: str, settings: dict[str, Any], near: float
+) -> None:
+    """L phi'' = 2 v phi' - g sin(phi), and the tension m (L phi'^2 + g cos(phi))."""
+    v, g = 0.3, 9.81
+    swing = solve_ivp(
+        lambda t, y: (y[1], (2 * v * y[1] - g * math.sin(y[0])) / (2 - v * t)),
+        (0, 3), (0.1, 0), method="DOP853", rtol=1e-12, atol=1e-13,
+    )  # fmt: skip
+    (phi, rate), length = swing.y[:, -1], 2 - v * 3
+    text = _HAULED.replace("KIND", kind).replace("FORCE", force)
+    got = statechart.run(interpret(read_text(text)), **settings).outputs
+    want = {
+        "x": length * math.sin(phi),
+        "y": -length * math.cos(phi),
+        "pull": 2 * (length * rate**2 + g * math.cos(phi)),
+    }
+    assert {**got} == pytest.approx(want, rel=0, abs=near)
+
+
+def test_work_of_a_winch_is_its_tension_times_its_speed() -> None:
+    text = _HAULED.replace("KIND", "rope").replace("FORCE", "V")
+    report = check(interpret(read_text(text)), examples=2, seed=1)
+    assert report.passed, report.text()
+
+
+def test_a_rope_that_a_control_shortens_ends_the_run() -> None:
+    text = _WINCH.replace("variables: {l: 2.06}", "variables: {}").replace("l <= 1.5", "time >= 2")
+    text = text.replace("flows: {l: -v}", "sets: {l: 1.5}").replace(
+        "stop:", "controls: {l: 2}\nstop:"
+    )
+    with pytest.raises(NoConsistentMode, match="rope 'rope' jumps to 0"):
+        statechart.run(interpret(read_text(text)))

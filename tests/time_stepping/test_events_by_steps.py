@@ -338,7 +338,85 @@ def test_a_brake_locks_once_where_two_feet_hold_the_body(step) -> None:
     assert jumps[-1].t <= landed + 3.0 * step
 
 
-def test_a_warning_names_a_brake_that_decides_how_feet_share_the_load() -> None:
+# The engines find the slip to accelerate by 0, 1e-33 or -1e-33.
+@pytest.mark.parametrize("engine", ["taylor", "scipy", "impulse"])
+@pytest.mark.parametrize("friction", [0.3, 0.139, 1.107])
+def test_a_warning_names_a_brake_that_decides_how_feet_share_the_load(engine, friction) -> None:
     # Any couple within the limit agrees, and gives the foot with friction another load.
-    warnings = Runner(interpret(read_text(BRAKED_BAR % 0.3))).run().warnings
+    step = {"step": 1e-4} if engine == "impulse" else {}
+    scene = interpret(read_text(BRAKED_BAR % friction))
+    warnings = Runner(scene, engine=engine, **step).run().warnings
     assert any("share the load changes the motion" in warning for warning in warnings)
+    if engine == "impulse":
+        assert any("how c, d, brake share" in warning for warning in warnings)
+    same = Runner(interpret(read_text(BRAKED_BAR % 0)), engine=engine, **step).run().warnings
+    assert not any("changes the motion" in warning for warning in same)
+
+
+# A plate sinks under a point, stops, and sinks again: in the instant in which it stops it strikes
+# the point, and that comes before a guard that holds all the time.
+STOPPING_PLATE = """
+kind: scene
+name: stopping_plate
+gravity: 9.81
+stop: {time: 0.15}
+controls: {u: 0}
+regions:
+  plate:
+    initial: sinks
+    variables: {p: 0, n: 0}
+    states: {stands: {sets: {u: 0}}, sinks: {sets: {u: 1}, flows: {p: 0.5}}}
+    transitions:
+    - {name: stop, from: sinks, to: stands, after: 0.1}
+    - {name: hit, from: stands, to: sinks, on: c.touchdown, updates: {n: n + 1}}
+    - {name: held, from: stands, to: sinks, guard: time >= 0}
+bodies: {b: {mass: 1, start: {dx: 0.2, dy: -0.5}}}
+surfaces: {plate: {line: [[0, 0], [1, 0]], displacement: [0, -p]}}
+contacts: {c: {point: {body: b}, surface: plate, friction: 0, restitution: 0}}
+outputs: {n: {value: n}}
+"""
+
+
+@pytest.mark.parametrize("h", [1e-3, 2.5e-4])
+def test_a_surface_that_stops_strikes_before_guards_are_asked(h: float) -> None:
+    model = interpret(read_text(STOPPING_PLATE, "f.yaml"))
+    exact, found = by_events(model), by_steps(model, h)
+    stopped = [("plate", "stop"), ("c", "touchdown"), ("plate", "hit")]
+    for run, late in (exact, 0.0), (found, 2 * h):
+        assert [(j.region, j.cause) for j in run.trace.jumps] == stopped
+        assert run.outputs["n"] == 1.0
+        fallen = -0.05 - 9.81 * 0.05**2 / 2
+        assert run.trace.final[1] == pytest.approx(fallen, abs=1e-9 + 0.5 * late)
+
+
+BRAKED_PLATE = """
+kind: scene
+name: braked_plate
+gravity: 10
+stop: {time: 0.5}
+controls: {u: 0}
+regions:
+  plate:
+    initial: goes
+    variables: {p: 0}
+    states: {stands: {sets: {u: 0}}, goes: {sets: {u: 1}, flows: {p: 1}}}
+    transitions: [{name: stop, from: goes, to: stands, after: 0.1}]
+bodies: {b: {mass: 1, start: {y: %s, dx: 1}}}
+surfaces: {plate: {line: [[0, 0], [1, 0]], displacement: [p, 0]}}
+contacts: {c: {point: {body: b}, surface: plate, friction: 0.5, %s}}
+outputs: {slips: {count: c.slip}}
+"""
+
+
+@pytest.mark.parametrize(
+    "law", [("0", "restitution: 0"), ("-0.005", "stiffness: 2000, damping: 20")]
+)
+def test_a_surface_that_stops_under_what_it_carries_lets_it_slide_in_the_same_jump(law) -> None:
+    model = interpret(read_text(BRAKED_PLATE % law, "f.yaml"))
+    for run, late in (by_events(model), 0.0), (by_steps(model, H), 2 * H):
+        stop, stick = run.trace.jumps
+        assert (stop.cause, stop.source[0], stop.target[0]) == ("stop", "pin", "slide+")
+        assert (stick.cause, stick.target[0]) == ("stick", "pin")
+        assert stick.t == pytest.approx(0.1 + 1 / 5, abs=1e-8 + late)
+        assert run.trace.final[0] == pytest.approx(0.1 + 1 / 10, abs=1e-8 + late)
+        assert run.outputs["slips"] == 1

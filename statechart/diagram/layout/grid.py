@@ -18,8 +18,8 @@ from typing import NamedTuple
 from statechart.diagram.layout.block import (
     Arrow,
     Attributes,
-    Block,
     Box,
+    LayoutBlock,
     Point,
     bounded,
     polyline,
@@ -123,7 +123,7 @@ def _spans(chart: Chart, order: tuple[Node, ...]) -> dict[str, Span]:
     return spans
 
 
-def grid(chart: Chart, style: Style, prefix: str) -> Block:
+def grid(chart: Chart, style: Style, prefix: str) -> LayoutBlock:
     """Lay out the product of two regions; see `Chart.axes`."""
     drawn = _Grid(chart, style, prefix)
     axes = (0, 1)
@@ -170,7 +170,6 @@ class _Grid:
         return f"{self.prefix}{'hv'[axis]}{number}"
 
     def _size(self, axis: int, bond: int) -> Point:
-        """Return width and height of the words on an arrow."""
         return self.sizes.get(self._key(axis, bond), (0.0, 0.0))
 
     def _measure(self) -> None:
@@ -243,7 +242,6 @@ class _Grid:
         return tracks, total
 
     def _side(self, axis: int, place: int, side: int, deep: int) -> float:
-        """Return where a state, or a frame around it, ends on one side (-1, 1)."""
         half = self.sides[axis][side > 0] + _MARGIN * deep if deep else self.cell[axis] / 2
         return self.places[axis][place] + side * half
 
@@ -264,7 +262,7 @@ class _Grid:
             top = self.places[across][0] - self.reach[across] - _MARGIN * deep
             end = self.size[across] + _MARGIN * deep
             colour = FRAME if node.infeasible is None else FAINT
-            size = _turned(k, high - low, end - top)
+            size = _along_axis(k, high - low, end - top)
             centre = _point(k, (low + high) / 2, (top + end) / 2)
             yield Box(self._key(k, f"_{number}"), centre, size, {**_BAND, "color": colour})
             name = self._key(k, f"in{number}")
@@ -325,11 +323,10 @@ class _Grid:
         return self._side(k, span[side > 0], side, deep)
 
 
-def _turned(axis: int, along: float, across: float) -> Point:
+def _along_axis(axis: int, along: float, across: float) -> Point:
     return (along, across) if axis == 0 else (across, along)
 
 
 def _point(axis: int, u: float, v: float) -> Point:
-    """Return a place on the page, y upwards."""
-    x, y = _turned(axis, u, v)
+    x, y = _along_axis(axis, u, v)
     return x, -y
