@@ -97,7 +97,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("names", nargs="*")
     asked = parser.parse_args()
-    compiled_loop._WORTH = -1  # whatever lies compiled on disk
+    compiled_loop._WORTH_COMPILING = -1  # whatever lies compiled on disk
     bad = 0
     print(f"{f'of {2 * asked.cells}':>41} {'us':>9} {'alone':>9}  differs")
     for name, model in models():

@@ -189,7 +189,7 @@ def soak(count: int, engine: str, seed: int) -> tuple[Counter[str], float, list[
 def main() -> None:
     """Print the counts."""
     # What is timed are runs in compiled loops, as of runners that make many.
-    compiled_loop._WORTH = 0
+    compiled_loop._WORTH_COMPILING = 0
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--terrains", type=int, default=2000)
     parser.add_argument("--engine", choices=["taylor", "scipy"], nargs="+")

@@ -100,9 +100,7 @@ def end(counts: bool = True) -> None:
     if _now.depth == 0:
         _now.spent += now - _now.began
         if _now.announced or now - _now.began >= _AFTER:
-            _report(
-                f"compiled {_now.name} in {now - _now.began:.0f} s; this happens once", last=True
-            )
+            _report(f"compiled {_now.name} in {now - _now.began:.0f} s; {_often()}", last=True)
     elif now - _now.reported_at >= _AFTER:
         _now.reported_at, _now.announced = now, True
         # What was counted on as compiled may be of no use, since another process compiled what it
@@ -110,9 +108,14 @@ def end(counts: bool = True) -> None:
         total = max(_now.total, _now.done + 1)
         _report(
             f"compiling {_now.name}: {_now.done} of {several(total, 'function')}, "
-            f"{now - _now.began:.0f} s; this happens once",
+            f"{now - _now.began:.0f} s; {_often()}",
             last=False,
         )
+
+
+def _often() -> str:
+    # heyoka keeps nothing on the disk.
+    return "this happens once" if _now.name == KERNELS else "once in each process"
 
 
 def _report(line: str, *, last: bool) -> None:

@@ -18,7 +18,7 @@ DIGITS, ALL_DIGITS = 7, 17
 """Significant digits of numbers for people, and those that tell all floats apart."""
 MAX_LISTED = 6
 """Values of a list that are written out; a longer one is summarised."""
-_NUMBER = re.compile(r"(-?\d+)(\.\d+)?(e[+-]?\d+)?")
+_NUMERIC_CELL = re.compile(r"(-?\d+)(\.\d+)?(e[+-]?\d+)?")
 
 # What is counted one by one; above it two digits say as much.
 _COUNTED = 10**9
@@ -80,7 +80,7 @@ def number(value: Any, digits: int = DIGITS) -> str:
 
 def aligned(texts: Sequence[str]) -> list[str]:
     """Return the texts of a column with the decimal points of its numbers below each other."""
-    found = [_NUMBER.fullmatch(text) for text in texts]
+    found = [_NUMERIC_CELL.fullmatch(text) for text in texts]
     width = max((len(one[1]) for one in found if one), default=0)
     return [
         text if one is None else " " * (width - len(one[1])) + text

@@ -27,7 +27,7 @@ def test_modules_and_files_that_a_page_names_exist(page: str) -> None:
     assert all((ROOT / file).exists() for file in files), files
 
 
-def test_every_folder_says_what_it_is_for_in_under_fifteen_lines() -> None:
+def test_every_folder_docstring_states_its_purpose_in_fifteen_lines() -> None:
     for package in ("statechart", "contacts"):
         for page in (ROOT / package).rglob("__init__.py"):
             doc = importlib.import_module(".".join(page.relative_to(ROOT).parts[:-1])).__doc__

@@ -9,5 +9,5 @@ def test_modes_of_contacts_keep_their_colours_and_other_states_have_none_of_thes
     assert not set(controller.values()) & set(contact.values())
 
 
-def test_a_state_beside_a_named_one_takes_the_first_of_the_other_colours():
+def test_an_unnamed_state_takes_the_first_free_colour():
     assert state_colours(("free", "wait"))["wait"] == state_colours(("wait",))["wait"]

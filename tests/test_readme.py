@@ -57,7 +57,7 @@ def test_the_readme_lists_the_verbs_of_the_command_line(capsys: Any) -> None:
     assert verbs == set(re.findall(r"^statechart (\w+)", README, re.M))
 
 
-def test_the_readme_lists_the_shipped_models_and_what_they_show() -> None:
+def test_the_readme_lists_the_shipped_models_with_their_subjects() -> None:
     table = README.split("## Models\n")[1].split("\n## ")[0]
     listed = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", table, re.M))
     shipped = {name: path(name) for name in names()}

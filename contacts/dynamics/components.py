@@ -22,14 +22,14 @@ from statechart.automaton.trace import Role
 _REGIONS = ("contacts", "couplings", "regions")
 _MOVING = ("coordinates", "bodies", *_REGIONS, "joints", "forces", "controls")
 
-# In the names of the parameters that say whether rows of joints are redundant, in their order.
-_ROW = ".redundant_"
+# Part of the names of the parameters that mark redundant joint rows.
+_REDUNDANT = ".redundant_"
 
 
 def components(
     scene: Scene, compose: Callable[[Scene], tuple[Automaton, SceneNumbers]]
 ) -> tuple[Component, ...]:
-    """Return the components of a scene, none where all of it belongs together."""
+    """Return the components of a scene; none if everything is coupled."""
     copied = any(body.copies is not None for body in scene.bodies.values())
     if scene.collisions or copied or scene.expanded is not scene:
         return ()
@@ -38,18 +38,18 @@ def components(
         return ()
     numbers: dict[int, SceneNumbers] = {}
 
-    def automaton(part: Data) -> Automaton:
-        made, own = compose(Scene.model_validate(part))
-        numbers[id(made)] = own
-        return made
+    def automaton(declaration: Data) -> Automaton:
+        component_automaton, numbers_of_part = compose(Scene.model_validate(declaration))
+        numbers[id(component_automaton)] = numbers_of_part
+        return component_automaton
 
     parts = split(data, _MOVING, _REGIONS, Path(__file__).parents[1] / "schema.json")
     if not all(part.get("bodies") for part, _ in parts):
-        # A controller of time alone is no scene by itself.
+        # A controller of time alone has no bodies and is no scene.
         return ()
     return composed(
         parts,
-        _form,
+        _scene_form,
         automaton,
         lambda made: partial(_restricted, numbers[id(made)]),
         _shown,
@@ -57,58 +57,58 @@ def components(
     )
 
 
-def _form(part: Data) -> Data:
+def _scene_form(declaration: Data) -> Data:
     """Return a declaration without the numbers that its equations take as parameters."""
-    found = deepcopy(part)
+    form = deepcopy(declaration)
     for section in ("bodies", "coordinates"):
-        for content in found.get(section, {}).values():
+        for content in form.get(section, {}).values():
             for key in ("start", "rate"):
                 content.pop(key, None)
             content["inertia"] = _class(content.get("inertia"))
-    for content in found.get("contacts", {}).values():
+    for content in form.get("contacts", {}).values():
         for key in ("friction", "restitution"):
             content[key] = _class(content.get(key))
-    return found
+    return form
 
 
 def _class(value: Any) -> Any:
-    """Return what the structure of equations shows of a number: whether it is 0, or 1."""
+    """Replace numbers other than 0 and 1, which shape the equations, by a placeholder."""
     if isinstance(value, dict):
-        return {key: _class(one) for key, one in value.items()}
+        return {key: _class(entry) for key, entry in value.items()}
     if isinstance(value, bool) or not isinstance(value, int | float):
         return value
     return value if value in (0, 1) else "a number"
 
 
-def _restricted(numbers: SceneNumbers, whole: Setup, places: Places) -> SceneSetup:
-    """Return the numbers of a run of a component: its own values, in the scales of the scene."""
-    assert isinstance(whole, SceneSetup)
-    assert whole.sizes is not None
-    values, variables = whole.values[places.parameters], places.variables
-    moving = variables[variables < len(whole.scales.sizes)]
+def _restricted(numbers: SceneNumbers, setup: Setup, places: Places) -> SceneSetup:
+    """Restrict the setup of a scene to a component; the scales remain those of the scene."""
+    assert isinstance(setup, SceneSetup)
+    assert setup.sizes is not None
+    values, variables = setup.values[places.parameters], places.variables
+    moving = variables[variables < len(setup.scales.sizes)]
     return replace(
-        whole,
+        setup,
         values=values,
-        initial=whole.initial[variables],
+        initial=setup.initial[variables],
         warnings=(),
-        sizes=whole.sizes[variables],
+        sizes=setup.sizes[variables],
         modes=None,
-        scales=replace(whole.scales, sizes=whole.scales.sizes[moving]),
+        scales=replace(setup.scales, sizes=setup.scales.sizes[moving]),
         contacts=numbers.contacts(values),
-        bands={name: whole.bands[name] for name in numbers.stops},
+        bands={name: setup.bands[name] for name in numbers.stops},
     )
 
 
 def _shown(role: Role, places: Places) -> Role:
-    """Return a role whose shared load names coordinates and rows of joints as the scene does."""
+    """Renumber the coordinates and joint rows of a shared load from component to scene."""
     share = role.share
     if not isinstance(share, Bearing):
         return role
-    rows = [place for place, n in enumerate(places.whole.parameter_names) if _ROW in n]
-    own = [place for place in places.parameters.tolist() if place in rows]
+    rows = [place for place, n in enumerate(places.whole.parameter_names) if _REDUNDANT in n]
+    own_rows = [place for place in places.parameters.tolist() if place in rows]
     return role._replace(
         share=share._replace(
             coordinates=tuple(places.variables.item(k) for k in share.coordinates),
-            joints=tuple(rows.index(own[k]) for k in share.joints),
+            joints=tuple(rows.index(own_rows[k]) for k in share.joints),
         )
     )

@@ -1,12 +1,12 @@
 """Conditions of contacts (`enabled`, ends of edges): verdicts and margins.
 
-A contact is on while its gate holds, once its gap was open under it. Off, it bears no
-force and its gap is not watched: a foot inside the surface (scuffing) comes back once it is out.
+A contact is on while its gate holds and its gap has been open since the gate began to hold. A
+contact that is off bears no force and its gap is not watched: a foot inside the surface (scuffing)
+becomes active again once it is outside.
 
-A condition is an atom of a gate, f >= 0 or f > 0 (`contacts.dynamics.gates`). Beyond the round-off
-of its terms the sign of f decides; within, the first derivative of f in time that is not zero,
-along the motion. Where all derivatives are zero the relation itself decides: f >= 0 holds, f > 0
-does not.
+A condition is an atom of a gate, f >= 0 or f > 0 (`contacts.dynamics.gates`). The sign of f decides
+beyond the round-off of its terms; within it, the first nonzero time derivative of f along the
+motion decides. If all derivatives are zero, f >= 0 holds and f > 0 does not.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ from statechart.automaton.trace import Key, Roles
 if TYPE_CHECKING:
     from contacts.dynamics.setup import SceneSetup
 
-# More often than this, what contacts are on and how they move do not come to agree.
-_ROUNDS = 8
-# Gradients are differences over this part of the sizes of coordinates.
+# Limit of the fixed-point iteration between verdicts and the motion that they imply.
+_MAX_VERDICT_ROUNDS = 8
+# Step of difference quotients, relative to the sizes of coordinates.
 _DIFFERENCE = 1e-6
 
 
@@ -65,51 +65,53 @@ class _Condition(NamedTuple):
 
 
 class Conditions:
-    """Judges the conditions of a scene's contacts.
+    """Conditions of a scene's contacts as one tape.
 
-    The `tape` computes, from the state (2 n,) and the sizes of its entries, `PER_CONDITION` numbers
-    of each atom; then as many of each contact, of which the first is its gap.
+    From the state (2 n,) and the sizes of its entries the `tape` computes `PER_CONDITION` numbers
+    per atom, then as many per contact, of which the first is its gap.
     """
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None = None) -> None:
         contacts = mechanics.scene.frictional
         self._count = len(contacts)
         initial = mechanics.scene.controlled.initial
-        known = values_in(mechanics, initial if states is None else states)
+        controlled = values_in(mechanics, initial if states is None else states)
         gates = [mechanics.gate(name) for name in contacts]
         self._conditions = tuple(
-            _Condition(place, atom, atom.margin.xreplace(known))
+            _Condition(place, atom, atom.margin.xreplace(controlled))
             for place, gate in enumerate(gates)
             for atom in (() if gate is None else gate.atoms)
         )
         self.present = bool(self._conditions)
-        # For every contact the first contact of the same point.
+        # Index of the first contact of the same point, per contact.
         touching = [mechanics.scene.contacts.get(name) for name in contacts]
         self.points = tuple(
-            next(k for k, other in enumerate(touching) if k == place or _alike(other, one))
-            for place, one in enumerate(touching)
+            next(k for k, other in enumerate(touching) if k == place or _alike(other, condition))
+            for place, condition in enumerate(touching)
         )
-        # The margins that fall as atoms cease to hold, as they begin to, and as the gap of a
-        # contact opens that is off ("" without a gate).
-        self.names = tuple(one.atom.name for one in self._conditions)
-        self.back = tuple(one.atom.back for one in self._conditions)
+        # Names of the margins that fall as atoms cease to hold, as they begin to hold, and as the
+        # gap of a contact opens that is off ("" without a gate).
+        self.names = tuple(condition.atom.name for condition in self._conditions)
+        self.back = tuple(condition.atom.back for condition in self._conditions)
         self.gaps = tuple("" if gate is None else gate.gap for gate in gates)
         self.nodes = tree(gates)
         self._roles = roles_in(tuple((initial if states is None else states).values()))
         self._memory = len(mechanics.controller_state)
         self._moving = {*mechanics.variables}
-        memory = controller_rates_in(mechanics, known)
+        memory = controller_rates_in(mechanics, controlled)
         rates = {**dict(zip(mechanics.q, mechanics.v, strict=True)), **memory}
         sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in mechanics.variables}
         outputs: list[sp.Expr] = []
-        for one in self._conditions:
+        for condition in self._conditions:
             # The derivatives of rates depend on the mode.
-            of_rates = bool(one.margin.free_symbols.intersection(mechanics.v))
-            rate = sp.S.Zero if of_rates else time_derivative(one.margin, rates, mechanics.time)
+            of_rates = bool(condition.margin.free_symbols.intersection(mechanics.v))
+            rate = (
+                sp.S.Zero if of_rates else time_derivative(condition.margin, rates, mechanics.time)
+            )
             outputs += [
-                one.margin,
+                condition.margin,
                 rate,
-                rounding_scale(one.margin, sizes),
+                rounding_scale(condition.margin, sizes),
                 rounding_scale(rate, sizes),
             ]
         for name, gate in zip(contacts, gates, strict=True):
@@ -125,21 +127,21 @@ class Conditions:
         )
 
     def slots(self, margins: Sequence[str]) -> Ints:
-        """Return (2 k + c,): places among `margins` of `names`, `back` and `gaps`, or -1."""
+        """Return the indices (2 k + c,) of `names`, `back` and `gaps` in `margins`, or -1."""
         places = {margin: place for place, margin in enumerate(margins)}
         names = (*self.names, *self.back, *self.gaps)
         return np.array([places.get(name, -1) for name in names], np.int64)
 
     def first(self, verdicts: Sequence[int]) -> tuple[str, ...]:
-        """Return, for every contact, the first relation of a gate that fails; else ""."""
+        """Return the first relation that fails in the gate of every contact, or ""."""
         result = [""] * self._count
-        found = np.empty(len(self.nodes), np.int64)
-        truths(self.nodes, np.array(verdicts, np.int64), found)
+        node_verdicts = np.empty(len(self.nodes), np.int64)
+        truths(self.nodes, np.array(verdicts, np.int64), node_verdicts)
         top = -1
         for k, (kind, above, contact) in enumerate(self.nodes.tolist()):
             top = k if above < 0 else top
             # The parts of the topmost node are the relations.
-            if above == top and found[k] == FAILS and not result[contact]:
+            if above == top and node_verdicts[k] == FAILS and not result[contact]:
                 atom = kind
                 for below in range(k + 1, len(self.nodes)):
                     if atom >= 0:
@@ -173,10 +175,10 @@ class ConditionsAt:
         )
 
     def tolerances(self, verdicts: Sequence[int] = ()) -> dict[str, float]:
-        """Return margin -> how far below zero a flow from here lets it go: its round-off.
+        """Return margin -> how far below zero a flow may let it fall: its round-off.
 
-        Infinitely far, if no certificate needs it. `verdicts` are those of the atoms, where further
-        derivatives have decided them.
+        The tolerance of a margin that no certificate needs is infinite. `verdicts` are those of
+        the atoms, if higher derivatives have decided them.
         """
         of, setup = self._of, self._setup
         if not of.present:
@@ -184,13 +186,12 @@ class ConditionsAt:
         judged = np.array(verdicts, np.int64) if verdicts else self._verdicts
         names = (*of.names, *of.back, *of.gaps)
         bands = np.empty(len(names))
-        near = setup.tolerances["gap"]
-        margin_bands(of.nodes, self._values, setup.precision, near, judged, bands)
+        gap_tolerance = setup.tolerances["gap"]
+        margin_bands(of.nodes, self._values, setup.precision, gap_tolerance, judged, bands)
         return {name: band for name, band in zip(names, bands.tolist(), strict=True) if name}
 
     @cached_property
     def _margins(self) -> tuple[Array, Array]:
-        """Margins (k,) of all atoms, and their round-off."""
         rows = self._values.reshape(-1, PER_CONDITION)[: len(self._verdicts)]
         bands = [round_off(size, self._setup.precision) for size in rows[:, 2].tolist()]
         return rows[:, 0], np.array(bands)
@@ -207,41 +208,40 @@ class ConditionsAt:
         return bool(self._is_zero.any())
 
     @cached_property
-    def blurred(self) -> list[float]:
-        """Distance, for every contact, that a place may be off where a gate of its point is zero.
+    def position_uncertainty(self) -> list[float]:
+        """Position error of every contact's point at the boundary of its gate.
 
-        That is the round-off of the gate over its gradient, in coordinates.
+        The round-off of the gate divided by the norm of its gradient in the coordinates.
         """
         points, state = self._of.points, self._state
-        found = [0.0] * len(points)
-        here, bands = self._margins
-        # A margin that has just fallen lies at the bound of its round-off.
-        places = np.flatnonzero(np.abs(here) <= 2.0 * bands)
+        uncertainties = [0.0] * len(points)
+        margins, bands = self._margins
+        # A margin that has just fallen lies at the limit of its round-off.
+        places = np.flatnonzero(np.abs(margins) <= 2.0 * bands)
         if not places.size:
-            return found
-        gradients = np.empty((len(here), len(state) // 2))
+            return uncertainties
+        gradients = np.empty((len(margins), len(state) // 2))
         for i in range(len(state) // 2):
             moved = state.copy()
             moved[i] += _DIFFERENCE * max(abs(state[i]), self._setup.scales.sizes[i])
-            there = self._numbers(moved)[: PER_CONDITION * len(here) : PER_CONDITION]
-            gradients[:, i] = (there - here) / (moved[i] - state[i])
+            shifted_margins = self._numbers(moved)[: PER_CONDITION * len(margins) : PER_CONDITION]
+            gradients[:, i] = (shifted_margins - margins) / (moved[i] - state[i])
         steep = np.linalg.norm(gradients, axis=1)
         for k in places[steep[places] > 0.0].tolist():
             point = points[self._of._conditions[k].contact]
-            found[point] = max(found[point], bands[k] / steep[k])
-        return [found[point] for point in points]
+            uncertainties[point] = max(uncertainties[point], bands[k] / steep[k])
+        return [uncertainties[point] for point in points]
 
     def with_boundary(
         self, verdicts: Sequence[int], contacts: Collection[int], fired: Collection[str]
     ) -> list[int]:
-        """Return the verdicts if the atoms of contacts hold that are zero within round-off.
-
-        Not those whose margins fell.
-        """
+        """Return the verdicts if the zero atoms of `contacts` hold, except those that fired."""
         atoms = zip(self._of._conditions, verdicts, self._is_zero.tolist(), strict=True)
         return [
-            HOLDS if one.contact in contacts and one.atom.name not in fired and zero else verdict
-            for one, verdict, zero in atoms
+            HOLDS
+            if condition.contact in contacts and condition.atom.name not in fired and zero
+            else verdict
+            for condition, verdict, zero in atoms
         ]
 
     def failing(self) -> tuple[str, ...]:
@@ -256,78 +256,81 @@ class ConditionsAt:
     ) -> list[int]:
         """Return the verdict of every atom.
 
-        Where all derivatives are zero the margins decide that `fired`, and the conditions of
-        contacts hold that are `on` (c,). `motion` returns, for the contacts (c,) whose conditions
-        fail, the roles in which the scene then moves, or None: further derivatives are taken along
-        it, until what holds and how it moves agree.
+        If all derivatives of an atom are zero, a margin in `fired` decides it, and the conditions
+        of contacts that are `on` (c,) hold. `motion` returns the roles in which the scene moves if
+        the conditions of given contacts (c,) fail, or None. Higher derivatives are taken along that
+        motion, by a fixed-point iteration on verdicts and motion.
         """
-        found = self._verdicts.tolist()
-        unsure = [k for k, verdict in enumerate(found) if verdict == UNSURE]
-        standing = [self._judge_staying(k, fired, on) for k in unsure]
+        verdicts = self._verdicts.tolist()
+        unsure = [k for k, verdict in enumerate(verdicts) if verdict == UNSURE]
+        at_rest = [self._judge_staying(k, fired, on) for k in unsure]
         if motion is None or self._setup.modes is None or not unsure:
-            for k, still in zip(unsure, standing, strict=True):
-                found[k] = still
-            return found
+            for k, verdict in zip(unsure, at_rest, strict=True):
+                verdicts[k] = verdict
+            return verdicts
         for k in unsure:
-            found[k] = self._judge_staying(k, (), on)
+            verdicts[k] = self._judge_staying(k, (), on)
 
-        def ways(verdicts: Sequence[int]) -> list[float] | None:
+        def derivative_signs(verdicts: Sequence[int]) -> list[float] | None:
             roles = motion([name != "" for name in self._of.first(verdicts)])
-            return None if roles is None else [self._way(roles, k) for k in unsure]
+            return None if roles is None else [self._derivative_sign(roles, k) for k in unsure]
 
-        tried = [found]
-        for _ in range(_ROUNDS):
-            signs = ways(found)
+        tried = [verdicts]
+        for _ in range(_MAX_VERDICT_ROUNDS):
+            signs = derivative_signs(verdicts)
             if signs is None:
-                return found
-            found = [*found]
-            for k, way, still in zip(unsure, signs, standing, strict=True):
-                found[k] = HOLDS if way > 0.0 else FAILS if way < 0.0 else still
-            if found == tried[-1]:
-                return found
-            if found in tried:
+                return verdicts
+            verdicts = [*verdicts]
+            for k, sign, verdict in zip(unsure, signs, at_rest, strict=True):
+                verdicts[k] = HOLDS if sign > 0.0 else FAILS if sign < 0.0 else verdict
+            if verdicts == tried[-1]:
+                return verdicts
+            if verdicts in tried:
                 break
-            tried.append(found)
-        # Each motion leads back to the boundary, as in a valley: there they hold together.
-        around = tried[tried.index(found) :] if found in tried else tried
-        closed = [max(verdicts) for verdicts in zip(*around, strict=True)]
-        signs = ways(closed)
-        return found if signs is None or min(signs) < 0.0 else closed
+            tried.append(verdicts)
+        # A cycle: each motion leads back to the boundary, as in a valley, where all of them hold.
+        cycle = tried[tried.index(verdicts) :] if verdicts in tried else tried
+        union = [max(judged) for judged in zip(*cycle, strict=True)]
+        signs = derivative_signs(union)
+        return verdicts if signs is None or min(signs) < 0.0 else union
 
-    def _judge_staying(self, k: int, fired: Collection[str], on: Sequence[bool]) -> int:
-        """Judge an atom that stays on its boundary as far as its derivatives tell."""
-        one = self._of._conditions[k]
-        if one.atom.name in fired:
+    def _judge_staying(self, k: int, fired: Collection[str], closed: Sequence[bool]) -> int:
+        """Judge an atom all of whose derivatives are zero."""
+        condition = self._of._conditions[k]
+        if condition.atom.name in fired:
             return FAILS
-        if on and on[one.contact] and one.margin.free_symbols & self._of._moving:
+        if (
+            closed
+            and closed[condition.contact]
+            and condition.margin.free_symbols & self._of._moving
+        ):
             return HOLDS
-        return HOLDS if one.atom.closed or one.atom.back in fired else FAILS
+        return HOLDS if condition.atom.closed or condition.atom.back in fired else FAILS
 
-    def _way(self, roles: Roles, k: int) -> float:
-        """Return the sign of the first derivative of an atom in a mode that is not zero."""
+    def _derivative_sign(self, roles: Roles, k: int) -> float:
+        """Return the sign of the first nonzero derivative of an atom's margin in a mode."""
         of, setup = self._of, self._setup
         memory, values = np.split(setup.values, [of._memory])
-        whole = np.concatenate([self._state, memory])
+        full_state = np.concatenate([self._state, memory])
         assert setup.sizes is not None
-        sizes = np.maximum(np.abs(whole), setup.sizes)
+        sizes = np.maximum(np.abs(full_state), setup.sizes)
         inner, roles = replace(setup, values=values), (*roles, *of._roles)
         margin = of._conditions[k].margin
-        return of._derivatives.sign(inner, roles, margin, whole, sizes, self._time, setup.precision)
+        return of._derivatives.sign(
+            inner, roles, margin, full_state, sizes, self._time, setup.precision
+        )
 
 
-def _alike(one: Contact | None, other: Contact | None) -> bool:
+def _alike(first: Contact | None, second: Contact | None) -> bool:
     return (
-        one is not None
-        and other is not None
-        and (one.point, one.radius) == (other.point, other.radius)
+        first is not None
+        and second is not None
+        and (first.point, first.radius) == (second.point, second.radius)
     )
 
 
 def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
-    """Return the snapshot with the contacts that are off infinitely far away.
-
-    Their other numbers, which need not be finite, are 0.
-    """
+    """Return the snapshot with infinite gaps, and zeros, for the contacts that are off."""
     if not any(state in INACTIVE for state in mode):
         return snapshot
     jacobians, biases = snapshot.jacobians.copy(), snapshot.biases.copy()
@@ -339,9 +342,13 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
             jacobians[i] = biases[i] = 0.0
             zeros = (0.0,) * len(PerContact._fields[1:-2])
             contacts[i] = PerContact._make((math.inf, *zeros, jacobians[i], None))
-    held = snapshot.held
-    if held is not None:
-        held = replace(held, whole=hidden(held.whole, mode))
+    reduction = snapshot.reduction
+    if reduction is not None:
+        reduction = replace(reduction, unreduced=hidden(reduction.unreduced, mode))
     return snapshot._replace(
-        contacts=tuple(contacts), forces=forces, jacobians=jacobians, biases=biases, held=held
+        contacts=tuple(contacts),
+        forces=forces,
+        jacobians=jacobians,
+        biases=biases,
+        reduction=reduction,
     )

@@ -1,4 +1,4 @@
-"""Modes of a contact in a run, and the edge of its friction cone."""
+"""Contact law: the modes, friction cone and restitution of a contact in a run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ContactLaw(NamedTuple):
     restitution: float  # Coefficient, 0 where the contact is never free
     impact: str  # stronge, newton, poisson or moreau
     coupling: bool = False  # Whether it is a coupling
-    # Place of the contact whose normal force the limits of a coupling are multiples of; -1: none
+    # Index of the contact whose normal force multiplies the limits of a coupling; -1: none
     carrier: int = -1
 
 
@@ -47,15 +47,15 @@ def sliding_edge(law: ContactLaw, contact: PerContact) -> tuple[float, float]:
 
 @lru_cache(maxsize=1024)
 def carriers(laws: tuple[ContactLaw, ...]) -> Ints:
-    """Return the places (c,) of the contacts that load couplings; -1 elsewhere."""
+    """Return the indices (c,) of the contacts that load couplings; -1 elsewhere."""
     return np.array([law.carrier for law in laws], np.int64)
 
 
 def bounds(laws: Sequence[ContactLaw], snapshot: Snapshot) -> Array:
-    """Return the `cones` (c, 6) of contacts; first the two limits of couplings, the last rows."""
-    found = cones(laws, snapshot.contacts)
-    found[len(found) - len(snapshot.limits) :, :2] = snapshot.limits
-    return found
+    """Return `cones` (c, 6), with the two limits of couplings in their first two columns."""
+    edges = cones(laws, snapshot.contacts)
+    edges[len(edges) - len(snapshot.limits) :, :2] = snapshot.limits
+    return edges
 
 
 def edge(mu: float) -> tuple[float, float]:
@@ -67,5 +67,5 @@ def edge(mu: float) -> tuple[float, float]:
 
 def edges(mu: Array) -> tuple[Array, Array]:
     """Return the unit edges of cones of friction (k,), as two columns (k,)."""
-    n, t = np.array([edge(one) for one in mu.tolist()]).reshape(-1, 2).T
+    n, t = np.array([edge(coefficient) for coefficient in mu.tolist()]).reshape(-1, 2).T
     return n, t

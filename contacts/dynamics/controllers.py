@@ -1,7 +1,7 @@
-"""Controllers as regions: their guards, and their variables behind those of the motion.
+"""Controllers as regions: guards, and variables that follow those of the motion in the state.
 
-Forces may depend on the variables, but nothing that contacts do changes them: the laws of contacts
-see them as they see parameters.
+Forces may depend on the variables, but contacts do not change them: contact laws take them as
+parameters.
 """
 
 from __future__ import annotations
@@ -76,22 +76,21 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
 
 
 def _flows(mechanics: Mechanics, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
-    """Return what a state of a controller sets rates of its variables to."""
     rates = mechanics.controller_rates
     flows = mechanics.scene.controlled.flows(region, state)
     return {rates[v]: parse(text).to_sympy(mechanics.known) for v, text in flows.items()}
 
 
 def flows_in(mechanics: Mechanics, states: Mapping[str, str]) -> list[sp.Expr]:
-    """Return the rates of what controllers remember while they are in these states."""
-    found: dict[sp.Symbol, sp.Expr] = {}
+    """Return the rates of the controllers' variables in these states."""
+    flows: dict[sp.Symbol, sp.Expr] = {}
     for name, state in states.items():
-        found |= _flows(mechanics, name, state)
-    return [found.get(rate, sp.S.Zero) for rate in mechanics.controller_rates.values()]
+        flows |= _flows(mechanics, name, state)
+    return [flows.get(rate, sp.S.Zero) for rate in mechanics.controller_rates.values()]
 
 
 def controlled_symbols(mechanics: Mechanics) -> tuple[sp.Symbol, ...]:
-    """Return the symbols that states of controllers set: controls, and rates of variables."""
+    """Return the symbols that states of controllers set: controls, and nonzero rates."""
     return (
         *mechanics.controls,
         *(rate for rate in mechanics.controller_rates.values() if rate != 0),
@@ -99,35 +98,34 @@ def controlled_symbols(mechanics: Mechanics) -> tuple[sp.Symbol, ...]:
 
 
 def control_values(mechanics: Mechanics, states: Mapping[str, str]) -> list[Definition]:
-    """Return the values of `controlled_symbols` in these states, each after those that it uses."""
+    """Return the values of `controlled_symbols` in these states, in order of dependence."""
     flows = zip(mechanics.controller_rates.values(), flows_in(mechanics, states), strict=True)
     return [*mechanics.controlled(states), *((rate, flow) for rate, flow in flows if rate != 0)]
 
 
 def values_in(mechanics: Mechanics, states: Mapping[str, str]) -> dict[sp.Symbol, sp.Expr]:
-    """Return the values of `controlled_symbols` in these states, without symbols of each other."""
-    found: dict[sp.Symbol, sp.Expr] = {}
+    """Return the values of `controlled_symbols` in these states, substituted into each other."""
+    values: dict[sp.Symbol, sp.Expr] = {}
     for symbol, value in control_values(mechanics, states):
-        found[symbol] = value.xreplace(found)
-    return found
+        values[symbol] = value.xreplace(values)
+    return values
 
 
 def controller_rates_in(
     mechanics: Mechanics, known: Mapping[sp.Symbol, sp.Expr]
 ) -> dict[sp.Symbol, sp.Expr]:
-    """Return the rates of what controllers remember, with the values of `values_in`."""
+    """Return the rates of the controllers' variables, with the values of `values_in`."""
     rates = mechanics.controller_rates
     return {mechanics.controller_state[name]: rate.xreplace(known) for name, rate in rates.items()}
 
 
 class Controllers:
-    """The controllers of a scene: their states, and the guards out of these, built when needed."""
+    """States of a scene's controllers, and the guards of these states, built when needed."""
 
     def __init__(self, mechanics: Mechanics) -> None:
         self._mechanics = mechanics
         self._guards: dict[tuple[Key, bool], ControlGuards] = {}
         self.names = tuple(mechanics.scene.regions)
-        # The states that they start in.
         self.initial: Key = tuple(mechanics.scene.controlled.initial.values())
 
     def named(self, states: Key) -> dict[str, str]:
@@ -135,33 +133,33 @@ class Controllers:
         return dict(zip(self.names, states, strict=True))
 
     def guards(self, states: Key, *, at_events: bool = False) -> ControlGuards:
-        """Return the guards out of the states: those that fire, or those judged at events."""
+        """Return the guards of the states: those that fire in a flow, or those judged at events."""
         key = states, at_events
         if key not in self._guards:
-            made = guards_at_events if at_events else guards
-            self._guards[key] = ControlGuards(self._mechanics, self.named(states), made)
+            select = guards_at_events if at_events else guards
+            self._guards[key] = ControlGuards(self._mechanics, self.named(states), select)
         return self._guards[key]
 
 
 class ControlGuards:
-    """The guards of the controllers in some states, and the numbers that they depend on.
+    """Guards of the controllers in given states, and the quantities that they depend on.
 
-    Accelerations and contact forces are inputs, solved for where a guard is on its boundary: no
-    mode is built for it. Accelerations are taken as constant there; how forces change is not
-    known, so that a guard on them waits for its margin to fall.
+    Accelerations and contact forces are inputs, solved for when a guard is on its boundary, so
+    that no mode is built for them. Accelerations count as constant there. The rates of forces are
+    unknown: a guard on forces waits for its margin to fall.
     """
 
     def __init__(
         self,
         mechanics: Mechanics,
         states: Mapping[str, str],
-        made: Callable[[int, FlatRegion, str], list[Guard]],
+        select: Callable[[int, FlatRegion, str], list[Guard]],
     ) -> None:
         known = values_in(mechanics, states)
         memory = controller_rates_in(mechanics, known)
         watched: list[Guard] = []
         for place, (name, region) in enumerate(mechanics.scene.controlled.flat.items()):
-            watched += made(place, region, states[name])
+            watched += select(place, region, states[name])
         names = set().union(*(guard.relation.names for guard in watched))
         forces = [force for pair in mechanics.forces.values() for force in pair]
         forces += [*mechanics.couples.values(), *(row.force for row in mechanics.joint_rows)]
@@ -186,19 +184,19 @@ class ControlGuards:
         self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)
 
     def typical(self, setup: SceneSetup) -> Array:
-        """Return the size of accelerations and forces."""
+        """Return the typical sizes of accelerations and forces."""
         return setup.scales.solved(len(self._unsolved))
 
     def rows(
         self, setup: SceneSetup, time: float, state: Array, solved: Array | None = None
     ) -> Array:
-        """Return what `GuardWatch.at` does; `solved` are accelerations and forces."""
+        """Evaluate `GuardWatch.at`; `solved` are accelerations and forces."""
         return self.watch.at(setup, self._inputs(state, solved), self._sizes(setup), time)
 
     def rates_of(
         self, k: int, setup: SceneSetup, time: float, state: Array, solved: Array | None
     ) -> Array:
-        """Return what `GuardWatch.rates_of` does."""
+        """Evaluate `GuardWatch.rates_of`."""
         inputs = self._inputs(state, solved)
         return self.watch.rates_of(k, setup, inputs, self._sizes(setup), time)
 
@@ -224,7 +222,7 @@ class ControlGuards:
 
 
 class ControllerState:
-    """The variables of a scene's controllers; all of it does nothing where there are none."""
+    """Variables of a scene's controllers, appended to the state of the motion."""
 
     def __init__(self, mechanics: Mechanics) -> None:
         self._mechanics = mechanics
@@ -233,15 +231,15 @@ class ControllerState:
         self._updates: dict[tuple[tuple[tuple[str, object], ...], ...], Tape] = {}
 
     def parted(self, state: Array) -> Array:
-        """Return the part of a state, or of terms, that is positions and rates."""
+        """Return positions and rates: the state without the controllers' variables."""
         return state[: self._size] if self._names else state
 
     def joined(self, motion: Array, state: Array) -> Array:
-        """Return positions and rates with what is remembered in `state`."""
+        """Return positions and rates with the controllers' variables of `state`."""
         return np.concatenate([motion, state[self._size :]]) if self._names else motion
 
     def within(self, setup: SceneSetup, state: Array) -> SceneSetup:
-        """Return the numbers of a run as the laws of contacts take them in `state`."""
+        """Return the setup with the controllers' variables as the first parameters."""
         if not self._names:
             return setup
         return replace(setup, values=np.concatenate([state[self._size :], setup.values]))
@@ -261,7 +259,7 @@ class ControllerState:
     def updated(
         self, setup: SceneSetup, clock: Clock, cause: str, blocks: tuple[Updates, ...], state: Array
     ) -> Array:
-        """Return the state after updates; those of a block see what the one before it left.
+        """Return the state after updates; each block uses the values that the last one set.
 
         Raises `NonFinite` if one has no finite value.
         """

@@ -1,8 +1,8 @@
-"""Gates of contacts: the relations `enabled`, and the ends of edges, over smooth atoms.
+"""Gates of contacts: the relations `enabled`, and the ends of edges, as trees of smooth atoms.
 
-A contact is off where its gate does not hold. The margins of its atoms fall as atoms cease to hold
-while it is on, and as they begin to hold, or its gap to be open, while it is off. A certificate
-says which of them are watched (see `statechart.formulas.condition`).
+A contact is off while its gate does not hold. While it is on, the margins of its atoms fall as
+they cease to hold; while it is off, as they begin to hold, and the margin of its gap falls as the
+gap opens. Certificates (`statechart.formulas.condition`) select the margins that are watched.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
 HOLDS, FAILS, UNSURE = 1, -1, 0
-"""Judgements of an atom, and of a gate; the last where derivatives are to decide."""
+"""Verdicts of an atom and of a gate; derivatives decide an UNSURE one."""
 EVERY, SOME = -1, -2
-"""Nodes of `tree` that hold where all of their parts do, and where one does."""
+"""Kinds of nodes of `tree`: conjunction and disjunction."""
 
 PER_CONDITION = 4
 """Numbers of a condition: its margin, the first derivative in time, the sizes of their terms."""
-# At a multiple zero the terms vanish with f: they are looked at this far beside it, a power of the
-# relative round-off, so that what rounds to zero there does not.
+# At a multiple zero the terms vanish with f. Their sizes are therefore also evaluated at a state
+# shifted by this power of the relative round-off.
 _OFFSET_POWER = 0.75
-# Added to a margin by steps: a zero then counts as its relation says.
-_TIE = 1e-300
+# Added to a margin in runs by steps, so that a zero counts as the relation (>= or >) says.
+_ZERO_SHIFT = 1e-300
 
 
 class GateAtom(NamedTuple):
     """An atom of a gate."""
 
-    # `name`, `back`: Names of the margins that fall as it ceases to hold, and as it begins to
+    # `name`, `back`: Names of the margins that fall as it ceases, and as it begins to hold
     name: str
     back: str
     words: str  # The relation that it belongs to
@@ -57,7 +57,7 @@ class Gate:
     contact: str
     off: str  # Its state while the gate does not hold, as in ``tip.off``
     atoms: tuple[GateAtom, ...]
-    root: Any  # Leaves are places in `atoms`
+    root: Any  # Leaves are indices of `atoms`
     wholes: Mapping[str, sp.Expr]  # Words of a relation of several atoms -> its margin
 
     @property
@@ -80,40 +80,41 @@ class Gate:
 
     def back(self, gap: sp.Expr) -> tuple[Margin, ...]:
         """Return the margins that bring the contact back: of its atoms, and of its gap."""
-        parts = dict.fromkeys(atom.words for atom in self.atoms)
+        relations = dict.fromkeys(atom.words for atom in self.atoms)
         margins = {atom.words: atom.margin for atom in self.atoms} | dict(self.wholes)
-        found = [(atom.back, atom.margin) for atom in self.atoms]
-        limits = [margins[words] for words in parts]
+        margins_by_name = [(atom.back, atom.margin) for atom in self.atoms]
+        limits = [margins[words] for words in relations]
         if gap != 0:
             # A coupling has none.
-            found.append((self.gap, gap))
+            margins_by_name.append((self.gap, gap))
             limits.insert(0, gap)
-        whole = -sp.Min(*limits, evaluate=False)
+        distance = -sp.Min(*limits, evaluate=False)
         return tuple(
-            Margin(name, -margin, relation=self.off, whole=whole) for name, margin in found
+            Margin(name, -margin, relation=self.off, whole=distance)
+            for name, margin in margins_by_name
         )
 
     def by_steps(
         self, values: Mapping[sp.Symbol, sp.Expr], valleys: Mapping[str, sp.Expr] | None = None
     ) -> sp.Expr:
-        """Return the margin of the gate where steps judge it at their ends: > 0 while it holds.
+        """Return the margin of the gate at the end of a time step: > 0 while it holds.
 
-        An end of an edge counts for nothing where its value in `valleys` is positive.
+        An end of an edge is ignored if its value in `valleys` is positive.
         """
-        eased = valleys or {}
-        if len(self.atoms) == 1 and not eased:
+        ignored = valleys or {}
+        if len(self.atoms) == 1 and not ignored:
             return self.atoms[0].margin.xreplace(values)
 
         def margin(tree: Any) -> sp.Expr:
             if isinstance(tree, Every | Some):
                 return (sp.Min if isinstance(tree, Every) else sp.Max)(*map(margin, tree.parts))
             atom = self.atoms[tree]
-            found = atom.margin.xreplace(values)
-            if atom.words in eased:
-                found = sp.Max(found, eased[atom.words])
+            value = atom.margin.xreplace(values)
+            if atom.words in ignored:
+                value = sp.Max(value, ignored[atom.words])
             if atom.words not in self.wholes:
-                return found
-            return found + sp.Float(_TIE if atom.closed else -_TIE)
+                return value
+            return value + sp.Float(_ZERO_SHIFT if atom.closed else -_ZERO_SHIFT)
 
         return margin(self.root)
 
@@ -136,7 +137,7 @@ def gate_of(
     wholes: dict[str, sp.Expr] = {}
     for text in relations:
         relation = parse_relation(text)
-        condition, words, first = (
+        condition, words, offset = (
             relation.condition(known, states),
             f"{contact}: {text}",
             len(atoms),
@@ -146,7 +147,7 @@ def gate_of(
         backs = condition.names(f"{off}: {text}")
         for name, back, atom in zip(condition.names(words), backs, condition.atoms, strict=True):
             atoms.append(GateAtom(name, back, words, -atom.expression, not atom.strict))
-        parts.append(replaced(condition.root, partial(operator.add, first)))
+        parts.append(replaced(condition.root, partial(operator.add, offset)))
     for end, margin in ends.items():
         parts.append(len(atoms))
         words = f"{contact}: {end}"
@@ -155,99 +156,103 @@ def gate_of(
 
 
 def tree(gates: Sequence[Gate | None]) -> Ints:
-    """Return the trees of gates as nodes (m, 3): every node stands before those below it.
+    """Return the trees of gates as nodes (m, 3), parents before children.
 
-    Columns: the place of an atom among those of all gates, or `EVERY`, `SOME`; the node above, -1
-    at the top; the contact.
+    Columns: the index of an atom among those of all gates, or `EVERY`, `SOME`; the parent, -1 for
+    a root; the contact.
     """
     rows: list[tuple[int, int, int]] = []
 
-    def add(node: Any, above: int, place: int, first: int) -> None:
-        here = len(rows)
+    def add(node: Any, above: int, place: int, offset: int) -> None:
+        index = len(rows)
         if isinstance(node, Every | Some):
             rows.append((EVERY if isinstance(node, Every) else SOME, above, place))
-            for part in node.parts:
-                add(part, here, place, first)
+            for child in node.parts:
+                add(child, index, place, offset)
         else:
-            rows.append((first + node, above, place))
+            rows.append((offset + node, above, place))
 
-    first = 0
+    count = 0
     for place, gate in enumerate(gates):
         if gate is not None:
-            add(gate.root, -1, place, first)
-            first += len(gate.atoms)
+            add(gate.root, -1, place, count)
+            count += len(gate.atoms)
     return np.array(rows, np.int64).reshape(-1, 3)
 
 
 @kernel
-def truths(nodes: Ints, verdicts: Ints, found: Ints) -> None:
+def truths(nodes: Ints, verdicts: Ints, node_verdicts: Ints) -> None:
     """Write the verdict of every node (m,) of `tree`, from those of the atoms (k,)."""
     for i in range(nodes.shape[0]):
         kind = nodes[i, 0]
-        found[i] = HOLDS if kind == EVERY else FAILS if kind == SOME else verdicts[kind]
+        node_verdicts[i] = HOLDS if kind == EVERY else FAILS if kind == SOME else verdicts[kind]
     for i in range(nodes.shape[0] - 1, -1, -1):
         above = nodes[i, 1]
         if above >= 0:
             every = nodes[above, 0] == EVERY
-            found[above] = min(found[above], found[i]) if every else max(found[above], found[i])
+            node_verdicts[above] = (
+                min(node_verdicts[above], node_verdicts[i])
+                if every
+                else max(node_verdicts[above], node_verdicts[i])
+            )
 
 
 @kernel
-def opens(whole: int, gap: float, near: float) -> bool:
-    """Return whether the gap of a contact that is off is watched, by the verdict of its gate.
+def opens(verdict: int, gap: float, gap_tolerance: float) -> bool:
+    """Return whether the gap of a contact that is off is watched, given its gate's verdict.
 
-    A gate that is open to doubt fails if the contact is off though its gap is not below -`near`.
+    An unsure gate fails if the contact is off although its gap is not below -`gap_tolerance`.
     """
-    return whole == HOLDS or (whole == UNSURE and gap < -near)
+    return verdict == HOLDS or (verdict == UNSURE and gap < -gap_tolerance)
 
 
 @kernel
-def certificates(nodes: Ints, found: Ints, on: Ints, off: Ints) -> None:
-    """Write which atoms (k,) decide whether gates go on to hold, and to fail: 1, else 0.
+def certificates(nodes: Ints, node_verdicts: Ints, on: Ints, off: Ints) -> None:
+    """Mark the atoms (k,) that certify that gates hold (`on`), and that they fail (`off`).
 
-    An atom that fails is watched by a contact that is on only if its gate fails as a whole: then
-    its margin falls at once.
+    A contact that is on watches an atom that fails only if its whole gate fails: then the margin
+    falls at once.
     """
     needed = np.zeros(nodes.shape[0], np.int64)
     on[:] = 0
     off[:] = 0
-    whole = UNSURE
+    gate_verdict = UNSURE
     for i in range(nodes.shape[0]):
         kind = nodes[i, 0]
         if nodes[i, 1] < 0:
-            needed[i], whole = 1, found[i]
+            needed[i], gate_verdict = 1, node_verdicts[i]
         if needed[i] == 0:
             continue
         if kind >= 0:
-            on[kind] = 1 if found[i] != FAILS or whole == FAILS else 0
-            off[kind] = 1 if found[i] != HOLDS else 0
+            on[kind] = 1 if node_verdicts[i] != FAILS or gate_verdict == FAILS else 0
+            off[kind] = 1 if node_verdicts[i] != HOLDS else 0
             continue
-        one = found[i] == (FAILS if kind == EVERY else HOLDS)
+        decided_by_one = node_verdicts[i] == (FAILS if kind == EVERY else HOLDS)
         for j in range(i + 1, nodes.shape[0]):
-            if nodes[j, 1] == i and (not one or found[j] == found[i]):
+            if nodes[j, 1] == i and (not decided_by_one or node_verdicts[j] == node_verdicts[i]):
                 needed[j] = 1
-                if one:
+                if decided_by_one:
                     break
 
 
 @kernel
 def round_off(size: float, relative: float) -> float:
-    """Return up to which amount a condition is zero whose terms are so large."""
+    """Return the round-off of a condition whose terms have this size."""
     return max(relative * size, UNDERFLOW) if size < math.inf else UNDERFLOW
 
 
 @kernel
-def judge(value: float, rate: float, size: float, slow: float, relative: float) -> int:
-    """Judge a condition by its margin and the first derivative of that.
+def judge(value: float, rate: float, size: float, rate_size: float, relative: float) -> int:
+    """Judge a condition by its margin and its first derivative.
 
-    The sizes of their terms are `size` and `slow`, of which the part `relative` is zero.
+    The sizes of their terms are `size` and `rate_size`, their round-off is `relative` times these.
     """
     band = round_off(size, relative)
     if value > band:
         return HOLDS
     if value < -band:
         return FAILS
-    if abs(rate) > relative * slow:
+    if abs(rate) > relative * rate_size:
         return HOLDS if rate > 0.0 else FAILS
     return UNSURE
 
@@ -265,32 +270,32 @@ def conditions_at(
 ) -> Array:
     """Return the numbers (k, `PER_CONDITION`) of conditions in a state, flat; see `Conditions`.
 
-    `sizes` (2 n + 1,) are those of the state and of time, which are known to `relative` of them.
-    The sizes of terms are the larger ones of those in the state and beside it: at a multiple zero,
-    as of ``x**3``, they vanish.
+    `sizes` (2 n + 1,) are those of the state and of time, `relative` is their round-off. The sizes
+    of terms are the maximum over the state and a shifted one: at a multiple zero, as of ``x**3``,
+    they vanish.
     """
-    n, found, beside = state.shape[0], np.empty(outputs.shape[0]), np.empty(outputs.shape[0])
-    both = np.empty(2 * n)
+    n, numbers, shifted = state.shape[0], np.empty(outputs.shape[0]), np.empty(outputs.shape[0])
+    state_and_sizes = np.empty(2 * n)
     for i in range(n):
-        both[i], both[n + i] = state[i], max(abs(state[i]), sizes[i])
-    tape_values(code, constants, outputs, both, parameters, time, found)
+        state_and_sizes[i], state_and_sizes[n + i] = state[i], max(abs(state[i]), sizes[i])
+    tape_values(code, constants, outputs, state_and_sizes, parameters, time, numbers)
     moved = relative**_OFFSET_POWER
     for i in range(n):
-        both[i] += moved * both[n + i]
+        state_and_sizes[i] += moved * state_and_sizes[n + i]
     later = time + moved * max(abs(time), sizes[n])
-    tape_values(code, constants, outputs, both, parameters, later, beside)
-    for k in range(2, found.shape[0], PER_CONDITION):
-        found[k] = max(found[k], beside[k])
-        found[k + 1] = max(found[k + 1], beside[k + 1])
-    return found
+    tape_values(code, constants, outputs, state_and_sizes, parameters, later, shifted)
+    for k in range(2, numbers.shape[0], PER_CONDITION):
+        numbers[k] = max(numbers[k], shifted[k])
+        numbers[k + 1] = max(numbers[k + 1], shifted[k + 1])
+    return numbers
 
 
 @kernel
 def judge_atoms(values: Array, relative: float, fired: int, verdicts: Ints) -> None:
     """Write the verdicts of the atoms (k,) from the numbers of `conditions_at`.
 
-    An atom that its first derivative leaves open is decided if its margin has just fallen: `fired`
-    is its number, from 1 on; minus it, if the margin that brings its contact back fell; else 0.
+    An unsure atom whose margin has just fallen is decided by that: `fired` is its number from 1 on,
+    negative if the margin that brings its contact back fell, 0 for none.
     """
     for k in range(verdicts.shape[0]):
         at = PER_CONDITION * k
@@ -302,20 +307,19 @@ def judge_atoms(values: Array, relative: float, fired: int, verdicts: Ints) -> N
 
 @kernel
 def margin_bands(
-    nodes: Ints, values: Array, relative: float, near: float, verdicts: Ints, bands: Array
+    nodes: Ints, values: Array, relative: float, gap_tolerance: float, verdicts: Ints, bands: Array
 ) -> None:
-    """Write how far below zero a flow lets the margins of conditions fall.
+    """Write the tolerances `bands` (2 k + c,) of the margins of conditions in a flow.
 
-    That is their round-off; infinitely far, if no certificate needs a margin. `nodes` (m, 3) are
-    from `tree`, `values` (4 (k + c),) from `conditions_at`, `verdicts` (k,); `relative` is a
-    round-off, `near` the tolerance of gaps. Fills `bands` (2 k + c,): margins of atoms that hold,
-    of atoms that fail, and of gaps of contacts.
+    A tolerance is the round-off of the margin, or infinite if no certificate needs it. The margins
+    are those of atoms that hold, of atoms that fail, and of gaps. `nodes` (m, 3) are from `tree`,
+    `values` (4 (k + c),) from `conditions_at`; `relative` is the round-off.
     """
     count = verdicts.shape[0]
-    found = np.empty(nodes.shape[0], np.int64)
+    node_verdicts = np.empty(nodes.shape[0], np.int64)
     on, off = np.empty(count, np.int64), np.empty(count, np.int64)
-    truths(nodes, verdicts, found)
-    certificates(nodes, found, on, off)
+    truths(nodes, verdicts, node_verdicts)
+    certificates(nodes, node_verdicts, on, off)
     for k in range(count):
         band = round_off(values[PER_CONDITION * k + 2], relative)
         bands[k] = band if on[k] == 1 else math.inf
@@ -325,5 +329,5 @@ def margin_bands(
     for i in range(nodes.shape[0]):
         if nodes[i, 1] < 0:
             gap = values[PER_CONDITION * (count + nodes[i, 2])]
-            if opens(found[i], gap, near):
+            if opens(node_verdicts[i], gap, gap_tolerance):
                 bands[2 * count + nodes[i, 2]] = UNDERFLOW

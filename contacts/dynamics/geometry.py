@@ -1,9 +1,9 @@
 """Positions of bodies, points and surfaces as expressions of the coordinates.
 
-Discs touch straight surfaces and circles with their rims: wheels, round feet, balls. A point on a
-rim has the velocity of the disc's centre and that of its turning, and is another one as the disc
-rolls. In the plane rolling is holonomic: the length that a disc has rolled is how far it has turned
-against its surface.
+Discs (wheels, round feet, balls) touch straight surfaces and circles with their rims. The contact
+point of a disc has the velocity of the centre plus that of the rotation, and moves along the rim
+as the disc rolls. Rolling in the plane is holonomic: the rolled length is the radius times the
+angle of the disc relative to its surface.
 """
 
 from __future__ import annotations
@@ -29,17 +29,16 @@ class Rim:
 
     radius: sp.Expr  # Radius of the disc; 0: the point itself touches
     turn: sp.Expr  # Angle of its body against the surface
-    # ((Expr, Expr), Expr), optional: Centre of the circle that it touches, and how far its own
-    # centre is from there
+    # Centre of the circle that it touches, and the distance of its own centre from there
     circle: tuple[Vector, sp.Expr] | None = None
     side: int = 1  # 1 where it is outside the circle, -1 where it is inside a hollow one
 
     def anchored(self, centre: Vector, tangent: Vector) -> tuple[Vector, Vector]:
-        """Return what is constant as the disc rolls, a place, and the direction it slips in.
+        """Return a position that is constant in rolling, and the direction that it slips in.
 
-        Both in the frame of the surface. On a line that is where the centre of the disc would be
-        had it not turned; on a circle, as it would be seen by who turns about the circle's centre
-        as the centre of a rolling disc does. Of a point it is the point.
+        Both are in the frame of the surface. On a line the position is the centre of the disc less
+        the rolled length; on a circle it is the centre turned back by the rolled angle. A point
+        without a radius is its own anchor.
         """
         if self.radius == 0:
             return centre, tangent
@@ -47,7 +46,7 @@ class Rim:
             rolled = self.radius * self.turn
             return _sum(centre, tangent, rolled), tangent
         (x, y), _ = self.circle
-        back = _turned(-self._round)
+        back = _rotation(-self._orbit_angle)
         return back((centre[0] - x, centre[1] - y)), back(tangent)
 
     def centre(self, anchor: Vector, tangent: Vector) -> Vector:
@@ -57,12 +56,12 @@ class Rim:
         if self.circle is None:
             return _sum(anchor, tangent, -self.radius * self.turn)
         (x, y), _ = self.circle
-        dx, dy = _turned(self._round)(anchor)
+        dx, dy = _rotation(self._orbit_angle)(anchor)
         return x + dx, y + dy
 
     @property
-    def _round(self) -> sp.Expr:
-        """By which angle the disc's centre goes round the circle as it rolls."""
+    def _orbit_angle(self) -> sp.Expr:
+        """Angle by which a rolling disc's centre has moved about the centre of the circle."""
         assert self.circle is not None
         return self.side * self.radius * self.turn / self.circle[1]
 
@@ -71,7 +70,7 @@ def _sum(place: Vector, direction: Vector, by: sp.Expr) -> Vector:
     return place[0] + by * direction[0], place[1] + by * direction[1]
 
 
-def _turned(angle: sp.Expr) -> Callable[[Vector], Vector]:
+def _rotation(angle: sp.Expr) -> Callable[[Vector], Vector]:
     c, s = sp.cos(angle), sp.sin(angle)
     return lambda v: (c * v[0] - s * v[1], s * v[0] + c * v[1])
 
@@ -82,9 +81,8 @@ class ContactGeometry:
 
     # Its position in the frame of the surface (the world's, unless a body carries the surface)
     point: Vector
-    # `anchor`, `slipping`: What stays constant as long as it is pinned, and the direction in which
-    # that moves as it slips: the point and the tangent, unless it is on a rim
-    # (`contacts.dynamics.geometry`)
+    # `anchor`, `slipping`: Position that is constant while the contact sticks, and the direction in
+    # which it slips: the point and the tangent, unless the point is on a rim (`Rim.anchored`)
     anchor: Vector
     slipping: Vector
     # `normal`, `tangent`: Unit vectors of the surface there, in that frame; the normal points out
@@ -96,18 +94,16 @@ class ContactGeometry:
     # coordinate
     jacobian_n: tuple[sp.Expr, ...]
     jacobian_t: tuple[sp.Expr, ...]
-    # `bias_n`, `bias_t`: The parts of the point's accelerations that do not depend on the unknown
-    # ones
+    # `bias_n`, `bias_t`: Accelerations of the point at zero accelerations of the coordinates
     bias_n: sp.Expr
     bias_t: sp.Expr
 
 
 class Geometry:
-    """The places of a scene, as expressions of its coordinates `q`.
+    """Positions of a scene's bodies, points and surfaces as expressions of its coordinates `q`.
 
-    `v` and `a` are their rates and accelerations, `variables` q and v together; `known` is what
-    formulas may use, and `constants` what does not follow from the coordinates: parameters,
-    controls.
+    `v` and `a` are rates and accelerations, `variables` q and v together. `known` maps the names
+    that formulas may use to expressions; `constants` are those of parameters and controls.
     """
 
     def __init__(self, scene: Scene, constants: Mapping[str, sp.Symbol]) -> None:
@@ -144,15 +140,15 @@ class Geometry:
         if body.position is not None:
             x, y = (self._formula(text) for text in body.position)
             return (x, y), self._formula(body.angle) if body.angle is not None else sp.S.Zero
-        own = {c: self.known[f"{name}.{c}"] for c in body.coordinates}
-        return (own["x"], own["y"]), own.get("angle", sp.S.Zero)
+        coordinates = {c: self.known[f"{name}.{c}"] for c in body.coordinates}
+        return (coordinates["x"], coordinates["y"]), coordinates.get("angle", sp.S.Zero)
 
     def point(self, point: Point) -> Vector:
         """Return the position of a point of a body."""
         (x, y), angle = self.body_frame(point.body)
-        along, across = (self._formula(text) for text in point.at)
+        local_x, local_y = (self._formula(text) for text in point.at)
         c, s = sp.cos(angle), sp.sin(angle)
-        return x + along * c - across * s, y + along * s + across * c
+        return x + local_x * c - local_y * s, y + local_x * s + local_y * c
 
     def curved(self, name: str) -> bool:
         """Return whether a contact's surface is the graph of a function that is not linear."""
@@ -168,13 +164,13 @@ class Geometry:
         return (self._formula(x0), self._formula(y0)), (self._formula(x1), self._formula(y1))
 
     def joint_end(self, to: Point | Path) -> Vector:
-        """Return the place that a joint holds its point to; 0 for a component it leaves free."""
+        """Return the position that a joint holds its point at; 0 for a component without a row."""
         if isinstance(to, Point):
             return self.point(to)
         return self._formula(to.x or 0), self._formula(to.y or 0)
 
     def edge_ends(self, surface: Surface) -> tuple[Vector, ...]:
-        """Return the ends of an edge in the world; nothing for another surface."""
+        """Return the ends of an edge in the world; () for other surfaces."""
         if surface.edge is None:
             return ()
         (x0, y0), angle = self._frame(surface)
@@ -184,7 +180,6 @@ class Geometry:
         )
 
     def _frame(self, surface: Surface) -> tuple[Vector, sp.Expr]:
-        """Return the origin and the angle of the frame of a surface."""
         if surface.body is not None:
             return self.body_frame(surface.body)
         x0, y0, angle = surface_frame(surface, self.known)
@@ -203,8 +198,7 @@ class Geometry:
     def _in_frame(self, surface: Surface, point: Vector) -> Vector:
         """Return a point in the frame of a surface.
 
-        Rates of these coordinates are velocities relative to the surface's material, whatever it
-        is carried by; that is what slips and what contact forces work on.
+        Rates of these coordinates are velocities relative to the material of the surface: slip.
         """
         (x0, y0), angle = self._frame(surface)
         c, s = sp.cos(angle), sp.sin(angle)
@@ -214,10 +208,9 @@ class Geometry:
     def _surface(
         self, surface: Surface, x: sp.Symbol, y: sp.Symbol
     ) -> tuple[sp.Expr, Vector, sp.Expr]:
-        """Return a function that is zero on the surface, the unit normal, and a factor.
+        """Return an implicit function f of the surface, its unit normal, and 1 / |grad f|.
 
-        Function times factor is the distance to first order: the factor is the inverse of the
-        length of the function's gradient.
+        f / |grad f| is the distance to first order.
         """
         if surface.height is not None:
             height = self._formula(surface.height, x=x)
@@ -226,11 +219,11 @@ class Geometry:
             return y - height, (-slope * unit, unit), unit
         if surface.circle is not None and surface.radius is not None:
             cx, cy = (self._formula(text) for text in surface.circle)
-            away = sp.sqrt((x - cx) ** 2 + (y - cy) ** 2)
+            distance = sp.sqrt((x - cx) ** 2 + (y - cy) ** 2)
             side = -1 if surface.hollow else 1
             return (
-                side * (away - self._formula(surface.radius)),
-                (side * (x - cx) / away, side * (y - cy) / away),
+                side * (distance - self._formula(surface.radius)),
+                (side * (x - cx) / distance, side * (y - cy) / distance),
                 sp.S.One,
             )
         line = surface.line or surface.edge
@@ -246,7 +239,7 @@ class Geometry:
 
 
 def surface_frame(surface: Surface, known: Mapping[str, sp.Expr]) -> tuple[sp.Expr, ...]:
-    """Return where a surface's path has brought its frame: x, y, angle."""
+    """Return x, y and angle of the frame of a surface that moves on a path."""
     dx, dy, turn = (parse(t).to_sympy(known) for t in (*surface.displacement, surface.turn))
     if turn == 0:
         return dx, dy, turn

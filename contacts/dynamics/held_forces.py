@@ -1,8 +1,8 @@
-"""Forces of signs that a flow slides along, as the laws of contacts see them.
+"""Forces of sign functions in a sliding mode (Filippov), for the classification of contacts.
 
-Laws classify contacts by the forces at a state, where the sign of a velocity that is held at zero
-is that of its round-off. The equations of motion under the accelerations and forces that the mode
-of the flow finds are off by the difference; it is a parameter of the forces, zero by default.
+Contact laws classify contacts by the forces at a state. A velocity held at zero there has the sign
+of its round-off, so that the force of its sign function is wrong. The residual of the equations of
+motion in the mode of the flow is that error; it is added to the forces as parameters.
 """
 
 from __future__ import annotations
@@ -30,16 +30,17 @@ class HeldForces:
     def within(
         self, setup: SceneSetup, flow: Flow, state: Array, time: float, tape: SnapshotTape
     ) -> SceneSetup:
-        """Return the numbers of a run with the forces of signs in a flow that is in a state."""
-        if setup.modes is None or not any(slides(role) for role in flow.signs):
+        """Return the setup with the forces of sign functions of a flow in a state."""
+        # The laws know signs that are dry friction by their limits.
+        if setup.modes is None or tape.signs or not any(map(slides, flow.signs)):
             return setup
         mechanics, mode = self._mechanics, setup.modes(flow.moving)
         if mode not in self._tapes:
-            # Controls as the laws know them, not as the mode finds them.
-            known = {} if tape.states is None else values_in(mechanics, tape.states)
+            # The controls of the contact laws, not those that the mode solves for.
+            controlled = {} if tape.states is None else values_in(mechanics, tape.states)
             motion = mechanics.equations[: len(mechanics.q)]
             self._tapes[mode] = mechanics.whole_tape(
-                [equation.xreplace(known) for equation in motion], definitions=mode.definitions
+                [equation.xreplace(controlled) for equation in motion], definitions=mode.definitions
             )
         values = setup.values.copy()
         values[mechanics.held_forces] += self._tapes[mode].values(state, setup.values, time)

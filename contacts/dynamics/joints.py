@@ -16,25 +16,25 @@ from statechart.automaton.regions import Hold
 
 OFF_ROW = 2.0
 """Status of a row of a joint that is off; see `JointRow.status`."""
-# A row with a smaller share of a unit combination takes no part.
-_SHARE = 1e-3
+# Rows with a smaller coefficient in a unit null vector are not named as dependent.
+_MIN_COEFFICIENT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class JointRow:
-    """One component of a joint: what it holds at zero while the joint is closed."""
+    """Constraint row of a joint: gap = 0 while the joint is closed."""
 
-    # `joint`, `component`: Its name; X, Y, M (a couple), or T (along a rod)
+    # `joint`, `component`: Name of the joint; X, Y, M (a couple), or T (along a rod)
     joint: str
     component: str
-    # `gap`, `gap_rate`, `bias`: Point less place; its rate; the part of its second derivative that
-    # does not depend on the unknown accelerations
+    # `gap`, `gap_rate`, `bias`: Point minus target; its rate; its second derivative at zero
+    # accelerations
     gap: sp.Expr
     gap_rate: sp.Expr
     bias: sp.Expr
     jacobian: tuple[sp.Expr, ...]  # d(gap)/d(coordinates)
     force: sp.Symbol  # On the body of the point
-    # Velocity of the place, where it is driven in time; what the force works on from outside
+    # Velocity of the target on its path; the force does work on it
     path_rate: sp.Expr
     redundant: sp.Symbol  # Parameter: 1 where the rows before imply this one in a run, else 0
     # Control: 1 while the joint is closed, 0 while it is off; None where it is always closed
@@ -48,20 +48,19 @@ class JointRow:
         return self.redundant * self.closed + OFF_ROW * (1 - self.closed)
 
     def equation(self, accelerations: Sequence[sp.Symbol]) -> sp.Expr:
-        """Return what is zero while the joint is closed; the force of a row that others imply."""
+        """Return the acceleration of the gap, plus the force if the row is redundant; = 0."""
         terms = (j * a for j, a in zip(self.jacobian, accelerations, strict=True) if j != 0)
         return sp.Add(self.bias, *terms) + self.redundant * self.force
 
     def hold(self, accelerations: Sequence[sp.Symbol]) -> Hold:
-        """Return the row as what a mode holds in place."""
+        """Return the constraint of the row in a mode."""
         return Hold((self.gap,), (self.equation(accelerations),), (self.force,))
 
 
 class JointNumbers(NamedTuple):
     """Numbers of every row of the joints at a state."""
 
-    # `gaps`, `rates`, `biases`: (m,): Point less place, its rate, and the part of its second
-    # derivative that the unknown accelerations do not enter
+    # `gaps`, `rates`, `biases`: (m,): As in `JointRow`
     gaps: Array
     rates: Array
     biases: Array
@@ -80,7 +79,7 @@ class JointNumbers(NamedTuple):
 
 @dataclass(frozen=True)
 class JointGroup:
-    """Rows and coordinates that joints link; coordinates alone where no joint holds them."""
+    """Joint rows and the coordinates that they couple; a free coordinate has no rows."""
 
     rows: tuple[int, ...]
     columns: tuple[int, ...]
@@ -88,35 +87,38 @@ class JointGroup:
 
 @dataclass(frozen=True, eq=False)
 class Motions:
-    """The velocities that joints allow are ``basis u + velocity``, accelerations alike."""
+    """Null-space parametrisation of the motions that joints allow.
 
-    basis: Array  # (n, k): What the rows do not see
-    left: Array  # (k, n): ``left @ basis`` is the identity
-    # `velocity`, `acceleration`: (n,): Particular ones: of driven points, and centripetal
+    Velocities are ``basis u + velocity``, accelerations ``basis u' + acceleration``.
+    """
+
+    basis: Array  # (n, k): Null space of the joint rows
+    left_inverse: Array  # (k, n): ``left_inverse @ basis`` is the identity
+    # `velocity`, `acceleration`: (n,): Particular solutions: of driven points, and centripetal
     velocity: Array
     acceleration: Array
 
 
 def joint_groups(pattern: Bools) -> tuple[JointGroup, ...]:
-    """Return the parts that joints link; `pattern` (m, n) is where the Jacobian has entries."""
+    """Return the groups of coupled rows; `pattern` (m, n) marks nonzeros of the Jacobian."""
     labels = connected(pattern.T @ pattern)
-    found = []
+    groups = []
     for label in np.unique(labels):
         columns = np.flatnonzero(labels == label)
         rows = np.flatnonzero(pattern[:, columns].any(axis=1))
-        found.append(JointGroup(tuple(rows.tolist()), tuple(columns.tolist())))
-    return tuple(found)
+        groups.append(JointGroup(tuple(rows.tolist()), tuple(columns.tolist())))
+    return tuple(groups)
 
 
-def motions(numbers: JointNumbers, velocity: Array, parts: Sequence[JointGroup]) -> Motions:
-    """Return what the joints allow at a state with rates `velocity` (n,)."""
+def motions(numbers: JointNumbers, velocity: Array, groups: Sequence[JointGroup]) -> Motions:
+    """Return the motions that joints allow at a state with rates `velocity` (n,)."""
     size = len(velocity)
     driven = numbers.rates - numbers.jacobian @ velocity
     basis, left = [np.zeros((size, 0))], [np.zeros((0, size))]
     particular = np.zeros((2, size))
-    for part in parts:
-        columns = list(part.columns)
-        rows = [i for i in part.rows if not numbers.redundant[i]]
+    for group in groups:
+        columns = list(group.columns)
+        rows = [i for i in group.rows if not numbers.redundant[i]]
         if not rows:
             basis.append(np.eye(size)[:, columns])
             left.append(np.eye(size)[columns])
@@ -124,20 +126,20 @@ def motions(numbers: JointNumbers, velocity: Array, parts: Sequence[JointGroup])
         jacobian = numbers.jacobian[np.ix_(rows, columns)]
         scale = column_scales(jacobian)
         outer, sizes, right = np.linalg.svd(jacobian * scale)
-        seen, free = right[: len(rows)], right[len(rows) :]
-        # At a singular configuration the motion is not determined; the least one is finite.
+        row_space, null_space = right[: len(rows)], right[len(rows) :]
+        # At a singular configuration the motion is not unique: the least-norm one is taken.
         inverse = np.where(sizes > CANCELLING * sizes[0], 1.0 / np.maximum(sizes, 1e-300), 0.0)
         right_sides = np.array([driven[rows], numbers.biases[rows]])
-        particular[:, columns] = -((right_sides @ outer) * inverse @ seen) * scale
-        basis.append(np.zeros((size, len(free))))
-        basis[-1][columns] = (free * scale).T
-        left.append(np.zeros((len(free), size)))
-        left[-1][:, columns] = free / scale
+        particular[:, columns] = -((right_sides @ outer) * inverse @ row_space) * scale
+        basis.append(np.zeros((size, len(null_space))))
+        basis[-1][columns] = (null_space * scale).T
+        left.append(np.zeros((len(null_space), size)))
+        left[-1][:, columns] = null_space / scale
     return Motions(np.hstack(basis), np.vstack(left), particular[0], particular[1])
 
 
 def dependent(rows: Sequence[tuple[str, Array]]) -> str:
-    """Return whose rows have become dependent, as a sentence; "" where none have."""
+    """Return a sentence on the rows that have become dependent; "" if there are none."""
     if len(rows) < 2:
         return ""
     scaled = np.array([row for _, row in rows])
@@ -146,7 +148,9 @@ def dependent(rows: Sequence[tuple[str, Array]]) -> str:
     if len(values) == len(rows) and values[-1] > DEAD_POINT:
         return ""
     names = dict.fromkeys(
-        name for (name, _), share in zip(rows, left[:, -1], strict=True) if abs(share) > _SHARE
+        name
+        for (name, _), coefficient in zip(rows, left[:, -1], strict=True)
+        if abs(coefficient) > _MIN_COEFFICIENT
     )
     return (
         f"the constraints of {', '.join(names)} have become dependent (a dead point of the "

@@ -1,6 +1,6 @@
-"""Positions to equations of motion: of bodies that contacts touch and joints hold, by SymPy.
+"""Equations of motion of bodies with contacts and joints, derived by SymPy from positions.
 
-``M(q) a + b(q, v) = Q + sum J_n^T V + J_t^T H + sum J^T X`` (contacts, joints); nothing is
+``M(q) a + b(q, v) = Q + sum J_n^T V + J_t^T H + sum J^T X`` (contacts, joints); expressions are not
 simplified.
 """
 
@@ -41,53 +41,51 @@ from statechart.formulas.writer import compile_tape
 class _SurfaceGeometry(NamedTuple):
     """Geometry of a surface near a point."""
 
-    # `function`, `gap`, `gap_rate`: What is zero on the surface; the distance, and its derivative
-    # in time
+    # `function`, `gap`, `gap_rate`: Implicit function of the surface; distance and its rate
     function: sp.Expr
     gap: sp.Expr
     gap_rate: sp.Expr
-    bias: sp.Expr  # The second derivative of the gap where nothing accelerates
-    # `normal`, `rates`, `drifts`: And the point's velocity, and acceleration where nothing
-    # accelerates, along x and y
+    bias: sp.Expr  # Second derivative of the gap at zero accelerations
+    # `normal`, `rates`, `drifts`: Unit normal; velocity of the point, and its acceleration at zero
+    # accelerations, along x and y
     normal: Vector
     rates: Vector
     drifts: Vector
-    turned: sp.Expr  # Share of the turning tangent in the derivative of the slip
+    turned: sp.Expr  # Contribution of the tangent's rotation to the derivative of the slip
 
 
 class Mechanics(Geometry):
     """The equations of a scene; its `parameters` are those of `scene_parameters` by default."""
 
     def __init__(self, scene: Scene, parameters: Parameters | None = None) -> None:
-        given = parameters or scene_parameters(scene)
-        symbols = given.symbols
+        declared = parameters or scene_parameters(scene)
+        symbols = declared.symbols
         controlled = scene.controlled
         controls = {n: sp.Symbol(f"c{i}", real=True) for i, n in enumerate(controlled.order)}
-        # Contacts see what controllers remember as they see parameters: as numbers that do not
-        # change while an instant is judged.
+        # Controllers' variables are parameters of the contact laws: constant at an instant.
         self.controller_state = {
             n: sp.Symbol(f"w{i}", real=True) for i, n in enumerate(controlled.controller_state)
         }
         super().__init__(scene, {**symbols, **controls, **self.controller_state})
-        self.parameters = given
+        self.parameters = declared
         self.forces = {
             name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
             for i, name in enumerate(scene.contacts)
         }
-        # Couples M; the limits of couplings stand in the place of normal forces.
+        # Couples M of couplings, whose limits take the role of normal forces.
         self.couples = {
             name: sp.Symbol(f"M{i}", real=True) for i, name in enumerate(scene.couplings)
         }
         self._controls = controlled
         self._coefficients = friction_symbols(scene, symbols)
-        # Contacts whose coefficients states of a region set.
+        # Contacts whose coefficients are set by the states of a region.
         self._switched = {
             name: region
             for name in self._coefficients
             if (law := scene.friction_of(name)) is not None
             and (region := controlled.region_of(law.both)) is not None
         }
-        # Those that are in use, where contacts have a static and a kinetic one.
+        # The coefficient in use, for contacts with a static and a kinetic one.
         self.used_friction = {
             name: sp.Symbol(f"{name}.friction", real=True)
             for name, coefficients in self._coefficients.items()
@@ -103,19 +101,19 @@ class Mechanics(Geometry):
             for i, (name, joint) in enumerate(scene.joints.items())
             if switched(joint)
         }
-        # Rates and accelerations of what paths of surfaces use of the memory.
+        # Rates and accelerations of the controllers' variables on which paths of surfaces depend.
         self._led = {
             name: (sp.Symbol(f"rate_{self.controller_state[name]}", real=True),
                    sp.Symbol(f"acceleration_{self.controller_state[name]}", real=True))
             for name in self.controller_state if name in scene.leading
         }  # fmt: skip
         self.carried = tuple(
-            pair
+            symbols_of_rate
             for name, (rate, acceleration) in self._led.items()
-            for pair in ((self.controller_state[name], rate), (rate, acceleration))
+            for symbols_of_rate in ((self.controller_state[name], rate), (rate, acceleration))
         )
-        # Symbols that states of controllers set, each after those that its values use: coefficients
-        # of contacts, the scene's controls, and how they move surfaces.
+        # Symbols that states of controllers set, in order of dependence: coefficients of contacts,
+        # the scene's controls, and motions of surfaces.
         self.controls = (
             *(symbol for name in self._switched for symbol in self._coefficients[name].values()),
             *controls.values(),
@@ -130,9 +128,9 @@ class Mechanics(Geometry):
 
     @cached_property
     def held_forces(self) -> list[int]:
-        """Places of the parameters of `contacts.dynamics.held_forces`; none without switches."""
-        found = enumerate(self.parameters.names)
-        return [place for place, name in found if name.startswith(HELD_FORCE)]
+        """Indices of the parameters of `contacts.dynamics.held_forces`; none without switches."""
+        names = self.parameters.names
+        return [index for index, name in enumerate(names) if name.startswith(HELD_FORCE)]
 
     def tape(
         self,
@@ -142,10 +140,9 @@ class Mechanics(Geometry):
         definitions: Sequence[Definition] = (),
         whole: bool = False,
     ) -> Tape:
-        """Compile expressions of state, parameters and time, and of `unknowns` behind the state.
+        """Compile expressions of the state followed by `unknowns`, the parameters, and time.
 
-        What controllers remember stands before the parameters; in the `whole` state, behind the
-        rates.
+        The controllers' variables precede the parameters, or follow the rates in the `whole` state.
         """
         memory, parameters = tuple(self.controller_state.values()), self.parameters.ordered
         return compile_tape(
@@ -163,17 +160,17 @@ class Mechanics(Geometry):
         unknowns: Sequence[sp.Symbol] = (),
         definitions: Sequence[Definition] = (),
     ) -> Tape:
-        """Compile as `tape` does, of the whole state."""
+        """Compile as `tape` does, for the whole state."""
         return self.tape(outputs, unknowns=unknowns, definitions=definitions, whole=True)
 
     @cached_property
     def mass_matrix(self) -> sp.Matrix:
-        """(n, n): of the kinetic energy ``v^T M v / 2``."""
+        """M (n, n) of the kinetic energy ``v^T M v / 2``."""
         return self._inertia[0]
 
     @cached_property
     def generalised_forces(self) -> tuple[sp.Expr, ...]:
-        """(n,): ``Q - b``, so that ``M a`` equals it where no contact is closed."""
+        """``Q - b`` (n,), which equals ``M a`` without contact and joint forces."""
         return tuple(q - b for q, b in zip(self._applied, self._inertia[1], strict=True))
 
     @cached_property
@@ -200,25 +197,25 @@ class Mechanics(Geometry):
 
     @cached_property
     def placed(self) -> dict[str, sp.Expr]:
-        """Places and rates of bodies that formulas place, by their names in formulas."""
-        found: dict[str, sp.Expr] = {}
+        """Positions and rates of bodies that are placed by formulas, by their names in formulas."""
+        expressions: dict[str, sp.Expr] = {}
         known = self.scene.placed_names
         for name, body in self.scene.bodies.items():
             if body.position is None:
                 continue
             (x, y), angle = self.body_frame(name)
-            for part, place in (("x", x), ("y", y), ("angle", angle)):
+            for component, place in (("x", x), ("y", y), ("angle", angle)):
                 remembered = (
                     sp.diff(place, symbol) * self.controller_rates[key]
                     for key, symbol in self.controller_state.items()
                     if symbol in place.free_symbols
                 )
-                found[f"{name}.{part}"] = place
-                found[f"{name}.d{part}"] = sp.Add(self.rate(place), *remembered)
-        return {name: expression for name, expression in found.items() if name in known}
+                expressions[f"{name}.{component}"] = place
+                expressions[f"{name}.d{component}"] = sp.Add(self.rate(place), *remembered)
+        return {name: expression for name, expression in expressions.items() if name in known}
 
     def gradient(self, place: sp.Expr) -> list[sp.Expr]:
-        """Return the derivatives (n,) by the coordinates; few of many bodies' move a place."""
+        """Return the derivatives (n,) of a position by the coordinates."""
         used = place.free_symbols
         return [sp.diff(place, q) if q in used else sp.S.Zero for q in self.q]
 
@@ -232,7 +229,7 @@ class Mechanics(Geometry):
         return sp.S.Zero, -self._formula(declared)
 
     def inertia(self, name: str, body: Body) -> tuple[sp.Expr, sp.Expr]:
-        """Return the mass of a body, and its moment of inertia; 0 where it has none."""
+        """Return the mass of a body and its moment of inertia, 0 by default."""
         mass = self._formula(body.mass)
         if body.inertia is None:
             return mass, sp.S.Zero
@@ -240,7 +237,7 @@ class Mechanics(Geometry):
 
     @cached_property
     def applied_forces(self) -> tuple[sp.Expr, ...]:
-        """(n,): what the declared forces do to every coordinate."""
+        """Generalised forces (n,) of the declared forces."""
         total = [sp.S.Zero] * len(self.q)
         for force in self.scene.forces.values():
             point = self.point(Point(body=force.body, at=force.at))
@@ -308,7 +305,7 @@ class Mechanics(Geometry):
         at_rest = dict.fromkeys(self.a, sp.S.Zero)
         rows: list[JointRow] = []
         for name, joint in self.scene.joints.items():
-            for component, gap, path in self._held(name, joint):
+            for component, gap, path in self._components(name, joint):
                 rate = self.rate(gap)
                 rows.append(
                     JointRow(
@@ -326,30 +323,30 @@ class Mechanics(Geometry):
                 )
         return tuple(rows)
 
-    def _held(self, name: str, joint: Joint) -> Iterator[tuple[str, sp.Expr, sp.Expr]]:
-        """Yield the components of a joint: what it holds at zero, and the rate of its path."""
+    def _components(self, name: str, joint: Joint) -> Iterator[tuple[str, sp.Expr, sp.Expr]]:
+        """Yield name, gap, and rate of the path of every component of a joint."""
         (x, y), (x0, y0) = self.point(joint.point), self.joint_end(joint.to)
         if joint.rod is not None:
             # Half the distance squared over the length: smooth, and the distance to first order.
             length = self._formula(joint.rod)
-            apart = ((x - x0) ** 2 + (y - y0) ** 2 - length**2) / (2 * length)
-            toward = (
+            stretch = ((x - x0) ** 2 + (y - y0) ** 2 - length**2) / (2 * length)
+            stretch_rate = (
                 (x - x0) * sp.diff(x0, self.time) + (y - y0) * sp.diff(y0, self.time)
-            ) / length
-            yield "T", -apart, -toward
+            ) / length + sp.diff(length, self.time)
+            yield "T", -stretch, -stretch_rate
             return
-        for component, here, there in (("X", x, x0), ("Y", y, y0)):
+        for component, end, target in (("X", x, x0), ("Y", y, y0)):
             if component in joint.components:
-                yield component, here - there, sp.diff(there, self.time)
+                yield component, end - target, sp.diff(target, self.time)
         if joint.angle is not None:
             ends = (joint.point, joint.to)
             turns = [self.body_frame(e.body)[1] for e in ends if isinstance(e, Point)]
-            held = self.known.get(f"{name}.turn", self.known.get(f"{name}.turn0"))
-            yield "M", turns[0] - sp.Add(*turns[1:]) - held, sp.S.Zero
+            angle = self.known.get(f"{name}.turn", self.known.get(f"{name}.turn0"))
+            yield "M", turns[0] - sp.Add(*turns[1:]) - angle, sp.S.Zero
 
     @cached_property
     def unknown_forces(self) -> tuple[sp.Symbol, ...]:
-        """Unknowns of modes beside the accelerations: of joints, contacts, couplings."""
+        """Unknown forces of joints, contacts and couplings."""
         of_contacts = (force for pair in self.forces.values() for force in pair)
         return (*(row.force for row in self.joint_rows), *of_contacts, *self.couples.values())
 
@@ -362,7 +359,7 @@ class Mechanics(Geometry):
             for name, forces in self.forces.items()
             for force, rate in zip(forces, self.surface_rate(name), strict=True)
         )
-        # Springs of compliant contacts keep no energy that counts.
+        # The energy of compliant contacts is not part of `energy`.
         soft = [self.contact(name).symbols for name in self.pads]
         pressed = (symbols.V * symbols.gap_rate for symbols in soft)
         led = (row.force * row.path_rate for row in self.joint_rows)
@@ -373,8 +370,9 @@ class Mechanics(Geometry):
         surface = self.scene.surfaces[self.scene.contacts[name].surface]
         frame = surface_frame(surface, self.known)
         rates = [self.rate(expression) for expression in frame]
+        radius_rate = self.rate(self._formula(surface.radius or 0))
         if rates == [0, 0, 0]:
-            return sp.S.Zero, sp.S.Zero
+            return -radius_rate if surface.hollow else radius_rate, sp.S.Zero
         (n_x, n_y), (t_x, t_y) = self.contact(name).normal, self.contact(name).tangent
         # In its frame, as the normal and the point are.
         (x, y), (c, s) = self.contact(name).point, (sp.cos(frame[2]), sp.sin(frame[2]))
@@ -382,14 +380,16 @@ class Mechanics(Geometry):
             c * rates[0] + s * rates[1] - rates[2] * y,
             c * rates[1] - s * rates[0] + rates[2] * x,
         )
-        return n_x * moved[0] + n_y * moved[1], t_x * moved[0] + t_y * moved[1]
+        normal = n_x * moved[0] + n_y * moved[1]
+        normal += -radius_rate if surface.hollow else radius_rate
+        return normal, t_x * moved[0] + t_y * moved[1]
 
     def contact(self, name: str) -> ContactGeometry:
-        """Return the geometry of a contact or a coupling, derived when first asked for."""
+        """Return the geometry of a contact or a coupling; cached."""
         if name not in self._contacts:
             contact = self.scene.contacts.get(name)
             self._contacts[name] = (
-                self._turning(name) if contact is None else self._geometry(name, contact)
+                self._coupling_geometry(name) if contact is None else self._geometry(name, contact)
             )
         return self._contacts[name]
 
@@ -398,16 +398,16 @@ class Mechanics(Geometry):
         law = self.scene.friction_of(contact.name)
         if law is None or not law.varies:
             return (*contact.friction.edges[1], *contact.friction.edges[-1])
-        found: list[sp.Expr] = []
+        edges: list[sp.Expr] = []
         for direction in (1, -1):
             mu = kinetic_friction(law, direction, self.known, sp.Abs(contact.slip))
-            found += cone_edge(mu)
-        return tuple(found)
+            edges += cone_edge(mu)
+        return tuple(edges)
 
     def limits(self, name: str) -> tuple[sp.Expr, sp.Expr]:
         """Return the bounds of a coupling's couple, at rest and in motion.
 
-        Of rolling resistance, those over the normal force of its contact.
+        Those of rolling resistance are divided by the normal force of its contact.
         """
         static, kinetic = self.scene.couplings[name].bounds
         return self._formula(static, **self.placed), self._formula(kinetic, **self.placed)
@@ -420,43 +420,40 @@ class Mechanics(Geometry):
         return CouplingSymbols(self.contact(name).symbols, static * load, kinetic * load)
 
     def sets(self, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
-        """Return what a state of a controller sets: some of `controls`."""
-        found: dict[sp.Symbol, sp.Expr] = {}
+        """Return the values of the `controls` that a state of a controller sets."""
+        values: dict[sp.Symbol, sp.Expr] = {}
         for name, setting in self._switched.items():
             if setting == region:
                 for key, symbol in self._coefficients[name].items():
-                    found[symbol] = self.parameters.symbols[f"{name}.{key}.{state}"]
+                    values[symbol] = self.parameters.symbols[f"{name}.{key}.{state}"]
         for control, text in self._controls.values(region, state).items():
-            found[self.known[control]] = self._formula(text)
+            values[self.known[control]] = self._formula(text)
         flows = self._controls.flows(region, state)
-        own = {*self.scene.regions[region].variables, *self._controls.flat[region].timers}
-        for name in own & self._led.keys():
+        variables = {*self.scene.regions[region].variables, *self._controls.flat[region].timers}
+        for name in variables & self._led.keys():
             rate, acceleration = self._led[name]
-            found[rate] = self._formula(flows.get(name, 0))
-            found[acceleration] = self.rate(found[rate])
+            values[rate] = self._formula(flows.get(name, 0))
+            values[acceleration] = self.rate(values[rate])
         active = self._controls.flat[region].active(state)
-        for (asked, name), symbol in self._asked.items():
-            if asked == region:
-                found[symbol] = sp.Integer(1 if name in active else -1)
+        for (controller, name), symbol in self._asked.items():
+            if controller == region:
+                values[symbol] = sp.Integer(1 if name in active else -1)
         if region in self._closed:
-            found[self._closed[region]] = sp.Integer(state == CLOSED)
-        return found
+            values[self._closed[region]] = sp.Integer(state == CLOSED)
+        return values
 
     def controlled(self, states: Mapping[str, str] | None = None) -> list[Definition]:
-        """Return the values of `controls`, in order, in `states` of the controllers.
-
-        Those at the start by default.
-        """
-        found = {
+        """Return the values of `controls`, in order, in `states`, by default the initial ones."""
+        values = {
             used: self._coefficients[name]["static"] for name, used in self.used_friction.items()
         }
         for region, state in (states or self._controls.initial).items():
-            found |= self.sets(region, state)
-        return [(symbol, found[symbol]) for symbol in self.controls]
+            values |= self.sets(region, state)
+        return [(symbol, values[symbol]) for symbol in self.controls]
 
     @property
     def observables(self) -> dict[str, sp.Expr]:
-        """Quantities that outputs and stop conditions may use, name -> expression."""
+        """Expressions of the quantities that outputs and stop conditions may use, by name."""
         result = {**self.known, **self.placed}
         for name in self.scene.contacts:
             symbols = self.contact(name).symbols
@@ -480,7 +477,7 @@ class Mechanics(Geometry):
         return result
 
     def gate(self, name: str) -> Gate | None:
-        """Return what keeps a contact on; None where it has no conditions and no ends."""
+        """Return the gate of a contact; None if it has no conditions and no ends of an edge."""
         scene = self.scene
         coupling = scene.couplings.get(name)
         contact = coupling or scene.contacts[name]
@@ -514,103 +511,107 @@ class Mechanics(Geometry):
         return self._gates[name]
 
     def valleys(self, name: str, *, acute: bool = False) -> dict[str, sp.Expr]:
-        """Return how sharply edges for the same point turn up at the ends of a contact's edge.
+        """Return the convexity of corners between a contact's edge and edges of the same point.
 
-        Ends are named as in `gate`. A positive value is a valley: what is beyond the end is below
-        the other edge; an `acute` one has an angle below 90 degrees.
+        Ends are named as in `gate`. A positive value is a valley: beyond the end the point is
+        below the other edge; an `acute` valley has an angle below 90 degrees.
         """
-        contact, found = self.scene.contacts[name], {}
+        contact, valleys = self.scene.contacts[name], {}
         surface = self.scene.surfaces[contact.surface]
         for other in self.scene.contacts.values():
-            beside = self.scene.surfaces[other.surface]
-            moved = {"edge": surface.edge}
+            neighbour = self.scene.surfaces[other.surface]
+            same_edge = {"edge": surface.edge}
             if (
                 surface.edge is None
-                or beside.edge is None
+                or neighbour.edge is None
                 or (other.point, other.radius) != (contact.point, contact.radius)
-                or beside.model_copy(update=moved) != surface
+                or neighbour.model_copy(update=same_edge) != surface
             ):
                 continue
-            one, two = self._corners(surface.edge), self._corners(beside.edge)
-            (ax, ay), (bx, by) = ((x1 - x0, y1 - y0) for (x0, y0), (x1, y1) in (one, two))
+            edge, next_edge = self._corners(surface.edge), self._corners(neighbour.edge)
+            (ax, ay), (bx, by) = ((x1 - x0, y1 - y0) for (x0, y0), (x1, y1) in (edge, next_edge))
             turns = ax * by - ay * bx
             back = (-ax * bx - ay * by,) if acute else ()
-            if one[1] == two[0]:
-                found[f"{name}: end of its edge"] = sp.Min(turns, *back)
-            if one[0] == two[1]:
-                found[f"{name}: begin of its edge"] = sp.Min(-turns, *back)
-        return found
+            if edge[1] == next_edge[0]:
+                valleys[f"{name}: end of its edge"] = sp.Min(turns, *back)
+            if edge[0] == next_edge[1]:
+                valleys[f"{name}: begin of its edge"] = sp.Min(-turns, *back)
+        return valleys
 
     def _stuck(
         self, name: str, contact: Contact, anchor: Vector, tangent: Vector
     ) -> tuple[Vector, dict[sp.Symbol, sp.Expr]]:
-        """Return what is zero as long as a contact point does not move, and its constants.
-
-        In the world's frame, where coordinates of positions are what they are.
-        """
+        """Return the displacement of a point from its anchor, in the world, and the anchor."""
         x, y = (sp.Symbol(f"{name}.{axis}0", real=True) for axis in "xy")
         anchors = {x: anchor[0], y: anchor[1]}
-        along, across = self._rim(contact).centre((x, y), tangent)
+        centre_x, centre_y = self._rim(contact).centre((x, y), tangent)
         surface, point = self.scene.surfaces[contact.surface], self.point(contact.point)
         if surface.body is None:
-            here = self._in_frame(surface, point)
-            return (here[0] - along, here[1] - across), anchors
+            position = self._in_frame(surface, point)
+            return (position[0] - centre_x, position[1] - centre_y), anchors
         (x0, y0), angle = self.body_frame(surface.body)
         c, s = sp.cos(angle), sp.sin(angle)
         return (
-            point[0] - x0 - c * along + s * across,
-            point[1] - y0 - s * along - c * across,
+            point[0] - x0 - c * centre_x + s * centre_y,
+            point[1] - y0 - s * centre_x - c * centre_y,
         ), anchors
 
     def _surface_geometry(
         self, surface: Surface, radius: sp.Expr, centre: Vector
     ) -> _SurfaceGeometry:
-        """Return the geometry of a surface near a point, at a radius from it."""
-        # The surface is differentiated in its own coordinates and the point in those of its body:
-        # both are short, where gap(q) and its second derivative are long.
-        own = sp.Dummy("x", real=True), sp.Dummy("y", real=True)
-        here = dict(zip(own, centre, strict=True))
-        function, direction, factor = self._surface(surface, *own)
-        # For a disc the function is linear, or a distance.
+        """Return the geometry of a surface near a point, or near a disc of this radius."""
+        # Chain rule: the surface is differentiated in its own coordinates and the point in those of
+        # its body, since gap(q) and its second derivative are long.
+        local = sp.Dummy("x", real=True), sp.Dummy("y", real=True)
+        substitution = dict(zip(local, centre, strict=True))
+        function, direction, factor = self._surface(surface, *local)
+        # A disc touches lines and circles only, so that the function is the distance.
         function -= radius / factor
+        # Rate of the radius of a circle: a rope that is hauled in.
+        radius_rate = self.rate(function)
         at_rest = dict.fromkeys(self.a, sp.S.Zero)
         rates = self.rate(centre[0]), self.rate(centre[1])
         drifts = self.rate(rates[0]).xreplace(at_rest), self.rate(rates[1]).xreplace(at_rest)
-        gradient = [sp.diff(function, u) for u in own]
-        along = [sp.diff(direction[1], u) for u in own], [-sp.diff(direction[0], u) for u in own]
-        curvature = [[sp.diff(slope, u) for u in own] for slope in gradient]
+        gradient = [sp.diff(function, u) for u in local]
+        tangent_gradients = (
+            [sp.diff(direction[1], u) for u in local],
+            [-sp.diff(direction[0], u) for u in local],
+        )
+        curvature = [[sp.diff(slope, u) for u in local] for slope in gradient]
 
         def times(rows: Sequence[sp.Expr], columns: Sequence[sp.Expr]) -> sp.Expr:
-            return sp.Add(*(r.xreplace(here) * c for r, c in zip(rows, columns, strict=True)))
+            return sp.Add(
+                *(r.xreplace(substitution) * c for r, c in zip(rows, columns, strict=True))
+            )
 
-        def bent(rows: Sequence[Sequence[sp.Expr]]) -> sp.Expr:
+        def second_order(rows: Sequence[Sequence[sp.Expr]]) -> sp.Expr:
             return sp.Add(*(times(r, rates) * rate for r, rate in zip(rows, rates, strict=True)))
 
-        unit = factor.xreplace(here)
+        unit = factor.xreplace(substitution)
         return _SurfaceGeometry(
-            function.xreplace(here),
-            unit * function.xreplace(here),
-            unit * times(gradient, rates),
-            # On the surface (gap = gap' = 0) this is the derivative of the normal velocity.
-            unit * (times(gradient, drifts) + bent(curvature)),
-            (direction[0].xreplace(here), direction[1].xreplace(here)),
+            function.xreplace(substitution),
+            unit * function.xreplace(substitution),
+            unit * (times(gradient, rates) + radius_rate),
+            # Equals the derivative of the normal velocity on the surface (gap = gap' = 0).
+            unit * (times(gradient, drifts) + second_order(curvature) + self.rate(radius_rate)),
+            (direction[0].xreplace(substitution), direction[1].xreplace(substitution)),
             rates,
             drifts,
-            bent(along),
+            second_order(tangent_gradients),
         )
 
     def _nonzero(self, row: Sequence[sp.Expr]) -> list[sp.Expr]:
-        """Return the terms of a row of coefficients times the accelerations."""
         return [j * a for j, a in zip(row, self.a, strict=True) if j != 0]
 
     @cached_property
     def pads(self) -> dict[str, int]:
         """Compliant contacts -> numbers of their pads.
 
-        A pad is a coordinate behind those of the scene: the normal force of its contact holds it
-        against the spring, so that forces are found as those of rigid contacts.
+        A pad is an additional coordinate that the normal force of its contact balances against
+        the spring: forces of compliant contacts are then unknowns as those of rigid ones.
         """
-        soft = (n for n, one in self.scene.contacts.items() if one.stiffness is not None)
+        contacts = self.scene.contacts.items()
+        soft = (name for name, contact in contacts if contact.stiffness is not None)
         return {name: k for k, name in enumerate(soft)}
 
     @property
@@ -618,34 +619,32 @@ class Mechanics(Geometry):
         return (sp.S.Zero,) * len(self.pads)
 
     def _padded(
-        self, name: str, normal: Sequence[sp.Expr], along: Sequence[sp.Expr]
+        self, name: str, normal: Sequence[sp.Expr], tangential: Sequence[sp.Expr]
     ) -> tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]:
-        """Return what forces of a contact do to every coordinate, pads included."""
         pads = [*self._no_pads]
         if name in self.pads:
             normal = (sp.S.Zero,) * len(normal)
             pads[self.pads[name]] = sp.S.One
-        return (*normal, *pads), (*along, *self._no_pads)
+        return (*normal, *pads), (*tangential, *self._no_pads)
 
-    def _compliance(self, contact: Contact, around: _SurfaceGeometry) -> sp.Expr | None:
-        """Return the normal force of a compliant contact that is closed."""
+    def _compliance(self, contact: Contact, local: _SurfaceGeometry) -> sp.Expr | None:
         if contact.stiffness is None:
             return None
         k, d = (self._formula(text or 0) for text in (contact.stiffness, contact.damping))
-        return -k * around.gap - d * around.gap_rate
+        return -k * local.gap - d * local.gap_rate
 
-    def _turning(self, name: str) -> ContactGeometry:
-        """Return the geometry of a coupling: its slip is a rate of angles, its gap is closed."""
-        along = self.scene.along_guide(name)
-        if along:
+    def _coupling_geometry(self, name: str) -> ContactGeometry:
+        """Return the geometry of a coupling: its slip is an angular rate, its gap is zero."""
+        guide = self.scene.along_guide(name)
+        if guide:
             joint = self.scene.joints[self.scene.couplings[name].joint or ""]
-            turn = self.point(joint.point)["XY".index(along)]
+            turn = self.point(joint.point)["XY".index(guide)]
         elif isinstance(coupling := self.scene.couplings[name], Rolling):
             turn = self._rim(self.scene.contacts[coupling.contact]).turn
         else:
             angles = [self.body_frame(body)[1] for body in self.scene.coupled(name)]
             turn = angles[0] - sp.Add(*angles[1:])
-        zero, none = sp.S.Zero, (sp.S.Zero,) * len(self.q)
+        zero, no_rates = sp.S.Zero, (sp.S.Zero,) * len(self.q)
         slip = self.rate(turn)
         jacobian = tuple(self.gradient(turn))
         bias = self.rate(slip).xreplace(dict.fromkeys(self.a, zero))
@@ -655,31 +654,39 @@ class Mechanics(Geometry):
         symbols = ContactSymbols(
             name, zero, zero, zero, slip, zero, acceleration, zero, couple,
             friction_cones(self.scene, name, None, self.known, slip),
-            self._padded(name, none, jacobian),
+            self._padded(name, no_rates, jacobian),
             tuple((*row.jacobian, *self._no_pads) for row in self.joint_rows),
             tuple(row.force for row in self.joint_rows), Hold((), (), ()),
             Hold((turn - anchor,), (acceleration,), (couple,), {anchor: turn}),
         )  # fmt: skip
         place, tangent = (turn, zero), (sp.S.One, zero)
         return ContactGeometry(
-            place, place, tangent, (zero, sp.S.One), tangent, symbols, none, jacobian, zero, bias
+            place,
+            place,
+            tangent,
+            (zero, sp.S.One),
+            tangent,
+            symbols,
+            no_rates,
+            jacobian,
+            zero,
+            bias,
         )
 
     def _arm(self, point: Point) -> sp.Expr:
-        """Return the length that makes lengths of angles: the radius of gyration about a point."""
+        """Return the radius of gyration about a point, which converts angles to lengths."""
         mass, inertia = self.inertia(point.body, self.scene.bodies[point.body])
         x, y = (self._formula(text) for text in point.at)
         return sp.sqrt(inertia / mass + x**2 + y**2)
 
     def _stop(self, name: str, contact: Contact, stop: Stop) -> ContactGeometry:
-        """Return the geometry of a limit of an angle: a gap that nothing slips along."""
         turn = self.body_frame(contact.point.body)[1] - self._formula(stop.limit)
         if stop.other is not None:
             turn -= self.body_frame(stop.other)[1]
         turn *= stop.side
         gap, (V, H) = self._arm(contact.point) * turn, self.forces[name]
         rate, zeros = self.rate(gap), (sp.S.Zero,) * len(self.q)
-        jacobian, none = tuple(self.gradient(gap)), (sp.S.Zero, sp.S.Zero)
+        jacobian, no_anchor = tuple(self.gradient(gap)), (sp.S.Zero, sp.S.Zero)
         bias = self.rate(rate).xreplace(dict.fromkeys(self.a, sp.S.Zero))
         bearing = sp.Add(bias, *self._nonzero(jacobian))
         hold = Hold((turn,), (bearing,), (V,))
@@ -693,7 +700,7 @@ class Mechanics(Geometry):
         )  # fmt: skip
         x, y = self.point(contact.point)
         return ContactGeometry(
-            (x, y), none, (sp.S.One, sp.S.Zero), (sp.S.Zero, sp.S.One), (sp.S.One, sp.S.Zero),
+            (x, y), no_anchor, (sp.S.One, sp.S.Zero), (sp.S.Zero, sp.S.One), (sp.S.One, sp.S.Zero),
             symbols, jacobian, zeros, bias, sp.S.Zero,
         )  # fmt: skip
 
@@ -703,8 +710,8 @@ class Mechanics(Geometry):
             return self._stop(name, contact, surface)
         x, y = centre = self._in_frame(surface, self.point(contact.point))
         rim = self._rim(contact)
-        around = self._surface_geometry(surface, rim.radius, centre)
-        normal, rates, drifts = around.normal, around.rates, around.drifts
+        local = self._surface_geometry(surface, rim.radius, centre)
+        normal, rates, drifts = local.normal, local.rates, local.drifts
         tangent = (normal[1], -normal[0])
         jacobian = list(
             zip(self.gradient(x), self.gradient(y), self.gradient(rim.turn), strict=True)
@@ -721,8 +728,8 @@ class Mechanics(Geometry):
         )
         rolling = self.rate(rim.radius * rim.turn)
         slip = tangent[0] * rates[0] + tangent[1] * rates[1] + rolling
-        bias_n = around.bias
-        bias_t = tangent[0] * drifts[0] + tangent[1] * drifts[1] + around.turned
+        bias_n = local.bias
+        bias_t = tangent[0] * drifts[0] + tangent[1] * drifts[1] + local.turned
         bias_t += self.rate(rolling).xreplace(dict.fromkeys(self.a, sp.S.Zero))
         V, H = self.forces[name]
         anchor, slipping = rim.anchored(centre, tangent)
@@ -731,15 +738,15 @@ class Mechanics(Geometry):
         tangential_a = sp.Add(bias_t, *self._nonzero(jacobian_t))
         offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", sp.S.Zero)
         symbols = ContactSymbols(
-            name, around.gap, offset, around.gap_rate, slip, normal_a, tangential_a, V, H,
+            name, local.gap, offset, local.gap_rate, slip, normal_a, tangential_a, V, H,
             friction_cones(self.scene, name, self._coefficients.get(name), self.known, slip),
             self._padded(name, jacobian_n, jacobian_t),
             tuple((*row.jacobian, *self._no_pads) for row in self.joint_rows),
             tuple(row.force for row in self.joint_rows),
-            # Not its distance: of the height of a ground y follows with a factor of 1.
-            Hold((around.function,), (normal_a,), (V,), steep=self.curved(name)),
+            # The implicit function, not the distance: it is linear in y for a height.
+            Hold((local.function,), (normal_a,), (V,), steep=self.curved(name)),
             Hold(stuck, (normal_a, tangential_a), (V, H), anchors),
-            self._compliance(contact, around),
+            self._compliance(contact, local),
         )  # fmt: skip
         point = x - rim.radius * normal[0], y - rim.radius * normal[1]
         return ContactGeometry(

@@ -1,4 +1,4 @@
-"""Parameters of the equations of a scene, and quantities that follow from them alone."""
+"""Parameters of the equations of a scene, and the quantities derived from them."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ COEFFICIENTS = ("friction", "cone_n", "cone_t")
 """Parameters of a contact with friction; ``tip.friction.ice`` where the state `ice` sets it."""
 STATIC = ("static", "cone_n", "cone_t")
 KINETIC = ("kinetic", "kinetic_n", "kinetic_t")
-"""Those of a contact whose friction at rest and in motion differ; of formulas of slip no KINETIC.
+"""Parameters of a contact whose static and kinetic friction differ.
 
-``tip.friction`` is then what the mode of the contact uses.
+``tip.friction`` is then the one in use. Friction as a formula of slip has no KINETIC parameters.
 """
 
 GAP_OFFSET = "gap_offset"
@@ -32,7 +32,7 @@ HELD_FORCE = "scene.held_force"
 MASS_UNIT = "scene.mass_unit"
 """Parameter of scenes with extreme masses: the power of two that modes are solved in, or 0."""
 MAGNITUDES = 1e-40, 1e40
-"""Masses (kg) of which determinants, with products of five and of lengths, are floats."""
+"""Range of masses (kg) whose products in determinants (five masses, and lengths) are floats."""
 
 
 def coefficients_of(law: FrictionLaw) -> tuple[tuple[str, ...], ...]:
@@ -45,9 +45,9 @@ def coefficients_of(law: FrictionLaw) -> tuple[tuple[str, ...], ...]:
 def friction_symbols(
     scene: Scene, known: Mapping[str, sp.Symbol]
 ) -> dict[str, dict[str, sp.Symbol]]:
-    """Return the coefficients of contacts with friction: key of `coefficients_of` -> symbol.
+    """Return key of `coefficients_of` -> symbol, for every contact with friction.
 
-    States of controllers set those that are no parameters.
+    Coefficients that are no parameters are set by states of controllers.
     """
     result: dict[str, dict[str, sp.Symbol]] = {}
     for i, (name, contact) in enumerate(scene.contacts.items()):
@@ -69,12 +69,9 @@ def friction_cones(
     known: Mapping[str, sp.Expr],
     slip: sp.Expr,
 ) -> FrictionSymbols:
-    """Return the friction of a contact whose coefficients are these; None: it has no friction.
-
-    Edges are numbers where no coefficient is needed.
-    """
+    """Return the cones of a contact; without `coefficients` it is smooth or cannot slip."""
     if coefficients is None:
-        # Without slide a pin holds whatever it takes (no-slip).
+        # A contact without the mode slide has an unlimited friction force.
         smooth = name in scene.contacts and scene.contacts[name].frictionless
         edge = (sp.S.One, sp.S.Zero) if smooth else (sp.S.Zero, sp.S.One)
         return FrictionSymbols(dict.fromkeys((0, 1, -1), edge))
@@ -107,7 +104,7 @@ def kinetic_friction(
     """Return the kinetic coefficient for slip at a `speed` in a direction, 1 or -1."""
     size = sp.Symbol("speed", positive=True)
     slips = dict.fromkeys(law.slips, direction * size)
-    # Of a positive symbol SymPy knows abs and sign.
+    # SymPy simplifies abs and sign of a positive symbol.
     return parse(law.kinetic).to_sympy({**known, **slips}).xreplace({size: speed})
 
 
@@ -115,30 +112,30 @@ def scene_parameters(scene: Scene) -> Parameters:
     """Return the scene's parameters, the contacts' coefficients, and the initial state."""
 
     def derived(known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
-        found = _derived(scene, known)
-        found |= {f"{name}.{GAP_OFFSET}": sp.S.Zero for name in scene.contacts}
+        expressions = _derived(scene, known)
+        expressions |= {f"{name}.{GAP_OFFSET}": sp.S.Zero for name in scene.contacts}
         if has_switches(scene):
-            found |= {f"{HELD_FORCE}{i}": sp.S.Zero for i in range(len(scene.variables))}
+            expressions |= {f"{HELD_FORCE}{i}": sp.S.Zero for i in range(len(scene.variables))}
         values = scene.values({})
         masses = [parse(body.mass).value(values) for body in scene.bodies.values()]
         if masses and not MAGNITUDES[0] <= min(masses) <= max(masses) <= MAGNITUDES[1]:
-            # Set from the scales of a run, see `contacts.dynamics.scales.mass_unit`.
-            found[MASS_UNIT] = sp.S.Zero
-        return found
+            # Set by `contacts.dynamics.scales.mass_unit`.
+            expressions[MASS_UNIT] = sp.S.Zero
+        return expressions
 
     return Parameters(scene.parameters, derived, partial(_initial, scene))
 
 
 def body_parameters(scene: Scene) -> Parameters:
-    """Return those of a scene of free bodies: what is alike in copies of a body stands once.
+    """Return the parameters of a scene of free bodies; copies of a body share theirs.
 
-    What follows from them besides is what controllers remember at the start.
+    The initial state is that of the controllers' variables alone.
     """
 
-    def remembered(known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
+    def controller_variables(known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
         return [parse(text).to_sympy(known) for text in scene.controlled.controller_state.values()]
 
-    return Parameters(scene.parameters, partial(_derived, scene), remembered)
+    return Parameters(scene.parameters, partial(_derived, scene), controller_variables)
 
 
 def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
@@ -146,29 +143,29 @@ def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]
     result: dict[str, sp.Expr] = {}
 
     def in_states(text: FormulaText) -> Iterator[tuple[str, Mapping[str, sp.Expr]]]:
-        for state, seen in scene.controlled.values_by_state(text, known, Formula.to_sympy):
-            yield f".{state}" if state else "", seen
+        for state, scope in scene.controlled.values_by_state(text, known, Formula.to_sympy):
+            yield f".{state}" if state else "", scope
 
     for name, contact in scene.contacts.items():
         law = scene.friction_of(name)
         if law is not None and not contact.frictionless:
             at_rest = dict.fromkeys(law.slips, sp.S.Zero)
-            for state, seen in in_states(law.both):
+            for state, scope in in_states(law.both):
                 for keys, text in zip(
                     coefficients_of(law), (law.static, law.kinetic), strict=False
                 ):
-                    mu = parse(text).to_sympy({**seen, **at_rest})
+                    mu = parse(text).to_sympy({**scope, **at_rest})
                     for key, value in zip(keys, (mu, *cone_edge(mu)), strict=True):
                         result[f"{name}.{key}{state}"] = value
         if contact.restitution is not None:
-            for state, seen in in_states(contact.restitution):
-                value = parse(contact.restitution).to_sympy(seen)
+            for state, scope in in_states(contact.restitution):
+                value = parse(contact.restitution).to_sympy(scope)
                 result[f"{name}.restitution{state}"] = value
     for name, body in scene.bodies.items():
         if body.inertia is not None:
             result[f"{name}.inertia"] = parse(body.inertia).to_sympy(known)
     for name, joint in scene.joints.items():
-        # Found from the start of a run, see `contacts.solvers.dependence.implied`.
+        # Set at the start of a run by `contacts.solvers.dependence.implied`.
         result |= {f"{name}.redundant_{c.lower()}": sp.S.Zero for c in joint.components}
         if joint.angle is not None and not joint.enabled:
             ends = (joint.point, joint.to)
@@ -178,7 +175,7 @@ def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]
 
 
 def _initial(scene: Scene, known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
-    """Return positions, rates and what controllers remember at the start; the bodies' levers."""
+    """Return initial positions, rates and controllers' variables; then levers of the bodies."""
     positions: list[sp.Expr] = []
     rates: list[sp.Expr] = []
     for coordinate in scene.coordinates.values():
@@ -205,7 +202,7 @@ def _lever(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
     """Return mass times the longest arm squared of the body's contact points and joints."""
     points = [(contact.point, contact.radius or 0) for contact in scene.contacts.values()]
     points += [(joint.point, 0) for joint in scene.joints.values()]
-    # A place that is captured is known when the joint closes.
+    # A captured position is known when the joint closes.
     points += [
         (joint.to, 0)
         for joint in scene.joints.values()
@@ -217,5 +214,5 @@ def _lever(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
         if point.body == name
     ]
     mass = parse(scene.bodies[name].mass).to_sympy(known)
-    # Numbers decide which arm is the longest: to prove it takes SymPy half a second.
+    # Unevaluated: SymPy takes half a second to decide which arm is the longest.
     return mass * (sp.Max(*arms, evaluate=False) if arms else sp.S.Zero)

@@ -1,4 +1,4 @@
-"""Positions and velocities brought back onto the constraints of joints and closed contacts."""
+"""Projection of positions and velocities onto the constraints of joints and closed contacts."""
 
 from __future__ import annotations
 
@@ -20,27 +20,30 @@ from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, SingularMode
 from statechart.formulas.tape import Tape
 
-# A state is brought onto the constraints of the mode entered from this part of their tolerance on.
+# Position errors above this part of the tolerance are projected when a mode is entered.
 DRIFT = 0.05
-# A velocity left over where a flow begins moves the point as long as the flow lasts. At the least
-# tolerance this is nine roundings of the scene's speed: what would be projected below comes back.
+# Velocity errors above this part of the tolerance are projected, too: they move the point as long
+# as the flow lasts. At the smallest tolerance this is nine round-offs of the scene's speed, below
+# which projection is not effective.
 CREEP = 2e-3
 # Weights of an open contact's numbers.
 _FREE = (0.0,) * 5
-# A step farther off a surface than this part of the scene's length counts as blind. Enclosures
-# as narrow as the gap's tolerance would take 1e5 boxes a step.
+# Distance from a surface, relative to the scene's length, beyond which a step missed a curvature.
+# Enclosures as narrow as the gap's tolerance would take 1e5 boxes a step.
 BLIND_GAP = 1e-4
-# A residual that projection cannot reduce is round-off up to so many times a last bit's effect.
-_ROUNDINGS = 64.0
-# That effect is measured by a shift of so small a part of every number.
+# A residual that projection cannot reduce counts as round-off up to this multiple of the effect of
+# the last bits of the state.
+_MAX_ROUNDINGS = 64.0
+# Relative shift of every number that measures this effect.
 _SHIFT = 2.0**-26
 
 
 class Projection:
-    """Keeps the constraints of a flow: solved as accelerations only, they drift as N^2.
+    """Coordinate projection of a flow, whose constraints hold on acceleration level only.
 
-    No Baumgarte stabilisation: it would enter the forces that the guards read. The outputs of
-    `tape` are what constraints keep: five numbers a contact, two a row of a joint.
+    Without it they drift as N^2 in the number of steps. Baumgarte stabilisation would enter the
+    forces that guards read. The outputs of `tape` are the constrained quantities: five numbers per
+    contact, two per joint row.
     """
 
     def __init__(self, mechanics: Mechanics, snapshots: SnapshotTape) -> None:
@@ -59,7 +62,7 @@ class Projection:
         self._snapshots = snapshots
         self._compile = mechanics.whole_tape
         self.tape = mechanics.tape(outputs, definitions=[*states.items()])
-        # Of the state with what controllers remember in it.
+        # Takes the state with the controllers' variables.
         self._whole = self.tape
         if mechanics.controller_state:
             self._whole = mechanics.whole_tape(outputs, definitions=[*states.items()])
@@ -82,63 +85,64 @@ class Projection:
     ) -> Constraints:
         """Return the constraints of `flow` (see `statechart.automaton.laws.Laws`).
 
-        They are of the whole state, `project` is of positions and rates. It raises
-        `NoConsistentMode` where the joints cannot be kept together,
-        `SingularMode` where that is because their constraints have become dependent. The flow
-        begins at `start` at the state `anchor`: pinned points stay where they were there, in the
-        surface's frame.
+        Pinned points keep their positions of the state `anchor` at the time `start`, in the frame
+        of the surface. `project` takes positions and rates; it raises `NoConsistentMode` if the
+        joints cannot all hold, and `SingularMode` if their constraints have become dependent.
         """
-        near, slow = 1.0 / tolerances["gap"], 1.0 / tolerances["speed"]
+        gap_weight, speed_weight = 1.0 / tolerances["gap"], 1.0 / tolerances["speed"]
         pinned = any(state in STICKING for state in flow)
-        weights = self._weights(flow, near, slow)
+        weights = self._weights(flow, gap_weight, speed_weight)
         targets = np.zeros(len(weights))
         if pinned:
-            then = self.tape.at(anchor, values, start)
+            pinned_at = self.tape.at(anchor, values, start)
             for i, name in enumerate(flow):
                 if name in STICKING:
-                    targets[5 * i + 3 : 5 * i + 5] = then[5 * i + 3 : 5 * i + 5]
+                    targets[5 * i + 3 : 5 * i + 5] = pinned_at[5 * i + 3 : 5 * i + 5]
 
         began = values
 
         def project(state: Array, time: float, values: Array = values) -> Array:
-            snapshot, joints = self._snapshots.whole(values, state, time)
-            pins = self._snapshots.whole(began, anchor, start)[0] if pinned else None
-            projected = _brought(flow, snapshot, joints, state, held=pins)
+            snapshot, joints = self._snapshots.unreduced(values, state, time)
+            pins = self._snapshots.unreduced(began, anchor, start)[0] if pinned else None
+            projected = _brought(flow, snapshot, joints, state, pinned=pins)
             if joints is None:
                 return projected
             before = constraints.off(state, values, time)
-            left = constraints.off(projected, values, time)
-            if left > 0.5 * before:
-                # Rates were brought onto the constraints of the place left: what turns fast is as
-                # far off again at the new one, and no longer at the next.
-                again = self._snapshots.whole(values, projected, time)
-                projected = _brought(flow, *again, projected, held=pins)
-                left = constraints.off(projected, values, time)
-            if left > 0.5 * before:
-                # Angles of many turns, and rates that have grown, are rounded to more than the
-                # tolerances.
-                if left <= _ROUNDINGS * (self._rounding(state, values, time) * (near, slow)).max():
+            residual = constraints.off(projected, values, time)
+            if residual > 0.5 * before:
+                # The first projection uses the velocity constraints at the old position, which
+                # are off by as much at the new one if a body turns fast; the second is not.
+                numbers = self._snapshots.unreduced(values, projected, time)
+                projected = _brought(flow, *numbers, projected, pinned=pins)
+                residual = constraints.off(projected, values, time)
+            if residual > 0.5 * before:
+                # The round-off of large angles and rates can exceed the tolerances.
+                if (
+                    residual
+                    <= _MAX_ROUNDINGS
+                    * (self._rounding(state, values, time) * (gap_weight, speed_weight)).max()
+                ):
                     return state
-                if left > 1.0:
+                if residual > 1.0:
                     rows = joints.jacobian * scales.sizes[: len(state) // 2]
-                    kept = np.flatnonzero(~joints.redundant).tolist()
-                    why = dependent([(self._joints[i], rows[i]) for i in kept])
-                    if why:
-                        raise SingularMode(why)
+                    independent = np.flatnonzero(~joints.redundant).tolist()
+                    reason = dependent([(self._joints[i], rows[i]) for i in independent])
+                    if reason:
+                        raise SingularMode(reason)
                     rows = self.tape.at(projected, values, time)[5 * len(flow) :].reshape(-1, 2)
                     rows = np.where(joints.on[:, None], np.abs(rows), 0.0)
-                    raise self._broken(rows, near, slow, time)
+                    raise self._broken(rows, gap_weight, speed_weight, time)
             return projected
 
-        # At a loose tolerance a state may be off that far without being projected.
-        room = max(BLIND_GAP * scales.length, tolerances["gap"])
+        # At a loose tolerance a state that is not projected may be off by the gap's tolerance.
+        blind_gap = max(BLIND_GAP * scales.length, tolerances["gap"])
         constraints = Constraints(
-            self.tape, targets, weights, project, self.passed_over(flow), room
+            self.tape, targets, weights, project, self.passed_over(flow), blind_gap
         )
         return constraints._replace(tape=self._whole)
 
     def _rounding(self, state: Array, values: Array, time: float) -> Array:
-        """Return how far a last bit of every number of the state takes the joints (rows, 2)."""
+        """Return the effect of the last bits of the state on the joint rows (rows, 2)."""
         rows = [self.tape.at(state, values, time)]
         for i, number in enumerate(state):
             moved = state.copy()
@@ -148,82 +152,87 @@ class Projection:
         return (EPS / _SHIFT) * moves[5 * len(self._gaps) :].reshape(-1, 2)
 
     def passed_over(self, flow: Key) -> Tape | None:
-        """Return what tells that a step passed over a bump of a surface, or a dip, unseen.
-
-        Curved surfaces alone can be flat where a step begins and not where it ends.
-        """
+        """Return a tape of the gaps to curved surfaces, which detects bumps that a step missed."""
         if flow not in self._within:
-            listed = zip(self._gaps, flow, self._curved, strict=False)
-            gaps = [gap for gap, state, curved in listed if curved and state not in OPEN]
-            within = self._compile([*gaps, *(-gap for gap in gaps)]) if gaps else None
-            self._within[flow] = within
+            contacts = zip(self._gaps, flow, self._curved, strict=False)
+            gaps = [gap for gap, state, curved in contacts if curved and state not in OPEN]
+            tape = self._compile([*gaps, *(-gap for gap in gaps)]) if gaps else None
+            self._within[flow] = tape
         return self._within[flow]
 
-    def _weights(self, flow: Key, near: float, slow: float) -> Array:
-        listed: list[float] = []
+    def _weights(self, flow: Key, gap_weight: float, speed_weight: float) -> Array:
+        weights: list[float] = []
         for name, soft in zip(flow, self._soft, strict=True):
             if name in OPEN:
-                listed += _FREE
+                weights += _FREE
             elif soft:
-                listed += (0.0, 0.0, slow if name == "pin" else 0.0, 0.0, 0.0)
+                weights += (0.0, 0.0, speed_weight if name == "pin" else 0.0, 0.0, 0.0)
             elif name in STICKING:
-                listed += (near, slow, slow, near, near)
+                weights += (gap_weight, speed_weight, speed_weight, gap_weight, gap_weight)
             else:
-                listed += (near, slow, 0.0, 0.0, 0.0)
-        for on in self._on:
-            listed += (near, slow) if on else (0.0, 0.0)
-        return np.array(listed)
+                weights += (gap_weight, speed_weight, 0.0, 0.0, 0.0)
+        for closed in self._on:
+            weights += (gap_weight, speed_weight) if closed else (0.0, 0.0)
+        return np.array(weights)
 
-    def _broken(self, rows: Array, near: float, slow: float, time: float) -> NoConsistentMode:
-        k = int(np.argmax((rows * (near, slow)).max(axis=1)))
+    def _broken(
+        self, rows: Array, gap_weight: float, speed_weight: float, time: float
+    ) -> NoConsistentMode:
+        k = int(np.argmax((rows * (gap_weight, speed_weight)).max(axis=1)))
         gap, rate = rows[k].tolist()
-        apart = f"comes apart by {gap:.3g}" if gap * near >= rate * slow else f"parts at {rate:.3g}"
+        violation = (
+            f"comes apart by {gap:.3g}"
+            if gap * gap_weight >= rate * speed_weight
+            else f"parts at {rate:.3g}"
+        )
         return NoConsistentMode(
             f"the joints {', '.join(dict.fromkeys(self._joints))} cannot all hold at t = "
-            f"{time:.6g}: {self._joints[k]!r} {apart}"
+            f"{time:.6g}: {self._joints[k]!r} {violation}"
         )
 
 
 def landing(tolerances: Mapping[str, float]) -> tuple[float, float]:
-    """Return how far off a mode's constraints gaps, and velocities, may be when it is entered."""
+    """Return the errors of gaps and velocities above which a mode's start is projected."""
     return DRIFT * tolerances["gap"], CREEP * tolerances["speed"]
 
 
 def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, float]) -> Array:
-    """Return `state` on the constraints of the mode entered; the same object if it is."""
-    near, slow = landing(tolerances)
-    if snapshot.held is not None:
-        joints = snapshot.held.joints
-        apart, parting = np.abs(joints.gaps[joints.on]), np.abs(joints.rates[joints.on])
-        if apart.max(initial=0.0) > near or parting.max(initial=0.0) > slow:
+    """Project `state` onto the constraints of the mode entered, if it violates them."""
+    gap_tolerance, speed_tolerance = landing(tolerances)
+    if snapshot.reduction is not None:
+        joints = snapshot.reduction.joints
+        gaps, rates = np.abs(joints.gaps[joints.on]), np.abs(joints.rates[joints.on])
+        if gaps.max(initial=0.0) > gap_tolerance or rates.max(initial=0.0) > speed_tolerance:
             return on_constraints(key, snapshot, state)
     for contact, name in zip(snapshot.contacts, key, strict=True):
-        off = abs(contact.gap) > near or abs(contact.gap_rate) > slow
-        if name not in OPEN and (off or (name in STICKING and abs(contact.slip) > slow)):
+        violated = abs(contact.gap) > gap_tolerance or abs(contact.gap_rate) > speed_tolerance
+        if name not in OPEN and (
+            violated or (name in STICKING and abs(contact.slip) > speed_tolerance)
+        ):
             return on_constraints(key, snapshot, state)
     return state
 
 
 def on_constraints(
-    key: Key, snapshot: Snapshot, state: Array, *, inside: Sequence[bool] = ()
+    key: Key, snapshot: Snapshot, state: Array, *, penetrating: Sequence[bool] = ()
 ) -> Array:
-    """Bring position and velocity onto the constraints, nearest in the mass metric."""
-    joints = None if snapshot.held is None else snapshot.held.joints
-    return _brought(key, snapshot.whole, joints, state, inside=inside)
+    """Project position and velocity onto the constraints in the mass metric."""
+    joints = None if snapshot.reduction is None else snapshot.reduction.joints
+    return _brought(key, snapshot.unreduced, joints, state, penetrating=penetrating)
 
 
-def in_contact(key: Key, snapshot: Snapshot, state: Array, slow: float) -> Array:
-    """Bring the velocity alone onto the constraints where it is off them by more than `slow`.
+def in_contact(key: Key, snapshot: Snapshot, state: Array, speed_tolerance: float) -> Array:
+    """Project the velocity alone if it violates the constraints by more than `speed_tolerance`.
 
-    Projected along with a place, it is that of the place left: over a curved surface the other
-    place has another normal.
+    A projection with the position uses the normals at the old position, which differ from those at
+    the new one on a curved surface.
     """
     rates = [
         contact.gap_rate
         for contact, name in zip(snapshot.contacts, key, strict=True)
         if name not in OPEN
     ]
-    if not any(abs(rate) > slow for rate in rates):
+    if not any(abs(rate) > speed_tolerance for rate in rates):
         return state
     half = len(state) // 2
     return np.append(state[:half], on_constraints(key, snapshot, state)[half:])
@@ -231,38 +240,38 @@ def in_contact(key: Key, snapshot: Snapshot, state: Array, slow: float) -> Array
 
 def _brought(
     key: Key,
-    whole: Snapshot,
+    snapshot: Snapshot,
     joints: JointNumbers | None,
     state: Array,
     *,
-    held: Snapshot | None = None,
-    inside: Sequence[bool] = (),
+    pinned: Snapshot | None = None,
+    penetrating: Sequence[bool] = (),
 ) -> Array:
-    """See `on_constraints`; `held`: where pinned points were when they were pinned."""
+    """Project as `on_constraints` does; `pinned` is the snapshot when the points were pinned."""
     rows: list[Array] = []
-    off: list[tuple[float, float]] = []
+    residuals: list[tuple[float, float]] = []
     if joints is not None:
         for i in np.flatnonzero(~joints.redundant).tolist():
             rows.append(joints.jacobian[i])
-            off.append((-joints.gaps[i], -joints.rates[i]))
-    for i, (contact, name) in enumerate(zip(whole.contacts, key, strict=True)):
-        if name in OPEN and not (inside and inside[i]):
+            residuals.append((-joints.gaps[i], -joints.rates[i]))
+    for i, (contact, name) in enumerate(zip(snapshot.contacts, key, strict=True)):
+        if name in OPEN and not (penetrating and penetrating[i]):
             continue
         if name not in COUPLING_STATES:
             rows.append(contact.jacobian[0])
-            off.append((-contact.gap, -contact.gap_rate if name not in OPEN else 0.0))
+            residuals.append((-contact.gap, -contact.gap_rate if name not in OPEN else 0.0))
         if name in STICKING:
             moved = 0.0
-            if held is not None:
-                before = held.contacts[i]
+            if pinned is not None:
+                before = pinned.contacts[i]
                 moved = contact.tx * (contact.x - before.x) + contact.ty * (contact.y - before.y)
             rows.append(contact.jacobian[1])
-            off.append((-moved, -contact.slip))
+            residuals.append((-moved, -contact.slip))
     if not rows:
         return state
-    jacobian, sides = well_posed(np.array(rows), np.array(off))
-    shift = answer(whole, jacobian, jacobian, sides[:, 0].copy())
-    change = answer(whole, jacobian, jacobian, sides[:, 1].copy())
+    jacobian, sides = well_posed(np.array(rows), np.array(residuals))
+    shift = answer(snapshot, jacobian, jacobian, sides[:, 0].copy())
+    change = answer(snapshot, jacobian, jacobian, sides[:, 1].copy())
     if shift is None or change is None:
         return state
     half = len(state) // 2
@@ -270,10 +279,10 @@ def _brought(
 
 
 def dead_point(snapshot: Snapshot, laws: Sequence[ContactLaw], moving: Key, sizes: Array) -> str:
-    """Return which contacts' constraints have become dependent; "" where they are not.
+    """Return a sentence on contacts whose constraints have become dependent; "" if none have.
 
-    A linkage that comes to a dead point (two rods that fold on each other, each with its end on
-    the floor) can go on in more than one way, and its forces are not determined there.
+    At a dead point of a linkage (two folded rods, each with its end on the floor) neither the
+    motion nor the forces are unique.
     """
     rows = [
         (law.name, snapshot.jacobians[i, d])
@@ -281,6 +290,6 @@ def dead_point(snapshot: Snapshot, laws: Sequence[ContactLaw], moving: Key, size
         if state not in OPEN
         for d in range(state in COUPLING_STATES, 2 if state in STICKING else 1)
     ]
-    if snapshot.held is None:
+    if snapshot.reduction is None:
         rows = [(name, row * sizes) for name, row in rows]
     return dependent(rows)

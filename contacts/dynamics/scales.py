@@ -1,4 +1,4 @@
-"""A scene's own units of length, speed, acceleration and force."""
+"""Characteristic length, speed, acceleration and force of a scene."""
 
 from __future__ import annotations
 
@@ -21,21 +21,20 @@ from statechart.formulas.formula import parse
 from statechart.kernels.jets import tape_ranges
 from statechart.kernels.jit import kernel
 
-# Round-off of positions in units in the last place of the largest coordinate, with room for what
-# some steps add up.
-_UNITS = 16.0
-# A turning surface moves a point by at most so many times its distance from the pivot.
-_TURNED = 2.0
-# Beyond these the squares of lengths, times and rates leave the floats; a length below is none.
+# Round-off of positions in units in the last place of the largest coordinate, accumulated over
+# several steps.
+_ROUNDING_UNITS = 16.0
+# A turning surface moves a point by at most this multiple of its distance from the pivot.
+_MAX_TURN_MOTION = 2.0
+# Beyond these the squares of lengths, times and rates overflow or underflow.
 _MIN_SIZE, _MAX_SIZE = 1e-100, 1e100
 
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """The sizes that a scene's numbers are compared with; no tolerance of ours is absolute."""
+    """Characteristic sizes of a scene; all tolerances are relative to them."""
 
-    # `length`, `speed`, `acceleration`, `force`: In the scene's units. A shift of the origin does
-    # not change them
+    # `length`, `speed`, `acceleration`, `force`: In the scene's units; independent of the origin
     length: float
     speed: float
     acceleration: float
@@ -43,8 +42,8 @@ class Scales:
     # Round-off of positions, in the unit of length: units in the last place of the largest
     # coordinate
     rounding: float
-    # (2 n,): How large each coordinate and each rate is: what moves a point by the length, in the
-    # time that this takes at the speed
+    # (2 n,): Changes of each coordinate and rate that move a point by the length, or change its
+    # velocity by the speed
     sizes: Array
 
     @property
@@ -53,29 +52,29 @@ class Scales:
         return np.append(self.sizes, self.length / self.speed)
 
     def state(self, memory: Array) -> Array:
-        """Return the sizes of coordinates, rates and what controllers remember, at its start."""
-        # A value that begins at zero does not tell how large it gets.
+        """Return the sizes of coordinates, rates and controllers' variables."""
+        # The size of a variable that starts at zero is unknown.
         return np.concatenate([self.sizes, np.where(memory == 0.0, 1.0, np.abs(memory))])
 
     def solved(self, count: int) -> Array:
-        """Return the sizes of so many unknowns: of accelerations, and forces behind them."""
+        """Return the sizes of `count` unknowns: accelerations, then forces."""
         rates = self.sizes[len(self.sizes) // 2 :]
         forces = np.full(count - len(rates), self.force)
         return np.concatenate([rates * (self.speed / self.length), forces])
 
 
-def check_range(number: float, what: str, loc: tuple[str, ...]) -> None:
-    """Raise `DeclarationProblem` where the square of a length, a speed or the like is no float."""
+def check_range(number: float, quantity: str, loc: tuple[str, ...]) -> None:
+    """Raise `DeclarationProblem` if the square of a quantity overflows."""
     if abs(number) > _MAX_SIZE:
         raise DeclarationProblem(
-            f"{what} must be at most {_MAX_SIZE:g}, not {number:g}".lstrip(),
+            f"{quantity} must be at most {_MAX_SIZE:g}, not {number:g}".lstrip(),
             advice="take larger units",
             loc=loc,
         )
 
 
-# Groups of numbers that scales are read off; those of gravity and of the moves by a coordinate are
-# behind them.
+# Groups of numbers that determine the scales; the components of gravity, then derivatives of
+# positions by each coordinate, follow from GRAVITY on.
 (
     PLACES, SPEEDS, PUSHES, STIFFNESS, MASS, DURATION, ACROSS, UPWARD, GAPS, EXTENTS, LEVERS,
     GRAVITY,
@@ -83,21 +82,21 @@ def check_range(number: float, what: str, loc: tuple[str, ...]) -> None:
 
 
 class ScaleTape:
-    """Reads the scales off the initial state and the prescribed motions of the run.
+    """Determines the scales from the initial state and the prescribed motions of a run.
 
     The length is the largest of the extents (radii, points of bodies, levers of surfaces that
-    turn), the differences of positions, the gaps at the start and the range of the prescribed
-    motions over the run; and not less than the distance ``v^2 / a`` in which the acceleration turns
-    a motion round. Without extents, where none of the others exceeds the round-off of what the run
-    covers, ``v T`` and ``a T^2``, that is the length; T is the duration, or the time in which
-    springs act, if that is shorter. The acceleration is gravity's, or what the forces give, and
-    that of the prescribed motions; speed and force follow.
+    turn), the differences of positions, the initial gaps and the ranges of the prescribed motions;
+    and at least the stopping distance ``v^2 / a``. Without extents, and if none of the others
+    exceeds the round-off of the distances ``v T`` and ``a T^2`` covered by the run, the length is
+    that distance; T is the duration, or the period of springs if that is shorter. The acceleration
+    is the largest of gravity (or of the forces without it) and of the prescribed motions; speed and
+    force follow.
 
-    The outputs of `tape` are groups of numbers, each of which begins at one of `begins` (g + 1,).
-    `places` is how many numbers places and their speeds are, `gravity` how many groups gravity is,
-    `paths` how many prescribed motions there are. The outputs of `motions`, of which the ranges
-    over the run count, are prescribed displacements, angles that surfaces turn by; their rates and
-    second derivatives in this order; and accelerations by forces that vary in time.
+    The outputs of `tape` are groups of numbers that begin at `begins` (g + 1,). `places` counts the
+    numbers of positions and their speeds, `gravity` the groups of gravity, `paths` the prescribed
+    motions. `motions`, whose ranges over the run are needed, has prescribed displacements and
+    angles of surfaces; their first and second derivatives; and accelerations by forces that vary in
+    time.
     """
 
     def __init__(self, mechanics: Mechanics) -> None:
@@ -145,18 +144,18 @@ class ScaleTape:
         for place in (c for point in points for c in point):
             for q in moving.keys() & place.free_symbols:
                 moving[q].append(sp.diff(place, q))
-        moves = [found or [sp.S.Zero] for found in moving.values()]
+        moves = [derivatives or [sp.S.Zero] for derivatives in moving.values()]
         mass = sp.Add(*map(sp.Abs, masses))
         across, upward = _positions(mechanics)
         gaps = [mechanics.contact(name).symbols.gap for name in scene.contacts]
         shifts, turns, levers = _prescribed(mechanics)
         gravity = [[g] for g in mechanics.gravity]
-        # The largest of each group is wanted.
+        # The scales use the largest number of each group.
         groups = [lengths, speeds, pushes, springs, [mass], [duration], across, upward, gaps]
         groups += [extents, levers, *gravity, *moves]
         self.gravity = len(gravity)
         self._owners, self._movers = owners, movers
-        # Their places are looked at where they are not off.
+        # Positions of contacts that may be off need not be finite.
         self._gated = {("contacts", name) for name in scene.contacts if scene.gate(name)}
         self.places = len(owners) + len(movers)
         self.begins = np.array([*accumulate(map(len, groups), initial=0)])
@@ -194,16 +193,16 @@ class ScaleTape:
         """Raise at the first place, speed or gravity that is not finite or too large."""
         owners = [("place", owner) for owner in self._owners]
         owners += [("speed", owner) for owner in self._movers]
-        for (what, owner), number in zip(owners, numbers, strict=False):
+        for (quantity, owner), number in zip(owners, numbers, strict=False):
             if not math.isfinite(number):
                 if owner in self._gated:
                     continue
                 raise DeclarationProblem(
-                    f"its {what} at the start is not finite",
+                    f"its {quantity} at the start is not finite",
                     advice="look for a logarithm, a root or a quotient without a value there",
                     loc=owner,
                 )
-            check_range(number, f"its {what} at the start", owner)
+            check_range(number, f"its {quantity} at the start", owner)
         gravity = numbers[self.begins[GRAVITY] : self.begins[GRAVITY + self.gravity]]
         if not np.isfinite(gravity).all():
             raise DeclarationProblem("must be finite", loc=("gravity",))
@@ -214,35 +213,34 @@ class ScaleTape:
 def _positions(mechanics: Mechanics) -> tuple[list[sp.Expr], list[sp.Expr]]:
     """Return x and y, in the world, of bodies, points of contacts and joints, and ends of edges."""
     scene = mechanics.scene
-    found = [mechanics.body_frame(name)[0] for name in scene.bodies]
+    positions = [mechanics.body_frame(name)[0] for name in scene.bodies]
     for contact in scene.contacts.values():
-        found.append(mechanics.point(contact.point))
-        found += mechanics.edge_ends(scene.surfaces[contact.surface])
-    across, upward = [x for x, _ in found], [y for _, y in found]
+        positions.append(mechanics.point(contact.point))
+        positions += mechanics.edge_ends(scene.surfaces[contact.surface])
+    across, upward = [x for x, _ in positions], [y for _, y in positions]
     for joint in scene.joints.values():
         ends = mechanics.point(joint.point), mechanics.joint_end(joint.to)
-        for component, *pair in zip(("X", "Y"), *ends, strict=True):
+        for component, *coordinates in zip(("X", "Y"), *ends, strict=True):
             if component in joint.components:
-                (across if component == "X" else upward).extend(pair)
+                (across if component == "X" else upward).extend(coordinates)
     return across, upward
 
 
 def _derived(expressions: Iterable[sp.Expr], symbol: sp.Symbol, order: int) -> list[sp.Expr]:
-    found = list(expressions)
+    derivatives = list(expressions)
     for _ in range(order):
-        found = [derivative(expression, symbol) for expression in found]
-    return found
+        derivatives = [derivative(expression, symbol) for expression in derivatives]
+    return derivatives
 
 
 def _extents(mechanics: Mechanics) -> list[sp.Expr]:
-    """Return radii of discs and circular surfaces, and coordinates of points in their bodies."""
     scene = mechanics.scene
     texts = [contact.radius for contact in scene.contacts.values()]
     texts += [scene.surfaces[contact.surface].radius for contact in scene.contacts.values()]
     texts += [text for contact in scene.contacts.values() for text in contact.point.at]
     texts += [t for joint in scene.joints.values() for t in (*joint.point.at, joint.rod)]
-    found = [parse(text).to_sympy(mechanics.known) for text in texts if text is not None]
-    return [extent for extent in found if extent != 0]
+    extents = [parse(text).to_sympy(mechanics.known) for text in texts if text is not None]
+    return [extent for extent in extents if extent != 0]
 
 
 def _prescribed(mechanics: Mechanics) -> tuple[list[sp.Expr], list[sp.Expr], list[sp.Expr]]:
@@ -253,6 +251,7 @@ def _prescribed(mechanics: Mechanics) -> tuple[list[sp.Expr], list[sp.Expr], lis
     levers: list[sp.Expr] = []
     for contact in scene.contacts.values():
         surface = scene.surfaces[contact.surface]
+        shifts[parse(surface.radius or 0).to_sympy(mechanics.known)] = None
         if not surface.moves:
             continue
         shifts |= dict.fromkeys(
@@ -282,7 +281,7 @@ def mass_unit(acceleration: float, force: float) -> float:
 
 @kernel
 def horizon(numbers: Array, begins: Ints) -> float:
-    """Return how long a run is by its numbers at the start, between bounds whose squares exist."""
+    """Return the duration of a run, between bounds whose squares are finite and positive."""
     duration = abs(numbers[begins[DURATION]])
     return min(max(duration, _MIN_SIZE), _MAX_SIZE) if duration < math.inf else _MAX_SIZE
 
@@ -298,11 +297,11 @@ def measure(
     scales: Array,
     sizes: Array,
 ) -> bool:
-    """Read the scales off a scene's numbers at the start; False where some are out of range.
+    """Compute the scales from a scene's initial numbers; False if some are out of range.
 
-    `ranges` (m, 2) of the outputs of `ScaleTape.motions` are over the run; for the other inputs see
-    `ScaleTape`. Fills `scales` (5,) with length, speed, acceleration, force and round-off of
-    positions, and `sizes` (2 n,) of coordinates and rates.
+    `ranges` (m, 2) are those of `ScaleTape.motions` over the run; see `ScaleTape` for the other
+    inputs. Fills `scales` (5,) with length, speed, acceleration, force and round-off of positions,
+    and `sizes` (2 n,) of coordinates and rates.
     """
     n = sizes.shape[0] // 2
     groups = begins.shape[0] - 1
@@ -312,24 +311,28 @@ def measure(
             if abs(numbers[i]) < math.inf:
                 largest[group] = max(largest[group], abs(numbers[i]))
                 low[group], high[group] = min(low[group], numbers[i]), max(high[group], numbers[i])
-    inside = True
+    in_range = True
     for i in range(begins[GRAVITY + gravity]):
         if i < places or i >= begins[GRAVITY]:
-            inside = inside and abs(numbers[i]) <= _MAX_SIZE
+            in_range = in_range and abs(numbers[i]) <= _MAX_SIZE
     duration, levers = horizon(numbers, begins), begins[LEVERS + 1] - begins[LEVERS]
-    coordinates, reach, swift = max(largest[PLACES], largest[ACROSS], largest[UPWARD]), 0.0, 0.0
+    coordinates, reach, driven_speed = (
+        max(largest[PLACES], largest[ACROSS], largest[UPWARD]),
+        0.0,
+        0.0,
+    )
     for i in range(paths):
-        first, last = ranges[i, 0], ranges[i, 1]
+        lowest, highest = ranges[i, 0], ranges[i, 1]
         rate = max(abs(ranges[paths + i, 0]), abs(ranges[paths + i, 1]))
         turn = i - (paths - levers)
         lever = 1.0 if turn < 0 else abs(numbers[begins[LEVERS] + turn])
-        if last - first < math.inf:
-            width = last - first if turn < 0 else min(last - first, _TURNED)
+        if highest - lowest < math.inf:
+            width = highest - lowest if turn < 0 else min(highest - lowest, _MAX_TURN_MOTION)
             reach = max(reach, width * lever)
             if turn < 0:
-                coordinates = max(coordinates, abs(first), abs(last))
+                coordinates = max(coordinates, abs(lowest), abs(highest))
         if rate * lever < math.inf:
-            swift = max(swift, rate * lever)
+            driven_speed = max(driven_speed, rate * lever)
     acceleration = 0.0
     for i in range(GRAVITY, GRAVITY + gravity):
         acceleration = math.hypot(acceleration, largest[i])
@@ -343,20 +346,20 @@ def measure(
         lever = 1.0 if turn < 0 else abs(numbers[begins[LEVERS] + turn])
         push = lever * max(abs(ranges[2 * paths + i, 0]), abs(ranges[2 * paths + i, 1]))
         acceleration = max(acceleration, push) if push < math.inf else acceleration
-    rounding = _UNITS * EPS * coordinates
-    apart = max(largest[GAPS], high[ACROSS] - low[ACROSS], high[UPWARD] - low[UPWARD])
+    rounding = _ROUNDING_UNITS * EPS * coordinates
+    spread = max(largest[GAPS], high[ACROSS] - low[ACROSS], high[UPWARD] - low[UPWARD])
     extent = max(largest[EXTENTS], largest[LEVERS])
     length = extent
-    if apart > rounding:
-        length = max(length, apart)
+    if spread > rounding:
+        length = max(length, spread)
     if acceleration > 0.0:
-        reach = min(reach, swift * swift / acceleration)
-    length, start, speed = max(length, reach), largest[SPEEDS], max(largest[SPEEDS], swift)
+        reach = min(reach, driven_speed * driven_speed / acceleration)
+    length, start, speed = max(length, reach), largest[SPEEDS], max(largest[SPEEDS], driven_speed)
     period = duration
     if largest[STIFFNESS] * (duration * duration) > 1.0:
         period = 1.0 / math.sqrt(largest[STIFFNESS])
     farthest = max(speed * period, acceleration * (period * period))
-    # A start that is off zero by rounding of what the run covers has no length.
+    # Initial distances below the round-off of the distance covered give no length.
     if extent <= _MIN_SIZE and length <= max(_MIN_SIZE, EPS * farthest):
         length = farthest if farthest > 0.0 else 1.0
     elif acceleration > 0.0:
@@ -365,7 +368,7 @@ def measure(
     acceleration = max(acceleration, speed * speed / length)
     if acceleration == 0.0:
         acceleration = length / (duration * duration)
-    speed = max(start, swift, math.sqrt(acceleration * length))
+    speed = max(start, driven_speed, math.sqrt(acceleration * length))
     scales[0], scales[1], scales[2] = length, speed, acceleration
     scales[3], scales[4] = largest[MASS] * acceleration, rounding
     for i in range(n):
@@ -373,4 +376,4 @@ def measure(
         # A coordinate that moves no point is an angle about a centre.
         sizes[i] = length / move if move > 0.0 else 1.0
         sizes[n + i] = sizes[i] * (speed / length)
-    return inside
+    return in_range

@@ -10,44 +10,45 @@ from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.scales import Scales
 from statechart.automaton.laws import Setup
 
-# Force margins may fall below zero by this much of the force scale before a mode is left: the
-# size of rounding in a solved mode, with room; entering asks for half of it (hysteresis). It does
-# not grow with the tolerance of the integration: events are those of the trajectory computed.
+# Hysteresis of force margins, relative to the force scale: a mode is left below -FORCE_BAND and
+# entered above half of that. It covers the round-off of a solved mode, and is independent of the
+# tolerance of the integration: events are those of the computed trajectory.
 FORCE_BAND = 1e-12
-# Of that, for bounds of static friction: kinetic friction is less, and nothing comes back from
-# slip. More than the part of a tie that is nearly none (`contacts.modes.classification`).
+# Part of it for the bounds of static friction: kinetic friction is smaller, so that slip does not
+# return at once. Larger than the negligible part of a tie (`contacts.modes.classification`).
 HOLD_PART = 0.1
 # A violation of an inequality of a mode by up to this part of the force's tolerance is a tie.
 TIE = 0.5
-# Sequences of impacts are looked at from here on; how high the contacts still fly decides.
+# Flights shorter than this part of the unit of time may belong to an accumulation of impacts; the
+# height of the flights decides.
 SHORT = 0.1
-# Positions and speeds carry rounding of this size relative to the scene.
+# Round-off of positions and speeds relative to the scene.
 ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SceneSetup(Setup):
-    """The numbers of one run of a scene."""
+    """Parameters, initial state, scales and tolerances of one run of a scene."""
 
     scales: Scales  # Scales of this run
     contacts: tuple[ContactLaw, ...]  # With this run's coefficients
     capture: float  # Rebounds slower than this are summed instead of simulated
-    # Stop condition -> how near zero its margin counts as met; from its value at the start
+    # Stop condition -> the tolerance of its margin, from its initial value
     bands: Mapping[str, float]
     start_depth: float = 0.0  # Initial penetration of bodies with shapes
-    # Residual motion of resting bodies after steps, in parts of the size of each number: for points
-    # round-off of impulses, 1e-16 of the speeds, times the ratio of masses; for bodies with shapes
-    # the residual of their impulses
+    # Residual motion of resting bodies after steps, relative to the size of each number: round-off
+    # of impulses (1e-16 of the speeds times the mass ratio) for points, the residual of the solver
+    # for bodies with shapes
     rounded: float = 1e-12
 
     @property
     def tie(self) -> float:
-        """Up to this, in the scales, what breaks an inequality of a mode is a boundary case."""
+        """Largest violation of an inequality of a mode, in the scales, that counts as a tie."""
         return TIE * self.tolerances["force"] / self.scales.force
 
     @property
     def force_uncertainty(self) -> float:
-        """Forces no nearer to a bound, in the scales, are on that side of it for sure."""
+        """Uncertainty of forces in the scales: beyond it a force is certainly off its bound."""
         return self.capture / self.scales.speed
 
 
@@ -57,5 +58,5 @@ def tolerated(relative: float) -> tuple[float, float, float]:
 
 
 def force_uncertainty(relative: float) -> float:
-    """Return what errors that are magnified stay below, in the scales: the root of a tolerance."""
+    """Return the root of the tolerance: a bound of magnified errors, in the scales."""
     return math.sqrt(max(relative, ROUNDING))

@@ -1,6 +1,6 @@
 """Evaluation of the setup of a run from its parameters: coefficients, scales, tolerances.
 
-The kernel `run_numbers` does it for runs that are made many at a time.
+The kernel `run_numbers` is the batched version.
 """
 
 from __future__ import annotations
@@ -43,26 +43,25 @@ from statechart.kernels.jets import tape_ranges
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
-# A moment of inertia below this part of mass times arm squared cannot be told from zero: the
-# forces that turn the body are then differences of terms that many times larger.
+# A moment of inertia below this part of mass times arm squared is set to zero: the torques are then
+# differences of terms larger by the inverse factor.
 POINT_MASS = 1e-12
-# Round-off of positions above this part of the length is worth a warning: of one contact that
-# bounces, and of several. While one of those strikes, the height of another is a difference of
-# coordinates; which is next, and so how many impacts there are, depends on it.
+# Round-off of positions, relative to the length, above which there is a warning: with one bouncing
+# contact, and with several, where the order of impacts depends on the gaps of the others.
 FAR, FAR_IN_TURN = 1e-10, 1e-12
-# First horizon of a run, in the scene's own unit of time.
+# First horizon of a run, in the scene's unit of time.
 LOOK_AHEAD = 64.0
 
 
 class SceneNumbers:
-    """Evaluates the numbers of a run from its parameters."""
+    """Evaluates the setup of a run from its parameters."""
 
     def __init__(self, mechanics: Mechanics, stops: Sequence[StopCondition]) -> None:
         scene = mechanics.scene
         self.scene = scene
         self.parameters = mechanics.parameters
         self._remembered = len(mechanics.controller_state)
-        # Parameter -> its place among the values.
+        # Parameter -> its index among the values.
         self.places = {name: i for i, name in enumerate(mechanics.parameters.names)}
         offsets = [self.places.get(f"{name}.{GAP_OFFSET}", -1) for name in mechanics.scene.contacts]
         self.gap_offsets = np.array(offsets, np.int64)
@@ -78,7 +77,7 @@ class SceneNumbers:
         } | {name: coupling_states(one) for name, one in scene.couplings.items()}
         margins = [margin for stop in stops for margin in stop.margins]
         self.stops = tuple(margin.name for margin in margins)
-        # Every stop condition holds as soon as one of its margins falls.
+        # True if every stop condition holds as soon as one of its margins falls.
         self.disjoint = all(stop.condition.disjoint for stop in stops)
         self._single = {stop.name for stop in stops if stop.condition.single}
         forces = mechanics.unknown_forces
@@ -94,12 +93,12 @@ class SceneNumbers:
         self._joint_names = tuple(row.joint for row in rows)
         self._redundant = [self.places[f"{r.joint}.redundant_{r.component.lower()}"] for r in rows]
         self._joint_tape = mechanics.tape([entry for row in rows for entry in row.jacobian])
-        # Bodies, and the places of their moments of inertia among the values.
+        # Bodies, and the indices of their moments of inertia among the values.
         self.inertias = [(name, self.places.get(f"{name}.inertia")) for name in scene.bodies]
         self.lint = (*lint(scene), *_unpressed(mechanics))
-        # Physical between `bounds` (2, l); None where states of controllers set some of it.
+        # Quantities with physical limits `bounds` (2, l); None if controllers set some of them.
         self.limits: Tape | None = None
-        # Numbers were checked when they were read.
+        # Constants are checked when the scene is read.
         varying = [limit for limit in limits(scene) if parse(limit.text).names]
         if all(scene.controlled.region_of(limit.text) is None for limit in varying):
             bounded = [
@@ -131,18 +130,18 @@ class SceneNumbers:
             check_finite(self.scene, self.scene.values(overrides))
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
         values, implied = self._implied(values, initial, memory)
-        known = _known(memory, values)
+        inputs = _known(memory, values)
         try:
-            scales = self.scale_tape.at(known, initial)
+            scales = self.scale_tape.at(inputs, initial)
         except DeclarationProblem:
-            # It is a formula's fault where one has no finite value.
+            # Blame a formula that has no finite value first.
             check_finite(self.scene, self.scene.values(overrides))
             raise
         if MASS_UNIT in self.places:
             values = values.copy()
             values[self.places[MASS_UNIT]] = mass_unit(scales.acceleration, scales.force)
-            known = _known(memory, values)
-        margins = self.stop_tape.at(initial, known, 0.0).tolist()
+            inputs = _known(memory, values)
+        margins = self.stop_tape.at(initial, inputs, 0.0).tolist()
         for name, margin in zip(self.stops, margins, strict=True):
             if math.isnan(margin) and name in self._single - self.of_forces:
                 raise DeclarationProblem(
@@ -177,14 +176,14 @@ class SceneNumbers:
         )
 
     def _physical(self, values: Array, initial: Array) -> bool:
-        """Return whether masses and the like are surely within their bounds."""
+        """Return whether masses and other limited quantities are certainly within their limits."""
         if self.limits is None:
             return False
-        found, (least, most) = self.limits.at(initial, values, 0.0), self.bounds
-        return bool(((least <= found) & (found <= most)).all())
+        limits, (lower, upper) = self.limits.at(initial, values, 0.0), self.bounds
+        return bool(((lower <= limits) & (limits <= upper)).all())
 
     def _point_masses(self, values: Array, levers: Array) -> tuple[Array, tuple[str, ...]]:
-        """Set to zero the moments of inertia that cannot be told from it."""
+        """Set negligible moments of inertia to zero, with a warning for each."""
         warnings = []
         for (name, place), lever in zip(self.inertias, levers.tolist(), strict=True):
             if place is not None and 0.0 < values[place] < POINT_MASS * lever:
@@ -199,17 +198,21 @@ class SceneNumbers:
     def _implied(
         self, values: Array, initial: Array, memory: Array
     ) -> tuple[Array, tuple[str, ...]]:
-        """Mark the rows of joints that other rows imply: their forces are not determined."""
+        """Mark redundant joint rows, whose forces are not determined."""
         if not self._redundant:
             return values, ()
         rows = self._joint_tape.at(initial, _known(memory, values), 0.0)
         rows = rows.reshape(len(self._redundant), -1)
-        found = implied(rows)
-        if not found.any():
+        redundant = implied(rows)
+        if not redundant.any():
             return values, ()
         values = values.copy()
-        values[self._redundant] = found
-        names = [n for n, implied in zip(self._joint_names, found.tolist(), strict=True) if implied]
+        values[self._redundant] = redundant
+        names = [
+            n
+            for n, is_redundant in zip(self._joint_names, redundant.tolist(), strict=True)
+            if is_redundant
+        ]
         return values, (implied_joints(names),)
 
     def contacts(
@@ -218,10 +221,12 @@ class SceneNumbers:
         """Return the contacts' laws."""
         names = [*self.scene.contacts]
         places, fixed = self.coefficients(states)
-        found = np.where(places >= 0, values[places], fixed).tolist()
+        coefficients = np.where(places >= 0, values[places], fixed).tolist()
         return tuple(
             ContactLaw(name, self._region_states[name], n, t, e, contact.impact)
-            for (name, contact), (n, t, e) in zip(self.scene.contacts.items(), found, strict=True)
+            for (name, contact), (n, t, e) in zip(
+                self.scene.contacts.items(), coefficients, strict=True
+            )
         ) + tuple(
             ContactLaw(
                 name,
@@ -231,15 +236,15 @@ class SceneNumbers:
                 0.0,
                 "newton",
                 True,
-                names.index(one.contact) if isinstance(one, Rolling) else -1,
+                names.index(coupling.contact) if isinstance(coupling, Rolling) else -1,
             )
-            for name, one in self.scene.couplings.items()
+            for name, coupling in self.scene.couplings.items()
         )
 
     def coefficients(self, states: Mapping[str, str] | None = None) -> tuple[Ints, Array]:
-        """Return places (c, 3) of cone_n, cone_t and restitution among the values of a run.
+        """Return the indices (c, 3) of cone_n, cone_t and restitution among the values of a run.
 
-        Beside them their values (c, 3) where the place is -1, as there is no such parameter.
+        The second array (c, 3) has the constants to use where the index is -1.
         """
         states = states or self.scene.controlled.initial
         key = tuple(states.values())
@@ -251,28 +256,31 @@ class SceneNumbers:
                 name = f"{name}.{key}" + (f".{states[region]}" if region else "")
                 return self.places.get(name, -1)
 
-            # Without symbols: frictionless (1, 0), or without slide (0, 1), as in `friction_cones`.
-            found = [
+            # Without symbols: smooth (1, 0), or unable to slip (0, 1), as in `friction_cones`.
+            places_of_contacts = [
                 (
                     place(name, "cone_n", None if law is None else law.both),
                     place(name, "cone_t", None if law is None else law.both),
-                    place(name, "restitution", one.restitution),
+                    place(name, "restitution", contact.restitution),
                 )
-                for name, one in self.scene.contacts.items()
+                for name, contact in self.scene.contacts.items()
                 for law in (self.scene.friction_of(name),)
             ]
             fixed = [
-                (1.0, 0.0, 0.0) if one.frictionless else (0.0, 1.0, 0.0)
-                for one in self.scene.contacts.values()
+                (1.0, 0.0, 0.0) if contact.frictionless else (0.0, 1.0, 0.0)
+                for contact in self.scene.contacts.values()
             ]
-            shape = len(found), 3
-            arrays = np.array(found, np.int64).reshape(shape), np.array(fixed, float).reshape(shape)
+            shape = len(places_of_contacts), 3
+            arrays = (
+                np.array(places_of_contacts, np.int64).reshape(shape),
+                np.array(fixed, float).reshape(shape),
+            )
             self._coefficients[key] = arrays
         return self._coefficients[key]
 
 
 def _far(scales: Scales, limit: float) -> Iterator[str]:
-    """Yield a warning where the scene lies so far from the origin that round-off shows."""
+    """Yield a warning if the scene is too far from the origin for the precision of positions."""
     if scales.rounding > limit * scales.length:
         yield (
             f"the scene is {scales.length:.3g} in size, and so far from the origin that "
@@ -281,14 +289,13 @@ def _far(scales: Scales, limit: float) -> Iterator[str]:
 
 
 def _known(memory: Array, values: Array) -> Array:
-    """Return what controllers remember with the parameters, as tapes of a scene take them."""
     return np.concatenate([memory, values]) if len(memory) else values
 
 
 def _unpressed(mechanics: Mechanics) -> Iterator[str]:
-    """Yield of contacts that no coordinate moves along their normals: no motion tells their forces.
+    """Yield a warning about contacts that no coordinate moves along their normals.
 
-    With events what they hold is held by the smallest forces that do, by steps by none.
+    Their normal forces are undetermined: runs with events use the smallest, steps use zero.
     """
     names = [
         name
@@ -303,41 +310,42 @@ def _unpressed(mechanics: Mechanics) -> Iterator[str]:
 
 
 LIMITS, SCALES, MOTIONS, STOPS = range(4)
-"""Rows of the tapes that they are computed from, behind those of the instants."""
+"""Indices of the tapes of `run_numbers`."""
 
 
-class Rules(NamedTuple):
-    """Places and limits by which `run_numbers` computes the numbers of a run."""
+class SetupRules(NamedTuple):
+    """Indices and limits by which `run_numbers` computes the setup of a run."""
 
-    # (b,): Place of every body's moment of inertia among the values; -1 where it has none
+    # (b,): Index of every body's moment of inertia among the values; -1 if it has none
     inertias: Ints
-    # `least`, `most`: (l,): Between which limits lie
-    least: Array
-    most: Array
+    # `lower`, `upper`: (l,): Limits of physical quantities
+    lower: Array
+    upper: Array
     begins: Ints  # (g + 1,)
     # `places`, `gravity`, `paths`: See `contacts.dynamics.scales.ScaleTape`
     places: int
     gravity: int
     paths: int
-    forced: Bools  # (s,): Which stop conditions have no value before forces are known
-    far: float  # Round-off of positions that is worth a warning, in parts of the length
+    forced: Bools  # (s,): Stop conditions that have no value before forces are known
+    far: float  # Round-off of positions that warns, relative to the length
 
 
 class Numbers(NamedTuple):
-    """The numbers of a run."""
+    """Setup of a run in arrays."""
 
     values: Array  # (p,): Of the parameters
-    initial: Array  # (n,)
-    scales: Array  # (5,), sizes : (n,): See `contacts.dynamics.scales.Scales`
+    initial: Array  # (n,): State
+    # `scales`, `sizes`: (5,), (n,): See `contacts.dynamics.scales.Scales`
+    scales: Array
     sizes: Array
-    bands: Array  # (s,): How near zero stop conditions count as met
+    bands: Array  # (s,): Tolerances of the stop conditions
 
 
-def rules(numbers: SceneNumbers) -> Rules | None:
-    """Return the rules of a scene without joints; None where each run is set up alone."""
+def setup_rules(numbers: SceneNumbers) -> SetupRules | None:
+    """Return the rules of a scene; None if its runs must be set up one by one."""
     if numbers.limits is None or MASS_UNIT in numbers.places:
         return None
-    return Rules(
+    return SetupRules(
         np.array([-1 if place is None else place for _, place in numbers.inertias], np.int64),
         np.ascontiguousarray(numbers.bounds[0]),
         np.ascontiguousarray(numbers.bounds[1]),
@@ -350,8 +358,8 @@ def rules(numbers: SceneNumbers) -> Rules | None:
     )
 
 
-def run_buffer(parameters: int, variables: int, rules: Rules) -> Numbers:
-    """Return memory for the numbers of a run."""
+def run_buffer(parameters: int, variables: int, rules: SetupRules) -> Numbers:
+    """Allocate the setup of a run."""
     return Numbers(
         np.empty(parameters),
         np.empty(variables),
@@ -365,33 +373,33 @@ def run_buffer(parameters: int, variables: int, rules: Rules) -> Numbers:
 def run_numbers(
     program: Program,
     tapes: NDArray[np.int64],
-    rules: Rules,
+    rules: SetupRules,
     code: Ints32,
     constants: Array,
     outputs: Ints32,
     inputs: Array,
-    made: Numbers,
+    run: Numbers,
 ) -> bool:
-    """Write the numbers of a run; False where something is wrong with them, or to be told.
+    """Compute the setup of a run; False if it needs an error message or a warning.
 
     The program holds the `tapes` (4, 9) of limits, scales, motions and stops; `code`, `constants`
-    and `outputs` are the tape of the parameters, the initial state and the levers of bodies, which
-    takes `inputs` (i,). Fills `made`.
+    and `outputs` are the tape of parameters, initial state and levers of bodies, with `inputs`
+    (i,). Fills `run`.
     """
-    values, initial, bodies = made.values, made.initial, rules.inertias.shape[0]
-    found = np.empty(outputs.shape[0])
-    tape_values(code, constants, outputs, np.empty(0), inputs, 0.0, found)
+    values, initial, bodies = run.values, run.initial, rules.inertias.shape[0]
+    initial_outputs = np.empty(outputs.shape[0])
+    tape_values(code, constants, outputs, np.empty(0), inputs, 0.0, initial_outputs)
     p, n = values.shape[0], initial.shape[0]
     for i in range(p):
-        values[i] = found[i]
+        values[i] = initial_outputs[i]
         if values[i] != values[i]:
             return False
     for i in range(n):
-        initial[i] = found[p + i]
+        initial[i] = initial_outputs[p + i]
         if not abs(initial[i]) < math.inf:
             return False
     for b in range(bodies):
-        lever, place = found[p + n + b], rules.inertias[b]
+        lever, place = initial_outputs[p + n + b], rules.inertias[b]
         if lever != lever:
             return False
         if place >= 0 and 0.0 < values[place] < POINT_MASS * lever:
@@ -400,7 +408,7 @@ def run_numbers(
     limits = np.empty(outputs.shape[0])
     tape_values(code, constants, outputs, initial, values, 0.0, limits)
     for i in range(limits.shape[0]):
-        if not rules.least[i] <= limits[i] <= rules.most[i]:
+        if not rules.lower[i] <= limits[i] <= rules.upper[i]:
             return False
     code, constants, outputs, _, _ = tape_of(program, tapes[SCALES])
     numbers = np.empty(outputs.shape[0])
@@ -410,14 +418,14 @@ def run_numbers(
     ranges = np.empty((outputs.shape[0], 2))
     tape_ranges(code, constants, outputs, initial, values, duration, ranges)
     if not measure(
-        numbers, rules.begins, rules.places, rules.gravity, rules.paths, ranges, made.scales,
-        made.sizes,
+        numbers, rules.begins, rules.places, rules.gravity, rules.paths, ranges, run.scales,
+        run.sizes,
     ):  # fmt: skip
         return False
-    if made.scales[4] > rules.far * made.scales[0]:
+    if run.scales[4] > rules.far * run.scales[0]:
         return False
     code, constants, outputs, _, _ = tape_of(program, tapes[STOPS])
-    bands = made.bands
+    bands = run.bands
     tape_values(code, constants, outputs, initial, values, 0.0, bands)
     for i in range(bands.shape[0]):
         if bands[i] != bands[i] and not rules.forced[i]:

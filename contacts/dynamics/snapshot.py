@@ -1,4 +1,4 @@
-"""The numbers of a scene at one state, and the linear systems on them."""
+"""Dynamic quantities of a scene at one state, and the linear systems of contact forces."""
 
 from __future__ import annotations
 
@@ -12,21 +12,24 @@ import sympy as sp
 
 from contacts.dynamics.joints import OFF_ROW, JointGroup, JointNumbers, joint_groups, motions
 from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.sign_friction import sign_frictions
+from contacts.scene.modes import SignFriction
 from contacts.solvers.saddle_point import INEXACT, SINGULAR, saddle
 from statechart.arrays import Array
 from statechart.errors import SingularMode
 from statechart.formulas.tape import Tape
 
 SCALARS, EDGES = 11, 7
-"""Numbers of a contact behind all Jacobians and biases: gap, its rate, slip, point, tangent; then
-from `EDGES` on the unit edges of its cone in slide+ and slide-, at the size of its slip."""
+"""Numbers per contact after the Jacobians and biases: gap, its rate, slip, point, tangent; from
+`EDGES` on the unit edges of its cone in slide+ and slide-, at the size of its slip."""
 
-UNTRUSTED = "the equations of a mode cannot be solved to 1e-8: masses or lengths differ too much"
-"""Why a system has no solution."""
+INEXACT_SYSTEM = (
+    "the equations of a mode cannot be solved to 1e-8: masses or lengths differ too much"
+)
 
 
 class PerContact(NamedTuple):
-    """One contact's numbers."""
+    """Kinematics of one contact."""
 
     gap: float  # Distance from the surface, to first order
     # `gap_rate`, `slip`: Normal and tangential velocity
@@ -38,21 +41,20 @@ class PerContact(NamedTuple):
     # `tx`, `ty`: Unit tangent of the surface there
     tx: float
     ty: float
-    # `bias_n`, `bias_t`: Accelerations of the point that the unknown ones do not enter
+    # `bias_n`, `bias_t`: Accelerations of the point at zero accelerations of the coordinates
     bias_n: float
     bias_t: float
     jacobian: Array  # (2, n): Rows: normal, tangential
-    # Unit edges (n, t) of the friction cone in slide+ and slide-, at the size of the slip; None:
-    # those at rest
+    # Unit edges (n, t) of the friction cone in slide+ and slide-, at the size of the slip; None: as
+    # at rest
     edges: tuple[float, float, float, float] | None = None
 
 
 class Snapshot(NamedTuple):
-    """A scene's numbers at one state.
+    """Dynamic quantities of a scene at one state.
 
-    Where there are joints, `n` counts the motions that they allow: mass, forces, velocity,
-    Jacobians and biases are those of the bodies held together, so that nothing that is computed
-    of them needs to know of joints.
+    With joints, `n` is the number of independent motions that they allow: mass, forces, velocity,
+    Jacobians and biases are reduced to the null space of the joint rows (`reduction`).
     """
 
     mass: Array  # (n, n): Mass matrix
@@ -62,51 +64,63 @@ class Snapshot(NamedTuple):
     contacts: tuple[PerContact, ...]  # In the order of the declaration
     jacobians: Array  # (c, 2, n)
     biases: Array  # (c, 2): Of all contacts
-    held: Held | None = None  # None where there are no joints
+    reduction: JointReduction | None = None  # None without joints
     # (k, 2): Static and kinetic limits of the couplings, which are the last of the contacts
     limits: Array = np.empty((0, 2))
     pads: int = 0  # Coordinates that are pads of compliant contacts, the last ones
-    # (c, n): What normal forces of compliant contacts do to the bodies; of those whose gap is 0,
-    # part of `forces`
+    # (c, n): Generalised normal forces of compliant contacts; `forces` has those whose gap is 0
     pushes: Array | None = None
+    signs: SignNumbers | None = None  # None where no sign is dry friction
 
     @property
-    def whole(self) -> Snapshot:
-        """The numbers in the scene's own coordinates, as if there were no joints."""
-        return self if self.held is None else self.held.whole
+    def unreduced(self) -> Snapshot:
+        """The snapshot in the scene's coordinates, without joints."""
+        return self if self.reduction is None else self.reduction.unreduced
 
     def moved(self, state: Array, velocity: Array) -> Array:
         """Return `state` (of the scene) after its velocity (n,) has jumped to `velocity`."""
         size = len(state) // 2
-        if self.held is None:
+        if self.reduction is None:
             return np.concatenate([state[:size], velocity[:size]])
-        change = (self.held.basis @ (velocity - self.velocity))[:size]
+        change = (self.reduction.basis @ (velocity - self.velocity))[:size]
         return np.concatenate([state[:size], state[size:] + change])
 
     def solved(self, accelerations: Array, forces: Array) -> tuple[Array, Array]:
-        """Return what a solution means for the scene: accelerations and forces of joints.
+        """Return the accelerations of the scene's coordinates and the forces of joint rows.
 
-        Redundant rows are taken as zero.
+        The forces of redundant rows are zero.
         """
-        if self.held is None:
+        if self.reduction is None:
             return accelerations[: len(accelerations) - self.pads], np.zeros(0)
-        whole = self.whole
-        full = self.held.basis @ accelerations + self.held.drift
-        left = whole.mass @ full - whole.forces - np.einsum("ckn,ck->n", whole.jacobians, forces)
-        needed = ~self.held.joints.redundant
-        found = np.zeros(len(needed))
-        found[needed] = np.linalg.lstsq(self.held.joints.jacobian[needed].T, left)[0]
-        return full[: len(full) - whole.pads], found
+        whole, reduction = self.unreduced, self.reduction
+        full = reduction.basis @ accelerations + reduction.drift
+        residual = (
+            whole.mass @ full - whole.forces - np.einsum("ckn,ck->n", whole.jacobians, forces)
+        )
+        independent = ~reduction.joints.redundant
+        joint_forces = np.zeros(len(independent))
+        joint_forces[independent] = np.linalg.lstsq(
+            reduction.joints.jacobian[independent].T, residual
+        )[0]
+        return full[: len(full) - whole.pads], joint_forces
+
+
+class SignNumbers(NamedTuple):
+    """Signs that are dry friction."""
+
+    frictions: tuple[SignFriction, ...]
+    numbers: Array  # (k, 3): slip, its bias, limit
+    rows: Array  # (k, coordinates)
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
-    """The numbers of joints at one state."""
+class JointReduction:
+    """Null-space reduction by the joints at one state."""
 
-    whole: Snapshot  # As if there were no joints
+    unreduced: Snapshot  # Without joints
     joints: JointNumbers
-    basis: Array  # (coordinates, motions): What the motions do to the coordinates
-    drift: Array  # (coordinates,): How the coordinates accelerate where the motions do not
+    basis: Array  # (coordinates, motions): Null space of the joint rows
+    drift: Array  # (coordinates,): Accelerations at zero accelerations of the motions
 
 
 class SnapshotTape:
@@ -123,7 +137,7 @@ class SnapshotTape:
         outputs.append(mechanics.energy)
         names = [*mechanics.scene.frictional]
         contacts = [mechanics.contact(name) for name in names]
-        # Numbers of a kind stand side by side, so that arrays of them need no copy.
+        # Grouped by quantity, so that arrays are views of the outputs.
         for geometry in contacts:
             outputs += [*geometry.jacobian_n, *geometry.jacobian_t]
         for geometry in contacts:
@@ -160,20 +174,25 @@ class SnapshotTape:
         self._limits = 2 * len(couplings)
         for name in couplings:
             outputs += mechanics.limits(name)
+        self._end = len(outputs)
+        self.signs = sign_frictions(mechanics, mechanics.controlled(states))
+        for sign in self.signs:
+            outputs += [sign.slip, sign.bias, sign.limit, *sign.row]
         self.tape: Tape = mechanics.tape(outputs, definitions=mechanics.controlled(states))
 
     def at(self, values: Array, state: Array, time: float) -> Snapshot:
-        """Return the numbers at `state` (2 n,), of the motions that joints allow."""
-        whole, joints = self.whole(values, state, time)
-        return whole if joints is None else _held(whole, joints, self._blocks)
+        """Return the snapshot at `state` (2 n,), reduced to the motions that joints allow."""
+        whole, joints = self.unreduced(values, state, time)
+        return whole if joints is None else _reduced(whole, joints, self._blocks)
 
-    def whole(
+    def unreduced(
         self, values: Array, state: Array, time: float
     ) -> tuple[Snapshot, JointNumbers | None]:
-        """Return the numbers as if there were no joints, and those of the joints."""
+        """Return the snapshot without joints, and the joint rows."""
         n, count = self.size, self.count
         square, at, end, further, last = self._ends
-        numbers = self.tape.at(state, values, time)
+        found = self.tape.at(state, values, time)
+        numbers, signs = found[: self._end], found[self._end :]
         jacobians = numbers[at:end].reshape(count, 2, n)
         listed = numbers[end:last].tolist()
         further -= end
@@ -200,6 +219,9 @@ class SnapshotTape:
             numbers[end : end + further].reshape(count, 2),
             limits=numbers[len(numbers) - self._limits :].reshape(-1, 2),
         )
+        if self.signs:
+            rows = np.pad(signs.reshape(-1, 3 + n), ((0, 0), (0, len(self._pads))))
+            whole = whole._replace(signs=SignNumbers(self.signs, rows[:, :3], rows[:, 3:]))
         if self._pads:
             end = len(numbers) - self._limits
             whole = self._padded(whole, numbers[end - 3 * len(self._pads) : end])
@@ -218,7 +240,7 @@ class SnapshotTape:
         """
         n, pads = self.size, len(self._pads)
         masses, forces, rates = numbers.reshape(pads, 3).T
-        # What comes near presses no less than nothing: its gap is closed up to round-off.
+        # A closing contact does not pull: its gap is zero up to round-off.
         pressed = np.where(rates < 0.0, np.maximum(forces, 0.0), forces)
         pushes, acting = np.zeros((self.count, n + pads)), np.zeros(self.count)
         mass = np.pad(whole.mass, (0, pads))
@@ -238,7 +260,8 @@ class SnapshotTape:
             forces=np.concatenate([whole.forces, -pressed]) + acting @ pushes,
             velocity=np.concatenate([whole.velocity, np.zeros(pads)]),
             contacts=tuple(
-                one._replace(jacobian=rows) for one, rows in zip(contacts, jacobians, strict=True)
+                contact._replace(jacobian=rows)
+                for contact, rows in zip(contacts, jacobians, strict=True)
             ),
             jacobians=jacobians,
             biases=biases,
@@ -251,18 +274,18 @@ def press_closed(snapshot: Snapshot, closed: Sequence[bool]) -> Snapshot:
     """Return the snapshot with the forces of compliant contacts whose gap is round-off."""
     if snapshot.pushes is None:
         return snapshot
-    contacts, forces, held = [*snapshot.contacts], snapshot.forces, snapshot.held
+    contacts, forces, reduction = [*snapshot.contacts], snapshot.forces, snapshot.reduction
     for i, contact in enumerate(contacts):
         if closed[i] and contact.gap > 0.0 and snapshot.pushes[i].any():
             forces, contacts[i] = forces + snapshot.pushes[i], contact._replace(gap=0.0)
-    if held is not None:
-        held = replace(held, whole=press_closed(held.whole, closed))
-    return snapshot._replace(contacts=tuple(contacts), forces=forces, held=held)
+    if reduction is not None:
+        reduction = replace(reduction, unreduced=press_closed(reduction.unreduced, closed))
+    return snapshot._replace(contacts=tuple(contacts), forces=forces, reduction=reduction)
 
 
-def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[JointGroup]) -> Snapshot:
-    """Return the numbers of the motions that joints allow."""
-    allowed = motions(joints, whole.velocity, parts)
+def _reduced(whole: Snapshot, joints: JointNumbers, groups: Sequence[JointGroup]) -> Snapshot:
+    """Return the snapshot reduced to the motions that joints allow."""
+    allowed = motions(joints, whole.velocity, groups)
     basis = allowed.basis
     mass = basis.T @ whole.mass @ basis
     jacobians = whole.jacobians @ basis
@@ -270,20 +293,21 @@ def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[JointGroup]) ->
     return Snapshot(
         0.5 * (mass + mass.T),
         basis.T @ (whole.forces - whole.mass @ allowed.acceleration),
-        allowed.left @ (whole.velocity - allowed.velocity),
+        allowed.left_inverse @ (whole.velocity - allowed.velocity),
         whole.energy,
         tuple(
-            contact._replace(bias_n=normal, bias_t=along, jacobian=jacobian)
-            for contact, jacobian, (normal, along) in zip(
+            contact._replace(bias_n=normal, bias_t=tangential, jacobian=jacobian)
+            for contact, jacobian, (normal, tangential) in zip(
                 whole.contacts, jacobians, biases.tolist(), strict=True
             )
         ),
         jacobians,
         biases,
-        Held(whole, joints, basis, allowed.acceleration),
+        JointReduction(whole, joints, basis, allowed.acceleration),
         whole.limits,
         whole.pads,
         None if whole.pushes is None else whole.pushes @ basis,
+        whole.signs,
     )
 
 
@@ -292,12 +316,10 @@ def solve_kkt(
 ) -> tuple[Array, Array] | None:
     """Solve ``mass a - columns^T f = right``, ``rows a = constants``.
 
-    The saddle-point form is kept: the Delassus matrix ``J M^-1 J^T`` is wrong by 7 % at a moment
-    of inertia of 1e-16 and does not exist at 0, where this one is exact.
-
-    `rows` (m, n) times the accelerations, or changes of velocity, are the `constants` (m,); forces,
-    or impulses, act along `columns` (m, n). None where the system is singular: the mode does not
-    determine the motion.
+    The unknowns are accelerations and forces (m,), or velocity changes and impulses. None if the
+    system is singular: the mode does not determine the motion. The saddle-point form is solved
+    because the Delassus matrix ``J M^-1 J^T`` is wrong by 7 % at a moment of inertia of 1e-16, and
+    does not exist at 0.
 
     Raises `SingularMode` if the solution cannot be trusted to 1e-8.
     """
@@ -305,7 +327,7 @@ def solve_kkt(
     if status == SINGULAR:
         return None
     if status == INEXACT:
-        raise SingularMode(UNTRUSTED)
+        raise SingularMode(INEXACT_SYSTEM)
     n = len(right)
     return x[:n], x[n:]
 
@@ -313,8 +335,8 @@ def solve_kkt(
 def answer(
     snapshot: Snapshot, rows: Array, columns: Array, rates: Array
 ) -> tuple[Array, Array] | None:
-    """Return the change of velocity by impulses along `columns` that changes `rows` by `rates`.
+    """Return the velocity change by impulses along `columns` that changes `rows` by `rates`.
 
-    And the impulses; None where there is none. For the arrays see `solve_kkt`.
+    The second array is the impulses; None if the system is singular (see `solve_kkt`).
     """
     return solve_kkt(snapshot.mass, np.zeros(len(snapshot.forces)), rows, columns, rates)

@@ -1,4 +1,4 @@
-"""Checks of the start of a scene: its joints close, and its contacts allow it."""
+"""Checks of the initial state: joints close, contacts have an admissible mode."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
-from contacts.scene.expansion import Reach, Stop
+from contacts.scene.expansion import Reach, Stop, reach_of
 from contacts.scene.parts import Point, Surface
 from contacts.scene.scene import Scene
 from contacts.solvers.dependence import implied, least
@@ -21,47 +21,46 @@ from statechart.arrays import Array
 from statechart.errors import DeclarationProblem, NoConsistentMode
 from statechart.kernels.jit import kernel
 
-_ITERATIONS = 50
-# Part of the accelerations: contradictory ones are off by their own size, consistent ones by
-# round-off.
-_ACCELERATION = 1e-8
-# Joints whose part in a contradiction is smaller than this take none.
-_PART = 1e-6
-_MOST_NAMED = 6
-# A start no higher above a surface than this part of the length, and no faster than what would
-# throw it so high, is at rest on it but for rounded coordinates.
+_MAX_ITERATIONS = 50
+# Allowed residual of joint accelerations, relative to the largest. Contradictory joints have a
+# residual of order 1, consistent ones round-off.
+_MAX_ACCELERATION_RESIDUAL = 1e-8
+# Relative residuals and changes below this are not reported.
+_MIN_SHARE = 1e-6
+_MAX_NAMED = 6
+# A gap below this part of the length, with a speed that would not raise the contact higher, is
+# probably a rounded coordinate.
 _HOVERING = 1e-6
 
 
 @kernel
-def hovers(gap: float, rate: float, near: float, length: float, speed: float) -> bool:
-    """Return whether a contact starts off its surface by next to nothing, but more than `near`."""
+def hovers(gap: float, rate: float, gap_tolerance: float, length: float, speed: float) -> bool:
+    """Return whether a contact starts above its surface by a gap that looks like round-off."""
     slow = rate * rate <= _HOVERING * (speed * speed)
-    return near < gap and gap <= _HOVERING * length and slow
+    return gap_tolerance < gap and gap <= _HOVERING * length and slow
 
 
 def hovering(
     scene: Scene,
     scales: Scales,
-    near: float,
+    gap_tolerance: float,
     names: Sequence[str],
-    moves: Sequence[Sequence[float]],
+    gaps_and_rates: Sequence[Sequence[float]],
 ) -> list[str]:
-    """Return a warning for each contact that starts off its surface by next to nothing.
+    """Return a warning for each contact that starts above its surface by a tiny gap.
 
-    `names` are the contacts that are not off, `moves` their gaps and the rates of these; they are
-    closed up to the gap `near`.
+    `names` are the contacts that are not off, `gaps_and_rates` their gaps and gap rates.
     """
     return [
-        f"contact {name!r} starts {move[0]:.3g} off surface {scene.contacts[name].surface!r}: "
+        f"contact {name!r} starts {gap:.3g} off surface {scene.contacts[name].surface!r}: "
         "write the exact coordinate if it should rest there"
-        for name, move in zip(names, moves, strict=True)
-        if hovers(move[0], move[1], near, scales.length, scales.speed)
+        for name, (gap, rate, *_) in zip(names, gaps_and_rates, strict=True)
+        if hovers(gap, rate, gap_tolerance, scales.length, scales.speed)
     ]
 
 
 def check_places(names: Sequence[str], snapshot: Snapshot) -> None:
-    """Refuse a start at which a contact has no place or velocity; one that is off has."""
+    """Refuse an initial state at which the position or velocity of a contact is not finite."""
     for name, contact in zip(names, snapshot.contacts, strict=True):
         if not all(map(math.isfinite, contact[1:5])) or math.isnan(contact.gap):
             raise DeclarationProblem(
@@ -74,18 +73,17 @@ def check_places(names: Sequence[str], snapshot: Snapshot) -> None:
 def check_start(
     surface: Surface,
     law: ContactLaw,
-    moves: Sequence[float],
-    depth: float,
-    near: float,
-    slow: float,
+    motion: Sequence[float],
+    allowed_penetration: float,
+    gap_tolerance: float,
+    speed_tolerance: float,
 ) -> None:
-    """Refuse a contact that starts inside its surface, or free though it does not list that.
+    """Refuse a contact that starts inside its surface, or in a mode that it does not list.
 
-    It moves by its gap, the rate of that and its slip. A start may be inside by `depth`; `near` and
-    `slow` are the tolerances of gap and speed.
+    `motion` has its gap, gap rate and slip.
     """
-    gap, gap_rate, slip = moves
-    if gap < -depth and isinstance(surface, Reach | Stop):
+    gap, gap_rate, slip = motion
+    if gap < -allowed_penetration and isinstance(surface, Reach | Stop):
         rope = isinstance(surface, Reach)
         joint = law.name if rope else law.name.rpartition("_")[0]
         raise DeclarationProblem(
@@ -95,7 +93,7 @@ def check_start(
             advice=f"change the start, or {'the length' if rope else 'the limits'}",
             loc=("joints", joint),
         )
-    if gap < -depth:
+    if gap < -allowed_penetration:
         gated = f", or write modes: {{{law.name}: off}}" if OFF in law.states else ""
         raise DeclarationProblem(
             f"contact {law.name!r} starts inside its surface, {-gap:.6g} deep",
@@ -105,21 +103,25 @@ def check_start(
     if "free" in law.states:
         return
     loc = ("contacts", law.name, "modes")
-    if gap > near:
+    if gap > gap_tolerance:
         raise DeclarationProblem(
             f"contact {law.name!r} starts {gap:.6g} off its surface, "
             "and free is not among its modes",
             advice="add free, or start the body on the surface",
             loc=loc,
         )
-    if gap_rate > slow:
+    if gap_rate > speed_tolerance:
         raise DeclarationProblem(
             f"contact {law.name!r} starts leaving its surface at {gap_rate:.6g}, "
             "and free is not among its modes",
             advice="add free, or start the body along the surface",
             loc=loc,
         )
-    if law.states == ("pin",) and abs(slip) > 2.0 * slow and gap_rate >= -slow:
+    if (
+        law.states == ("pin",)
+        and abs(slip) > 2.0 * speed_tolerance
+        and gap_rate >= -speed_tolerance
+    ):
         raise DeclarationProblem(
             f"contact {law.name!r} starts slipping at {slip:.6g}, and slide is not among its modes",
             advice="add slide, with a friction, or start its point at rest",
@@ -128,7 +130,7 @@ def check_start(
 
 
 def _solid(surface: Surface) -> str:
-    """Return where the solid of a surface is, of which that is a matter of how it is written."""
+    """Return a sentence on the solid side of a surface, for surfaces whose spelling decides it."""
     if surface.line is not None or surface.edge is not None:
         return "; the solid of a line is on the right of the way from its first point to its second"
     if surface.circle is not None:
@@ -137,7 +139,7 @@ def _solid(surface: Surface) -> str:
 
 
 def check_limits(names: Sequence[str], limits: Array) -> None:
-    """Refuse limits (k, 2) of couplings, static and kinetic, that are none at the start."""
+    """Refuse static and kinetic limits (k, 2) of couplings that are invalid at the start."""
     for name, (static, kinetic) in zip(names, limits.tolist(), strict=True):
         loc = ("couplings", name, "limit")
         if not (math.isfinite(static) and math.isfinite(kinetic)):
@@ -165,63 +167,66 @@ def check_joints(
         return
     scales, tolerances = setup.scales, setup.tolerances
     names = [row.joint for row in mechanics.joint_rows]
-    held = snapshots.at(setup.values, setup.initial, 0.0).held
-    assert held is not None
-    joints = held.joints
+    reduction = snapshots.at(setup.values, setup.initial, 0.0).reduction
+    assert reduction is not None
+    joints = reduction.joints
     if not joints.on.any():
         return
     names = [name for name, on in zip(names, joints.on.tolist(), strict=True) if on]
     joints = joints.closed()
-    apart = _distances(names, joints.gaps)
-    worst = max(apart, key=lambda name: apart[name])
-    if apart[worst] > max(allowed * scales.length, tolerances["gap"]):
+    distances = _distances(names, joints.gaps)
+    worst = max(distances, key=lambda name: distances[name])
+    if distances[worst] > max(allowed * scales.length, tolerances["gap"]):
         raise DeclarationProblem(
-            f"joint {worst!r} is open at the start: {_ends(mechanics, worst)} {apart[worst]:.6g} "
-            "apart",
+            f"joint {worst!r} is open at the start: {_ends(mechanics, worst)} "
+            f"{distances[worst]:.6g} apart",
             advice=_nearest(mechanics, snapshots, setup),
             loc=("joints", worst),
         )
-    change, left = least(joints.jacobian, -joints.rates)
-    slow = max(allowed * scales.speed, tolerances["speed"])
-    if np.abs(left).max() > slow:
-        raise _contradiction(names, left, "velocity")
+    change, residual = least(joints.jacobian, -joints.rates)
+    speed_tolerance = max(allowed * scales.speed, tolerances["speed"])
+    if np.abs(residual).max() > speed_tolerance:
+        raise _contradiction(names, residual, "velocity")
     speeds = _distances(names, joints.rates)
     worst = max(speeds, key=lambda name: speeds[name])
-    if speeds[worst] > slow:
+    if speeds[worst] > speed_tolerance:
         size = len(change)
         rates = setup.initial[size:] + change
         rate_names = [mechanics.scene.rate_name(name) for name in mechanics.names]
         raise DeclarationProblem(
             f"joint {worst!r} does not hold at the start: {_ends(mechanics, worst)} moving apart "
             f"at {speeds[worst]:.6g}",
-            advice="velocities that it allows: " + _listed(rate_names, rates, change),
+            advice="velocities that it allows: " + _format_values(rate_names, rates, change),
             loc=("joints", worst),
         )
-    _, left = least(joints.jacobian, -joints.biases)
+    _, residual = least(joints.jacobian, -joints.biases)
     largest = max(scales.acceleration, float(np.abs(joints.biases).max()))
-    if np.abs(left).max() > _ACCELERATION * largest:
-        raise _contradiction(names, left, "acceleration")
+    if np.abs(residual).max() > _MAX_ACCELERATION_RESIDUAL * largest:
+        raise _contradiction(names, residual, "acceleration")
 
 
 def check_closing(
-    mechanics: Mechanics, snapshot: Snapshot, joint: str, near: float, late: float = 0.0
+    mechanics: Mechanics,
+    snapshot: Snapshot,
+    joint: str,
+    gap_tolerance: float,
+    time_error: float = 0.0,
 ) -> None:
-    """Raise `NoConsistentMode` if the points of a joint are apart that closes.
+    """Raise `NoConsistentMode` if a joint closes while its points are apart, or is redundant.
 
-    By more than `near` and what they move in a time `late`. Also if the other closed joints imply
-    a row of it, as forces would not be determined.
+    The allowed distance is `gap_tolerance` plus the motion during `time_error`.
     """
-    held = snapshot.held
-    assert held is not None
+    reduction = snapshot.reduction
+    assert reduction is not None
     rows = [row.joint == joint for row in mechanics.joint_rows]
-    gaps, rates = np.abs(held.joints.gaps[rows]), np.abs(held.joints.rates[rows])
-    if (gaps > near + late * rates).any():
+    gaps, rates = np.abs(reduction.joints.gaps[rows]), np.abs(reduction.joints.rates[rows])
+    if (gaps > gap_tolerance + time_error * rates).any():
         raise NoConsistentMode(
             f"joint {joint!r} closes while {_ends(mechanics, joint)} {gaps.max():.6g} apart; write "
             "rest: captured, or enable it where they meet"
         )
-    names = np.array([row.joint for row in mechanics.joint_rows])[~held.joints.redundant]
-    spare = implied(held.joints.jacobian[~held.joints.redundant])
+    names = np.array([row.joint for row in mechanics.joint_rows])[~reduction.joints.redundant]
+    spare = implied(reduction.joints.jacobian[~reduction.joints.redundant])
     if spare.any():
         raise NoConsistentMode(
             f"joint {joint!r} closes, and closed joints imply a component of "
@@ -243,9 +248,11 @@ def _ends(mechanics: Mechanics, name: str) -> str:
     return f"its point of {joint.point.body!r} and its place in the world are"
 
 
-def _contradiction(names: Sequence[str], left: Array, what: str) -> DeclarationProblem:
-    largest = float(np.abs(left).max())
-    concerned = [n for n, r in zip(names, left.tolist(), strict=True) if abs(r) > _PART * largest]
+def _contradiction(names: Sequence[str], residual: Array, quantity: str) -> DeclarationProblem:
+    largest = float(np.abs(residual).max())
+    concerned = [
+        n for n, r in zip(names, residual.tolist(), strict=True) if abs(r) > _MIN_SHARE * largest
+    ]
     concerned = list(dict.fromkeys(concerned))
     subject = (
         f"the joints {', '.join(map(repr, concerned))} contradict one another"
@@ -253,45 +260,48 @@ def _contradiction(names: Sequence[str], left: Array, what: str) -> DeclarationP
         else f"joint {concerned[0]!r} contradicts itself"
     )
     return DeclarationProblem(
-        f"{subject}: no {what} of the bodies satisfies them",
+        f"{subject}: no {quantity} of the bodies satisfies them",
         advice="compare the paths that they follow, or remove one",
         loc=("joints", concerned[-1]),
     )
 
 
 def _nearest(mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup) -> str:
-    """Return where the joints would close, found by Gauss and Newton from the start, or not."""
     size = len(setup.initial) // 2
     state = setup.initial.copy()
     closest = np.inf
-    for _ in range(_ITERATIONS):
-        held = snapshots.at(setup.values, state, 0.0).held
-        assert held is not None
-        on = held.joints.on
-        gaps = held.joints.gaps[on]
+    for _ in range(_MAX_ITERATIONS):
+        reduction = snapshots.at(setup.values, state, 0.0).reduction
+        assert reduction is not None
+        on = reduction.joints.on
+        gaps = reduction.joints.gaps[on]
         if not np.isfinite(gaps).all():
             break
         closest = min(closest, float(np.abs(gaps).max()))
         if closest <= setup.tolerances["gap"]:
             shift = state[:size] - setup.initial[:size]
-            return "a position that closes all: " + _listed(mechanics.names, state[:size], shift)
-        state[:size] += least(held.joints.jacobian[on], -gaps)[0]
+            return "a position that closes all: " + _format_values(
+                mechanics.names, state[:size], shift
+            )
+        state[:size] += least(reduction.joints.jacobian[on], -gaps)[0]
     return (
         f"no position near the start closes all joints (least distance found: {closest:.6g}); "
         "compare lengths and places"
     )
 
 
-def _listed(names: Sequence[str], values: Array, changes: Array) -> str:
+def _format_values(names: Sequence[str], values: Array, changes: Array) -> str:
     """Return the values that changed, the largest changes first."""
     order = np.argsort(-np.abs(changes))
-    changed = [k for k in order[:_MOST_NAMED] if abs(changes[k]) > _PART * np.abs(changes).max()]
-    more = ", ..." if len(changed) == _MOST_NAMED < len(names) else ""
-    return ", ".join(f"{names[k]} = {values[k]:.6g}" for k in changed) + more
+    changed = [
+        k for k in order[:_MAX_NAMED] if abs(changes[k]) > _MIN_SHARE * np.abs(changes).max()
+    ]
+    ellipsis = ", ..." if len(changed) == _MAX_NAMED < len(names) else ""
+    return ", ".join(f"{names[k]} = {values[k]:.6g}" for k in changed) + ellipsis
 
 
 def torn(surface: str, contact: str, state: str) -> NoConsistentMode:
-    """Return why a run ends where the velocity of a surface jumps under a contact."""
+    """Return the error of a velocity jump of a surface under a contact."""
     return NoConsistentMode(
         f"the velocity of surface {surface!r} jumps, and {contact!r} would "
         f"be {state}, which is not among its modes; add it, or let the velocity flow"
@@ -299,8 +309,10 @@ def torn(surface: str, contact: str, state: str) -> NoConsistentMode:
 
 
 def jumped_in(surface: str, contact: str, depth: float) -> NoConsistentMode:
-    """Return why a run ends where a transition displaces a surface into a point."""
+    """Return the error of a transition that displaces a surface into a point."""
+    problem = f"surface {surface!r} jumps {depth:.3g} deep into the point of {contact!r}"
+    if surface == reach_of(contact):
+        problem = f"rope {contact!r} jumps to {depth:.3g} below the distance of its ends"
     return NoConsistentMode(
-        f"surface {surface!r} jumps {depth:.3g} deep into the point of {contact!r}; write a path "
-        "that moves there in a time, or let a variable flow"
+        f"{problem}; write a path that moves there in a time, or let a variable flow"
     )

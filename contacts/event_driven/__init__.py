@@ -1,8 +1,9 @@
-"""The laws of a scene at the instants between flows.
+"""Event-driven laws of a scene: classification, impacts and switches at the end of each flow.
 
-`laws` classifies the contacts at the start and after every event; `switching` takes contacts with
-conditions off and back; `compiled_laws` lets the compiled `scene_loop` take one run or many through
-`compiled_instants`; `decision` is a mode or a jam, `impact_jump` what an impact makes of it,
-`accumulation` ends impacts in turn. `controlled_laws` adds controllers, which may move surfaces;
-`handovers` warns of contacts that stay off.
+`laws` classifies the contacts at the start and after every event; `decision` selects a mode or
+finds a jam, `impact_jump` computes impacts, `accumulation` ends Zeno sequences of impacts at
+several contacts. `switching` disables and enables contacts with conditions; `handovers` warns of
+those that stay off. `controlled_laws` adds controllers, which may move surfaces. `compiled_laws`
+connects the compiled `scene_loop`, for one run or a batch, whose jumps are computed by
+`compiled_instants`.
 """

@@ -1,4 +1,4 @@
-"""Impacts in turn at several contacts whose intervals shrink to nothing: what they come to."""
+"""Zeno accumulation of alternating impacts at several contacts: the state at its end."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from statechart.automaton.laws import Flow, moving_mode, roles_in
 from statechart.automaton.trace import Jump, Key
 from statechart.errors import NoConsistentMode, SingularMode
 
-# Impacts in turn are skipped once contacts fly no higher than this part of the length. Where
-# points slide meanwhile, the path that they are given is wrong by the height; where none does,
-# nothing is lost, and later impacts would be known to fewer digits only.
-_LOW, _LOW_AT_REST = 1e-10, 1e-7
-# So many times what is changed without friction it may change with it: beyond, contacts jam.
-_MAGNIFIED = 30.0
+# Height of the flights, relative to the length, below which alternating impacts are skipped: with
+# sliding points, whose paths are then wrong by about the height, and without, where nothing is lost
+# (later impacts would have fewer correct digits).
+_MAX_HEIGHT, _MAX_HEIGHT_AT_REST = 1e-10, 1e-7
+# Largest ratio of the velocity change with friction to that without: beyond it contacts jam.
+_MAX_MAGNIFICATION = 30.0
 
 
 def closed_at_once(
@@ -37,114 +37,119 @@ def closed_at_once(
     at: Callable[[Array], Snapshot],
     flow: Flow,
     jump: Jump,
-    took_part: Sequence[bool],
+    participating: Sequence[bool],
     period: float,
-    rest: float,
+    remaining: float,
     paradox: Resolution,
 ) -> tuple[Jump, Flow] | None:
-    """Close the contacts that took part; return the last jump and the flow after it, changed.
+    """Close the participating contacts at once; return the last jump and the flow after it.
 
-    None where it is too early for that.
-
-    What impacts in turn do to bodies that stay where they are (a light ball between the floor and a
-    heavy one that comes down) is done at once. `jump` is the last impact and `flow` follows it;
-    `period` is the time since the impact before at the same contact, `rest` the time that further
-    impacts would take.
+    Returns None while the flights are too high. Example: a light ball between the floor and a heavy
+    body that comes down on it. `jump` is the last impact and `flow` follows it; `period` is the
+    time since the previous impact at the same contact, `remaining` the duration of further impacts.
     """
     state = jump.after
     snapshot = hidden(at(state), flow.mode)
-    took_part = [
-        part and now not in INACTIVE for part, now in zip(took_part, flow.mode, strict=True)
+    participating = [
+        participates and mode not in INACTIVE
+        for participates, mode in zip(participating, flow.mode, strict=True)
     ]
-    rates = [c.gap_rate for c, part in zip(snapshot.contacts, took_part, strict=True) if part]
+    rates = [
+        c.gap_rate
+        for c, participates in zip(snapshot.contacts, participating, strict=True)
+        if participates
+    ]
     if not rates:
         return None
-    height, near = max(rates) * period / 4.0, setup.tolerances["gap"]
+    height, gap_tolerance = max(rates) * period / 4.0, setup.tolerances["gap"]
     before = moving_mode(flow.roles)
-    shut = [part or now not in OPEN for part, now in zip(took_part, before, strict=True)]
+    closing = [
+        participates or mode not in OPEN
+        for participates, mode in zip(participating, before, strict=True)
+    ]
     key = tuple(
-        "slide" if closed and now in OPEN else now for now, closed in zip(before, shut, strict=True)
+        "slide" if closes and mode in OPEN else mode
+        for mode, closes in zip(before, closing, strict=True)
     )
     warnings = []
     if min(rates) < -setup.tolerances["speed"]:
-        early = rest > 0.0 and height > near
-        low = max(_LOW * setup.scales.length, near)
+        early = remaining > 0.0 and height > gap_tolerance
+        low = max(_MAX_HEIGHT * setup.scales.length, gap_tolerance)
         if early and (height > low or _pushed_aside(key, at(state), state, setup)):
             return None
         try:
-            sequence = impacts(snapshot, setup.contacts, took_part, "sequential")
+            sequence = impacts(snapshot, setup.contacts, participating, "sequential")
         except NoConsistentMode:
             return None
         warnings.append(sequence.warning)
         state = snapshot.moved(state, sequence.velocity)
         snapshot = at(state)
-    still = 2.0 * setup.tolerances["speed"]
-    left = _settled(snapshot, setup.contacts, struck(setup.contacts, shut), still)
-    if left is not None:
-        state = snapshot.moved(state, left)
+    slip_tolerance = 2.0 * setup.tolerances["speed"]
+    settled_velocity = _settled(
+        snapshot, setup.contacts, struck(setup.contacts, closing), slip_tolerance
+    )
+    if settled_velocity is not None:
+        state = snapshot.moved(state, settled_velocity)
     state = on_constraints(key, at(state), state)
     snapshot = hidden(at(state), flow.mode)
     slides = any(
-        abs(c.slip) > still
-        for c, closed in zip(snapshot.contacts, struck(setup.contacts, shut), strict=True)
-        if closed
+        abs(c.slip) > slip_tolerance
+        for c, closes in zip(snapshot.contacts, struck(setup.contacts, closing), strict=True)
+        if closes
     )
-    lowest = _LOW_AT_REST if not slides else _LOW if left is not None else 0.0
-    if rest > 0.0 and height > max(lowest * setup.scales.length, near):
+    lowest = (
+        _MAX_HEIGHT_AT_REST if not slides else _MAX_HEIGHT if settled_velocity is not None else 0.0
+    )
+    if remaining > 0.0 and height > max(lowest * setup.scales.length, gap_tolerance):
         return None
-    if left is None and slides:
+    if settled_velocity is None and slides:
         warnings.append(
             "the friction impulse of the summed bounces is undetermined, and is left out"
         )
-    choice = decide(setup, snapshot, shut, paradox)
+    choice = decide(setup, snapshot, closing, paradox)
     if isinstance(choice, Jam):
         return None
     after = landed(choice.taken.states, snapshot, state, setup.tolerances)
     warning = "; ".join(filter(None, (*warnings, choice.warning)))
     roles = choice.taken.roles
-    # A bar that rattles over a crest takes off from it: there is nothing to wait for.
-    wait = None if roles == roles_in(flow.mode) else rest
+    # If all contacts open (a bar that rattles over a crest), there is no time to wait.
+    wait = None if roles == roles_in(flow.mode) else remaining
     following = flow_in(setup, flow.mode, roles, wait, warning, notes=choice.notes)
     energy = None if jump.energy is None else (jump.energy[0], snapshot.energy)
-    return replace(jump, after=after, energy=energy, skipped=rest), following
+    return replace(jump, after=after, energy=energy, skipped=remaining), following
 
 
 def _pushed_aside(key: Key, snapshot: Snapshot, state: Array, setup: SceneSetup) -> bool:
-    """Return whether closing the gaps of `key` would move a contact along its surface.
-
-    What comes down closes the gap by itself in the time left, and no light body below makes way.
-    """
-    moved = (on_constraints(key, snapshot, state) - state)[: len(state) // 2]
+    """Return whether projecting the gaps of `key` to zero would move a contact tangentially."""
+    displacement = (on_constraints(key, snapshot, state) - state)[: len(state) // 2]
     return any(
-        abs(float(contact.jacobian[1] @ moved)) > setup.tolerances["gap"]
-        for contact, now in zip(snapshot.whole.contacts, key, strict=True)
-        if now not in OPEN
+        abs(float(contact.jacobian[1] @ displacement)) > setup.tolerances["gap"]
+        for contact, mode in zip(snapshot.unreduced.contacts, key, strict=True)
+        if mode not in OPEN
     )
 
 
 def _settled(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], shut: Sequence[bool], still_below: float
+    snapshot: Snapshot, laws: Sequence[ContactLaw], closing: Sequence[bool], slip_tolerance: float
 ) -> Array | None:
-    """Return the velocity (n,) that impacts in turn leave, besides what forces do meanwhile.
+    """Return the velocity (n,) after all alternating impacts, without the effect of other forces.
 
-    Whatever their order, the impulses of a contact that slides lie along the edge of its cone,
-    those of one that sticks keep its point in place; so their sums follow from the gaps' rates
-    being zero afterwards. None where they do not, as with more contacts than motions, or where a
-    slip would be reversed or friction change far more than without it: then one of them does not
-    slide to the end. Without friction, `contacts.dynamics.projection.on_constraints` gives the
-    same.
+    In any order, impulses of a sliding contact lie along the edge of its cone and those of a
+    sticking one keep its point in place, so that their sums follow from zero gap rates at the end.
+    Returns None if the sums are not unique, if a slip would reverse, or if friction multiplies the
+    velocity change: a contact then stops sliding before the end.
     """
     rows: list[Array] = []
     columns: list[Array] = []
     rates: list[float] = []
     slides: list[PerContact] = []
-    for law, contact, closed in zip(laws, snapshot.contacts, shut, strict=True):
+    for law, contact, closed in zip(laws, snapshot.contacts, closing, strict=True):
         if not closed:
             continue
         normal, tangent = contact.jacobian
         rows.append(normal)
         rates.append(-contact.gap_rate)
-        if abs(contact.slip) > still_below or "pin" not in law.states:
+        if abs(contact.slip) > slip_tolerance or "pin" not in law.states:
             cone_n, cone_t = sliding_edge(law, contact)
             columns.append(cone_n * normal - np.sign(contact.slip) * cone_t * tangent)
             slides.append(contact)
@@ -153,21 +158,24 @@ def _settled(
             rates.append(-contact.slip)
             columns += [normal, tangent]
     change = _change(snapshot, rows, columns, rates)
-    bare = _change(snapshot, rows, rows, rates)
-    if change is None or bare is None:
+    frictionless = _change(snapshot, rows, rows, rates)
+    if change is None or frictionless is None:
         return None
-    sizes = [math.sqrt(float(dv @ snapshot.mass @ dv)) for dv in (change, bare)]
-    turned = any(
-        (contact.slip + contact.jacobian[1] @ change) * np.sign(contact.slip) < -still_below
+    sizes = [math.sqrt(float(dv @ snapshot.mass @ dv)) for dv in (change, frictionless)]
+    reversed_slip = any(
+        (contact.slip + contact.jacobian[1] @ change) * np.sign(contact.slip) < -slip_tolerance
         for contact in slides
     )
-    return None if turned or sizes[0] > _MAGNIFIED * sizes[1] else snapshot.velocity + change
+    return (
+        None
+        if reversed_slip or sizes[0] > _MAX_MAGNIFICATION * sizes[1]
+        else snapshot.velocity + change
+    )
 
 
 def _change(
     snapshot: Snapshot, rows: Sequence[Array], columns: Sequence[Array], rates: Sequence[float]
 ) -> Array | None:
-    """Return the change of velocity by impulses along `columns` that changes `rows` by `rates`."""
     try:
         solved = answer(snapshot, np.array(rows), np.array(columns), np.array(rates))
     except SingularMode:

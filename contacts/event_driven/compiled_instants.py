@@ -1,6 +1,7 @@
-"""Unambiguous instants of a scene, compiled: conditions, modes, impacts of one or several contacts.
+"""Compiled jumps of a scene: conditions, modes, impacts of one or several contacts.
 
-All others are left to the laws (`laws`, `switching`, `impact_jump`).
+Only unambiguous instants are compiled; Python (`laws`, `switching`, `impact_jump`) takes the
+others.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ _CORNER_GAPS = 16.0
 TOUCHDOWN, LIFTOFF, STICK, SLIP, REVERSE, ENABLE, DISABLE = range(7)
 """Causes of changes of a contact's state, see `contacts.states.cause_of`."""
 CAUSES = ("touchdown", "liftoff", "stick", "slip", "reverse", "enable", "disable")
-"""In that order."""
+"""Names of the causes."""
 _PER_CAUSE = len(CAUSES)
 GOES_ON = -1
 
@@ -59,22 +60,22 @@ GOES_ON = -1
 class SceneWatch(NamedTuple):
     """Constants of a run for compiled instants (see `contacts.modes.classification.classify`)."""
 
-    # (9,): tapes of the scene's numbers, and of the margins of contacts' conditions.
+    # (9,): tapes of the snapshot, and of the margins of contacts' conditions.
     numbers: NDArray[np.int64]
     conditions: NDArray[np.int64]
     nodes: Ints  # (m, 3): trees of the contacts' conditions; see `contacts.dynamics.gates.tree`.
-    # (2 k + c,): places in `Watch.bands` of the margins that fall as conditions cease to hold, of
-    # those that do as they begin to, and as gaps of contacts that are off open; -1 for none.
+    # (2 k + c,): indices in `Watch.bands` of the margins that fall as conditions cease to hold, as
+    # they begin to hold, and as gaps of contacts that are off open; -1 for none.
     slots: Ints
     sizes: Array  # (n + 1,): of the state, and of time.
-    relative: float  # Margins that are so small in parts of their terms are zero.
+    relative: float  # Round-off of margins, relative to their terms.
     allowed: Bools  # shape (c, 5)
     cones: Array  # (c, 2): unit edges of friction cones at rest.
     restitution: Array  # shape (c,)
-    meanings: Ints  # (c,): what it means; -1 where the impact is none of a path.
-    offsets: Ints  # (c,): places of the gaps' offsets among the parameters.
-    near: float
-    creep: float
+    meanings: Ints  # (c,): kind of restitution; -1 for impacts that are not computed along a path.
+    offsets: Ints  # (c,): indices of the gaps' offsets among the parameters.
+    gap_drift: float
+    speed_drift: float
     gap: float
     speed: float
     tie: float
@@ -82,13 +83,13 @@ class SceneWatch(NamedTuple):
     force: float
     acceleration: float
     short: float
-    capture: float  # Rebounds slower than this may stand for those that follow.
+    capture: float  # Rebounds slower than this may be summed with those that follow.
 
 
 class RunState(NamedTuple):
     """State of a run in the loop, which brings it up to date."""
 
-    now: Array  # (6,): see `statechart.execution.compiled_loop.T_HIGH`.
+    clock: Array  # (6,): see `statechart.execution.compiled_loop.T_HIGH`.
     place: Ints  # (6,): see `statechart.execution.compiled_loop.N_MODE`.
     state: Array  # shape (n,)
     series: Array  # (7 c, ..): of jumps (see `statechart.kernels.accumulation`).
@@ -97,29 +98,29 @@ class RunState(NamedTuple):
 
 @kernel
 def rules_of(scene: SceneWatch) -> ModeRules:
-    """Return what of a scene decides the modes of its contacts."""
+    """Return the constants of the classification of modes."""
     return ModeRules(
-        scene.allowed, scene.cones, scene.near, scene.creep, scene.gap, scene.speed, scene.tie,
-        scene.force_uncertainty, scene.force, scene.acceleration,
+        scene.allowed, scene.cones, scene.gap_drift, scene.speed_drift, scene.gap, scene.speed,
+        scene.tie, scene.force_uncertainty, scene.force, scene.acceleration,
     )  # fmt: skip
 
 
 @kernel
 def _closed(
-    scene: SceneWatch, kept: Ints, numbers: Array, first: int, group: Ints
+    scene: SceneWatch, states: Ints, numbers: Array, scalars: int, group: Ints
 ) -> tuple[int, int]:
-    """List the closed contacts; return how many, and which of them strikes first, else -1.
+    """List the closed contacts; return their number and the first that strikes, else -1.
 
-    None strikes where a contact that the flow kept closed has to be brought back.
+    Also -1 if the state has to be projected onto the constraints first.
     """
     count, striking = 0, -1
-    for c in range(kept.shape[0]):
-        if kept[c] == OFF_CODE:
+    for c in range(states.shape[0]):
+        if states[c] == OFF_CODE:
             continue
-        place = first + SCALARS * c
+        place = scalars + SCALARS * c
         gap, rate, slip = numbers[place], numbers[place + 1], numbers[place + 2]
-        off = abs(gap) > scene.near or abs(rate) > scene.creep
-        if kept[c] != FREE and (off or (kept[c] == PIN and abs(slip) > scene.creep)):
+        violated = abs(gap) > scene.gap_drift or abs(rate) > scene.speed_drift
+        if states[c] != FREE and (violated or (states[c] == PIN and abs(slip) > scene.speed_drift)):
             return count, -1
         if not gap >= -scene.gap or not scene.allowed[c, FREE]:
             return count, -1
@@ -133,17 +134,17 @@ def _closed(
 
 @kernel
 def _single_impact(
-    scene: SceneWatch, mass: Array, numbers: Array, at: int, place: int, c: int,
+    scene: SceneWatch, mass: Array, numbers: Array, jacobians_at: int, scalars_at: int, c: int,
     velocity: Array, impulse: Array,
 ) -> int:  # fmt: skip
-    """Let one contact be hit by its own law; return the code of its path, 0 where it has none."""
+    """Compute the impact of one contact; return the code of its path, 0 if it has none."""
     if scene.meanings[c] < 0:
         return 0
     n, before = velocity.shape[0], velocity.copy()
-    jacobian = numbers[at + 2 * n * c : at + 2 * n * (c + 1)].reshape((2, n))
-    approach, slip = numbers[place + 1], numbers[place + 2]
+    jacobian = numbers[jacobians_at + 2 * n * c : jacobians_at + 2 * n * (c + 1)].reshape((2, n))
+    approach, slip = numbers[scalars_at + 1], numbers[scalars_at + 2]
     edges = np.empty((scene.cones.shape[0], 6))
-    write_edges(scene.cones, numbers, place - SCALARS * c, edges)
+    write_edges(scene.cones, numbers, scalars_at - SCALARS * c, edges)
     status, normal, tangential, path, _, _ = strike(
         mass,
         jacobian,
@@ -178,31 +179,30 @@ def hit(
     run: RunState,
     numbers: Array,
     impulse: Array,
-    taken: Ints,
+    target: Ints,
 ) -> tuple[int, int, int]:
     """Compute an impact of the closed contacts that approach.
 
-    Brings the state of the run and the numbers (o,) of the scene there up to date; fills `impulse`
-    (c, 2) on the bodies at every contact, and its state `taken` (c,) after it. Returns the first
-    contact that strikes (-1, and nothing changed but the numbers, where this is not so simple); the
-    code of its path, or of the states of several (`strike_group`); and these several, a bit each, 0
-    where it is alone.
+    Updates the state of the run and the numbers (o,) of the snapshot; fills the `impulse` (c, 2)
+    and the state `target` (c,) of every contact. Returns the first contact that strikes; the code
+    of its path, or of the states of several (`strike_group`); and a bit mask of these, 0 for a
+    single one. In an ambiguous case the first number is -1 and only `numbers` are changed.
     """
-    state, kept = run.state, run.states
-    n, contacts = state.shape[0] // 2, kept.shape[0]
-    at = n * n + n + 1
-    scalars = at + (2 * n + 2) * contacts
+    state, source = run.state, run.states
+    n, contacts = state.shape[0] // 2, source.shape[0]
+    jacobians_at = n * n + n + 1
+    scalars = jacobians_at + (2 * n + 2) * contacts
     group = np.empty(contacts, np.int64)
-    count, c = _closed(scene, kept, numbers, scalars, group)
+    count, c = _closed(scene, source, numbers, scalars, group)
     # The bits of a group are those of an int32.
     if c < 0 or contacts > 31:
         return -1, 0, 0
-    place = scalars + SCALARS * c
+    scalars_at = scalars + SCALARS * c
     after, mass = state.copy(), numbers[: n * n].reshape((n, n))
     impulse[:] = 0.0
     bits = 0
     if count == 1:
-        path = _single_impact(scene, mass, numbers, at, place, c, after[n:], impulse)
+        path = _single_impact(scene, mass, numbers, jacobians_at, scalars_at, c, after[n:], impulse)
     else:
         path = strike_group(
             rules_of(scene), numbers, scene.restitution, group[:count], after[n:], impulse
@@ -211,31 +211,31 @@ def hit(
             bits |= 1 << group[k]
     if path == 0:
         return -1, 0, 0
-    energy = numbers[at - 1]
-    evaluate(program, scene.numbers, after, watch.parameters, run.now[runs.T_HIGH], numbers)
-    lowest, resting, slowly = np.full(contacts, -scene.gap), False, False
+    energy = numbers[jacobians_at - 1]
+    evaluate(program, scene.numbers, after, watch.parameters, run.clock[runs.T_HIGH], numbers)
+    lowest, resting, slow_rebound = np.full(contacts, -scene.gap), False, False
     for k in range(count):
         rate, e = numbers[scalars + SCALARS * group[k] + 1], scene.restitution[group[k]]
         if rate < -scene.speed:
             return -1, 0, 0
-        slowly = slowly or (0.0 < e < 1.0 and scene.speed < rate <= 2.0 * scene.capture)
+        slow_rebound = slow_rebound or (0.0 < e < 1.0 and scene.speed < rate <= 2.0 * scene.capture)
         resting = resting or rate <= scene.speed
-    if slowly:
+    if slow_rebound:
         return -1, 0, 0
-    if count > 1 and numbers[at - 1] >= energy:
+    if count > 1 and numbers[jacobians_at - 1] >= energy:
         return -1, 0, 0
     for i in range(contacts):
-        taken[i] = OFF_CODE if kept[i] == OFF_CODE else FREE
+        target[i] = OFF_CODE if source[i] == OFF_CODE else FREE
     if resting:
-        flying = taken.copy()
-        if not classify(rules_of(scene), numbers, n, False, flying, lowest, taken):
+        flying = target.copy()
+        if not classify(rules_of(scene), numbers, n, False, flying, lowest, target):
             return -1, 0, 0
     put(after, state)
     return c, path, bits
 
 
 def meaning(law: ContactLaw) -> int:
-    """Return what restitution means where an impact goes along a path."""
+    """Return the kind of restitution of a path's impact; -1 for Moreau's law."""
     return -1 if law.impact == MOREAU else MEANINGS[law.impact]
 
 
@@ -254,11 +254,10 @@ def conditions(
 def hold_conditions(
     program: Program, watch: Watch, scene: SceneWatch, state: Array, time: float, fired: int
 ) -> None:
-    """Write how far below zero a flow from a state lets the margins of conditions go.
+    """Write the tolerances of the conditions' margins for a flow from a state.
 
-    `fired`: as for `switched`, of what has just decided a condition on its boundary; 0 for none.
-
-    See `contacts.dynamics.conditions.ConditionsAt.tolerances`.
+    `fired` is the condition that has just been decided on its boundary (see `switched`), or 0. See
+    `contacts.dynamics.conditions.ConditionsAt.tolerances`.
     """
     count = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
     verdicts, bands = np.empty(count, np.int64), np.empty(scene.slots.shape[0])
@@ -272,46 +271,47 @@ def hold_conditions(
 
 @kernel
 def switched(
-    scene: SceneWatch, values: Array, numbers: Array, first: int, fired: int, kept: Ints,
-    taken: Ints,
+    scene: SceneWatch, values: Array, numbers: Array, scalars: int, fired: int, source: Ints,
+    target: Ints,
 ) -> int:  # fmt: skip
-    """Take contacts off or back whose conditions say so; return the first, -1 where there is none.
+    """Disable and enable contacts by their conditions; return the first that changes, else -1.
 
-    -2 where further derivatives of a condition decide. `values` (4 k,) are the numbers of the
-    conditions, `numbers` (o,) those of the scene, of contacts from `first` on. `fired` is the
-    number of the atom that ceased to hold, from 1 on; minus it, if it began to. That decides where
-    the first derivative does not: a flow on whose way a margin falls did not begin on its boundary.
-    Each contact was in its state `kept` (c,), and `taken` (c,) is to be filled. See
+    Returns -2 if higher derivatives of a condition decide. `values` (4 k,) are the numbers of the
+    conditions, `numbers` (o,) the snapshot, with contacts from `scalars` on. `fired` is the number
+    (from 1 on) of the atom that ceased to hold, negative if it began to hold; it decides if the
+    first derivative does not. Fills the states `target` (c,) from `source` (c,). See
     `contacts.dynamics.conditions.ConditionsAt.failing`.
     """
-    place, unsure, leaves, stays, beside = -1, False, False, False, False
+    changed, unsure, leaves, stays, neighbour_off = -1, False, False, False, False
     count = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
-    verdicts, found = np.empty(count, np.int64), np.empty(scene.nodes.shape[0], np.int64)
+    verdicts, node_verdicts = np.empty(count, np.int64), np.empty(scene.nodes.shape[0], np.int64)
     judge_atoms(values, scene.relative, fired, verdicts)
-    truths(scene.nodes, verdicts, found)
-    for c in range(kept.shape[0]):
-        taken[c] = kept[c]
+    truths(scene.nodes, verdicts, node_verdicts)
+    for c in range(source.shape[0]):
+        target[c] = source[c]
     for i in range(scene.nodes.shape[0]):
         if scene.nodes[i, 1] >= 0:
             continue
         c = scene.nodes[i, 2]
-        gap = numbers[first + SCALARS * c]
-        if found[i] == FAILS:
-            taken[c] = OFF_CODE
-        elif kept[c] == OFF_CODE and gap >= -scene.gap:
-            taken[c] = FREE
-        # The laws report a gap without a value.
-        nowhere = kept[c] == OFF_CODE and gap != gap
-        unsure = unsure or (found[i] != FAILS and (found[i] == UNSURE or nowhere))
-        if place < 0 and taken[c] != kept[c]:
-            place = c
-        close = abs(gap) <= _CORNER_GAPS * scene.gap
-        stays = stays or (close and taken[c] != OFF_CODE)
-        leaves = leaves or (close and taken[c] == OFF_CODE and kept[c] != OFF_CODE)
-        beside = beside or (close and taken[c] == OFF_CODE and kept[c] == OFF_CODE)
-    # A corner where nothing takes over is for the laws.
-    unsure = unsure or (leaves and beside and not stays)
-    return -2 if unsure else place
+        gap = numbers[scalars + SCALARS * c]
+        if node_verdicts[i] == FAILS:
+            target[c] = OFF_CODE
+        elif source[c] == OFF_CODE and gap >= -scene.gap:
+            target[c] = FREE
+        # Python reports a gap without a value.
+        undefined = source[c] == OFF_CODE and gap != gap
+        unsure = unsure or (node_verdicts[i] != FAILS and (node_verdicts[i] == UNSURE or undefined))
+        if changed < 0 and target[c] != source[c]:
+            changed = c
+        near_surface = abs(gap) <= _CORNER_GAPS * scene.gap
+        stays = stays or (near_surface and target[c] != OFF_CODE)
+        leaves = leaves or (near_surface and target[c] == OFF_CODE and source[c] != OFF_CODE)
+        neighbour_off = neighbour_off or (
+            near_surface and target[c] == OFF_CODE and source[c] == OFF_CODE
+        )
+    # Python handles a corner where no other contact takes over.
+    unsure = unsure or (leaves and neighbour_off and not stays)
+    return -2 if unsure else changed
 
 
 @kernel
@@ -329,27 +329,27 @@ def _cause(before: int, after: int) -> int:
 
 @kernel
 def row_of(program: Program, states: Ints) -> int:
-    """Return the mode of these states of the contacts; -1 where it is not compiled."""
+    """Return the mode of these states of the contacts; -1 if it is not compiled."""
     modes = program.modes
     for row in range(modes.shape[0]):
         at = modes[row, LAWS_AT]
         if modes[row, ADDRESS] == 0 or at < 0:
             continue
-        same = True
+        equal = True
         for c in range(states.shape[0]):
-            same = same and program.ints[at + c] == states[c]
-        if same:
+            equal = equal and program.ints[at + c] == states[c]
+        if equal:
             return row
     return -1
 
 
 @kernel
 def _in_turn(block: TraceBuffer, row: int, jumps: int) -> bool:
-    """Return whether other contacts may have been hit since a contact last was."""
+    """Return whether other contacts may have been struck since the last impact of a contact."""
     if row % _PER_CAUSE != TOUCHDOWN:
         return False
-    contact, last = row // _PER_CAUSE, block.used[EVENTS] - 1
-    for event in range(last, max(last - jumps, -1), -1):
+    contact, newest = row // _PER_CAUSE, block.used[EVENTS] - 1
+    for event in range(newest, max(newest - jumps, -1), -1):
         struck, group = block.events[event, 4], block.events[event, 5]
         if (
             block.events[event, 0] == JUMP_OBJECT
@@ -357,7 +357,7 @@ def _in_turn(block: TraceBuffer, row: int, jumps: int) -> bool:
             or (struck >= 0 and struck != contact)
         ):
             return True
-        if event < last and struck == contact:
+        if event < newest and struck == contact:
             return False
     return True
 
@@ -373,66 +373,66 @@ def instant(
     fired: int,
     flowed: bool,
 ) -> tuple[int, int, float]:
-    """Jump, where that is as simple as most jumps are.
+    """Compute the jump of an unambiguous instant, and update the run.
 
-    Brings the run up to date. `margin` fell (-1 where the instant goes on after a jump), and the
-    condition `fired` (see `switched`; 0 for none, and after an impact); `flowed`: time has passed
-    since the last instant. Returns what the loop does; `GOES_ON` where that can, with what is asked
-    next in `place`, and in the place of the margin `fired`, if the mode goes on, else 0.
+    `margin` fell (-1 if the instant continues after a jump), and the condition `fired` (see
+    `switched`; 0 for none, and after an impact); `flowed` is true if time has passed since the last
+    instant. Returns the reason to leave the loop and its margin, or `GOES_ON` and the condition
+    `fired` if the mode continues without a jump, else 0.
     """
-    now, place, state, kept = run.now, run.place, run.state, run.states
-    contacts, n = kept.shape[0], state.shape[0] // 2
-    high, mode = now[runs.T_HIGH], place[runs.N_MODE]
-    numbers, taken = np.empty(scene.numbers[5]), np.empty(contacts, np.int64)
+    clock, place, state, source = run.clock, run.place, run.state, run.states
+    contacts, n = source.shape[0], state.shape[0] // 2
+    high, mode = clock[runs.T_HIGH], place[runs.N_MODE]
+    numbers, target = np.empty(scene.numbers[5]), np.empty(contacts, np.int64)
     impulse, lowest, before = np.zeros((contacts, 2)), np.empty(contacts), state.copy()
     evaluate(program, scene.numbers, state, watch.parameters, high, numbers)
     energy_at = n * n + n
     energy, struck, path, group = numbers[energy_at], -1, 0, 0
-    first = energy_at + 1 + (2 * n + 2) * contacts
-    found = boundary = False
+    scalars = energy_at + 1 + (2 * n + 2) * contacts
+    unambiguous = boundary = False
     if scene.nodes.shape[0] > 0:
         values = conditions(program, watch, scene, state, high)
         for k in range((scene.slots.shape[0] - contacts) // 2):
             band = round_off(values[PER_CONDITION * k + 2], scene.relative)
             boundary = boundary or abs(values[PER_CONDITION * k]) <= band
-        switching = switched(scene, values, numbers, first, fired, kept, taken)
+        switching = switched(scene, values, numbers, scalars, fired, source, target)
         if switching == -2:
             return runs.FELL, margin, 0.0
-        found = switching >= 0
+        unambiguous = switching >= 0
     if boundary:
         for c in range(contacts):
-            at = first + SCALARS * c
+            at = scalars + SCALARS * c
             if abs(numbers[at]) <= scene.gap and numbers[at + 1] < -scene.speed:
-                # An impact on a boundary may bring contacts back that are closed.
+                # An impact on a boundary may enable closed contacts.
                 return runs.FELL, margin, 0.0
-    switches = found
-    if not found:
+    switches = unambiguous
+    if not unambiguous:
         for c in range(contacts):
-            lasting = kept[c] != FREE and kept[c] != OFF_CODE
-            lowest[c] = -scene.near if lasting else 0.0
-        found = classify(rules_of(scene), numbers, n, True, kept, lowest, taken)
-    if not found:
+            lasting = source[c] != FREE and source[c] != OFF_CODE
+            lowest[c] = -scene.gap_drift if lasting else 0.0
+        unambiguous = classify(rules_of(scene), numbers, n, True, source, lowest, target)
+    if not unambiguous:
         if margin >= 0 and program.ints[program.modes[mode, MARGINS_AT] + 2 * margin] == SPEED:
-            # Slip that has ended as far as time tells is the laws' to see.
+            # Python decides whether the slip has ended within the resolution of time.
             return runs.FELL, margin, 0.0
-        struck, path, group = hit(program, watch, scene, run, numbers, impulse, taken)
-    target = row_of(program, taken) if found or struck >= 0 else -1
-    if target == mode and struck < 0 and margin < 0:
+        struck, path, group = hit(program, watch, scene, run, numbers, impulse, target)
+    target_mode = row_of(program, target) if unambiguous or struck >= 0 else -1
+    if target_mode == mode and struck < 0 and margin < 0:
         place[runs.N_RETRY] = 0
         return GOES_ON, 0, 0.0
-    if target == mode and struck < 0 and flowed and fired != 0:
-        # The gates hold or fail as before: other conditions decide that from here on.
+    if target_mode == mode and struck < 0 and flowed and fired != 0:
+        # The verdicts of the gates are unchanged, but other conditions certify them from now on.
         hold_conditions(program, watch, scene, state, high, fired)
         count = (scene.slots.shape[0] - contacts) // 2
         slot = scene.slots[fired - 1 if fired > 0 else count - fired - 1]
         if watch.bands[slot] == math.inf:
             place[runs.N_RETRY] = 0
             return GOES_ON, fired, 0.0
-    if target < 0 or (target == mode and struck < 0):
+    if target_mode < 0 or (target_mode == mode and struck < 0):
         put(before, state)
         return runs.FELL, margin, 0.0
     event = block.used[EVENTS]
-    block.events[event, 0], block.events[event, 1] = mode, target
+    block.events[event, 0], block.events[event, 1] = mode, target_mode
     block.events[event, 2], block.events[event, 3] = margin, path
     block.events[event, 4], block.events[event, 5] = struck, group
     block.numbers[event, 0] = high
@@ -443,28 +443,31 @@ def instant(
     put(before, block.states[event, 0])
     put(state, block.states[event, 1])
     block.used[EVENTS] += 1
-    place[runs.N_MODE] = target
+    place[runs.N_MODE] = target_mode
     place[runs.N_JUMPS] += 1
-    # After an impact the state may leave the boundary of a condition another way.
+    # After an impact the state may leave the boundary of a condition in another direction.
     place[runs.N_RETRY] = 1 if switches else 2 if struck >= 0 and boundary else 0
-    now[runs.T_SINCE] = high
+    clock[runs.T_SINCE] = high
     row = _PER_CAUSE * struck + TOUCHDOWN
     if struck < 0:
         changed = 0
-        while kept[changed] == taken[changed]:
+        while source[changed] == target[changed]:
             changed += 1
-        row = _PER_CAUSE * changed + _cause(kept[changed], taken[changed])
+        row = _PER_CAUSE * changed + _cause(source[changed], target[changed])
     for c in range(contacts):
-        gap, lay = numbers[first + SCALARS * c], kept[c] != FREE and kept[c] != OFF_CODE
-        if taken[c] != FREE:
+        gap, was_closed = (
+            numbers[scalars + SCALARS * c],
+            source[c] != FREE and source[c] != OFF_CODE,
+        )
+        if target[c] != FREE:
             watch.parameters[scene.offsets[c]] = 0.0
-        elif lay or c == struck or (struck >= 0 and (group >> c) & 1 == 1):
-            # Its flight is measured from where round-off has left it.
+        elif was_closed or c == struck or (struck >= 0 and (group >> c) & 1 == 1):
+            # The gap of a flight starts at its round-off.
             watch.parameters[scene.offsets[c]] = gap if abs(gap) <= scene.gap else 0.0
-        kept[c] = taken[c]
-    rest = add_jump(run.series[row], high, now[runs.T_LOW], margin >= 0, scene.short)
-    if rest >= 0.0 and _in_turn(block, row, place[runs.N_JUMPS]):
-        return runs.ACCUMULATES, row, rest
+        source[c] = target[c]
+    remaining = add_jump(run.series[row], high, clock[runs.T_LOW], margin >= 0, scene.short)
+    if remaining >= 0.0 and _in_turn(block, row, place[runs.N_JUMPS]):
+        return runs.ACCUMULATES, row, remaining
     count = place[runs.N_JUMPS]
     steady = count >= STEADY and count & (count - 1) == 0
     if count >= place[runs.N_MOST] or steady:

@@ -10,7 +10,7 @@ from typing import Any, cast
 from contacts.dynamics.conditions import hidden
 from contacts.dynamics.projection import Projection
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.setup_evaluation import SceneNumbers, rules
+from contacts.dynamics.setup_evaluation import SceneNumbers, setup_rules
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.compiled_instants import CAUSES
 from contacts.event_driven.decision import cause, explained
@@ -32,10 +32,7 @@ from statechart.kernels.jit import Kernel, is_ready
 
 
 class CompiledSceneLaws:
-    """The unambiguous instants of a scene without joints.
-
-    `ask` is what the laws do at an instant.
-    """
+    """Compiled laws of a scene without joints; `ask` are the laws in Python."""
 
     def __init__(
         self,
@@ -49,7 +46,7 @@ class CompiledSceneLaws:
         self._snapshots = snapshots
         self._numbers, conditions = numbers, numbers.conditions
         self.setup = numbers.at
-        self._rules, limits = rules(numbers), numbers.limits
+        self._rules, limits = setup_rules(numbers), numbers.limits
         self.tapes: tuple[Tape, ...] = snapshots.tape, projection.tape, conditions.tape
         if limits is not None:
             scales = numbers.scale_tape
@@ -61,19 +58,18 @@ class CompiledSceneLaws:
         self.series = tuple((name, cause) for name in names for cause in CAUSES)
 
     def compiled(self) -> bool:
-        """Return whether the loop lies compiled on disk."""
+        """Return whether the compiled loop is cached on disk."""
         return cast(Kernel, run_batch).is_cached
 
     def ready(self) -> bool:
-        """Return whether it does, in a process that has loaded its compiler."""
+        """Return whether it is cached and this process has loaded the compiler."""
         return is_ready(run_batch)
 
     def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
-        """Return the states of the contacts, and of which conditions the margins are.
+        """Return the state codes of the contacts, then the condition number of every margin.
 
-        Those are numbered from 1 on; minus the number stands for the margin that brings one back.
-
-        None where a contact moves as another.
+        Conditions are numbered from 1 on, negative for margins that bring a contact back, 0 for
+        none. Returns None if a contact moves in another state than it is shown in.
         """
         if roles != roles_in(mode):
             return None
@@ -81,23 +77,23 @@ class CompiledSceneLaws:
         return [*states, *(self._of_margins.get(name, 0) for name in margins)]
 
     def tolerances(self, setup: Setup, state: Array, time: float) -> Mapping[str, float]:
-        """Return the margins that have a tolerance of their own in a flow from a state, with it."""
+        """Return the special tolerances of margins in a flow from a state, by margin."""
         assert isinstance(setup, SceneSetup)
-        own = self._conditions.at(setup, state, time).tolerances()
-        return {**setup.bands, **own} if own else setup.bands
+        tolerances = self._conditions.at(setup, state, time).tolerances()
+        return {**setup.bands, **tolerances} if tolerances else setup.bands
 
     def takes(self, setup: Setup, flow: Flow, state: Array, time: float) -> bool:
-        """Return whether a flow skips no bounces, and its margins have their usual tolerances."""
+        """Return whether a flow skips no bounces and has the default tolerances."""
         assert isinstance(setup, SceneSetup)
         conditions = self._conditions
         own = {*conditions.names, *conditions.back, *conditions.gaps}
         special = {n: t for n, t in flow.tolerances.items() if n not in own}
-        usual = flow.tolerances is setup.bands or special == setup.bands
-        usual = usual and alike(conditions.at(setup, state, time).tolerances(), flow.tolerances)
-        return usual and flow.remaining == math.inf and not flow.held and not flow.near_bound
+        regular = flow.tolerances is setup.bands or special == setup.bands
+        regular = regular and alike(conditions.at(setup, state, time).tolerances(), flow.tolerances)
+        return regular and flow.remaining == math.inf and not flow.held and not flow.near_bound
 
     def within(self, mode: Key) -> Tape | None:
-        """Return what tells that a step passed over a bump of a surface, or a dip, unseen."""
+        """Return the tape that detects bumps of a surface that a step missed."""
         return self._projection.passed_over(mode)
 
     def call(self, loop: Loop, relative: float) -> SceneLoop:
@@ -111,8 +107,8 @@ class CompiledSceneLaws:
         return cause(self._names, event.source, event.target, False)
 
     def jump(self, setup: Callable[[], Setup], event: RecordedEvent, fired: str) -> Jump:
-        """Return the jump of an event that the loop has made."""
-        region, how = self.about(event)
+        """Return the jump of an event recorded by the loop."""
+        region, cause = self.about(event)
         impulse: Mapping[str, tuple[float, float]] = {}
         path: tuple[str, ...] = ()
         if event.struck >= 0:
@@ -127,7 +123,7 @@ class CompiledSceneLaws:
             event.t,
             event.j,
             region,
-            how,
+            cause,
             event.source,
             event.target,
             event.before,
@@ -140,40 +136,37 @@ class CompiledSceneLaws:
         )
 
     def _explain(
-        self, what: str, setup: Callable[[], Setup], event: RecordedEvent, fired: str
+        self, field: str, setup: Callable[[], Setup], event: RecordedEvent, fired: str
     ) -> Mapping[str, Any]:
-        """Return the explanation of a jump, by the laws themselves; few users read it."""
+        """Return `impulse` or `considered` of a jump, computed by the laws in Python on demand."""
         numbers = setup()
         assert isinstance(numbers, SceneSetup)
-        if what == "considered" and (rebound := self._rebound(numbers, event)) is not None:
+        if field == "considered" and (rebound := self._rebound(numbers, event)) is not None:
             return rebound
         flow, clock = flow_in(numbers, event.source), Clock(event.t)
         at = Instant(numbers, clock, event.j, flow, event.before, (fired,) if fired else ())
-        made = self._ask(at)
-        assert made is not None
-        assert made[0] is not None
-        return {"impulse": made[0].impulse, "considered": made[0].considered}[what]
+        result = self._ask(at)
+        assert result is not None
+        assert result[0] is not None
+        return {"impulse": result[0].impulse, "considered": result[0].considered}[field]
 
     def _rebound(self, setup: SceneSetup, event: RecordedEvent) -> Mapping[str, str] | None:
-        """Return what was considered where nothing touches before an impact nor after it.
-
-        None elsewhere: then the laws weigh modes.
-        """
-        free = event.source == event.target and all(state in OPEN for state in event.source)
-        if event.struck < 0 or not free:
+        """Return the explanation of an impact after which all contacts are open, else None."""
+        all_open = event.source == event.target and all(state in OPEN for state in event.source)
+        if event.struck < 0 or not all_open:
             return None
         after = hidden(self._snapshots.at(setup.values, event.after, event.t), event.source)
-        slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
-        closed = [contact.gap <= close for contact in after.contacts]
+        speed_tolerance, gap_tolerance = setup.tolerances["speed"], setup.tolerances["gap"]
+        closed = [contact.gap <= gap_tolerance for contact in after.contacts]
         if any(
-            shut and contact.gap_rate <= slow
-            for shut, contact in zip(closed, after.contacts, strict=True)
+            is_closed and contact.gap_rate <= speed_tolerance
+            for is_closed, contact in zip(closed, after.contacts, strict=True)
         ):
             return None
         return explained({}, setup.contacts, after.contacts, closed, [False] * len(closed), {})
 
     def _modes(self, event: RecordedEvent) -> Iterator[str]:
-        """Return what the contacts of a group do in a plastic impact."""
+        """Yield the modes of the contacts of a group in a plastic impact."""
         group, code = event.group, event.path
         for place, name in enumerate(self._names):
             if group >> place & 1:

@@ -1,9 +1,9 @@
-"""Controllers on the executor: a scene's own regions beside its contacts, and their jumps.
+"""Laws of a scene with controllers: regions of its own in addition to its contacts.
 
-Contacts are classified from the state first; then the controllers are asked in the order of their
-declaration (`statechart.charts.guard_watch`). A controller that changes state changes forces and
-coefficients, never the motion, and the contacts are classified again at that instant: a push may
-make a pinned foot slip there.
+At an event the contacts are classified first; then the controllers are evaluated in the order of
+their declaration (`statechart.charts.guard_watch`). A transition of a controller changes forces and
+coefficients, never the motion; the contacts are then classified again at the same instant, since a
+new force can make a sticking foot slip.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from statechart.charts.guard_watch import Judgement, Listening, considered
 class ControlledLaws:
     """The laws of a scene with controllers (see `statechart.automaton.laws.Laws`)."""
 
-    # Controllers are asked at every instant.
+    # Controllers are evaluated at every instant, by Python.
     compiled_laws = None
 
     def __init__(
@@ -70,51 +70,53 @@ class ControlledLaws:
         self._listening = Listening(regions, self._controllers)
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
-        """Return the first mode, entered; transitions that are due there are taken at once."""
+        """Return the first flow; transitions that are due there follow as jumps."""
         assert isinstance(setup, SceneSetup)
         state = setup.initial
         for region in self._controllers.values():
             state = self._memory.updated(setup, Clock(), region.name, region.begins, state)
-        own = self._states.initial
-        inner = self._within(setup, own, state)
-        flow, begun = self._at(own).begin(replace(inner, initial=self._memory.parted(state)))
-        state = self._memory.joined(begun, state)
-        return self._joined(setup, Clock(), flow, own, state), state
+        controllers = self._states.initial
+        inner = self._within(setup, controllers, state)
+        flow, motion = self._at(controllers).begin(
+            replace(inner, initial=self._memory.parted(state))
+        )
+        state = self._memory.joined(motion, state)
+        return self._joined(setup, Clock(), flow, controllers, state), state
 
     def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
-        """Classify the contacts, then ask the controllers."""
+        """Classify the contacts, then evaluate the controllers."""
         setup, clock, _, flow, state, fired = at
         assert isinstance(setup, SceneSetup)
-        own = flow.mode[self._count :]
-        laws = self._at(own)
+        controllers = flow.mode[self._count :]
+        laws = self._at(controllers)
         setup = self._held.within(setup, flow, state, clock.high, laws.tape)
         at = at._replace(setup=setup)
-        inner = self._within(setup, own, state)
+        inner = self._within(setup, controllers, state)
         motion = self._memory.parted(state)
-        made = laws.jump(at._replace(setup=inner, flow=self._parted(flow), state=motion))
-        if made is not None:
-            jump, following = made
+        result = laws.jump(at._replace(setup=inner, flow=self._parted(flow), state=motion))
+        if result is not None:
+            jump, following = result
             if following.start is not None:
                 start = self._memory.joined(following.start, state)
                 following = following._replace(start=start)
             if jump is None:
-                held = self._joined(setup, clock, following, own, state, flow)
-                return None, held._replace(settled=following.settled)
+                flow_on = self._joined(setup, clock, following, controllers, state, flow)
+                return None, flow_on._replace(settled=following.settled)
             after = self._memory.joined(jump.after, state)
             jump = replace(
                 jump,
                 source=flow.mode,
-                target=(*jump.target, *own),
+                target=(*jump.target, *controllers),
                 before=self._memory.joined(jump.before, state),
                 after=after,
             )
             flow = flow._replace(pending=self._listening.pending_after(flow.pending, jump))
-            return jump, self._joined(setup, clock, following, own, after, flow)
+            return jump, self._joined(setup, clock, following, controllers, after, flow)
         judged, rows = self._judged(setup, clock, flow, state, fired)
         guarded = set() if judged is None else judged.due()
         firing = self._listening.first(
             self._controllers,
-            own,
+            controllers,
             flow.pending,
             guarded,
             lambda: self._holding(setup, clock, flow, state),
@@ -124,35 +126,37 @@ class ControlledLaws:
             if tolerances == flow.tolerances:
                 return None
             return None, flow._replace(tolerances=tolerances)
-        name, taken = self._names[firing.place], firing.taken
-        states = (*own[: firing.place], taken.target, *own[firing.place + 1 :])
-        after = self._memory.updated(setup, clock, taken.name, taken.blocks, state)
-        if name in self._joints and taken.target == CLOSED:
-            return self._closed(at, name, taken.name, states, after)
+        name, edge = self._names[firing.place], firing.taken
+        states = (*controllers[: firing.place], edge.target, *controllers[firing.place + 1 :])
+        after = self._memory.updated(setup, clock, edge.name, edge.blocks, state)
+        if name in self._joints and edge.target == CLOSED:
+            return self._closed(at, name, edge.name, states, after)
         energy = laws.snapshot(inner, motion, clock.high).energy
         contacts = flow.mode[: self._count]
         if self._leads:
-            there = self._within(setup, states, after)
-            now = self._at(states).snapshot(there, motion, clock.high)
-            was = laws.snapshot(inner, motion, clock.high)
-            contacts = displaced(self._mechanics.scene, inner, contacts, was, now)
+            setup_after = self._within(setup, states, after)
+            after_update = self._at(states).snapshot(setup_after, motion, clock.high)
+            before_update = laws.snapshot(inner, motion, clock.high)
+            contacts = displaced(
+                self._mechanics.scene, inner, contacts, before_update, after_update
+            )
         jump = at.jump(
             name,
-            taken.name,
+            edge.name,
             (*contacts, *states),
             after,
-            path=() if taken.guard is not None else (taken.trigger,),
-            considered=self._considered[name](taken),
+            path=() if edge.guard is not None else (edge.trigger,),
+            considered=self._considered[name](edge),
             energy=(energy, energy),
         )
         flow = flow._replace(pending=self._listening.pending_after(firing.pending, jump))
         following = self._parted(flow)
         if contacts != following.mode:
             roles = zip(following.mode, contacts, following.roles, roles_in(contacts), strict=True)
-            moved = tuple(role if a == b else other for a, b, role, other in roles)
-            following = following._replace(mode=contacts, roles=moved)
-        if taken.guard is not None:
-            watch = self._states.guards(own).watch
+            roles_after = tuple(role if a == b else other for a, b, role, other in roles)
+            following = following._replace(mode=contacts, roles=roles_after)
+        if edge.guard is not None:
+            watch = self._states.guards(controllers).watch
             early = watch.early(rows, firing.due, fired)
             following = following._replace(warning=early or following.warning)
         return jump, self._joined(setup, clock, following, states, after, flow)
@@ -160,7 +164,7 @@ class ControlledLaws:
     def _closed(
         self, at: Instant, joint: str, cause: str, states: Key, state: Array
     ) -> tuple[Jump, Flow]:
-        """Close a joint that is on in `states`; `state` is what it has captured."""
+        """Close a joint that is on in `states`; `state` includes the captured values."""
         assert isinstance(at.setup, SceneSetup)
         inner = self._within(at.setup, states, state)
         motion = self._memory.parted(state)
@@ -177,73 +181,76 @@ class ControlledLaws:
     def accumulate(
         self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
     ) -> tuple[Jump, Flow] | None:
-        """Let the contacts skip what accumulates; controllers that answer it just go on."""
+        """Skip accumulating impacts, unless a controller reacts to them."""
         assert isinstance(setup, SceneSetup)
         if jumps[-1].region in self._controllers:
             return None
-        own = flow.mode[self._count :]
+        controllers = flow.mode[self._count :]
         last = jumps[-1].after
-        inner = self._within(setup, own, last)
+        inner = self._within(setup, controllers, last)
         parted = self._memory.parted
         motions = [replace(j, before=parted(j.before), after=parted(j.after)) for j in jumps]
-        made = self._at(own).accumulate(inner, clock, self._parted(flow), motions, rest)
-        if made is None:
+        result = self._at(controllers).accumulate(inner, clock, self._parted(flow), motions, rest)
+        if result is None:
             return None
-        jump, following = made
+        jump, following = result
         joined = self._memory.joined
         jump = replace(jump, before=joined(jump.before, last), after=joined(jump.after, last))
-        return jump, self._joined(setup, clock, following, own, jump.after, flow)
+        return jump, self._joined(setup, clock, following, controllers, jump.after, flow)
 
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
-        """Return what keeps the closed contacts of `roles` closed, and pinned points in place."""
+        """Return the constraints of the closed contacts of `roles`, and of pinned points."""
         assert isinstance(setup, SceneSetup)
         inner = self._memory.within(setup, anchor)
         motion = self._memory.parted(anchor)
-        # Which joints hold, and where surfaces go, is a matter of the states.
-        own = self._joints or self._leads
-        laws = self._at(moving_mode(roles[self._count :])) if own else self._contacts
-        found = laws.constraints(inner, roles[: self._count], start, motion)
-        return self._memory.constraints(found, setup)
+        # Switched joints and led surfaces depend on the states of controllers.
+        depends_on_states = self._joints or self._leads
+        laws = self._at(moving_mode(roles[self._count :])) if depends_on_states else self._contacts
+        of_motion = laws.constraints(inner, roles[: self._count], start, motion)
+        return self._memory.constraints(of_motion, setup)
 
     def feasibility(
         self, regions: Sequence[Region], setup: Setup, state: Array, time: float
     ) -> Feasibility:
-        """Judge every product mode by the velocities that it asks for; controllers ask for none."""
+        """Judge every product mode by the velocities that its contacts require."""
         assert isinstance(setup, SceneSetup)
         inner, motion = self._memory.within(setup, state), self._memory.parted(state)
         return self._contacts.feasibility(regions, inner, motion, time)
 
     def remarks(self, setup: Setup, arcs: Sequence[Arc]) -> tuple[str, ...]:
-        """Return warnings of contacts that stay off: see `handovers`."""
+        """Return warnings about contacts that stay off, see `handovers`."""
         return self._contacts.remarks(setup, arcs)
 
     def _at(self, states: Key) -> SceneLaws:
-        """Return the contacts' laws as long as the controllers are in `states`."""
+        """Return the contacts' laws with the controllers in `states`."""
         if states not in self._under:
-            named = self._states.named(states)
+            states_by_name = self._states.named(states)
             self._under[states] = self._contacts.under(
-                SnapshotTape(self._mechanics, named), Conditions(self._mechanics, named)
+                SnapshotTape(self._mechanics, states_by_name),
+                Conditions(self._mechanics, states_by_name),
             )
         return self._under[states]
 
     def _within(self, setup: SceneSetup, states: Key, state: Array) -> SceneSetup:
-        """Return the setup as contacts see it: with their coefficients, and what is remembered."""
+        """Return the setup with the coefficients and controllers' variables of `states`."""
         inner = self._memory.within(setup, state)
         if not self._varying:
             return inner
-        named = self._states.named(states)
-        return replace(inner, contacts=self._contacts.numbers.contacts(setup.values, named))
+        states_by_name = self._states.named(states)
+        return replace(
+            inner, contacts=self._contacts.numbers.contacts(setup.values, states_by_name)
+        )
 
     def _judged(
         self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array, fired: tuple[str, ...]
     ) -> tuple[Judgement | None, Array]:
-        """Return the guards, judged, or None if none is near its boundary; and their rows."""
-        own = flow.mode[self._count :]
-        guarded = self._states.guards(own)
+        """Return the judgement of the guards, or None far from all boundaries; and their rows."""
+        controllers = flow.mode[self._count :]
+        guarded = self._states.guards(controllers)
         tolerances = np.array([flow.tolerances[margin] for margin in guarded.watch.margins])
         rows = guarded.rows(setup, clock.high, state)
         watched = tolerances < np.inf
-        # The first flow in a mode watches all atoms of a guard, and is judged.
+        # The first flow in a mode, which watches all atoms of a guard, is judged in any case.
         if (rows[watched, 0] > tolerances[watched]).all() and (
             guarded.watch.single or not watched.all()
         ):
@@ -272,16 +279,16 @@ class ControlledLaws:
     def _holding(
         self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array
     ) -> set[tuple[int, int]]:
-        """Return the guards at events that hold."""
+        """Return the guards of event transitions that hold."""
         guarded = self._states.guards(flow.mode[self._count :], at_events=True)
         rows = guarded.rows(setup, clock.high, state, self._solved(setup, clock, flow, state))
         return guarded.watch.holding(rows, setup.precision, active_in(self._regions, flow.mode))
 
     def _solved(self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array) -> Array | None:
-        """Return accelerations and forces in the mode; None where it leaves them open."""
-        own = flow.mode[self._count :]
-        inner = self._within(setup, own, state)
-        snapshot = self._at(own).snapshot(inner, self._memory.parted(state), clock.high)
+        """Return accelerations and forces in the mode; None if they are undetermined."""
+        controllers = flow.mode[self._count :]
+        inner = self._within(setup, controllers, state)
+        snapshot = self._at(controllers).snapshot(inner, self._memory.parted(state), clock.high)
         modes = moving_mode(flow.roles[: self._count])
         closed = [mode not in OPEN for mode in modes]
         case = Case(snapshot, inner.contacts, closed, closed, setup.scales)
@@ -291,12 +298,12 @@ class ControlledLaws:
         accelerations, joints = snapshot.solved(solved.accelerations, solved.forces)
         captured = np.array([role.captured for role in flow.roles[: self._count]])
         forces = np.where(captured[:, None], 0.0, solved.forces)
-        first = len(self._mechanics.forces)
-        couples = forces[first:, 1]
-        return np.concatenate([accelerations, forces[:first].ravel(), couples, joints])
+        contact_count = len(self._mechanics.forces)
+        couples = forces[contact_count:, 1]
+        return np.concatenate([accelerations, forces[:contact_count].ravel(), couples, joints])
 
     def _parted(self, flow: Flow) -> Flow:
-        """Return the flow as the contacts' laws know it."""
+        """Return the flow of the contacts alone."""
         return flow._replace(
             mode=flow.mode[: self._count],
             roles=flow.roles[: self._count],
@@ -310,72 +317,69 @@ class ControlledLaws:
         flow: Flow,
         states: Key,
         state: Array,
-        before: Flow | None = None,
+        source: Flow | None = None,
     ) -> Flow:
-        """Return the flow of the contacts and controllers; whether it holds is to be asked.
-
-        `before`: what has come here, and what is pending then.
-        """
+        """Return the unsettled flow of contacts and controllers; `source` is the last flow."""
         guarded = self._states.guards(states)
-        # The size of a guard's terms is asked for, not its value: forces of the scene's size do.
+        # Only the sizes of a guard's terms are needed: forces of typical size suffice.
         rows = guarded.rows(setup, clock.high, state, guarded.typical(setup))
         tolerances = guarded.watch.tolerances(rows, setup.precision)
         inner, motion = self._memory.within(setup, state), self._memory.parted(state)
         laws = self._at(states)
-        own = laws.conditions.at(inner, motion, clock.high).tolerances()
+        condition_tolerances = laws.conditions.at(inner, motion, clock.high).tolerances()
         if laws.compliance is not None:
             mode = moving_mode(flow.roles)
-            own |= laws.compliance.tolerances(inner, mode, motion, clock.high)
+            condition_tolerances |= laws.compliance.tolerances(inner, mode, motion, clock.high)
         return flow._replace(
             mode=(*flow.mode, *states),
             roles=(*flow.roles, *roles_in(states)),
             settled=False,
-            tolerances={**setup.bands, **own, **tolerances},
-            terms=None if flow.terms is None or before is None else before.terms,
-            pending=before.pending if before is not None else {},
+            tolerances={**setup.bands, **condition_tolerances, **tolerances},
+            terms=None if flow.terms is None or source is None else source.terms,
+            pending=source.pending if source is not None else {},
         )
 
 
 def displaced(scene: Scene, setup: SceneSetup, mode: Key, before: Snapshot, after: Snapshot) -> Key:
     """Return the modes of the contacts after a jump that may have moved their surfaces.
 
-    What no longer holds is opened by the jump itself, and judged again after it: a point that a
-    surface then approaches is struck, one that it leaves is free.
+    The jump opens contacts that no longer hold, and they are classified after it: a surface that
+    approaches strikes, a surface that departs leaves the contact free.
 
-    Raises `NoConsistentMode` where a surface jumps into a point, or its velocity jumps under one
-    that may not leave it.
+    Raises `NoConsistentMode` if a surface jumps into a point, or if its velocity jumps and the
+    contact may not leave it.
     """
-    near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
+    gap_tolerance, speed_tolerance = setup.tolerances["gap"], setup.tolerances["speed"]
     laws = zip(setup.contacts, mode, before.contacts, after.contacts, strict=True)
-    found = []
-    for law, state, was, now in laws:
-        # Couplings touch no surface.
+    modes = []
+    for law, state, contact, moved in laws:
+        # Couplings have no surface.
         if law.name not in scene.contacts:
-            found.append(state)
+            modes.append(state)
             continue
-        # The normal forces of compliant contacts follow whatever a surface does.
+        # Compliant contacts follow their surface by force alone.
         rigid = scene.contacts[law.name].stiffness is None
-        # Where the surface begins to approach, or to leave, is judged by what it did before.
-        parts = abs(now.gap - was.gap) > near or abs(now.gap_rate - was.gap_rate) > slow
-        parts, touches = parts and rigid, state not in OPEN
-        if rigid and state != OFF and now.gap < min(was.gap, 0.0) - near:
-            raise jumped_in(scene.contacts[law.name].surface, law.name, -now.gap)
+        # Approach and departure count relative to the motion before the jump.
+        separates = (
+            abs(moved.gap - contact.gap) > gap_tolerance
+            or abs(moved.gap_rate - contact.gap_rate) > speed_tolerance
+        )
+        separates, is_closed = separates and rigid, state not in OPEN
+        if rigid and state != OFF and moved.gap < min(contact.gap, 0.0) - gap_tolerance:
+            raise jumped_in(scene.contacts[law.name].surface, law.name, -moved.gap)
         target = state
-        if touches and parts:
+        if is_closed and separates:
             target = "free"
-        elif touches and abs(now.slip - was.slip) > slow:
-            target = _slipping(state, now, slow)
+        elif is_closed and abs(moved.slip - contact.slip) > speed_tolerance:
+            target = _slipping(state, moved, speed_tolerance)
         if target != state and target not in law.states:
             raise torn(scene.contacts[law.name].surface, law.name, target)
-        found.append(target)
-    return tuple(found)
+        modes.append(target)
+    return tuple(modes)
 
 
-def _slipping(state: str, now: PerContact, slow: float) -> str:
-    """Return how a contact goes on whose surface changes its velocity along itself."""
-    if state == "slide":
+def _slipping(state: str, contact: PerContact, speed_tolerance: float) -> str:
+    """Return the mode of a closed contact after a tangential velocity jump of its surface."""
+    if state == "slide" or abs(contact.slip) <= speed_tolerance:
         return state
-    if abs(now.slip) <= slow:
-        # It is judged from a slip that has ended.
-        return state
-    return "slide+" if now.slip > 0.0 else "slide-"
+    return "slide+" if contact.slip > 0.0 else "slide-"

@@ -1,4 +1,4 @@
-"""The mode that a state calls for, or what resolves it where no mode does."""
+"""Selection of the mode of the contacts at a state, or of a jam that precedes it."""
 
 from __future__ import annotations
 
@@ -26,53 +26,60 @@ def decide(
     before: Before | None = None,
     uncertainty: ForceUncertainty | None = None,
 ) -> Choice | Jam:
-    """Return the mode that the touching contacts take, or the jam that has to come first.
+    """Return the mode of the touching contacts, or the jam (impact without collision) before it.
 
-    `uncertainty` bounds the error of the state where contacts may have come to rest. An error lists
-    every candidate with its reason, and the paradoxes met.
+    `uncertainty` bounds the error of a state at which contacts may have come to rest. An error
+    lists every candidate with its reason, and the Painleve paradoxes.
     """
     check_listed(setup, snapshot, touching)
-    still = 2.0 * setup.tolerances["speed"]
+    slip_tolerance = 2.0 * setup.tolerances["speed"]
     try:
         choice = choose(
-            snapshot, setup.contacts, touching, setup.scales, setup.tie, still, before, uncertainty
+            snapshot,
+            setup.contacts,
+            touching,
+            setup.scales,
+            setup.tie,
+            slip_tolerance,
+            before,
+            uncertainty,
         )
     except NoConsistentMode as error:
-        jam = jammed(snapshot, setup.contacts, touching, still)
+        jam = jammed(snapshot, setup.contacts, touching, slip_tolerance)
         if paradox == "impact" and jam is not None:
             return replace(jam, considered=error.considered)
-        found = paradoxes(snapshot, setup.contacts, touching, still)
-        reports = "".join(f"; {one}" for one in found.values())
+        paradoxes_met = paradoxes(snapshot, setup.contacts, touching, slip_tolerance)
+        reports = "".join(f"; {paradox_met}" for paradox_met in paradoxes_met.values())
         raise NoConsistentMode(f"{error}{reports}", considered=error.considered) from None
     if np.abs(choice.taken.forces).max(initial=0.0) > ENDLESS * setup.scales.force:
-        jam = jammed(snapshot, setup.contacts, touching, still)
+        jam = jammed(snapshot, setup.contacts, touching, slip_tolerance)
         if paradox == "impact" and jam is not None:
             return replace(jam, considered=choice.considered)
     if choice.warning:
-        found = paradoxes(snapshot, setup.contacts, touching, still)
-        warning = "; ".join([choice.warning, *map(str, found.values())])
+        paradoxes_met = paradoxes(snapshot, setup.contacts, touching, slip_tolerance)
+        warning = "; ".join([choice.warning, *map(str, paradoxes_met.values())])
         choice = choice._replace(warning=warning)
     return choice
 
 
 def check_listed(setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool]) -> None:
-    """Refuse a state that a contact does not list, whatever the forces: open, or slipping."""
-    close, still = setup.tolerances["gap"], 2.0 * setup.tolerances["speed"]
-    for law, contact, shut in zip(setup.contacts, snapshot.contacts, touching, strict=True):
+    """Raise `NoConsistentMode` if a contact opens or slips and does not list that mode."""
+    gap_tolerance, slip_tolerance = setup.tolerances["gap"], 2.0 * setup.tolerances["speed"]
+    for law, contact, is_touching in zip(setup.contacts, snapshot.contacts, touching, strict=True):
         if (
             law.coupling
             or "free" in law.states
-            or (contact.gap <= close and not shut and contact.gap_rate < 0.0)
+            or (contact.gap <= gap_tolerance and not is_touching and contact.gap_rate < 0.0)
         ):
             continue
-        if not shut:
-            moves, lacks = f"leaves its surface at {contact.gap_rate:.3g}", "free"
-        elif law.states == ("pin",) and abs(contact.slip) > still:
-            moves, lacks = f"slips at {contact.slip:.3g}", "slide"
+        if not is_touching:
+            motion, missing = f"leaves its surface at {contact.gap_rate:.3g}", "free"
+        elif law.states == ("pin",) and abs(contact.slip) > slip_tolerance:
+            motion, missing = f"slips at {contact.slip:.3g}", "slide"
         else:
             continue
         raise NoConsistentMode(
-            f"contact {law.name!r} {moves}, and {lacks} is not among its modes; "
+            f"contact {law.name!r} {motion}, and {missing} is not among its modes; "
             "add it, or end the run before"
         )
 
@@ -85,21 +92,21 @@ def explained(
     touching: Sequence[bool],
     after: Mapping[str, str],
 ) -> dict[str, str]:
-    """Return what was considered at an impact: mode or state -> why it was taken or not.
+    """Return mode or state -> reason why it was taken or rejected at an impact.
 
-    `before` holds what did not agree with the state, where that caused the impact; `closed`
-    contacts took part, `touching` ones are not thrown off, and `after` was considered for those.
+    `before` has the reasons that caused the impact, `after` those for the `touching` contacts,
+    which remain closed; the other `closed` ones leave their surfaces.
     """
-    found = {label: f"before the impact {why}" for label, why in before.items()}
-    for law, contact, hit, stays in zip(laws, contacts, closed, touching, strict=True):
-        if hit and not stays:
-            rises = f"it leaves its surface at {contact.gap_rate:.3g}"
+    considered = {label: f"before the impact {why}" for label, why in before.items()}
+    for law, contact, struck, remains in zip(laws, contacts, closed, touching, strict=True):
+        if struck and not remains:
+            leaving = f"it leaves its surface at {contact.gap_rate:.3g}"
             for state in law.states:
                 if state not in INACTIVE:
                     label = f"{law.name}:{state}"
-                    words = f"taken: {rises}" if state == "free" else rises
-                    found[label] = "; ".join(filter(None, (words, found.get(label))))
-    return {**found, **after}
+                    reason = f"taken: {leaving}" if state == "free" else leaving
+                    considered[label] = "; ".join(filter(None, (reason, considered.get(label))))
+    return {**considered, **after}
 
 
 def check_declared(
@@ -110,28 +117,29 @@ def check_declared(
     touching: Sequence[bool],
     failing: Sequence[str],
 ) -> None:
-    """Check the initial modes that a scene declares against those that its state calls for."""
+    """Check the declared initial modes against those that the initial state requires."""
     for name, declared in modes.items():
         place = names.index(name)
-        found = choice.taken.states[place]
-        if declared not in {found, *superstates_of((found,)).values()}:
+        required = choice.taken.states[place]
+        if declared not in {required, *superstates_of((required,)).values()}:
             why = next(
                 (
-                    reason
-                    for label, reason in choice.considered.items()
-                    if {f"{name}:{declared}{way}" for way in ("", "+", "-")} & {*label.split()}
+                    text
+                    for label, text in choice.considered.items()
+                    if {f"{name}:{declared}{direction}" for direction in ("", "+", "-")}
+                    & {*label.split()}
                 ),
                 f"its point slips at {snapshot.contacts[place].slip:.3g}"
                 if touching[place]
                 else "its gap is open or opening",
             )
-            if found == OFF:
+            if required == OFF:
                 why = f"the condition {failing[place]} fails"
             elif declared == OFF:
                 why = "its conditions hold, and it is not inside its surface"
             raise DeclarationProblem(
                 f"contact {name!r} cannot start in mode {declared!r}: {why}",
-                advice=f"the initial state calls for {found!r}",
+                advice=f"the initial state calls for {required!r}",
                 loc=("modes", name),
             )
 

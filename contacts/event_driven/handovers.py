@@ -1,4 +1,4 @@
-"""Contacts that stay off in a run with events, as their points are inside where they take over."""
+"""Warnings about gated contacts that stay off because their points are inside the surface."""
 
 from __future__ import annotations
 
@@ -17,17 +17,16 @@ from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Arc, Key
 from statechart.formulas.tape import Tape
 
-# Samples of each step of an arc, and halvings between two of them: shorter stretches are not found.
-_SAMPLES, _HALVINGS = 8, 50
-_PARTS = np.linspace(0.0, 1.0, _SAMPLES + 1)
+# Samples per step of an arc, and bisections between two of them. Shorter intervals are missed.
+_SAMPLES, _BISECTIONS = 8, 50
+_SAMPLE_POINTS = np.linspace(0.0, 1.0, _SAMPLES + 1)
 
 
 class Handovers:
-    """Looks for contacts that never come back on, though all their conditions hold.
+    """Search for contacts that stay off although all their conditions hold.
 
-    A point that is inside a surface where the conditions of its contact begin to hold may come out
-    again, as a foot does that scuffs. It has missed the surface where it goes deeper until they
-    fail again, or the run ends.
+    A point inside its surface when the conditions begin to hold may come out again (a scuffing
+    foot). It has missed the surface if it is deeper when the conditions fail or the run ends.
     """
 
     def __init__(self, mechanics: Mechanics) -> None:
@@ -41,17 +40,17 @@ class Handovers:
         assert isinstance(setup, SceneSetup)
         if not self._gated:
             return ()
-        arcs, near = list(arcs), setup.tolerances["gap"]
-        tables = self._tables(setup, arcs, near)
+        arcs, gap_tolerance = list(arcs), setup.tolerances["gap"]
+        tables = self._tables(setup, arcs, gap_tolerance)
         shallow = NEARLY_MEETING * setup.scales.length
-        found: dict[str, float] = {}
+        missed: dict[str, float] = {}
         for place, (contact, name) in enumerate(self._gated.items()):
-            # Depth of the point where the conditions began to hold, and where they do last.
+            # Depths of the point from when the conditions began to hold.
             depths: list[float] = []
 
             def end(name: str = name, depths: list[float] = depths) -> None:
                 if depths and depths[0] < depths[-1] and depths[0] <= shallow:
-                    found.setdefault(name, depths[0])
+                    missed.setdefault(name, depths[0])
                 depths.clear()
 
             for k, arc in enumerate(arcs) if tables else ():
@@ -59,7 +58,7 @@ class Handovers:
                     depths.clear()
                     continue
                 margins, gaps = tables[k][:, 2 * place], tables[k][:, 2 * place + 1]
-                if not depths and not (~(margins < 0.0) & (gaps < -near)).any():
+                if not depths and not (~(margins < 0.0) & (gaps < -gap_tolerance)).any():
                     continue
                 for sample, (margin, gap) in enumerate(zip(margins, gaps, strict=True)):
                     if margin < 0.0:
@@ -67,53 +66,56 @@ class Handovers:
                     elif depths:
                         depths.append(-gap)
                     else:
-                        begun = self._begin(setup, arc, place, sample) if sample else gap
-                        if -begun > near:
-                            depths += (-begun, -gap)
+                        gap_at_begin = self._begin(setup, arc, place, sample) if sample else gap
+                        if -gap_at_begin > gap_tolerance:
+                            depths += (-gap_at_begin, -gap)
             end()
-        return tuple(stays_off(self._mechanics.scene, name, d) for name, d in found.items())
+        return tuple(stays_off(self._mechanics.scene, name, d) for name, d in missed.items())
 
-    def _tables(self, setup: SceneSetup, arcs: Sequence[Arc], near: float) -> dict[int, Array]:
-        """Return the numbers of `_tape` at samples of the arcs in which a gated contact is off.
+    def _tables(
+        self, setup: SceneSetup, arcs: Sequence[Arc], gap_tolerance: float
+    ) -> dict[int, Array]:
+        """Sample `_tape` on the arcs in which a gated contact is off.
 
-        Empty if no point is deeper than `near` in a surface while the conditions hold.
+        Empty if no point is inside a surface while its conditions hold.
         """
         count = len(self._mechanics.scene.frictional)
         groups: dict[tuple[Key, int], list[int]] = {}
         for k, arc in enumerate(arcs):
             if any(arc.mode[i] == OFF for i in self._gated):
                 groups.setdefault((arc.mode[count:], arc.coefficients.shape[2]), []).append(k)
-        found: dict[int, Array] = {}
-        below = False
+        tables: dict[int, Array] = {}
+        inside = False
         for (states, terms), places in groups.items():
             group = [arcs[k] for k in places]
             steps = np.concatenate([arc.coefficients for arc in group])
-            sampled = np.swapaxes(steps @ _PARTS ** np.arange(terms)[:, None], 1, 2)
+            sampled = np.swapaxes(steps @ _SAMPLE_POINTS ** np.arange(terms)[:, None], 1, 2)
             times = np.concatenate([arc.start.high + _samples(arc) for arc in group])
             rows = self._tape(states).table(
                 sampled.reshape(-1, steps.shape[1]), setup.values, times
             )
-            below = below or bool((~(rows[:, ::2] < 0.0) & (rows[:, 1::2] < -near)).any())
-            ends = np.cumsum([len(_PARTS) * len(arc.coefficients) for arc in group])
-            found |= zip(places, np.split(rows, ends[:-1]), strict=True)
-        return found if below else {}
+            inside = inside or bool(
+                (~(rows[:, ::2] < 0.0) & (rows[:, 1::2] < -gap_tolerance)).any()
+            )
+            ends = np.cumsum([len(_SAMPLE_POINTS) * len(arc.coefficients) for arc in group])
+            tables |= zip(places, np.split(rows, ends[:-1]), strict=True)
+        return tables if inside else {}
 
     def _tape(self, states: Key) -> Tape:
-        """Return the tape of the margin of its gate and the gap of each contact with conditions."""
         if states not in self._tapes:
             controllers = self._mechanics.scene.controlled.flat
-            known = values_in(self._mechanics, dict(zip(controllers, states, strict=True)))
+            controlled = values_in(self._mechanics, dict(zip(controllers, states, strict=True)))
             outputs: list[sp.Expr] = []
             for name in self._gated.values():
                 gate = self._mechanics.gate(name)
                 assert gate is not None
-                outputs.append(gate.by_steps(known))
-                outputs.append(self._mechanics.contact(name).symbols.gap.xreplace(known))
+                outputs.append(gate.by_steps(controlled))
+                outputs.append(self._mechanics.contact(name).symbols.gap.xreplace(controlled))
             self._tapes[states] = self._mechanics.whole_tape(outputs)
         return self._tapes[states]
 
     def _begin(self, setup: SceneSetup, arc: Arc, place: int, sample: int) -> float:
-        """Return the gap where a condition begins to hold before a sample of an arc."""
+        """Return the gap when the gate begins to hold before a sample of an arc."""
         tape = self._tape(arc.mode[len(self._mechanics.scene.frictional) :])
 
         def at(local: float) -> Array:
@@ -121,7 +123,7 @@ class Handovers:
             return tape.values(state, setup.values, arc.start.high + local)
 
         before, after = _samples(arc)[sample - 1 : sample + 1].tolist()
-        for _ in range(_HALVINGS):
+        for _ in range(_BISECTIONS):
             middle = 0.5 * (before + after)
             if at(middle)[2 * place] < 0.0:
                 before = middle
@@ -131,6 +133,5 @@ class Handovers:
 
 
 def _samples(arc: Arc) -> Array:
-    """Return local times: parts of every step, both ends included."""
-    times: Array = arc.times[:-1, None] + np.diff(arc.times)[:, None] * _PARTS
+    times: Array = arc.times[:-1, None] + np.diff(arc.times)[:, None] * _SAMPLE_POINTS
     return times.ravel()

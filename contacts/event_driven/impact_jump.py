@@ -1,4 +1,4 @@
-"""The jump of an impact: its impulses, the bounces that it stands for, and the mode after it."""
+"""Jump of an impact: impulses, bounces that are summed in it, and the mode after it."""
 
 from __future__ import annotations
 
@@ -30,57 +30,57 @@ from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.errors import NoConsistentMode
 
-# Margins of a contact that are none of its forces.
-_NO_FORCES = ("gap", "slip", INSIDE, OUTSIDE)
+# Margins of a contact other than those of its forces.
+_KINEMATIC_MARGINS = ("gap", "slip", INSIDE, OUTSIDE)
 
 
 class Rules(NamedTuple):
-    """Laws of impact of a scene, and its numbers at any state."""
+    """Impact laws of a scene, and its snapshots."""
 
     tape: SnapshotTape
     simultaneous: Simultaneous
     paradox: Resolution
 
-    def uncertainty(self, here: Landing, after: Array | None = None) -> ForceUncertainty | None:
-        """Return what a state may be off by where a flow has just ended, or after an impact there.
+    def uncertainty(self, landing: Landing, after: Array | None = None) -> ForceUncertainty | None:
+        """Return the uncertainty of forces at the end of a flow, or after an impact there.
 
-        None where a mode has been chosen meanwhile.
+        Returns None if a mode has been chosen since.
         """
-        at, names = here.at, [law.name for law in here.setup.contacts]
+        at, names = landing.at, [law.name for law in landing.setup.contacts]
         if not at.fired and not at.flow.near_bound:
             return None
 
         def numbers(state: Array, later: float) -> Snapshot:
-            found = self.tape.at(here.setup.values, state, at.clock.high + later)
-            return hidden(found, at.flow.mode)
+            snapshot = self.tape.at(landing.setup.values, state, at.clock.high + later)
+            return hidden(snapshot, at.flow.mode)
 
-        sure = tuple(["free"] * len(names)) if at.flow.near_bound else here.moving
-        off = tuple(f"{name}.{state}:" for name in names for state in INACTIVE)
-        others = tuple(f"{name}.{kind}" for name in names for kind in _NO_FORCES)
-        fell = [
+        certain_modes = tuple(["free"] * len(names)) if at.flow.near_bound else landing.moving
+        off_margins = tuple(f"{name}.{state}:" for name in names for state in INACTIVE)
+        kinematic = tuple(f"{name}.{kind}" for name in names for kind in _KINEMATIC_MARGINS)
+        uncertain = [
             i
             for i, name in enumerate(names)
             if any(
-                f.startswith(f"{name}.") and f not in others and not f.startswith(off)
+                f.startswith(f"{name}.") and f not in kinematic and not f.startswith(off_margins)
                 for f in at.fired
             )
         ]
         state = at.state if after is None else after
-        return ForceUncertainty(numbers, here.setup, state, sure, fell)
+        return ForceUncertainty(numbers, landing.setup, state, certain_modes, uncertain)
 
 
 class Landing(NamedTuple):
-    """End of a flow on its constraints, and the numbers of the scene there."""
+    """End of a flow, projected onto its constraints."""
 
-    at: Instant  # On the constraints.
-    setup: SceneSetup  # Numbers of the run.
-    snapshot: Snapshot  # There.
-    moving: Key  # The mode that the flow moves in.
+    at: Instant  # With the projected state.
+    setup: SceneSetup
+    snapshot: Snapshot  # At the projected state.
+    moving: Key  # The mode in which the flow moves.
     closed: list[bool]  # Mask of the closed contacts.
 
     @property
     def slow(self) -> float:
-        """Speeds up to this are none."""
+        """Tolerance of speeds."""
         return self.setup.tolerances["speed"]
 
     @property
@@ -93,16 +93,15 @@ class Landing(NamedTuple):
 class _Struck(NamedTuple):
     """Result of an impact."""
 
-    laws: Sequence[ContactLaw]  # By which it went.
-    result: Impacts  # Its impulses.
-    # After it.
-    state: Array
-    snapshot: Snapshot
-    rests: Mapping[int, float]  # Contact -> how long the bounces last that it stands for.
+    laws: Sequence[ContactLaw]  # The impact laws used.
+    result: Impacts  # Impulses.
+    state: Array  # After the impact.
+    snapshot: Snapshot  # After the impact.
+    bounce_times: Mapping[int, float]  # Contact -> duration of the bounces that are summed.
 
 
 class _Entered(NamedTuple):
-    """The mode that follows: as shown, as it moves, and what there is to say of it."""
+    """Mode after an impact: as shown, its roles, and its explanation."""
 
     target: Key
     roles: Roles
@@ -118,19 +117,19 @@ def flow_in(
     setup: SceneSetup,
     mode: Key,
     roles: Roles | None = None,
-    rest: float | None = None,
+    bounce_time: float | None = None,
     warning: str = "",
     settled: bool = True,
     notes: tuple[str, ...] = (),
 ) -> Flow:
-    """Return the flow in a mode; `rest` is how long the bounces last that it stands for."""
-    remaining = math.inf if rest is None else rest
+    """Return the flow in a mode; `bounce_time` is the duration of the bounces summed before it."""
+    remaining = math.inf if bounce_time is None else bounce_time
     moving = roles_in(mode) if roles is None else shown_roles(mode, roles)
     return Flow(mode, moving, remaining, warning, settled, notes, tolerances=setup.bands)
 
 
 def shown_roles(mode: Key, roles: Roles) -> Roles:
-    """Return roles with the contacts captured whose bounces are skipped: they are shown as free."""
+    """Mark contacts as captured that move as closed and are shown as free (skipped bounces)."""
     return tuple(
         [
             role._replace(captured=True) if shown in OPEN and role.state not in OPEN else role
@@ -140,22 +139,23 @@ def shown_roles(mode: Key, roles: Roles) -> Roles:
 
 
 def impact_jump(
-    rules: Rules, here: Landing, event: tuple[str, str], jam: Jam | None = None
+    rules: Rules, landing: Landing, event: tuple[str, str], jam: Jam | None = None
 ) -> tuple[Jump, Flow, Snapshot]:
-    """Return the jump of an impact, the flow after it, and the numbers there.
+    """Return the jump of an impact, the flow after it, and the snapshot after it.
 
     `event` is the region and the cause of the jump.
     """
-    at, setup, closed, slow = here.at, here.setup, here.closed, here.slow
-    struck = _struck(rules, here, jam)
-    laws, contacts, rests = struck.laws, struck.snapshot.contacts, struck.rests
+    at, setup, closed, speed_tolerance = landing.at, landing.setup, landing.closed, landing.slow
+    struck = _struck(rules, landing, jam)
+    laws, contacts, bounce_times = struck.laws, struck.snapshot.contacts, struck.bounce_times
     touching = [
-        shut and contact.gap_rate <= slow for shut, contact in zip(closed, contacts, strict=True)
+        was_closed and contact.gap_rate <= speed_tolerance
+        for was_closed, contact in zip(closed, contacts, strict=True)
     ]
-    entered = _entered(rules, here, struck, touching)
-    target = listed(entered.target, laws, contacts, 2.0 * slow)
-    left = rules.tape.at(setup.values, entered.state, at.clock.high).energy
-    rest = max(rests.values(), default=None)
+    entered = _entered(rules, landing, struck, touching)
+    target = listed(entered.target, laws, contacts, 2.0 * speed_tolerance)
+    energy = rules.tape.at(setup.values, entered.state, at.clock.high).energy
+    bounce_time = max(bounce_times.values(), default=None)
     jump = at.jump(
         *event,
         target,
@@ -177,104 +177,105 @@ def impact_jump(
                 entered.considered,
             )
         ),
-        energy=(here.snapshot.energy, left),
-        skipped=rest or 0.0,
+        energy=(landing.snapshot.energy, energy),
+        skipped=bounce_time or 0.0,
     )
-    told = ("" if jam is None else str(jam), struck.result.warning, *entered.warnings)
-    warning = "; ".join(filter(None, told))
-    flow = flow_in(setup, target, entered.roles, rest, warning, entered.settled, entered.notes)
+    warnings = ("" if jam is None else str(jam), struck.result.warning, *entered.warnings)
+    warning = "; ".join(filter(None, warnings))
+    flow = flow_in(
+        setup, target, entered.roles, bounce_time, warning, entered.settled, entered.notes
+    )
     flow = flow._replace(near_bound=entered.near_bound)
-    # A gap that round-off of a long flight has left below its tolerance opens from there.
-    below = {
+    # After a long flight the round-off of a gap can exceed its tolerance: it opens from there.
+    penetrating = {
         f"{law.name}.gap": -2.0 * contact.gap
-        for law, contact, now in zip(laws, contacts, moving_mode(entered.roles), strict=True)
-        if now == "free" and contact.gap < -setup.tolerances["gap"]
+        for law, contact, mode in zip(laws, contacts, moving_mode(entered.roles), strict=True)
+        if mode == "free" and contact.gap < -setup.tolerances["gap"]
     }
-    if below:
-        flow = flow._replace(tolerances={**flow.tolerances, **below})
+    if penetrating:
+        flow = flow._replace(tolerances={**flow.tolerances, **penetrating})
     return jump, flow, struck.snapshot
 
 
-def _struck(rules: Rules, here: Landing, jam: Jam | None) -> _Struck:
-    """Return what the impact does; bounces that follow it are summed where they can be."""
-    (_, clock, _, flow, state, _), setup, snapshot, _, closed = here
+def _struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
+    """Compute an impact, and sum the bounces that follow it if that is possible."""
+    (_, clock, _, flow, state, _), setup, snapshot, _, closed = landing
 
-    def under(laws: Sequence[ContactLaw], rests: Mapping[int, float]) -> _Struck:
+    def under(laws: Sequence[ContactLaw], bounce_times: Mapping[int, float]) -> _Struck:
         if jam is not None:
             result = without_collision(snapshot, laws, jam.places)
         else:
             result = impacts(snapshot, laws, struck(laws, closed), rules.simultaneous)
-        result = resisted(snapshot, laws, result, 2.0 * here.slow)
+        result = resisted(snapshot, laws, result, 2.0 * landing.slow)
         after = snapshot.moved(state, result.velocity)
-        following = hidden(rules.tape.at(setup.values, after, clock.high), flow.mode)
-        return _Struck(laws, result, after, following, rests)
+        snapshot_after = hidden(rules.tape.at(setup.values, after, clock.high), flow.mode)
+        return _Struck(laws, result, after, snapshot_after, bounce_times)
 
-    made = under(setup.contacts, {})
-    rests = rests_of_bounces(setup, made.snapshot, closed)
-    if not rests:
-        return made
+    elastic = under(setup.contacts, {})
+    bounce_times = rests_of_bounces(setup, elastic.snapshot, closed)
+    if not bounce_times:
+        return elastic
     plastic = tuple(
-        law._replace(restitution=0.0) if i in rests else law for i, law in enumerate(made.laws)
+        law._replace(restitution=0.0) if i in bounce_times else law
+        for i, law in enumerate(elastic.laws)
     )
     try:
-        captured = under(plastic, rests)
+        captured = under(plastic, bounce_times)
     except NoConsistentMode:
-        # Friction jams a plastic impact: the bounces are resolved.
-        return made
-    if not stands_for_bounces(rests, made.snapshot, captured.snapshot, closed):
-        return made
+        # Friction jams the plastic impact: the bounces are simulated.
+        return elastic
+    if not stands_for_bounces(bounce_times, elastic.snapshot, captured.snapshot, closed):
+        return elastic
     lasting = corrected(
-        rests,
+        bounce_times,
         setup,
         lambda state, later: hidden(
             rules.tape.at(setup.values, state, clock.high + later), flow.mode
         ),
-        made.snapshot,
+        elastic.snapshot,
         captured.snapshot,
         captured.state,
         closed,
     )
-    return made if lasting is None else captured._replace(rests=lasting)
+    return elastic if lasting is None else captured._replace(bounce_times=lasting)
 
 
-def _entered(rules: Rules, here: Landing, struck: _Struck, touching: list[bool]) -> _Entered:
-    """Return the mode that the state after an impact calls for."""
-    setup, following = here.setup, struck.snapshot
-    # A sequence of impacts may leave an approach behind: then it is asked again.
+def _entered(rules: Rules, landing: Landing, struck: _Struck, touching: list[bool]) -> _Entered:
+    setup, following = landing.setup, struck.snapshot
+    # If a contact still approaches after a sequence of impacts, the next jump is its impact.
     settled = not any(
-        shut and contact.gap_rate < -here.slow
-        for shut, contact in zip(here.closed, following.contacts, strict=True)
+        was_closed and contact.gap_rate < -landing.slow
+        for was_closed, contact in zip(landing.closed, following.contacts, strict=True)
     )
     check_listed(setup, following, touching)
     if not any(touching):
-        flying = tuple(name if name in INACTIVE else "free" for name in here.at.flow.mode)
+        flying = tuple(name if name in INACTIVE else "free" for name in landing.at.flow.mode)
         return _Entered(flying, roles_in(flying), struck.state, settled)
-    uncertainty = rules.uncertainty(here, struck.state)
-    before = Before.flow(here.at.flow.roles)
+    uncertainty = rules.uncertainty(landing, struck.state)
+    before = Before.flow(landing.at.flow.roles)
     choice = decide(setup, following, touching, rules.paradox, before, uncertainty)
     roles = roles_in(choice.sliding) if isinstance(choice, Jam) else choice.taken.roles
     moving = moving_mode(roles)
     state = landed(moving, following, struck.state, setup.tolerances)
-    # A contact whose bounces are skipped is still free, and moves as if closed.
+    # A contact whose bounces are skipped moves as closed and is shown as free.
     target = tuple(
-        "free" if not struck.rests.keys().isdisjoint((i, law.carrier)) else name
+        "free" if not struck.bounce_times.keys().isdisjoint((i, law.carrier)) else name
         for i, (name, law) in enumerate(zip(moving, struck.laws, strict=True))
     )
     if isinstance(choice, Jam):
         return _Entered(target, roles, state, settled=False)
-    said = choice.considered, (choice.warning,), choice.notes, choice.near_bound
-    return _Entered(target, roles, state, settled, *said)
+    explanation = choice.considered, (choice.warning,), choice.notes, choice.near_bound
+    return _Entered(target, roles, state, settled, *explanation)
 
 
 def resisted(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], result: Impacts, still_below: float
+    snapshot: Snapshot, laws: Sequence[ContactLaw], result: Impacts, slip_tolerance: float
 ) -> Impacts:
-    """Return the impacts of an instant with the couples of rolling resistance.
+    """Return the impacts of an instant with the angular impulses of rolling resistance.
 
-    The couple is at most a length times the normal impulse; it opposes the rotation that the impact
-    leaves, and reverses none. A contact that sticks afterwards goes on to stick, if friction gives
-    what that takes; so does one that does not rebound stay closed. Speeds up to `still_below` are
-    zero.
+    The angular impulse is at most a length times the normal impulse, opposes the rotation after the
+    impact and does not reverse it. A contact that sticks after the impact still sticks if friction
+    suffices, and one that does not rebound remains closed.
     """
     for place, law in enumerate(laws):
         if law.carrier < 0 or not result.impulses[law.carrier, 0] > 0.0:
@@ -283,26 +284,28 @@ def resisted(
         touching, cone = snapshot.contacts[law.carrier], laws[law.carrier]
         change = result.velocity - snapshot.velocity
         slip = snapshot.contacts[place].slip + float(snapshot.jacobians[place, 1] @ change)
-        if not abs(slip) > still_below or bound == 0.0:
+        if not abs(slip) > slip_tolerance or bound == 0.0:
             continue
         after = [
             rate + float(row @ change)
             for rate, row in zip((touching.gap_rate, touching.slip), touching.jacobian, strict=True)
         ]
-        kept = [d for d in range(2) if abs(after[d]) <= still_below]
-        # Once more without the tangent, where friction does not hold the point.
-        for held in (kept, [d for d in kept if d == 0]):
-            rows = np.array([snapshot.jacobians[place, 1], *(touching.jacobian[d] for d in held)])
-            solved = answer(snapshot, rows, rows, np.array([-slip, *(0.0 for _ in held)]))
+        sticking = [d for d in range(2) if abs(after[d]) <= slip_tolerance]
+        # The second attempt drops the tangent, if friction cannot hold the point.
+        for constrained in (sticking, [d for d in sticking if d == 0]):
+            rows = np.array(
+                [snapshot.jacobians[place, 1], *(touching.jacobian[d] for d in constrained)]
+            )
+            solved = answer(snapshot, rows, rows, np.array([-slip, *(0.0 for _ in constrained)]))
             if solved is None:
                 continue
-            part = min(1.0, bound / abs(solved[1][0])) if solved[1][0] != 0.0 else 1.0
+            share = min(1.0, bound / abs(solved[1][0])) if solved[1][0] != 0.0 else 1.0
             impulses = result.impulses.copy()
-            for d, impulse in zip(held, solved[1][1:].tolist(), strict=True):
-                impulses[law.carrier, d] += part * impulse
+            for d, impulse in zip(constrained, solved[1][1:].tolist(), strict=True):
+                impulses[law.carrier, d] += share * impulse
             normal, tangential = impulses[law.carrier].tolist()
-            if 1 not in held or cone.cone_n * abs(tangential) <= cone.cone_t * normal:
-                velocity = result.velocity + part * solved[0]
+            if 1 not in constrained or cone.cone_n * abs(tangential) <= cone.cone_t * normal:
+                velocity = result.velocity + share * solved[0]
                 result = replace(result, velocity=velocity, impulses=impulses)
                 break
     return result

@@ -170,7 +170,7 @@ class SceneLaws:
         )
         inside = [c.gap < 0.0 for c in snapshot.contacts]
         if any(inside):
-            state = on_constraints(key, snapshot, state, inside=inside)
+            state = on_constraints(key, snapshot, state, penetrating=inside)
         else:
             state = landed(key, snapshot, state, setup.tolerances)
         if state is not setup.initial:
@@ -346,7 +346,7 @@ class SceneLaws:
         jam = self._grown(here)
         if jam is None:
             sizes = setup.scales.sizes[: len(here.at.state) // 2]
-            sizes = np.append(sizes, np.ones(snapshot.whole.pads))
+            sizes = np.append(sizes, np.ones(snapshot.unreduced.pads))
             # Contacts that share a load have dependent constraints, and rightly so.
             why = dead_point(snapshot, setup.contacts, moving, sizes)
             if why and roles_in(moving) == uncaptured(here.at.flow.roles):
@@ -417,7 +417,7 @@ class SceneLaws:
             and still < abs(contact.slip) <= float(np.abs(contact.jacobian[1, :n]) @ rounding)
             else state
             for name, state, contact in zip(
-                self._names, moving, snapshot.whole.contacts, strict=True
+                self._names, moving, snapshot.unreduced.contacts, strict=True
             )
         )
 

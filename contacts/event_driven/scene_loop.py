@@ -1,4 +1,4 @@
-"""The compiled loop of a scene over an array of runs: numbers, first mode, flows and instants."""
+"""Compiled event loop of a scene over a batch of runs: setup, first mode, flows and jumps."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from contacts.dynamics.setup import (
 from contacts.dynamics.setup_evaluation import (
     LOOK_AHEAD,
     Numbers,
-    Rules,
     SceneNumbers,
+    SetupRules,
     run_buffer,
     run_numbers,
 )
@@ -82,31 +82,30 @@ from statechart.kernels.jit import entry, kernel
 
 # Numbers of a contact among the constraints: gap, its rate, slip, point.
 _PER_CONTACT = 5
-# Jumps of an instant.
-MOST_AT_ONCE = 16
-# So many steps and boxes in one call, some tens of milliseconds.
-_STEPS, _BOXES = 4096, 65536
-# A run of more pauses is left to an execution of its own.
-_PAUSES = 64
+# Jumps at one instant.
+MAX_JUMPS_AT_ONCE = 16
+# Steps and boxes in one call, which takes some tens of milliseconds, so that it can be interrupted.
+_MAX_STEPS, _MAX_BOXES = 4096, 65536
+# Calls per run of a batch; a longer run is repeated alone.
+_MAX_PAUSES = 64
 
 INSTANTS = 3
-"""So many tapes, those of the instants, stand before those of the numbers: the scene's numbers,
-its constraints, its conditions."""
+"""Number of tapes for the jumps (snapshot, constraints, conditions), before those of the setup."""
 
 
 class SceneBatch(NamedTuple):
     """Constants that all runs of a batch share."""
 
-    tapes: NDArray[np.int64]  # (7, 9): of the instants and of the numbers.
-    rules: Rules
-    # (c, 3): where a contact's cone_n, cone_t, restitution are found among the values; what they
-    # are where that is -1.
+    tapes: NDArray[np.int64]  # (7, 9): of the jumps and of the setup.
+    rules: SetupRules
+    # (c, 3): indices of a contact's cone_n, cone_t, restitution among the values; constants where
+    # the index is -1.
     places: Ints
     fixed: Array
-    # (b,): place of the own tolerance of each margin among the bands of `Numbers`; -1 for none.
+    # (b,): index of each margin's tolerance among the bands of `Numbers`; -1 for none.
     sources: Ints
     starts: Bools  # (c, 6): whether a contact may start in the state of that code.
-    # Tolerances of gaps and speeds, and what is near a bound, in the scene's scales.
+    # Tolerances of gaps and speeds, and uncertainty of forces, in the scene's scales.
     gap: float
     speed: float
     force_uncertainty: float
@@ -118,9 +117,9 @@ class SceneBatch(NamedTuple):
 def _watches(
     scene: SceneBatch, floor: float, watch: Watch, instants: SceneWatch
 ) -> tuple[Watch, SceneWatch]:
-    """Return what a run is watched for, by its numbers and its tolerances `watch.kinds`.
+    """Return the watches of a run for its setup and tolerances `watch.kinds`.
 
-    Their arrays are filled again.
+    Their arrays are reused.
     """
     numbers = scene.numbers
     length, speed = numbers.scales[0], numbers.scales[1]
@@ -163,26 +162,29 @@ def _start(
     instants: SceneWatch,
     scales: Array,
     state: Array,
-    taken: Ints,
+    states: Ints,
 ) -> int:
-    """Return the first mode; -1 where that takes more than the state, or is not compiled."""
-    contacts = taken.shape[0]
+    """Return the first mode; -1 if it is ambiguous or not compiled."""
+    contacts = states.shape[0]
     numbers = np.empty(instants.numbers[5])
     evaluate(program, instants.numbers, state, watch.parameters, 0.0, numbers)
-    kept, lowest, n = np.full(contacts, FREE), np.zeros(contacts), state.shape[0] // 2
-    first = n * n + n + 1 + (2 * n + 2) * contacts
+    states_at_rest, lowest, n = np.full(contacts, FREE), np.zeros(contacts), state.shape[0] // 2
+    scalars = n * n + n + 1 + (2 * n + 2) * contacts
     if instants.nodes.shape[0] > 0:
         values = conditions(program, watch, instants, state, 0.0)
-        if switched(instants, values, numbers, first, 0, np.full(contacts, FREE), kept) == -2:
+        if (
+            switched(instants, values, numbers, scalars, 0, np.full(contacts, FREE), states_at_rest)
+            == -2
+        ):
             return -1
-    if not classify(rules_of(instants), numbers, n, False, kept, lowest, taken):
+    if not classify(rules_of(instants), numbers, n, False, states_at_rest, lowest, states):
         return -1
     for c in range(contacts):
-        gap, rate = numbers[first + SCALARS * c], numbers[first + SCALARS * c + 1]
+        gap, rate = numbers[scalars + SCALARS * c], numbers[scalars + SCALARS * c + 1]
         above = hovers(gap, rate, instants.gap, scales[0], scales[1])
-        if not scene.starts[c, taken[c]] or (above and taken[c] != OFF_CODE):
+        if not scene.starts[c, states[c]] or (above and states[c] != OFF_CODE):
             return -1
-    mode = row_of(program, taken)
+    mode = row_of(program, states)
     if mode >= 0 and stands(program, mode, watch.parameters, watch.floors, state, 0.0):
         return -1
     return mode
@@ -190,32 +192,32 @@ def _start(
 
 @kernel
 def _end(
-    program: Program, reason: int, margin: int, mode: int, been: Bools, watch: Watch,
+    program: Program, reason: int, margin: int, mode: int, entered: Bools, watch: Watch,
     state: Array, time: float,
 ) -> int:  # fmt: skip
-    """Return how a row ends that its loop has left.
+    """Return the outcome of a run of the batch after its loop has ended.
 
-    Where a stop fell, what else happens there comes first. For what may just be happening as time
-    is over see `statechart.execution.finding.closing`.
+    Events at the instant of a stop precede it. For events at the end of time see
+    `statechart.execution.finding.closing`.
     """
     row = program.modes[mode]
     stopped = reason == runs.FELL and margin >= row[STOPS]
     if reason != runs.OVER and not stopped:
         return runs.UNUSUAL
-    if not been[mode]:
+    if not entered[mode]:
         return runs.ENDED
     margins, judged = np.empty(row[STOPS] if stopped else row[MARGINS]), False
     evaluate(program, row[WATCHED : WATCHED + TAPE], state, watch.parameters, time, margins)
     for i in range(margins.shape[0]):
         kind = program.ints[row[MARGINS_AT] + 2 * i]
-        own = watch.bands[program.ints[row[MARGINS_AT] + 2 * i + 1]]
-        if stopped and not margins[i] > (own if own >= 0.0 else watch.kinds[kind]):
+        band = watch.bands[program.ints[row[MARGINS_AT] + 2 * i + 1]]
+        if stopped and not margins[i] > (band if band >= 0.0 else watch.kinds[kind]):
             return runs.UNUSUAL
         if kind == GAP and margins[i] <= AT_END * watch.kinds[GAP]:
             return runs.UNUSUAL
         if kind == SPEED and margins[i] <= watch.kinds[SPEED]:
             return runs.UNUSUAL
-        judged = judged or (kind == PLAIN and own >= 0.0)
+        judged = judged or (kind == PLAIN and band >= 0.0)
     if stopped:
         return runs.STOPPED
     return runs.CLOSING if judged else runs.ENDED
@@ -223,11 +225,11 @@ def _end(
 
 @kernel
 def _other(values: Array, zeros: Bools) -> bool:
-    """Return whether other parameters are zero than these."""
-    other = False
+    """Return whether the pattern of zero parameters differs from `zeros`."""
+    differs = False
     for i in range(values.shape[0]):
-        other = other or (values[i] == 0.0) != zeros[i]
-    return other
+        differs = differs or (values[i] == 0.0) != zeros[i]
+    return differs
 
 
 @kernel
@@ -240,7 +242,7 @@ def _record_arc(
     high: float,
     low: float,
 ) -> None:
-    """Write the steps of a flow behind the others, without terms that are zero in all of them."""
+    """Append the steps of a flow to the block, without trailing terms that are all zero."""
     coeffs, used = workspace.coefficients, block.used
     n, width = coeffs.shape[1], coeffs.shape[2]
     zero = True
@@ -269,7 +271,7 @@ def _record_arc(
 def _hold(
     program: Program, watch: Watch, scene: SceneWatch, states: Ints, state: Array, time: float
 ) -> None:
-    """Write targets and weights of the constraints of a flow that begins here."""
+    """Write targets and weights of the constraints of a flow that begins in this state."""
     watch.weights[:] = 0.0
     pinned = False
     for c in range(states.shape[0]):
@@ -292,14 +294,14 @@ def _hold(
 
 
 @kernel
-def _advance(now: Array, elapsed: float) -> None:
+def _advance(clock: Array, elapsed: float) -> None:
     """Advance the clock of a run as `statechart.automaton.clock.Clock.later` does."""
-    high = now[runs.T_HIGH]
+    high = clock[runs.T_HIGH]
     total = high + elapsed
-    part = total - high
-    error = (high - (total - part)) + (elapsed - part) + now[runs.T_LOW]
-    now[runs.T_HIGH] = total + error
-    now[runs.T_LOW] = error - (now[runs.T_HIGH] - total)
+    rounded = total - high
+    error = (high - (total - rounded)) + (elapsed - rounded) + clock[runs.T_LOW]
+    clock[runs.T_HIGH] = total + error
+    clock[runs.T_LOW] = error - (clock[runs.T_HIGH] - total)
 
 
 @kernel
@@ -312,44 +314,47 @@ def _run(
     run: RunState,
     entered: Bools,
 ) -> tuple[int, int, float]:
-    """Flow and jump until an instant is not unambiguous.
+    """Flow and jump up to an ambiguous instant or the end.
 
-    Brings `run` and `entered` up to date. Returns why it ends, the margin that fell or the series
-    that accumulates, and the time to the accumulation.
+    Updates `run` and `entered`. Returns the reason, the margin that fell or the series that
+    accumulates, and the time to the accumulation.
     """
-    now, place, state, kept = run.now, run.place, run.state, run.states
-    contacts = kept.shape[0]
-    most = workspace.coefficients.shape[0]
-    most_terms = workspace.coefficients.size
-    begun_steps, begun_boxes = place[runs.N_STEPS], place[runs.N_BOXES]
-    decided = 0  # by what fell as a mode went on without a jump
+    clock, place, state, states = run.clock, run.place, run.state, run.states
+    contacts = states.shape[0]
+    max_steps = workspace.coefficients.shape[0]
+    max_terms = workspace.coefficients.size
+    first_step, first_box = place[runs.N_STEPS], place[runs.N_BOXES]
+    decided_condition = 0  # The condition that fell without a jump
     while True:
         used = block.used
         if (
             used[ARCS] == block.arcs.shape[0]
-            or used[EVENTS] + MOST_AT_ONCE + 1 > block.events.shape[0]
-            or used[TIMES] + most + 1 > block.times.shape[0]
-            or used[TERMS] + most_terms > block.coefficients.shape[0]
+            or used[EVENTS] + MAX_JUMPS_AT_ONCE + 1 > block.events.shape[0]
+            or used[TIMES] + max_steps + 1 > block.times.shape[0]
+            or used[TERMS] + max_terms > block.coefficients.shape[0]
         ):
             return runs.FULL, -1, 0.0
-        if place[runs.N_STEPS] - begun_steps > _STEPS or place[runs.N_BOXES] - begun_boxes > _BOXES:
+        if (
+            place[runs.N_STEPS] - first_step > _MAX_STEPS
+            or place[runs.N_BOXES] - first_box > _MAX_BOXES
+        ):
             return runs.PAUSED, -1, 0.0
         mode = place[runs.N_MODE]
-        high, low = now[runs.T_HIGH], now[runs.T_LOW]
-        begun = high
-        duration = (now[runs.T_END] - high) - low
+        high, low = clock[runs.T_HIGH], clock[runs.T_LOW]
+        start = high
+        duration = (clock[runs.T_END] - high) - low
         if duration <= 0.0:
             return runs.OVER, -1, 0.0
         entered[mode] = True
         at = program.modes[mode, LAWS_AT]
         for c in range(contacts):
-            kept[c] = program.ints[at + c]
-        _hold(program, watch, scene, kept, state, high)
+            states[c] = program.ints[at + c]
+        _hold(program, watch, scene, states, state, high)
         if scene.nodes.shape[0] > 0:
-            hold_conditions(program, watch, scene, state, high, decided)
-        decided = 0
+            hold_conditions(program, watch, scene, state, high, decided_condition)
+        decided_condition = 0
         verdict, margin, steps, boxes = flow_to_event(
-            program, mode, watch, workspace, state, high, duration, now[runs.T_HORIZON]
+            program, mode, watch, workspace, state, high, duration, clock[runs.T_HORIZON]
         )
         if verdict == IN_VAIN:
             return runs.FLOW, -1, 0.0
@@ -358,31 +363,33 @@ def _run(
         if steps > 0:
             _record_arc(block, workspace, mode, place[runs.N_JUMPS], steps, high, low)
             elapsed = workspace.times[steps]
-            _advance(now, elapsed)
+            _advance(clock, elapsed)
             if elapsed > 0.0:
-                now[runs.T_HORIZON] = NEXT_LOOK * max(elapsed, now[runs.T_HIGH] - now[runs.T_SINCE])
+                clock[runs.T_HORIZON] = NEXT_LOOK * max(
+                    elapsed, clock[runs.T_HIGH] - clock[runs.T_SINCE]
+                )
         if verdict == WHOLE:
             return runs.OVER, -1, 0.0
-        high = now[runs.T_HIGH]
+        high = clock[runs.T_HIGH]
         if margin >= program.modes[mode, STOPS]:
             return runs.FELL, margin, 0.0
-        asked, fired = 0, program.ints[at + contacts + margin]
+        instants, fired = 0, program.ints[at + contacts + margin]
         while True:
-            reason, row, rest = instant(
-                program, watch, scene, block, run, margin, fired, high > begun
+            reason, row, remaining = instant(
+                program, watch, scene, block, run, margin, fired, high > start
             )
             if reason != GOES_ON:
-                return reason, row, rest
+                return reason, row, remaining
             if place[runs.N_RETRY] == 0:
-                decided = row
+                decided_condition = row
                 break
-            asked += 1
+            instants += 1
             margin = -1
             fired = fired if place[runs.N_RETRY] == 1 else 0
-            if asked > MOST_AT_ONCE:
+            if instants > MAX_JUMPS_AT_ONCE:
                 return runs.FELL, -1, 0.0
         at_stop = stands(
-            program, place[runs.N_MODE], watch.parameters, watch.floors, state, now[runs.T_HIGH]
+            program, place[runs.N_MODE], watch.parameters, watch.floors, state, clock[runs.T_HIGH]
         )
         if at_stop:
             place[runs.N_RETRY] = 1
@@ -391,7 +398,6 @@ def _run(
 
 @kernel
 def _tolerances(scene: SceneBatch, scales: Array, kinds: Array) -> None:
-    """Write the tolerance of each kind of margin."""
     kinds[PLAIN], kinds[GAP] = 0.0, max(scene.gap * scales[0], scales[4])
     kinds[SPEED], kinds[FORCE] = scene.speed * scales[1], FORCE_BAND * scales[3]
     kinds[HOLD] = HOLD_PART * kinds[FORCE]
@@ -412,82 +418,83 @@ def run_batch(
     scene: SceneBatch,
     first_watch: Watch,
     first_instants: SceneWatch,
-    rows: BatchInputs,
+    batch: BatchInputs,
     block: TraceBuffer,
-    found: BatchResult,
+    result: BatchResult,
 ) -> int:
-    """Take runs to their ends, from their start or on; return how many before the block was full.
+    """Start or resume the runs of a batch; return the number of runs that fit into the block.
 
-    For program and memory see `statechart.engines.compiled_flow`. `first_watch` and
-    `first_instants` are buffers: where the numbers of a run are known, they stand in
-    `scene.numbers`, and the tolerances in `first_watch.kinds`. The block takes arcs and events of
-    all runs. Fills `found`, a row for each; a run that ends as `UNUSUAL` or `OTHER` leaves nothing
-    else. Of a run that has begun it says where that is.
+    For program and workspace see `statechart.engines.compiled_flow`. `first_watch` and
+    `first_instants` are buffers. If `batch.has_numbers`, `scene.numbers` and `first_watch.kinds`
+    have the setup. The block takes arcs and events of all runs. Fills a row of `result` for each;
+    a run that ends as `UNUSUAL` or `OTHER` leaves nothing else.
     """
     used, before, numbers = block.used, np.empty(4, np.int64), scene.numbers
     contacts = scene.places.shape[0]
-    taken, kept = np.empty(contacts, np.int64), np.empty(contacts, np.int64)
-    for row in range(rows.inputs.shape[0]):
-        ends, now, place = found.ends[row], found.now[row], found.place[row]
-        state = found.final[row]
+    states, run_states = np.empty(contacts, np.int64), np.empty(contacts, np.int64)
+    for row in range(batch.inputs.shape[0]):
+        ends, clock, place = result.ends[row], result.clock[row], result.place[row]
+        state = result.final[row]
         ends[runs.HOW] = runs.UNUSUAL
         put_counts(used, before)
-        if not rows.known:
-            if not rows.until[row] >= 0.0 or not run_numbers(
-                program, scene.tapes[INSTANTS:], scene.rules, rows.code, rows.constants,
-                rows.outputs, rows.inputs[row], numbers,
+        if not batch.has_numbers:
+            if not batch.until[row] >= 0.0 or not run_numbers(
+                program, scene.tapes[INSTANTS:], scene.rules, batch.code, batch.constants,
+                batch.outputs, batch.inputs[row], numbers,
             ):  # fmt: skip
                 continue
-            if _other(numbers.values, rows.zeros):
+            if _other(numbers.values, batch.zeros):
                 ends[runs.HOW] = runs.OTHER
                 continue
             _tolerances(scene, numbers.scales, first_watch.kinds)
-        watch, instants = _watches(scene, rows.floor, first_watch, first_instants)
-        if not rows.resumed:
+        watch, instants = _watches(scene, batch.floor, first_watch, first_instants)
+        if not batch.resumed:
             put(numbers.initial, state)
-            mode = _start(program, scene, watch, instants, numbers.scales, state, taken)
+            mode = _start(program, scene, watch, instants, numbers.scales, state, states)
             if mode < 0:
                 continue
-            now[runs.T_END] = rows.until[row]
-            now[runs.T_HORIZON] = min(LOOK_AHEAD * numbers.scales[0] / numbers.scales[1], FARTHEST)
-            place[runs.N_MODE], place[runs.N_MOST] = mode, rows.most_jumps
+            clock[runs.T_END] = batch.until[row]
+            clock[runs.T_HORIZON] = min(
+                LOOK_AHEAD * numbers.scales[0] / numbers.scales[1], FARTHEST
+            )
+            place[runs.N_MODE], place[runs.N_MOST] = mode, batch.most_jumps
             ends[runs.FIRST_MODE] = mode
-            put(numbers.values, found.values[row])
-            put(numbers.initial, found.initial[row])
+            put(numbers.values, result.values[row])
+            put(numbers.initial, result.initial[row])
             _no_series(scene.series)
-        pauses, run = 0, RunState(now, place, state, scene.series, kept)
+        pauses, run = 0, RunState(clock, place, state, scene.series, run_states)
         while True:
-            ends[runs.REASON], ends[runs.MARGIN], now[runs.T_REST] = _run(
-                program, watch, workspace, instants, block, run, found.entered[row]
+            ends[runs.REASON], ends[runs.MARGIN], clock[runs.T_REST] = _run(
+                program, watch, workspace, instants, block, run, result.entered[row]
             )
             pauses += 1
-            if ends[runs.REASON] != runs.PAUSED or pauses == _PAUSES or rows.single:
+            if ends[runs.REASON] != runs.PAUSED or pauses == _MAX_PAUSES or batch.single:
                 break
         if ends[runs.REASON] == runs.FULL and row > 0:
             put_counts(before, used)
             return row
-        how = runs.HANDED
-        if not rows.resumed:
-            how = _end(
+        outcome = runs.HANDED
+        if not batch.resumed:
+            outcome = _end(
                 program, ends[runs.REASON], ends[runs.MARGIN], place[runs.N_MODE],
-                found.entered[row], watch, state, now[runs.T_HIGH],
+                result.entered[row], watch, state, clock[runs.T_HIGH],
             )  # fmt: skip
-        if rows.single and how in (runs.UNUSUAL, runs.CLOSING):
-            how = runs.HANDED
-        ends[runs.HOW] = how
-        if how == runs.HANDED:
-            # Those of the flow that it has come to.
-            put(watch.parameters, found.values[row])
-        if how == runs.UNUSUAL:
+        if batch.single and outcome in (runs.UNUSUAL, runs.CLOSING):
+            outcome = runs.HANDED
+        ends[runs.HOW] = outcome
+        if outcome == runs.HANDED:
+            # The parameters of the current flow.
+            put(watch.parameters, result.values[row])
+        if outcome == runs.UNUSUAL:
             put_counts(before, used)
             continue
-        spans = found.spans[row]
+        spans = result.spans[row]
         spans[0], spans[1] = before[ARCS], used[ARCS]
         spans[2], spans[3] = before[EVENTS], used[EVENTS]
-    return rows.inputs.shape[0]
+    return batch.inputs.shape[0]
 
 
-_NAMES = {code: name for name, code in CODES.items() if name != OFF} | {OFF_CODE: OFF}
+_STATE_NAMES = {code: name for name, code in CODES.items() if name != OFF} | {OFF_CODE: OFF}
 
 
 class SceneLoop:
@@ -497,7 +504,7 @@ class SceneLoop:
     """
 
     def __init__(
-        self, numbers: SceneNumbers, rules: Rules | None, loop: Loop, relative: float
+        self, numbers: SceneNumbers, rules: SetupRules | None, loop: Loop, relative: float
     ) -> None:
         self.loop, self.starts, self._setup = loop, rules is not None, numbers
         laws = numbers.contacts(np.zeros(len(numbers.parameters.names)))
@@ -509,44 +516,43 @@ class SceneLoop:
         self._entry: Callable[..., int] | None = None
 
     def inputs(self, names: tuple[str, ...], table: Array) -> tuple[Ints32, Array, Ints32, Array]:
-        """Return the tape of the numbers of runs, and what it takes for rows (m, p) of values."""
+        """Return the tape of the setup, and its inputs for rows (m, p) of parameter values."""
         if names not in self._inputs:
             tape, inputs = self._setup.parameters.program(frozenset(names))
             literals = self._setup.parameters.literals
-            given = [(i, names.index(name)) for i, name in enumerate(inputs) if name in names]
+            varied = [(i, names.index(name)) for i, name in enumerate(inputs) if name in names]
             fixed = np.array([*(literals.get(name, math.nan) for name in inputs), math.inf])
-            self._inputs[names] = _Inputs(*tape.program, given, fixed)
-        made = self._inputs[names]
-        found = np.empty((len(table), len(made.fixed)))
-        found[:] = made.fixed
-        for place, column in made.varied:
-            found[:, place] = table[:, column]
-        return made.code, made.constants, made.outputs, found
+            self._inputs[names] = _Inputs(*tape.program, varied, fixed)
+        tape_inputs = self._inputs[names]
+        rows = np.empty((len(table), len(tape_inputs.fixed)))
+        rows[:] = tape_inputs.fixed
+        for place, column in tape_inputs.varied:
+            rows[:, place] = table[:, column]
+        return tape_inputs.code, tape_inputs.constants, tape_inputs.outputs, rows
 
-    def start(self, rows: BatchInputs, block: TraceBuffer, found: BatchResult) -> int:
-        """Make runs; return how many of them before the block was full."""
-        return self._call(self._scene, rows, block, found)
+    def start(self, batch: BatchInputs, block: TraceBuffer, result: BatchResult) -> int:
+        """Start the runs of a batch; return how many fit into the block."""
+        return self._call(self._scene, batch, block, result)
 
     def begin(
         self, setup: Setup, until: float, most_jumps: int, floor: float, block: TraceBuffer,
-        found: BatchResult,
+        result: BatchResult,
     ) -> None:  # fmt: skip
-        """Make a run of which the numbers are known."""
+        """Start a run with the given setup."""
         scene = self._write_numbers(setup, setup.values)
         scene.numbers.initial[:] = setup.initial
         ends = np.array([until], float)
-        rows = _SINGLE_RUN._replace(until=ends, most_jumps=most_jumps, floor=floor)
-        self._call(scene, rows, block, found)
+        batch = _SINGLE_RUN._replace(until=ends, most_jumps=most_jumps, floor=floor)
+        self._call(scene, batch, block, result)
 
     def resume(
-        self, setup: Setup, floor: float, block: TraceBuffer, found: BatchResult, series: Array
+        self, setup: Setup, floor: float, block: TraceBuffer, result: BatchResult, series: Array
     ) -> None:
-        """Take a run on that has come somewhere."""
-        scene = self._write_numbers(setup, found.values[0])._replace(series=series)
-        self._call(scene, _SINGLE_RUN._replace(floor=floor, resumed=True), block, found)
+        """Resume a run."""
+        scene = self._write_numbers(setup, result.values[0])._replace(series=series)
+        self._call(scene, _SINGLE_RUN._replace(floor=floor, resumed=True), block, result)
 
     def _write_numbers(self, setup: Setup, values: Array) -> SceneBatch:
-        """Write the numbers of a run to the buffers."""
         assert isinstance(setup, SceneSetup)
         assert setup.sizes is not None
         numbers, (watch, _) = self._scene.numbers, self._buffers
@@ -560,53 +566,56 @@ class SceneLoop:
         return self._scene._replace(gap=setup.precision, force_uncertainty=setup.force_uncertainty)
 
     def _call(
-        self, scene: SceneBatch, rows: BatchInputs, block: TraceBuffer, found: BatchResult
+        self, scene: SceneBatch, batch: BatchInputs, block: TraceBuffer, result: BatchResult
     ) -> int:
         loop = self.loop
-        arguments = loop.program, loop.workspace, scene, *self._buffers, rows, block, found
+        arguments = loop.program, loop.workspace, scene, *self._buffers, batch, block, result
         if self._entry is None:
             self._entry = entry(run_batch, *arguments)
         return self._entry(*arguments)
 
 
 class _Inputs(NamedTuple):
-    """Tape of the numbers of runs by the values of some parameters."""
+    """Tape of the setup as a function of some parameters."""
 
     code: Ints32
     constants: Array
     outputs: Ints32
-    varied: list[tuple[int, int]]  # Places in what it takes, and among the parameters.
-    fixed: Array  # Its inputs, but for these.
+    varied: list[tuple[int, int]]  # Indices of an input, and of a parameter
+    fixed: Array  # Values of the other inputs
 
 
 _SINGLE_RUN = BatchInputs(
     np.empty((0, 3), np.int32), np.empty(0), np.empty(0, np.int32), np.empty((1, 0)), np.zeros(1),
-    np.zeros(0, np.bool_), 0, 0.0, single=True, resumed=False, known=True,
+    np.zeros(0, np.bool_), 0, 0.0, single=True, resumed=False, has_numbers=True,
 )  # fmt: skip
 
 
-def no_rules(numbers: SceneNumbers) -> Rules:
-    """Return what stands for the rules where runs are not started by the loop."""
-    none, nowhere = np.empty(0), np.empty(0, np.int64)
+def no_rules(numbers: SceneNumbers) -> SetupRules:
+    """Return empty rules for a loop that starts no runs."""
+    no_numbers, no_places = np.empty(0), np.empty(0, np.int64)
     forced = np.zeros(len(numbers.stops), np.bool_)
-    return Rules(nowhere, none, none, nowhere, 0, 0, 0, forced, numbers.far)
+    return SetupRules(no_places, no_numbers, no_numbers, no_places, 0, 0, 0, forced, numbers.far)
 
 
 def _starts(names: Sequence[str], declared: Mapping[str, str]) -> Bools:
-    """Return (c, 6): whether a contact may start in the state of that code, as declared."""
-    found = np.zeros((len(names), len(_NAMES)), np.bool_)
+    """Return a mask (c, 6) of the state codes in which a contact may start."""
+    may_start = np.zeros((len(names), len(_STATE_NAMES)), np.bool_)
     for place, name in enumerate(names):
-        wanted = declared.get(name)
-        for code, state in _NAMES.items():
-            fits = {state, *superstates_of((state,)).values()}
-            found[place, code] = wanted is None or wanted in fits
-    return found
+        declared_state = declared.get(name)
+        for code, state in _STATE_NAMES.items():
+            names_of_state = {state, *superstates_of((state,)).values()}
+            may_start[place, code] = declared_state is None or declared_state in names_of_state
+    return may_start
 
 
 def _declared(
-    numbers: SceneNumbers, rules: Rules, loop: Loop, laws: Sequence[ContactLaw], relative: float
+    numbers: SceneNumbers,
+    rules: SetupRules,
+    loop: Loop,
+    laws: Sequence[ContactLaw],
+    relative: float,
 ) -> SceneBatch:
-    """Return what is the same whatever the values: what contacts may do, where coefficients are."""
     count = len(laws)
     gap, speed, _ = tolerated(relative)
     stops = [*numbers.stops]
@@ -627,7 +636,6 @@ def _declared(
 def _buffers(
     numbers: SceneNumbers, loop: Loop, laws: Sequence[ContactLaw]
 ) -> tuple[Watch, SceneWatch]:
-    """Return buffers for the flows and the instants of a run."""
     variables, parameters = len(loop.workspace.state), len(numbers.parameters.names)
     contacts, count = len(laws), int(loop.tapes[1, 5])
     watch = Watch(

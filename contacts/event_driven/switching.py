@@ -278,7 +278,9 @@ def _closed_below(setup: SceneSetup, snapshot: Snapshot, here: ConditionsAt) -> 
     """
     return [
         setup.tolerances["gap"] + _MORE * blur * float(np.linalg.norm(contact.jacobian[0]))
-        for blur, contact in zip(here.blurred, snapshot.whole.contacts, strict=True)
+        for blur, contact in zip(
+            here.position_uncertainty, snapshot.unreduced.contacts, strict=True
+        )
     ]
 
 

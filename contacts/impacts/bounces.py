@@ -1,4 +1,4 @@
-"""Bounces too low to be resolved: how long they take, so that they can be skipped (equation 5)."""
+"""Duration of Zeno sequences of bounces, which are skipped (equation 5)."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from contacts.modes.classification import choose
 from statechart.arrays import Array
 from statechart.errors import SimulationError
 
-# The sum may be longer by this part of itself; the series leaves out what is of its square.
-_LONGER = 1e-4
-# Of the fastest rebound: what taking it away changes elsewhere.
+# Allowed relative first-order correction of the sum; terms of its square are neglected.
+_MAX_CORRECTION = 1e-4
+# Allowed velocity changes by removing the rebounds, relative to the fastest of them.
 _MAX_CHANGE = 10.0
 
 
 def rests_of_bounces(
     setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]
 ) -> dict[int, float]:
-    """Return how long the further bounces take, for the contacts whose need no resolving.
+    """Return the duration of the further bounces, for the contacts whose bounces are skipped.
 
-    They sum to ``2 v / (g_n (1 - e))`` (equation 5); the impulse of a plastic impact plus the
-    weight over that time equals the exact sum of theirs. Which are skipped depends on their
-    velocities alone, so that a shift of the origin does not change how many are resolved.
+    It is ``2 v / (g_n (1 - e))`` (equation 5). The impulse of a plastic impact plus that of the
+    weight over this time equals the sum of the impulses exactly. The criterion uses velocities
+    only, so that the number of resolved bounces does not depend on the origin.
     """
-    rests: dict[int, float] = {}
-    falling: Array | None = None
-    slow = setup.tolerances["speed"]
+    durations: dict[int, float] = {}
+    accelerations: Array | None = None
+    speed_tolerance = setup.tolerances["speed"]
     lying = _lying(setup, snapshot, closed)
     for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True)):
         rebound, e = contact.gap_rate, law.restitution
-        if not closed[i] or not 0.0 < e < 1.0 or not slow < rebound <= setup.capture:
+        if not closed[i] or not 0.0 < e < 1.0 or not speed_tolerance < rebound <= setup.capture:
             continue
-        if falling is None:
-            falling = _falling(setup, snapshot, lying)
-        if falling[i] > 0.0:
-            rests[i] = 2.0 * rebound / (float(falling[i]) * (1.0 - e))
-    return rests
+        if accelerations is None:
+            accelerations = _falling(setup, snapshot, lying)
+        if accelerations[i] > 0.0:
+            durations[i] = 2.0 * rebound / (float(accelerations[i]) * (1.0 - e))
+    return durations
 
 
 def corrected(
-    rests: Mapping[int, float],
+    durations: Mapping[int, float],
     setup: SceneSetup,
     at: Callable[[Array, float], Snapshot],
     resolved: Snapshot,
@@ -52,59 +52,63 @@ def corrected(
     state: Array,
     closed: Sequence[bool],
 ) -> dict[int, float] | None:
-    """Return how long bounces take whose acceleration changes; None where they are to be resolved.
+    """Return the duration of bounces under a varying acceleration; None if they must be resolved.
 
-    While a contact bounces the gap falls by ``a - j t + c v``, where v is its rate: j is what the
-    motion on the surface changes it by, c what drag does, or friction that turns the body. To
-    first order in both the sum of equation 5, with the acceleration a at rest, is longer by
-    ``1 + j R / (3 a) - c R / 6``: so that a flight lasts ``2 v / a + 4 j v^2 / (3 a^3)
-    - 2 c v^2 / (3 a^2)``, and ends at ``v - 2 (j / a^2 + c / a) v^2 / 3``.
+    The gap accelerates towards the surface by ``a - j t + c v``, where v is its rate, j is due to
+    the motion along the surface, and c to drag, or to friction that turns the body. To first order
+    in both a flight lasts ``2 v / a + 4 j v^2 / (3 a^3) - 2 c v^2 / (3 a^2)`` and ends at
+    ``v - 2 (j / a^2 + c / a) v^2 / 3``, so that the sum R of equation 5 is multiplied by
+    ``1 + j R / (3 a) - c R / 6``.
 
-    `rests` are the sums without that, `at` gives the numbers at a state so much later. `resolved`
-    and `plastic` are those after the impact by the declared laws, and with these contacts plastic,
-    which leaves the bodies in `state`.
+    `durations` are the uncorrected sums, `at` is the snapshot at a state after a time. `resolved`
+    and `plastic` are the snapshots after the impact with and without rebounds; the plastic impact
+    leads to `state`.
     """
     lying = _lying(setup, resolved, closed)
     try:
         accelerations = _chosen(setup, plastic, _lying(setup, plastic, closed))
     except SimulationError:
-        return dict(rests)
-    if plastic.held is not None:
-        accelerations = plastic.held.basis @ accelerations + plastic.held.drift
+        return dict(durations)
+    if plastic.reduction is not None:
+        accelerations = plastic.reduction.basis @ accelerations + plastic.reduction.drift
     n = len(state) // 2
-    # Pads of compliant contacts are no coordinates of the scene.
+    # Without the pads of compliant contacts, which are no coordinates of the scene.
     accelerations = accelerations[:n]
-    fast, still = (_falling(setup, snapshot, lying) for snapshot in (resolved, plastic))
-    found: dict[int, float] = {}
-    for i in rests:
-        if not still[i] > 0.0:
+    resolved_fall, resting_fall = (
+        _falling(setup, snapshot, lying) for snapshot in (resolved, plastic)
+    )
+    corrected_durations: dict[int, float] = {}
+    for i in durations:
+        if not resting_fall[i] > 0.0:
             return None
-        flying = 1.0 - setup.contacts[i].restitution
-        rest = 2.0 * resolved.contacts[i].gap_rate / (float(still[i]) * flying)
-        later = state.copy()
-        later[:n] += rest * (state[n:] + 0.5 * rest * accelerations)
-        later[n:] += rest * accelerations
-        last = _falling(setup, at(later, rest), lying)
-        change = (still[i] - last[i] - (fast[i] - still[i]) / flying) / (3.0 * still[i])
-        if not abs(change) <= max(_LONGER, setup.capture / setup.scales.speed):
+        loss = 1.0 - setup.contacts[i].restitution
+        duration = 2.0 * resolved.contacts[i].gap_rate / (float(resting_fall[i]) * loss)
+        state_after = state.copy()
+        state_after[:n] += duration * (state[n:] + 0.5 * duration * accelerations)
+        state_after[n:] += duration * accelerations
+        final_fall = _falling(setup, at(state_after, duration), lying)
+        change = (resting_fall[i] - final_fall[i] - (resolved_fall[i] - resting_fall[i]) / loss) / (
+            3.0 * resting_fall[i]
+        )
+        if not abs(change) <= max(_MAX_CORRECTION, setup.capture / setup.scales.speed):
             return None
-        found[i] = float(rest * (1.0 + change))
-    return found
+        corrected_durations[i] = float(duration * (1.0 + change))
+    return corrected_durations
 
 
 def opens_in_vain(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> bool:
-    """Return whether contacts open, but none of them leaves the tolerance of its gap.
+    """Return whether contacts open and none of them leaves the tolerance of its gap.
 
-    Impacts in turn, each of which opens another contact, go on for ever there once they take no
-    more energy than gaps get that are brought back onto their surfaces.
+    Alternating impacts, each of which opens another contact, would not end once they dissipate less
+    energy than the projection of the gaps adds.
     """
     rates = np.array([contact.gap_rate for contact in snapshot.contacts])
     opening = np.asarray(closed) & (rates > setup.tolerances["speed"])
     if not opening.any():
         return False
-    falling = _falling(setup, snapshot, _lying(setup, snapshot, closed))[opening]
-    heights = setup.tolerances["gap"] * 2.0 * falling
-    return bool((falling > 0.0).all() and (rates[opening] ** 2 < heights).all())
+    fall = _falling(setup, snapshot, _lying(setup, snapshot, closed))[opening]
+    heights = setup.tolerances["gap"] * 2.0 * fall
+    return bool((fall > 0.0).all() and (rates[opening] ** 2 < heights).all())
 
 
 def rest_of_passages(
@@ -112,64 +116,66 @@ def rest_of_passages(
     at: Callable[[Array], Snapshot],
     strike: Callable[[Snapshot, Sequence[bool]], Array],
     state: Array,
-    on: int,
-    other: int,
+    supporting: int,
+    opening: int,
 ) -> float | None:
-    """Sum how long a point goes to and fro through the corner of two contacts.
+    """Return the total duration of a point's passages to and fro through a corner, or None.
 
-    On one of them the rate u of the other gap falls by a, and by b once friction has turned: a
-    passage lasts ``u / a + u / sqrt(a b)`` and ends at ``-u sqrt(b / a)``. Two passages leave the
-    part r of the rate: all of them last as long as these over ``1 - r``. None where the point does
-    not go on so, or leaves the gap's tolerance faster than rebounds that are summed. `strike`
+    While `supporting` is closed the rate u of the `opening` gap falls by a, and by b after friction
+    has reversed: a passage lasts ``u / a + u / sqrt(a b)`` and ends at ``-u sqrt(b / a)``. If two
+    passages reduce the rate by the factor r, the total is their duration over ``1 - r``. `strike`
     returns the velocities after an impact of contacts.
     """
-    rates, total = [at(state).contacts[other].gap_rate], 0.0
+    rates, total = [at(state).contacts[opening].gap_rate], 0.0
     size = len(state) // 2
     for _ in range(2):
         snapshot, count = at(state), len(setup.contacts)
-        back = np.concatenate([state[:size], -state[size:]])
-        lying = [i == on for i in range(count)]
-        a, b = (float(_falling(setup, now, lying)[other]) for now in (snapshot, at(back)))
+        reversed_state = np.concatenate([state[:size], -state[size:]])
+        resting = [i == supporting for i in range(count)]
+        a, b = (
+            float(_falling(setup, shifted, resting)[opening])
+            for shifted in (snapshot, at(reversed_state))
+        )
         if not (a > 0.0 and b > 0.0 and rates[-1] > 0.0):
             return None
-        slow = max(rates[-1], abs(snapshot.contacts[other].slip)) <= setup.capture
-        if not (slow or rates[-1] ** 2 <= 2.0 * a * setup.tolerances["gap"]):
+        is_slow = max(rates[-1], abs(snapshot.contacts[opening].slip)) <= setup.capture
+        if not (is_slow or rates[-1] ** 2 <= 2.0 * a * setup.tolerances["gap"]):
             return None
-        part = math.sqrt(b / a)
-        total += rates[-1] / a * (1.0 + 1.0 / part)
-        back[size:] *= part
+        ratio = math.sqrt(b / a)
+        total += rates[-1] / a * (1.0 + 1.0 / ratio)
+        reversed_state[size:] *= ratio
         try:
-            velocity = strike(at(back), [i in (on, other) for i in range(count)])
+            velocity = strike(
+                at(reversed_state), [i in (supporting, opening) for i in range(count)]
+            )
         except SimulationError:
             return None
-        state = at(back).moved(back, velocity)
-        on, other = other, on
+        state = at(reversed_state).moved(reversed_state, velocity)
+        supporting, opening = opening, supporting
         contacts = at(state).contacts
-        if contacts[on].gap_rate > setup.tolerances["speed"]:
+        if contacts[supporting].gap_rate > setup.tolerances["speed"]:
             return None
-        rates.append(contacts[other].gap_rate)
-    left = rates[-1] / rates[0]
-    return total / (1.0 - left) if left < 1.0 else None
+        rates.append(contacts[opening].gap_rate)
+    ratio_of_cycle = rates[-1] / rates[0]
+    return total / (1.0 - ratio_of_cycle) if ratio_of_cycle < 1.0 else None
 
 
 def _lying(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> list[bool]:
-    """Return which contacts stay on their surfaces, and carry their part of what bounces."""
-    slow = setup.tolerances["speed"]
+    speed_tolerance = setup.tolerances["speed"]
     return [
-        shut and contact.gap_rate <= slow
-        for shut, contact in zip(closed, snapshot.contacts, strict=True)
+        is_closed and contact.gap_rate <= speed_tolerance
+        for is_closed, contact in zip(closed, snapshot.contacts, strict=True)
     ]
 
 
 def _chosen(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Array:
-    """Return the accelerations in the mode in which these contacts are closed."""
-    still = 2.0 * setup.tolerances["speed"]
-    chosen = choose(snapshot, setup.contacts, lying, setup.scales, setup.tie, still)
-    return chosen.taken.accelerations
+    slip_tolerance = 2.0 * setup.tolerances["speed"]
+    choice = choose(snapshot, setup.contacts, lying, setup.scales, setup.tie, slip_tolerance)
+    return choice.taken.accelerations
 
 
 def _falling(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Array:
-    """Return how fast the rates of gaps fall while these lie; nan where no mode tells."""
+    """Return the closing accelerations of the gaps with these contacts closed; nan if undefined."""
     try:
         accelerations = _chosen(setup, snapshot, lying)
     except SimulationError:
@@ -178,16 +184,16 @@ def _falling(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Ar
 
 
 def stands_for_bounces(
-    rests: Collection[int], resolved: Snapshot, plastic: Snapshot, closed: Sequence[bool]
+    bouncing: Collection[int], resolved: Snapshot, plastic: Snapshot, closed: Sequence[bool]
 ) -> bool:
-    """Return whether plastic contacts take no more than their bounces from the impact.
+    """Return whether the plastic impact changes little more than the rebounds themselves.
 
-    Balls in a row pass a blow on through contacts that hardly open: what a rebound of next to
-    nothing ends there is no bounce, and a plastic contact would keep the blow.
+    A row of balls transmits a blow through contacts that hardly open: a plastic contact would stop
+    the blow.
     """
     changes = [
         abs(a.gap_rate - b.gap_rate)
-        for a, b, shut in zip(resolved.contacts, plastic.contacts, closed, strict=True)
-        if shut
+        for a, b, is_closed in zip(resolved.contacts, plastic.contacts, closed, strict=True)
+        if is_closed
     ]
-    return max(changes) <= _MAX_CHANGE * max(resolved.contacts[i].gap_rate for i in rests)
+    return max(changes) <= _MAX_CHANGE * max(resolved.contacts[i].gap_rate for i in bouncing)

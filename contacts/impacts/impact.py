@@ -1,12 +1,12 @@
 """One contact's frictional impact: Routh's path, ended by a restitution law.
 
-The impulse grows along the edge of the friction cone while the point slips, along the sticking
-direction while it sticks; velocities are affine along each piece, so every piece is closed form
-and the path has at most a few. Restitution is Stronge's (energetic: the work of the normal
-impulse in restitution is e^2 of that in compression; energy never grows), Poisson's (impulse) or
-Newton's (velocity). Moreau's law has no path; one that is asked for (a jam) ends as Newton's.
-Slip takes the kinetic coefficient at the slip before the impact, a stick is held by the static one.
-Routh 1905; Stronge, Proc. R. Soc. A 431 (1990); Wang and Mason 1992.
+The impulse grows along the edge of the friction cone while the point slips, and along the sticking
+direction while it sticks. Velocities are affine in the impulse on each segment, so that the few
+segments of a path are computed in closed form. Restitution is Stronge's (energetic: the work of the
+normal impulse in restitution is e^2 of that in compression; energy never grows), Poisson's
+(impulse) or Newton's (velocity, also for the jams of contacts with Moreau's law). Slip has the
+kinetic coefficient at the slip before the impact, sticking the static one. Routh 1905; Stronge,
+Proc. R. Soc. A 431 (1990); Wang and Mason 1992.
 """
 
 from __future__ import annotations
@@ -27,14 +27,15 @@ from statechart.arrays import Array
 from statechart.errors import NoConsistentMode, SingularMode
 from statechart.kernels.jit import kernel
 
-ENDED, WEDGED, ENDLESS, POWERLESS, UNTRUSTED = range(5)
-"""How a path ends: as it should, wedged and led on, not, nowhere, in what cannot be solved."""
+ENDED, WEDGED, ENDLESS, POWERLESS, UNSOLVED = range(5)
+"""Status of a path: complete, wedged while pushed on by a joint, without an end, without effect on
+the contact's velocity, numerically unsolved."""
 
 NEWTON, POISSON, STRONGE = range(3)
-"""What restitution means."""
+"""Kinds of restitution."""
 
 SLIP, SLIP_PLUS, SLIP_MINUS, STICK, WEDGE = range(1, 6)
-"""Pieces of a path, in its code digits of base 8, the first the lowest."""
+"""Segments of a path; its code has a digit of base 8 for each, the first one the lowest."""
 
 MEANINGS: Mapping[str, int] = {
     "newton": NEWTON,
@@ -42,36 +43,36 @@ MEANINGS: Mapping[str, int] = {
     "poisson": POISSON,
     "stronge": STRONGE,
 }
-"""Law of a contact to what its restitution means."""
+"""Impact law of a contact -> kind of restitution."""
 _SEGMENTS = {SLIP: "slip", SLIP_PLUS: "slip+", SLIP_MINUS: "slip-", STICK: "stick", WEDGE: "wedge"}
 
 _MAX_SEGMENTS = 8
 RAISES = 1e-9
-"""An impact that raises the energy by more than this part of the terms of its work is told of."""
-# Of the terms of a rate: less is no error that an impulse should mend.
+"""Relative work of an impact above which a warning says that it raised the energy."""
+# Errors of a rate below this part of its terms are not corrected.
 _PATH_ROUND_OFF = 8 * 2.0**-52
 
 
 @kernel
-def _along(
+def _unit_impulse(
     mass: Array, jacobian: Array, n: float, t: float, change: Array
 ) -> tuple[int, float, float, float, float]:
-    """Impulse along (n, t), forwards; scaled to a unit change of normal velocity.
+    """Return the impulse along (n, t) scaled to a unit change of normal velocity.
 
-    Where it does not change that (a particle under infinite friction), to one of slip. Returns a
-    status, the rates of both velocities, and the impulse.
+    If it does not change that (a particle with infinite friction), to a unit change of slip.
+    Returns a status, the rates of both velocities, and the impulse.
     """
     size = len(change)
-    right, ones, column = np.zeros(size), np.ones(1), np.empty((1, size))
+    right, unit, column = np.zeros(size), np.ones(1), np.empty((1, size))
     for i in range(size):
         column[0, i] = n * jacobian[0, i] + t * jacobian[1, i]
     for direction in range(2):
-        status, x = saddle(mass, right, jacobian[direction : direction + 1], column, ones)
+        status, x = saddle(mass, right, jacobian[direction : direction + 1], column, unit)
         if status == INEXACT:
-            return UNTRUSTED, 0.0, 0.0, 0.0, 0.0
+            return UNSOLVED, 0.0, 0.0, 0.0, 0.0
         if status != SOLVED:
             continue
-        # Where pressing makes the approach faster (Painleve), the impulse still grows.
+        # In Painleve's case the impulse increases the approach velocity.
         amount = x[size]
         forwards = 1.0 if amount >= 0.0 else -1.0
         for i in range(size):
@@ -83,7 +84,7 @@ def _along(
 
 @kernel
 def _guided(jacobian: Array) -> bool:
-    """Return whether the point can move along its normal only, so that friction has no effect."""
+    """Return whether the point can move along its normal only."""
     for i in range(jacobian.shape[1]):
         if abs(jacobian[1, i]) > _PATH_ROUND_OFF * abs(jacobian[0, i]):
             return False
@@ -94,16 +95,16 @@ def _guided(jacobian: Array) -> bool:
 def _next_segment(
     mass: Array, jacobian: Array, cone: Array, u_t: float, change: Array
 ) -> tuple[int, int, float, float, float, float]:
-    """Piece that follows; `WEDGE` where friction keeps the point from going anywhere."""
+    """Compute the next segment; `WEDGE` if friction prevents every motion."""
     cone_n, cone_t = cone[0], cone[1]
     if cone_t == 0.0 or (u_t == 0.0 and _guided(jacobian)):
-        status, un, ut, normal, along = _along(mass, jacobian, cone_n, 0.0, change)
-        return status, SLIP, un, ut, normal, along
+        status, un, ut, normal, tangential = _unit_impulse(mass, jacobian, cone_n, 0.0, change)
+        return status, SLIP, un, ut, normal, tangential
     if u_t == 0.0:
         size = len(change)
         status, x = saddle(mass, np.zeros(size), jacobian, jacobian, np.array([1.0, 0.0]))
         if status == INEXACT:
-            return UNTRUSTED, STICK, 0.0, 0.0, 0.0, 0.0
+            return UNSOLVED, STICK, 0.0, 0.0, 0.0, 0.0
         if status == SOLVED and cone_n * abs(x[size + 1]) <= cone_t * x[size]:
             for i in range(size):
                 change[i] = x[i]
@@ -113,21 +114,21 @@ def _next_segment(
             continue
         at = 2 if sign > 0.0 else 4
         n, t = cone[at], -sign * cone[at + 1]
-        status, un, ut, normal, along = _along(mass, jacobian, n, t, change)
+        status, un, ut, normal, tangential = _unit_impulse(mass, jacobian, n, t, change)
         if status != ENDED or u_t != 0.0 or sign * ut > 0.0:
-            return status, SLIP_PLUS if sign > 0.0 else SLIP_MINUS, un, ut, normal, along
+            return status, SLIP_PLUS if sign > 0.0 else SLIP_MINUS, un, ut, normal, tangential
     return ENDED, WEDGE, 0.0, 0.0, 0.0, 0.0
 
 
 @kernel
-def _energetic(rate: float, normal: float, u_n: float, left: float) -> float:
+def _energetic(rate: float, normal: float, u_n: float, missing: float) -> float:
     """Solve ``normal (u_n s + u_n' s^2 / 2) = left`` for s >= 0."""
-    if left <= 0.0 or normal <= 0.0:
+    if missing <= 0.0 or normal <= 0.0:
         return 0.0
-    # Divided by the impulse: of masses above 1e154 its square is no float.
-    share = left / normal
-    inside = u_n * u_n + 2.0 * rate * share
-    root = math.sqrt(inside) if inside > 0.0 else 0.0
+    # Divided by the impulse, whose square overflows at masses above 1e154.
+    share = missing / normal
+    discriminant = u_n * u_n + 2.0 * rate * share
+    root = math.sqrt(discriminant) if discriminant > 0.0 else 0.0
     return 2.0 * share / (u_n + root) if u_n + root > 0.0 else math.inf
 
 
@@ -142,20 +143,20 @@ def strike(
     braking: bool,
     velocity: Array,
 ) -> tuple[int, float, float, int, float, float]:
-    """Let one contact be hit.
+    """Compute the impact of one contact along Routh's path.
 
-    With mass (n, n) and jacobian (2, n); `rates` of the gap and along the surface; unit edges (6,)
-    of the cone at rest, which hold a stick, and in slip+ and slip-; `meaning` NEWTON, POISSON or
-    STRONGE. If `braking`, slip is stopped first, though the contact does not approach. Brings
-    `velocity` (n,) up to date. Returns a status, the normal and tangential impulse on the body, the
-    code of the pieces of the path, and the rates of the gap and along the surface where it ended.
+    Inputs are mass (n, n) and jacobian (2, n); `rates` of the gap and along the surface; unit edges
+    `cone` (6,) at rest, in slip+ and in slip-; `meaning` NEWTON, POISSON or STRONGE. If `braking`,
+    slip is stopped first, although the contact does not approach. Updates `velocity` (n,). Returns
+    a status, the normal and tangential impulse on the body, the code of the path, and the rates of
+    the gap and along the surface at its end.
     """
     size = len(velocity)
     before, change = velocity.copy(), np.empty(len(velocity))
     approach, u_t = rates
     u_n, normal, tangential, work = approach, 0.0, 0.0, 0.0
     compressed, stored, compressing = 0.0, 0.0, True
-    path, place, last = 0, 0, 0
+    path, segments, last_segment = 0, 0, 0
     for _ in range(_MAX_SEGMENTS):
         status, name, un, ut, pn, pt = _next_segment(mass, jacobian, cone, u_t, change)
         if status != ENDED:
@@ -163,14 +164,14 @@ def strike(
         terms = 0.0
         for i in range(size):
             terms += abs(jacobian[0, i]) * (abs(velocity[i]) + abs(before[i]))
-        if name != last:
-            path += name << 3 * place
-            place, last = place + 1, name
+        if name != last_segment:
+            path += name << 3 * segments
+            segments, last_segment = segments + 1, name
         if name == WEDGE:
-            # What has one way to move only stops with both velocities zero at once; friction may
-            # then keep it from going back.
-            led = u_n < -_PATH_ROUND_OFF * terms
-            return WEDGED if led else ENDED, normal, tangential, path, u_n, u_t
+            # With one degree of freedom both velocities vanish at once; friction may then prevent
+            # the rebound.
+            pushed_on = u_n < -_PATH_ROUND_OFF * terms
+            return WEDGED if pushed_on else ENDED, normal, tangential, path, u_n, u_t
         to_stop = -u_t / ut if u_t * ut < 0.0 else math.inf
         if braking and u_t != 0.0:
             to_end = math.inf
@@ -179,8 +180,8 @@ def strike(
         elif meaning == NEWTON:
             to_end = (-restitution * approach - u_n) / un if un > 0.0 else math.inf
         elif meaning == POISSON:
-            left = (1.0 + restitution) * compressed - normal
-            to_end = left / pn if pn > 0.0 else 0.0
+            missing_impulse = (1.0 + restitution) * compressed - normal
+            to_end = missing_impulse / pn if pn > 0.0 else 0.0
         else:
             to_end = _energetic(un, pn, u_n, restitution * restitution * stored - work)
         length = min(to_stop, to_end)
@@ -195,17 +196,17 @@ def strike(
         u_t = 0.0 if to_stop <= to_end else u_t + ut * length
         if to_end <= to_stop:
             if not compressing or restitution == 0.0:
-                # Pieces that cancel leave their own rounding in what the law prescribes.
-                terms = made = 0.0
+                # Correct the round-off of segments that cancel.
+                terms = change_of_gap_rate = 0.0
                 for i in range(size):
                     terms += abs(jacobian[0, i]) * (abs(velocity[i]) + abs(before[i]))
-                    made += jacobian[0, i] * (velocity[i] - before[i])
-                missing = u_n - (approach + made)
-                if abs(missing) > _PATH_ROUND_OFF * terms:
+                    change_of_gap_rate += jacobian[0, i] * (velocity[i] - before[i])
+                residual = u_n - (approach + change_of_gap_rate)
+                if abs(residual) > _PATH_ROUND_OFF * terms:
                     for i in range(size):
-                        velocity[i] += change[i] * un * missing
-                    normal += pn * un * missing
-                    tangential += pt * un * missing
+                        velocity[i] += change[i] * un * residual
+                    normal += pn * un * residual
+                    tangential += pt * un * residual
                 return ENDED, normal, tangential, path, u_n, u_t
             compressing, compressed = False, normal
             stored, work = -work, 0.0
@@ -214,9 +215,9 @@ def strike(
 
 @dataclass(frozen=True, eq=False)
 class Impact:
-    """An impact: the rates (n,) after it, the impulse on the body, and the pieces of its path.
+    """Result of an impact: the rates (n,) after it, the impulse on the body, and its path.
 
-    Pieces are slip+, slip-, stick; the last is wedge where friction stops the point for good.
+    Segments of the path are slip, slip+, slip-, stick, and wedge if friction stops the point.
     """
 
     velocity: Array
@@ -239,8 +240,8 @@ def impact(
     `contacts.impacts.jamming`).
 
     Raises `NoConsistentMode` if the path does not end (possible only on the Painleve boundary), or
-    a led joint pushes the point on where friction wedges it. Raises `SingularMode` if a piece
-    cannot be solved for to 1e-8.
+    if a driven joint pushes on a wedged point. Raises `SingularMode` if a segment cannot be solved
+    to 1e-8.
     """
     velocity = snapshot.velocity.copy()
     status, normal, tangential, code, u_n, u_t = strike(
@@ -268,13 +269,13 @@ def impact(
         raise NoConsistentMode(
             "an impulse along the friction cone changes no velocity of the contact"
         )
-    if status == UNTRUSTED:
-        raise SingularMode(numbers.UNTRUSTED)
+    if status == UNSOLVED:
+        raise SingularMode(numbers.INEXACT_SYSTEM)
     return Impact(velocity, normal, tangential, path)
 
 
 def segment_names(code: int) -> tuple[str, ...]:
-    """Return the names of a path's pieces."""
+    """Return the names of a path's segments."""
     names = []
     while code:
         names.append(_SEGMENTS[code & 7])

@@ -1,10 +1,10 @@
 """Impulses at several contacts at once, as a complementarity problem.
 
-Moreau's law: a contact that bears an impulse keeps its speed of separation, ``v_n+ = -e v_n-``;
-friction opposes what slip remains, and lies in its cone. With e = 0 the energy never grows; else
-it may. Every combination of modes is solved, and judged by the inequalities of the law relative to
-the terms that they are made of; `strike_group` takes a plastic impact where one combination agrees
-and none is near an edge, `collisions` all others.
+Moreau's law: a contact with an impulse separates at ``v_n+ = -e v_n-``; friction opposes the
+remaining slip and lies in its cone. With e = 0 the energy never grows; otherwise it may. Every
+combination of modes is solved, and checked by the inequalities of the law relative to their terms.
+`strike_group` computes plastic impacts with one solution that is not near a boundary, `collisions`
+all others.
 """
 
 from __future__ import annotations
@@ -32,47 +32,47 @@ from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel
 
-# Enumeration can prove that there is one solution or several; beyond this it costs too much.
+# Contacts up to which all modes are enumerated, which finds every solution; above, Lemke's
+# algorithm comes first.
 _MAX_ENUMERATED = 4
-# Up to here it is the last resort: inertias that differ by more than 1e12 ruin Lemke's matrix.
+# Contacts up to which enumeration is the fallback: inertia ratios above 1e12 ruin Lemke's matrix.
 _MAX_LAST_RESORT = 7
-# Above this mu a cone's edges alone do not span it in double precision: a contact may press, too,
-# which is sticking that needs no friction. Its mode is SLIDE, that of a contact without friction.
+# Above this mu the edges of a cone do not span it in double precision: sticking without friction,
+# as the mode SLIDE, is tried in addition.
 _STEEP = 1e3
-# Relative to the terms of each inequality: what rounding makes of equality, what is refused, and
-# where it is decided for sure.
+# Violations relative to the terms of an inequality: round-off, rejection, and certain decision.
 _EXACT, _TIE, _EDGE = 1e-13, 1e-11, 1e-9
-# No impulses make velocities so many times those that they are to change.
-_RUNAWAY = 1e9
-# Of the terms of a work: less is their rounding.
-_GAIN = 1e-9
+# Largest ratio of velocities after an impact to those before.
+_MAX_VELOCITY_RATIO = 1e9
+# Round-off of a work, relative to its terms.
+_WORK_ROUND_OFF = 1e-9
 _SAME_IMPULSE = 1e-8
-# Velocities below this part of the largest in their group are not compared with themselves.
-_ROUNDED = 1e-4
+# Velocities below this part of the largest in their group are compared with that instead.
+_MIN_VELOCITY_SHARE = 1e-4
 
 STATES = {FREE: "open", PIN: "stick", SLIDE_PLUS: "slip+", SLIDE_MINUS: "slip-", SLIDE: "slip"}
-"""What a contact does in an impact, by the number of its mode."""
+"""Names of the modes of a contact in an impact."""
 
 
 class ImpactProblem(NamedTuple):
-    """Contacts of a group that are hit together, and the coordinates that they move."""
+    """Impact of a group of contacts, and the coordinates that they move."""
 
     mass: Array  # (m, m)
     jacobians: Array  # (g, 2, m)
     cones: Array  # (g, 6): Unit edges at rest, in slip+ and in slip-; see `hold_at_rest`
-    start: Array  # (g, 2): What v_n + e min(v_n-, 0) and v_t are without impulses
-    velocity: Array  # (m,): Before
-    plastic: bool  # Whether nothing rebounds: then no impulses can raise the energy
+    start: Array  # (g, 2): v_n + e min(v_n-, 0) and v_t without impulses
+    velocity: Array  # (m,): Before the impact
+    plastic: bool  # All e = 0: impulses cannot raise the energy
 
 
 @kernel
 def velocities_after(problem: ImpactProblem, change: Array, after: Array, terms: Array) -> float:
-    """Write the velocities (g, 2) after a change, and the sizes of the terms they consist of.
+    """Write the velocities (g, 2) after a change, and the sizes of their terms.
 
-    Velocities that cancel (a ball that stays on the floor under an impact) carry rounding of the
-    impulses, though their own terms are zero. Returns the size of the largest terms.
+    Velocities that cancel (a ball that stays on the floor under an impact) have the round-off of
+    the impulses although their own terms are zero. Returns the size of the largest terms.
     """
-    most, jacobians = 0.0, problem.jacobians
+    largest, jacobians = 0.0, problem.jacobians
     for g in range(after.shape[0]):
         for d in range(2):
             after[g, d] = problem.start[g, d]
@@ -80,21 +80,20 @@ def velocities_after(problem: ImpactProblem, change: Array, after: Array, terms:
             for i in range(change.shape[0]):
                 after[g, d] += jacobians[g, d, i] * change[i]
                 terms[g, d] += abs(jacobians[g, d, i] * change[i])
-            most = max(most, terms[g, d])
+            largest = max(largest, terms[g, d])
     for g in range(after.shape[0]):
         for d in range(2):
-            terms[g, d] = max(terms[g, d], _ROUNDED * most)
-    return most
+            terms[g, d] = max(terms[g, d], _MIN_VELOCITY_SHARE * largest)
+    return largest
 
 
 @kernel
 def unexplained(problem: ImpactProblem, change: Array, impulses: Array, fastest: float) -> float:
-    """Return the largest change of momentum that no impulse explains, relative to its terms.
+    """Return the largest residual of the momentum balance, relative to its terms.
 
-    The solver compares a row with the largest; a light body beside heavy ones has its own. A mass
-    that couples two coordinates is known to the rounding of both; and a momentum that moves no
-    contact (rods that lie flat are pushed along) is rounding of what does, at the velocities of
-    the `fastest` contact.
+    The solver's residual is relative to the largest row, which hides that of a light body. A mass
+    that couples two coordinates has the round-off of both, and a momentum that moves no contact has
+    the round-off of the velocities of the `fastest` contact.
     """
     mass, worst = problem.mass, 0.0
     for i in range(change.shape[0]):
@@ -110,7 +109,7 @@ def unexplained(problem: ImpactProblem, change: Array, impulses: Array, fastest:
                 terms += abs(row) * math.hypot(impulses[g, 0], impulses[g, 1])
                 reach = max(reach, abs(row))
         if reach > 0.0:
-            terms += _ROUNDED * fastest * mass[i, i] / reach
+            terms += _MIN_VELOCITY_SHARE * fastest * mass[i, i] / reach
         if terms > 0.0:
             worst = max(worst, abs(missed) / terms)
     return worst
@@ -118,10 +117,11 @@ def unexplained(problem: ImpactProblem, change: Array, impulses: Array, fastest:
 
 @kernel
 def work_of(problem: ImpactProblem, change: Array, impulses: Array) -> tuple[float, float]:
-    """Return the work of impulses against the surfaces, and the size of the terms it is made of.
+    """Return the work of impulses against the surfaces, and the size of its terms.
 
-    At the contacts, or of the bodies' momenta, whichever is made of smaller terms: where impulses
-    are huge and cancel, rounding hides it in the one, and where bodies are fast in the other.
+    It is computed at the contacts and from the momenta, and the sum with the smaller terms is
+    returned: round-off is large at the contacts if impulses cancel, in the momenta if bodies are
+    fast.
     """
     at_contacts = size_there = of_momenta = size_of = 0.0
     velocity, m = problem.velocity, change.shape[0]
@@ -154,19 +154,18 @@ def work_of(problem: ImpactProblem, change: Array, impulses: Array) -> tuple[flo
 def _judge_impact(
     problem: ImpactProblem, code: Ints, cones: Array, change: Array, impulses: Array
 ) -> tuple[float, float]:
-    """Return the largest violation of a combination, and how near it is to an inequality's edge.
+    """Return the largest violation of a combination of modes, and its margin to the boundary.
 
-    Both relative to the terms of each; the latter is below 0 where all inequalities hold for sure.
+    Both are relative to the terms of each inequality; the margin is negative if all hold.
     """
     count = code.shape[0]
     after, terms = np.empty((count, 2)), np.empty((count, 2))
-    most, fastest = velocities_after(problem, change, after, terms), 0.0
+    largest, fastest = velocities_after(problem, change, after, terms), 0.0
     for g in range(count):
         for d in range(2):
             fastest = max(fastest, abs(problem.start[g, d]))
-    # Of velocities so much larger than those before, rounding is larger than these: contacts at
-    # one place have combinations of modes that are solved by nothing but rounding.
-    if not most <= _RUNAWAY * fastest:
+    # Solutions that consist of round-off (contacts at one place) have far larger velocities.
+    if not largest <= _MAX_VELOCITY_RATIO * fastest:
         return math.inf, math.inf
     worst, edge = 0.0, -math.inf
     for g in range(count):
@@ -181,21 +180,21 @@ def _judge_impact(
         worst = max(worst, abs(normal))
         if code[g] == SLIDE_PLUS or code[g] == SLIDE_MINUS:
             sign = 1.0 if code[g] == SLIDE_PLUS else -1.0
-            outside = sign * cone_t * H - cone_n * V
+            violation = sign * cone_t * H - cone_n * V
             edge = max(edge, -sign * slip)
         else:
-            outside = -V
+            violation = -V
             if code[g] == PIN or cone_t > 0.0:
-                outside = max(outside, cone_n * abs(H) - cone_t * V)
+                violation = max(violation, cone_n * abs(H) - cone_t * V)
                 worst = max(worst, abs(slip))
-        edge = max(edge, outside / size if size > 0.0 else 0.0)
+        edge = max(edge, violation / size if size > 0.0 else 0.0)
     worst = max(worst, edge)
     if worst > _EDGE:
         return worst, edge
-    worst = max(worst, unexplained(problem, change, impulses, most))
+    worst = max(worst, unexplained(problem, change, impulses, largest))
     if problem.plastic and worst <= _TIE:
         work, size = work_of(problem, change, impulses)
-        if work > _GAIN * size:
+        if work > _WORK_ROUND_OFF * size:
             return math.inf, math.inf
     return worst, edge
 
@@ -209,12 +208,11 @@ def solve_impacts(
     violations: Array,
     edges: Array,
 ) -> None:
-    """Solve the combinations of modes (k, g) of an impact, and judge them by the laws.
+    """Solve the combinations of modes (k, g) of an impact, and check them.
 
-    Written are the changes of velocity (k, m), the impulses (k, g, 2), the violations (k,), above
-    all bounds where a combination has no solution, and how near it is to an edge (k,). Impulses
-    that the motion leaves open are those of no mode. Elimination does not notice in rounding that
-    two contacts are one; its impulses are then huge and cancel: the geometry alone determines them.
+    Writes the changes of velocity (k, m), the impulses (k, g, 2), the violations (k,), infinite for
+    a combination without a solution, and the margins to the boundary (k,). Combinations with
+    dependent rows are rejected, also if round-off makes their system regular.
     """
     total, count = codes.shape
     status, judged = np.empty(total, np.int64), np.zeros(count, np.bool_)
@@ -239,7 +237,7 @@ def solve_impacts(
 
 @kernel
 def _list_modes(allowed: Bools, cone: Array, modes: Ints) -> int:
-    """List what a contact may do in an impact; return how many."""
+    """List the modes of a contact in an impact; return their number."""
     modes[0] = FREE
     if cone[1] == 0.0:
         modes[1] = SLIDE
@@ -253,9 +251,9 @@ def _list_modes(allowed: Bools, cone: Array, modes: Ints) -> int:
 
 @kernel
 def hold_at_rest(start: Array, cones: Array) -> None:
-    """Let contacts that slip before an impact stop by kinetic friction; static holds the others.
+    """Write the cones of contacts at rest: kinetic if they slip before the impact, else static.
 
-    Slips up to round-off of the fastest contact are none.
+    Slips up to the round-off of the fastest contact are zero.
     """
     fastest = 0.0
     for g in range(len(start)):
@@ -271,27 +269,26 @@ def strike_group(
     rules: ModeRules, numbers: Array, restitution: Array, group: Ints, velocity: Array,
     impulse: Array,
 ) -> int:  # fmt: skip
-    """Let a group of contacts be hit that do not rebound, and that all feel each other.
+    """Compute the plastic impact of a coupled group of contacts.
 
     Parameters
     ----------
     rules : ModeRules
         Of all contacts.
     numbers : (o,) array
-        The scene's (`contacts.dynamics.snapshot.SnapshotTape`).
+        Snapshot of the scene (`contacts.dynamics.snapshot.SnapshotTape`).
     restitution : (c,) array
     group : (g,) array of int64
-        The contacts that are closed.
+        The closed contacts.
     velocity : (n,) array
-        Rates of the coordinates; brought up to date.
+        Rates of the coordinates; updated.
     impulse : (c, 2) array
-        To be filled, where the contacts are in the group.
+        Filled for the contacts of the group.
 
     Returns
     -------
     int
-        Modes that agree, in digits of base 8 above 1, the first contact the lowest; 0 where there
-        is not one that is clear.
+        Modes in digits of base 8 above 1, the first contact the lowest; 0 in an ambiguous case.
     """
     n, count, contacts = velocity.shape[0], group.shape[0], rules.allowed.shape[0]
     if count > _MAX_ENUMERATED:
@@ -317,29 +314,34 @@ def strike_group(
         for i in range(n):
             for k in range(n):
                 touched = abs(jacobians[g, 0, i]) + abs(jacobians[g, 1, i]) > 0.0
-                other = abs(jacobians[g, 0, k]) + abs(jacobians[g, 1, k]) > 0.0
-                linked[i, k] = linked[i, k] or (touched and other)
+                touched_too = abs(jacobians[g, 0, k]) + abs(jacobians[g, 1, k]) > 0.0
+                linked[i, k] = linked[i, k] or (touched and touched_too)
     labels = connected(linked)
     for i in range(n):
-        # Bodies that do not feel the impact would make groups of their own.
+        # All coordinates must be coupled by the contacts.
         if labels[i] != labels[0]:
             return 0
     codes = np.empty((total, count), np.int64)
     for k in range(total):
-        left = k
+        remainder = k
         for g in range(count):
-            codes[k, g] = modes[g, left % counts[g]]
-            left //= counts[g]
+            codes[k, g] = modes[g, remainder % counts[g]]
+            remainder //= counts[g]
     changes, forces = np.empty((total, n)), np.empty((total, count, 2))
-    violations, near = np.empty(total), np.empty(total)
+    violations, boundary_distance = np.empty(total), np.empty(total)
     hold_at_rest(start, cones)
     problem = ImpactProblem(mass, jacobians, cones, start, velocity, True)
-    solve_impacts(problem, codes, changes, forces, violations, near)
+    solve_impacts(problem, codes, changes, forces, violations, boundary_distance)
     agreeing, several = -1, False
     for k in range(total):
         if violations[k] <= _EDGE:
             several, agreeing = several or agreeing >= 0, k
-    if several or agreeing < 0 or violations[agreeing] > _TIE or near[agreeing] > -_EDGE:
+    if (
+        several
+        or agreeing < 0
+        or violations[agreeing] > _TIE
+        or boundary_distance[agreeing] > -_EDGE
+    ):
         return 0
     path, chosen = 1, np.empty((count, 2))
     choose_edges(cones, codes[agreeing], chosen)
@@ -358,9 +360,9 @@ class Impulses:
     change: Array  # (n,): Of the rates of the coordinates
     impulses: Array  # (c, 2): V and H on the body; zero where a contact is not closed
     states: tuple[str, ...]  # open, stick, slip+, slip- or slip (no friction), per contact
-    # Contacts whose impulses the motion does not determine; the smallest are given
+    # Contacts whose impulses the motion does not determine; they have the smallest ones
     indeterminate: tuple[bool, ...]
-    violation: float  # The largest relative to the terms of its inequality
+    violation: float  # Largest one, relative to the terms of its inequality
 
 
 def collisions(
@@ -369,31 +371,31 @@ def collisions(
     closed: Sequence[bool],
     restitution: Sequence[float],
 ) -> tuple[Impulses, ...]:
-    """Return the impulses that agree with the laws, one per distinct motion, preferred first.
+    """Return the solutions of Moreau's law, one per distinct motion, preferred first.
 
     ``0 <= P_n``, ``v_n+ + e min(v_n-, 0) >= 0``, their product 0; friction in its cone, against
-    the slip that remains. The state's saddle point is solved, so that no inertia need be positive
-    that the contacts do not accelerate. Up to four contacts all combinations of modes are tried;
-    above, Lemke's algorithm finds one, and whether it is the only one is not known. None: there
-    is none, or rounding hides it, as where inertias differ by 24 decades.
+    the remaining slip. The saddle-point system is solved, so that inertias that the contacts do not
+    accelerate may be zero. Up to four contacts all combinations of modes are tried; above, Lemke's
+    algorithm finds one solution, which need not be unique. Empty if there is none, or if round-off
+    hides it (inertia ratios of 1e24).
     """
-    group = [i for i, shut in enumerate(closed) if shut]
+    group = [i for i, is_closed in enumerate(closed) if is_closed]
     problem, moved = _problem(snapshot, laws, group, restitution)
     agree: list[Impulses] = []
     if len(group) > _MAX_ENUMERATED:
         agree = _solutions(problem, _by_lemke(problem))
     if not agree and len(group) <= _MAX_LAST_RESORT:
         agree = _solutions(problem, [*product(*(_modes_of(laws[i]) for i in group))])
-    found: list[Impulses] = []
+    distinct: list[Impulses] = []
     for collision in sorted(agree, key=_preference):
-        if not any(_same_motion(problem, collision, one) for one in found):
-            found.append(collision)
+        if not any(_same_motion(problem, collision, kept_solution) for kept_solution in distinct):
+            distinct.append(collision)
     size = len(snapshot.velocity), len(laws)
-    return tuple(_shared_out(problem, collision, moved, group, size) for collision in found)
+    return tuple(_shared_out(problem, collision, moved, group, size) for collision in distinct)
 
 
 def coupled(snapshot: Snapshot, group: Sequence[int]) -> Ints:
-    """Label the coordinates (n,): those with one label feel each other's impulses."""
+    """Label the coordinates (n,) by the components that impulses couple."""
     linked = snapshot.mass != 0.0
     for i in group:
         touched = np.abs(snapshot.jacobians[i]).max(axis=0) > 0.0
@@ -430,12 +432,11 @@ def _modes_of(law: ContactLaw) -> list[int]:
     allowed[SLIDE] = any(state in SLIDING for state in law.states)
     modes = np.empty(5, np.int64)
     count = _list_modes(allowed, np.array([law.cone_n, law.cone_t]), modes)
-    found: list[int] = modes[:count].tolist()
-    return found
+    codes: list[int] = modes[:count].tolist()
+    return codes
 
 
 def _solutions(problem: ImpactProblem, codes: Sequence[Sequence[int]]) -> list[Impulses]:
-    """Solve the combinations of modes, and return those that agree with the laws."""
     count, size = len(problem.cones), len(problem.mass)
     table = np.array(codes, dtype=np.int64).reshape(-1, count)
     changes, impulses = np.empty((len(table), size)), np.empty((len(table), count, 2))
@@ -458,17 +459,17 @@ def _solutions(problem: ImpactProblem, codes: Sequence[Sequence[int]]) -> list[I
 
 
 def _by_lemke(problem: ImpactProblem) -> list[tuple[int, ...]]:
-    """Return the modes that Lemke's algorithm ends in, on the Delassus matrix.
+    """Return the modes proposed by Lemke's algorithm on the Delassus matrix.
 
-    It serves to find the modes only, so that inertias may be filled up where they vanish.
+    It only proposes modes, so that zero inertias may be replaced by small ones.
     """
     size = len(problem.mass)
     contacts, _ = delassus_matrix(problem.mass, problem.jacobians, np.zeros(size))
-    nothing, held = np.zeros(len(problem.cones)), np.ascontiguousarray(problem.cones[:, :2])
-    found, impulses = forces_by_lemke(contacts, problem.start, held, nothing)
-    if not found:
+    no_slip, static_cones = np.zeros(len(problem.cones)), np.ascontiguousarray(problem.cones[:, :2])
+    solved, impulses = forces_by_lemke(contacts, problem.start, static_cones, no_slip)
+    if not solved:
         return []
-    return [tuple(map(_mode, impulses.tolist(), held.tolist()))]
+    return [tuple(map(_mode, impulses.tolist(), static_cones.tolist()))]
 
 
 def _mode(impulse: tuple[float, float], cone: tuple[float, float]) -> int:
@@ -478,23 +479,21 @@ def _mode(impulse: tuple[float, float], cone: tuple[float, float]) -> int:
     if H == 0.0:
         return SLIDE
     # Steep cones were cut for Lemke's algorithm.
-    inside = cone_t * V - max(cone_n, STEEPEST) * abs(H)
-    if inside > _EDGE * math.hypot(V, H):
+    inner_distance = cone_t * V - max(cone_n, STEEPEST) * abs(H)
+    if inner_distance > _EDGE * math.hypot(V, H):
         return PIN
     return SLIDE_MINUS if H > 0.0 else SLIDE_PLUS
 
 
 def _motion(problem: ImpactProblem, change: Array) -> tuple[Array, Array, float]:
-    """Return what `velocities_after` writes."""
     after, terms = np.empty((2, len(problem.cones), 2))
     return after, terms, velocities_after(problem, change, after, terms)
 
 
-def _same_motion(problem: ImpactProblem, one: Impulses, other: Impulses) -> bool:
-    """Return whether two solutions for the impulses give the same velocities."""
-    after, terms, _ = _motion(problem, one.change)
-    beside, sizes, _ = _motion(problem, other.change)
-    return bool((np.abs(after - beside) <= _SAME_IMPULSE * (terms + sizes)).all())
+def _same_motion(problem: ImpactProblem, first: Impulses, second: Impulses) -> bool:
+    after, terms, _ = _motion(problem, first.change)
+    other_after, sizes, _ = _motion(problem, second.change)
+    return bool((np.abs(after - other_after) <= _SAME_IMPULSE * (terms + sizes)).all())
 
 
 def _shared_out(
@@ -504,24 +503,24 @@ def _shared_out(
     group: list[int],
     size: tuple[int, int],
 ) -> Impulses:
-    """Return it for all coordinates and contacts, with the smallest impulses that move so."""
+    """Expand a solution to all coordinates and contacts, with its smallest impulses."""
     after, terms, fastest = _motion(problem, collision.change)
-    shut = np.abs(after[:, 0]) <= _TIE * terms[:, 0]
-    still = np.abs(after[:, 1]) <= _TIE * terms[:, 1]
+    is_closed = np.abs(after[:, 0]) <= _TIE * terms[:, 0]
+    sticks = np.abs(after[:, 1]) <= _TIE * terms[:, 1]
     code = np.where(
         problem.cones[:, 1] == 0.0,
         SLIDE,
-        np.where(still, PIN, np.where(after[:, 1] > 0.0, SLIDE_PLUS, SLIDE_MINUS)),
+        np.where(sticks, PIN, np.where(after[:, 1] > 0.0, SLIDE_PLUS, SLIDE_MINUS)),
     )
-    code = np.where(shut, code, FREE)
+    code = np.where(is_closed, code, FREE)
     edges = np.empty((len(code), 2))
     choose_edges(problem.cones, code, edges)
-    given, unknown = smallest(code, problem.jacobians, edges, collision.impulses)
-    if unexplained(problem, collision.change, given, fastest) > _TIE:
-        given = collision.impulses
+    smallest_impulses, unknown = smallest(code, problem.jacobians, edges, collision.impulses)
+    if unexplained(problem, collision.change, smallest_impulses, fastest) > _TIE:
+        smallest_impulses = collision.impulses
     change, impulses = np.zeros(size[0]), np.zeros((size[1], 2))
     change[moved] = collision.change
-    impulses[group] = list(map(into_cone, given, edges))
+    impulses[group] = list(map(into_cone, smallest_impulses, edges))
     states, indeterminate = ["open"] * size[1], [False] * size[1]
     for k, i in enumerate(group):
         states[i], indeterminate[i] = collision.states[k], unknown[k]
@@ -529,7 +528,7 @@ def _shared_out(
 
 
 def _preference(collision: Impulses) -> tuple[bool, int, int, tuple[str, ...]]:
-    """Most contacts closed first, then most of them sticking; names make ties deterministic."""
+    """Sort key: most contacts closed, then most of them sticking, then names."""
     states = collision.states
     return (
         collision.violation > _EXACT,

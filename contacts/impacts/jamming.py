@@ -1,11 +1,11 @@
 """Painleve's paradoxes, and the impacts without collision (jams) that resolve them.
 
 At a sliding contact the normal acceleration is ``b + p V`` with the force along the edge of the
-cone (Painleve 1895; Genot and Brogliato, Eur. J. Mech. A 18 (1999)). Where ``p > 0`` there is one
-answer. Where ``p < 0`` there is none if ``b < 0`` (inconsistent), and there are two if ``b > 0``
-(indeterminate): free flight, and a force without cause. Where friction presses closed contacts
-into their surfaces whatever forces they bear, or a sliding contact's force has grown without bound,
-impulses at contacts that do not approach stop the slip that presses (Lecornu 1905).
+cone (Painleve 1895; Genot and Brogliato, Eur. J. Mech. A 18 (1999)). For ``p > 0`` the solution is
+unique. For ``p < 0`` there is none if ``b < 0`` (inconsistent), and there are two if ``b > 0``
+(indeterminate): free flight, and a force without cause. If friction presses closed contacts into
+their surfaces under any forces, or the force of a sliding contact grows without bound, an impact
+without collision stops the slip (Lecornu 1905).
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from contacts.states import DISENGAGED, OFF, SLIDING
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode
 
-# Of the response to a normal force alone: p this small cannot be told from none, and the force
-# that it asks for stops slip in less time than can be told from none.
-_NONE = 1e-14
+# Values of p below this part of the frictionless response are round-off; the corresponding force
+# stops the slip within the resolution of time.
+_P_ROUND_OFF = 1e-14
 
 
 @dataclass(frozen=True)
 class Paradox:
-    """A sliding contact with p <= 0 (or nearly so), the other contacts seen as open."""
+    """A sliding contact with p <= 0 (or nearly so), with the other contacts open."""
 
     contact: str
-    # Normal acceleration per unit of normal force V while it slides; per unit of the force along
-    # the cone's edge where mu is infinite. In 1/mass
+    # Normal acceleration per unit of normal force while it slides, in 1/mass; per unit of the force
+    # along the cone's edge if mu is infinite
     p: float
     b: float  # Normal acceleration without force
     mu: float  # Coefficient of friction
@@ -44,7 +44,7 @@ class Paradox:
 
     @property
     def kind(self) -> str:
-        """inconsistent, or indeterminate; about to be so where p > 0 still."""
+        """inconsistent, indeterminate, or about to be inconsistent (p > 0)."""
         if self.p > 0.0:
             return "about to be inconsistent"
         return "inconsistent" if self.b < 0.0 else "indeterminate"
@@ -61,41 +61,45 @@ def paradoxes(
     snapshot: Snapshot,
     laws: Sequence[ContactLaw],
     touching: Sequence[bool],
-    still_below: float,
-    nearly: float = 0.0,
+    slip_tolerance: float,
+    threshold: float = 0.0,
 ) -> dict[int, Paradox]:
     """Return the touching contacts that slide with p <= 0, or pressed with next to none.
 
-    Slip speeds up to `still_below` are zero; p up to `nearly`, in parts of the response to a normal
-    force, is next to none.
+    Slip speeds up to `slip_tolerance` are zero; p up to `threshold`, in parts of the response to a
+    normal force, is next to none.
     """
-    found: dict[int, Paradox] = {}
+    paradoxes_met: dict[int, Paradox] = {}
     for i, (law, contact) in enumerate(zip(laws, snapshot.contacts, strict=True)):
-        if not touching[i] or abs(contact.slip) <= still_below or law.cone_t == 0.0:
+        if not touching[i] or abs(contact.slip) <= slip_tolerance or law.cone_t == 0.0:
             continue
         if law.coupling:
             continue
         sign = math.copysign(1.0, contact.slip)
         cone_n, cone_t = sliding_edge(law, contact)
         p = _response(snapshot, contact, cone_n, -sign * cone_t)
-        straight = _response(snapshot, contact, 1.0, 0.0)
-        if p > max(nearly, _NONE) * straight:
+        frictionless = _response(snapshot, contact, 1.0, 0.0)
+        if p > max(threshold, _P_ROUND_OFF) * frictionless:
             continue
-        none = np.zeros((0, len(snapshot.forces)))
-        free = solve_kkt(snapshot.mass, snapshot.forces, none, none, np.zeros(0))
-        b = math.nan if free is None else float(contact.jacobian[0] @ free[0]) + contact.bias_n
+        no_rows = np.zeros((0, len(snapshot.forces)))
+        unconstrained = solve_kkt(snapshot.mass, snapshot.forces, no_rows, no_rows, np.zeros(0))
+        b = (
+            math.nan
+            if unconstrained is None
+            else float(contact.jacobian[0] @ unconstrained[0]) + contact.bias_n
+        )
         if p >= 0.0 and not b < 0.0:
             continue
         across = sign * _response(snapshot, contact, 0.0, 1.0)
-        steep = cone_n == 0.0
-        found[i] = Paradox(
+        infinite_friction = cone_n == 0.0
+        paradoxes_met[i] = Paradox(
             law.name,
-            p if steep else p / cone_n,
+            p if infinite_friction else p / cone_n,
             b,
-            math.inf if steep else cone_t / cone_n,
-            straight / across if across > 0.0 else math.inf,
+            math.inf if infinite_friction else cone_t / cone_n,
+            frictionless / across if across > 0.0 else math.inf,
         )
-    return found
+    return paradoxes_met
 
 
 def _response(snapshot: Snapshot, contact: PerContact, n: float, t: float) -> float:
@@ -109,36 +113,35 @@ def _response(snapshot: Snapshot, contact: PerContact, n: float, t: float) -> fl
     return 1.0 / amount if amount != 0.0 else math.inf
 
 
-# Of the response to a normal force alone: where p falls below, a force is 1e6 times what holds the
-# contact closed without friction.
-_HARDLY = 1e-6
-# Of the velocities before: impulses that change them by less are none.
-_NOTHING = 1e-9
+# Relative p below which a force counts as unbounded: it is 1e6 times the frictionless one.
+_UNBOUNDED_P = 1e-6
+# Relative velocity changes below this are no impulses.
+_MIN_CHANGE = 1e-9
 
 
 @dataclass(frozen=True)
 class Jam:
-    """Contacts that friction presses in: an impact without collision resolves it."""
+    """Contacts that friction presses into their surfaces; an impact without collision follows."""
 
-    why: str  # Which contacts, and by what numbers
-    places: tuple[int, ...]  # They
-    sliding: Key  # The mode in which they do
-    # Mode -> why it does not agree with the state
+    why: str  # Sentence on the contacts
+    places: tuple[int, ...]  # Indices of the contacts
+    sliding: Key  # The mode in which they slide
+    # Mode -> reason why it is not consistent
     considered: Mapping[str, str] = field(default_factory=dict)
 
     def __str__(self) -> str:
         return f"{self.why}; an impact without collision resolves it"
 
 
-def closed_state(law: ContactLaw, contact: PerContact, still_below: float) -> str:
+def closed_state(law: ContactLaw, contact: PerContact, slip_tolerance: float) -> str:
     """Return the state in which an impact without rebound leaves a contact or a coupling."""
     if law.coupling:
-        slips = abs(contact.slip) > still_below
+        slips = abs(contact.slip) > slip_tolerance
         return ("slip+" if contact.slip > 0.0 else "slip-") if slips else "locked"
     sliding = [name for name in law.states if name in SLIDING]
     if not sliding and "pin" not in law.states:
         return "free"
-    if "pin" in law.states and (abs(contact.slip) <= still_below or not sliding):
+    if "pin" in law.states and (abs(contact.slip) <= slip_tolerance or not sliding):
         return "pin"
     return sliding[0] if len(sliding) == 1 or contact.slip > 0.0 else sliding[-1]
 
@@ -148,62 +151,65 @@ def off_state(law: ContactLaw) -> str:
     return DISENGAGED if law.coupling else OFF
 
 
-def engaged(law: ContactLaw, contact: PerContact, still_below: float) -> str:
+def engaged(law: ContactLaw, contact: PerContact, slip_tolerance: float) -> str:
     """Return the state in which a contact or a coupling begins whose conditions hold again."""
-    return closed_state(law, contact, still_below) if law.coupling else "free"
+    return closed_state(law, contact, slip_tolerance) if law.coupling else "free"
 
 
 def listed(
-    key: Key, laws: Sequence[ContactLaw], contacts: Sequence[PerContact], still_below: float
+    key: Key, laws: Sequence[ContactLaw], contacts: Sequence[PerContact], slip_tolerance: float
 ) -> Key:
-    """Return the mode with contacts closed that may not be free, as long as they still strike."""
+    """Return the mode with closed states for contacts that do not list free."""
     return tuple(
-        closed_state(law, contact, still_below) if name == "free" and name not in law.states
+        closed_state(law, contact, slip_tolerance) if name == "free" and name not in law.states
         else name
         for name, law, contact in zip(key, laws, contacts, strict=True)
     )  # fmt: skip
 
 
 def jammed(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], touching: Sequence[bool], still_below: float
+    snapshot: Snapshot, laws: Sequence[ContactLaw], touching: Sequence[bool], slip_tolerance: float
 ) -> Jam | None:
-    """Return the jam of a state that no mode agrees with; None: an impact would change nothing."""
-    found = paradoxes(snapshot, laws, touching, still_below)
+    """Return the jam of a state without a consistent mode; None if no impact resolves it."""
+    paradoxes_met = paradoxes(snapshot, laws, touching, slip_tolerance)
     for group in groups(snapshot, struck(laws, touching)):
         why = ""
         if len(group) == 1:
-            why = str(found.get(group[0], ""))
+            why = str(paradoxes_met.get(group[0], ""))
         elif _at_once(snapshot, laws, group) is not None:
             names = ", ".join(laws[i].name for i in group)
             why = "; ".join(
-                [f"friction jams {names}", *(str(found[i]) for i in group if i in found)]
+                [
+                    f"friction jams {names}",
+                    *(str(paradoxes_met[i]) for i in group if i in paradoxes_met),
+                ]
             )
         if why:
-            return Jam(why, tuple(group), _sliding(snapshot, laws, group, still_below))
+            return Jam(why, tuple(group), _sliding(snapshot, laws, group, slip_tolerance))
     return None
 
 
 def unbounded(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], closed: Sequence[bool], still_below: float
+    snapshot: Snapshot, laws: Sequence[ContactLaw], closed: Sequence[bool], slip_tolerance: float
 ) -> Jam | None:
-    """Return the jam that a flow has come to the brink of: p falls to zero, and b < 0."""
-    found = paradoxes(snapshot, laws, closed, still_below, _HARDLY)
+    """Return the jam at the end of a flow in which p falls to zero with b < 0."""
+    paradoxes_met = paradoxes(snapshot, laws, closed, slip_tolerance, _UNBOUNDED_P)
     for group in groups(snapshot, struck(laws, closed)):
-        paradox = found.get(group[0])
+        paradox = paradoxes_met.get(group[0])
         if len(group) == 1 and paradox is not None and paradox.b < 0.0:
             why = f"the force of {paradox.contact} grows without bound: {paradox}"
-            return Jam(why, tuple(group), _sliding(snapshot, laws, group, still_below))
+            return Jam(why, tuple(group), _sliding(snapshot, laws, group, slip_tolerance))
     return None
 
 
 def without_collision(
     snapshot: Snapshot, laws: Sequence[ContactLaw], places: Sequence[int]
 ) -> Impacts:
-    """Return the impact of closed contacts that friction presses into their surfaces.
+    """Return the impact without collision of contacts that friction presses into their surfaces.
 
-    One contact: Routh's path from a normal velocity of zero; slip is braked until it stops,
-    pressing the point inwards meanwhile; then the point sticks, and compression and restitution
-    follow. Several: the impulses other than none that agree with the plastic law of impact.
+    For one contact it is Routh's path from a normal velocity of zero: friction brakes the slip to
+    zero and presses the point inwards, then it sticks, and compression and restitution follow. For
+    several contacts it is the nonzero solution of the plastic impact law.
 
     Raises `NoConsistentMode` if the path does not end, or there are no such impulses.
     """
@@ -216,26 +222,26 @@ def without_collision(
         impulses[place] = result.normal, result.tangential
         velocity, path = result.velocity, f"{law.name} {' '.join(result.path)}"
     else:
-        found = _at_once(snapshot, laws, places)
-        if found is None:
+        impulse = _at_once(snapshot, laws, places)
+        if impulse is None:
             names = ", ".join(laws[i].name for i in places)
             raise NoConsistentMode(f"no impulse ends the jam of {names} (Painleve's paradox)")
-        impulses, unknown = found.impulses, found.indeterminate
-        velocity = snapshot.velocity + found.change
-        path = "plastic " + ", ".join(f"{laws[i].name}:{found.states[i]}" for i in places)
+        impulses, unknown = impulse.impulses, impulse.indeterminate
+        velocity = snapshot.velocity + impulse.change
+        path = "plastic " + ", ".join(f"{laws[i].name}:{impulse.states[i]}" for i in places)
     return Impacts(velocity, impulses, (path,), 1.0, unknown)
 
 
 def struck(laws: Sequence[ContactLaw], closed: Sequence[bool]) -> list[bool]:
-    """Return which contacts take part in an impact; a couple that is bounded has no impulse."""
+    """Return a mask of the closed contacts without couplings, whose impulses are zero."""
     return [shut and not law.coupling for law, shut in zip(laws, closed, strict=True)]
 
 
 def _sliding(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], places: Sequence[int], still_below: float
+    snapshot: Snapshot, laws: Sequence[ContactLaw], places: Sequence[int], slip_tolerance: float
 ) -> Key:
     return tuple(
-        closed_state(law, contact, still_below)
+        closed_state(law, contact, slip_tolerance)
         if i in places or (law.coupling and contact.gap < np.inf and law.carrier in (-1, *places))
         else off_state(law) if contact.gap == np.inf else "free"
         for i, (law, contact) in enumerate(zip(laws, snapshot.contacts, strict=True))
@@ -245,9 +251,11 @@ def _sliding(
 def _at_once(
     snapshot: Snapshot, laws: Sequence[ContactLaw], places: Sequence[int]
 ) -> Impulses | None:
-    """Return the preferred plastic impulse that is not none."""
+    """Return the preferred nonzero plastic impulse."""
     contacts = tuple(c._replace(gap_rate=0.0) for c in snapshot.contacts)
     closed = [i in places for i in range(len(laws))]
-    found = collisions(snapshot._replace(contacts=contacts), laws, closed, [0.0] * len(laws))
-    least = _NOTHING * float(np.abs(snapshot.velocity).max())
-    return next((one for one in found if np.abs(one.change).max() > least), None)
+    solutions = collisions(snapshot._replace(contacts=contacts), laws, closed, [0.0] * len(laws))
+    negligible = _MIN_CHANGE * float(np.abs(snapshot.velocity).max())
+    return next(
+        (solution for solution in solutions if np.abs(solution.change).max() > negligible), None
+    )

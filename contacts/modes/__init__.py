@@ -1,6 +1,7 @@
 """Mode selection: from a state to free, slide or pin of every contact.
 
-`classification` solves the modes, judges them by their inequalities and takes the one that agrees;
-its kernel takes unambiguous instants. `load_sharing` divides loads that the motion does not
-determine. `feasibility` proves which modes are kinematically possible.
+`classification` solves the modes, checks their inequalities and selects the consistent one; its
+kernel does so for unambiguous instants. `load_sharing` computes the smallest forces if the motion
+does not determine them, together with `signs_at_rest`. `feasibility` proves which modes are
+kinematically possible.
 """

@@ -3,13 +3,13 @@
 A mode is a set of conditions on each contact's normal and tangential velocity, v_n = Jn v and
 v_t = Jt v, so at one configuration it is a linear system: equations, and strict inequalities.
 By Motzkin's theorem of the alternative either a velocity solves it, or weights >= 0, not all
-zero, combine its inequalities to something that the equations hold at zero; the latter is the
-certificate, which deletion reduces to conditions of which none can be spared (Chinneck,
-Feasibility and Infeasibility in Optimization, 2008, section 2). The answer holds at the
-configuration alone: it changes where a contact's normal passes through another contact.
+zero, combine its inequalities to a row in the span of the equations. These weights are a
+certificate, which deletion reduces to an irreducible set of conditions (Chinneck, Feasibility and
+Infeasibility in Optimization, 2008, section 2). The answer is valid at the configuration only: it
+changes where a contact's normal passes through another contact.
 
-Surfaces that move enter as one more coordinate, their own: its column holds the velocities that
-it gives, and a row that selects it, with the one state "free", says that it moves forwards.
+Moving surfaces are one additional coordinate: its column has their velocities, and a row that
+selects it, with the only state "free", requires that it moves forwards.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Condition = tuple[int, int, int]
 """Contact, row (0: normal, 1: tangential), sign of the velocity."""
 
 DRIVEN = "what is driven"
-"""What reasons call the coordinate of surfaces and joints that move as they are told."""
+"""Name of the coordinate of prescribed surfaces and joints in reasons."""
 
 _CONDITIONS: Mapping[str, tuple[tuple[int, int], ...]] = {
     "free": ((0, 1),),
@@ -50,13 +50,12 @@ _CONDITIONS: Mapping[str, tuple[tuple[int, int], ...]] = {
     "slip+": ((1, 1),),
     "slip-": ((1, -1),),
 }
-# What the conditions leave to a row of length 1 counts from here on: equations that are next to
-# dependent (`USER_DIGITS`) leave it with an error as large.
+# Projections of unit rows below this are zero: nearly dependent equations (`USER_DIGITS`) leave an
+# error of this size.
 _ZERO = 1e-8
-# Entries so far below the largest of their contact are rounding, such as cos(pi/2) = 6e-17.
-# Units put entries this far apart only where lengths are below 1e-14 or angles are not radians.
+# Entries below this part of the largest of their contact are round-off, such as cos(pi/2) = 6e-17.
 _CONE_ROUND_OFF = 1e-14
-_MOST_MODES = 4096
+_MAX_MODES = 4096
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class ModeVerdict:
     states: tuple[str, ...]  # Per contact
     feasible: bool
     reason: str  # Why it is not feasible, in words; "" where it is
-    # Contacts and their conditions that exclude one another, none of which can be spared
+    # Irreducible set of contacts and conditions that exclude one another
     conflict: tuple[tuple[int, str], ...] = ()
 
 
@@ -99,9 +98,9 @@ def feasible_modes(
     pin | slide+ | A without slip leaves B no slip
     """
     total = math.prod(len(states) for states in options)
-    if total > _MOST_MODES:
+    if total > _MAX_MODES:
         raise ValueError(
-            f"{total} modes are too many to judge them all (most: {_MOST_MODES}); "
+            f"{total} modes are too many to judge them all (most: {_MAX_MODES}); "
             "give fewer states per contact, or one each for a single mode"
         )
     if names is None:
@@ -110,10 +109,9 @@ def feasible_modes(
 
 
 def without_direction(judged: Iterable[ModeVerdict]) -> dict[tuple[str, ...], str]:
-    """Return modes without their directions of sliding, and why they are not possible.
+    """Return modes without directions of sliding -> reason, "" if one direction is feasible.
 
-    "" stands where one of its directions is possible. A reason that asks for no direction stands
-    alone, else those of all directions are joined.
+    A reason independent of the direction stands alone, else those of all directions are joined.
     """
     groups: dict[tuple[str, ...], list[ModeVerdict]] = {}
     for mode in judged:
@@ -129,18 +127,18 @@ def _mode_verdicts(
 ) -> tuple[ModeVerdict, ...]:
     rows = _scaled(np.asarray(jacobians, float))
     conflicts: set[frozenset[Condition]] = set()
-    held: dict[tuple[str, ...], frozenset[Condition] | None] = {}
+    conditions_of: dict[tuple[str, ...], frozenset[Condition] | None] = {}
     for states in modes:
         conditions = _conditions(states, len(rows))
-        held[states] = whole = frozenset(conditions)
-        # Modes share their conflicts: most are refused by one that is already known.
-        if not any(known <= whole for known in conflicts):
+        conditions_of[states] = required = frozenset(conditions)
+        # Most modes contain a conflict that has been found before.
+        if not any(known <= required for known in conflicts):
             conflict = _conflict(rows, conditions)
             if conflict is None:
-                held[states] = None
+                conditions_of[states] = None
             else:
                 conflicts.add(frozenset(conflict))
-    # Of the conflicts in a mode the shortest says most.
+    # Report the shortest conflict of a mode.
     refusals = [
         (frozenset(conflict), _words(conflict, names), _formulas(conflict))
         for conflict in sorted(
@@ -155,12 +153,12 @@ def _mode_verdicts(
             for conflict, reason, formulas in refusals
             if conflict <= conditions
         )
-        for states, conditions in held.items()
+        for states, conditions in conditions_of.items()
     )
 
 
 def _reason(directions: Iterable[ModeVerdict]) -> str:
-    """Join the reasons of all directions, unless one of them asks for no direction."""
+    """Join the reasons of all directions, unless one is independent of the direction."""
     reasons = {
         mode.reason: any(formula in ("v_t > 0", "v_t < 0") for _, formula in mode.conflict)
         for mode in directions
@@ -180,7 +178,6 @@ def _conditions(states: Sequence[str], count: int) -> list[Condition]:
 
 
 def _scaled(jacobians: Array) -> Array:
-    """Scale columns and rows to a size of 1: units of coordinates and velocities drop out."""
     if not np.isfinite(jacobians).all():
         raise ValueError("the contacts' Jacobians are not finite at this configuration")
     if not jacobians.size:
@@ -190,7 +187,7 @@ def _scaled(jacobians: Array) -> Array:
     rows /= _divisors(np.abs(rows).max(axis=(0, 1)))
     rows /= _divisors(np.abs(rows).max(axis=(1, 2), keepdims=True))
     sizes = np.linalg.norm(rows, axis=2, keepdims=True)
-    # Both rows are velocities of one point, so that each tells when the other is zero.
+    # Both rows are velocities of one point: a row that is relatively small is zero.
     scaled: Array = np.where(sizes <= _ZERO, 0.0, rows / _divisors(sizes))
     return scaled
 
@@ -200,52 +197,52 @@ def _divisors(sizes: Array) -> Array:
 
 
 def _conflict(rows: Array, conditions: list[Condition]) -> list[Condition] | None:
-    """Return a minimal part of the conditions that no velocity satisfies, None if there is none."""
-    kept = _certificate(rows, conditions)
-    if kept is None:
+    """Return an irreducible infeasible subset of the conditions, or None."""
+    conflict = _certificate(rows, conditions)
+    if conflict is None:
         return None
-    for condition in list(kept):
-        if condition in kept:
-            smaller = _certificate(rows, [other for other in kept if other != condition])
-            kept = kept if smaller is None else smaller
-    return sorted(kept)
+    for condition in list(conflict):
+        if condition in conflict:
+            smaller = _certificate(rows, [other for other in conflict if other != condition])
+            conflict = conflict if smaller is None else smaller
+    return sorted(conflict)
 
 
 def _certificate(rows: Array, conditions: list[Condition]) -> list[Condition] | None:
-    """Return conditions that no velocity satisfies, None if one satisfies all."""
+    """Return an infeasible subset of the conditions, or None."""
     equations = [condition for condition in conditions if condition[2] == 0]
     strict = [condition for condition in conditions if condition[2] != 0]
     if not strict:
         return None
-    held = np.array([rows[c, row] for c, row, _ in equations])
-    basis = null_space(held.reshape(len(equations), rows.shape[2]))
-    left = np.array([sign * rows[c, row] for c, row, sign in strict]) @ basis
-    sizes = np.linalg.norm(left, axis=1)
-    at = int(sizes.argmin())
-    if sizes[at] <= _ZERO:
-        return [*equations, strict[at]]
-    left /= sizes[:, None]
-    guess = np.linalg.lstsq(left, np.ones(len(left)), rcond=USER_DIGITS)[0]
-    if (left @ guess).min() > _ZERO * np.linalg.norm(guess):
+    equation_rows = np.array([rows[c, row] for c, row, _ in equations])
+    basis = null_space(equation_rows.reshape(len(equations), rows.shape[2]))
+    inequalities = np.array([sign * rows[c, row] for c, row, sign in strict]) @ basis
+    sizes = np.linalg.norm(inequalities, axis=1)
+    smallest = int(sizes.argmin())
+    if sizes[smallest] <= _ZERO:
+        return [*equations, strict[smallest]]
+    inequalities /= sizes[:, None]
+    guess = np.linalg.lstsq(inequalities, np.ones(len(inequalities)), rcond=USER_DIGITS)[0]
+    if (inequalities @ guess).min() > _ZERO * np.linalg.norm(guess):
         return None
-    weights = _weights(left)
+    weights = _weights(inequalities)
     if weights is None:
         return None
     return [*equations, *(c for c, weight in zip(strict, weights, strict=True) if weight > 0.0)]
 
 
-def _weights(left: Array) -> Array | None:
-    """Return weights >= 0 that combine the rows (m, k) to zero, None if some w has left w > 0.
+def _weights(inequalities: Array) -> Array | None:
+    """Return weights >= 0 that combine the rows A (m, k) to zero, None if A w > 0 for some w.
 
-    Largest s with left w >= s, |w| <= 1; the weights are the dual solution. HiGHS keeps the
-    conditions to 1e-10 at best, so that the sign of s is read from w itself.
+    They are the dual solution of: maximise s with A w >= s, |w| <= 1. HiGHS satisfies constraints
+    to 1e-10 at best, so that the sign of s is computed from w.
     """
     from scipy.optimize import linprog
 
-    m, k = left.shape
+    m, k = inequalities.shape
     result = linprog(
         np.append(np.zeros(k), -1.0),
-        A_ub=np.hstack([-left, np.ones((m, 1))]),
+        A_ub=np.hstack([-inequalities, np.ones((m, 1))]),
         b_ub=np.zeros(m),
         bounds=[*[(-1.0, 1.0)] * k, (None, None)],
         method="highs-ds",
@@ -253,7 +250,7 @@ def _weights(left: Array) -> Array | None:
     )
     if not result.success:
         raise ArithmeticError(f"feasibility of a mode is undecided: {result.message}")
-    if (left @ result.x[:k]).min() > _ZERO:
+    if (inequalities @ result.x[:k]).min() > _ZERO:
         return None
     weights: Array = -result.ineqlin.marginals
     return weights
@@ -264,7 +261,6 @@ def _formulas(conflict: Sequence[Condition]) -> tuple[tuple[int, str], ...]:
 
 
 def _words(conflict: Sequence[Condition], names: Sequence[str]) -> str:
-    """Put a minimal conflict into words: what is held, and what that excludes."""
     zero: dict[int, set[int]] = {}
     for c, row, sign in conflict:
         if sign == 0:
@@ -272,11 +268,11 @@ def _words(conflict: Sequence[Condition], names: Sequence[str]) -> str:
     strict = [condition for condition in conflict if condition[2] != 0]
     if len(strict) == 1:
         c, row, _ = strict[0]
-        lost = "motion" if names[c] == DRIVEN else ("separation", "slip")[row]
+        excluded = "motion" if names[c] == DRIVEN else ("separation", "slip")[row]
         if not zero:
-            return f"no motion gives {names[c]} any {lost}"
+            return f"no motion gives {names[c]} any {excluded}"
         verb = "leaves" if len(zero) == 1 else "leave"
-        return f"{_held(zero, names)} {verb} {names[c]} no {lost}"
+        return f"{_held(zero, names)} {verb} {names[c]} no {excluded}"
     moving = []
     for c, row, sign in strict:
         if names[c] == DRIVEN:
@@ -284,47 +280,46 @@ def _words(conflict: Sequence[Condition], names: Sequence[str]) -> str:
             continue
         verb = "slide" if zero.pop(c, None) else "slip"
         moving.append(f"{names[c]} " + (f"{verb}{'+' if sign > 0 else '-'}" if row else "free"))
-    given = f" with {_held(zero, names)}" if zero else ""
-    return f"{_listed(moving)} exclude one another{given}"
+    premise = f" with {_held(zero, names)}" if zero else ""
+    return f"{_joined(moving)} exclude one another{premise}"
 
 
 def _held(zero: Mapping[int, set[int]], names: Sequence[str]) -> str:
-    words = {(0,): "closed", (1,): "without slip", (0, 1): "pin"}
-    return _listed([f"{names[c]} {words[tuple(sorted(rows))]}" for c, rows in zero.items()])
+    phrases = {(0,): "closed", (1,): "without slip", (0, 1): "pin"}
+    return _joined([f"{names[c]} {phrases[tuple(sorted(rows))]}" for c, rows in zero.items()])
 
 
-def _listed(words: Sequence[str]) -> str:
-    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+def _joined(phrases: Sequence[str]) -> str:
+    return " and ".join(filter(None, (", ".join(phrases[:-1]), phrases[-1])))
 
 
 def scene_feasibility(
     regions: Sequence[Region], setup: SceneSetup, snapshot: Snapshot, failing: Sequence[str]
 ) -> Feasibility:
-    """Judge every product mode of a scene by the velocities that it asks for.
+    """Judge every product mode of a scene by the velocities that it requires.
 
-    Contacts that do not touch at the configuration, or are off, are judged as if they did and were
-    not: the remarks say which. Regions that are no contact's ask for no velocity. A contact without
-    a direction there (a point at the centre of a circle) is an error.
+    All contacts count as touching and on; remarks list those that are not. A contact without a
+    normal (a point at the centre of a circle) is an error.
     """
     names = [law.name for law in setup.contacts]
     options = [law.states for law in setup.contacts]
     jacobians = snapshot.jacobians
     driven = _driven(snapshot)
     if driven.any():
-        further = np.zeros((1, 2, jacobians.shape[2] + 1))
-        further[0, 0, -1] = 1.0
+        driven_row = np.zeros((1, 2, jacobians.shape[2] + 1))
+        driven_row[0, 0, -1] = 1.0
         jacobians = np.concatenate(
-            [np.concatenate([jacobians, driven[:, :, None]], axis=2), further]
+            [np.concatenate([jacobians, driven[:, :, None]], axis=2), driven_row]
         )
         names, options = [*names, DRIVEN], [*options, ("free",)]
     if not np.isfinite(jacobians).all():
         raise StatechartError(
             "the contacts have no direction at this configuration: give another one"
         )
-    found = feasible_modes(jacobians, options, names)
+    verdicts = feasible_modes(jacobians, options, names)
     count = len(setup.contacts)
-    directed = {mode.states[:count]: mode.reason for mode in found}
-    undirected = {key[:count]: reason for key, reason in without_direction(found).items()}
+    directed = {mode.states[:count]: mode.reason for mode in verdicts}
+    undirected = {key[:count]: reason for key, reason in without_direction(verdicts).items()}
     places = [[region.name for region in regions].index(n) for n in names[:count]]
     declared = (dict.fromkeys(map(region.declared, region.states)) for region in regions)
     return Feasibility(
@@ -335,31 +330,34 @@ def scene_feasibility(
 
 
 def _driven(snapshot: Snapshot) -> Array:
-    """Return the velocities (c, 2) of the contacts while all that is not driven rests."""
+    """Return the velocities (c, 2) of the contacts due to prescribed motions."""
     rates = np.array([(contact.gap_rate, contact.slip) for contact in snapshot.contacts])
-    moved = snapshot.jacobians @ snapshot.velocity
-    found: Array = rates.reshape(-1, 2) - moved
+    reduced_rates = snapshot.jacobians @ snapshot.velocity
+    driven: Array = rates.reshape(-1, 2) - reduced_rates
     sizes = np.abs(snapshot.jacobians) @ np.abs(snapshot.velocity)
-    # What is left of a difference of equal numbers is rounding.
-    return np.where(np.abs(found) > 1e-12 * (sizes + np.abs(moved)), found, 0.0)
+    # Small differences are round-off.
+    return np.where(np.abs(driven) > 1e-12 * (sizes + np.abs(reduced_rates)), driven, 0.0)
 
 
 def _remarks(setup: SceneSetup, snapshot: Snapshot, failing: Sequence[str]) -> tuple[str, ...]:
-    near = setup.tolerances["gap"]
-    found = []
+    gap_tolerance = setup.tolerances["gap"]
+    remarks = []
     for law, contact, why in zip(setup.contacts, snapshot.contacts, failing, strict=True):
         if why:
-            off, on = ("open", "closed") if law.coupling else ("off", "on")
-            found.append(
-                f"{law.name} is {off}, as {why!r} does not hold: judged as if it were {on}"
+            off_name, on_name = ("open", "closed") if law.coupling else ("off", "on")
+            remarks.append(
+                f"{law.name} is {off_name}, as {why!r} does not hold: "
+                f"judged as if it were {on_name}"
             )
-        elif contact.gap > near:
-            found.append(f"{law.name} does not touch (gap {contact.gap:.6g}): judged as if it did")
-        elif contact.gap < -near:
-            found.append(f"{law.name} is {-contact.gap:.6g} inside its surface")
-    if snapshot.held is not None:
-        joints = snapshot.held.joints
-        apart = float(np.abs(joints.gaps[joints.on]).max(initial=0.0))
-        if apart > near:
-            found.append(f"joints are apart by up to {apart:.6g}")
-    return tuple(found)
+        elif contact.gap > gap_tolerance:
+            remarks.append(
+                f"{law.name} does not touch (gap {contact.gap:.6g}): judged as if it did"
+            )
+        elif contact.gap < -gap_tolerance:
+            remarks.append(f"{law.name} is {-contact.gap:.6g} inside its surface")
+    if snapshot.reduction is not None:
+        joints = snapshot.reduction.joints
+        distance = float(np.abs(joints.gaps[joints.on]).max(initial=0.0))
+        if distance > gap_tolerance:
+            remarks.append(f"joints are apart by up to {distance:.6g}")
+    return tuple(remarks)

@@ -1,23 +1,22 @@
 """Indeterminate loads: the smallest forces in the friction cones.
 
-Of all forces in the cones that explain a motion, the smallest ``sum V^2 + H^2`` are unique, and of
-a simple form: every contact bears the projection on its cone of ``w = J y``, what equal springs
-would bear if the bodies were displaced by y; the cone of a locked coupling is the interval up to
-its limit. On which part of its cone each contact is, is its *zone*; as long as no zone changes, y
-and all forces follow from linear equations, so that a flow can carry them. A zone that changes is
-no change of mode: other forces explain the motion then. Only where no forces in the cones do, the
-mode ends.
+Among all forces in the cones that explain a motion, those with the smallest ``sum V^2 + H^2`` are
+unique: every contact force is the projection on its cone of ``w = J y``, the force of equal springs
+if the bodies are displaced by y. The cone of a locked coupling is the interval up to its limit. The
+part of its cone on which a contact's force lies is its *zone*. As long as no zone changes, y and
+all forces follow from linear equations, which a flow integrates. A change of zone is no change of
+mode; the mode ends when no forces in the cones explain the motion.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from contacts.dynamics.snapshot import Snapshot
-from contacts.scene.modes import OWN, Bearing
+from contacts.scene.modes import OWN, Bearing, SignFriction
 from contacts.solvers.dependence import independent
 from contacts.solvers.mode_solver import is_coupling, judge_forces, write_limits
 from contacts.solvers.redundancy import mode_columns, sharing
@@ -49,109 +48,133 @@ class Share:
 
     forces: Array  # (c, 2): V and H per contact
     zones: tuple[str, ...]  # Per contact; OWN where the motion determines its force
-    # Which of the contact's constraints ("nt", "n", "t", "") are among the independent ones
+    # Independent constraints of every contact ("nt", "n", "t", "")
     rows: tuple[str, ...]
-    # Which of the contact's forces, along normal and tangent ("n", "t") or along its edge ("e"),
-    # are enough to move the bodies like that
+    # Forces of every contact that suffice for the motion: along normal and tangent ("n", "t") or
+    # along its edge ("e")
     carriers: tuple[str, ...]
-    # `coordinates`, `joints`: Those whose displacements y are enough, and the rows of the joints
-    # that hold for them
+    # `coordinates`, `joints`: Coordinates of independent displacements y, and their joint rows
     coordinates: tuple[int, ...]
     joints: tuple[int, ...]
-    # How far the worst contact is outside its zone, in units of force; <= 0: not at all
+    # Largest violation of a zone, in units of force; <= 0: none
     violation: float
+    signs: tuple[tuple[SignFriction, str], ...] = ()  # Signs that share, and their zones
+
+    def of_contacts(self, count: int, frictions: Sequence[SignFriction]) -> Share | None:
+        """Return what the first contacts share, those behind them being signs."""
+        behind = zip(frictions, self.zones[count:], strict=True)
+        signs = tuple((sign, zone) for sign, zone in behind if zone != OWN)
+        zones, rows, carriers = self.zones[:count], self.rows[:count], self.carriers[:count]
+        if all(zone == OWN for zone in zones):
+            return None
+        return replace(
+            self, forces=self.forces[:count], zones=zones, rows=rows, carriers=carriers, signs=signs
+        )
 
     def roles(self, states: Sequence[str]) -> Roles:
-        """Return the roles of contacts in `states`, with what of their equations to use."""
-        whole = {"pin": "nt", "locked": "t"} | dict.fromkeys((*OPEN, *SLIPPING), "")
-        first = next(k for k, zone in enumerate(self.zones) if zone != OWN)
+        """Return the roles of contacts in `states`, with their zones and independent rows."""
+        all_rows = {"pin": "nt", "locked": "t"} | dict.fromkeys((*OPEN, *SLIPPING), "")
+        first_shared = next(k for k, zone in enumerate(self.zones) if zone != OWN)
         result = []
-        parts = zip(states, self.zones, self.rows, self.carriers, strict=True)
-        for k, (state, zone, rows, carriers) in enumerate(parts):
+        contacts = zip(states, self.zones, self.rows, self.carriers, strict=True)
+        for k, (state, zone, rows, carriers) in enumerate(contacts):
             bearing = None
             if zone != OWN:
-                joints = self.joints if k == first else ()
-                bearing = Bearing(zone, rows, carriers, self.coordinates, joints)
-            elif rows != whole.get(state, "n"):
+                once = (self.joints, self.signs) if k == first_shared else ((), ())
+                bearing = Bearing(zone, rows, carriers, self.coordinates, *once)
+            elif rows != all_rows.get(state, "n"):
                 bearing = Bearing(zone, rows)
             result.append(Role(state, share=bearing))
         return tuple(result)
 
 
-# Of all forces: what presses less does so by rounding.
-_PRESSED = 1e-6
+# Forces below this part of the sum are round-off.
+_MIN_PRESSURE = 1e-6
 
 
 def share(
-    code: Ints, snapshot: Snapshot, cones: Array, loaded_by: Ints, forces: Array, inward: float
+    code: Ints,
+    snapshot: Snapshot,
+    cones: Array,
+    loaded_by: Ints,
+    forces: Array,
+    inward: float,
+    signs: int,
 ) -> Share | None:
-    """Return the smallest forces within the cones that act like `forces`; None: there are none.
+    """Return the smallest forces within the cones equivalent to `forces`; None if there are none.
 
-    The modes `code` (c,) are numbered as in `contacts.states`; `forces` explain the motion, in
-    their `cones` or not. Forces as small as `inward` inside the cones are added when zones are
-    looked for: on the boundary of what can be explained the zones then still determine the forces.
-    `loaded_by` are the carriers of `solve_modes`.
+    The modes `code` (c,) are those of `contacts.states`; `forces` explain the motion, inside their
+    `cones` or not. A bias `inward` into the cones regularises the search of zones, so that they
+    determine the forces also on the boundary of the feasible loads. `loaded_by` are the carriers of
+    `solve_modes`; the last `signs` modes are those of sign functions, which carry nothing in the
+    equations of a flow.
     """
     limits, cones = cones, cones.copy()
     couplings = np.flatnonzero([is_coupling(c) for c in code.tolist()])
     cones[couplings] = 0.0, 1.0
     jacobians = snapshot.jacobians
     flat, owners = mode_columns(code, cones, jacobians, -1)
-    count, order, _ = independent(flat)
+    count, _, _ = independent(flat)
+    least, order, _ = independent(flat[owners < len(code) - signs])
+    if least < count:
+        return None
     shared = np.flatnonzero(sharing(code, cones, jacobians, count, len(flat)))
     load = np.einsum("gdn,gd->n", jacobians[shared], forces[shared])
-    reach, chosen, _ = independent(np.ascontiguousarray(flat[np.isin(owners, shared)].T))
-    coordinates = np.sort(chosen[:reach])
-    # A slide without friction is one along the edge (1, 0).
+    motion_rank, chosen, _ = independent(np.ascontiguousarray(flat[np.isin(owners, shared)].T))
+    coordinates = np.sort(chosen[:motion_rank])
+    # The edge of a frictionless cone is (1, 0).
     smooth = code[shared] == SLIDE
-    # Of a locked coupling the limit bounds the couple.
-    most = np.full(len(shared), np.inf)
+    # The limit of a locked coupling bounds its couple.
+    couple_limits = np.full(len(shared), np.inf)
     for k, i in enumerate(shared.tolist()):
         if code[i] == LOCKED:
             carrier = forces[loaded_by[i], 0] if loaded_by[i] >= 0 else 1.0
-            most[k] = limits[i, 0] * carrier
+            couple_limits[k] = limits[i, 0] * carrier
     problem = (
-        np.column_stack([np.where(smooth[:, None], [1.0, 0.0], cones[shared]), most]),
+        np.column_stack([np.where(smooth[:, None], [1.0, 0.0], cones[shared]), couple_limits]),
         np.array([_SLIDING.get(mode, 1.0) for mode in code[shared].tolist()]),
         np.ascontiguousarray(jacobians[shared][:, :, coordinates]),
         load[coordinates],
     )
-    explained, borne, places, violation = springs(*problem, inward)
+    explained, smallest_forces, places, violation = springs(*problem, inward)
     if not explained or violation > 0.0:
-        # What is added may be enough to change a zone that was met: its displacement moves by more.
-        again = springs(*problem, 0.0)
-        if again[0] and (not explained or again[3] < violation):
-            explained, borne, places, violation = again
+        # The bias can change a zone: solve without it.
+        unbiased = springs(*problem, 0.0)
+        if unbiased[0] and (not explained or unbiased[3] < violation):
+            explained, smallest_forces, places, violation = unbiased
     if not explained:
         return None
     if np.isin(loaded_by[couplings], shared).any():
-        # The couple of a coupling that slips would follow from the share.
+        # The couple of a slipping coupling would depend on the load sharing: not supported.
         return None
-    given, zones = forces.copy(), [OWN] * len(code)
-    given[shared] = borne
-    write_limits(given, limits, loaded_by, code)
+    shared_forces, zones = forces.copy(), [OWN] * len(code)
+    shared_forces[shared] = smallest_forces
+    write_limits(shared_forces, limits, loaded_by, code)
     for k, place in zip(shared.tolist(), places.tolist(), strict=True):
         zones[k] = _ZONES[place]
-    alone = ~np.isin(np.arange(len(code)), shared)
+    determined = ~np.isin(np.arange(len(code)), shared)
     verdict = np.array([violation, 0.0, 0.0, 0.0])
-    judge_forces(verdict, forces[alone], cones[alone], code[alone], 1.0)
-    judge_forces(verdict, given[couplings], cones[couplings], code[couplings], 1.0)
-    kept = set(order[:count].tolist())
+    judge_forces(verdict, forces[determined], cones[determined], code[determined], 1.0)
+    judge_forces(verdict, shared_forces[couplings], cones[couplings], code[couplings], 1.0)
+    independent_rows = set(order[:count].tolist())
     letters = [letter for mode in code.tolist() for letter in _LETTERS.get(mode, "e")]
     carriers = tuple(
-        "".join(letters[i] for i in np.nonzero(owners == k)[0].tolist() if i in kept)
+        "".join(letters[i] for i in np.nonzero(owners == k)[0].tolist() if i in independent_rows)
         for k in range(len(code))
     )
-    rows, joints = _row_names(code, jacobians), np.zeros(0, dtype=np.int64)
-    if snapshot.held is not None:
-        joints = np.nonzero(~snapshot.held.joints.redundant)[0]
-        seen, _ = mode_columns(code[shared], cones[shared], snapshot.whole.jacobians[shared], -1)
-        together = np.vstack([seen, snapshot.held.joints.jacobian[joints]])
-        _, order, _ = independent(np.ascontiguousarray(together.T))
-        # What joints allow has the rank `reach`: the sum is no matter of rounding.
-        coordinates = np.sort(order[: reach + len(joints)])
+    rows = _row_names(code[: len(code) - signs], jacobians) + ("",) * signs
+    joints = np.zeros(0, dtype=np.int64)
+    if snapshot.reduction is not None:
+        joints = np.nonzero(~snapshot.reduction.joints.redundant)[0]
+        contact_rows, _ = mode_columns(
+            code[shared], cones[shared], snapshot.unreduced.jacobians[shared], -1
+        )
+        all_rows = np.vstack([contact_rows, snapshot.reduction.joints.jacobian[joints]])
+        _, order, _ = independent(np.ascontiguousarray(all_rows.T))
+        # The rank of all rows is this sum, whatever the round-off.
+        coordinates = np.sort(order[: motion_rank + len(joints)])
     return Share(
-        given,
+        shared_forces,
         tuple(zones),
         rows,
         carriers,
@@ -162,7 +185,7 @@ def share(
 
 
 def bearing(roles: Roles) -> frozenset[int]:
-    """Return the contacts that may bear in a flow: what is closed, and not at its cone's apex."""
+    """Return the contacts that may bear a load in a flow: closed, and not at the cone's apex."""
     return frozenset(
         i
         for i, role in enumerate(roles)
@@ -172,29 +195,31 @@ def bearing(roles: Roles) -> frozenset[int]:
 
 
 def rank(states: Sequence[str], jacobians: Array) -> int:
-    """Return how many independent constraints the contacts of a mode make."""
-    own = [jacobians[k, d] for k, d in _own([CODES[state] for state in states])]
-    return independent(np.array(own))[0] if own else 0
+    """Return the rank of the constraints of a mode's contacts."""
+    rows = [jacobians[k, d] for k, d in _own([CODES[state] for state in states])]
+    return independent(np.array(rows))[0] if rows else 0
 
 
 def _own(code: Iterable[int]) -> list[tuple[int, int]]:
-    """Return the constraints of every contact: which, and along its normal or tangent."""
+    """Return the constraints of a mode as (contact, direction)."""
     return [(k, "nt".index(row)) for k, c in enumerate(code) for row in _LETTERS.get(c, "n")]
 
 
 def _row_names(code: Ints, jacobians: Array) -> tuple[str, ...]:
-    """Return which constraints of each contact the others do not imply."""
-    own = _own(code.tolist())
-    count, order, _ = independent(np.array([jacobians[k, d] for k, d in own]))
-    kept = {own[i] for i in order[:count]}
-    return tuple("".join("nt"[d] for d in range(2) if (k, d) in kept) for k in range(len(code)))
+    """Return the independent constraints of each contact, as letters."""
+    constraints = _own(code.tolist())
+    count, order, _ = independent(np.array([jacobians[k, d] for k, d in constraints]))
+    independent_rows = {constraints[i] for i in order[:count]}
+    return tuple(
+        "".join("nt"[d] for d in range(2) if (k, d) in independent_rows) for k in range(len(code))
+    )
 
 
 def prestressed_contacts(jacobians: Array, cones: Array, bearing: Sequence[int]) -> frozenset[int]:
-    """Return the contacts that may press on each other without any load, by linear programming."""
+    """Return the contacts that can be prestressed against each other, by linear programming."""
     from scipy.optimize import linprog
 
-    # Along both edges of every cone; all together are to press by 1 at most.
+    # Variables: forces along both edges of every cone, whose sum is at most 1.
     edges = [
         cones[i, 0] * jacobians[i, 0] + side * cones[i, 1] * jacobians[i, 1]
         for i in bearing
@@ -202,12 +227,14 @@ def prestressed_contacts(jacobians: Array, cones: Array, bearing: Sequence[int])
     ]
     effects = np.transpose(edges)
     scale = np.abs(effects).max(axis=1, initial=0.0)
-    held = effects[scale > 0.0] / scale[scale > 0.0, None]
-    found = set()
+    constraints = effects[scale > 0.0] / scale[scale > 0.0, None]
+    prestressed = set()
     for k, i in enumerate(bearing):
-        aim = np.zeros(len(edges))
-        aim[2 * k : 2 * k + 2] = -1.0
-        most = linprog(aim, np.ones((1, len(edges))), [1.0], held, np.zeros(len(held)))
-        if most.status == 0 and -most.fun > _PRESSED:
-            found.add(i)
-    return frozenset(found)
+        objective = np.zeros(len(edges))
+        objective[2 * k : 2 * k + 2] = -1.0
+        result = linprog(
+            objective, np.ones((1, len(edges))), [1.0], constraints, np.zeros(len(constraints))
+        )
+        if result.status == 0 and -result.fun > _MIN_PRESSURE:
+            prestressed.add(i)
+    return frozenset(prestressed)

@@ -170,7 +170,6 @@ class BodyShapes:
         return frozenset(used.intersection(self._mechanics.q))
 
     def _sampled_poses(self) -> Array:
-        """Return the poses (m, b, 3) of all bodies at some configurations."""
         frames = [self._mechanics.body_frame(name) for name in self._scene.bodies]
         tried = self._links.sample_values([e for (x, y), angle in frames for e in (x, y, angle)])
         return tried.reshape(len(tried), -1, 3)
@@ -246,7 +245,6 @@ def disc_of(scene: Scene, contact: Contact, number: Callable[[str | int | float]
 
 
 def _held_by(joint: Joint) -> set[str]:
-    """Return the bodies that a joint holds."""
     return {joint.point.body} | ({joint.to.body} if isinstance(joint.to, Point) else set())
 
 

@@ -117,12 +117,12 @@ class Links:
 
     def _stiff(self, terms: Sequence[sp.Expr]) -> bool:
         """Return whether the static force grows with the length of the line (a spring)."""
-        pull, length = _along(self.sample_values(terms, self._at_rest()))
+        pull, length = _line_force(self.sample_values(terms, self._at_rest()))
         rise, square = np.zeros(_CONFIGURATIONS), np.zeros(_CONFIGURATIONS)
         for k in range(len(self._mechanics.q)):
             states = self._at_rest()
             states[:, k] += _MOVED
-            there, longer = _along(self.sample_values(terms, states))
+            there, longer = _line_force(self.sample_values(terms, states))
             rise += (there - pull) * (longer - length)
             square += (longer - length) ** 2
         return bool((rise > _FOLLOWS * np.abs(pull).max() * square).any())
@@ -180,7 +180,7 @@ def compiled(automaton: Automaton, expressions: Sequence[sp.Expr]) -> Tape:
     )
 
 
-def _along(values: Array) -> tuple[Array, Array]:
+def _line_force(values: Array) -> tuple[Array, Array]:
     """Return the pull along a line, and its length."""
     force, way = values[:, :2], values[:, 2:]
     length = np.hypot(*way.T)
@@ -189,7 +189,7 @@ def _along(values: Array) -> tuple[Array, Array]:
 
 
 def _off(values: Array) -> bool:
-    """Return whether a force is not along its line; `values` as for `_along`."""
+    """Return whether a force is not along its line; `values` as for `_line_force`."""
     force, way = values[:, :2], values[:, 2:]
     across = force[:, 0] * way[:, 1] - force[:, 1] * way[:, 0]
     return bool((np.abs(across) > SAME * np.hypot(*force.T) * np.hypot(*way.T)).any())

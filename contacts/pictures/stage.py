@@ -154,7 +154,6 @@ class SceneStage:
 
     @cached_property
     def _contact_tapes(self) -> dict[str, Tape]:
-        """Point and surface normal of every contact, in world coordinates."""
         return {
             name: compiled(self._automaton, [*self._point(name), *self._normal(name)])
             for name in self._scene.contacts
@@ -223,7 +222,6 @@ class SceneStage:
 
 
 def _typical_force(touches: tuple[Touch, ...]) -> float:
-    """Return a force that few along a film exceed; 1 where there is none."""
     sizes = [np.hypot(*touch.forces.T) for touch in touches]
     sizes = [size[size > 0.0] for size in sizes]
     found = np.concatenate(sizes) if sizes else np.empty(0)

@@ -1,8 +1,8 @@
-"""The declaration of a scene: bodies, surfaces, contacts with their modes, forces, joints.
+"""Declaration of a scene: bodies, surfaces, contacts with their modes, forces, joints.
 
-`parts`, `joints`, `couplings` and `shapes` are its parts, `modes` the equations of free, slide and
-pin, `friction` their coefficients, `controls` the controllers; `fields` are its keys, and `scene`
-is the whole, with its statecharts in `regions`. An `expansion` makes regions and contacts of
-joints. `checks` refuses mistakes, `lint` warns of what was hardly meant, and of the laws of impact
-that time stepping replaces.
+`scene` is the declaration with the keys of `fields`; `parts`, `joints`, `couplings`, `shapes` and
+`controls` are its parts. `modes` has the equations of free, slide and pin, `friction` their
+coefficients, `regions` the statechart of a contact. `expansion` turns joints into regions and
+contacts. `checks` raises errors, `lint` warns of probable mistakes and of impact laws that time
+stepping replaces.
 """

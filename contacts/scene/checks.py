@@ -122,38 +122,45 @@ def names_for(scene: SceneFields, loc: Loc) -> frozenset[str]:
                 return parameters | {TIME, *memory, *(() if scene.collisions else scene.controls)}
             if loc[-1] in ("x", "y"):
                 return parameters | {TIME, *(memory if scene.collisions else ())}
+        case "joints", "rope" | "rod" if not scene.collisions:
+            led = {*scene.controlled.controller_state, *scene.controls} if key == "rope" else ()
+            return parameters | {TIME, *led}
         case "contacts", "friction" | "restitution":
             law = scene.friction_of(name) if key == "friction" and loc[-1] != "static" else None
             return parameters | {*scene.controls} | (law.slips if law else frozenset())
         case "forces", "force" | "moment":
             # A force on copies may use the coordinates of each copy.
             copied = scene.bodies.get(scene.forces[name].body)
-            own = {f"{scene.forces[name].body}.{c}" for c in copied.coordinates} if copied else ()
-            rates = map(scene.rate_name, own)
-            return scene.kinematic_names | {*scene.controls, *own, *rates} | scene.placed_names
+            coordinates = (
+                {f"{scene.forces[name].body}.{c}" for c in copied.coordinates} if copied else ()
+            )
+            rates = map(scene.rate_name, coordinates)
+            return (
+                scene.kinematic_names | {*scene.controls, *coordinates, *rates} | scene.placed_names
+            )
         case "couplings", "limit":
             return scene.kinematic_names | {*scene.controls} | scene.placed_names
     return parameters
 
 
-def check_formulas(scene: SceneFields, found: Findings) -> None:
+def check_formulas(scene: SceneFields, findings: Findings) -> None:
     """Check that formulas use names that mean something where they stand."""
     for loc, text in scene_formulas(scene):
-        with found:
+        with findings:
             known, formula = names_for(scene, loc), parse(text)
             for node in names_in(formula.root):
                 if node.name not in known:
                     # Those that a formula cannot use where it stands are told what to write.
-                    what, advice = _reason(scene, node.name, known, loc)
+                    reason, advice = _reason(scene, node.name, known, loc)
                     if advice:
                         raise DeclarationProblem(
-                            f"{node.name!r}: {what}", advice=advice, loc=loc, offset=node.offset
+                            f"{node.name!r}: {reason}", advice=advice, loc=loc, offset=node.offset
                         )
             check_names(formula, known, *loc)
             if _is_coefficient(loc):
                 scene.controlled.check_coefficient(text, scene.parameters, *loc)
     for name in scene.contacts:
-        with found:
+        with findings:
             _check_law(scene, name)
 
 
@@ -172,6 +179,13 @@ def _check_law(scene: SceneFields, name: str) -> None:
 
 def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> tuple[str, str]:
     """Return why a name cannot stand in a place, and what to write; nothing for any other."""
+    if loc[0] == "joints" and loc[-1] in ("rod", "rope") and name in _changing(scene):
+        advice = f"write a formula of {TIME}, or a rope, whose length may use controls"
+        if loc[-1] == "rope":
+            advice = f"write a formula of {TIME}, controls and variables of controllers"
+        if scene.collisions:
+            advice = "lead its end along a path, to: [x, y]"
+        return f"the length of a {loc[-1]} does not follow it", advice
     led = loc[0] in ("surfaces", "joints") and TIME in known
     if led and name in scene.controls and scene.collisions:
         return (
@@ -207,10 +221,10 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
 
 def _changing(scene: SceneFields) -> Collection[str]:
     """Return what changes along a run."""
-    found = {f"{contact}.{quantity}" for contact in scene.contacts for quantity in _OF_CONTACTS}
-    found |= {f"{name}.{force}" for name, one in scene.joints.items() for force in one.forces}
-    found |= {f"{name}.{quantity}" for name in scene.couplings for quantity in ("M", "slip")}
-    return {*(scene.kinematic_names - {*scene.parameters}), *found, *scene.controls, "energy"}
+    names = {f"{contact}.{quantity}" for contact in scene.contacts for quantity in _OF_CONTACTS}
+    names |= {f"{name}.{force}" for name, joint in scene.joints.items() for force in joint.forces}
+    names |= {f"{name}.{quantity}" for name in scene.couplings for quantity in ("M", "slip")}
+    return {*(scene.kinematic_names - {*scene.parameters}), *names, *scene.controls, "energy"}
 
 
 class Limit(NamedTuple):
@@ -288,7 +302,8 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
                     yield Limit((section, name, key), text, 0.0, _MAX_NUMBER)
     for name, joint in scene.joints.items():
         for key in ("rod", "rope"):
-            if (text := getattr(joint, key)) is not None:
+            text = getattr(joint, key)
+            if text is not None and parse(text).names <= scene.parameters.keys():
                 yield Limit(("joints", name, key), text, *_POSITIVE)
         if joint.restitution is not None:
             yield Limit(("joints", name, "restitution"), joint.restitution, *_PART)
@@ -330,29 +345,29 @@ def _friction_limits(
 
 def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
     """Check the `limits` of a scene, in all states that set coefficients; and its polygons."""
-    found = Findings()
+    findings = Findings()
     wrong: set[Loc] = set()
     for loc, text, least, most, words, advice, shown, slips in limits(scene):
         region = scene.controlled.region_of(text)
         known = {**values, **slips}
-        for state, seen in scene.controlled.values_by_state(text, known, Formula.value):
-            with found:
-                value = value_of(text, seen, *loc)
+        for state, state_values in scene.controlled.values_by_state(text, known, Formula.value):
+            with findings:
+                value = value_of(text, state_values, *loc)
                 if least <= value <= most or loc in wrong:
                     continue
                 wrong.add(loc)
                 if not math.isfinite(value) and not shown:
                     words = "must be finite, not {:g}"
-                where = f" in state {state!r} of {region!r}" if state else ""
-                numbers = [value_of(formula, seen, *loc) for formula in shown] or [value]
+                place_text = f" in state {state!r} of {region!r}" if state else ""
+                numbers = [value_of(formula, state_values, *loc) for formula in shown] or [value]
                 raise DeclarationProblem(
-                    words.replace(",", where + ",", 1).format(*numbers),
+                    words.replace(",", place_text + ",", 1).format(*numbers),
                     advice=advice.format(value),
                     loc=loc,
                 )
     for name, body in scene.bodies.items():
         for place, shape in enumerate(body.shape):
-            with found:
+            with findings:
                 if shape.polygon is None:
                     continue
                 several = (place,) if len(body.shape) > 1 else ()
@@ -368,7 +383,7 @@ def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
                 except DeclarationProblem as problem:
                     problem.loc = (*at, *problem.loc)
                     raise
-    found.check()
+    findings.check()
 
 
 def check_finite(scene: SceneFields, values: Mapping[str, float]) -> None:
@@ -464,12 +479,12 @@ def has_switches(scene: SceneFields) -> bool:
 
 def _force_formulas(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc, FormulaText]]]:
     """Return the names that change as the scene flows, and the formulas of its forces."""
-    found: list[tuple[Loc, FormulaText]] = []
+    texts: list[tuple[Loc, FormulaText]] = []
     for name, force in scene.forces.items():
-        found += [(("forces", name, "force", i), text) for i, text in enumerate(force.force)]
-        found.append((("forces", name, "moment"), force.moment))
-    found += [(loc, text) for loc, text in scene_formulas(scene) if loc[0] == "couplings"]
-    used = set[str]().union(*(parse(text).names for _, text in found))
+        texts += [(("forces", name, "force", i), text) for i, text in enumerate(force.force)]
+        texts.append((("forces", name, "moment"), force.moment))
+    texts += [(loc, text) for loc, text in scene_formulas(scene) if loc[0] == "couplings"]
+    used = set[str]().union(*(parse(text).names for _, text in texts))
     changing = set(scene.kinematic_names - scene.parameters.keys())
     controls = scene.controlled
     values: dict[str, list[tuple[Loc, FormulaText]]] = {
@@ -482,9 +497,9 @@ def _force_formulas(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc
             changing.add(name)
     for name in reversed(controls.order):
         if name in used:
-            found += values[name]
+            texts += values[name]
             used = used.union(*(parse(text).names for _, text in values[name]))
-    return changing, found
+    return changing, texts
 
 
 _Corner = tuple[float, float]
@@ -513,7 +528,7 @@ def check_polygon(corners: _Corners) -> None:
     if turns[wrong - 1] < -_STRAIGHT:
         how, advice = "points inwards", _split(corners, wrong)
     raise DeclarationProblem(
-        f"{_WHAT}; corner {wrong + 1}, at {_place(corners[wrong])}, {how}",
+        f"{_WHAT}; corner {wrong + 1}, at {_format_corner(corners[wrong])}, {how}",
         advice=advice,
         loc=(wrong,),
     )
@@ -534,7 +549,7 @@ def _check_places(corners: _Corners) -> None:
             twice = same[0], k
     if len(apart) < 2:
         raise DeclarationProblem(
-            f"all corners are at {_place(corners[0])}: a polygon has an area",
+            f"all corners are at {_format_corner(corners[0])}: a polygon has an area",
             advice="place them around it, or write disc: RADIUS",
         )
     # Those farthest from each other have the line between them that all others might lie on.
@@ -542,13 +557,14 @@ def _check_places(corners: _Corners) -> None:
     away = [_cross(a, b, corner) / math.dist(a, b) for corner in apart]
     if max(map(abs, away)) <= _STRAIGHT * size:
         raise DeclarationProblem(
-            f"all corners lie on the line from {_place(a)} to {_place(b)}: a polygon has an area",
+            f"all corners lie on the line from {_format_corner(a)} to {_format_corner(b)}: "
+            "a polygon has an area",
             advice="give it a width; a thin bar is polygon: [[-a, -b], [a, -b], [a, b], [-a, b]]",
         )
     if twice is not None:
         one, other = twice
         raise DeclarationProblem(
-            f"corners {one + 1} and {other + 1} are in one place, {_place(corners[one])}",
+            f"corners {one + 1} and {other + 1} are in one place, {_format_corner(corners[one])}",
             advice="leave one of them out",
             loc=(other,),
         )
@@ -593,9 +609,9 @@ def _turns(corners: _Corners) -> tuple[list[float], float]:
     return turns, area
 
 
-def _cross(origin: _Corner, one: _Corner, other: _Corner) -> float:
+def _cross(origin: _Corner, first: _Corner, second: _Corner) -> float:
     """Return twice the area of a triangle, above 0 where it is counter-clockwise."""
-    (x, y), (a, b), (c, d) = origin, one, other
+    (x, y), (a, b), (c, d) = origin, first, second
     return (a - x) * (d - y) - (b - y) * (c - x)
 
 
@@ -614,7 +630,7 @@ def _split(corners: _Corners, inward: int) -> str:
     return "split it there into convex ones: shape: [{polygon: [...]}, {polygon: [...]}]"
 
 
-def _place(corner: _Corner) -> str:
+def _format_corner(corner: _Corner) -> str:
     x, y = (value + 0.0 for value in corner)  # no negative zero
     return f"({x:.6g}, {y:.6g})"
 
@@ -642,12 +658,12 @@ def check_copies(scene: SceneFields) -> None:
     for name, body in scene.bodies.items():
         if body.copies is None:
             continue
-        taken = [n for n in scene.bodies if n.startswith(name) and n[len(name) :].isdecimal()]
-        if taken:
+        clashes = [n for n in scene.bodies if n.startswith(name) and n[len(name) :].isdecimal()]
+        if clashes:
             raise DeclarationProblem(
-                f"{taken[0]!r} is the name of a copy of {name!r}",
+                f"{clashes[0]!r} is the name of a copy of {name!r}",
                 advice="choose another name",
-                loc=("bodies", taken[0]),
+                loc=("bodies", clashes[0]),
                 key=True,
             )
         if not scene.collisions:
@@ -718,8 +734,8 @@ def check_collisions(scene: SceneFields) -> None:
         if not (body.prescribed or body.linked) and body.inertia is None:
             raise DeclarationProblem(
                 "a free body that collides needs an inertia",
-                advice="write inertia: m*r**2/2 of a disc, m*(width**2 + height**2)/12 of a box; or "
-                "place it by coordinates, or lead it along a path without a mass",
+                advice="write inertia: m*r**2/2 of a disc, m*(width**2 + height**2)/12 of a box; "
+                "or place it by coordinates, or lead it along a path without a mass",
                 loc=("bodies", name),
             )
         if body.linked and body.copies is not None:
@@ -740,19 +756,19 @@ def check_collisions(scene: SceneFields) -> None:
         )
     for name, collision in scene.collisions.items():
         at = ("collisions", name)
-        for place, one in enumerate(collision.bodies):
-            if one not in scene.bodies:
-                advice = close_matches(one, scene.bodies)
+        for place, name_of in enumerate(collision.bodies):
+            if name_of not in scene.bodies:
+                advice = close_matches(name_of, scene.bodies)
                 loc: tuple[str | int, ...] = (*at, "bodies", place)
-                raise DeclarationProblem(f"no body {one!r}", advice=advice, loc=loc)
-            if not scene.bodies[one].shape:
+                raise DeclarationProblem(f"no body {name_of!r}", advice=advice, loc=loc)
+            if not scene.bodies[name_of].shape:
                 raise DeclarationProblem(
-                    f"body {one!r} has no shape",
+                    f"body {name_of!r} has no shape",
                     advice="give it a polygon or a disc",
-                    loc=("bodies", one),
+                    loc=("bodies", name_of),
                     key=True,
                 )
-        discs = (s.disc for one in collision.bodies for s in scene.bodies[one].shape)
+        discs = (s.disc for name_of in collision.bodies for s in scene.bodies[name_of].shape)
         if collision.rolling_resistance is not None and not any(discs):
             raise DeclarationProblem(
                 "rolling resistance is of a disc that rolls, and no body has a disc",
@@ -760,11 +776,11 @@ def check_collisions(scene: SceneFields) -> None:
                 loc=(*at, "rolling_resistance"),
                 key=True,
             )
-        for place, one in enumerate(collision.surfaces):
+        for place, name_of in enumerate(collision.surfaces):
             loc = (*at, "surfaces", place)
-            if one not in scene.surfaces:
-                advice = close_matches(one, scene.surfaces)
-                raise DeclarationProblem(f"no surface {one!r}", advice=advice, loc=loc)
+            if name_of not in scene.surfaces:
+                advice = close_matches(name_of, scene.surfaces)
+                raise DeclarationProblem(f"no surface {name_of!r}", advice=advice, loc=loc)
 
 
 def _check_path(scene: SceneFields, name: str) -> None:
@@ -773,9 +789,10 @@ def _check_path(scene: SceneFields, name: str) -> None:
     for key, text in zip(("x", "y", "angle"), scene.bodies[name].path, strict=True):
         for control in parse(text).names.intersection(scene.controls):
             used = sorted({n for t in scene.controlled.texts(control) for n in parse(t).names})
-            if found := [n for n in used if n in moving]:
+            if dependent := [n for n in used if n in moving]:
                 raise DeclarationProblem(
-                    f"the path uses {control!r}, which depends on {found[0]!r}, on how bodies move",
+                    f"the path uses {control!r}, which depends on {dependent[0]!r}, "
+                    "on how bodies move",
                     advice="let it depend on time, controls and variables; a force follows bodies",
                     loc=("bodies", name, "angle" if key == "angle" else "position"),
                 )
@@ -786,8 +803,8 @@ def _check_path(scene: SceneFields, name: str) -> None:
                 advice="remove the force, or give the body a mass and no path",
                 loc=("forces", force, "body"),
             )
-    for joint, held in scene.joints.items():
-        for key, point in (("point", held.point), ("to", held.to)):
+    for joint, declared_joint in scene.joints.items():
+        for key, point in (("point", declared_joint.point), ("to", declared_joint.to)):
             if isinstance(point, Point) and scene.owners().get(point.body) == name:
                 raise DeclarationProblem(
                     f"{name!r} moves as prescribed, and joints hold bodies that move by themselves",
@@ -812,11 +829,10 @@ def _check_joined(scene: SceneFields) -> None:
 
 
 def _moving_names(scene: SceneFields) -> set[str]:
-    """Return the names of what impulses of contacts change."""
     return {*scene.variables, *map(scene.rate_name, scene.variables)}
 
 
-def check_led_surfaces(scene: SceneFields, found: Findings) -> None:
+def check_led_surfaces(scene: SceneFields, findings: Findings) -> None:
     """Check that what moves surfaces of points changes within states as time and itself tell."""
     leading, constant = scene.leading, {*scene.parameters}
     texts: list[tuple[Loc, FormulaText]] = [(("controls", n), t) for n, t in scene.controls.items()]
@@ -825,22 +841,22 @@ def check_led_surfaces(scene: SceneFields, found: Findings) -> None:
             texts += [((*at, "sets", name), text) for name, text in state.sets.items()]
             texts += [((*at, "flows", name), text) for name, text in state.flows.items()]
     for loc, text in texts:
-        may = constant | ({TIME, *leading} if "flows" in loc else set())
-        used = sorted(parse(text).names - may)
-        with found:
-            if loc[-1] in leading and used:
+        allowed = constant | ({TIME, *leading} if "flows" in loc else set())
+        forbidden = sorted(parse(text).names - allowed)
+        with findings:
+            if loc[-1] in leading and forbidden:
                 raise DeclarationProblem(
-                    f"{loc[-1]!r} moves a surface, and depends on {used[0]!r}",
+                    f"{loc[-1]!r} moves a surface, and depends on {forbidden[0]!r}",
                     advice="set a control that moves a surface to a formula of parameters, and let "
                     "a variable flow by time, parameters and variables",
                     loc=loc,
                 )
 
 
-def check_prescribed(scene: SceneFields, found: Findings) -> None:
+def check_prescribed(scene: SceneFields, findings: Findings) -> None:
     """Check that fixed and led bodies are in a scene with collisions."""
     for name, body in scene.bodies.items():
-        with found:
+        with findings:
             if body.prescribed and not scene.collisions:
                 if not body.fixed:
                     raise DeclarationProblem(

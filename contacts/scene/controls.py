@@ -1,4 +1,4 @@
-"""A scene's own regions as declared: what their states set, and when they change."""
+"""Controllers: declared regions of a scene whose states set controls."""
 
 from __future__ import annotations
 
@@ -66,9 +66,9 @@ class Controller(ControlRegion):
     def counting(cls, count: Count) -> Controller:
         """Return the region that counts the periods of what a formula has of time."""
         states = {STATE: ControlState()}
-        made = cls(initial=STATE, states=states, transitions=count.transitions)
+        controller = cls(initial=STATE, states=states, transitions=count.transitions)
         # The name has a dot, which no declared variable has.
-        return made.model_copy(update={"variables": {count.variable: count.initial}})
+        return controller.model_copy(update={"variables": {count.variable: count.initial}})
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Controls:
 
     @cached_property
     def order(self) -> tuple[str, ...]:
-        """Controls, each after those that its formulas use.
+        """Controls in order of dependence.
 
         Raises `CycleError` if they depend on each other in a circle.
         """
@@ -106,14 +106,11 @@ class Controls:
 
     @cached_property
     def controller_state(self) -> Mapping[str, FiniteText]:
-        """Variables of regions, and the timers of their transitions.
-
-        Name -> initial value.
-        """
-        found: dict[str, FiniteText] = {}
+        """Variables of regions and timers of transitions -> initial value."""
+        initial_values: dict[str, FiniteText] = {}
         for name, region in self.regions.items():
-            found |= {**region.variables, **dict.fromkeys(self.flat[name].timers, 0)}
-        return found
+            initial_values |= {**region.variables, **dict.fromkeys(self.flat[name].timers, 0)}
+        return initial_values
 
     @property
     def clocks(self) -> tuple[str, ...]:
@@ -167,7 +164,7 @@ class Controls:
         }
 
     def region_of(self, text: FormulaText | None) -> str | None:
-        """Return the region that sets what a contact's coefficient uses; None if none does."""
+        """Return the region that sets the controls in a coefficient; None if there is none."""
         if text is None:
             return None
         used = [control for control in self.owners if control in parse(text).names]
@@ -204,7 +201,7 @@ class Controls:
                     key=True,
                 )
             check_names(parse(text), names, *loc)
-            owner, in_state, there = owners.setdefault(control, (region, state, loc))
+            owner, in_state, first_loc = owners.setdefault(control, (region, state, loc))
             if owner != region:
                 raise DeclarationProblem(
                     f"region {region!r} in state {state!r} and region {owner!r} in state "
@@ -212,15 +209,15 @@ class Controls:
                     advice="let one region set it; give the other a control of its own",
                     loc=loc,
                     key=True,
-                    see=there,
+                    see=first_loc,
                 )
         for region, flat in self.flat.items():
-            for words, part in (("set", "sets"), ("give a flow to", "flows")):
-                shared = flat.shared(part)
+            for verb, section in (("set", "sets"), ("give a flow to", "flows")):
+                shared = flat.shared(section)
                 if shared is not None:
                     raise DeclarationProblem(
                         f"{shared.one!r} and {shared.other!r}, which may be active together, both "
-                        f"{words} {shared.what!r}",
+                        f"{verb} {shared.what!r}",
                         advice="let one of their regions do it",
                         loc=("regions", region),
                         key=True,

@@ -122,23 +122,23 @@ def coupling_edges(coupling: Coupling) -> tuple[Edge, ...]:
     static, kinetic = ("limit", "limit")
     if isinstance(coupling.limit, StaticKinetic):
         static, kinetic = "static", "kinetic"
-    found = []
+    edges = []
     for state, beyond in (("slip+", f"M < -{static}"), ("slip-", f"M > {static}")):
-        found.append(Edge("slip", "locked", state, beyond))
-        found.append(Edge("lock", state, "locked", f"slip = 0, |M| <= {static}"))
+        edges.append(Edge("slip", "locked", state, beyond))
+        edges.append(Edge("lock", state, "locked", f"slip = 0, |M| <= {static}"))
     for state, beyond in (("slip+", f"M > {kinetic}"), ("slip-", f"M < -{kinetic}")):
-        other = SLIPPING[state == "slip+"]
-        found.append(Edge("reverse", state, other, f"slip = 0, {beyond}"))
+        opposite = SLIPPING[state == "slip+"]
+        edges.append(Edge("reverse", state, opposite, f"slip = 0, {beyond}"))
     if isinstance(coupling, Rolling):
         opens, closes = f"{coupling.contact} opens", f"{coupling.contact} closes"
-        found += [Edge("liftoff", state, "free", opens) for state in COUPLING_STATES]
-        found += [Edge("touchdown", "free", state, closes) for state in SLIPPING]
-        found.append(Edge("lock", "free", "locked", f"{closes}, slip = 0"))
+        edges += [Edge("liftoff", state, "free", opens) for state in COUPLING_STATES]
+        edges += [Edge("touchdown", "free", state, closes) for state in SLIPPING]
+        edges.append(Edge("lock", "free", "locked", f"{closes}, slip = 0"))
     if coupling.enabled:
         gate = coupling.gate
-        found += [Edge("open", state, DISENGAGED, f"not ({gate})") for state in COUPLING_STATES]
-        found += [Edge("close", DISENGAGED, state, gate) for state in COUPLING_STATES]
-    return tuple(found)
+        edges += [Edge("open", state, DISENGAGED, f"not ({gate})") for state in COUPLING_STATES]
+        edges += [Edge("close", DISENGAGED, state, gate) for state in COUPLING_STATES]
+    return tuple(edges)
 
 
 def coupling_state(symbols: CouplingSymbols, role: Role) -> State:
@@ -150,10 +150,10 @@ def coupling_state(symbols: CouplingSymbols, role: Role) -> State:
             Margin(f"{name}.{_UPPER}", static - couple, "force"),
             Margin(f"{name}.{_LOWER}", static + couple, "force"),
         )
-        own = State((contact.tangential_acceleration,), margins, holds=(contact.sticking,))
+        state = State((contact.tangential_acceleration,), margins, holds=(contact.sticking,))
         if isinstance(role.share, Bearing):
-            return share_of(own, contact, 0, role.share, pinned=True, limit=static)
-        return own
+            return share_of(state, contact, 0, role.share, pinned=True, limit=static)
+        return state
     direction = _DIRECTIONS[role.state]
     return State(
         (couple + direction * kinetic,),

@@ -1,8 +1,8 @@
 """Expansion of a scene: joints that can be off become regions, ropes and limits contacts.
 
-A joint with `enabled` is a region with the states closed and off beside the controllers; the place
-that it captures is a variable of the region. A rope is a contact with the inside of a circle, each
-limit of an angle a contact whose gap is the angle that is left.
+A joint with `enabled` becomes a controller region with the states closed and off; the position that
+it captures is a variable of the region. A rope becomes a contact with the inside of a circle, each
+limit of an angle a contact whose gap is the remaining angle.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ if TYPE_CHECKING:
 ENABLE, DISABLE = "enable", "disable"
 """Events of a joint: it closes, and it lets go."""
 BROKEN = "broken"
-"""State of a joint that its own forces have opened, where another part of `enabled` closes it."""
+"""State of a joint opened by its own forces; only another part of `enabled` closes it again."""
 
 
 def switched(joint: Joint) -> bool:
-    """Return whether a joint is a region of its own, with the states closed and off."""
+    """Return whether a joint becomes a region with the states closed and off."""
     return bool(joint.enabled) and joint.rope is None
 
 
@@ -50,11 +50,16 @@ def captured(name: str, joint: Joint) -> tuple[str, ...]:
     place = {"X": "x", "Y": "y"} if joint.rest is not None else {}
     turn = {"M": "turn"} if switched(joint) else {}
     names = (place | turn).get
-    return tuple(f"{name}.{found}" for c in joint.components if (found := names(c)))
+    return tuple(f"{name}.{variable}" for c in joint.components if (variable := names(c)))
 
 
 class Reach(Surface):
-    """The circle that a rope keeps a point in."""
+    """Circle within which a rope holds a point."""
+
+
+def reach_of(name: str) -> str:
+    """Return the name of the circle of a rope."""
+    return f"{name}.surface"
 
 
 class Stop(Surface):
@@ -71,7 +76,7 @@ def stops(name: str) -> tuple[str, str]:
 
 
 def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
-    """Return the sections of a scene that its joints add to, complete; none where none do."""
+    """Return the complete sections of a scene to which its joints add; {} if there are none."""
     surfaces: dict[str, Surface] = {}
     contacts: dict[str, Contact] = {}
     controllers: dict[str, Controller] = {}
@@ -79,12 +84,12 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
 
     def add_contact(name: str, joint: Joint, surface: Surface, gate: tuple[str, ...]) -> None:
         if scene.collisions:
-            # Steps of bodies with shapes have rows for bounds of distances and angles.
+            # Time steps of bodies with shapes have rows for ropes and limits.
             return
-        surfaces[f"{name}.surface"] = surface
+        surfaces[reach_of(name)] = surface
         contacts[name] = Contact(
             point=joint.point,
-            surface=f"{name}.surface",
+            surface=reach_of(name),
             friction=0,
             restitution=0 if joint.restitution is None else joint.restitution,
             enabled=gate,
@@ -105,9 +110,9 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
             add_contact(name, joint, _circle(joint, joint.rope), gate)
         if joint.limits is not None:
             other = joint.to.body if isinstance(joint.to, Point) else None
-            for one, limit, side in zip(stops(name), joint.limits, (1, -1), strict=True):
+            for contact_name, limit, side in zip(stops(name), joint.limits, (1, -1), strict=True):
                 stop = Stop.model_construct(limit=limit, side=side, other=other)
-                add_contact(one, joint, stop, gate)
+                add_contact(contact_name, joint, stop, gate)
     resisted = {
         f"{name}_rolling": _resistance(scene, name, contact)
         for name, contact in scene.contacts.items()
@@ -118,7 +123,9 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
     _check_names(scene, {*contacts, *controllers, *resisted}.difference(scene.joints))
     return {
         "joints": joints,
-        "couplings": {name: _in_joint(scene, one) for name, one in scene.couplings.items()}
+        "couplings": {
+            name: _in_joint(scene, contact_name) for name, contact_name in scene.couplings.items()
+        }
         | resisted,
         "surfaces": {**scene.surfaces, **surfaces},
         "contacts": {**scene.contacts, **contacts},
@@ -127,14 +134,13 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
 
 
 def _resistance(scene: SceneFields, name: str, contact: Contact) -> Rolling:
-    """Return the rolling resistance of a contact as a coupling of its body with its surface."""
     carrier = scene.surface_of(name).body
     bodies = (contact.point.body,) if carrier is None else (contact.point.body, carrier)
     return Rolling.model_construct(limit=contact.rolling_resistance, bodies=bodies, contact=name)
 
 
 def _in_joint(scene: SceneFields, coupling: Coupling) -> Coupling:
-    """Return a coupling that is open while the joint that it is in is off."""
+    """Return a coupling that is open while its joint is off."""
     joint = scene.joints.get(coupling.joint or "")
     if joint is None or not switched(joint):
         return coupling
@@ -154,7 +160,6 @@ def _check_names(scene: SceneFields, added: AbstractSet[str]) -> None:
 
 
 def _circle(joint: Joint, length: FormulaText) -> Surface:
-    """Return the circle that a rope keeps its point in."""
     if isinstance(joint.to, Point):
         return Reach(circle=joint.to.at, radius=length, hollow=True, body=joint.to.body)
     x, y = joint.to.x or 0, joint.to.y or 0
@@ -172,25 +177,25 @@ def _uses_forces(scene: SceneFields, relations: tuple[str, ...]) -> bool:
 def _region(scene: SceneFields, name: str, joint: Joint) -> Controller:
     """Return the region of a joint that can be off."""
     relation, captures = conjunction(joint.enabled), _captures(scene, name, joint)
-    found = parse_relation(relation)
-    own = re.compile(rf"(?<![\w.]){re.escape(name)}\.\w+")
-    # Its forces are zero while it is off: a joint that they have opened would close at once.
-    strong = own.sub("0", relation)
-    others = found.members or found.names - {*own.findall(relation), *scene.parameters}
-    lasting = strong if strong != relation and others else relation
+    term = parse_relation(relation)
+    own_forces = re.compile(rf"(?<![\w.]){re.escape(name)}\.\w+")
+    # The joint's forces are zero while it is off: opened by them, it would close at once.
+    without_forces = own_forces.sub("0", relation)
+    other_names = term.members or term.names - {*own_forces.findall(relation), *scene.parameters}
+    reclosing = without_forces if without_forces != relation and other_names else relation
     states = {CLOSED: ControlState(entry=dict(captures)), OFF: ControlState()}
-    ways = [(DISABLE, CLOSED, OFF, f"not ({lasting})")]
-    if lasting != relation:
+    edges = [(DISABLE, CLOSED, OFF, f"not ({reclosing})")]
+    if reclosing != relation:
         states[BROKEN] = ControlState()
-        ways.append((DISABLE, CLOSED, BROKEN, f"not ({relation})"))
-    if lasting == strong:
-        ways.append((ENABLE, OFF, CLOSED, lasting))
+        edges.append((DISABLE, CLOSED, BROKEN, f"not ({relation})"))
+    if reclosing == without_forces:
+        edges.append((ENABLE, OFF, CLOSED, reclosing))
     region = Controller(
-        initial=OFF if holds_at_start(scene, found.root) is False else CLOSED,
+        initial=OFF if holds_at_start(scene, term.root) is False else CLOSED,
         states=states,
         transitions=tuple(
             Transition(**{"name": event, "from": before, "to": after, "guard": guard})
-            for event, before, after, guard in ways
+            for event, before, after, guard in edges
         ),
     )
     # Names with a dot, which no declared variable has.
@@ -198,17 +203,17 @@ def _region(scene: SceneFields, name: str, joint: Joint) -> Controller:
 
 
 def holds_at_start(scene: SceneFields, term: Term) -> bool | None:
-    """Return whether a relation holds at the start; None where forces decide."""
+    """Return whether a relation holds at the start; None if it depends on forces."""
     if isinstance(term, Negation):
-        part = holds_at_start(scene, term.part)
-        return None if part is None else not part
+        operand = holds_at_start(scene, term.part)
+        return None if operand is None else not operand
     if isinstance(term, Member):
         region = scene.controlled.flat.get(term.region)
         return None if region is None else term.state in region.active(region.initial)
     if isinstance(term, Junction):
-        parts = [holds_at_start(scene, part) for part in term.parts]
+        operands = [holds_at_start(scene, operand) for operand in term.parts]
         decisive = term.word == "or"
-        return decisive if decisive in parts else None if None in parts else not decisive
+        return decisive if decisive in operands else None if None in operands else not decisive
     assert isinstance(term, Comparison)
     known = _start(scene)
     if not term.left.names | term.right.names <= known.keys():
@@ -217,7 +222,6 @@ def holds_at_start(scene: SceneFields, term: Term) -> bool | None:
 
 
 def _start(scene: SceneFields) -> dict[str, float]:
-    """Return the values at the start of what formulas may use."""
     known = scene.values()
     texts: dict[str, Any] = {}
     for name, coordinate in scene.coordinates.items():
@@ -227,12 +231,11 @@ def _start(scene: SceneFields) -> dict[str, float]:
             texts[f"{name}.{c}"] = body.start.get(c, 0)  # type: ignore[call-overload]
             texts[f"{name}.d{c}"] = body.start.get(f"d{c}", 0)  # type: ignore[call-overload]
     texts |= scene.controlled.controller_state
-    found = {name: parse(text).value(known) for name, text in texts.items()}
-    return {TIME: 0.0, **known, **found}
+    start_values = {name: parse(text).value(known) for name, text in texts.items()}
+    return {TIME: 0.0, **known, **start_values}
 
 
 def _frame(scene: SceneFields, name: str) -> tuple[str, str, str]:
-    """Return the position and the angle of a body as formulas."""
     body = scene.single_bodies()[name]
     if body.position is not None:
         x, y = body.position
@@ -240,28 +243,27 @@ def _frame(scene: SceneFields, name: str) -> tuple[str, str, str]:
     return f"{name}.x", f"{name}.y", f"{name}.angle" if body.inertia is not None else "0"
 
 
-def _turned(vector: tuple[str, str], angle: str, back: bool = False) -> tuple[str, str]:
-    """Return a vector turned by an angle, or back by it."""
+def _rotated_formulas(vector: tuple[str, str], angle: str, back: bool = False) -> tuple[str, str]:
     x, y = vector
     if angle == "0":
         return x, y
-    c, s, sign, other = f"cos({angle})", f"sin({angle})", "-+"[back], "+-"[back]
-    return f"({c}*({x}) {sign} {s}*({y}))", f"({c}*({y}) {other} {s}*({x}))"
+    c, s, sign, opposite_sign = f"cos({angle})", f"sin({angle})", "-+"[back], "+-"[back]
+    return f"({c}*({x}) {sign} {s}*({y}))", f"({c}*({y}) {opposite_sign} {s}*({x}))"
 
 
 def _captures(scene: SceneFields, name: str, joint: Joint) -> dict[str, str]:
-    """Return the pose of a joint where it closes: variable -> formula."""
+    """Return the formulas of the captured pose of a joint, by variable."""
     x, y, angle = _frame(scene, joint.point.body)
-    along, across = _turned(_texts(joint.point.at), angle)
-    place = f"{x} + {along}", f"{y} + {across}"
+    arm_x, arm_y = _rotated_formulas(_texts(joint.point.at), angle)
+    position = f"{x} + {arm_x}", f"{y} + {arm_y}"
     if isinstance(joint.to, Point):
         x0, y0, angle0 = _frame(scene, joint.to.body)
-        apart = f"{place[0]} - ({x0})", f"{place[1]} - ({y0})"
-        own = _turned(apart, angle0, back=True)
+        distance = f"{position[0]} - ({x0})", f"{position[1]} - ({y0})"
+        relative = _rotated_formulas(distance, angle0, back=True)
     else:
         angle0 = "0"
-        own = f"{place[0]} - ({joint.to.x or 0})", f"{place[1]} - ({joint.to.y or 0})"
-    values = {"x": own[0], "y": own[1], "turn": f"{angle} - {angle0}"}
+        relative = f"{position[0]} - ({joint.to.x or 0})", f"{position[1]} - ({joint.to.y or 0})"
+    values = {"x": relative[0], "y": relative[1], "turn": f"{angle} - {angle0}"}
     return {variable: values[variable.rpartition(".")[2]] for variable in captured(name, joint)}
 
 
@@ -270,7 +272,7 @@ def _texts(pair: Pair) -> tuple[str, str]:
 
 
 def _as_captured(name: str, joint: Joint) -> Joint:
-    """Return a joint whose place is what its region has captured."""
+    """Return a joint at the position that its region has captured."""
     if joint.rest is None:
         return joint
     if isinstance(joint.to, Point):

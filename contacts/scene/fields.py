@@ -1,4 +1,4 @@
-"""The fields of a scene, and what follows from them alone."""
+"""Fields of a scene, and quantities derived from them."""
 
 from __future__ import annotations
 
@@ -184,14 +184,18 @@ class SceneFields(Declaration):
     @property
     def variables(self) -> tuple[str, ...]:
         """Names of all coordinates."""
-        own = [f"{n}.{c}" for n, b in self.owners().items() for c in self.bodies[b].coordinates]
-        return (*own, *self.coordinates) if self.collisions else (*self.coordinates, *own)
+        of_bodies = [
+            f"{n}.{c}" for n, b in self.owners().items() for c in self.bodies[b].coordinates
+        ]
+        return (
+            (*of_bodies, *self.coordinates) if self.collisions else (*self.coordinates, *of_bodies)
+        )
 
     def owners(self) -> dict[str, str]:
-        """Return the names of all bodies, copies one by one, to those that they are declared by.
+        """Return body -> declared body, for all bodies and copies.
 
-        In a scene with collisions free bodies come first, then those that coordinates place; led
-        ones are behind these, and fixed ones last.
+        Free bodies come first; with collisions, bodies placed by coordinates, led bodies and fixed
+        bodies follow in this order.
         """
         single = all(body.copies is None for body in self.bodies.values())
         counts = dict.fromkeys(self.bodies) if single else copies(self, self.values())
@@ -234,14 +238,11 @@ class SceneFields(Declaration):
         return frozenset(timer for region in flat for timer in region.timers)
 
     def counted(self, values: Mapping[str, float]) -> dict[str, int | None]:
-        """Return how many copies there are of every body; None where it is declared as one."""
+        """Return the number of copies of every body; None for a single body."""
         return copies(self, values)
 
     def variant(self, overrides: Mapping[str, float]) -> Self:
-        """Return the scene itself, or the one with as many copies as `overrides` make.
-
-        Other overrides change nothing of it.
-        """
+        """Return the scene with the numbers of copies for these overrides, or itself."""
         if not self.whole or copies(self, self.values()) == copies(self, self.values(overrides)):
             return self
         deciding, further = set(self.whole), set(self.whole)
@@ -258,22 +259,24 @@ class SceneFields(Declaration):
         return ".".join([*owner, f"d{name}"])
 
     def stated(self, name: str) -> Quantity:
-        """Return what a name of the scene measures: of bodies, contacts, joints and energy."""
-        owner, _, part = name.rpartition(".")
-        words = f"{part} of {owner}"
-        if owner in self.contacts and part in _OF_CONTACTS:
-            return Quantity(words, _OF_CONTACTS[part])
-        if owner in self.couplings and part in _OF_COUPLINGS:
-            known = _OF_GUIDES if self.along_guide(owner) else _OF_COUPLINGS
-            return Quantity(words, known[part])
-        if owner in self.joints and part in self.joints[owner].forces:
-            return Quantity(words, "moment" if part == "M" else "force")
-        if owner in self.joints and part in _CAPTURED:
-            return Quantity(words, _CAPTURED[part])
-        if part in _OF_BODIES and owner and owner not in self.contacts:
-            return Quantity(words, _OF_BODIES[part])
-        if part.startswith("d") and part[1:] in _OF_BODIES and owner:
-            return Quantity(f"rate of {part[1:]} of {owner}", per_time(_OF_BODIES[part[1:]]))
+        """Return the physical quantity of a name of the scene."""
+        owner, _, quantity = name.rpartition(".")
+        description = f"{quantity} of {owner}"
+        if owner in self.contacts and quantity in _OF_CONTACTS:
+            return Quantity(description, _OF_CONTACTS[quantity])
+        if owner in self.couplings and quantity in _OF_COUPLINGS:
+            dimensions = _OF_GUIDES if self.along_guide(owner) else _OF_COUPLINGS
+            return Quantity(description, dimensions[quantity])
+        if owner in self.joints and quantity in self.joints[owner].forces:
+            return Quantity(description, "moment" if quantity == "M" else "force")
+        if owner in self.joints and quantity in _CAPTURED:
+            return Quantity(description, _CAPTURED[quantity])
+        if quantity in _OF_BODIES and owner and owner not in self.contacts:
+            return Quantity(description, _OF_BODIES[quantity])
+        if quantity.startswith("d") and quantity[1:] in _OF_BODIES and owner:
+            return Quantity(
+                f"rate of {quantity[1:]} of {owner}", per_time(_OF_BODIES[quantity[1:]])
+            )
         if name == INDEX and name not in self.parameters:
             return Quantity("number of a copy", "1")
         if dimension := timed(self.controlled.flat.values(), name):
@@ -286,10 +289,10 @@ class SceneFields(Declaration):
         return Quantity(name, "energy") if name == "energy" else super().stated(name)
 
     def facts(self) -> Iterator[Fact]:
-        """Yield what formulas measure: of starts and rates, too.
+        """Yield the dimensions of formulas, of starts and rates, too.
 
-        Where bodies are tells what coordinates and their rates measure, before gains of controllers
-        that are plain numbers are taken for numbers.
+        Positions of bodies come first: they determine the dimensions of coordinates before constant
+        gains of controllers are taken for plain numbers.
         """
         for body in self.bodies.values():
             yield from fields_of(body)
@@ -305,9 +308,9 @@ class SceneFields(Declaration):
         yield from super().facts()
 
     def jams(self, contact: str) -> bool:
-        """Return whether a contact may see an impact without collision.
+        """Return whether a contact may have an impact without collision.
 
-        It rubs, and its point turns or others can wedge it.
+        It needs friction, and a body that rotates or other contacts that can wedge it.
         """
         declared = self.contacts[contact]
         body = self.bodies[declared.point.body]
@@ -317,7 +320,7 @@ class SceneFields(Declaration):
         return rubs and (turns or len(self.contacts) > 1) and self.paradox == "impact"
 
     def bounces(self, contact: str) -> bool:
-        """Return whether impacts may accumulate: its own, or in turn with others that feel them."""
+        """Return whether impacts may accumulate at a contact, alone or with coupled ones."""
         declared = self.contacts[contact]
         if declared.stiffness is not None:
             return False
@@ -327,7 +330,7 @@ class SceneFields(Declaration):
         return sum(other.point.body in moved for other in self.contacts.values()) > 1
 
     def _moved_with(self, body: str) -> set[str]:
-        """Return what feels an impact on a body through joints, coordinates and contacts."""
+        """Return the bodies coupled to a body by joints, coordinates and contacts."""
         pairs = [
             (joint.point.body, joint.to.body)
             for joint in self.joints.values()
@@ -339,20 +342,20 @@ class SceneFields(Declaration):
         for coordinate in self.coordinates:
             pairs += pairwise(
                 name
-                for name, one in self.bodies.items()
+                for name, declared in self.bodies.items()
                 if any(
                     coordinate in parse(text).names
-                    for text in (*(one.position or ()), one.angle or 0)
+                    for text in (*(declared.position or ()), declared.angle or 0)
                 )
             )
-        found, left = {body}, [body]
-        while left:
-            here = left.pop()
+        moved, pending = {body}, [body]
+        while pending:
+            current = pending.pop()
             for pair in pairs:
-                fresh = {*pair} - found if here in pair else set()
-                found |= fresh
-                left += fresh
-        return found
+                fresh = {*pair} - moved if current in pair else set()
+                moved |= fresh
+                pending += fresh
+        return moved
 
     @cached_property
     def controlled(self) -> Controls:
@@ -399,9 +402,11 @@ class SceneFields(Declaration):
         if self.collisions:
             return frozenset()
         texts = [text for s in self.surfaces.values() for text in (*s.displacement, s.turn)]
-        found, memory = set[str](), {*self.controlled.controller_state, *self.controls}
-        while fresh := {n for text in texts for n in parse(text).names & memory} - found:
-            found |= fresh
+        texts += [joint.rope for joint in self.joints.values() if joint.rope is not None]
+        texts += [s.radius for s in self.surfaces.values() if s.radius is not None]
+        names, memory = set[str](), {*self.controlled.controller_state, *self.controls}
+        while fresh := {n for text in texts for n in parse(text).names & memory} - names:
+            names |= fresh
             texts = [
                 text
                 for region in self.regions
@@ -409,19 +414,19 @@ class SceneFields(Declaration):
                 for variable, text in state.flows.items()
                 if variable in fresh
             ]
-        return frozenset(found)
+        return frozenset(names)
 
     @property
     def placed_names(self) -> frozenset[str]:
         """Names of the places and rates of bodies that formulas place, or that are fixed."""
-        found: set[str] = set()
+        names: set[str] = set()
         for name, owner in self.owners().items():
             body = self.bodies[owner]
             if body.position is None and not body.fixed:
                 continue
             turns = body.prescribed or body.angle is not None
             places = ["x", "y", "angle"] if turns else ["x", "y"]
-            found |= {f"{name}.{place}" for place in places}
+            names |= {f"{name}.{place}" for place in places}
             texts = (*(body.position or ()), body.angle or 0)
             used = frozenset[str]().union(*(parse(text).names for text in texts))
             # How a control changes within a state is not known.
@@ -431,8 +436,8 @@ class SceneFields(Declaration):
                 for text in self.controlled.texts(control)
                 if parse(text).names - self.parameters.keys()
             }
-            found |= set() if varying else {f"{name}.d{place}" for place in places}
-        return frozenset(found)
+            names |= set() if varying else {f"{name}.d{place}" for place in places}
+        return frozenset(names)
 
     @cached_property
     def condition_states(self) -> tuple[Member, ...]:
@@ -460,9 +465,9 @@ def copies(scene: SceneFields, values: Mapping[str, float]) -> dict[str, int | N
 
     Raises `DeclarationProblem` if a number of copies is not whole, or too large.
     """
-    found: dict[str, int | None] = {}
+    counts: dict[str, int | None] = {}
     for name, body in scene.bodies.items():
-        found[name] = None
+        counts[name] = None
         if body.copies is None:
             continue
         loc = ("bodies", name, "copies")
@@ -471,5 +476,5 @@ def copies(scene: SceneFields, values: Mapping[str, float]) -> dict[str, int | N
             raise DeclarationProblem(
                 f"must be a whole number from 1 to {_MOST_COPIES}, not {number:g}", loc=loc
             )
-        found[name] = int(number)
-    return found
+        counts[name] = int(number)
+    return counts

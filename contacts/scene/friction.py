@@ -53,13 +53,13 @@ class StaticKinetic(Friction):
     )
 
 
-def _form(value: Any) -> str:
+def _friction_tag(value: Any) -> str:
     return "law" if isinstance(value, dict | Friction) else "coefficient"
 
 
 DeclaredFriction = Annotated[
     Annotated[FormulaText, Tag("coefficient")] | Annotated[Friction, Tag("law")],
-    Discriminator(_form),
+    Discriminator(_friction_tag),
 ]
 """One coefficient, or `Friction`."""
 

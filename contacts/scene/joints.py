@@ -129,13 +129,14 @@ class Joint(Part):
         default=None,
     )
     rod: FormulaText | None = declare(
-        "Holds the two points at this distance instead of together.",
+        "Holds the two points at this distance instead of together; may use time.",
         "L",
         unit="length",
         default=None,
     )
     rope: FormulaText | None = declare(
-        "Keeps the two points within this distance: a rope, taut or slack.",
+        "Keeps the two points within this distance: a rope, taut or slack. It may use time, "
+        "controls and variables of controllers: a winch.",
         "L",
         unit="length",
         default=None,

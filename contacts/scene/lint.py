@@ -1,4 +1,4 @@
-"""Warnings of what is no error and hardly meant, and laws of impact that time stepping replaces."""
+"""Warnings about probable mistakes, and about impact laws that time stepping replaces."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from statechart.formulas.formula import parse
 from statechart.formulas.tree import Call, Name, Node, Number, Unary, nodes
 
 NEARLY_MEETING = 1e-3
-"""Ends closer than this part of the scene's length were hardly meant to be apart."""
+"""Ends of edges closer than this part of the scene's length were probably meant to meet."""
 
-# Ends closer than this part of the edges' extent are equal but for round-off.
+# Ends closer than this part of the edges' extent are equal up to round-off.
 _EQUAL = 1e-12
-# An angle beyond a turn, written as a plain number, was rarely counted in radians.
+# A constant angle beyond a turn is probably in degrees.
 _TURN = 2.0 * math.pi
-# A centre that is no farther in, beside how far it is from the line's first point, is on it.
+# Depth of a point in a line's solid, relative to its distance from the line's first point, that is
+# round-off.
 _GAP_ROUND_OFF = 1e-9
-# Inertias in parts of that of all mass at a body's farthest point. Bodies have at most one, and
-# seldom less than a hundredth; lengths in millimetres beside metres make a million of it, and what
-# never turns is often given 1.
+# Plausible inertias relative to mass times the largest radius squared: usually 0.01 to 1. Mixed
+# millimetres and metres give 1e6; bodies that never turn often have an arbitrary inertia of 1.
 _MIN_INERTIA, _MAX_INERTIA = 1e-5, 1e4
 _OF_ANGLES = frozenset({"sin", "cos", "tan"})
 
 
 def lint(scene: SceneFields) -> tuple[str, ...]:
-    """Return warnings of what is no error, and was hardly meant."""
+    """Return warnings about probable mistakes."""
     return tuple(dict.fromkeys(_warnings(scene)))
 
 
@@ -71,17 +71,20 @@ def _warnings(scene: SceneFields) -> Iterator[str]:
 
 
 def _static_by_hand(scene: SceneFields) -> Iterator[str]:
-    """Say which coefficients follow their contact's own slip and stick, one event late."""
+    """Yield warnings about coefficients that controllers switch on slip and stick."""
     for name, contact in scene.contacts.items():
         law = scene.friction_of(name)
         region = None if law is None else scene.controlled.region_of(law.both)
         if region is None:
             continue
         transitions = declared_transitions(scene.regions[region], "regions", region)
-        heard = {
-            event.cause for one, _ in transitions for event in one.events if event.region == name
+        causes = {
+            event.cause
+            for transition, _ in transitions
+            for event in transition.events
+            if event.region == name
         }
-        if heard & {"slip", "stick"}:
+        if causes & {"slip", "stick"}:
             yield (
                 f"contacts.{name}.friction: {contact.friction} changes after {name} slips or "
                 "sticks, so where it comes to rest that of its motion decides; write friction: "
@@ -90,7 +93,7 @@ def _static_by_hand(scene: SceneFields) -> Iterator[str]:
 
 
 def _idle(scene: SceneFields) -> Iterator[str]:
-    """Say what has a shape, or is solid, and collides with nothing."""
+    """Yield warnings about bodies with shapes, and surfaces, that are in no collisions."""
     bodies = {name for law in scene.collisions.values() for name in law.bodies}
     surfaces = {name for law in scene.collisions.values() for name in law.surfaces}
     for kind, idle in (
@@ -108,33 +111,38 @@ def _idle(scene: SceneFields) -> Iterator[str]:
 
 
 def _spread(scene: SceneFields) -> Iterator[str]:
-    """Say whose inertia is not that of mass within its shapes: units were mixed."""
-    known = scene.values()
+    """Yield warnings about inertias that are implausible for the shapes (mixed units)."""
+    values = scene.values()
     for name, body in scene.bodies.items():
         if not body.shape or body.inertia is None:
             continue
-        far = 0.0
+        reach = 0.0
         for shape in body.shape:
-            rim = parse(shape.disc or 0).value(known)
+            rim = parse(shape.disc or 0).value(values)
             for corner in (shape.at,) if shape.polygon is None else shape.polygon:
-                far = max(far, math.hypot(*(parse(text).value(known) for text in corner)) + rim)
-        mass, inertia = (parse(text).value(known) for text in (body.mass, body.inertia))
-        most = mass * far**2
-        if most > 0.0 and not _MIN_INERTIA * most <= inertia <= _MAX_INERTIA * most:
+                reach = max(
+                    reach, math.hypot(*(parse(text).value(values) for text in corner)) + rim
+                )
+        mass, inertia = (parse(text).value(values) for text in (body.mass, body.inertia))
+        largest = mass * reach**2
+        if largest > 0.0 and not _MIN_INERTIA * largest <= inertia <= _MAX_INERTIA * largest:
             yield (
-                f"bodies.{name}.inertia: {inertia:.3g} is {inertia / most:.1g} times "
-                f"mass*radius**2 = {most:.3g} of its shape; check the units (a disc has "
+                f"bodies.{name}.inertia: {inertia:.3g} is {inertia / largest:.1g} times "
+                f"mass*radius**2 = {largest:.3g} of its shape; check the units (a disc has "
                 "m*r**2/2, a box m*(width**2 + height**2)/12)"
             )
 
 
 def _starts_inside(scene: SceneFields) -> Iterator[str]:
-    """Say whose centre of mass starts in the solid of a line that its points are to touch."""
-    known = scene.values()
-    known |= {name: parse(one.start).value(known) for name, one in scene.coordinates.items()}
+    """Yield warnings about bodies whose centre starts in the solid of a line that they touch."""
+    values = scene.values()
+    values |= {
+        name: parse(coordinate.start).value(values)
+        for name, coordinate in scene.coordinates.items()
+    }
 
     def numbers(texts: Iterable[FormulaText]) -> list[float]:
-        return [parse(text).value({**known, TIME: 0.0}) for text in texts]
+        return [parse(text).value({**values, TIME: 0.0}) for text in texts]
 
     for name, contact in scene.contacts.items():
         surface, body = scene.surfaces[contact.surface], scene.bodies[contact.point.body]
@@ -142,8 +150,8 @@ def _starts_inside(scene: SceneFields) -> Iterator[str]:
             continue
         if scene.initial_modes.get(name) == "off":
             continue
-        free = (body.start.get("x", 0), body.start.get("y", 0))
-        x, y = numbers(body.position or free)
+        start = (body.start.get("x", 0), body.start.get("y", 0))
+        x, y = numbers(body.position or start)
         (a, b), (c, d) = map(numbers, surface.line)
         depth = ((x - a) * (d - b) - (y - b) * (c - a)) / math.hypot(c - a, d - b)
         if depth > _GAP_ROUND_OFF * max(abs(x - a), abs(y - b)):
@@ -155,7 +163,7 @@ def _starts_inside(scene: SceneFields) -> Iterator[str]:
 
 
 def _plain(node: Node, parameters: Mapping[str, FormulaText]) -> float | None:
-    """Return the number that is written, or that the parameter named is; None for any other."""
+    """Return the value of a constant, or of a parameter that is one; None for other formulas."""
     match node:
         case Number(value=value):
             return value
@@ -173,7 +181,7 @@ def _degrees(value: float) -> str:
 
 
 def stays_off(scene: SceneFields, contact: str, depth: float) -> str:
-    """Return a warning: a contact stays off, as its point is inside where its conditions hold."""
+    """Return the warning about a contact that stays off since its point is inside the surface."""
     surface = scene.contacts[contact].surface
     if scene.surfaces[surface].edge is None:
         return (
@@ -188,9 +196,9 @@ def stays_off(scene: SceneFields, contact: str, depth: float) -> str:
 
 def nearly_meeting_ends(scene: SceneFields) -> Iterator[str]:
     """Yield a warning for each two edges whose ends nearly meet."""
-    known = scene.values()
+    values = scene.values()
     ends = {
-        name: [tuple(parse(text).value(known) for text in corner) for corner in surface.edge]
+        name: [tuple(parse(text).value(values) for text in corner) for corner in surface.edge]
         for name, surface in scene.surfaces.items()
         if surface.edge is not None and not surface.moves
     }
@@ -198,47 +206,47 @@ def nearly_meeting_ends(scene: SceneFields) -> Iterator[str]:
     if not corners:
         return
     extent = math.hypot(*(max(side) - min(side) for side in zip(*corners, strict=True)))
-    for one, other in combinations(ends, 2):
-        if scene.surfaces[one].body != scene.surfaces[other].body:
+    for first, second in combinations(ends, 2):
+        if scene.surfaces[first].body != scene.surfaces[second].body:
             continue
-        near, a, b = min(
-            (math.dist(ends[one][a], ends[other][b]), a, b) for a in range(2) for b in range(2)
+        distance, a, b = min(
+            (math.dist(ends[first][a], ends[second][b]), a, b) for a in range(2) for b in range(2)
         )
-        if _EQUAL * extent < near < NEARLY_MEETING * extent:
+        if _EQUAL * extent < distance < NEARLY_MEETING * extent:
             numbers = ("first", "second")
             yield (
-                f"surfaces.{other}.edge: its {numbers[b]} point is {near:.3g} from the "
-                f"{numbers[a]} point of {one!r}, so that a sliding point may fall between; "
+                f"surfaces.{second}.edge: its {numbers[b]} point is {distance:.3g} from the "
+                f"{numbers[a]} point of {first!r}, so that a sliding point may fall between; "
                 "write the same point for both"
             )
 
 
 def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
-    """Return what a run by time stepping does without: a declared law -> what is done instead."""
-    found = {}
-    hit = {n: c for n, c in scene.contacts.items() if "free" in c.kinds and c.stiffness is None}
-    if scene.simultaneous == "sequential" and hit and _meet(scene):
-        found["simultaneous: sequential"] = (
+    """Return the declared laws that time stepping replaces -> sentence on the replacement."""
+    replacements = {}
+    rigid = {n: c for n, c in scene.contacts.items() if "free" in c.kinds and c.stiffness is None}
+    if scene.simultaneous == "sequential" and rigid and _meet(scene):
+        replacements["simultaneous: sequential"] = (
             "by steps, simultaneous impacts follow Moreau's law, as with capped"
         )
     if scene.paradox == "stop" and scene.collisions:
-        found["paradox: stop"] = (
+        replacements["paradox: stop"] = (
             "bodies with shapes that friction presses into others are stopped by an impact, "
             "as with impact"
         )
-    others: dict[str, list[str]] = {}
-    for name, contact in hit.items():
+    other_laws: dict[str, list[str]] = {}
+    for name, contact in rigid.items():
         if contact.impact != MOREAU and not _agrees(scene, contact, values):
-            others.setdefault(contact.impact, []).append(name)
-    for law, names in others.items():
-        found[f"impact: {law} at {', '.join(names)}"] = (
+            other_laws.setdefault(contact.impact, []).append(name)
+    for law, names in other_laws.items():
+        replacements[f"impact: {law} at {', '.join(names)}"] = (
             "steps use Moreau's law instead; impact: moreau gives the same with events"
         )
-    return found
+    return replacements
 
 
 def _meet(scene: SceneFields) -> bool:
-    """Return whether a body has several contacts, or bodies may feel those of others."""
+    """Return whether contacts may be coupled: on one body, or by joints and coordinates."""
     linked = bool(scene.joints) or any(body.position is not None for body in scene.bodies.values())
     touched = sorted(
         body
@@ -250,7 +258,7 @@ def _meet(scene: SceneFields) -> bool:
 
 
 def _agrees(scene: SceneFields, contact: Contact, values: Mapping[str, float]) -> bool:
-    """Return whether all laws agree: no friction, or a particle that moves along the push."""
+    """Return whether all impact laws agree: no friction, or a free particle."""
     if contact.frictionless:
         return True
     declared = contact.friction

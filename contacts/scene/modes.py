@@ -25,10 +25,10 @@ INSIDE, OUTSIDE = "inside", "outside"
 class FrictionSymbols(NamedTuple):
     """Friction of a contact by direction: 0 at rest, 1 and -1 in motion."""
 
-    # The cone's unit edges (1, mu) / hypot(1, mu): mu = 0 and mu = inf are ordinary values. Plain
-    # numbers where no coefficient is needed: (1, 0) frictionless, (0, 1) without slide
+    # The cone's unit edges (1, mu) / hypot(1, mu), also for mu = 0 and mu = inf. Constants without
+    # a coefficient: (1, 0) frictionless, (0, 1) without slide
     edges: Mapping[int, tuple[sp.Expr, sp.Expr]]
-    # The coefficient that a mode uses, and its values; empty where all are one
+    # The coefficient that a mode uses, and its values; empty if they are equal
     used: Mapping[int, Mapping[sp.Symbol, sp.Expr]] = MappingProxyType({})
 
 
@@ -38,8 +38,8 @@ class ContactSymbols:
 
     name: str  # Name of the contact
     gap: sp.Expr  # Distance from the surface, to first order; >= 0
-    # Round-off of the gap where a flight begins: flights are measured from there, so
-    # that how long they are depends on their velocity alone
+    # Round-off of the gap at the start of a flight, which is subtracted, so that the duration of
+    # the flight depends on its velocity alone
     gap_offset: sp.Expr
     # `gap_rate`, `slip`: Normal and tangential velocity of the point relative to the surface
     gap_rate: sp.Expr
@@ -51,13 +51,11 @@ class ContactSymbols:
     V: sp.Symbol
     H: sp.Symbol
     friction: FrictionSymbols
-    # (tuple of Expr, tuple of Expr): d(normal, tangential velocity)/d(rates): what the forces do to
-    # each coordinate
+    # d(normal, tangential velocity)/d(rates)
     jacobian: tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]
     joints: tuple[tuple[sp.Expr, ...], ...]  # Jacobian of the scene's joints, row by row
     joint_forces: tuple[sp.Symbol, ...]  # Forces of these rows
-    # `closing`, `sticking`: What a closed gap holds in place, and what a point does that does not
-    # move
+    # `closing`, `sticking`: Constraints of a closed gap, and of a sticking point
     closing: Hold
     sticking: Hold
     # Normal force of a closed compliant contact, in positions and rates; None if it is rigid
@@ -85,13 +83,15 @@ class Free(Part):
         gap = Difference(contact.gap, contact.gap_offset)
         margins = [Margin(f"{contact.name}.gap", gap, "gap")]
         if contact.compliance is not None:
-            # It may lift off while it is inside, and press again there.
+            # A compliant contact may open while it is inside, and press again there.
             relation = f"{contact.name}.free"
-            whole = sp.Max(contact.gap, -contact.compliance, evaluate=False)
+            distance = sp.Max(contact.gap, -contact.compliance, evaluate=False)
             margins = [
-                Margin(margins[0].name, gap, "gap", relation, whole),
-                Margin(f"{contact.name}.{INSIDE}", -contact.compliance, "force", relation, whole),
-                Margin(f"{contact.name}.{OUTSIDE}", -contact.gap, "plain", relation, whole),
+                Margin(margins[0].name, gap, "gap", relation, distance),
+                Margin(
+                    f"{contact.name}.{INSIDE}", -contact.compliance, "force", relation, distance
+                ),
+                Margin(f"{contact.name}.{OUTSIDE}", -contact.gap, "plain", relation, distance),
             ]
         values = contact.friction.used.get(0, {})
         return State((contact.V, contact.H), tuple(margins), values=values)
@@ -143,20 +143,29 @@ def off(contact: ContactSymbols, back: tuple[Margin, ...]) -> State:
     return State((contact.V, contact.H), back, values=contact.friction.used.get(0, {}))
 
 
+class SignFriction(NamedTuple):
+    """Dry friction by a sign, as expressions."""
+
+    name: str  # As in formulas, without spaces.
+    slip: sp.Expr  # The rate in the sign.
+    bias: sp.Expr  # Its derivative where nothing accelerates.
+    limit: sp.Expr
+    row: tuple[sp.Expr, ...]  # (n,): derivatives of the slip by the rates.
+
+
 class Bearing(NamedTuple):
     """Equations of a contact that shares its load."""
 
-    # Zone of its cone: `inside`, `upper`, `lower`, `apex`; `OWN` where the motion determines
-    # its force
+    # Zone of its cone: `inside`, `upper`, `lower`, `apex`; `OWN` if the motion determines the force
     zone: str
-    # Its constraints, along normal and tangent ("n", "t"), that the others do not imply
-    rows: str
-    # Its forces, along normal and tangent or along its edge ("e"), that may carry the load in
-    # the equations of motion
+    rows: str  # Independent constraints along normal and tangent ("n", "t")
+    # Forces along normal and tangent or along the edge ("e") that carry the load in the equations
     carriers: str = ""
-    coordinates: tuple[int, ...] = ()  # Those whose displacements determine the forces
-    # The rows of joints that these displacements keep; named once in a mode
+    coordinates: tuple[int, ...] = ()  # Independent displacements of the load sharing
+    # Joint rows that these displacements satisfy; given once in a mode
     joints: tuple[int, ...] = ()
+    # Signs that share the load, and their zones; named once, too
+    signs: tuple[tuple[SignFriction, str], ...] = ()
 
 
 OWN = "own"
@@ -167,66 +176,78 @@ def shared(
     mode: Free | Slide | Pin, contact: ContactSymbols, direction: int, bearing: Bearing
 ) -> State:
     """Return the state of a contact that shares its load (see `contacts.modes.load_sharing`)."""
-    own = mode.state(contact, direction)
-    return share_of(own, contact, direction, bearing, isinstance(mode, Pin))
+    state = mode.state(contact, direction)
+    return share_of(state, contact, direction, bearing, isinstance(mode, Pin))
 
 
 def share_of(
-    own: State,
+    state: State,
     contact: ContactSymbols,
     direction: int,
     bearing: Bearing,
     pinned: bool,
     limit: sp.Expr | None = None,
 ) -> State:
-    """Return the state `own` of a contact, or of a coupling with a limit, that shares its load."""
+    """Return a state of a contact, or of a coupling with a limit, with a shared load."""
     import sympy as sp
 
     zone, places = bearing.zone, bearing.coordinates
     constraints = {"n": contact.normal_law, "t": contact.tangential_acceleration}
-    kept = tuple(constraints[row] for row in bearing.rows)
+    independent = tuple(constraints[row] for row in bearing.rows)
     if zone == OWN:
-        rest = (e for e in own.equations if e not in constraints.values())
-        return State((*kept, *rest), own.margins, values=own.values)
+        other_equations = (e for e in state.equations if e not in constraints.values())
+        return State((*independent, *other_equations), state.margins, values=state.values)
     n, t = contact.friction.edges[0 if pinned else direction]
     y = {place: sp.Symbol(f"y{place}", real=True) for place in places}
     w, u = (sp.Add(*(row[i] * y[i] for i in places)) for row in contact.jacobian)
-    # Along the edge, where there is but one.
+    # The tangential component of the edge.
     t = t if pinned and zone == "upper" else -t if pinned else -direction * t
     if limit is None:
         bears, laws, further = _on_cone(contact, zone, (n, t), (w, u), pinned)
     else:
         bears, laws, further = _within(contact, zone, limit, u)
-    margins = own.margins
+    margins = state.margins
     if zone != "inside":
         margins = *(m for m in margins if m.kind == "speed"), *further
-    # In the equations of motion: by its normal and tangential force, or along the edge.
+    # The force in the equations of motion: normal and tangential, or along the edge.
     own_force = contact.V if limit is None else contact.H
     carriers = {f: sp.Symbol(f"{f}_{own_force}", real=True) for f in bearing.carriers}
     edge = carriers.get("e", sp.S.Zero)
-    by = (carriers.get("n", n * edge), carriers.get("t", t * edge))
-    left = (bears[0] - by[0], bears[1] - by[1])
+    carried_force = (carriers.get("n", n * edge), carriers.get("t", t * edge))
+    residual = (bears[0] - carried_force[0], bears[1] - carried_force[1])
     balances = {
-        y[i]: sp.Add(*(row[i] * force for row, force in zip(contact.jacobian, left, strict=True)))
+        y[i]: sp.Add(
+            *(row[i] * force for row, force in zip(contact.jacobian, residual, strict=True))
+        )
         for i in places
     }
-    carried: dict[sp.Symbol, sp.Expr] = {contact.V: by[0], contact.H: by[1]}
+    carried: dict[sp.Symbol, sp.Expr] = {contact.V: carried_force[0], contact.H: carried_force[1]}
     if limit is not None:
         del carried[contact.V]
     for joint in bearing.joints:
-        # Force of the joint where the contacts share, and where the carriers bear it all.
+        # The joint force with load sharing, and the one if the carriers bear all of the load.
         force, row = contact.joint_forces[joint], contact.joints[joint]
         reaction = sp.Symbol(f"x{joint}", real=True)
         carriers[str(force)] = carried[force] = sp.Symbol(f"alone_{force}", real=True)
         laws[force] = force - carried[force] - reaction
-        parted = balances[reaction] = sp.Add(*(row[i] * y[i] for i in places))
+        displacement = balances[reaction] = sp.Add(*(row[i] * y[i] for i in places))
         for i in places:
-            # A spring in the joint, which it holds at rest: pivots need no joint to be nonzero.
-            balances[y[i]] += row[i] * (reaction + parted)
-    loads = Loads(carried, tuple(carriers.values()), laws, balances)
+            # A spring at the joint, with zero deflection, makes the pivots nonzero.
+            balances[y[i]] += row[i] * (reaction + displacement)
+    known: dict[sp.Expr, sp.Expr] = {}
+    for (name, slip, _, most, row), zone in bearing.signs:
+        spring = sp.Add(*(row[i] * y[i] for i in places if i < len(row)))
+        # A sign on its bound has it in the equations of motion.
+        side = {"upper": 1, "lower": -1}.get(zone, 0)
+        known[sp.sign(slip)] = sp.Integer(-side)
+        for i in places:
+            balances[y[i]] += row[i] * spring if side == 0 and i < len(row) else 0
+        rooms = (side * spring - most,) if side else (most - spring, most + spring)
+        margins += tuple(Margin(f"{name}.{k}", room, "force") for k, room in enumerate(rooms))
+    loads = Loads(carried, tuple(carriers.values()), laws, balances, known)
     if contact.compliance is not None:
-        kept = tuple(equation.xreplace(carried) for equation in kept)
-    return State(kept, margins, values=own.values, loads=loads)
+        independent = tuple(equation.xreplace(carried) for equation in independent)
+    return State(independent, margins, values=state.values, loads=loads)
 
 
 def _on_cone(
@@ -236,34 +257,34 @@ def _on_cone(
     springs: tuple[sp.Expr, sp.Expr],
     pinned: bool,
 ) -> tuple[tuple[sp.Expr, sp.Expr], dict[sp.Symbol, sp.Expr], tuple[Margin, ...]]:
-    """Return what a contact bears in a zone of its cone, the laws of that, and its margins."""
+    """Return the force of a contact in a zone of its cone, its equations, and its margins."""
     import sympy as sp
 
     name, (n, t), (w, u) = contact.name, edge, springs
     if zone == "inside":
         return (contact.V, contact.H), {contact.V: contact.V - w, contact.H: contact.H - u}, ()
-    # Along the edge, and across it, away from the inside of the cone.
-    along, across = n * w + t * u, n * u - t * w
+    # Components along the edge, and perpendicular to it out of the cone.
+    along_edge, across_edge = n * w + t * u, n * u - t * w
     if zone == "apex":
-        margins = [Margin(f"{name}.spared", -along, "force")]
+        margins = [Margin(f"{name}.spared", -along_edge, "force")]
         if pinned:
             margins.append(Margin(f"{name}.spared -", t * u - n * w, "force"))
         return (sp.S.Zero, sp.S.Zero), {f: f for f in (contact.V, contact.H)}, tuple(margins)
     amount = sp.Symbol(f"edge_{contact.V}", real=True)
     bears = n * amount, t * amount
-    laws = {amount: amount - along}
-    laws |= {f: f - part for f, part in zip((contact.V, contact.H), bears, strict=True)}
+    laws = {amount: amount - along_edge}
+    laws |= {f: f - component for f, component in zip((contact.V, contact.H), bears, strict=True)}
     margins = [Margin(f"{name}.{_LOAD}", amount, "force")]
     if pinned:
-        away = across if zone == "upper" else -across
-        margins.append(Margin(f"{name}.on edge", away, "force"))
+        distance = across_edge if zone == "upper" else -across_edge
+        margins.append(Margin(f"{name}.on edge", distance, "force"))
     return bears, laws, tuple(margins)
 
 
 def _within(
     contact: ContactSymbols, zone: str, limit: sp.Expr, spring: sp.Expr
 ) -> tuple[tuple[sp.Expr, sp.Expr], dict[sp.Symbol, sp.Expr], tuple[Margin, ...]]:
-    """Return what a locked coupling bears in a zone, the law of that, and its margins."""
+    """Return the force of a locked coupling in a zone, its equation, and its margins."""
     if zone == "inside":
         return (contact.V, contact.H), {contact.H: contact.H - spring}, ()
     side = 1 if zone == "upper" else -1

@@ -350,7 +350,6 @@ class Point(Part):
 
 
 def _as_list(value: Any) -> Any:
-    """Let a single relation be declared as itself."""
     return value if isinstance(value, list | tuple) else (value,)
 
 

@@ -34,20 +34,20 @@ BODY_EDGES = (
     Edge("slip", "pin", "slide", "all contacts slip"),
 )
 
-# Longer conditions would drown the diagram: every state has an edge with them.
-_LONGEST_GATE = 40
+# Characters; longer conditions are abbreviated, since every state has an edge with them.
+_MAX_GATE_LENGTH = 40
 _DIRECTIONS = {"slide+": 1, "slide-": -1, "slide": 0}
 
 
 def states(contact: Contact, *, gate: str) -> tuple[str, ...]:
-    """Return the states of a contact's region: slide has a direction unless frictionless.
+    """Return the states of a contact's region: slide with directions unless frictionless.
 
-    With a `gate` (conditions, see `Scene.gate`) it can be off, too.
+    A contact with a `gate` (`Scene.gate`) can be off.
     """
     sliding = ("slide",) if contact.frictionless else ("slide+", "slide-")
     per_mode = {"free": ("free",), "slide": sliding, "pin": ("pin",)}
-    own = tuple(state for mode in contact.allowed for state in per_mode[mode.mode])
-    return (*own, OFF) if gate else own
+    state_names = tuple(state for mode in contact.allowed for state in per_mode[mode.mode])
+    return (*state_names, OFF) if gate else state_names
 
 
 def region(
@@ -62,8 +62,8 @@ def region(
 ) -> Region:
     """Return the region of a contact.
 
-    Its quantities, and the margins that take it off (`gates`) and bring it `back`, are asked for
-    when a state is built. Its transitions are `arrows` (see `edges`), its `gate` is `Scene.gate`.
+    Its `symbols`, and the margins that disable it (`gates`) and enable it (`back`), are evaluated
+    when a state is built. `arrows` are its transitions (`edges`), `gate` is `Scene.gate`.
     """
     modes = {mode.mode: mode for mode in contact.allowed}
 
@@ -82,7 +82,7 @@ def region(
         if state != OFF:
             return tuple(Claim(f"{name}: {text}", (text,), holds=True) for text in contact.enabled)
         if gate != conjunction(contact.enabled):
-            # It may be off beyond the ends of its edge.
+            # The contact may also be off beyond the ends of its edge.
             return ()
         outside = f"{name}.gap > 0"
         return (Claim(f"{name} is enabled", (*contact.enabled, outside), holds=False),)
@@ -112,7 +112,7 @@ def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Ed
     mu = "static" if isinstance(contact.friction, Friction) else "mu"
     result: list[Edge] = []
     if "free" in present:
-        # A plastic impact ends in flight, too, where the surface recedes at once.
+        # A plastic impact can end in flight, if the surface recedes.
         plastic = contact.restitution == 0
         rebound = _landing("free") if plastic else "impact: rebound by restitution"
         soft = contact.stiffness is not None
@@ -127,8 +127,10 @@ def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Ed
         result += [Edge("liftoff", state, "free", "V < 0") for state in closed]
     if "pin" in present:
         for state in sliding:
-            away = {"slide+": f"H < -{mu} V", "slide-": f"H > {mu} V"}.get(state, "|H| > 0")
-            result.append(Edge("slip", "pin", state, away))
+            sliding_guard = {"slide+": f"H < -{mu} V", "slide-": f"H > {mu} V"}.get(
+                state, "|H| > 0"
+            )
+            result.append(Edge("slip", "pin", state, sliding_guard))
             result.append(Edge("stick", state, "pin", f"slip = 0, |H| <= {mu} V", "slip := 0"))
     if jams:
         for state in sliding:
@@ -140,7 +142,7 @@ def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Ed
         result.append(Edge("reverse", "slide+", "slide-", f"slip = 0, H > {mu} V"))
         result.append(Edge("reverse", "slide-", "slide+", f"slip = 0, H < -{mu} V"))
     if gate:
-        gate = gate if len(gate) <= _LONGEST_GATE else "enabled"
+        gate = gate if len(gate) <= _MAX_GATE_LENGTH else "enabled"
         result += [Edge("disable", state, OFF, f"not ({gate})") for state in present]
         result.append(Edge("enable", OFF, "free", f"{gate}, gap >= 0"))
     return tuple(result)

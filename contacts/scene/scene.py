@@ -80,27 +80,27 @@ class Scene(SceneFields):
 
     def omitted(self, values: Mapping[str, float], *, stepped: bool) -> Mapping[str, str]:
         """Return what a run of the scene does without, and why."""
-        found = replaced(self, values) if stepped else {}
+        reasons = replaced(self, values) if stepped else {}
         for name, body in self.bodies.items():
             if body.fixed:
-                found[f"coordinates of {name}"] = "it is fixed"
+                reasons[f"coordinates of {name}"] = "it is fixed"
             elif body.prescribed:
-                found[f"coordinates of {name}"] = "it moves along its path"
+                reasons[f"coordinates of {name}"] = "it moves along its path"
             elif body.position is None and body.inertia is None:
-                found[f"the angle of {name}"] = "it has no inertia declared: a particle"
+                reasons[f"the angle of {name}"] = "it has no inertia declared: a particle"
             elif body.position is not None:
-                found[f"coordinates of {name}"] = "its position follows from those of the scene"
+                reasons[f"coordinates of {name}"] = "its position follows from those of the scene"
         for name, contact in self.contacts.items():
             missing = [mode for mode in ("free", "slide", "pin") if mode not in contact.kinds]
             for mode in missing:
-                found[f"{mode} of {name}"] = "not among its modes"
+                reasons[f"{mode} of {name}"] = "not among its modes"
             if contact.frictionless and "slide" in contact.kinds:
-                found[f"friction of {name}"] = "frictionless: one slide, without direction"
+                reasons[f"friction of {name}"] = "frictionless: one slide, without direction"
             elif "slide" not in contact.kinds:
-                found[f"the coefficient of friction of {name}"] = "it may not slide"
+                reasons[f"the coefficient of friction of {name}"] = "it may not slide"
             if "free" not in contact.kinds:
-                found[f"restitution of {name}"] = "it is never free"
-        return found
+                reasons[f"restitution of {name}"] = "it is never free"
+        return reasons
 
     def check_values(self, values: Mapping[str, float]) -> None:
         """Check that numbers are physical, finite and, of copies, whole, too."""
@@ -162,49 +162,49 @@ class Scene(SceneFields):
 
     @model_validator(mode="after")
     def _names_mean_something(self) -> Self:
-        found = Findings()
-        self._references_exist(found)
-        self._formulas_use_declared_names(found)
-        self._coordinates_move_bodies(found)
-        found.check()
+        findings = Findings()
+        self._references_exist(findings)
+        self._formulas_use_declared_names(findings)
+        self._coordinates_move_bodies(findings)
+        findings.check()
         return self
 
-    def _references_exist(self, found: Findings) -> None:
+    def _references_exist(self, findings: Findings) -> None:
         for name, contact in self.contacts.items():
             self._member(
-                found, "body", contact.point.body, self.bodies, "contacts", name, "point", "body"
+                findings, "body", contact.point.body, self.bodies, "contacts", name, "point", "body"
             )
             self._member(
-                found, "surface", contact.surface, self.surfaces, "contacts", name, "surface"
+                findings, "surface", contact.surface, self.surfaces, "contacts", name, "surface"
             )
         for name, surface in self.surfaces.items():
             if surface.body is not None:
-                self._member(found, "body", surface.body, self.bodies, "surfaces", name, "body")
-                with found:
+                self._member(findings, "body", surface.body, self.bodies, "surfaces", name, "body")
+                with findings:
                     check_carrier(self, name, surface.body)
         # Joints hold one copy of a body, by its number; forces act on one or on all.
         single = self.owners()
         for name, joint in self.joints.items():
             at = ("joints", name)
-            self._member(found, "body", joint.point.body, single, *at, "point", "body")
+            self._member(findings, "body", joint.point.body, single, *at, "point", "body")
             if isinstance(joint.to, Point):
-                self._member(found, "body", joint.to.body, single, *at, "to", "body")
+                self._member(findings, "body", joint.to.body, single, *at, "to", "body")
         for name, force in self.forces.items():
             several = {**self.bodies, **single}
-            self._member(found, "body", force.body, several, "forces", name, "body")
+            self._member(findings, "body", force.body, several, "forces", name, "body")
         for name, coupling in self.couplings.items():
             at = ("couplings", name)
             if coupling.joint is not None:
-                self._member(found, "joint", coupling.joint, self.joints, *at, "joint")
+                self._member(findings, "joint", coupling.joint, self.joints, *at, "joint")
             for place, body in enumerate(coupling.bodies or ()):
-                self._member(found, "body", body, self.bodies, *at, "bodies", place)
+                self._member(findings, "body", body, self.bodies, *at, "bodies", place)
         for name, mode in self.initial_modes.items():
-            self._member(found, "contact", name, self.contacts, "modes", name)
+            self._member(findings, "contact", name, self.contacts, "modes", name)
             if name not in self.contacts or not self._on_a_surface(name):
                 continue
             present = states(self.contacts[name], gate=self.gate(name))
             known = dict.fromkeys(map(declared_state, present)) | _active(present)
-            with found:
+            with findings:
                 if mode not in known:
                     raise DeclarationProblem(
                         f"contact {name!r} does not list the mode {mode!r}",
@@ -212,18 +212,18 @@ class Scene(SceneFields):
                         loc=("modes", name),
                     )
 
-    def _formulas_use_declared_names(self, found: Findings) -> None:
-        with found:
+    def _formulas_use_declared_names(self, findings: Findings) -> None:
+        with findings:
             self.controlled.check(self.kinematic_names)
-        with found:
+        with findings:
             self.controlled.check_controller_state(self.kinematic_names)
         # Beside what moves, a body may stand at a place.
         nothing_moves = not self.coordinates and all(
             body.position is not None for body in self.bodies.values()
         )
-        check_prescribed(self, found)
+        check_prescribed(self, findings)
         for name, body in self.bodies.items():
-            with found:
+            with findings:
                 if body.position is not None and nothing_moves and not body.prescribed:
                     raise DeclarationProblem(
                         "a position is a formula of coordinates, and the scene has none",
@@ -231,21 +231,21 @@ class Scene(SceneFields):
                         loc=("bodies", name, "position"),
                         key=True,
                     )
-        check_formulas(self, found)
-        check_led_surfaces(self, found)
+        check_formulas(self, findings)
+        check_led_surfaces(self, findings)
         for name, contact in self.contacts.items():
-            self._check_contact(found, name, contact)
+            self._check_contact(findings, name, contact)
         for name, coupling in self.couplings.items():
-            with found:
+            with findings:
                 check_coupled(self, name)
-            self._check_enabled(found, coupling.enabled, "couplings", name)
+            self._check_enabled(findings, coupling.enabled, "couplings", name)
 
     def _on_a_surface(self, contact: str) -> bool:
         return self.contacts[contact].surface in self.surfaces
 
-    def _check_contact(self, found: Findings, name: str, contact: Contact) -> None:
+    def _check_contact(self, findings: Findings, name: str, contact: Contact) -> None:
         at: Loc = ("contacts", name)
-        with found:
+        with findings:
             gated = self._on_a_surface(name) and self.gate(name)
             if gated and "free" not in contact.kinds:
                 raise DeclarationProblem(
@@ -253,10 +253,10 @@ class Scene(SceneFields):
                     advice="list free among the modes",
                     loc=(*at, "modes"),
                 )
-        with found:
+        with findings:
             if contact.radius is not None and self._on_a_surface(name):
                 check_rim(self.surfaces[contact.surface], (*at, "radius"))
-        with found:
+        with findings:
             if self._on_a_surface(name) and (
                 self.surfaces[contact.surface].body == contact.point.body
             ):
@@ -266,14 +266,14 @@ class Scene(SceneFields):
                     advice="name a point of another body, or a surface of another one",
                     loc=(*at, "surface"),
                 )
-        self._check_enabled(found, contact.enabled, *at)
+        self._check_enabled(findings, contact.enabled, *at)
 
-    def _check_enabled(self, found: Findings, relations: Iterable[str], *at: str | int) -> None:
+    def _check_enabled(self, findings: Findings, relations: Iterable[str], *at: str | int) -> None:
         parameters = frozenset(self.parameters)
         seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
         seen |= {f"{coupling}.slip" for coupling in self.couplings}
         for place, text in enumerate(relations):
-            with found:
+            with findings:
                 known = seen | {*self.controls}
                 here: Loc = (*at, "enabled", place)
                 for member in parse_relation(text).members:
@@ -289,12 +289,12 @@ class Scene(SceneFields):
                 named = {name: {*region.named} for name, region in self.controlled.flat.items()}
                 check_relation(text, known, named, known - {*parameters}, *here)
 
-    def _coordinates_move_bodies(self, found: Findings) -> None:
+    def _coordinates_move_bodies(self, findings: Findings) -> None:
         texts = [text for body in self.bodies.values() for text in body.position or ()]
         texts += [body.angle for body in self.bodies.values() if body.angle is not None]
         used = frozenset[str]().union(*(parse(text).names for text in texts))
         for name in self.coordinates:
-            with found:
+            with findings:
                 if name not in used:
                     raise DeclarationProblem(
                         "it moves no body",
@@ -314,7 +314,7 @@ class Scene(SceneFields):
     @model_validator(mode="after")
     def _uses_exist(self) -> Self:
         quantities = ("gap", "slip", "V", "H")
-        whole = self.expanded
+        expanded = self.expanded
         # Those of limits are not: their gaps are angles times a length.
         touching = [*self.contacts, *(n for n, x in self.joints.items() if x.rope is not None)]
         names = self.kinematic_names | {f"{c}.{q}" for c in touching for q in quantities}
@@ -323,40 +323,42 @@ class Scene(SceneFields):
         names |= {"energy", *self.controls} | self.placed_names
         kept = {v for region in self.regions.values() for v in region.variables}
         changing = names - {*self.parameters, *(kept - {*self.controlled.flowing})}
-        gates = {c: whole.gate(c) for c in whole.contacts}
-        found = {c: {*_active(states(x, gate=gates[c]))} for c, x in whole.contacts.items()} | {
-            name: {*region.named} for name, region in whole.controlled.flat.items()
+        gates = {c: expanded.gate(c) for c in expanded.contacts}
+        found = {c: {*_active(states(x, gate=gates[c]))} for c, x in expanded.contacts.items()} | {
+            name: {*region.named} for name, region in expanded.controlled.flat.items()
         }
-        found |= {c: {*_active(coupling_states(x))} for c, x in whole.couplings.items()}
-        causes = {c: {e.cause for e in coupling_edges(x)} for c, x in whole.couplings.items()}
+        found |= {c: {*_active(coupling_states(x))} for c, x in expanded.couplings.items()}
+        causes = {c: {e.cause for e in coupling_edges(x)} for c, x in expanded.couplings.items()}
         causes |= {
             c: {
                 edge.cause
-                for edge in edges(x, jams=whole.jams(c), bounces=whole.bounces(c), gate=gates[c])
+                for edge in edges(
+                    x, jams=expanded.jams(c), bounces=expanded.bounces(c), gate=gates[c]
+                )
             }
-            for c, x in whole.contacts.items()
-        } | {name: {*found} for name, found in causes_of(whole.controlled.flat).items()}
+            for c, x in expanded.contacts.items()
+        } | {name: {*found} for name, found in causes_of(expanded.controlled.flat).items()}
         if self.collisions:
             states_of_bodies, causes_of_bodies = {*_active(BODY_STATES)}, {*BODY_CAUSES}
             found |= dict.fromkeys(self.moving(), states_of_bodies)
             causes |= dict.fromkeys(self.moving(), causes_of_bodies)
-        wrong = Findings()
-        with wrong:
+        findings = Findings()
+        with findings:
             self.check_uses(names, found, causes, changing)
         for name, region in self.regions.items():
-            found_here = list(declared_transitions(region, "regions", name))
-            with wrong:
-                check_listening(name, found_here, causes, found)
-            for transition, at in found_here:
-                with wrong:
+            transitions = list(declared_transitions(region, "regions", name))
+            with findings:
+                check_listening(name, transitions, causes, found)
+            for transition, at in transitions:
+                with findings:
                     if transition.guard is not None:
                         check_relation(transition.guard, names, found, changing, *at, "guard")
         for name, joint in self.joints.items():
             for place, text in enumerate(joint.enabled):
-                with wrong:
+                with findings:
                     at = ("joints", name, "enabled", place)
                     check_relation(text, names, found, changing, *at)
-        wrong.check()
+        findings.check()
         return self
 
     @model_validator(mode="after")
@@ -365,10 +367,10 @@ class Scene(SceneFields):
         return self
 
     @staticmethod
-    def _member(found: Findings, what: str, name: str, known: object, *loc: str | int) -> None:
+    def _member(findings: Findings, kind: str, name: str, known: object, *loc: str | int) -> None:
         assert isinstance(known, dict)
-        with found:
-            check_member(what, name, known, *loc)
+        with findings:
+            check_member(kind, name, known, *loc)
 
 
 def _fields(scene: Scene) -> dict[str, Any]:
@@ -383,5 +385,5 @@ def _twice(name: str, loc: Loc, before: Loc, of: str = "") -> DeclarationProblem
 
 def _active(states: Iterable[str]) -> dict[str, None]:
     """Return states of a contact and what they are in, in their order."""
-    found = dict.fromkeys(states)
-    return found | dict.fromkeys(superstates_of(found).values())
+    names = dict.fromkeys(states)
+    return names | dict.fromkeys(superstates_of(names).values())

@@ -51,7 +51,6 @@ class Shape(Part):
 
 
 def _as_list(value: Any) -> Any:
-    """Let a single shape be declared as itself."""
     return value if isinstance(value, list | tuple) else () if value is None else (value,)
 
 

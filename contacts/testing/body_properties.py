@@ -140,7 +140,6 @@ def _between(one: Array, radius: float, other: Array, other_radius: float) -> Ar
 
 
 def _in_frames(frames: Array, points: Array) -> Array:
-    """Return points (m, k, 2) in frames (m, 3)."""
     cos, sin = np.cos(frames[:, 2, None]), np.sin(frames[:, 2, None])
     dx, dy = np.moveaxis(points - frames[:, None, :2], -1, 0)
     return np.stack([cos * dx + sin * dy, cos * dy - sin * dx], -1)

@@ -48,11 +48,6 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
     Compliant contacts are, by their depth. What is closed is held at the ends of steps. In between
     dense output, which may be of a lower order than a step, leaves the surface by no more than what
     its slopes miss of the rates.
-
-    Parameters
-    ----------
-    scene, subject, trace : Scene, Subject, Trace
-        What was declared, the same compiled, and a run of it.
     """
     gaps = [subject.automaton.observables[f"{name}.gap"] for name in scene.contacts]
     rigid = [contact.stiffness is None for contact in scene.contacts.values()]
@@ -80,13 +75,7 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
 
 
 def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that ``V >= 0`` and ``|H| <= mu V`` wherever a contact is closed.
-
-    Parameters
-    ----------
-    scene, subject, trace : Scene, Subject, Trace
-        What was declared, the same compiled, and a run of it.
-    """
+    """Check that ``V >= 0`` and ``|H| <= mu V`` wherever a contact is closed."""
     for arc, name, state, times, V, H, slips, used in _sampled_forces(scene, subject, trace):
         if state in OPEN:
             continue
@@ -139,26 +128,14 @@ def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None
 
 
 def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that a contact that is free has no force.
-
-    Parameters
-    ----------
-    scene, subject, trace : Scene, Subject, Trace
-        What was declared, the same compiled, and a run of it.
-    """
+    """Check that a contact that is free has no force."""
     for _, name, state, times, V, H, *_ in _sampled_forces(scene, subject, trace):
         if state in OPEN and ((V != 0.0) | (H != 0.0)).any():
             raise AssertionError(f"{name} is {state} at t = {times[0]:.6g} and has a force")
 
 
 def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that impulses push, and stay in the cone of friction.
-
-    Parameters
-    ----------
-    scene, subject, trace : Scene, Subject, Trace
-        What was declared, the same compiled, and a run of it.
-    """
+    """Check that impulses push, and stay in the cone of friction."""
     largest = largest_of(jump.impulse for jump in trace.jumps)
     for jump in trace.jumps:
         for name, impulse in jump.impulse.items():
@@ -177,17 +154,7 @@ def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
 
 
 def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
-    """Check that energy, less the work of forces and drives, never grows; impacts included.
-
-    Parameters
-    ----------
-    mechanics : Mechanics
-        Of the scene: `contacts.testing.Mechanics(scene)`.
-    subject : Subject
-        The same, compiled.
-    trace : Trace
-        A run of it.
-    """
+    """Check that energy, less the work of forces and drives, never grows; impacts included."""
     energy = mechanics.energy
     rates = {name: mechanics.surface_rate(name) for name in mechanics.scene.contacts}
     controllers = mechanics.scene.controlled.flat
@@ -263,7 +230,7 @@ def _work_of_forces(
         return np.zeros(len(grid))
     held: list[sp.Expr] = []
     if trace.step is None:
-        for name, state in _states(mechanics.scene, arc):
+        for name, state in _contact_modes(mechanics.scene, arc):
             at = mechanics.contact(name).symbols
             held += [] if state in OPEN else [at.V * at.gap_rate]
             held += [at.H * at.slip] if state == "pin" else []
@@ -286,7 +253,7 @@ def _work_of_catches(
     shown do not explain.
     """
     n, found = len(mechanics.q), np.zeros(len(arc.times))
-    names = [name for name, state in _states(mechanics.scene, arc) if state not in OPEN]
+    names = [name for name, state in _contact_modes(mechanics.scene, arc) if state not in OPEN]
     if all(rates[name] == (0, 0) for name in names):
         return found
     steps = np.diff(arc.times)[:HOLDING]
@@ -345,13 +312,7 @@ def _step_growth(mechanics: Mechanics, subject: Subject, trace: Trace) -> float:
 
 
 def properties(declared: Scene) -> tuple[Property, ...]:
-    """Return what holds for every scene, besides what holds for every automaton.
-
-    Parameters
-    ----------
-    declared : Scene
-        What was declared.
-    """
+    """Return what holds for every scene, besides what holds for every automaton."""
     if declared.collisions:
         from contacts.testing.body_properties import body_properties
 
@@ -396,13 +357,12 @@ def _sampled_forces(
     for arc, tau in dense(trace):
         times = arc.start.high + (arc.start.low + tau)
         forces = iter(subject.solved(trace, arc, tau, expressions).T)
-        for name, state in _states(scene, arc):
+        for name, state in _contact_modes(scene, arc):
             V, H, slips, used = (next(forces) for _ in range(4))
             yield arc, name, state, times, V, H, slips, used
 
 
-def _states(scene: Scene, arc: Arc) -> Iterator[tuple[str, str]]:
-    """Yield every contact with its mode."""
+def _contact_modes(scene: Scene, arc: Arc) -> Iterator[tuple[str, str]]:
     return zip(scene.contacts, moving_mode(arc.roles), strict=False)  # controllers follow
 
 

@@ -50,11 +50,6 @@ _OUTLINES = ("polygon", "line", "edge")
 def mirrored(scene: Scene) -> tuple[Scene, Reading]:
     """Return the scene seen in a mirror, x -> -x, and how to read its runs.
 
-    Parameters
-    ----------
-    scene : Scene
-        What was declared.
-
     Raises
     ------
     DeclarationError
@@ -70,11 +65,6 @@ def rescaled(scene: Scene) -> tuple[Scene, Reading]:
     """Return the scene in units `LENGTH`, `TIMES` and `MASS` smaller, and how to read its runs.
 
     Coordinates that the scene names keep their values: what their unit is only positions say.
-
-    Parameters
-    ----------
-    scene : Scene
-        What was declared.
 
     Raises
     ------
@@ -200,7 +190,6 @@ class _Change:
         return found | dict.fromkeys(old.controlled.clocks, self.time)
 
     def _couple(self, name: str) -> tuple[float, float]:
-        """Return the factors of the couple and of the slip of a coupling."""
         along = ("X", "Y").index(self.declared.along_guide(name) or "X")
         if self.declared.along_guide(name):
             return self._units["force"][along], self._units["length/time"][along]
@@ -220,7 +209,6 @@ class _Change:
         return Coupling(**found)
 
     def _start(self, key: str) -> float:
-        """Return the factor of a coordinate of a free body, or of its rate."""
         found = {"x": self.x, "y": self.y, "angle": math.copysign(1.0, self.x)}
         return found[key] if key in found else found[key[1:]] / self.time
 
@@ -258,7 +246,6 @@ class _Change:
 
 
 def _times(text: FormulaText, factor: float) -> FormulaText:
-    """Return a formula times a factor."""
     if factor == 1.0:
         return text
     return text * factor if isinstance(text, int | float) else f"({text})*({factor!r})"

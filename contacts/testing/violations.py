@@ -89,5 +89,4 @@ def cone_edges(
 
 
 def _largest(values: np.ndarray) -> float:
-    """Return the largest value that is a number and positive, else 0."""
     return float(np.fmax.reduce(values, initial=0.0))

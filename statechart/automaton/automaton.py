@@ -198,8 +198,8 @@ class Places:
         part, named = component.automaton, component.named
 
         def places(names: Sequence[str], of: Sequence[str]) -> Ints:
-            found = {name: place for place, name in enumerate(of)}
-            return np.array([found[named(name)] for name in names], np.int64)
+            index = {name: place for place, name in enumerate(of)}
+            return np.array([index[named(name)] for name in names], np.int64)
 
         self.whole = whole
         self.regions = places(part.region_names, whole.region_names)

@@ -49,75 +49,83 @@ def split(
     stops = data.get("stop", {}).get("conditions", {})
     owners: dict[str, set[Entity]] = {}
     for (section, name), content in entities.items():
-        own = {name, f"d{name}"} if section == "coordinates" else {name}
-        own |= set(content.get("variables", ())) if section in regions else set()
-        for one in own:
-            owners.setdefault(one, set()).add((section, name))
+        names = {name, f"d{name}"} if section == "coordinates" else {name}
+        names |= set(content.get("variables", ())) if section in regions else set()
+        for owned_name in names:
+            owners.setdefault(owned_name, set()).add((section, name))
     mentions = {entity: _mentioned(content, owners) for entity, content in entities.items()}
     mentions |= {("stop", name): _mentioned(text, owners) for name, text in stops.items()}
     # A surface that does not move, or a condition of time alone, joins nobody.
-    still = {entity for entity, others in mentions.items() if not others and entity[0] in _STILL}
-    vertices = [entity for entity in mentions if entity not in still]
-    edges = [(e, o) for e in vertices for o in mentions[e] if o not in still]
+    static = {
+        entity
+        for entity, mentioned_entities in mentions.items()
+        if not mentioned_entities and entity[0] in _STILL
+    }
+    vertices = [entity for entity in mentions if entity not in static]
+    edges = [(e, o) for e in vertices for o in mentions[e] if o not in static]
     groups = [set(group) for group in connected_components((vertices, edges))]
     idle = [group for group in groups if not any(section in regions for section, _ in group)]
     groups = [group for group in groups if group not in idle]
     if len(groups) < 2:
         return []
-    if any(not _mentioned(event, owners) for event in _events(data, "contacts" in data)):
+    if any(not _mentioned(event, owners) for event in _declared_events(data, "contacts" in data)):
         # An event without the name of its region is heard from all of them.
         return []
     words = {*_reserved(schema), *_words_of_regions(data, regions)}
     if any(NEUTRAL.search(text) for text in _texts(data)):
         return []
-    groups[0] = groups[0].union(*idle, (e for e in still if e[0] == "stop"))
+    groups[0] = groups[0].union(*idle, (e for e in static if e[0] == "stop"))
     return [
-        _part(data, group.union(*(mentions[e] & still for e in group)), still, words)
+        _part(data, group.union(*(mentions[e] & static for e in group)), static, words)
         for group in groups
     ]
 
 
 def _part(
-    data: Data, group: set[Entity], still: set[Entity], words: set[str]
+    data: Data, group: set[Entity], static: set[Entity], words: set[str]
 ) -> tuple[Data, dict[str, str]]:
-    own = [
+    entities = [
         (section, name)
         for section, content in data.items()
         if section != "stop" and isinstance(content, dict)
         for name in content
-        if (section, name) in group and (section, name) not in still
+        if (section, name) in group and (section, name) not in static
     ]
     names = {
         name: name if {name, f"d{name}"} & words else f"zz{place}zz"
-        for place, (_, name) in enumerate(own)
+        for place, (_, name) in enumerate(entities)
     }
     # The rate of a coordinate is named after it.
-    rates = {f"d{name}": f"d{names[name]}" for section, name in own if section == "coordinates"}
+    rates = {
+        f"d{name}": f"d{names[name]}" for section, name in entities if section == "coordinates"
+    }
     sections = {section for section, _ in group}
-    found: Data = {}
+    declaration: Data = {}
     for key, content in data.items():
         if key in _DROPPED:
             continue
         if key in sections and key != "stop":
             content = {n: v for n, v in content.items() if (key, n) in group}
         elif key == "stop":
-            kept = {n: v for n, v in content.get("conditions", {}).items() if ("stop", n) in group}
-            content = {**content, "conditions": kept}
+            conditions = {
+                n: v for n, v in content.get("conditions", {}).items() if ("stop", n) in group
+            }
+            content = {**content, "conditions": conditions}
         elif key == "modes":
             content = {n: v for n, v in content.items() if n in names}
         elif isinstance(content, dict) and key not in ("parameters", "settings", "units"):
             continue
-        found[key] = content if key == "parameters" else _renamed(content, names | rates)
-    return found, {neutral: name for name, neutral in names.items()}
+        declaration[key] = content if key == "parameters" else _renamed(content, names | rates)
+    return declaration, {neutral: name for name, neutral in names.items()}
 
 
 def _renamed(value: Any, names: Mapping[str, str]) -> Any:
     if isinstance(value, str):
         return _NAME.sub(lambda found: names.get(found[0], found[0]), value)
     if isinstance(value, Mapping):
-        return {_renamed(key, names): _renamed(one, names) for key, one in value.items()}
+        return {_renamed(key, names): _renamed(entry, names) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return type(value)(_renamed(one, names) for one in value)
+        return type(value)(_renamed(entry, names) for entry in value)
     return value
 
 
@@ -125,12 +133,12 @@ def _texts(value: Any) -> Iterator[str]:
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping):
-        for key, one in value.items():
+        for key, entry in value.items():
             yield str(key)
-            yield from _texts(one)
+            yield from _texts(entry)
     elif isinstance(value, list | tuple):
-        for one in value:
-            yield from _texts(one)
+        for entry in value:
+            yield from _texts(entry)
 
 
 def _mentioned(value: Any, owners: Mapping[str, set[Entity]]) -> set[Entity]:
@@ -138,39 +146,39 @@ def _mentioned(value: Any, owners: Mapping[str, set[Entity]]) -> set[Entity]:
     return set().union(*(owners[name] for name in names if name in owners))
 
 
-def _events(value: Any, everybody: bool) -> Iterator[str]:
-    """Yield the events of `on:`; `zeno` is a state's own unless `everybody` may have it."""
+def _declared_events(value: Any, shared_zeno: bool) -> Iterator[str]:
+    """Yield the events of `on:`; `zeno` is a state's own unless `shared_zeno` may have it."""
     if isinstance(value, Mapping):
-        for key, one in value.items():
-            for text in _texts(one) if key == "on" else ():
+        for key, entry in value.items():
+            for text in _texts(entry) if key == "on" else ():
                 events = (event.strip() for event in re.split(r"\bor\b", text))
-                yield from (event for event in events if everybody or event != "zeno")
-            yield from _events(one, everybody)
+                yield from (event for event in events if shared_zeno or event != "zeno")
+            yield from _declared_events(entry, shared_zeno)
     elif isinstance(value, list | tuple):
-        for one in value:
-            yield from _events(one, everybody)
+        for entry in value:
+            yield from _declared_events(entry, shared_zeno)
 
 
 def _words_of_regions(data: Data, regions: Collection[str]) -> set[str]:
     """Return the names of states and transitions."""
-    found: set[str] = set()
+    names_found: set[str] = set()
 
     def walk(value: Any) -> None:
         if isinstance(value, Mapping):
-            for key, one in value.items():
-                if key in ("states", "regions") and isinstance(one, Mapping):
-                    found.update(map(str, one))
+            for key, entry in value.items():
+                if key in ("states", "regions") and isinstance(entry, Mapping):
+                    names_found.update(map(str, entry))
                 if key in ("initial", "from", "to", "name"):
-                    found.update(_texts(one))
-                walk(one)
+                    names_found.update(_texts(entry))
+                walk(entry)
         elif isinstance(value, list | tuple):
-            for one in value:
-                walk(one)
+            for entry in value:
+                walk(entry)
 
     for section in regions:
         for content in data.get(section, {}).values():
             walk(content)
-    return found
+    return names_found
 
 
 @cache
@@ -203,12 +211,12 @@ def composed(
     joint: bool,
 ) -> tuple[Component, ...]:
     """Return parts with their automata, one for all parts of the same form."""
-    made: dict[str, Automaton] = {}
-    found = []
+    automata: dict[str, Automaton] = {}
+    components = []
     for data, names in parts:
         key = json.dumps(form(data), default=str)
-        automaton = made.get(key)
+        automaton = automata.get(key)
         if automaton is None:
-            automaton = made[key] = compose(data)
-        found.append(Component(automaton, names, restricted(automaton), shown, joint))
-    return tuple(found)
+            automaton = automata[key] = compose(data)
+        components.append(Component(automaton, names, restricted(automaton), shown, joint))
+    return tuple(components)

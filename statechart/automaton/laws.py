@@ -144,7 +144,7 @@ class Instant(NamedTuple):
     fired: tuple[str, ...] = ()  # Margins that have fallen.
 
     def jump(
-        self, region: str, cause: str, target: Key, after: Array | None = None, **told: Any
+        self, region: str, cause: str, target: Key, after: Array | None = None, **details: Any
     ) -> Jump:
         """Return a jump from here to a mode, and to a state where that changes."""
         return Jump(
@@ -157,17 +157,17 @@ class Instant(NamedTuple):
             self.state,
             self.state if after is None else after,
             self.fired,
-            **told,
+            **details,
         )
 
 
 def flow_sizes(setup: Setup, flow: Flow, state: Array) -> Array:
     """Return the sizes (n,) of the terms that the variables were summed from, or of themselves."""
-    found = np.abs(state)
+    result = np.abs(state)
     for sizes in (setup.sizes, flow.sizes if flow.summed is None else flow.summed):
         if sizes is not None:
-            found = np.maximum(found, sizes)
-    return found
+            result = np.maximum(result, sizes)
+    return result
 
 
 class Laws(Protocol):

@@ -20,9 +20,9 @@ class LazyMapping(Mapping[str, T], Generic[T]):
 
     @cached_property
     def _mapping(self) -> Mapping[str, T]:
-        made = self._make()
+        mapping = self._make()
         del self._make  # and what it holds
-        return made
+        return mapping
 
     def __getitem__(self, label: str) -> T:
         return self._mapping[label]
@@ -74,12 +74,12 @@ class LazySequence(Sequence[T], Generic[T]):
         self._seen.pop(place, None)
 
     def _at(self, place: int) -> T:
-        found = self._seen.get(place)
-        if found is None:
-            found = self._make(place)
+        item = self._seen.get(place)
+        if item is None:
+            item = self._make(place)
             if self.keeps and place < _MAX_CACHED:
-                self._seen[place] = found
-        return found
+                self._seen[place] = item
+        return item
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle the items as a tuple."""

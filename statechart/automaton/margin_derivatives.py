@@ -63,8 +63,8 @@ class MarginDerivatives:
         ]
         parameters = setup.values.tolist()
         for order in range(_MAX_ORDER + 1):
-            *rates, found = expand(tape, series, parameters, time)
-            value, size = found.values[order], found.sizes[order]
+            *rates, sequence = expand(tape, series, parameters, time)
+            value, size = sequence.values[order], sequence.sizes[order]
             if order > 0 and not abs(value) <= relative * size:
                 return math.copysign(1.0, value) if math.isfinite(value) else math.nan
             rests = not timed
@@ -174,9 +174,11 @@ def derivative(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
         return found.xreplace(inner)
     if isinstance(expression, sp.sign):
         return sp.S.Zero
-    first, *others = expression.args
+    first, *other_factors = expression.args
     if isinstance(expression, sp.Abs):
         return sp.sign(first) * derivative(first, symbol)
-    rest = expression.func(*others)
-    way = sp.sign(first - rest if isinstance(expression, sp.Max) else rest - first)
-    return ((1 + way) * derivative(first, symbol) + (1 - way) * derivative(rest, symbol)) / 2
+    remainder = expression.func(*other_factors)
+    chain = sp.sign(first - remainder if isinstance(expression, sp.Max) else remainder - first)
+    return (
+        (1 + chain) * derivative(first, symbol) + (1 - chain) * derivative(remainder, symbol)
+    ) / 2

@@ -26,11 +26,14 @@ def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) 
 
     Raises `Singular` if they leave an unknown free whatever the numbers are.
     """
-    bare = uncaptured(roles)
-    if bare != roles:
-        return captured(automaton, build_mode(automaton, bare, zeros), roles)
+    plain_roles = uncaptured(roles)
+    if plain_roles != roles:
+        return captured(automaton, build_mode(automaton, plain_roles, zeros), roles)
     states = [region.build(role) for region, role in zip(automaton.regions, roles, strict=True)]
-    substitution: dict[sp.Symbol, sp.Expr] = dict.fromkeys(zeros, sp.S.Zero)
+    loads = [state.loads for state in states if state.loads is not None]
+    substitution: dict[sp.Expr, sp.Expr] = dict.fromkeys(zeros, sp.S.Zero)
+    for load in loads:
+        substitution |= load.known
     values = {control: value for state in states for control, value in state.values.items()}
     controls = []
     for control in automaton.controls:
@@ -39,16 +42,15 @@ def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) 
         if value.is_Atom:
             # Zeros and synonyms must show before solving.
             substitution[control] = value
-    loads = [state.loads for state in states if state.loads is not None]
     margins = (*(m for state in states for m in state.margins), *automaton.stop_margins)
     margins = tuple(margin.replaced(substitution) for margin in margins)
     rates = tuple(rate.xreplace(substitution) for rate in automaton.rates)
     follows: dict[str, Any] = {}
     if automaton.coordinates is not None and not loads:
-        held = [hold for state in states for hold in state.holds]
-        about = {e for hold in held for e in hold.equations}
+        holds = [hold for state in states for hold in state.holds]
+        about = {e for hold in holds for e in hold.equations}
         laws = [e for state in states for e in state.equations if e not in about]
-        elimination = eliminated(automaton.coordinates, held, substitution, laws)
+        elimination = eliminated(automaton.coordinates, holds, substitution, laws)
         if elimination is not None:
             follows = _follows(automaton, elimination)
             if not elimination.steep:
@@ -100,7 +102,7 @@ def _solved(
     automaton: Automaton,
     states: Sequence[State],
     loads: Sequence[Loads],
-    substitution: Mapping[sp.Symbol, sp.Expr],
+    substitution: Mapping[sp.Expr, sp.Expr],
 ) -> tuple[Definition, ...]:
     """Solve the equations of a mode for all accelerations and forces at once."""
     carried = {unknown: by for load in loads for unknown, by in load.carried.items()}
@@ -129,7 +131,7 @@ def _minimal(
     automaton: Automaton,
     states: Sequence[State],
     elimination: Elimination,
-    substitution: Mapping[sp.Symbol, sp.Expr],
+    substitution: Mapping[sp.Expr, sp.Expr],
 ) -> tuple[Definition, ...]:
     """Solve the equations of a mode for the coordinates that an elimination leaves."""
     coordinates = automaton.coordinates
@@ -185,9 +187,9 @@ def captured(automaton: Automaton, mode: Mode, roles: Roles) -> Mode:
     }
     margins: list[Margin] = []
     for region, role in pairs:
-        own = region.build(role).margins
-        found = mode.margins[len(margins) : len(margins) + len(own)]
-        margins += found if role.captured else _without(found, hidden)
+        hidden_forces = region.build(role).margins
+        captured_values = mode.margins[len(margins) : len(margins) + len(hidden_forces)]
+        margins += captured_values if role.captured else _without(captured_values, hidden)
     margins += _without(mode.margins[len(margins) :], hidden)
     return replace(mode, margins=tuple(margins), hidden=hidden)
 
@@ -197,7 +199,7 @@ def _without(margins: Iterable[Margin], hidden: Mapping[sp.Symbol, sp.Expr]) -> 
 
 
 def _shared(
-    loads: Sequence[Loads], substitution: Mapping[sp.Symbol, sp.Expr]
+    loads: Sequence[Loads], substitution: Mapping[sp.Expr, sp.Expr]
 ) -> tuple[Definition, ...]:
     """Solve for what the motion leaves open: shared forces, displacements, relieved joints.
 

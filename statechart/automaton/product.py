@@ -33,10 +33,10 @@ class Product:
 
     def edges(self) -> Iterator[tuple[Key, Key, dict[str, Any]]]:
         """Yield the ends of every edge, and what `graph` has of it: by source, then by target."""
-        found: dict[Key, dict[Key, list[dict[str, Any]]]] = {key: {} for key in self.modes}
+        edges: dict[Key, dict[Key, list[dict[str, Any]]]] = {key: {} for key in self.modes}
         for source, target, data in _edges(self.charts, self.modes, self.taken):
-            found[source].setdefault(target, []).append(data)
-        for source, targets in found.items():
+            edges[source].setdefault(target, []).append(data)
+        for source, targets in edges.items():
             for target, several in targets.items():
                 yield from ((source, target, data) for data in several)
 
@@ -212,14 +212,14 @@ def _edges(
     left = Counter(taken)
     for place, chart in enumerate(charts):
         for edge in chart.edges:
-            said = _attributes(chart.name, edge.cause, edge.guard, edge.reset)
+            labels = _attributes(chart.name, edge.cause, edge.guard, edge.reset)
             for source in keys:
                 if source[place] != edge.source:
                     continue
                 target = _replace_state(source, place, edge.target)
                 if target in keys:
                     visits = left.pop((source, target, chart.name, edge.cause), 0)
-                    yield source, target, said if taken is None else {**said, "visits": visits}
+                    yield source, target, labels if taken is None else {**labels, "visits": visits}
     for (source, target, name, event), visits in left.items():
         if source in keys and target in keys:
             yield source, target, {**_attributes(name, event, "", ""), "visits": visits}

@@ -41,8 +41,8 @@ class Elimination:
     @property
     def known(self) -> dict[sp.Symbol, sp.Expr]:
         """Expressions that replace positions and rates in equations, without anchors."""
-        bare = {q: e for q, e in self.positions.items() if not e.has(*self.anchors)}
-        return {**bare, **self.rates}
+        without_anchors = {q: e for q, e in self.positions.items() if not e.has(*self.anchors)}
+        return {**without_anchors, **self.rates}
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ class Coordinates:
 
 def eliminated(
     coordinates: Coordinates,
-    held: Iterable[Hold],
+    mode_holds: Iterable[Hold],
     substitution: Known,
     laws: Collection[sp.Expr] = (),
 ) -> Elimination | None:
@@ -91,23 +91,23 @@ def eliminated(
     anchors: dict[sp.Symbol, sp.Expr] = {}
     replaced: dict[sp.Expr, int] = {}
     forces: set[sp.Symbol] = set()
-    holds = (*coordinates.joints, *held)
+    holds = (*coordinates.joints, *mode_holds)
     for hold in holds:
         # Friction depends on it, or other rows imply it.
-        known = (e.xreplace(substitution) for e in (*hold.equations, *laws))
-        if any(e.has(*hold.forces) for e in known):
+        equations = (e.xreplace(substitution) for e in (*hold.equations, *laws))
+        if any(e.has(*hold.forces) for e in equations):
             return None
-        found = positions
+        expressions = positions
         solved: list[sp.Symbol] = []
         for place in hold.places:
-            pivot = _pivot(place.xreplace(substitution).xreplace(found), coordinates)
+            pivot = _pivot(place.xreplace(substitution).xreplace(expressions), coordinates)
             if pivot is None:
                 return None
             symbol, value = pivot
-            found = {q: e.xreplace({symbol: value}) for q, e in found.items()}
-            found[symbol] = value
+            expressions = {q: e.xreplace({symbol: value}) for q, e in expressions.items()}
+            expressions[symbol] = value
             solved.append(symbol)
-        positions = found
+        positions = expressions
         places = (coordinates.positions.index(symbol) for symbol in solved)
         replaced |= dict(zip(hold.equations, places, strict=True))
         anchors |= hold.anchors

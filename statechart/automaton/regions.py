@@ -43,8 +43,8 @@ class Margin:
 
     def replaced(self, values: Mapping[sp.Symbol, sp.Expr]) -> Margin:
         """Return the margin with values in the place of symbols."""
-        whole = None if self.whole is None else self.whole.xreplace(values)
-        return replace(self, expression=self.expression.xreplace(values), whole=whole)
+        distance = None if self.whole is None else self.whole.xreplace(values)
+        return replace(self, expression=self.expression.xreplace(values), whole=distance)
 
 
 def whole_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
@@ -118,8 +118,8 @@ class Invariant:
         """Return what is >= 0 while it holds in a mode: infinite where `in` alone decides."""
         members = self.relation.members
         key = tuple(active(member.region, member.state) for member in members)
-        found = self._margins.get(key)
-        if found is None:
+        condition = self._margins.get(key)
+        if condition is None:
             import sympy
 
             states = {
@@ -127,8 +127,8 @@ class Invariant:
                 for member, one in zip(members, key, strict=True)
             }
             expression = -self.relation.margin(self.known, states)
-            found = self._margins[key] = Margin(self.name, expression)
-        return found
+            condition = self._margins[key] = Margin(self.name, expression)
+        return condition
 
 
 DONE = "done"
@@ -207,13 +207,13 @@ class Nesting:
 
     def active(self, state: str, superstates: Mapping[str, str]) -> tuple[str, ...]:
         """Return the states that are active with one of the region, and those that hold them."""
-        found: dict[str, None] = {}
+        states: dict[str, None] = {}
         for name in self.configurations.get(state, (state,)):
-            found[name] = None
+            states[name] = None
             while name in superstates:
                 name = superstates[name]
-                found[name] = None
-        return tuple(found)
+                states[name] = None
+        return tuple(states)
 
 
 @dataclass(frozen=True)
@@ -239,6 +239,8 @@ class Loads:
     laws: Mapping[sp.Symbol, sp.Expr]
     # Unknown, which states share -> what this one adds to a sum over them that is zero.
     balances: Mapping[sp.Symbol, sp.Expr]
+    # Expression that the motion leaves open -> its value.
+    known: Mapping[sp.Expr, sp.Expr] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,8 +342,8 @@ class Region:
     def outside(self) -> tuple[str, ...]:
         """The declared states that hold no others and are in none of `states`: none is entered."""
         holding = {*self.superstates.values()}
-        left = self.nesting.unreached.difference(holding, self.states)
-        return tuple(name for name in self.nesting.names if name in left)
+        unreached = self.nesting.unreached.difference(holding, self.states)
+        return tuple(name for name in self.nesting.names if name in unreached)
 
     def within(self, name: str) -> tuple[str, ...]:
         """Return the states in which a state or superstate is active."""
@@ -370,8 +372,8 @@ def active_in(regions: Sequence[Region], key: Sequence[str]) -> Active:
     states = {region.name: (region, state) for region, state in zip(regions, key, strict=True)}
 
     def active(region: str, state: str) -> bool:
-        found, now = states[region]
-        return state in found.active(now)
+        owner, current = states[region]
+        return state in owner.active(current)
 
     return active
 
@@ -387,12 +389,12 @@ def hierarchical_edges(region: Region) -> tuple[HierarchicalEdge, ...]:
         return region.nesting.edges
     superstates = _outermost_first(region)
     leaves = {name: region.within(name) for name in (*region.states, *superstates)}
-    alike: dict[tuple[str, str, str, str, bool], list[str]] = {}
+    sources_by_edge: dict[tuple[str, str, str, str, bool], list[str]] = {}
     for e in region.edges:
         key = (e.cause, e.target, e.guard, e.reset, e.on_zeno)
-        alike.setdefault(key, []).append(e.source)
+        sources_by_edge.setdefault(key, []).append(e.source)
     fans: dict[tuple[str, str, str, bool], dict[str, str]] = {}
-    for (cause, target, guard, reset, on_zeno), sources in alike.items():
+    for (cause, target, guard, reset, on_zeno), sources in sources_by_edge.items():
         for source in _covered(sources, superstates, leaves):
             fans.setdefault((cause, source, guard, on_zeno), {})[target] = reset
     return tuple(
@@ -410,21 +412,21 @@ def hierarchical_edges(region: Region) -> tuple[HierarchicalEdge, ...]:
 
 
 def _outermost_first(region: Region) -> list[str]:
-    found = dict.fromkeys(region.superstates.values())
-    return sorted(found, key=lambda name: len(region.active(name)))
+    superstates = dict.fromkeys(region.superstates.values())
+    return sorted(superstates, key=lambda name: len(region.active(name)))
 
 
 def _covered(
     states: Sequence[str], superstates: Sequence[str], leaves: Mapping[str, tuple[str, ...]]
 ) -> list[str]:
     """Return states, those that are all of a superstate as the superstate, where they are many."""
-    left, found = dict.fromkeys(states), dict[str, None]()
+    remaining, covered = dict.fromkeys(states), dict[str, None]()
     for name in superstates:
         members = leaves[name]
-        if len(members) > 1 and left.keys() >= set(members):
-            found[name] = None
-            left = dict.fromkeys(state for state in left if state not in members)
-    return [*found, *left]
+        if len(members) > 1 and remaining.keys() >= set(members):
+            covered[name] = None
+            remaining = dict.fromkeys(state for state in remaining if state not in members)
+    return [*covered, *remaining]
 
 
 def happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
@@ -436,15 +438,15 @@ def happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
     """
     if event.region is None and jump.cause == event.cause:
         return True
-    named = event.region
+    owner = event.region
     for region, before, after in zip(regions, jump.source, jump.target, strict=True):
-        if event.cause == DONE and named in _done(region, before, after):
+        if event.cause == DONE and owner in _done(region, before, after):
             return True
-        if named is not None and region.name != named:
+        if owner is not None and region.name != owner:
             continue
         if event.cause in _causes(region, jump, before, after):
             return True
-        if named is not None and event.cause in _entered(region, before, after):
+        if owner is not None and event.cause in _entered(region, before, after):
             return True
     return False
 
@@ -465,38 +467,38 @@ class Raised(NamedTuple):
 
 def raised(regions: Sequence[Region], jump: Jump) -> tuple[Raised, ...]:
     """Return the events of a jump in their order: causes, states entered from the outside, ends."""
-    found: dict[Raised, None] = {}
+    events: dict[Raised, None] = {}
     changes = list(zip(regions, jump.source, jump.target, strict=True))
     for region, before, after in changes:
         for cause in _causes(region, jump, before, after):
-            found[Raised(region.name, region.name, cause)] = None
+            events[Raised(region.name, region.name, cause)] = None
     for region, before, after in changes:
         for state in _entered(region, before, after):
-            found[Raised(region.name, region.name, state)] = None
+            events[Raised(region.name, region.name, state)] = None
         for owner in _done(region, before, after):
-            found[Raised(region.name, owner, DONE)] = None
-    return tuple(found)
+            events[Raised(region.name, owner, DONE)] = None
+    return tuple(events)
 
 
 def _causes(region: Region, jump: Jump, before: str, after: str) -> tuple[str, ...]:
     if region.name == jump.region and jump.cause != region.impact_cause:
         return tuple(jump.cause.split("+"))  # Transitions taken together, see `FlatTransition`.
-    felt = region.name in jump.impulse
-    if before == after and not felt:
+    struck = region.name in jump.impulse
+    if before == after and not struck:
         return ()
     causes = [e.cause for e in region.edges if (e.source, e.target) == (before, after)]
-    hit = (region.impact_cause,) if felt and region.impact_cause in causes else ()
-    others = [cause for cause in causes if cause != region.impact_cause]
-    return (*hit, jump.cause) if jump.cause in others else (*hit, *others[:1])
+    hit = (region.impact_cause,) if struck and region.impact_cause in causes else ()
+    other_causes = [cause for cause in causes if cause != region.impact_cause]
+    return (*hit, jump.cause) if jump.cause in other_causes else (*hit, *other_causes[:1])
 
 
 def _entered(region: Region, before: str, after: str) -> list[str]:
     """Return the states entered, outer ones first."""
     if before == after:
         return []
-    found = {*region.active(after)}.difference(region.active(before))
+    entered = {*region.active(after)}.difference(region.active(before))
     ordered = region.nesting.names or reversed(region.active(after))
-    return [name for name in ordered if name in found]
+    return [name for name in ordered if name in entered]
 
 
 def _done(region: Region, before: str, after: str) -> Sequence[str]:

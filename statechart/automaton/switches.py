@@ -63,15 +63,15 @@ class Switches:
             for s, n in zip(self.signs, signs, strict=True)
             if n != SLIDES
         }
-        definitions, held = self._sliding(sliding, known)
-        known |= {self.signs[i]: share for i, share in zip(sliding, held, strict=True)}
+        definitions, fixed = self._sliding(sliding, known)
+        known |= {self.signs[i]: share for i, share in zip(sliding, fixed, strict=True)}
         names = set[str]()
         margins = []
         for i, (function, sign) in enumerate(zip(self.functions, signs, strict=True)):
-            own = function.xreplace(known)
-            if abs(sign) == 1 and self._moves(own):
-                margins.append(_margin(SIGN_OF + self.texts[i], sign * own, names))
-        for i, share in zip(sliding, held, strict=True):
+            sign_expression = function.xreplace(known)
+            if abs(sign) == 1 and self._moves(sign_expression):
+                margins.append(_margin(SIGN_OF + self.texts[i], sign * sign_expression, names))
+        for i, share in zip(sliding, fixed, strict=True):
             margins += [
                 _margin(f"{SLIDE_ON}{self.texts[i]}, {side}", 1 + sign * share, names)
                 for sign, side in ((-1, "above"), (1, "below"))
@@ -102,20 +102,20 @@ class Switches:
             corners += [{**dict.fromkeys(signs, sp.S.Zero), i: sp.Integer(n)} for n in (1, -1)]
         if len(signs) > 1:
             corners.append(dict.fromkeys(signs, sp.S.Zero))
-        found: list[Definition] = []
-        named: list[dict[sp.Symbol, sp.Expr]] = [{**known, **corner} for corner in corners]
+        definitions: list[Definition] = []
+        corner_symbols: list[dict[sp.Symbol, sp.Expr]] = [{**known, **corner} for corner in corners]
         dependent = {*signs}
         blended = []
         for symbol, expression in self.definitions:
             if not expression.free_symbols & dependent:
-                found.append((symbol, expression.xreplace(known)))
+                definitions.append((symbol, expression.xreplace(known)))
                 continue
             dependent.add(symbol)
             blended.append(symbol)
-            for k, corner in enumerate(named):
-                own = sp.Symbol(f"{symbol}_{k}", real=True)
-                found.append((own, expression.xreplace(corner)))
-                corner[symbol] = own
+            for k, corner in enumerate(corner_symbols):
+                corner_value = sp.Symbol(f"{symbol}_{k}", real=True)
+                definitions.append((corner_value, expression.xreplace(corner)))
+                corner[symbol] = corner_value
         shares = [sp.Symbol(f"share{k}", real=True) for k in range(len(signs))]
 
         def blend(values: Sequence[sp.Expr]) -> sp.Expr:
@@ -126,51 +126,53 @@ class Switches:
 
         equations = []
         for i in sliding:
-            last = self.derivatives[i][-1]
+            highest = self.derivatives[i][-1]
             values = []
-            for k, corner in enumerate(named):
+            for k, corner in enumerate(corner_symbols):
                 value = sp.Symbol(f"slope{i}_{k}", real=True)
-                found.append((value, last.xreplace(corner)))
+                definitions.append((value, highest.xreplace(corner)))
                 values.append(value)
             equations.append(blend(values))
-        found += solve_linear(equations, shares)
-        held: dict[sp.Symbol, sp.Expr] = {}
+        definitions += solve_linear(equations, shares)
+        fixed: dict[sp.Symbol, sp.Expr] = {}
         for i in sliding:
             # What the slide holds is held exactly, not by the difference of both sides.
-            last = self.derivatives[i][-1]
+            highest = self.derivatives[i][-1]
             for symbol in blended:
-                factor = sp.diff(last, symbol)
-                rest = last - factor * symbol
-                used = set().union(*(e.free_symbols for e in held.values()))
-                if symbol in used or rest.free_symbols & {symbol, *held, *signs}:
+                factor = sp.diff(highest, symbol)
+                remainder = highest - factor * symbol
+                used = set().union(*(e.free_symbols for e in fixed.values()))
+                if symbol in used or remainder.free_symbols & {symbol, *fixed, *signs}:
                     continue
                 if factor.is_number and factor != 0:
-                    held[symbol] = -rest.xreplace(known) / factor
+                    fixed[symbol] = -remainder.xreplace(known) / factor
                     break
-        found += [(s, blend([corner[s] for corner in named])) for s in blended if s not in held]
-        found += held.items()
+        definitions += [
+            (s, blend([corner[s] for corner in corner_symbols])) for s in blended if s not in fixed
+        ]
+        definitions += fixed.items()
         rates = {r for r in self.rates if r.free_symbols & {*signs}}
         assert not rates  # Rates are variables and unknowns.
-        return found, shares
+        return definitions, shares
 
 
 def _margin(name: str, expression: sp.Expr, names: set[str]) -> Margin:
     """Return a margin whose name is none of `names`."""
-    own, count = name, 1
-    while own in names:
+    unique, count = name, 1
+    while unique in names:
         count += 1
-        own = f"{name} ({count})"
-    names.add(own)
+        unique = f"{name} ({count})"
+    names.add(unique)
     # Without a margin of a whole relation nobody is shown it.
-    return Margin(own, expression, relation=own)
+    return Margin(unique, expression, relation=unique)
 
 
 def explicit_rates(mode: Mode) -> list[sp.Expr]:
     """Return the rates of a mode's variables without its unknowns."""
-    found: dict[sp.Symbol, sp.Expr] = {}
+    values: dict[sp.Symbol, sp.Expr] = {}
     for symbol, expression in mode.definitions:
-        found[symbol] = expression.xreplace(found)
-    return [rate.xreplace(found) for rate in mode.rates]
+        values[symbol] = expression.xreplace(values)
+    return [rate.xreplace(values) for rate in mode.rates]
 
 
 def slides(role: Role) -> bool:
@@ -235,10 +237,10 @@ class _Reader:
 
     def read(self, node: sp.Expr) -> sp.Expr:
         """Return a formula with signs in the place of kinked functions."""
-        found = self._read.get(node)
-        if found is None:
-            found = self._read[node] = self._rewritten(node) if node.has(*_KINKS) else node
-        return found
+        rewritten = self._read.get(node)
+        if rewritten is None:
+            rewritten = self._read[node] = self._rewritten(node) if node.has(*_KINKS) else node
+        return rewritten
 
     def _rewritten(self, node: sp.Expr) -> sp.Expr:
         arguments = [self.read(argument) for argument in node.args]
@@ -254,15 +256,15 @@ class _Reader:
             return sign * arguments[0] if isinstance(node, sp.Abs) else sign
         # What does not change last: the functions are simpler.
         ordered = sorted(arguments, key=sp.default_sort_key)
-        found, *others = sorted(ordered, key=self._moves, reverse=True)
-        for other in others:
-            sign = self._sign(found - other)
+        extremum, *rest_of_arguments = sorted(ordered, key=self._moves, reverse=True)
+        for other in rest_of_arguments:
+            sign = self._sign(extremum - other)
             if sign is None:
                 return node.func(*arguments)
             if isinstance(node, sp.Min):
                 sign = -sign
-            found = (1 + sign) / 2 * found + (1 - sign) / 2 * other
-        return found
+            extremum = (1 + sign) / 2 * extremum + (1 - sign) / 2 * other
+        return extremum
 
     def _sign(self, function: sp.Expr) -> sp.Expr | None:
         """Return the sign of a switching function; -1 times the function is the same surface.
@@ -270,22 +272,22 @@ class _Reader:
         None where it is new, and none is added.
         """
         function = self._expanded(function)
-        factor, rest = function.as_coeff_Mul()
-        if rest.could_extract_minus_sign():
-            factor, rest = -factor, -rest
-        place = self._places.get(rest)
+        factor, monic = function.as_coeff_Mul()
+        if monic.could_extract_minus_sign():
+            factor, monic = -factor, -monic
+        place = self._places.get(monic)
         if place is None and not self.adds:
             return None
         if place is None:
-            place = self._places[rest] = len(self.signs)
+            place = self._places[monic] = len(self.signs)
             self.signs.append(sp.Symbol(f"sign{place}", real=True))
-            self.functions.append(rest)
+            self.functions.append(monic)
         return self.signs[place] if factor > 0 else -self.signs[place]
 
     def _expanded(self, expression: sp.Expr) -> sp.Expr:
         """Return an expression without what the mode defines."""
-        while own := {s for s in expression.free_symbols if s in self._definitions}:
-            expression = expression.xreplace({s: self.read(self._definitions[s]) for s in own})
+        while defined := {s for s in expression.free_symbols if s in self._definitions}:
+            expression = expression.xreplace({s: self.read(self._definitions[s]) for s in defined})
         return expression
 
     def _moves(self, expression: sp.Expr) -> bool:
@@ -296,30 +298,30 @@ class _Reader:
         self, definitions: Mapping[sp.Symbol, sp.Expr], rates: Sequence[sp.Expr]
     ) -> tuple[tuple[tuple[sp.Expr, ...], ...], tuple[bool, ...]]:
         """Return the derivatives of each function, and whether signs act on the last of them."""
-        known = {*self.signs}
+        sign_dependent = {*self.signs}
         for symbol, expression in definitions.items():
-            if expression.free_symbols & known:
-                known.add(symbol)
+            if expression.free_symbols & sign_dependent:
+                sign_dependent.add(symbol)
         of = dict(zip(self._automaton.variables, rates, strict=True))
         chains, acts = [], []
         for function in self.functions:
             chain: list[sp.Expr] = []
             while len(chain) < MAX_ORDER:
                 before = chain[-1] if chain else function
-                while own := {s for s in before.free_symbols if s in definitions}:
-                    before = before.xreplace({s: definitions[s] for s in own})
+                while defined := {s for s in before.free_symbols if s in definitions}:
+                    before = before.xreplace({s: definitions[s] for s in defined})
                 chain.append(time_derivative(before, of, self._automaton.time))
-                if chain[-1].free_symbols & known:
+                if chain[-1].free_symbols & sign_dependent:
                     break
             chains.append(tuple(chain))
-            acts.append(bool(chain[-1].free_symbols & known))
+            acts.append(bool(chain[-1].free_symbols & sign_dependent))
         return tuple(chains), tuple(acts)
 
     def text(self, function: sp.Expr) -> str:
         """Return a switching function in the model's names."""
         symbols = (*self._automaton.variables, *self._automaton.parameters)
-        words = (*self._automaton.names, *self._automaton.parameter_names)
-        names: dict[Any, Any] = dict(zip(symbols, map(sp.Symbol, words), strict=True))
+        model_names = (*self._automaton.names, *self._automaton.parameter_names)
+        names: dict[Any, Any] = dict(zip(symbols, map(sp.Symbol, model_names), strict=True))
         names |= {self._automaton.time: sp.Symbol("time")}
         for sign, inner in zip(self.signs, self.functions, strict=True):
             names[sign] = sp.Symbol(f"sign({sp.sstr(inner.xreplace(names))})")

@@ -34,20 +34,22 @@ def lowest(tape: Tape, flows: Sequence[Flow], parameters: ArrayLike, per_step: i
     Raises `ValueError` if a shape does not fit.
     """
     s = np.arange(per_step + 1) / per_step
-    parameters, found = contiguous(parameters), np.full(len(tape.outputs), np.inf)
+    parameters, result = contiguous(parameters), np.full(len(tape.outputs), np.inf)
     for first in range(0, len(flows), _MAX_FLOWS):
-        some = flows[first : first + _MAX_FLOWS]
-        parts = [checked_arc(tape, *flow[1:], parameters)[:2] for flow in some]
-        begin = np.concatenate([times[:-1] for times, _ in parts])[:, None]
-        end = np.concatenate([times[1:] for times, _ in parts])[:, None]
-        start = np.repeat([flow[0] for flow in some], [len(times) - 1 for times, _ in parts])
-        coeffs = np.concatenate([coeffs for _, coeffs in parts])
+        states_of_value = flows[first : first + _MAX_FLOWS]
+        chunks = [checked_arc(tape, *flow[1:], parameters)[:2] for flow in states_of_value]
+        begin = np.concatenate([times[:-1] for times, _ in chunks])[:, None]
+        end = np.concatenate([times[1:] for times, _ in chunks])[:, None]
+        start = np.repeat(
+            [flow[0] for flow in states_of_value], [len(times) - 1 for times, _ in chunks]
+        )
+        coeffs = np.concatenate([coeffs for _, coeffs in chunks])
         local = np.where(s < 1.0, begin + s * (end - begin), end)
         states = np.swapaxes(coeffs @ s ** np.arange(coeffs.shape[2])[:, None], 1, 2)
         times = (start[:, None] + local).ravel()
         values = tape.table(states.reshape(-1, coeffs.shape[1]), parameters, times)
-        found = np.minimum(found, values.min(axis=0, initial=np.inf))
-    return found
+        result = np.minimum(result, values.min(axis=0, initial=np.inf))
+    return result
 
 
 def integrals(
@@ -434,13 +436,13 @@ class Trace:
         """Mode -> regions some of whose quantities its motion does not determine."""
         if self.undetermined is not None:
             return dict(self.undetermined)
-        found: dict[Key, tuple[str, ...]] = {}
+        contacts: dict[Key, tuple[str, ...]] = {}
         for arc in self.arcs:
             open_ones = zip(self.regions, arc.roles, strict=False)
             names = tuple(name for name, role in open_ones if role.share is not None)
             if names:
-                found[arc.mode] = names
-        return found
+                contacts[arc.mode] = names
+        return contacts
 
     @property
     def modes(self) -> tuple[Key, ...]:

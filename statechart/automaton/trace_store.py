@@ -63,7 +63,7 @@ class Blocks(Generic[B]):
     def add(self, block: B) -> None:
         """Append a block; raises `TooLong` if neither memory nor the disk is to take it."""
         self._blocks.append(block)
-        size = sum([part.nbytes for part in block if isinstance(part, np.ndarray)])
+        size = sum([array.nbytes for array in block if isinstance(array, np.ndarray)])
         self._bytes += size
         self._size += size
         if self._bytes > IN_MEMORY:
@@ -81,21 +81,21 @@ def _on_disk(blocks: list[B]) -> list[B]:
     """Return blocks as views of a temporary file that vanishes with its last reader."""
     with tempfile.TemporaryFile(prefix="statechart-") as file:
         for block in blocks:
-            for part in block:
-                if isinstance(part, np.ndarray):
-                    file.write(part.tobytes())
-                    file.write(bytes(-part.nbytes % _ALIGNED))
+            for array in block:
+                if isinstance(array, np.ndarray):
+                    file.write(array.tobytes())
+                    file.write(bytes(-array.nbytes % _ALIGNED))
         file.flush()
         mapped = np.memmap(file, np.uint8, "r")
-    at, found = 0, []
+    at, stored = 0, []
     for block in blocks:
-        parts: list[Any] = list(block)
-        for k, part in enumerate(parts):
-            if isinstance(part, np.ndarray):
-                parts[k] = np.ndarray(part.shape, part.dtype, mapped[at : at + part.nbytes])
-                at += part.nbytes + -part.nbytes % _ALIGNED
-        found.append(type(block)(*parts))
-    return found
+        arrays: list[Any] = list(block)
+        for k, array in enumerate(arrays):
+            if isinstance(array, np.ndarray):
+                arrays[k] = np.ndarray(array.shape, array.dtype, mapped[at : at + array.nbytes])
+                at += array.nbytes + -array.nbytes % _ALIGNED
+        stored.append(type(block)(*arrays))
+    return stored
 
 
 class TraceBuffer(NamedTuple):
@@ -168,7 +168,6 @@ def event_of(block: TraceBuffer, row: int, j: int, kinds: Sequence[Kind]) -> Rec
 
 @lru_cache(maxsize=64)
 def _no_buffer(variables: int) -> TraceBuffer:
-    """Return a buffer without capacity."""
     return _empty((0, 0, 0, 0), variables)
 
 
@@ -244,11 +243,11 @@ class TraceStore:
     def times(self) -> list[float]:
         """Return the times of the jumps so far."""
         blocks = [*(self._blocks[k] for k in range(len(self._blocks))), self.buffer]
-        parts = [block.numbers[: block.used[EVENTS], 0] for block in blocks]
-        found: list[float] = np.concatenate(parts).tolist()
+        chunks = [block.numbers[: block.used[EVENTS], 0] for block in blocks]
+        times: list[float] = np.concatenate(chunks).tolist()
         for j, jump in self.made.items():
-            found[j] = jump.t
-        return found if self.last is None else [*found, self.last().t]
+            times[j] = jump.t
+        return times if self.last is None else [*times, self.last().t]
 
     def add(self, block: TraceBuffer) -> None:
         """Append a block."""
@@ -271,16 +270,15 @@ class TraceStore:
         return arc
 
     def _event(self, j: int) -> Jump:
-        made = self.made.get(j)
-        if made is not None:
-            return made
+        jump = self.made.get(j)
+        if jump is not None:
+            return jump
         if self.last is not None and j == self._count() - 1:
             return self.last()
         assert self._jump is not None
         return self._jump(event_of(*self._locate(self._events, j), j, self._kinds))
 
     def _locate(self, begins: list[int], place: int) -> tuple[TraceBuffer, int]:
-        """Return the block and the row of one item of a sequence."""
         block = bisect_right(begins, place) - 1
         row = place - begins[block]
         return (self.buffer if block == len(self._blocks) else self._blocks[block]), row
@@ -317,19 +315,19 @@ class TraceRecorder(TraceStore):
         """Release the buffer; return the arcs and the jumps of the run, which has ended."""
         self.seal()
         self.buffer = _no_buffer(self.variables)
-        found = self.arcs, self.jumps
+        sequences = self.arcs, self.jumps
         # No reference back: the last reader's reference frees the trace at once.
         del self.arcs, self.jumps
-        return found
+        return sequences
 
     def kind(self, mode: Key, roles: Roles) -> int:
         """Return the number of a kind, a new one if it is new."""
         kind = mode, roles
         place = self._places.get(kind)
         if place is None:
-            known = len(self._places)
+            count = len(self._places)
             # Others may have added kinds.
-            self._places |= {kind: known + i for i, kind in enumerate(self._kinds[known:])}
+            self._places |= {kind: count + i for i, kind in enumerate(self._kinds[count:])}
             place = self._places.setdefault(kind, len(self._kinds))
             if place == len(self._kinds):
                 self._kinds.append(kind)
@@ -376,13 +374,13 @@ class TraceRecorder(TraceStore):
 
     def _reserve(self, arcs: int, times: int, terms: int, events: int) -> bool:
         """Make room in the buffer; False if its capacity is too small."""
-        buffer, wanted = self.buffer, (arcs, times, terms, events)
-        parts = buffer.arcs, buffer.times, buffer.coefficients, buffer.events
-        capacity, used = [len(part) for part in parts], buffer.used.tolist()
-        if all(u + w <= c for u, w, c in zip(used, wanted, capacity, strict=True)):
+        buffer, required = self.buffer, (arcs, times, terms, events)
+        arrays = buffer.arcs, buffer.times, buffer.coefficients, buffer.events
+        capacity, used = [len(array) for array in arrays], buffer.used.tolist()
+        if all(u + w <= c for u, w, c in zip(used, required, capacity, strict=True)):
             return True
         self.seal()
-        return all(w <= c for w, c in zip(wanted, capacity, strict=True))
+        return all(w <= c for w, c in zip(required, capacity, strict=True))
 
 
 def _width(terms: Array) -> int:

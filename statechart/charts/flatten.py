@@ -572,7 +572,6 @@ def microstep(tree: Tree, active: Nodes, memory: Histories, taken: Iterable[int]
 
 
 def _exit_set(tree: Tree, active: Nodes, memory: Histories, place: int) -> Nodes:
-    """Return the exit set of an arrow."""
     if tree.arrows[place].target < 0:
         return frozenset()
     domain = _domain(tree, memory, place)

@@ -393,7 +393,7 @@ def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Com
     try:
         return composed(
             parts,
-            _form,
+            _chart_form,
             lambda part: compose(Chart.model_validate(part)),
             lambda _: _restricted,
             joint=False,
@@ -402,7 +402,7 @@ def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Com
         return ()
 
 
-def _form(part: Data) -> Data:
+def _chart_form(part: Data) -> Data:
     """Return a declaration without the values that its variables start from."""
     return {**part, "variables": list(part.get("variables", ()))}
 

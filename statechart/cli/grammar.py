@@ -71,6 +71,32 @@ def parser() -> argparse.ArgumentParser:
     return whole
 
 
+_OPTIONS = {
+    **dict.fromkeys(("--page", "--html"), "--report"),
+    **dict.fromkeys(("--t-end", "--tmax", "--t-max", "--end", "--time", "--duration"), "--until"),
+    **dict.fromkeys(("--dt", "--timestep", "--time-step"), "--step"),
+    **dict.fromkeys(("--tol", "--rtol", "--atol"), "--tolerance"),
+    **dict.fromkeys(("--solver", "--integrator"), "--engine"),
+    **dict.fromkeys(("--param", "--parameter", "-p"), "--set"),
+    **dict.fromkeys(("--gif", "--film", "--video", "--movie"), "--animate"),
+    **dict.fromkeys(("--out", "--plot", "--figure"), "--output"),
+}
+"""Option of another program -> option of ours."""
+
+_VERBS = {
+    **dict.fromkeys(("simulate", "sim", "solve"), "run"),
+    **dict.fromkeys(("animate", "film"), "run FILE --animate FILM.gif"),
+    "plot": "run FILE -o DIR",
+    "report": "run FILE --report PAGE.html",
+    **dict.fromkeys(("test", "verify"), "check"),
+    **dict.fromkeys(("show", "open"), "view"),
+    **dict.fromkeys(("diagram", "chart", "graph"), "draw"),
+    **dict.fromkeys(("init", "create"), "new"),
+    "lint": "validate",
+}
+"""Verb of another program -> what ours are called."""
+
+
 def read(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Return what a command line says; end the process with the reason where it cannot be read."""
     whole = parser()
@@ -80,7 +106,8 @@ def read(arguments: Sequence[str] | None) -> argparse.Namespace:
     if not words:
         whole.error(f"no verb; such as: statechart run FILE; known: {', '.join(verbs.choices)}")
     if first is not None and first not in verbs.choices:
-        whole.error(f"no verb {first!r}; {close_matches(first, verbs.choices)}")
+        written = f"write statechart {_VERBS[first]}" if first in _VERBS else ""
+        whole.error(f"no verb {first!r}; {written or close_matches(first, verbs.choices)}")
     chosen, unknown = whole.parse_known_args(arguments)
     if unknown:
         verb: argparse.ArgumentParser = verbs.choices[chosen.verb]
@@ -97,8 +124,10 @@ def _unknown(argument: str, verb: argparse.ArgumentParser) -> str:
         return f"{argument!r} is left over; put arguments with blanks in quotes"
     if name in verb._option_string_actions:
         return f"write {name} after the verb"
-    advice = close_matches(name, verb._option_string_actions)
-    return f"no option {name}; {advice}"
+    if (written := _OPTIONS.get(name, "")) in verb._option_string_actions:
+        return f"no option {name}; write {written}"
+    advice = close_matches(name, (o for o in verb._option_string_actions if o.startswith("--")))
+    return f"no option {name}; {advice.partition(' known:')[0]}"
 
 
 def _value(
@@ -112,14 +141,16 @@ def _flag(parser: argparse._ActionsContainer, names: str, words: str) -> None:
 
 
 def _running(parser: argparse.ArgumentParser) -> None:
-    _value(parser, "--until", "T", "end of the run", type=_number)
+    _value(parser, "--until", "T", "end of the run", type=_number_argument)
     _engine(parser)
     words = (
         "allowed residual of the contact impulses, relative to the fastest approach velocity in "
         "the step (engine impulse)"
     )
-    _value(parser, "--impulse-tolerance", "R", words, type=_number)
-    _value(parser, "--impulse-bound", "R", "residual above which the run ends", type=_number)
+    _value(parser, "--impulse-tolerance", "R", words, type=_number_argument)
+    _value(
+        parser, "--impulse-bound", "R", "residual above which the run ends", type=_number_argument
+    )
     parser.add_argument(
         "--record",
         choices=("modes", "poses", "nothing"),
@@ -127,17 +158,17 @@ def _running(parser: argparse.ArgumentParser) -> None:
         "or start, end and outputs",
     )
     words = "longest time step of the other engines"
-    _value(parser, "--max-step", "H", words, type=_number)
+    _value(parser, "--max-step", "H", words, type=_number_argument)
     words = "RK45, DOP853, Radau or LSODA (engine scipy), 'long double' (engine taylor)"
     _value(parser, "--method", "M", words)
     error = parser.add_mutually_exclusive_group()
     _errors(error)
-    _value(error, "--budget", "S", "best accuracy within so many seconds", type=_number)
+    _value(error, "--budget", "S", "best accuracy within so many seconds", type=_number_argument)
 
 
 def _errors(group: argparse._ActionsContainer) -> None:
-    _value(group, "--accuracy", "A", "relative error allowed", type=_number)
-    _value(group, "--tolerance", "R", "relative tolerance of every step", type=_number)
+    _value(group, "--accuracy", "A", "relative error allowed", type=_number_argument)
+    _value(group, "--tolerance", "R", "relative tolerance of every step", type=_number_argument)
 
 
 def _reporting(parser: argparse.ArgumentParser) -> None:
@@ -156,10 +187,10 @@ def _reporting(parser: argparse.ArgumentParser) -> None:
     )
     _value(parser, "--animate", "FILM", "draw the bodies in motion: .gif, or .mp4 with ffmpeg")
     words = "run time that passes in a second of the film"
-    _value(parser, "--speed", "V", words, type=_number)
+    _value(parser, "--speed", "V", words, type=_number_argument)
     _value(parser, "--size", "PIXELS", "longer side of the film; 720", type=_count)
     words = "time that trails of the film reach back; 0 for none"
-    _value(parser, "--trail", "T", words, type=_number)
+    _value(parser, "--trail", "T", words, type=_number_argument)
     _value(parser, "--report", "PAGE", "write the run as one page: .html")
     _json(parser, digits=True)
 
@@ -173,7 +204,7 @@ def _json(parser: argparse.ArgumentParser, *, digits: bool = False) -> None:
 
 def _viewing(parser: argparse.ArgumentParser) -> None:
     _settable(parser)
-    _value(parser, "--until", "T", "end of the run", type=_number)
+    _value(parser, "--until", "T", "end of the run", type=_number_argument)
     _value(parser, "-o --output", "PAGE", "file of the page; a temporary one by default")
 
 
@@ -187,8 +218,8 @@ def _listing(parser: argparse.ArgumentParser) -> None:
     _settable(parser)
     where = parser.add_mutually_exclusive_group()
     words = "check this configuration instead of the initial one, such as bar.angle=0.3"
-    _value(where, "--at", "NAME=VALUE", words, action="append", default=[], type=_place)
-    _value(where, "--until", "T", "check the state of a run at this time", type=_number)
+    _value(where, "--at", "NAME=VALUE", words, action="append", default=[], type=_assigned_value)
+    _value(where, "--until", "T", "check the state of a run at this time", type=_number_argument)
     _json(parser, digits=True)
     words = "print the equations of motion of a mode, such as 'tip:pin' or 'A:free B:slide+'"
     _value(parser, "--equations", "MODE", words)
@@ -225,7 +256,7 @@ def _engine(parser: argparse.ArgumentParser) -> None:
         choices=("auto", "taylor", "scipy", "impulse"),
         help="taylor and scipy locate events, impulse takes fixed time steps; auto chooses",
     )
-    _value(parser, "--step", "H", "time step of the engine impulse", type=_number)
+    _value(parser, "--step", "H", "time step of the engine impulse", type=_number_argument)
 
 
 def _sweeping(parser: argparse.ArgumentParser) -> None:
@@ -245,7 +276,7 @@ def _sweeping(parser: argparse.ArgumentParser) -> None:
         "outputs to compute, separated by commas; all by default",
         type=_names,
     )
-    _value(parser, "--until", "T", "end of the runs", type=_number)
+    _value(parser, "--until", "T", "end of the runs", type=_number_argument)
     _engine(parser)
     _errors(parser.add_mutually_exclusive_group())
     where = parser.add_mutually_exclusive_group()
@@ -282,7 +313,7 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def _number(text: str) -> float:
+def _number_argument(text: str) -> float:
     from statechart.errors import FormulaError
     from statechart.formulas.formula import parse
 
@@ -296,7 +327,7 @@ def _assignment(text: str) -> tuple[str, float]:
     name, equals, value = text.partition("=")
     if not equals or not name.strip():
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
-    return name.strip(), _number(value)
+    return name.strip(), _number_argument(value)
 
 
 def _range(text: str) -> tuple[str, str]:
@@ -313,7 +344,7 @@ def _names(text: str) -> tuple[str, ...]:
     return names
 
 
-def _place(text: str) -> tuple[str, float]:
+def _assigned_value(text: str) -> tuple[str, float]:
     name, value = _assignment(text)
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r}: must be finite")

@@ -341,9 +341,11 @@ def trade(arguments: argparse.Namespace) -> int:
     study = study_of(runner, folder=arguments.output, progress=_printer(arguments))
     pieces = PartialReport()
     if arguments.output is not None:
-        from statechart.study.figure import write
+        from statechart.study.figure import write_study_figure
 
-        pieces.attempt("tables and figure", lambda: write(arguments.output, study), None)
+        pieces.attempt(
+            "tables and figure", lambda: write_study_figure(arguments.output, study), None
+        )
     if arguments.json:
         print_json(to_dict(study))
     else:

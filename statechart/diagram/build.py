@@ -296,7 +296,7 @@ def _name(key: Iterable[str]) -> str:
 
 # Longer lists of names of regions are cut; a mode is named by at most so many lines.
 _MAX_NAMES, _MAX_LINES = 8, 4
-_NUMBER = re.compile(r"\d+(\.\d+)?")
+_LITERAL = re.compile(r"\d+(\.\d+)?")
 
 
 def region_chart(
@@ -393,7 +393,7 @@ def group_alike(regions: Iterable[Region]) -> Iterable[list[Region]]:
     found: dict[tuple[tuple[str, ...], tuple[tuple[str, ...], ...]], list[Region]] = {}
     for region in regions:
         edges = (
-            (e.cause, e.source, e.target, _NUMBER.sub("#", e.guard), _NUMBER.sub("#", e.reset))
+            (e.cause, e.source, e.target, _LITERAL.sub("#", e.guard), _LITERAL.sub("#", e.reset))
             for e in region.edges
         )
         found.setdefault((region.innermost, tuple(edges)), []).append(region)

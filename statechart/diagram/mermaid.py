@@ -151,7 +151,6 @@ def _indent(lines: Iterable[str]) -> list[str]:
 
 
 def _escape(text: str) -> str:
-    """Return text on one line, every character of it literal."""
     encoded = _SPECIAL.sub(
         lambda match: f"#{ord(match[0][0])};{match[0][1:]}", printable(text).strip()
     )

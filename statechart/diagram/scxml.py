@@ -3,8 +3,8 @@
 A diagram of a model becomes a machine that others' tools run. SCXML has states, events, conditions
 and assignments, and no motion: the host sends the events, ``REGION.CAUSE``, with ``.STATE`` behind
 it where the entered state depends on an impact, and sets the variables before. The machine itself
-raises the events that its other transitions wait for: ``REGION.STATE`` when a state is entered, and
-``REGION.CAUSE`` of a transition that such an event fires. States that are done make
+raises the events that its other transitions wait for: ``REGION.STATE`` when a transition enters a
+state, and ``REGION.CAUSE`` of a transition that such an event fires. States that are done make
 ``done.state.ID``.
 """
 
@@ -69,6 +69,23 @@ def lost(machine: Machine) -> tuple[str, ...]:
     return tuple(f"{what}: {', '.join(whose)}" for what, whose in losses.items())
 
 
+def _entered_at_start(region: Region, start: str) -> set[str]:
+    """Return the initial state of a region with the states around it and in it."""
+    nesting = region.nesting
+    entered, found = [nesting.initial.get("", start)], set[str]()
+    while outer := region.superstates.get(entered[-1]):
+        entered.append(outer)
+    below = entered[:1]
+    while below:
+        name = below.pop()
+        found.add(name)
+        inside = [inner for inner, outer in region.superstates.items() if outer == name]
+        below += inside if name in nesting.parallel else []
+        if inside and name not in nesting.parallel:
+            below.append(nesting.initial.get(name, inside[0]))
+    return found | set(entered)
+
+
 class _MachineWriter:
     """Writes a machine into `root`; `lost` maps what SCXML cannot say to its transitions."""
 
@@ -81,13 +98,27 @@ class _MachineWriter:
             event for region in machine.regions for e in region.nesting.edges for event in e.events
         }
         taken: set[str] = {name.lower() for name in self._data}
-        single = len(machine.regions) == 1
+        # No transition entered these: their events are not raised at the start.
+        starting = {
+            f"{region.name}.{state}"
+            for region, start in zip(machine.regions, machine.start, strict=True)
+            for state in _entered_at_start(region, start)
+        }
+        self._starting = starting & self._awaited
+        self._started = ""
+        single = len(machine.regions) == 1 and not self._starting
         data = ET.SubElement(self.root, "datamodel")
         parent = self.root
         if not single:
             (together,) = named(["all_regions"], taken).values()
             self.root.set("initial", together)
             parent = ET.SubElement(self.root, "parallel", {"id": together})
+        if self._starting:
+            run, before, self._started = named(["run", "starting", "started"], taken).values()
+            whole = ET.SubElement(parent, "state", {"id": run, "initial": before})
+            begin = ET.SubElement(whole, "state", {"id": before})
+            ET.SubElement(begin, "transition", {"target": self._started})
+            ET.SubElement(whole, "state", {"id": self._started})
         self._ids: dict[str, dict[str, str]] = {}
         tops = [self._named(region, taken, single=single) for region in machine.regions]
         self._ends: dict[tuple[str, str], str] = {}  # region, state that can be done -> event
@@ -156,6 +187,8 @@ class _MachineWriter:
         if (event := f"{region.name}.{name}") in self._awaited:
             entry = element.find("onentry")
             entry = ET.SubElement(element, "onentry") if entry is None else entry
+            if event in self._starting:
+                entry = ET.SubElement(entry, "if", {"cond": f"In('{self._started}')"})
             ET.SubElement(entry, "raise", {"event": spell_signs(event)})
         for edge in leaving.get(name, ()):
             self._edge(element, region, edge, leaving[name])

@@ -108,7 +108,6 @@ def own_words(schema: dict[str, Any], model: type[BaseModel]) -> None:
 
 
 def _fields(cls: type) -> Iterator[tuple[str, FieldInfo]]:
-    """Yield the fields of a model by name, those that must be given first."""
     fields: Mapping[str, FieldInfo] = cls.__dict__.get("__pydantic_fields__", {})
     yield from sorted(fields.items(), key=lambda item: not item[1].is_required())
 

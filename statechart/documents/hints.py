@@ -67,6 +67,38 @@ YAML_HINTS: Mapping[str, str] = {
 """Words of the message on text that is no YAML -> what to write."""
 
 
+OTHER_VALUES: Mapping[str, str] = {
+    **dict.fromkeys(("stick", "sticking", "stuck", "fixed", "roll", "rolling"), "pin"),
+    **dict.fromkeys(("slip", "slipping", "sliding"), "slide"),
+    **dict.fromkeys(("open", "off", "lift", "flight", "flying"), "free"),
+    **dict.fromkeys(("vx", "u", "xdot"), "dx"),
+    **dict.fromkeys(("vy", "v", "ydot"), "dy"),
+    **dict.fromkeys(("theta", "phi", "rotation"), "angle"),
+    **dict.fromkeys(("omega", "w", "dtheta", "dphi"), "dangle"),
+    **dict.fromkeys(("rk4", "rk45", "rk23", "dop853", "radau", "lsoda", "bdf", "ode45"), "scipy"),
+    **dict.fromkeys(("euler", "moreau", "timestepping"), "impulse"),
+}
+"""Word of another program, in small letters -> the value that has its meaning here."""
+
+
+def other_value(given: object, known: str) -> str:
+    """Return advice on a value that goes by another name among the known ones; else nothing."""
+    word = OTHER_VALUES.get(str(given).lower(), "")
+    return f"write {word}" if f"'{word}'" in known else ""
+
+
+def unknown_parameter(name: str, known: Collection[str]) -> str:
+    """Return advice on a parameter that a model does not have."""
+    last = name.rpartition(".")[2]
+    option = _ARGUMENTS.get(last, last)
+    if option in ("until", *Setting.__dataclass_fields__):
+        return f"write --{option.replace('_', '-')}, in Python {option}="
+    advice = close_matches(name, known)
+    if advice.startswith("known"):
+        advice += "; numbers of the file get a name by parameters: {g: 9.81} and gravity: g"
+    return advice
+
+
 def example(model: type[BaseModel], loc: Sequence[str | int], *, built: bool) -> str:
     """Return an example of what stands at `loc`, as it is written there; empty for none.
 

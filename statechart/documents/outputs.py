@@ -15,7 +15,7 @@ from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.formula import parse
 
 _EVENT = re.compile(r"(?:([A-Za-z_]\w*)\.)?([A-Za-z_]\w*[+-]?)", re.ASCII)
-_NUMBER = re.compile(r"([0-9]{1,9})\s+")
+_SAMPLE_COUNT = re.compile(r"([0-9]{1,9})\s+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ def _parse_moment(text: str) -> Moment:
         case ["start" | "end" as when]:
             return Moment(when)
         case ["first" | "last" | "each" as when, events]:
-            most = _NUMBER.match(events)
+            most = _SAMPLE_COUNT.match(events)
             if most is None:
                 return Moment(when, parse_events(events))
             if when != "each" and int(most[1]) > 0:

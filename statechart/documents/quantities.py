@@ -128,8 +128,8 @@ def written(powers: Powers | None, units: Mapping[str, str]) -> str:
     # The shorter one: a spring has N/m, a moment of inertia kg m2.
     way = min(ways, key=lambda way: sum(map(abs, way.values())))
     above = ["rad"] if angle else []
-    above += [_power(texts[base], n) for base, n in way.items() if n > 0]
-    below = [_power(texts[base], -n) for base, n in way.items() if n < 0]
+    above += [_unit_power(texts[base], n) for base, n in way.items() if n > 0]
+    below = [_unit_power(texts[base], -n) for base, n in way.items() if n < 0]
     return "/".join([" ".join(above) or "1", *below])
 
 
@@ -143,7 +143,7 @@ def entitled(what: str, unit: str) -> str:
     return f"{what} in {unit_suffix(unit)}" if unit_suffix(unit) else what
 
 
-def _power(unit: str, exponent: Fraction) -> str:
+def _unit_power(unit: str, exponent: Fraction) -> str:
     if exponent == 1:
         return unit
     if exponent.denominator == 1:
@@ -161,7 +161,7 @@ Dimensions = dict[str, Powers]
 Fact = tuple[Node, Node | Powers]
 """A formula, and what it measures or another that measures the same."""
 
-_ALIKE = frozenset({"abs", "min", "max", "hypot", "mod"})
+_DIMENSION_PRESERVING = frozenset({"abs", "min", "max", "hypot", "mod"})
 _OF_ANGLES = frozenset({"sin", "cos", "tan"})
 _ANGLES = frozenset({"asin", "acos", "atan", "atan2"})
 # Every pass tells one more name at least; chains of formulas are short.
@@ -221,7 +221,7 @@ def measured(node: Node, known: Mapping[str, Powers]) -> Powers | None:
             base = measured(of, known)
             return None if base is None else Powers().times(base, Fraction(1, 2))
         case Call(function=function, arguments=arguments):
-            if function in _ALIKE:
+            if function in _DIMENSION_PRESERVING:
                 return _common(arguments, known)
             return POWERS["angle"] if function in _ANGLES else Powers()
     return None
@@ -310,7 +310,7 @@ def _infer_names(node: Node, powers: Powers, known: _Inference) -> None:
         case Binary(operator="**", left=left, right=Number(value=value)) if value:
             _infer_names(left, Powers().times(powers, 1 / Fraction(value)), known)
         case Call(function=function, arguments=arguments):
-            if function in _ALIKE:
+            if function in _DIMENSION_PRESERVING:
                 for part in arguments:
                     _infer_names(part, powers, known)
             elif function == "sqrt":

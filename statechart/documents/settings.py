@@ -13,7 +13,7 @@ from statechart.errors import FormulaError
 from statechart.formulas.formula import parse
 
 
-def _number(value: Any) -> Any:
+def _constant_value(value: Any) -> Any:
     """Return the value of a formula without names, such as 1/60."""
     if not isinstance(value, str):
         return value
@@ -23,7 +23,7 @@ def _number(value: Any) -> Any:
         raise problem(error) from None
 
 
-Written = Annotated[Real, BeforeValidator(_number, json_schema_input_type=float | str)]
+Written = Annotated[Real, BeforeValidator(_constant_value, json_schema_input_type=float | str)]
 """A number, or a formula of numbers."""
 
 

@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from statechart.documents.hints import example, known_keys, other_word, sections_with_key
+from statechart.documents.hints import (
+    example,
+    known_keys,
+    other_value,
+    other_word,
+    sections_with_key,
+)
 from statechart.documents.yaml_text import flow
 from statechart.errors import (
     DeclarationError,
@@ -259,13 +265,15 @@ def _message_and_advice(
     if kind == "output" and isinstance(given, Mapping) and given:
         return f"{context.get('message', details['msg'])}, not {next(iter(given))!r}", ""
     if kind == "union_tag_invalid":
-        return f"must be one of {context['expected_tags']}, not {context['tag']!r}", ""
+        tags = context["expected_tags"]
+        return f"must be one of {tags}, not {context['tag']!r}", other_value(context["tag"], tags)
     if kind == "too_short":
         least = context["min_length"]
         given = context["actual_length"] or "none"
         return f"must have at least {least} item{'s' if least != 1 else ''}, not {given}", ""
     if kind == "literal_error":
-        return f"must be {context['expected']}, not {shown}", ""
+        expected = context["expected"]
+        return f"must be {expected}, not {shown}", other_value(given, expected)
     return f"{details['msg'].replace('Input should', 'must', 1)}; got {shown}", ""
 
 

@@ -220,7 +220,6 @@ class _Builder:
         return self._at(event.start_mark.line, event.start_mark.column)
 
     def _at(self, line: int, column: int) -> Position:
-        """Return the place of a line and a column that count from 0."""
         return Position(self._source, line + 1, column + 1)
 
     def _fail(self, event: events.Event, message: str, advice: str = "") -> NoReturn:

@@ -33,12 +33,12 @@ def dump(model: BaseModel) -> str:
 def _document(data: Any) -> Iterator[events.Event]:
     yield events.StreamStartEvent()
     yield events.DocumentStartEvent(explicit=False)
-    yield from _events(data, block=True)
+    yield from _yaml_events(data, block=True)
     yield events.DocumentEndEvent(explicit=False)
     yield events.StreamEndEvent()
 
 
-def _events(value: Any, *, block: bool) -> Iterator[events.Event]:
+def _yaml_events(value: Any, *, block: bool) -> Iterator[events.Event]:
     # A short value stands on one line, in braces; a longer one is indented.
     if isinstance(value, Mapping):
         flow = not block or _is_short(value)
@@ -46,13 +46,13 @@ def _events(value: Any, *, block: bool) -> Iterator[events.Event]:
         for key, item in value.items():
             # Every key is read as text, whatever it looks like.
             yield events.ScalarEvent(None, None, (True, True), str(key))
-            yield from _events(item, block=not flow)
+            yield from _yaml_events(item, block=not flow)
         yield events.MappingEndEvent()
     elif isinstance(value, list | tuple):
         flow = not block or _is_short(value)
         yield events.SequenceStartEvent(None, None, implicit=True, flow_style=flow)
         for item in value:
-            yield from _events(item, block=not flow)
+            yield from _yaml_events(item, block=not flow)
         yield events.SequenceEndEvent()
     else:
         text = scalar(value)

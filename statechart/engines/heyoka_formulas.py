@@ -63,8 +63,8 @@ class Converter:
         """Return an expression of heyoka's."""
         found = self.known.get(expression)
         if found is None:
-            made = self._convert if self._moves(expression) else self._constant
-            found = self.known[expression] = made(expression)
+            converter = self._convert if self._moves(expression) else self._constant
+            found = self.known[expression] = converter(expression)
         return found
 
     def rate(self, expression: sp.Expr) -> Any:
@@ -75,28 +75,28 @@ class Converter:
         while expression in self._definitions and expression not in self.known:
             expression = self._definitions[expression]
         if self._folds and expression.is_Add and self._moves(expression):
-            number, rest = expression.as_coeff_Add()
+            number, remainder = expression.as_coeff_Add()
             if number != 0:
                 self.constants.append(number)
                 # Before what is left: its formulas append numbers of their own.
                 shift = hy.par[len(self.constants)]
-                return self(rest) + shift
+                return self(remainder) + shift
         return self(expression)
 
     def _moves(self, node: sp.Expr) -> bool:
         """Return whether a formula varies in a run."""
-        found = self._moving.get(node)
-        if found is None:
+        depends = self._moving.get(node)
+        if depends is None:
             if node.is_Symbol:
                 definition = self._definitions.get(node)
-                found = (
+                depends = (
                     node not in self._parameters if definition is None else self._moves(definition)
                 )
             else:
-                found = any(self._moves(argument) for argument in node.args)
-                found = found or not (self._folds or node.is_number)
-            self._moving[node] = found
-        return found
+                depends = any(self._moves(argument) for argument in node.args)
+                depends = depends or not (self._folds or node.is_number)
+            self._moving[node] = depends
+        return depends
 
     def _constant(self, node: sp.Expr) -> Any:
         if node.is_number:
@@ -104,13 +104,13 @@ class Converter:
         self.constants.append(node)
         return hy.par[len(self.constants)]
 
-    def _joined(self, operation: Callable[[Any, Any], Any], node: sp.Expr, parts: Any) -> Any:
+    def _joined(self, operation: Callable[[Any, Any], Any], node: sp.Expr, operands: Any) -> Any:
         """Join the parts of a sum or of a product: first what moves, then the number of the run."""
-        still = [part for part in parts if self._folds and not self._moves(part)]
-        found = [self(part) for part in parts if part not in still]
-        if still:
-            found.append(self(node.func(*still)))
-        return functools.reduce(operation, found)
+        constants = [operand for operand in operands if self._folds and not self._moves(operand)]
+        joined = [self(operand) for operand in operands if operand not in constants]
+        if constants:
+            joined.append(self(node.func(*constants)))
+        return functools.reduce(operation, joined)
 
     def _convert(self, node: sp.Expr) -> Any:
         if node.is_Symbol:
@@ -168,7 +168,6 @@ class Converter:
 
 
 def _product(base: Any, exponent: int) -> Any:
-    """Return a whole power by repeated squaring."""
     if exponent == 1:
         return base
     square = _product(base, exponent // 2) ** 2.0

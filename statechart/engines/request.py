@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from statechart.automaton.automaton import Automaton
 from statechart.documents.declaration import Declaration
+from statechart.documents.hints import other_value
 from statechart.documents.setting import LONG_DOUBLE, Record, Setting
 from statechart.engines.engine import Engine
 from statechart.errors import DeclarationError, DeclarationProblem
@@ -30,8 +31,9 @@ def choose(setting: Setting) -> tuple[Engine, str]:
     engine, method, tolerance = setting.engine or "auto", setting.method, setting.tolerance
     longest = setting.max_step or math.inf
     if engine not in ENGINES:
-        known = ", ".join((*ENGINES, "impulse"))
-        raise DeclarationError(f"no engine {engine!r}", advice=f"known: {known}")
+        engines = ", ".join((*ENGINES, "impulse"))
+        written = other_value(engine, "'scipy', 'impulse'")
+        raise DeclarationError(f"no engine {engine!r}", advice=written or f"known: {engines}")
     reason = ""
     if engine == "auto":
         # Only scipy has methods to choose from.
@@ -200,9 +202,11 @@ def _stepping(
             of_file,
         )
     if steps_only:
-        said = model.settings
+        messages = model.settings
         try:
-            Setting("impulse", said.method, said.tolerance, max_step=said.max_step).check()
+            Setting(
+                "impulse", messages.method, messages.tolerance, max_step=messages.max_step
+            ).check()
         except DeclarationProblem as problem:
             problem.loc = ("settings", *problem.loc)
             raise

@@ -126,21 +126,21 @@ class SciPy(Engine):
             rate = float(np.abs(rates(0.0, state)).max(initial=0.0)) * min(duration, 1.0)
             largest = float(magnitude.max(initial=0.0))
             largest = largest if largest > _UNDERFLOW * rate else rate
-            least = np.full(len(state), max(largest, _SMALLEST) if largest > 0.0 else 1.0)
+            smallest = np.full(len(state), max(largest, _SMALLEST) if largest > 0.0 else 1.0)
         else:
             # In the model's own units, and as small as the motion now is (late, low bounces), but
             # not below what rounding makes of a state at rest.
             moving = float((magnitude / sizes).max(initial=0.0)) or 1.0
-            least = sizes * max(moving, _RATE_ROUND_OFF / self.tolerance)
-        self.floor = np.maximum(magnitude, 1e-3 * least)
+            smallest = sizes * max(moving, _RATE_ROUND_OFF / self.tolerance)
+        self.floor = np.maximum(magnitude, 1e-3 * smallest)
         options: dict[str, Any] = {"rtol": self.tolerance, "atol": self.tolerance * self.floor}
         if self.max_step < math.inf:
             options["max_step"] = self.max_step
         if stepper.suggested is not None and 0 < stepper.suggested < duration:
             options["first_step"] = stepper.suggested
         solver = getattr(integrate, self.method)
-        begun = np.where(magnitude < _UNDERFLOW * self.floor, 0.0, state)
-        return solver(rates, 0.0, begun, duration, **options)
+        started = np.where(magnitude < _UNDERFLOW * self.floor, 0.0, state)
+        return solver(rates, 0.0, started, duration, **options)
 
 
 def _move(solver: Any, state: Array) -> None:

@@ -111,8 +111,8 @@ class Taylor(Engine):
         convert = Converter(automaton, dict(mode.definitions), folds=not extended)
         states = [hy.expression(f"v{i}") for i in range(len(automaton.variables))]
         form = tuple(convert.rate(rate) for rate in mode.rates)
-        found = self._programs.get(form)
-        if found is None:
+        cached = self._programs.get(form)
+        if cached is None:
             # Loops in the compiled code cost small modes up to half of their speed; without them
             # the compiler needs half a minute for a mode of two thousand operations. Of long
             # doubles it takes several times as long.
@@ -125,14 +125,14 @@ class Taylor(Engine):
                     fp_type=self._number,
                     compact_mode=compact,
                 )
-            found = self._programs[form] = integrator, None if extended else Step.of(integrator)
-        integrator, compiled = found
+            cached = self._programs[form] = integrator, None if extended else Step.of(integrator)
+        integrator, compiled = cached
         # heyoka keeps as many parameters as it needs after its own simplifications (a mass may
         # cancel); the first is the start of the arc.
         fixed = automaton.tape(convert.constants[: max(len(integrator.pars) - 1, 0)], mode)
         symbols = (*automaton.variables, *automaton.parameters)
-        words = (*automaton.names, *automaton.parameter_names)
-        names = dict(zip(symbols, map(sp.Symbol, words), strict=True))
+        message = (*automaton.names, *automaton.parameter_names)
+        names = dict(zip(symbols, map(sp.Symbol, message), strict=True))
         return _Stepper(
             integrator,
             compiled,
@@ -189,18 +189,18 @@ class Taylor(Engine):
         if begin is not Begin.ON:
             stepper.enter(state, watch, start)
         if stepper.compiled is None:
-            left = self._number(until - reached)
-            taken, finite, h, left = _one_by_one(
-                stepper, path, watch, left, self.max_step, count, end
+            remaining = self._number(until - reached)
+            steps_taken, finite, h, remaining = _one_by_one(
+                stepper, path, watch, remaining, self.max_step, count, end
             )
         else:
-            taken, finite, h, left = taylor_steps(
+            steps_taken, finite, h, remaining = taylor_steps(
                 (*stepper.integrator_memory, self.tolerance, self.max_step),
                 until - reached, count, path.times[first:], path.coefficients[first:], end,
                 watch.reconstruction.program, watch.start,
             )  # fmt: skip
-        last = first + finite
-        if last == first:
+        limit = first + finite
+        if limit == first:
             self.check(stepper, state, watch.parameters, start)
             if np.isfinite(stepper.rates.values(state, watch.parameters, start)).all():
                 raise Unsupported(
@@ -208,17 +208,17 @@ class Taylor(Engine):
                     "engine: scipy"
                 )
             raise NonFinite(f"the state or its rate is not finite near t = {start:.6g}")
-        if h == 0.0 and left > 0.0:
+        if h == 0.0 and remaining > 0.0:
             # The steps before the one that underflowed stand, and may hold an event.
-            if path.times.item(last) == path.times.item(last - 1):
-                last -= 1
-            if last == first:
+            if path.times.item(limit) == path.times.item(limit - 1):
+                limit -= 1
+            if limit == first:
                 self.check(stepper, state, watch.parameters, start)
                 raise StepFailure(f"the step near t = {start:.6g} underflowed")
-        path.count = last
-        if finished := bool(finite == taken and h == left):
-            path.times[last] = until
-        end[:] = watch.reconstruction.onto(end, watch.start + path.times.item(last))
+        path.count = limit
+        if finished := bool(finite == steps_taken and h == remaining):
+            path.times[limit] = until
+        end[:] = watch.reconstruction.onto(end, watch.start + path.times.item(limit))
         return finished
 
 
@@ -236,33 +236,33 @@ def _one_by_one(
         stepper.durations = np.empty(count)
     step, durations = stepper.integrator.step, stepper.durations
     series, now = path.coefficients, stepper.series
-    first, left, h = path.count, duration, duration
+    first, remaining, h = path.count, duration, duration
     time = watch.start + path.times.item(first)
-    taken = 0
+    steps_taken = 0
     order = np.arange(now.shape[1])
-    while taken < count:
-        begun, began = stepper.state.copy(), stepper.integrator.time
-        longest = min(left, type(left)(max_step))
+    while steps_taken < count:
+        started, began = stepper.state.copy(), stepper.integrator.time
+        longest = min(remaining, type(remaining)(max_step))
         for _ in range(HALVINGS):
-            stepper.state[:], stepper.integrator.time = begun, began
+            stepper.state[:], stepper.integrator.time = started, began
             h = step(longest, True)[1]
             slopes = now * (order * h**order)
             ends = stepper.state.astype(float)
             rates = stepper.rates.values(ends, watch.parameters, time + float(h))
-            off = np.abs(slopes.sum(axis=1) - h * rates).max()
-            if not off > STRAY * max(
-                LEAST_MOTION, np.abs(begun).max(), np.abs(slopes).sum(axis=1).max()
+            distance = np.abs(slopes.sum(axis=1) - h * rates).max()
+            if not distance > STRAY * max(
+                LEAST_MOTION, np.abs(started).max(), np.abs(slopes).sum(axis=1).max()
             ):
                 break
             longest = h / 2
         with np.errstate(over="ignore"):  # of what no double can hold, the step is not finite
-            series[first + taken] = now
-        durations[taken] = h
+            series[first + steps_taken] = now
+        durations[steps_taken] = h
         time += float(h)
-        taken += 1
+        steps_taken += 1
         # The step is cut to end at the duration exactly, and then its length is what was left.
-        if h == left or not h > 0.0:
+        if h == remaining or not h > 0.0:
             break
-        left -= h
-    finite = append_steps(durations, taken, first, path.times, series, end)
-    return taken, finite, float(h), float(left)
+        remaining -= h
+    finite = append_steps(durations, steps_taken, first, path.times, series, end)
+    return steps_taken, finite, float(h), float(remaining)

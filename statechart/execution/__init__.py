@@ -1,11 +1,11 @@
 """Runs on hybrid time.
 
-`simulator` runs an automaton on an engine, `compiled_modes` keeps what it has compiled for that;
-independent `components` run one by one, and their runs are merged. `execution` is the loop: `flow`
-to the first event (`finding` judges what was found, `filippov` chooses the piece of functions that
-switch), ask the laws, jump; the `compiled_loop` does so over modes as arrays as long as instants
-are unambiguous, for one run or for many. `initial_stop_conditions` judges stop conditions where a
-flow begins. `zeno` watches for jumps that accumulate, `livelock` for those that lead nowhere,
-`certificate` proves error bounds. `time_stepping` runs models by fixed steps instead;
-`perturbation` changes a run slightly, `outcome` makes an error of an end.
+`simulator` runs an automaton on an engine and caches its `compiled_modes`; independent `components`
+run one by one, and their runs are merged. `execution` is the event loop: `flow` to the first event
+(`finding` judges the located event, `filippov` selects the signs of switching functions), evaluate
+the laws, jump. The `compiled_loop` does so for one run or a batch as long as instants are
+unambiguous. `initial_stop_conditions` judges stop conditions at the start of a flow. `zeno`
+predicts accumulations of jumps, `livelock` detects endless ones, `certificate` proves error bounds.
+`time_stepping` runs models by fixed steps; `perturbation` changes a run slightly, `outcome` turns
+outcomes into errors.
 """

@@ -32,25 +32,24 @@ from statechart.execution.compiled_modes import CompiledMode
 from statechart.formulas.tape import Tape
 
 OVER, FELL, FLOW, FULL, PAUSED, COUNTED, ACCUMULATES = range(7)
-"""Why a compiled loop ends: the run is over; a margin fell, and what follows is to be decided; the
-flow from here has to be made step by step; the pad is full; to be looked at; the jumps are to be
-counted; they accumulate."""
+"""Reasons of the end of a compiled loop: end of the run; a margin fell at an ambiguous instant; the
+next flow needs Python; the buffer is full; a pause for interrupts; the jumps are to be counted; the
+jumps accumulate."""
 
 T_HIGH, T_LOW, T_END, T_HORIZON, T_SINCE, T_REST = range(6)
-"""Columns of `BatchResult.now`: the clock, the end of the run, the horizon, the time of the last
+"""Columns of `BatchResult.clock`: the clock, the end of the run, the horizon, the time of the last
 jump, and the time to an accumulation as the loop ends."""
 N_MODE, N_JUMPS, N_MOST, N_STEPS, N_BOXES, N_RETRY = range(6)
-"""Columns of `BatchResult.place`: the row of its mode, the number of jumps, the most of them, steps
-and boxes so far; 1 if an instant is under way, and the laws are asked again."""
+"""Columns of `BatchResult.place`: row of the mode, number of jumps, limit of jumps, steps and boxes
+so far; 1 if the laws are evaluated again at this instant."""
 
 LOOK_AHEAD = 16.0
-"""First horizon of a flow, in lengths of the last flow: those of bounces shrink."""
+"""First horizon of a flow relative to the duration of the last flow."""
 
 
 UNUSUAL, OTHER, ENDED, CLOSING, STOPPED, HANDED = range(6)
-"""Ends of a run of a batch: an execution has to make it; other parameters are zero than those that
-the modes were solved for; the end of the run; the end, where an event may be happening; a stop; an
-execution goes on from here."""
+"""Outcomes of a run of a batch: Python must repeat it; other parameters are zero than those of the
+modes; end of the run; end with a possible event; stop; Python continues it."""
 
 HOW, REASON, MARGIN, FIRST_MODE = range(4)
 """Columns of `BatchResult.ends`."""
@@ -61,39 +60,38 @@ ARCS, ARCS_END, EVENTS, EVENTS_END = range(4)
 class BatchInputs(NamedTuple):
     """Runs for a compiled call."""
 
-    # Program of the tape that the numbers of a run follow from, and what it takes (m, i).
+    # Program of the tape of the setup, and its inputs (m, i).
     code: Ints32
     constants: Array
     outputs: Ints32
     inputs: Array
-    until: Array  # (m,): when each ends; not a number where that is refused.
-    zeros: Bools  # (p,): which parameters are exactly zero.
+    until: Array  # (m,): end of each run; nan if it is invalid.
+    zeros: Bools  # (p,): mask of the parameters that are exactly zero.
     most_jumps: int
-    floor: float  # Smaller magnitudes count as so large.
-    single: bool  # The one run is handed over as far as it has come.
-    resumed: bool  # The one run goes on from where it is.
-    known: bool  # The numbers of the one run are known.
+    floor: float  # Smallest magnitude of variables.
+    single: bool  # The single run is handed over to Python when the loop ends.
+    resumed: bool  # The single run continues.
+    has_numbers: bool  # The setup of the single run is already in the buffers.
 
 
 class BatchResult(NamedTuple):
-    """Results of a batch besides arcs and events, which stand in a block."""
+    """Results of a batch; its arcs and events are in a `TraceBuffer`."""
 
-    # (m, 4): how it ended, why the loop did, the margin that fell or the series that accumulates,
-    # the kind of the first mode.
+    # (m, 4): outcome, reason of the loop's end, margin that fell or series that accumulates, kind
+    # of the first mode.
     ends: Ints
-    spans: Ints  # (m, 4): where its arcs and its events begin and end.
-    # (m, 6): where it has come, see `T_HIGH` and `N_MODE`.
-    now: Array
+    spans: Ints  # (m, 4): begins and ends of the arcs and events of each run.
+    # (m, 6): see `T_HIGH` and `N_MODE`.
+    clock: Array
     place: Ints
-    # Its parameters, first and last state.
-    values: Array  # shape (m, p)
-    initial: Array  # shape (m, n)
-    final: Array  # shape (m, n)
-    entered: Bools  # (m, k): the kinds of modes that it has been in.
+    values: Array  # (m, p): parameters
+    initial: Array  # (m, n)
+    final: Array  # (m, n)
+    entered: Bools  # (m, k): mask of the kinds of modes entered.
 
     @classmethod
     def empty(cls, m: int, p: int, n: int, kinds: int) -> BatchResult:
-        """Return the memory for m runs."""
+        """Allocate the results of m runs."""
         return cls(
             np.zeros((m, 4), np.int64), np.zeros((m, 4), np.int64), np.zeros((m, 6)),
             np.zeros((m, 6), np.int64), np.empty((m, p)), np.empty((m, n)), np.empty((m, n)),
@@ -102,60 +100,59 @@ class BatchResult(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Runs that have gone through a loop; valid until the next ones do."""
+    """Runs of a batch; valid until the next call of the loop."""
 
-    rows: NDArray[np.intp]  # (m,): which they are.
-    result: BatchResult  # Their results.
-    block: TraceBuffer  # Holds their arcs and events, and others.
+    rows: NDArray[np.intp]  # (m,): indices of the runs.
+    result: BatchResult
+    block: TraceBuffer  # Arcs and events of these and other runs.
     kinds: tuple[Kind, ...]  # Kinds of the modes.
     modes: LoopModes
-    zeros: frozenset[int]  # Places of the parameters that are exactly zero.
+    zeros: frozenset[int]  # Indices of the parameters that are exactly zero.
     series: Array  # (s, ..): of the jumps of the last run, see `statechart.execution.zeno`.
 
     @property
     def stopped(self) -> Bools:
-        """Mask (m,) of the runs that a stop has ended."""
+        """Mask (m,) of the runs ended by a stop."""
         return np.asarray(self.result.ends[:, HOW] == STOPPED)
 
     def outcome(self, row: int) -> Outcome:
-        """Return why a run ended."""
+        """Return the outcome of a run."""
         return Outcome.STOPPED if self.result.ends[row, HOW] == STOPPED else Outcome.HORIZON
 
     def entered(self) -> list[tuple[Kind, CompiledMode]]:
-        """Return the modes that the one run has been in."""
-        been = zip(self.kinds, self.result.entered[0].tolist(), strict=True)
-        return [(kind, self.modes.compiled(kind)) for kind, entered in been if entered]
+        """Return the modes that the single run has entered."""
+        kinds = zip(self.kinds, self.result.entered[0].tolist(), strict=True)
+        return [(kind, self.modes.compiled(kind)) for kind, entered in kinds if entered]
 
 
-# Loops that are not compiled yet are, once so many flows could have been theirs: about two seconds.
-_WORTH = 2000
-# Steps of a flow that is made whole, and what they may take of a pad.
-_STEPS, _PART = 512, 1 << 17
+# Flows after which a loop is compiled: about two seconds of interpreted runs.
+_WORTH_COMPILING = 2000
+# Limits of the steps of a flow in the loop, and of their coefficients.
+_MAX_STEPS, _MAX_COEFFICIENTS = 512, 1 << 17
 
 
 class _CompilationPolicy:
-    """Decides whether compiled code pays: it is on disk, or many flows could use it.
+    """Decides whether to use compiled code: it is cached, or many flows could use it.
 
-    To look on the disk takes as long as a short run: that is done when twice as much was asked for.
+    A look at the cache takes as long as a short run: it is repeated when the requests have doubled.
     """
 
     def __init__(self, compiled: Callable[[], bool]) -> None:
         self._compiled, self._requests, self._on_disk = compiled, 0, False
 
     def pays(self, count: int = 1) -> bool:
-        """Return whether it pays for so many more flows."""
+        """Return whether compiled code pays for `count` more flows."""
         before = self._requests.bit_length()
         self._requests += count
         if not self._on_disk and self._requests.bit_length() > before:
             self._on_disk = self._compiled()
-        return self._on_disk or self._requests > _WORTH
+        return self._on_disk or self._requests > _WORTH_COMPILING
 
 
 class LoopModes:
-    """The modes of a simulator for one set of zero parameters, as a `Program`; grows.
+    """Modes of a simulator for one set of zero parameters, as a growing `Program`.
 
-    `kinds` has a row per mode and roles; rows of other flows of the runs stand between them.
-    `jumps` are the regions and causes of the jumps that loops make.
+    `kinds` are the modes and roles of its rows, `jumps` the regions and causes of its jumps.
     """
 
     def __init__(self, laws: CompiledLaws, engine: Engine, automaton: Automaton) -> None:
@@ -181,17 +178,17 @@ class LoopModes:
         return kind in self._compiled
 
     def about(self, event: RecordedEvent) -> tuple[str, str]:
-        """Return the region that an event of a loop is about, and its cause."""
+        """Return region and cause of an event of the loop."""
         return self.laws.about(event)
 
     def jump(self, setup: Callable[[], Setup], event: RecordedEvent) -> Jump:
-        """Return the jump of an event that a loop has made; `setup` gives the run's numbers."""
+        """Return the jump of an event of the loop; `setup` returns the run's setup."""
         names = self._compiled[event.source, roles_in(event.source)].names
         fired = names[event.fired] if event.fired >= 0 else ""
         return self.laws.jump(setup, event, fired)
 
     def add(self, mode: Key, roles: Roles, compiled: CompiledMode) -> None:
-        """Make a mode known, if loops can go through it."""
+        """Add a mode, if it can be compiled."""
         kind = mode, roles
         if kind in self._compiled or self.laws.listed(*kind, compiled.names) is None:
             return
@@ -201,20 +198,20 @@ class LoopModes:
             self._call = None
 
     def batch(self, count: int) -> Any:
-        """Return what starts so many runs; None where nothing can, or it is not worth compiling."""
+        """Return the calls that start `count` runs; None if they cannot, or do not pay."""
         if not self._batch_worth.pays(count) or not self._compiled:
             return None
         call = self._calls()
         return call if call.starts else None
 
     def follows(self, setup: Callable[..., Setup]) -> bool:
-        """Return whether rows of runs have the numbers that `setup` gives for one."""
+        """Return whether the loop's setup is that of `setup`."""
         return self.laws.setup == setup
 
     def flow(
         self, setup: Setup, kind: Kind, state: Array, time: float, terms: Array | None = None
     ) -> Flow:
-        """Return a usual flow in a mode, from a state."""
+        """Return a flow in a mode with its default tolerances."""
         mode, roles = kind
         tolerances = self.laws.tolerances(setup, state, time)
         return Flow(mode, roles, settled=True, tolerances=tolerances, terms=terms)
@@ -222,45 +219,44 @@ class LoopModes:
     def begin(
         self, setup: Setup, until: float, max_jumps: int, buffer: TraceBuffer
     ) -> Batch | None:
-        """Let the loop make a run of which the numbers are known; None where it cannot."""
+        """Start a run with this setup; None if the loop cannot."""
         call, floor = self.batch(1), self._engine.floor
         if call is None or not isinstance(floor, float):
             return None
         kinds = call.loop.kinds
-        found = BatchResult.empty(1, len(setup.values), len(setup.initial), len(kinds))
+        result = BatchResult.empty(1, len(setup.values), len(setup.initial), len(kinds))
         buffer.used[:] = 0
-        call.begin(setup, until, max_jumps, floor, buffer, found)
-        if found.ends.item(HOW) == UNUSUAL:
+        call.begin(setup, until, max_jumps, floor, buffer, result)
+        if result.ends.item(HOW) == UNUSUAL:
             return None
         rows = np.zeros(1, np.intp)
-        return Batch(rows, found, buffer, kinds, self, setup.zeros, call.series)
+        return Batch(rows, result, buffer, kinds, self, setup.zeros, call.series)
 
     def resume(
-        self, setup: Setup, flow: Flow, now: Array, counts: tuple[int, int], state: Array,
+        self, setup: Setup, flow: Flow, clock: Array, counts: tuple[int, int], state: Array,
         buffer: TraceBuffer, series: Array, zeros: frozenset[int],
     ) -> Batch | None:  # fmt: skip
-        """Let the loop take a run on from a flow; None where it cannot.
+        """Resume a run from a flow; None if the loop cannot.
 
-        `now` (6,): see `T_HIGH`; `counts` are the jumps so far, and the most of them; `series` (s,
-        ..) of jumps is brought up to date; parameters `zeros` are exactly zero.
+        `clock` (6,): see `T_HIGH`; `counts` are the number of jumps and its limit; `series` (s, ..)
+        is updated; parameters `zeros` are exactly zero.
         """
         kind, floor = (flow.mode, flow.roles), self._engine.floor
-        if not self.laws.takes(setup, flow, state, now.item(T_HIGH)):
+        if not self.laws.takes(setup, flow, state, clock.item(T_HIGH)):
             return None
         if kind not in self._compiled or not self._worth.pays():
             return None
         assert isinstance(floor, float)
         call = self._calls()
         kinds = call.loop.kinds
-        found = BatchResult.empty(1, len(setup.values), len(state), len(kinds))
-        found.now[0], found.final[0] = now, state
-        found.values[0] = setup.values if flow.values is None else flow.values
-        found.place[0, :N_STEPS] = kinds.index(kind), *counts
-        call.resume(setup, floor, buffer, found, series)
-        return Batch(np.zeros(1, np.intp), found, buffer, kinds, self, zeros, series)
+        result = BatchResult.empty(1, len(setup.values), len(state), len(kinds))
+        result.clock[0], result.final[0] = clock, state
+        result.values[0] = setup.values if flow.values is None else flow.values
+        result.place[0, :N_STEPS] = kinds.index(kind), *counts
+        call.resume(setup, floor, buffer, result, series)
+        return Batch(np.zeros(1, np.intp), result, buffer, kinds, self, zeros, series)
 
     def _calls(self) -> Any:
-        """Return the calls of a loop over all modes known."""
         if self._call is None:
             self._call = self.laws.call(self._loop(), self._engine.tolerance)
         return self._call
@@ -274,46 +270,46 @@ class LoopModes:
         for kind, compiled in self._compiled.items():
             entry = self._entries[kind]
             margins = [
-                (KINDS.index(how), self._bands.setdefault(name, len(self._bands)))
-                for name, how in compiled.watched
+                (KINDS.index(kind_of_margin), self._bands.setdefault(name, len(self._bands)))
+                for name, kind_of_margin in compiled.watched
             ]
             listed = self.laws.listed(*kind, compiled.names)
             assert listed is not None
-            within = self.laws.within(kind[0])
+            curvature_tape = self.laws.within(kind[0])
             row = rows[self.kinds.index(kind)]
             row[:] = (
                 entry.address,
                 entry.takes,
                 packed.ints(np.ravel(margins)),
                 len(margins),
-                # Those that end a run stand last.
+                # Stop margins are the last ones.
                 len(margins) - len(self._automaton.stop_margins),
                 packed.ints(listed),
                 *packed.tape(entry.fixed),
                 *packed.tape(self._watched_of(kind)),
                 *packed.tape(compiled.rates),
-                *(packed.tape(within) if within is not None else _NO_TAPE),
+                *(packed.tape(curvature_tape) if curvature_tape is not None else _NO_TAPE),
                 *packed.tape(compiled.reconstruction.tape),
                 *packed.tape(compiled.reconstruction.anchors),
                 packed.ints(compiled.reconstruction.places),
             )
         tapes = np.array([packed.tape(tape) for tape in self.laws.tapes], np.int64)
-        # All modes have one engine, and so one order.
+        # All modes have the same engine and order.
         pace, n = entry.pace, len(self._automaton.variables)
-        steps = max(min(_STEPS, _PART // (n * pace.terms)), 1)
+        steps = max(min(_MAX_STEPS, _MAX_COEFFICIENTS // (n * pace.terms)), 1)
         memory = flow_workspace(steps, pace.terms, rows, n, len(self._automaton.parameters))
         return Loop(
             packed.program(rows), tapes, pace, memory, tuple(self._bands), tuple(self.kinds)
         )
 
     def _watched_of(self, kind: Kind) -> Tape:
-        """Return the margins of a mode and its rates as one tape, which share most operations."""
-        found = self._watched.get(kind)
-        if found is None:
+        """Return margins and rates of a mode as one tape with shared operations."""
+        tape = self._watched.get(kind)
+        if tape is None:
             mode = self._compiled[kind].mode
             margins = [margin.expression for margin in mode.margins]
-            found = self._watched[kind] = self._automaton.tape([*margins, *mode.rates], mode)
-        return found
+            tape = self._watched[kind] = self._automaton.tape([*margins, *mode.rates], mode)
+        return tape
 
 
 class Loop(NamedTuple):
@@ -323,7 +319,7 @@ class Loop(NamedTuple):
     tapes: NDArray[np.int64]  # (t, 9): the laws' own.
     pace: Pace
     workspace: FlowWorkspace
-    margins: tuple[str, ...]  # Whose tolerances a run may set one by one, in their order.
+    margins: tuple[str, ...]  # Margins with individual tolerances, in order.
     kinds: tuple[Kind, ...]  # Kinds of the rows of the program.
 
 
@@ -331,7 +327,7 @@ _NO_TAPE = (0,) * TAPE
 
 
 class Packed:
-    """Arrays one behind the other."""
+    """Concatenated arrays."""
 
     def __init__(self) -> None:
         self._ints: list[Ints32] = []

@@ -78,44 +78,44 @@ class SolvedModes:
     def taped(self, roles: Roles, zeros: frozenset[int]) -> TapedMode:
         """Return the mode of `roles` on tape, for zero parameters at the places `zeros`."""
         mode = self.mode(roles, zeros)
-        found = self._taped.get(mode)
-        if found is None:
+        tapes = self._taped.get(mode)
+        if tapes is None:
             guards = self.automaton.tape([margin.expression for margin in mode.margins], mode)
             wholes = guards
             if any(margin.relation for margin in mode.margins):
                 expressions = [margin.expression for margin in whole_margins(mode.margins)]
                 wholes = self.automaton.tape(expressions, mode)
-            bare = uncaptured(roles)
-            if bare == roles:
+            plain_roles = uncaptured(roles)
+            if plain_roles == roles:
                 rates = self.automaton.tape(mode.rates, mode)
                 reconstruction = mode_reconstruction(self.automaton, mode)
             else:
-                moving = self.taped(bare, zeros)
+                moving = self.taped(plain_roles, zeros)
                 rates, reconstruction = moving.rates, moving.reconstruction
-            found = self._taped[mode] = TapedMode(mode, guards, rates, reconstruction, wholes)
-        return found
+            tapes = self._taped[mode] = TapedMode(mode, guards, rates, reconstruction, wholes)
+        return tapes
 
     def mode(self, roles: Roles, zeros: frozenset[int]) -> Mode:
         """Return the mode of `roles`, solved for zero parameters at the places `zeros`."""
-        found = self._modes.get((roles, zeros))
-        if found is None and (regions := of_regions(roles)) != roles:
+        mode = self._modes.get((roles, zeros))
+        if mode is None and (regions := of_regions(roles)) != roles:
             switches = self.switches(regions, zeros)
             assert switches is not None
-            found = self._modes[roles, zeros] = switches.mode_with_signs(roles[-1].share)
-        elif found is None:
+            mode = self._modes[roles, zeros] = switches.mode_with_signs(roles[-1].share)
+        elif mode is None:
             # Zeros that its equations do not mention call for no mode of its own.
             mentioned = zeros & self._used(roles)
-            found = self._modes.get((roles, mentioned))
-            if found is None:
-                symbols, bare = self.automaton.parameters, uncaptured(roles)
-                if bare != roles:
-                    found = captured(self.automaton, self.mode(bare, zeros), roles)
+            mode = self._modes.get((roles, mentioned))
+            if mode is None:
+                symbols, plain_roles = self.automaton.parameters, uncaptured(roles)
+                if plain_roles != roles:
+                    mode = captured(self.automaton, self.mode(plain_roles, zeros), roles)
                 else:
-                    gone = frozenset(symbols[i] for i in mentioned)
-                    found = build_mode(self.automaton, roles, gone)
-                self._modes[roles, mentioned] = found
-            self._modes[roles, zeros] = found
-        return found
+                    vanishing = frozenset(symbols[i] for i in mentioned)
+                    mode = build_mode(self.automaton, roles, vanishing)
+                self._modes[roles, mentioned] = mode
+            self._modes[roles, zeros] = mode
+        return mode
 
     def switches(self, roles: Roles, zeros: frozenset[int]) -> Switches | None:
         """Return the switches of a mode; None where it has none."""
@@ -126,7 +126,7 @@ class SolvedModes:
 
     def _used(self, roles: Roles) -> frozenset[int]:
         """Return the places of the parameters that the equations of `roles` mention."""
-        return self._always.union(*(self._in_state(*pair) for pair in enumerate(roles)))
+        return self._always.union(*(self._in_state(*symbols) for symbols in enumerate(roles)))
 
     @cached_property
     def _always(self) -> frozenset[int]:
@@ -137,12 +137,12 @@ class SolvedModes:
 
     def _in_state(self, region: int, role: Role) -> frozenset[int]:
         """Return the places of the parameters that one region's equations mention."""
-        found = self._mentioned.get((region, role))
-        if found is None:
+        state_of_mode = self._mentioned.get((region, role))
+        if state_of_mode is None:
             state = self.automaton.regions[region].build(role)
-            found = self._places((*state.equations, *state.values.values()))
-            self._mentioned[region, role] = found
-        return found
+            state_of_mode = self._places((*state.equations, *state.values.values()))
+            self._mentioned[region, role] = state_of_mode
+        return state_of_mode
 
     def _places(self, expressions: Iterable[sp.Expr]) -> frozenset[int]:
         used: set[sp.Symbol] = set().union(*(e.free_symbols for e in expressions))
@@ -163,28 +163,31 @@ class CompiledModes:
 
     def compiled(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
         """Return the mode of `roles`, compiled for zero parameters at the places `zeros`."""
-        found = self._compiled.get((roles, zeros))
-        if found is None:
+        compiled_mode = self._compiled.get((roles, zeros))
+        if compiled_mode is None:
             taped = self.solved.taped(roles, zeros)
             mode = taped.mode
-            found = next((made for made in self._compiled.values() if made.mode is mode), None)
-            if found is None:
-                found = self._compile(taped, roles, zeros)
+            compiled_mode = next(
+                (other_mode for other_mode in self._compiled.values() if other_mode.mode is mode),
+                None,
+            )
+            if compiled_mode is None:
+                compiled_mode = self._compile(taped, roles, zeros)
                 key = moving_mode(roles)
                 if HELD not in key:
                     self._built.add(key)
-            self._compiled[roles, zeros] = found
-        return found
+            self._compiled[roles, zeros] = compiled_mode
+        return compiled_mode
 
     def _compile(self, taped: TapedMode, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
         """Let the engine compile the rates, unless they are those of another mode."""
-        bare = uncaptured(roles)
-        if bare == roles:
+        plain_roles = uncaptured(roles)
+        if plain_roles == roles:
             if self.engine.allowance is not None:
                 self.engine.allowance.check_for(self.engine.compiling(taped.rates))
             stepper = self.engine.compile(self.automaton, taped.mode, taped.rates)
         else:
-            stepper = self.compiled(bare, zeros).stepper
+            stepper = self.compiled(plain_roles, zeros).stepper
         return CompiledMode(
             taped.mode, taped.guards, taped.rates, taped.reconstruction, taped.wholes, stepper
         )

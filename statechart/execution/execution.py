@@ -1,4 +1,4 @@
-"""One execution on hybrid time: flow to the first event, ask the laws, jump, flow on."""
+"""Execution on hybrid time: flow to the first event, evaluate the laws, jump, repeat."""
 
 from __future__ import annotations
 
@@ -36,32 +36,29 @@ from statechart.tabular import several
 if TYPE_CHECKING:
     from statechart.execution.certificate import Certificate
 
-# At such a rate a variable would have changed by this many times its size.
+# Change of a variable over a step, relative to its size, above which its rate is unbounded.
 _STEEP = 1e6
-# A margin that cannot be decided gets so much more room at a time, and in all.
-_WIDER, _WIDEST = 16.0, 1e4
-# A flow of no scale is looked at so far ahead at first: its powers are floats.
+# Factor by which the tolerance of an undecidable margin is widened, and its limit.
+_WIDENING, _MAX_WIDENING = 16.0, 1e4
+# First horizon of a flow without a scale, whose powers do not overflow.
 FARTHEST = 1e12
 
 
 @dataclass(eq=False)
 class Execution:
-    """A run of an automaton from its initial state, as far as it has come."""
+    """State of a run of an automaton."""
 
-    # The automaton and the engine, with the modes entered so far, in this run or before.
-    modes: CompiledModes
-    path: Path  # Takes the steps of the flow under way.
-    record: TraceRecorder  # Takes its arcs and jumps.
-    setup: Setup  # The numbers of the run.
-    zeros: frozenset[int]  # Places of the parameters that are exactly zero.
-    until: float  # Its end.
-    max_jumps: int  # End after so many jumps.
+    modes: CompiledModes  # Automaton and engine, with the modes entered in this run or before.
+    path: Path  # Buffer of the steps of the current flow.
+    record: TraceRecorder  # Arcs and jumps so far.
+    setup: Setup
+    zeros: frozenset[int]  # Indices of the parameters that are exactly zero.
+    until: float  # End of the run.
+    max_jumps: int
     progress: bool  # Report to stderr.
-    # Takes the run through unambiguous instants in compiled code, where that can be.
-    loop: LoopModes | None = None
-    # Takes all flows and jumps, where the run is made again to prove its motion.
-    certificate: Certificate | None = None
-    batch_start: Batch | None = None  # The part of the run that a loop has made from its start.
+    loop: LoopModes | None = None  # Compiled event loop, if the automaton has one.
+    certificate: Certificate | None = None  # Collects error bounds, if they are to be proved.
+    batch_start: Batch | None = None  # First part of the run, by the compiled loop.
     clock: Clock = field(default_factory=Clock)
     outcome: Outcome = Outcome.HORIZON
     message: str = ""
@@ -87,11 +84,11 @@ class Execution:
             self.accumulation.series = self.batch_start.series.copy()
         self._livelock = Livelock(min(self.horizon, self.until))
         self._filippov = Filippov(self.modes) if self.automaton.switching else None
-        self._switched: tuple[Any, ...] = ()  # of the flow under way: see `_switch`
-        self._rooms: dict[str, float] = {}  # tolerances of switches in the flow under way
+        self._switched: tuple[Any, ...] = ()  # key of the current flow, see `_switch`
+        self._switch_tolerances: dict[str, float] = {}  # in the current flow
 
     def run(self) -> Trace:
-        """Run to an end; return what was made, also where the run could not go on."""
+        """Run to the end; return the trace, also of a run that failed."""
         with self.ending():
             ended = self.begin()
             while not ended:
@@ -100,16 +97,18 @@ class Execution:
 
     @contextmanager
     def ending(self) -> Iterator[None]:
-        """Let the run end where it is interrupted or cannot go on, and its outcome say why."""
+        """Turn interrupts and simulation errors into outcomes of the run."""
         try:
             with interrupts.held():
                 yield
         except KeyboardInterrupt:
             self._end(Outcome.INTERRUPTED, "interrupted by the user")
         except SimulationError as error:
-            begun = self.started_mode is not None
-            where = self.automaton.label(self.flow.mode) if begun else "at the start"
-            self._end(Outcome[error.outcome], f"mode {where}: {error}" if where else str(error))
+            started = self.started_mode is not None
+            location = self.automaton.label(self.flow.mode) if started else "at the start"
+            self._end(
+                Outcome[error.outcome], f"mode {location}: {error}" if location else str(error)
+            )
         finally:
             self._progress.close()
 
@@ -118,11 +117,14 @@ class Execution:
 
     def stream(self, parameters: Mapping[str, float], sampling: Sampling) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps as they come; parameters may be set between samples."""
-        values, end, count, seen = dict(parameters), self.until, 0, [0, 0]
+        values, end, count, yielded = dict(parameters), self.until, 0, [0, 0]
 
         def fresh() -> Iterator[Arc | Jump]:
-            pieces: list[Arc | Jump] = [*self.record.arcs[seen[0] :], *self.record.jumps[seen[1] :]]
-            seen[:] = len(self.record.arcs), len(self.record.jumps)
+            pieces: list[Arc | Jump] = [
+                *self.record.arcs[yielded[0] :],
+                *self.record.jumps[yielded[1] :],
+            ]
+            yielded[:] = len(self.record.arcs), len(self.record.jumps)
             yield from in_order(pieces)
 
         ended = False
@@ -154,14 +156,14 @@ class Execution:
         return Sample(self.clock.high, dict(states), dict(values))
 
     def _change(self, overrides: Mapping[str, float]) -> bool:
-        """Go on with other values of parameters; whether the run ends there."""
+        """Continue with other parameters; return whether the run ends."""
         setup = self.automaton.setup(overrides, self.engine.tolerance)
         self.zeros, self.entered = setup.zeros, {}
         self.setup = replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
         return self.settle()
 
     def begin(self) -> bool:
-        """Find the mode at the start; whether the run ends there."""
+        """Find the first mode; return whether the run ends there."""
         if self.batch_start and self.loop:
             kind = self.batch_start.kinds[self.batch_start.result.ends.item(runs.FIRST_MODE)]
             self.flow = self.loop.flow(self.setup, kind, self.state, 0.0)
@@ -173,7 +175,7 @@ class Execution:
         return self._stands() if settled else self.settle()
 
     def advance(self) -> bool:
-        """Flow to the next event and jump; whether the run ends there, or its time is over."""
+        """Flow to the next event and jump; return whether the run ends."""
         fired = None if self.loop is None else self._run_compiled(self.loop)
         if fired is None:
             fired = self._flow()
@@ -186,25 +188,25 @@ class Execution:
         return True
 
     def _run_compiled(self, loop: LoopModes) -> tuple[str, ...] | None:
-        """Let the compiled loop go on; return what fired, or nothing at the end of the run.
+        """Run the compiled loop; return the margins that fired, () at the end of the run.
 
-        None where the flow that the run has come to is to be made step by step.
+        Returns None if the next flow must be computed in Python.
         """
         while True:
-            made, self.batch_start = self.batch_start, None
+            batch, self.batch_start = self.batch_start, None
             jumps, arcs = 0, 0
-            if made is None:
+            if batch is None:
                 jumps, arcs = len(self.record.jumps), len(self.record.arcs)
                 since = self.record.jumps[-1].t if self.record.jumps else 0.0
-                now = np.array([*self.clock, self.until, self.horizon, since, 0.0])
-                made = loop.resume(
-                    self.setup, self.flow, now, (jumps, self.max_jumps), self.state,
+                clock = np.array([*self.clock, self.until, self.horizon, since, 0.0])
+                batch = loop.resume(
+                    self.setup, self.flow, clock, (jumps, self.max_jumps), self.state,
                     self.record.buffer, self.accumulation.series, self.zeros,
                 )  # fmt: skip
-                if made is None:
+                if batch is None:
                     return None
-            self._reached(loop, made, jumps, arcs)
-            reason, margin = made.result.ends[0, runs.REASON : runs.MARGIN + 1].tolist()
+            self._reached(loop, batch, jumps, arcs)
+            reason, margin = batch.result.ends[0, runs.REASON : runs.MARGIN + 1].tolist()
             if reason in (runs.FULL, runs.PAUSED):
                 continue
             if reason == runs.OVER:
@@ -214,34 +216,33 @@ class Execution:
             if reason == runs.FELL and margin >= 0:
                 return self.fell(loop.compiled((self.flow.mode, self.flow.roles)), margin)
             if reason == runs.ACCUMULATES:
-                # The loop has seen that jumps accumulate, see `Accumulation.found`.
                 self._skip_by(
-                    self.accumulation.sum_from(margin, made.result.now.item(0, runs.T_REST))
+                    self.accumulation.sum_from(margin, batch.result.clock.item(0, runs.T_REST))
                 )
             if reason in (runs.ACCUMULATES, runs.COUNTED) and self.counted():
                 return ()
             if not self.flow.settled and self.settle():
                 return ()
 
-    def _reached(self, loop: LoopModes, made: Batch, jumps: int, arcs: int) -> None:
-        """Go to where the loop has come, from where there were so many jumps and arcs."""
+    def _reached(self, loop: LoopModes, batch: Batch, jumps: int, arcs: int) -> None:
+        """Update the run from the result of the loop; it had this many jumps and arcs before."""
         record, flow = self.record, self.flow
-        now, place, ends = made.result.now[0], made.result.place[0], made.result.ends[0]
-        for (_, roles), compiled in made.entered():
+        clock, place, ends = batch.result.clock[0], batch.result.place[0], batch.result.ends[0]
+        for (_, roles), compiled in batch.entered():
             self.entered.setdefault(roles, compiled)
         if ends[runs.REASON] == runs.FULL:
             record.seal()
-        self.clock, self.state = Clock(*now[: runs.T_LOW + 1].tolist()), made.result.final[0]
-        self.horizon = now.item(runs.T_HORIZON)
+        self.clock, self.state = Clock(*clock[: runs.T_LOW + 1].tolist()), batch.result.final[0]
+        self.horizon = clock.item(runs.T_HORIZON)
         self.steps += place.item(runs.N_STEPS)
         self.boxes += place.item(runs.N_BOXES)
         self.show()
         interrupts.check()
         jumped, flew = place[runs.N_JUMPS] > jumps, len(record.arcs) > arcs
         if jumped:
-            kind = made.kinds[place[runs.N_MODE]]
+            kind = batch.kinds[place[runs.N_MODE]]
             flow = loop.flow(self.setup, kind, self.state, self.clock.high)
-            values = made.result.values[0]
+            values = batch.result.values[0]
             flow = flow._replace(settled=bool(place[runs.N_RETRY] == 0), values=values)
         if ends[runs.REASON] == runs.OVER or (
             ends[runs.REASON] == runs.FELL and ends[runs.MARGIN] >= 0
@@ -254,7 +255,7 @@ class Execution:
         self.flow = flow
 
     def _flow(self) -> tuple[str, ...]:
-        """Flow to the next event; return what fired, or nothing at the end of the run."""
+        """Flow to the next event; return the margins that fired, () at the end of the run."""
         interrupts.check()
         self._switch()
         flow = self.flow
@@ -270,12 +271,12 @@ class Execution:
         if flow.near_bound:
             flow = self.flow = from_here(compiled, flow, self.setup, self.state, self.clock.high)
         watch = self._watch(flow, compiled)
-        begun, told = (
+        initial, on_steps = (
             watch.reconstruction.onto(self.state, watch.start),
             self.show if self.progress else None,
         )
         reached = Advance(
-            self.engine, compiled, self.path, watch, begun, duration, self.horizon, told
+            self.engine, compiled, self.path, watch, initial, duration, self.horizon, on_steps
         ).run()
         self._keep(flow, reached)
         if isinstance(reached.failure, StepFailure | NonFinite | TooLong):
@@ -289,7 +290,7 @@ class Execution:
         return self.fell(compiled, reached.crossing.guard, graze=reached.graze)
 
     def _switch(self, fired: tuple[str, ...] = ()) -> None:
-        """Let the switches of the flow have the signs that they have from here on."""
+        """Determine the signs of the switching functions for the next flow."""
         if self._filippov is None:
             return
         flow, known = self.flow, self._switched
@@ -302,25 +303,24 @@ class Execution:
         self.flow = flow._replace(signs=())
         found = self._filippov.resolved(self._instant(*fired), self.zeros, before)
         self.flow = flow._replace(signs=found.roles)
-        self.state, self._rooms = found.state, found.tolerances
+        self.state, self._switch_tolerances = found.state, found.tolerances
         self._switched = (*now, found.roles, self.state)
         for text in found.warnings:
             self.warnings.setdefault(f"t = {self.clock.high:.6g}: {text}", None)
 
     def _measure(self) -> None:
-        """Let the engine measure variables by how large they were: slides begin at rest."""
+        """Update the engine's sizes of variables, which are zero for slides that start at rest."""
         if self.setup.sizes is not None:
             return
-        seen = [
+        magnitudes = [
             np.abs(self.state),
             *(s for s in (self.flow.sizes, self.engine.sizes) if s is not None),
         ]
-        largest = np.max(seen, axis=0)
+        largest = np.max(magnitudes, axis=0)
         if largest.any():
             self.engine.sizes = np.where(largest > 0.0, largest, largest.max())
 
     def _enter(self, roles: Roles) -> CompiledMode:
-        """Return the mode that a flow is in, compiled."""
         compiled = self.entered.get(roles)
         if compiled is None:
             with interrupts.let_through():
@@ -329,9 +329,8 @@ class Execution:
         return compiled
 
     def _watch(self, flow: Flow, compiled: CompiledMode) -> FlowWatch:
-        """Return what a flow from here is watched for."""
         setup, start, special = self.setup, self.clock.high, flow.tolerances
-        special = {**special, **self._rooms} if self._rooms else special
+        special = {**special, **self._switch_tolerances} if self._switch_tolerances else special
         allowed = [special.get(name, setup.tolerances[kind]) for name, kind in compiled.watched]
         laws = self.automaton.laws_of_events
         constraints = laws.constraints(setup, flow.roles, start, self.state)
@@ -342,7 +341,7 @@ class Execution:
         )
 
     def _keep(self, flow: Flow, reached: Advance) -> None:
-        """Make an arc of the steps of a flow, and go to its end."""
+        """Record the steps of a flow as an arc, and go to its end."""
         path = self.path
         if reached.unfollowed is not None:
             self.evidence["motion"] = UNFOLLOWED
@@ -359,7 +358,7 @@ class Execution:
                 self.certificate.flow(self.record.arcs[-1], self._enter(flow.moving))
         self.clock = self.clock.later(elapsed)
         if elapsed > 0.0:
-            # A mode may flow on from where a margin fell, without a jump.
+            # A mode may continue after the fall of a margin without a jump.
             since = self.record.jumps[-1].t if self.record.jumps else 0.0
             self.horizon = LOOK_AHEAD * max(elapsed, self.clock.high - since)
         self.state = reached.state
@@ -372,15 +371,15 @@ class Execution:
         )  # fmt: skip
 
     def fell(self, compiled: CompiledMode, guard: int, *, graze: bool = False) -> tuple[str, ...]:
-        """Return what fired where a margin fell; a stop ends the run, if nothing else happens."""
+        """Return the margins that fired; a stop ends the run if no other event coincides."""
         margin, self.grazed = compiled.mode.margins[guard], graze
         if is_of_switch(margin.name):
             return (margin.name,)
-        # They stand last; zeros and controls have been replaced in their formulas.
+        # Stop margins are the last ones.
         count = len(self.automaton.stop_margins)
         stops = guard >= len(compiled.mode.margins) - count
         if graze and stops and self._unbounded():
-            # Rates without bound make noise of what is watched next to where they end.
+            # Near unbounded rates other margins are dominated by round-off.
             return (UNBOUNDED,)
         if graze:
             self.evidence[margin.name] = "graze: touches zero within the last bits of time"
@@ -391,8 +390,8 @@ class Execution:
             if met := self.modes.stops.judge_fall(taped.mode, taped.guards, at):
                 # Other events of this instant come first.
                 at = self._instant()
-                made = None if only_stops(compiled, at, count) else laws.jump(at)
-                if made is None or made[0] is None:
+                result = None if only_stops(compiled, at, count) else laws.jump(at)
+                if result is None or result[0] is None:
                     self._stop(met)
         return (margin.name,)
 
@@ -411,7 +410,7 @@ class Execution:
         return self.fell(compiled, int(near.argmax())) if near.any() else ()
 
     def _unbounded(self) -> bool:
-        """Return whether rates have grown without bound towards here, and a jump resolves it."""
+        """Return whether rates have become unbounded and a jump resolves that."""
         flow, laws = self.flow, self.automaton.laws_of_events
         if flow.terms is None or not self.record.arcs:
             return False
@@ -423,17 +422,17 @@ class Execution:
         return Instant(self.setup, self.clock, len(self.record.jumps), self.flow, self.state, fired)
 
     def _ending(self) -> bool:
-        """Return whether an event may be happening as the run ends: it belongs to the run.
+        """Return whether an event coincides with the end of the run within the tolerances.
 
-        Gaps and slips are searched for below zero, and a guard may fall short of its boundary by
-        what the run is off.
+        Such an event belongs to the run. Gaps and slips are located below zero, and a guard may
+        miss its boundary by the error of the run.
         """
         compiled = self.entered.get(self.flow.moving)
         if compiled is None:
             return False
         flow = self.flow
-        if self._rooms:
-            flow = flow._replace(tolerances={**flow.tolerances, **self._rooms})
+        if self._switch_tolerances:
+            flow = flow._replace(tolerances={**flow.tolerances, **self._switch_tolerances})
         happens, tolerances = closing(
             self.engine, compiled, flow, self.setup, self.state, self.clock.high
         )
@@ -446,7 +445,7 @@ class Execution:
             self.warnings[f"t = {self.clock.high:.6g}: {self.flow.warning}"] = None
 
     def settle(self, fired: tuple[str, ...] = ()) -> bool:
-        """Jump until the mode holds; True when the run ends here."""
+        """Jump until the mode holds; return whether the run ends."""
         laws = self.automaton.laws_of_events
         self.instants += 1
         moved = False
@@ -458,10 +457,10 @@ class Execution:
             fired = ()
         for _ in range(JUMPS_AT_ONCE):
             self._switch()
-            made = laws.jump(self._instant(*fired))
-            if made is None:
+            result = laws.jump(self._instant(*fired))
+            if result is None:
                 break
-            jump, following = made
+            jump, following = result
             if jump is None:
                 if (following.roles, following.tolerances) != (
                     self.flow.roles,
@@ -486,7 +485,7 @@ class Execution:
             fired = ()
             if self.counted():
                 return True
-            # Forces may switch with what has jumped.
+            # Switching forces depend on the state after the jump.
             if self.flow.settled and self._filippov is None:
                 break
         else:
@@ -505,10 +504,10 @@ class Execution:
         return self._stands()
 
     def _stands(self) -> bool:
-        """Return whether the run ends here, on the boundary of a stop condition."""
-        if standing := self.modes.stops:
+        """Return whether a stop condition on its boundary ends the run."""
+        if judge := self.modes.stops:
             taped = self.modes.taped(self.flow.moving, self.zeros)
-            met, self.flow = standing.judge_start(taped.mode, taped.guards, self._instant())
+            met, self.flow = judge.judge_start(taped.mode, taped.guards, self._instant())
             if met:
                 self._stop(met)
         return self.outcome is Outcome.STOPPED
@@ -518,64 +517,64 @@ class Execution:
         self._end(Outcome.STOPPED, f"{condition} at t = {self.clock.high:.6g}")
 
     def counted(self) -> bool:
-        """Return whether the run ends here, at the greatest number of jumps.
+        """Return whether the run ends by the limit of the number of jumps.
 
-        Raise `TooLong` or `EventLoop` where it is plain that they will be too many, or take no
-        time.
+        Raises `TooLong` or `EventLoop` if the number is certain to exceed the limit, or if jumps
+        take no time.
         """
         self._livelock.check(self.record.jumps, self.clock, self.automaton)
         if not self.automaton.stops:
             check_pace(self.record.jumps, self.clock, self.until, self.max_jumps)
-        if many := len(self.record.jumps) >= self.max_jumps:
+        if too_many := len(self.record.jumps) >= self.max_jumps:
             self._end(Outcome.TOO_MANY_JUMPS, several(self.max_jumps, "jump"))
-        return many
+        return too_many
 
     def _skip(self, jump: Jump) -> None:
-        """Skip the rest of a sequence of jumps that accumulate, where the laws can."""
+        """Skip the rest of a Zeno sequence of jumps, if the laws can."""
         pair, flowed = (jump.region, jump.cause), bool(jump.fired)
-        rest = self.accumulation.watch(pair, self.clock, self.setup.short, flowed=flowed)
-        if rest is not None:
-            self._skip_by(rest)
+        remaining = self.accumulation.watch(pair, self.clock, self.setup.short, flowed=flowed)
+        if remaining is not None:
+            self._skip_by(remaining)
 
-    def _skip_by(self, rest: float) -> None:
+    def _skip_by(self, remaining: float) -> None:
         recent, laws = self.record.jumps[-JUMPS_AT_ONCE:], self.automaton.laws_of_events
-        made = laws.accumulate(self.setup, self.clock, self.flow, recent, rest)
-        if made is not None:
-            jump, self.flow = made
+        result = laws.accumulate(self.setup, self.clock, self.flow, recent, remaining)
+        if result is not None:
+            jump, self.flow = result
             self.record.replace_last(jump)
             self.state = jump.after
             self._warn()
 
     def _widen(self, margin: str) -> bool:
-        """Give a margin that rounding keeps at zero more room in this flow; False if it had much.
+        """Widen the tolerance of a margin that is zero to round-off; False at the limit.
 
-        Where a force is zero as a whole (balls that fall side by side) its enclosure is wider
-        than the band of its kind. The laws may take a speed for none that is beyond its own.
+        The enclosure of a force that is identically zero (balls that fall side by side) can be
+        wider than its tolerance.
         """
         kind = dict(self.entered[self.flow.moving].watched).get(margin)
         if kind is None or not (self.grazed or kind == "speed"):
             return False
-        usual = self.setup.tolerances[kind]
-        wide = _WIDER * self.flow.tolerances.get(margin, usual)
-        if wide > _WIDEST * usual:
+        default = self.setup.tolerances[kind]
+        widened = _WIDENING * self.flow.tolerances.get(margin, default)
+        if widened > _MAX_WIDENING * default:
             return False
-        self.flow = self.flow._replace(tolerances={**self.flow.tolerances, margin: wide})
+        self.flow = self.flow._replace(tolerances={**self.flow.tolerances, margin: widened})
         self.warnings[
             (
                 f"t = {self.clock.high:.6g}: {margin} is zero to round-off; its tolerance there is "
-                f"{wide:.3g}"
+                f"{widened:.3g}"
             )
         ] = None
         return True
 
     def show(self, local: float = 0.0, steps: int = 0) -> None:
-        """Tell how far the run is, where that is wanted."""
+        """Report progress, if it is enabled."""
         if self.progress:
             time, jumps = self.clock.high + local, len(self.record.jumps)
             self._progress.show(time, jumps, self.steps + steps)
 
     def trace(self) -> Trace:
-        """Return the trace of the run, which has ended."""
+        """Return the trace of a run that has ended."""
         automaton, engine = self.automaton, self.engine
         evidence = evidence_of(compiled.names for compiled in self.entered.values()) | self.evidence
         motion = None if self.certificate is None else self.certificate.motion()
@@ -617,6 +616,6 @@ class Execution:
 
 
 def evidence_of(margins: Iterable[Sequence[str]]) -> dict[str, str]:
-    """Return how the margins of the modes that a run has been in were decided, and its motion."""
+    """Return how the margins of the modes, and the motion, were verified."""
     names = chain.from_iterable(margins)
     return dict.fromkeys(names, "interval enclosure") | {"motion": FOLLOWED}

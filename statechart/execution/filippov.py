@@ -109,13 +109,16 @@ class Filippov:
         strict = [signs for signs, decided in fitting if decided]
         choices = strict or [signs for signs, _ in fitting]
         if not strict:
-            ways = [{signs[k] for signs in choices} for k in range(len(surface.on))]
-            if any({1, -1} <= way for way in ways):
-                rests = [RESTS if {1, -1} <= way else min(way, key=abs) for way in ways]
-                return tuple(rests), True
-        last = None if before is None else tuple(before[i] for i in surface.on)
-        if last in choices:
-            return last, len(strict) < 2
+            signs_of = [{signs[k] for signs in choices} for k in range(len(surface.on))]
+            if any({1, -1} <= sign_set for sign_set in signs_of):
+                resting = [
+                    RESTS if {1, -1} <= sign_set else min(sign_set, key=abs)
+                    for sign_set in signs_of
+                ]
+                return tuple(resting), True
+        previous = None if before is None else tuple(before[i] for i in surface.on)
+        if previous in choices:
+            return previous, len(strict) < 2
         return max(choices, key=lambda signs: signs.count(SLIDES)), len(strict) < 2
 
     def _holds(self, signs: Sequence[int], at: Instant) -> bool:
@@ -126,10 +129,10 @@ class Filippov:
         sizes = flow_sizes(setup, flow, state)
         for margin in setup.modes(roles).margins:
             if is_of_switch(margin.name) and self._near(margin.name, at, roles):
-                way = self._derivatives.sign(
+                direction = self._derivatives.sign(
                     setup, roles, margin.name, state, sizes, clock.high, setup.precision
                 )
-                if way < 0.0:
+                if direction < 0.0:
                     return False
         return True
 
@@ -142,11 +145,10 @@ class Filippov:
         return abs(value) <= _round_off(at, taped.guards, place, at.state)
 
     def _tolerances(self, at: Instant, roles: Roles, zeros: frozenset[int]) -> dict[str, float]:
-        """Return the round-off of the margins of switches."""
-        taped = self._modes.taped(roles, zeros)
+        mode = self._modes.taped(roles, zeros)
         return {
-            name: _round_off(at, taped.guards, place, at.state)
-            for place, name in enumerate(taped.names)
+            name: _round_off(at, mode.guards, place, at.state)
+            for place, name in enumerate(mode.names)
             if is_of_switch(name)
         }
 
@@ -154,7 +156,6 @@ class Filippov:
 def _round_off(
     at: Instant, tape: Tape, place: int, state: Array, signs: Array | None = None
 ) -> float:
-    """Return the round-off of an output of a tape."""
     sizes = flow_sizes(at.setup, at.flow, at.state)
     if signs is not None:
         state, sizes = np.concatenate([state, signs]), np.concatenate([sizes, np.abs(signs)])
@@ -172,12 +173,12 @@ class _Surface:
         self.on: list[int] = []
         fired = {name[len(SIGN_OF) :] for name in at.fired if name.startswith(SIGN_OF)}
         for i, text in enumerate(switches.texts):
-            value, room = self._output(i)
+            value, round_off = self._output(i)
             if math.isnan(value):
                 raise NonFinite(f"{SIGN_OF}{text} has no value")
             # A slide drifts off its surface by round-off.
-            held = before is not None and before[i] == SLIDES
-            if not (held or text in fired or abs(value) <= room):
+            was_sliding = before is not None and before[i] == SLIDES
+            if not (was_sliding or text in fired or abs(value) <= round_off):
                 self.signs[i] = 1 if value > 0.0 else -1
                 continue
             self.signs[i] = self.signs[i] if abs(self.signs[i]) == 1 else 1
@@ -189,8 +190,8 @@ class _Surface:
         switches = self.switches
         first, chain = switches.places[i], switches.derivatives[i]
         for place in range(first, first + len(chain) - switches.acts[i]):
-            value, room = self._output(place)
-            if abs(value) > room:
+            value, round_off = self._output(place)
+            if abs(value) > round_off:
                 self.signs[i] = 1 if value > 0.0 else -1
                 return
         self.on.append(i)
@@ -203,45 +204,45 @@ class _Surface:
         return signs
 
     def _output(self, place: int, signs: Sequence[int] | None = None) -> tuple[float, float]:
-        at, own = self._at, np.array(self.signs if signs is None else signs, float)
+        at, sign_values = self._at, np.array(self.signs if signs is None else signs, float)
         values = at.setup.values if at.flow.values is None else at.flow.values
-        found = self.switches.tape.values(
-            np.concatenate([at.state, own]), values, at.clock.high
+        value = self.switches.tape.values(
+            np.concatenate([at.state, sign_values]), values, at.clock.high
         ).item(place)
-        return found, _round_off(at, self.switches.tape, place, at.state, own)
+        return value, _round_off(at, self.switches.tape, place, at.state, sign_values)
 
     def onto(self, i: int, state: Array) -> Array:
         """Return a state (n,) moved onto a surface, by its nearest way in sizes of the state."""
         at, count = self._at, len(state)
         values = at.setup.values if at.flow.values is None else at.flow.values
-        found = self.switches.tape.values(
+        outputs = self.switches.tape.values(
             np.concatenate([state, np.array(self.signs, float)]), values, at.clock.high
         )
         first = self.switches.gradients + i * count
-        slope = found[first : first + count]
+        slope = outputs[first : first + count]
         scale = flow_sizes(at.setup, at.flow, state) ** 2
         weight = float(slope @ (scale * slope))
-        if found[i] == 0.0 or not 0.0 < weight < math.inf:
+        if outputs[i] == 0.0 or not 0.0 < weight < math.inf:
             return state
-        return state - found.item(i) / weight * scale * slope
+        return state - outputs.item(i) / weight * scale * slope
 
     def _corners(self) -> Callable[[Sequence[int]], Array]:
         """Return what changes each function, by the signs at a corner; round-off is zero."""
-        switches, known = self.switches, dict[tuple[int, ...], Array]()
+        switches, cache = self.switches, dict[tuple[int, ...], Array]()
         if len(self.on) > _MAX_SURFACES:
             raise AmbiguousMode(f"the state lies on {len(self.on)} switching surfaces at once")
 
         def at(signs: Sequence[int]) -> Array:
             key = tuple(signs)
-            if key not in known:
-                found = np.zeros(len(self.on))
+            if key not in cache:
+                changes = np.zeros(len(self.on))
                 for k, i in enumerate(self.on):
                     if switches.acts[i]:
-                        last = switches.places[i] + len(switches.derivatives[i]) - 1
-                        value, room = self._output(last, self.with_(key))
-                        found[k] = value if not abs(value) <= room else 0.0
-                known[key] = found
-            return known[key]
+                        highest = switches.places[i] + len(switches.derivatives[i]) - 1
+                        value, round_off = self._output(highest, self.with_(key))
+                        changes[k] = value if not abs(value) <= round_off else 0.0
+                cache[key] = changes
+            return cache[key]
 
         return at
 
@@ -262,28 +263,28 @@ class _Surface:
 
     def _combined(self, signs: Sequence[int], sliding: Sequence[int]) -> tuple[Array | None, Array]:
         """Return the slopes under signs, and shares of those that slide; None: no such slide."""
-        none = np.zeros(0)
+        no_shares = np.zeros(0)
         if not sliding:
-            return self._changes(signs), none
+            return self._changes(signs), no_shares
         corners = list(product((1, -1), repeat=len(sliding)))
-        found = []
+        corner_slopes = []
         for corner in corners:
-            own = list(signs)
+            corner_signs = list(signs)
             for k, sign in zip(sliding, corner, strict=True):
-                own[k] = sign
-            found.append(self._changes(own))
-        slopes, table = np.array(found), np.array(corners, float)
+                corner_signs[k] = sign
+            corner_slopes.append(self._changes(corner_signs))
+        slopes, table = np.array(corner_slopes), np.array(corners, float)
         middle, acts = slopes.mean(axis=0), slopes.T @ table / len(corners)
-        rest = np.abs(slopes - middle - table @ acts.T).max()
+        residual = np.abs(slopes - middle - table @ acts.T).max()
         if len(sliding) > 1:
-            rest = max(rest, np.abs(self._changes(signs) - middle).max())
-        if rest > _EDGE * np.abs(slopes).max():
-            return None, none  # Signs multiply each other.
+            residual = max(residual, np.abs(self._changes(signs) - middle).max())
+        if residual > _EDGE * np.abs(slopes).max():
+            return None, no_shares  # Signs multiply each other.
         matrix = acts[list(sliding)]
         try:
             shares = np.linalg.solve(matrix, -middle[list(sliding)])
         except np.linalg.LinAlgError:
-            return None, none
+            return None, no_shares
         if not (np.abs(shares) <= 1.0 + _EDGE).all():
-            return None, none
+            return None, no_shares
         return middle + acts @ shares, shares

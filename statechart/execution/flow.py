@@ -1,4 +1,4 @@
-"""One flow: from a state to the first event, chunk by chunk of steps, each proved by enclosure."""
+"""Flow from a state to the first event, in chunks of steps verified by interval enclosures."""
 
 from __future__ import annotations
 
@@ -40,42 +40,40 @@ from statechart.kernels.polynomials import cut_steps, local_time, sample_states
 
 FOLLOWED = "the slopes of all steps were compared with the rates"
 UNFOLLOWED = "steps may not follow the rates: narrow features may have been missed"
-# A chunk may end this far off its constraints, in tolerances; inside it may be farther.
+# Allowed violation of the constraints at the end of a chunk, in tolerances.
 _DRIFT = 0.2
-# A single step that ends so far off was blind to something; of what rounding does this is no part.
+# Violation of the constraints, in tolerances, by which a step missed a feature of a surface.
 _BLIND = 1e3
-# If a step half as long is off by more than this part, the cause is round-off far from the start
-# of the run.
+# If halving a step reduces its violation by less than this factor, the cause is round-off.
 _STAYS = 0.75
-# The defect of a step over smooth rates falls by more than this as the step is halved; a defect
-# above the second, in parts of the motion, is not round-off.
+# Factor by which halving a step reduces the defect over smooth rates; relative defect that cannot
+# be round-off.
 _FALLS, _ROUGH = 0.25, 1e-3
-# After so many steps of which it is not known what they miss, they are no longer asked.
-_UNKNOWN = 4096
-# Variables count as so large at least, in their sizes.
+# Steps without a bound of the defect after which the check ends.
+_MAX_UNKNOWN = 4096
+# Smallest magnitude of a variable, relative to its size.
 LEAST = 1e-6
-# Ends of a flow into a jump of a margin, in units in the last place of time.
+# Ends of a flow at a discontinuity of a margin, in units in the last place of time.
 _BEYOND = (0.0, 1.0, 2.0, 4.0)
-# Part of the way to the place where a step left its constraints unseen, or missed its rates.
+# A step is repeated up to this part of the way to the missed feature.
 _NEARER = 0.5
-# So many steps tell how many the rest takes; of more than this, days at a microsecond each.
+# Steps between estimates of the remaining number of steps, and the limit of that number.
 _PACE_STEPS, _TOO_MANY = 4096, 1e12
-# Over so many steps a drift varies by a few times its extent, an oscillation by some at every
-# step. What moves less, in parts of its size, may be round-off.
+# Ratio of total variation to range of a drift over _PACE_STEPS steps; oscillations have more.
+# Relative changes below the second number may be round-off.
 _DRIFTS, _STILL = 16.0, 1e-9
 STIFF = "the model is stiff"
 
 
 @dataclass(eq=False, slots=True)
 class Advance:
-    """A flow in one mode to the first event or to the end of `duration`; its steps are in the path.
+    """Flow in one mode to the first event or to the end of `duration`; its steps are in the path.
 
-    The integrator runs ahead by a few steps at a time; the search then proves, step by step, that
-    no margin fell, or finds the first that did. What was integrated beyond it is dropped. `horizon`
-    is how far to look ahead at first; it grows as the flow goes on. Where a flow is a polynomial
-    (free flight) one step could span all of `duration`, and an event soon after its start would be
-    lost in that step's rounding. `on_steps` takes the local time reached and the steps taken, now
-    and then.
+    The integrator takes a chunk of steps; the search then proves that no margin fell in them, or
+    locates the first fall, after which steps are dropped. `horizon` limits the first chunk and
+    grows: one step of a polynomial flow (free flight) could span all of `duration`, and the
+    round-off of such a step would hide an early event. `on_steps` is called with the local time and
+    the number of steps.
     """
 
     engine: Engine
@@ -93,25 +91,25 @@ class Advance:
     boxes: int = 0
     steps: int = 0
     failure: SimulationError | KeyboardInterrupt | None = None  # The error that stopped the flow.
-    unfollowed: float | None = None  # From when on it is not known whether steps follow the rates.
-    # Steps that are proved, and the local time that they reach.
+    unfollowed: float | None = None  # Time from which on the defect of steps has no bound.
+    # Verified steps, and their local end time.
     _proved: int = field(init=False)
     _reached: float = field(init=False)
-    # The next chunk: its steps, where it has to end, how it follows from the last.
+    # The next chunk: number of steps, end, and how it continues the last one.
     _count: int = field(init=False)
     _end: float = field(init=False)
     _begin: Begin = field(init=False)
-    # Distance by which the last repeated step was off; steps and time at the last check of pace.
+    # Violation of the last repeated step; steps and time at the last check of pace.
     _last_defect: float = field(init=False)
     _mark: tuple[int, float] = field(init=False)
-    # Start of the last step that missed its rates, the place and the amount; the defect known to be
-    # round-off; the number of steps whose defect has no bound.
+    # Start of the last step with a large defect, its time and amount; defect known to be round-off;
+    # number of steps without a bound of the defect.
     _missed: tuple[float, float, float] = field(init=False)
     _rounded: float = field(init=False)
     _unknown: int = field(init=False)
 
     def run(self) -> Advance:
-        """Flow; return this, also where the flow could not be continued."""
+        """Flow; return this, also after a failure."""
         self._start()
         try:
             while self._reached < self.duration and self.crossing is None:
@@ -133,7 +131,7 @@ class Advance:
         self._missed, self._rounded, self._unknown = (-1.0, 0.0, 0.0), 0.0, 0
 
     def _chunk(self) -> None:
-        """Make steps and prove them; then go on, end at an event, or make them again."""
+        """Take steps and verify them; then continue, end at an event, or repeat them."""
         watch, path, first = self.watch, self.path, self._proved
         path.count, ended = first, np.empty(len(self.state))
         tolerances = first_tolerances(self.compiled, watch, self.state, self._reached)
@@ -149,22 +147,22 @@ class Advance:
             self._begin,
             ended,
         )
-        last = path.count
-        taken, local = last - first, path.times.item(last)
-        self.steps += taken
-        self._count = max(self._count, taken)
-        following, off = _constrained(watch, ended, local)
-        if off > _DRIFT and taken > 1:
-            # The chunk drifted off its constraints: again, in shorter ones.
-            self._count, self._begin = max(1, taken // 4), Begin.MOVED
+        end = path.count
+        new_steps, local = end - first, path.times.item(end)
+        self.steps += new_steps
+        self._count = max(self._count, new_steps)
+        following, distance = _constrained(watch, ended, local)
+        if distance > _DRIFT and new_steps > 1:
+            # The chunk drifted off its constraints: repeat with fewer steps.
+            self._count, self._begin = max(1, new_steps // 4), Begin.MOVED
             return
-        found = search(watch.guards, tolerances, path, watch.parameters, watch.start, first, last)
+        found = search(watch.guards, tolerances, path, watch.parameters, watch.start, first, end)
         self.boxes += found.boxes
         if found.verdict is not Verdict.NONE:
-            found = judge(found, self.engine, self.compiled, watch, path, tolerances, last)
-        blind = _blind(watch, path, first, last, found) or self._find_missed(first, last, found)
-        if _BLIND < off <= _STAYS * self._last_defect and watch.constraints.within is not None:
-            blind, self._last_defect = (first, local), off
+            found = judge(found, self.engine, self.compiled, watch, path, tolerances, end)
+        blind = _blind(watch, path, first, end, found) or self._find_missed(first, end, found)
+        if _BLIND < distance <= _STAYS * self._last_defect and watch.constraints.within is not None:
+            blind, self._last_defect = (first, local), distance
         if blind is not None:
             self._retreat(*blind, ended)
         elif found.verdict is Verdict.NONE:
@@ -173,7 +171,7 @@ class Advance:
             self._arrive(found, ended)
 
     def _retreat(self, step: int, blind: float, ended: Array) -> None:
-        """Go on from before a step: the integrator did not see what it ran into, and when."""
+        """Return to the start of a step that missed a feature at the local time `blind`."""
         path = self.path
         self._proved, self._reached = step, path.times.item(step)
         self.horizon = _NEARER * (blind - self._reached)
@@ -183,52 +181,52 @@ class Advance:
                 f"at t = {self.watch.start + self._reached:.6g} no step is short enough to "
                 "stay on the constraints"
             )
-        left = cut_steps(path.times, path.coefficients, path.count, self._reached, ended)
-        self.state = ended if left > 0 else self.initial
+        remaining = cut_steps(path.times, path.coefficients, path.count, self._reached, ended)
+        self.state = ended if remaining > 0 else self.initial
         self._count, self._begin = 1, Begin.BACK
 
     def _find_missed(self, first: int, last: int, found: Search) -> tuple[int, float] | None:
-        """Return the step, up to what was found in them, that misses its rates, and where."""
+        """Return the first step with a large defect before the located event, and its time."""
         watch, path, rates = self.watch, self.path, self.compiled.rates
-        where = found.crossing or found.undecided
+        location = found.crossing or found.undecided
         while True:
-            step, s, off, _ = find_defect(
+            step, s, defect, _ = find_defect(
                 rates.parts,
                 Steps(path.times, path.coefficients, watch.parameters, watch.start),
                 first,
-                last if where is None else where.step + 1,
+                last if location is None else location.step + 1,
                 floors(self.engine, len(self.initial)),
                 max(self.engine.allowed, self._rounded),
                 MAX_DEFECT_BOXES,
             )
             if step < 0:
                 return None
-            begun, at = path.times.item(step), local_time(path.times, step, s)
-            last_begun, last_at, before = self._missed
-            self._missed = begun, at, off
-            again = begun == last_begun
-            if again and _FALLS * before < off < _ROUGH:
-                # A defect that halving the step does not reduce is round-off.
-                self._rounded, first = 2.0 * off, step
-            elif not begun < begun + _NEARER * (at - begun):
-                # No time passes in it, but the rates may end there.
-                self._check_method(begun, step)
+            step_start, at = path.times.item(step), local_time(path.times, step, s)
+            last_start, last_at, before = self._missed
+            self._missed = step_start, at, defect
+            repeated = step_start == last_start
+            if repeated and _FALLS * before < defect < _ROUGH:
+                # Halving the step does not reduce the defect: round-off.
+                self._rounded, first = 2.0 * defect, step
+            elif not step_start < step_start + _NEARER * (at - step_start):
+                # The step has no duration, but the rates may be singular there.
+                self._check_method(step_start, step)
                 first = step + 1
-            elif (again and at >= last_at) or self._unknown > _UNKNOWN:
-                self._check_method(begun, step)
-                self._rounded, self.unfollowed = math.inf, watch.start + begun
+            elif (repeated and at >= last_at) or self._unknown > _MAX_UNKNOWN:
+                self._check_method(step_start, step)
+                self._rounded, self.unfollowed = math.inf, watch.start + step_start
                 return None
             else:
-                self._unknown += off == math.inf
+                self._unknown += defect == math.inf
                 return step, at
 
     def _check_method(self, time: float, step: int) -> None:
-        """Raise `Unsupported` where the method cannot go on from a step, however short."""
+        """Raise `Unsupported` if the method cannot continue from a step."""
         watch, state = self.watch, self.path.coefficients[step, :, 0]
         self.engine.check(self.compiled.stepper, state, watch.parameters, watch.start + time)
 
     def _widened(self, found: Search) -> bool:
-        """Begin again with wider tolerances, where what was found is not a fall but noise."""
+        """Restart with wider tolerances if the located event is noise."""
         wider = noise(self.engine, self.compiled, self.watch, self.path, self.initial, found)
         if wider is None:
             return False
@@ -237,7 +235,7 @@ class Advance:
         return True
 
     def _arrive(self, found: Search, ended: Array) -> None:
-        """End at the event that was found."""
+        """End at the located event."""
         try:
             crossing = decided(found, self.compiled, self.watch, self.path)
         except SimulationError:
@@ -248,7 +246,7 @@ class Advance:
         late = self.graze or self.compiled.kind(crossing.guard) in ("force", "hold")
         at = crossing.crossed if late else crossing.time
         if self.compiled.plain[crossing.guard] and self._above(crossing.guard, at):
-            # A margin that jumps over zero (an angle at its branch cut) is above it until then.
+            # A discontinuous margin (an angle at its branch cut) is positive up to its jump.
             ulp = math.ulp(abs(self.watch.start) + crossing.crossed)
             for beyond in _BEYOND:
                 at = min(crossing.crossed + beyond * ulp, self.duration)
@@ -258,7 +256,7 @@ class Advance:
         self.crossing = crossing
 
     def _above(self, guard: int, at: float) -> bool:
-        """Tell whether a margin is above zero at a local time, and not by round-off."""
+        """Return whether a margin is positive beyond round-off at a local time."""
         watch, path, guards = self.watch, self.path, self.compiled.guards
         steps, times = path.coefficients[: path.count], path.times[: path.count + 1]
         state = sample_states(steps, times, np.array([at]))[0]
@@ -270,13 +268,13 @@ class Advance:
         return margin > relative_error(self.engine) * terms
 
     def _cut(self, at: float, ended: Array) -> None:
-        """Keep what was flown up to a local time; its state is written to `ended`."""
+        """Cut the steps at a local time, and write the state to `ended`."""
         path = self.path
         self._proved = cut_steps(path.times, path.coefficients, path.count, at, ended)
         self.state = ended if self._proved > 0 else self.initial
 
     def _go_on(self, following: Array, finished: bool, *, moved: bool) -> None:
-        """Keep the steps made; `moved` says whether their end was brought onto its constraints."""
+        """Accept the steps; `moved` is true if their end was projected onto the constraints."""
         path, duration = self.path, self.duration
         self._proved, self._reached = path.count, path.times.item(path.count)
         self.state, self._last_defect = following, math.inf
@@ -291,20 +289,20 @@ class Advance:
         if finished:
             self.horizon *= GROWTH
             self._end = min(self._reached + self.horizon, duration)
-        # Chunks as long as one whose end had to be moved stay near enough to be brought back.
+        # The length of a chunk that needed projection is not increased.
         if not moved:
             self._count = min(self._count + self._count // 2, LONGEST_CHUNK)
         self._begin = Begin.MOVED if moved or finished else Begin.ON
 
     def _check_stiffness(self, steps: int, took: float) -> None:
-        """Raise `Unsupported` where stability, not the motion, keeps explicit steps short.
+        """Raise `Unsupported` if stability, not the motion, limits explicit steps.
 
-        Then the rest does not fit into a trace, and the states drift: their total variation over
-        many steps is about their range. In fast oscillations it is many times that.
+        In that case the remaining steps exceed a trace, and the total variation of the states is
+        about their range; fast oscillations have a much larger variation.
         """
         series, at = self.path.coefficients, self.watch.start + self._reached
-        room = LARGEST // (8 * series.shape[1] * series.shape[2])
-        if self._proved + steps * (self.duration - self._reached) / took < room:
+        max_steps = LARGEST // (8 * series.shape[1] * series.shape[2])
+        if self._proved + steps * (self.duration - self._reached) / took < max_steps:
             return
         states = series[self._proved - steps : self._proved, :, 0]
         variation, extent = np.abs(np.diff(states, axis=0)).sum(axis=0), np.ptp(states, axis=0)
@@ -317,52 +315,51 @@ class Advance:
 
 
 def floors(engine: Engine, variables: int) -> Array:
-    """Return how small each variable (n,) can be and still count."""
-    least = np.empty(variables)
-    least[:] = LEAST if engine.sizes is None else LEAST * engine.sizes
-    return np.maximum(least, engine.floor)
+    """Return the smallest significant magnitude of each variable (n,)."""
+    smallest = np.empty(variables)
+    smallest[:] = LEAST if engine.sizes is None else LEAST * engine.sizes
+    return np.maximum(smallest, engine.floor)
 
 
-def _check_pace(steps: int, took: float, left: float) -> None:
-    """Raise `TooLong` where the rest of a flow takes more steps than can be made."""
+def _check_pace(steps: int, took: float, remaining: float) -> None:
+    """Raise `TooLong` if the rest of a flow needs too many steps."""
     pace = took / steps
-    if pace * _TOO_MANY < left:
+    if pace * _TOO_MANY < remaining:
         raise TooLong(
-            f"{steps} steps advanced the time by {took:.6g}, of {took + left:.6g}; end the run "
-            "earlier, or "
-            "replace the fast variation by its mean"
+            f"{steps} steps advanced the time by {took:.6g}, of {took + remaining:.6g}; end the "
+            "run earlier, or replace the fast variation by its mean"
         )
 
 
 def _constrained(watch: FlowWatch, state: Array, local: float) -> tuple[Array, float]:
-    """Return a state brought onto its constraints, and how far it was off; the same if near."""
+    """Project a state onto its constraints if necessary; return it and the violation."""
     time = watch.start + local
-    off = watch.constraints.off(state, watch.parameters, time)
-    # The guards report a state that is not finite.
-    if off <= NEAR or not math.isfinite(off):
+    distance = watch.constraints.off(state, watch.parameters, time)
+    # A state that is not finite is reported by the guards.
+    if distance <= NEAR or not math.isfinite(distance):
         return state, 0.0
     following = watch.constraints.project(state, time)
-    return following, 0.0 if following is state else off
+    return following, 0.0 if following is state else distance
 
 
 def _blind(
     watch: FlowWatch, path: Path, first: int, last: int, found: Search
 ) -> tuple[int, float] | None:
-    """Return the step, up to what was found in them, that leaves its constraints, and when."""
-    within = watch.constraints.within
-    if within is None:
+    """Return the first step that leaves its constraints before the located event, and its time."""
+    curvature_tape = watch.constraints.within
+    if curvature_tape is None:
         return None
-    where = found.crossing or found.undecided
-    left = search(
-        within,
-        np.full(len(within.outputs), watch.constraints.max_depth),
+    location = found.crossing or found.undecided
+    exits = search(
+        curvature_tape,
+        np.full(len(curvature_tape.outputs), watch.constraints.max_depth),
         path,
         watch.parameters,
         watch.start,
         first,
-        last if where is None else where.step + 1,
+        last if location is None else location.step + 1,
     )
-    blind = left.crossing or left.undecided
-    if blind is None or (where is not None and blind.time > where.time):
+    blind = exits.crossing or exits.undecided
+    if blind is None or (location is not None and blind.time > location.time):
         return None
     return blind.step, blind.time

@@ -75,7 +75,6 @@ class InitialStopConditions:
         return stop.name
 
     def _stops(self) -> Iterator[tuple[StopCondition, int]]:
-        """Yield stop conditions and the places of their first atoms."""
         first = 0
         for stop in self._automaton.stops:
             yield stop, first

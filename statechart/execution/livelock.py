@@ -42,12 +42,12 @@ class Livelock:
 
     def stalled(self, clock: Clock, fired: tuple[str, ...]) -> bool:
         """Note a fall that changes no mode: once a graze, at the same instant again a loop."""
-        now, before = (clock, fired), self._stalled
-        near = before is not None and self._stays(before[0], clock)
+        event, before = (clock, fired), self._stalled
+        same_time = before is not None and self._stays(before[0], clock)
         # Time may creep on by less than its round-off, and several margins fall in turn.
-        self._stalls = self._stalls + 1 if near else 0
-        self._stalled = now
-        return before == now or self._stalls > JUMPS_AT_ONCE
+        self._stalls = self._stalls + 1 if same_time else 0
+        self._stalled = event
+        return before == event or self._stalls > JUMPS_AT_ONCE
 
     def rearranged(self, clock: Clock, fired: tuple[str, ...]) -> None:
         """Note that a mode goes on by other equations.
@@ -85,10 +85,10 @@ def check_pace(jumps: Sequence[Jump], clock: Clock, until: float, max_jumps: int
     paces = [
         (after - before) / (count >> k) for k, (after, before) in enumerate(pairwise(times), 1)
     ]
-    left = clock.until(until)
-    if max(paces) <= 2.0 * min(paces) and left > FAR_TOO_MANY * max_jumps * max(paces):
+    remaining = clock.until(until)
+    if max(paces) <= 2.0 * min(paces) and remaining > FAR_TOO_MANY * max_jumps * max(paces):
         raise TooLong(
-            f"{count} jumps took {clock.high:.3g}, and {left:.3g} is left, too much for "
+            f"{count} jumps took {clock.high:.3g}, and {remaining:.3g} is left, too much for "
             f"{several(max_jumps, 'jump')}; end the run earlier"
         )
 
@@ -97,16 +97,18 @@ def looping(
     last: Sequence[Jump], clock: Clock, automaton: Automaton, count: int = JUMPS_AT_ONCE
 ) -> EventLoop:
     """Return the error of too many jumps at one instant: the last ones, and what to write."""
-    found = f"{count} jumps at t = {clock.high:.6g}: "
-    found += ", ".join(f"{jump.cause} -> {automaton.label(jump.target)}" for jump in last)
+    message = f"{count} jumps at t = {clock.high:.6g}: "
+    message += ", ".join(f"{jump.cause} -> {automaton.label(jump.target)}" for jump in last)
     guards = {(r.name, e.cause): e.guard for r in automaton.regions for e in r.nesting.edges}
     fired = [(jump.region, jump.cause) for jump in last]
     if not guards or not {*fired} <= guards.keys():
-        return EventLoop(found)
-    held = [f"{event[1]} ({guards[event]})" for event in dict.fromkeys(fired)]
-    if len(held) == 1:
-        return EventLoop(f"{found}; the guard of {held[0]} holds after it too; let updates end it")
+        return EventLoop(message)
+    guard_texts = [f"{event[1]} ({guards[event]})" for event in dict.fromkeys(fired)]
+    if len(guard_texts) == 1:
+        return EventLoop(
+            f"{message}; the guard of {guard_texts[0]} holds after it too; let updates end it"
+        )
     return EventLoop(
-        f"{found}; the guards of {' and '.join(held)} hold at once; leave a band between "
+        f"{message}; the guards of {' and '.join(guard_texts)} hold at once; leave a band between "
         "them, or give one a further condition"
     )

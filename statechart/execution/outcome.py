@@ -28,7 +28,7 @@ class Progress:
         if now - self._shown < (_PROGRESS_AFTER if self._bar is None else _MOVES):
             return
         self._shown = now
-        words = (
+        text = (
             f"t = {time:.6g} of {self._until:g}, {several(jumps, 'jump')}, "
             f"{several(steps, 'step')}, "
             f"{now - self._began:.0f} s"
@@ -36,9 +36,9 @@ class Progress:
         if self._bar is None and progress.possible():
             self._bar = progress.Bar(self._until)
         if self._bar is not None:
-            self._bar.show(time, words)
+            self._bar.show(time, text)
             return
-        sys.stderr.write(f"{words}\n")
+        sys.stderr.write(f"{text}\n")
         sys.stderr.flush()
 
     def close(self) -> None:

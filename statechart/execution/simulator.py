@@ -132,17 +132,24 @@ class Simulator:
 
         `warnings` are those of its numbers; by default those of all runs of the model.
         """
-        automaton, engine, found = self.automaton, self.engine, batch.result
+        automaton, engine, result = self.automaton, self.engine, batch.result
         modes, kinds = batch.modes, batch.kinds
-        place, t_end, final = found.place[0].tolist(), found.now.item(runs.T_HIGH), found.final[0]
-        first, last = kinds[found.ends.item(runs.FIRST_MODE)][0], kinds[place[runs.N_MODE]]
+        place, t_end, final = (
+            result.place[0].tolist(),
+            result.clock.item(runs.T_HIGH),
+            result.final[0],
+        )
+        start_mode, final_kind = (
+            kinds[result.ends.item(runs.FIRST_MODE)][0],
+            kinds[place[runs.N_MODE]],
+        )
         outcome, stop = batch.outcome(0), None
         if outcome is Outcome.STOPPED:
             margin = automaton.stop_of[
-                modes.compiled(last).names[found.ends.item(runs.MARGIN)]
+                modes.compiled(final_kind).names[result.ends.item(runs.MARGIN)]
             ].name
             message = f"{margin} at t = {t_end:.6g}"
-            key, count = last[0], place[runs.N_JUMPS]
+            key, count = final_kind[0], place[runs.N_JUMPS]
             stop = partial(Jump, t_end, count, "", "stop", key, key, final, final, (margin,))
         else:
             message = f"reached t = {t_end:.6g}"
@@ -154,13 +161,13 @@ class Simulator:
         if modes.laws.has_remarks:
             remarks = automaton.laws_of_events.remarks(setup(), arcs)
         return automaton.trace(
-            found.values[0],
+            result.values[0],
             arcs=arcs,
             jumps=jumps,
-            initial=found.initial[0],
+            initial=result.initial[0],
             final=final,
-            start_mode=first,
-            final_mode=last[0],
+            start_mode=start_mode,
+            final_mode=final_kind[0],
             t_end=t_end,
             outcome=outcome,
             message=message,
@@ -191,11 +198,11 @@ class Simulator:
         """Make a run again, and prove of every step how far it is off."""
         from statechart.execution.certificate import Certificate
 
-        made = self._execution(self._setup(parameters or {}), until, max_jumps)
+        execution = self._execution(self._setup(parameters or {}), until, max_jumps)
         laws = self.automaton.laws_of_events
-        made.loop = None
-        made.certificate = Certificate(trace, made.setup, laws, self.engine)
-        return made.run()
+        execution.loop = None
+        execution.certificate = Certificate(trace, execution.setup, laws, self.engine)
+        return execution.run()
 
     def stream(
         self,
@@ -209,9 +216,9 @@ class Simulator:
 
         No other run may be made meanwhile.
         """
-        made = self._execution(self._setup(parameters), until, max_jumps)
-        made.loop = None
-        return made.stream(parameters, sampling)
+        execution = self._execution(self._setup(parameters), until, max_jumps)
+        execution.loop = None
+        return execution.stream(parameters, sampling)
 
     def _by_components(
         self, parameters: Mapping[str, float], until: float, max_jumps: int
@@ -223,44 +230,47 @@ class Simulator:
         if self._places is None:
             self._places = [Places(component, self.automaton) for component in components]
         setup, end = self._setup(parameters), until
-        parts = []
-        made: dict[tuple[Automaton, bytes, bytes], Trace] = {}
+        component_runs = []
+        traces: dict[tuple[Automaton, bytes, bytes], Trace] = {}
         for component, places in zip(components, self._places, strict=True):
-            own = component.restricted(setup, places)
+            component_setup = component.restricted(setup, places)
             # Components that start alike are run once.
-            alike = component.automaton, own.initial.tobytes(), own.values.tobytes()
-            trace = made.get(alike)
+            cache_key = (
+                component.automaton,
+                component_setup.initial.tobytes(),
+                component_setup.values.tobytes(),
+            )
+            trace = traces.get(cache_key)
             if trace is None or trace.t_end > end:
                 try:
-                    trace = self._of_component(component.automaton)._from(own, end, max_jumps)
+                    trace = self._of_component(component.automaton)._from(
+                        component_setup, end, max_jumps
+                    )
                 except DeclarationProblem:
                     # The whole says so in the names that the model declares.
                     return None
-                made[alike] = trace
-            parts.append((component, places, trace))
+                traces[cache_key] = trace
+            component_runs.append((component, places, trace))
             if trace.outcome is not Outcome.HORIZON:
                 end = trace.t_end
-        merged = MergedRun(self.automaton, setup, parts, max_jumps)
+        merged = MergedRun(self.automaton, setup, component_runs, max_jumps)
         built = sum(simulator.modes_built for simulator in self._of_components.values())
         return merged.trace(self.engine.title, self.engine.tolerance, built)
 
     def _of_component(self, automaton: Automaton) -> Simulator:
-        """Return what runs a component."""
-        found = self._of_components.get(automaton)
-        if found is None:
-            found = Simulator(automaton, self.engine, solved=self.modes.solved.part(automaton))
-            self._of_components[automaton] = found
-        return found
+        simulator = self._of_components.get(automaton)
+        if simulator is None:
+            simulator = Simulator(automaton, self.engine, solved=self.modes.solved.part(automaton))
+            self._of_components[automaton] = simulator
+        return simulator
 
     def _from(self, setup: Setup, until: float, max_jumps: int) -> Trace:
-        """Run with the numbers of a run."""
         setup = replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
         loop = self._loop(setup.zeros)
         batch = None if loop is None else loop.begin(setup, until, max_jumps, self.buffer)
         return self._finish(batch, lambda: setup, until, max_jumps, setup.warnings)
 
     def _setup(self, parameters: Mapping[str, float]) -> Setup:
-        """Return the numbers of a run."""
         setup = self.automaton.setup(parameters, self.engine.tolerance)
         return replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
 
@@ -288,8 +298,8 @@ class Simulator:
     def _loop(self, zeros: frozenset[int]) -> LoopModes | None:
         """Return what runs unambiguous instants in compiled code; None where nothing can."""
         # Switches are no part of the compiled loop.
-        usual = not self.automaton.switching and self.automaton.laws is not None
-        laws = self.automaton.laws_of_events.compiled_laws if usual else None
+        supported = not self.automaton.switching and self.automaton.laws is not None
+        laws = self.automaton.laws_of_events.compiled_laws if supported else None
         if laws is not None and zeros not in self._loops:
             self._loops[zeros] = LoopModes(laws, self.engine, self.automaton)
         return self._loops.get(zeros)
@@ -317,29 +327,29 @@ class BatchRunner:
 
     def run(self, table: Array, until: Array, max_jumps: int) -> Iterator[Batch]:
         """Run rows; yield those that have gone through, in batches."""
-        left = np.arange(len(table))
+        pending = np.arange(len(table))
         for zeros, modes in self.simulator.known():
-            if not left.size:
+            if not pending.size:
                 return
-            others: list[NDArray[np.intp]] = []
-            done = 0
-            while done < left.size:
+            postponed: list[NDArray[np.intp]] = []
+            started = 0
+            while started < pending.size:
                 interrupts.check()
-                part = left[done : done + _AT_ONCE]
+                chunk = pending[started : started + _AT_ONCE]
                 batch = self._called(
-                    modes, zeros, part, table[part], until[part], max_jumps, alone=False
+                    modes, zeros, chunk, table[chunk], until[chunk], max_jumps, alone=False
                 )
                 if batch is None:
-                    others.append(left[done:])
+                    postponed.append(pending[started:])
                     break
-                how = batch.result.ends[:, runs.HOW]
-                done += len(how)
-                others.append(batch.rows[how == runs.OTHER])
-                kept = np.flatnonzero(self._judged(batch, table[batch.rows]))
-                if kept.size:
-                    found = BatchResult._make([array[kept] for array in batch.result])
-                    yield batch._replace(rows=batch.rows[kept], result=found)
-            left = np.concatenate(others)
+                outcomes = batch.result.ends[:, runs.HOW]
+                started += len(outcomes)
+                postponed.append(batch.rows[outcomes == runs.OTHER])
+                complete = np.flatnonzero(self._judged(batch, table[batch.rows]))
+                if complete.size:
+                    result = BatchResult._make([array[complete] for array in batch.result])
+                    yield batch._replace(rows=batch.rows[complete], result=result)
+            pending = np.concatenate(postponed)
 
     def run_single(self, values: Array, until: float, max_jumps: int) -> Batch | None:
         """Make one run, as far as a loop takes it."""
@@ -348,9 +358,9 @@ class BatchRunner:
             batch = self._called(
                 modes, zeros, row, values[None], np.array([until], float), max_jumps, alone=True
             )
-            how = runs.OTHER if batch is None else batch.result.ends.item(runs.HOW)
-            if how != runs.OTHER:
-                return None if how == runs.UNUSUAL else batch
+            outcome = runs.OTHER if batch is None else batch.result.ends.item(runs.HOW)
+            if outcome != runs.OTHER:
+                return None if outcome == runs.UNUSUAL else batch
         return None
 
     def _called(
@@ -371,42 +381,42 @@ class BatchRunner:
         if call is None or not isinstance(engine.floor, float):
             return None
         m, kinds, p = len(rows), call.loop.kinds, len(automaton.parameters)
-        found = BatchResult.empty(m, p, len(automaton.variables), len(kinds))
-        gone = self._gone.get(zeros)
-        if gone is None:
-            gone = self._gone[zeros] = np.zeros(p, np.bool_)
-            gone[list(zeros)] = True
+        result = BatchResult.empty(m, p, len(automaton.variables), len(kinds))
+        zero_mask = self._gone.get(zeros)
+        if zero_mask is None:
+            zero_mask = self._gone[zeros] = np.zeros(p, np.bool_)
+            zero_mask[list(zeros)] = True
         code, constants, outputs, inputs = call.inputs(self._names, table)
-        asked = BatchInputs(
-            code, constants, outputs, inputs, until, gone, max_jumps, engine.floor, alone,
-            resumed=False, known=False,
+        inputs_of_call = BatchInputs(
+            code, constants, outputs, inputs, until, zero_mask, max_jumps, engine.floor, alone,
+            resumed=False, has_numbers=False,
         )  # fmt: skip
         block = simulator.buffer
         block.used[:] = 0
-        made = max(call.start(asked, block, found), 1)
-        if made < m:
-            found = BatchResult._make([array[:made] for array in found])
-        return Batch(rows[:made], found, block, kinds, modes, zeros, call.series)
+        count = max(call.start(inputs_of_call, block, result), 1)
+        if count < m:
+            result = BatchResult._make([array[:count] for array in result])
+        return Batch(rows[:count], result, block, kinds, modes, zeros, call.series)
 
     def _judged(self, batch: Batch, table: Array) -> Bools:
         """Return which rows (m,) have gone through: nothing just happens as they end."""
-        how = batch.result.ends[:, runs.HOW]
-        kept = np.asarray((how == runs.ENDED) | (how == runs.STOPPED))
-        for row in np.flatnonzero(how == runs.CLOSING).tolist():
-            kept[row] = not self._closing(batch, row, table[row])
-        return kept
+        outcomes = batch.result.ends[:, runs.HOW]
+        complete = np.asarray((outcomes == runs.ENDED) | (outcomes == runs.STOPPED))
+        for row in np.flatnonzero(outcomes == runs.CLOSING).tolist():
+            complete[row] = not self._closing(batch, row, table[row])
+        return complete
 
     def _closing(self, batch: Batch, row: int, values: Array) -> bool:
         """Return whether an event may be happening as a row ends (see `closing`)."""
-        found, block, simulator = batch.result, batch.block, self.simulator
+        result, block, simulator = batch.result, batch.block, self.simulator
         setup = self.setup(values)
-        kind = batch.kinds[found.place[row, runs.N_MODE]]
+        kind = batch.kinds[result.place[row, runs.N_MODE]]
         terms = None
         size = len(simulator.automaton.variables)
-        arc = int(found.spans[row, ARCS_END]) - 1
-        if arc >= found.spans[row, ARCS] and block.arcs[arc, 1] == found.place[row, runs.N_JUMPS]:
+        arc = int(result.spans[row, ARCS_END]) - 1
+        if arc >= result.spans[row, ARCS] and block.arcs[arc, 1] == result.place[row, runs.N_JUMPS]:
             terms = summands(*arc_polynomials(block, arc, size))
-        final, time = found.final[row], float(found.now[row, runs.T_HIGH])
+        final, time = result.final[row], float(result.clock[row, runs.T_HIGH])
         flow = batch.modes.flow(setup, kind, final, time, terms)
         compiled = batch.modes.compiled(kind)
         happens, _ = closing(simulator.engine, compiled, flow, setup, final, time)

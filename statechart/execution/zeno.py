@@ -1,4 +1,4 @@
-"""Zeno sequences: jumps that accumulate at a finite time, recognised and summed (paper 2.1)."""
+"""Zeno sequences: detection and summation of jumps that accumulate at a finite time (paper 2.1)."""
 
 from __future__ import annotations
 
@@ -12,54 +12,53 @@ from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.kernels.accumulation import COUNT, FIRST, HIGH, WIDTH, add_jump
 
-# That spread corrects the sum by no more than this part of it.
-_CORRECTION = 0.1
-# How many geometric sequences the intervals may be the sum of, and how many of them lie between
-# the sums that tell these apart: more would magnify errors less, and reach back to where there are
-# further sequences.
+# Largest relative correction of the geometric sum.
+_MAX_CORRECTION = 0.1
+# Number of geometric sequences in the intervals, and stride of the partial sums that separate them:
+# a larger stride magnifies errors less, but reaches back to earlier sequences.
 _ORDER, _STRIDE = 3, 2
 
 
 def _remaining(intervals: Sequence[float], geometric: float) -> float:
-    """Return what further intervals sum to, by Wynn's epsilon algorithm.
+    """Return the sum of the further intervals by Wynn's epsilon algorithm.
 
-    It is exact for ratios that are constant, and for those that tend to a constant by two more
-    geometric sequences: a block rocks the faster, the less it tilts. Where rounding leaves the
-    algorithm nothing to work with, what it found before is the better one, at first the sum
-    `geometric` for a constant ratio.
+    It is exact for constant ratios, and for ratios that tend to a constant by two more geometric
+    sequences (a rocking block). Round-off ends the algorithm with its last estimate, at first the
+    sum `geometric` for a constant ratio.
     """
     count = len(intervals)
     sums = [-math.fsum(intervals[n:]) for n in range(count % _STRIDE, count + 1, _STRIDE)]
-    best, near = geometric, _CORRECTION * geometric
-    before, now = [0.0] * len(sums), sums
+    best, last_change = geometric, _MAX_CORRECTION * geometric
+    before, current = [0.0] * len(sums), sums
     for k in range(1, 2 * _ORDER + 1):
-        differences = [b - a for a, b in itertools.pairwise(now)]
+        differences = [b - a for a, b in itertools.pairwise(current)]
         if not differences or 0.0 in differences:
             break
-        before, now = now, [c + 1.0 / d for c, d in zip(before[1:], differences, strict=False)]
+        before, current = (
+            current,
+            [c + 1.0 / d for c, d in zip(before[1:], differences, strict=False)],
+        )
         if k % 2 == 0:
-            if not abs(now[-1] - best) < near:
+            if not abs(current[-1] - best) < last_change:
                 break
-            # The first is often worse than the constant ratio's; from then on they converge.
-            near = near if k == 2 else abs(now[-1] - best)
-            best = now[-1]
+            # The first estimate is often worse than the geometric sum; later ones converge.
+            last_change = last_change if k == 2 else abs(current[-1] - best)
+            best = current[-1]
     return best
 
 
 class Accumulation:
-    """Watches the jumps of every region and predicts where repeated ones accumulate.
+    """Predicts accumulations of repeated jumps, for every region and cause.
 
-    Regions are watched apart, as two of them can bounce in turn. The rest of a sequence sums to
-    ``dt r / (1 - r)`` (equation 5, with its erratum) where the ratio r is constant; it may be
-    skipped only when it is too short to matter, against the longest interval seen. A ratio so
-    small that the intervals vanish before it is known needs no sum: the jumps have accumulated
-    where the time no longer tells them apart. For the `series` (s, `WIDTH`) see
-    `statechart.kernels.accumulation`.
+    With a constant ratio r the rest of a sequence lasts ``dt r / (1 - r)`` (equation 5, with its
+    erratum); it is skipped only if it is short against the longest interval. If the intervals fall
+    below the resolution of time before the ratio is known, the jumps have accumulated. For the
+    `series` (s, `WIDTH`) see `statechart.kernels.accumulation`.
     """
 
-    def __init__(self, known: Sequence[tuple[str, str]] = ()) -> None:
-        self._places = {pair: place for place, pair in enumerate(known)}
-        self.series: Array = np.zeros((max(len(known), 4), WIDTH))
+    def __init__(self, pairs: Sequence[tuple[str, str]] = ()) -> None:
+        self._places = {pair: place for place, pair in enumerate(pairs)}
+        self.series: Array = np.zeros((max(len(pairs), 4), WIDTH))
         self.series[:, HIGH] = math.nan
 
     def watch(
@@ -68,18 +67,18 @@ class Accumulation:
         """Return the time from a jump to the accumulation, once it is imminent; else None."""
         place = self._places.setdefault(pair, len(self._places))
         if place == len(self.series):
-            more = np.zeros_like(self.series)
-            more[:, HIGH] = math.nan
-            self.series = np.concatenate([self.series, more])
+            enlargement = np.zeros_like(self.series)
+            enlargement[:, HIGH] = math.nan
+            self.series = np.concatenate([self.series, enlargement])
         row = self.series[place]
-        rest = add_jump(row, clock.high, clock.low, flowed, short)
-        return None if rest < 0.0 else _summed(row, rest)
+        remaining = add_jump(row, clock.high, clock.low, flowed, short)
+        return None if remaining < 0.0 else _summed(row, remaining)
 
-    def sum_from(self, place: int, rest: float) -> float:
-        """Return it where the last ratio of a series of those known first gives `rest`."""
-        return _summed(self.series[place], rest)
+    def sum_from(self, place: int, remaining: float) -> float:
+        """Return the time to the accumulation, given the geometric sum `remaining`."""
+        return _summed(self.series[place], remaining)
 
 
-def _summed(row: Array, rest: float) -> float:
+def _summed(row: Array, remaining: float) -> float:
     intervals: list[float] = row[FIRST : FIRST + int(row[COUNT])].tolist()
-    return 0.0 if rest == 0.0 else _remaining(intervals, rest)
+    return 0.0 if remaining == 0.0 else _remaining(intervals, remaining)

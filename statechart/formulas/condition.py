@@ -134,8 +134,8 @@ class Condition:
         def within(tree: Within) -> float:
             return -inf if active(tree.region, tree.state) == tree.holds else inf
 
-        found: float = folded(self.root, values.__getitem__, within, max, min)
-        return found
+        margin: float = folded(self.root, values.__getitem__, within, max, min)
+        return margin
 
     def certificate(
         self, of: Callable[[int], bool | None], active: Active, still: Callable[[int], bool]
@@ -217,13 +217,13 @@ class AtomsAt:
     def certificate(self, condition: Condition, first: int, active: Active) -> frozenset[int]:
         """Return the places of atoms that decide a condition; of all where it is open."""
         places = range(len(condition.atoms))
-        found: Collection[int] = places
+        atoms: Collection[int] = places
         if self.truth(condition, first, active) is not None:
             rests = [self.rests(first + k) for k in places]
-            found = condition.certificate(
+            atoms = condition.certificate(
                 lambda k: self.holds(first + k), active, rests.__getitem__
             )
-        return frozenset(first + k for k in found)
+        return frozenset(first + k for k in atoms)
 
 
 def _truth(tree: Any, of: Callable[[int], bool | None], active: Active) -> bool | None:
@@ -234,10 +234,10 @@ def _truth(tree: Any, of: Callable[[int], bool | None], active: Active) -> bool 
     decisive = isinstance(tree, Some)
     result: bool | None = not decisive
     for part in tree.parts:
-        found = _truth(part, of, active)
-        if found is decisive:
+        truths = _truth(part, of, active)
+        if truths is decisive:
             return decisive
-        if found is None:
+        if truths is None:
             result = None
     return result
 
@@ -247,17 +247,17 @@ def _certificate(
     truth: bool,
     of: Callable[[int], bool | None],
     active: Active,
-    still: Callable[[int], bool],
+    unchanged: Callable[[int], bool],
 ) -> frozenset[int]:
     if isinstance(tree, Within):
         return frozenset()
     if not isinstance(tree, Every | Some):
-        return frozenset() if still(tree) else frozenset((tree,))
-    parts = [part for part in tree.parts if _truth(part, of, active) is truth]
-    found = [_certificate(part, truth, of, active, still) for part in parts]
+        return frozenset() if unchanged(tree) else frozenset((tree,))
+    children = [child for child in tree.parts if _truth(child, of, active) is truth]
+    certificate = [_certificate(child, truth, of, active, unchanged) for child in children]
     if isinstance(tree, Some) is truth:
-        return min(found, key=len)
-    return frozenset[int]().union(*found)
+        return min(certificate, key=len)
+    return frozenset[int]().union(*certificate)
 
 
 def condition_of(tree: Any, source: Source) -> Condition:
@@ -268,7 +268,7 @@ def condition_of(tree: Any, source: Source) -> Condition:
     import sympy
 
     places: dict[Atom, int] = {}
-    seen: dict[Atom, Any] = {}
+    literals: dict[Atom, Any] = {}
 
     def check(count: int, most: int) -> None:
         if count > most:
@@ -287,11 +287,11 @@ def condition_of(tree: Any, source: Source) -> Condition:
             return _flattened(type(tree), tuple(split(part) for part in tree.parts))
         if isinstance(tree, Within):
             return tree
-        if tree not in seen:
-            check(len(seen), MAX_SPLITS)
+        if tree not in literals:
+            check(len(literals), MAX_SPLITS)
             smooth = _split(tree)
-            seen[tree] = leaf(tree) if smooth is tree else split(smooth)
-        return seen[tree]
+            literals[tree] = leaf(tree) if smooth is tree else split(smooth)
+        return literals[tree]
 
     def leaf(tree: Atom) -> Any:
         if tree.expression.is_number:
@@ -302,8 +302,8 @@ def condition_of(tree: Any, source: Source) -> Condition:
     root = split(tree)
     if isinstance(root, bool):
         # A comparison of numbers is a margin as any other.
-        plain = isinstance(tree, Atom) and tree.expression.is_number
-        return Condition((tree if plain else Atom(sympy.Integer(1 - 2 * root), False),), 0)
+        simple = isinstance(tree, Atom) and tree.expression.is_number
+        return Condition((tree if simple else Atom(sympy.Integer(1 - 2 * root), False),), 0)
     atoms = tuple(places)
     used: dict[int, int] = {}
     replaced(root, lambda place: used.setdefault(place, len(used)))
@@ -331,8 +331,9 @@ def _split(atom: Atom) -> Any:
     expression, strict = atom.expression, atom.strict
     corners = expression.atoms(sympy.Max, sympy.Min, sympy.Abs)
     corners = {corner for corner in corners if corner.free_symbols}
-    if not corners:
-        return atom
+    bare = _without_root(atom)
+    if bare is not None or not corners:
+        return bare or atom
     # An outer one first: those inside it come to stand alone.
     corner = min(
         (c for c in corners if not any(c is not o and o.has(c) for o in corners)),
@@ -369,3 +370,24 @@ def _split(atom: Atom) -> Any:
             Every((Atom(factor, False), each(falling, expression))),
         )
     )
+
+
+def _without_root(atom: Atom) -> Any:
+    """Return an atom without its root of what is never negative; None where it has none.
+
+    Roots have no derivative where they are zero: ``sqrt(abs(x)) <= r`` is ``abs(x) <= r**2``.
+    """
+    import sympy
+
+    for term in sympy.Add.make_args(atom.expression):
+        factor, root = term.as_coeff_Mul()
+        base, exponent = root.as_base_exp()
+        if exponent.is_integer or not (exponent.is_positive and base.is_nonnegative):
+            continue
+        bound = (term - atom.expression) / factor
+        order = 1 / exponent if bound != 0 else sympy.S.One
+        if order.is_integer and (bound == 0 or base.has(sympy.Max, sympy.Min, sympy.Abs)):
+            side = 1 if factor.is_positive else -1
+            sizes = -side * bound, side * (base - bound**order)
+            return (Every if side > 0 else Some)(tuple(Atom(size, atom.strict) for size in sizes))
+    return None

@@ -56,12 +56,12 @@ def solve_linear(
     Returns definitions in order of evaluation; each uses the unknowns and auxiliary symbols
     defined before it. Raises `Singular` if the structure of the equations leaves an unknown free.
     """
-    found: list[Definition] = []
+    definitions: list[Definition] = []
     missing: list[sp.Symbol] = []
     for component in _connected(equations, unknowns):
         pairs = sum(place < paired for place in component)
         try:
-            found += _solved(
+            definitions += _solved(
                 tuple(equations[i] for i in component if i < len(equations)),
                 tuple(unknowns[i] for i in component if i < len(unknowns)),
                 pairs,
@@ -71,7 +71,7 @@ def solve_linear(
             missing += error.unknowns
     if missing:
         raise Singular(missing)
-    return tuple(found)
+    return tuple(definitions)
 
 
 def _connected(equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol]) -> list[list[int]]:
@@ -163,15 +163,15 @@ def _mirrors(rows: list[Equation], unknowns: Sequence[sp.Symbol], paired: int) -
 
     Only beside the first `paired`: what else there is (laws of friction) mirrors nothing.
     """
-    found = set()
+    mirrors = set()
     for row, _, k in rows:
         pairs = (
             (row.get(unknowns[j], sp.S.Zero), rows[j][0].get(unknowns[k], sp.S.Zero))
             for j in range(paired)
         )
         if all(one == other or one == -other for one, other in pairs):
-            found.add(k)
-    return found
+            mirrors.add(k)
+    return mirrors
 
 
 def _row(equation: sp.Expr, unknowns: Mapping[sp.Symbol, int]) -> tuple[Row, sp.Expr]:
@@ -180,19 +180,19 @@ def _row(equation: sp.Expr, unknowns: Mapping[sp.Symbol, int]) -> tuple[Row, sp.
     Term by term: most are a coefficient times an unknown, or the long ones without any, which
     need not be differentiated.
     """
-    found: dict[sp.Symbol, list[sp.Expr]] = {}
+    coefficients: dict[sp.Symbol, list[sp.Expr]] = {}
     known: list[sp.Expr] = []
     for term in sp.Add.make_args(equation):
         factors = sp.Mul.make_args(term)
         direct = next((factor for factor in factors if factor in unknowns), None)
         if direct is not None:
-            found.setdefault(direct, []).append(sp.Mul(*(f for f in factors if f != direct)))
+            coefficients.setdefault(direct, []).append(sp.Mul(*(f for f in factors if f != direct)))
             continue
         present = unknowns.keys() & term.free_symbols
         for unknown in present:
-            found.setdefault(unknown, []).append(sp.diff(term, unknown))
+            coefficients.setdefault(unknown, []).append(sp.diff(term, unknown))
         known.append(term.xreplace(dict.fromkeys(present, sp.S.Zero)) if present else term)
-    sums = {u: sp.Add(*found[u]) for u in sorted(found, key=unknowns.__getitem__)}
+    sums = {u: sp.Add(*coefficients[u]) for u in sorted(coefficients, key=unknowns.__getitem__)}
     return {u: c for u, c in sums.items() if c != 0}, -sp.Add(*known)
 
 
@@ -298,14 +298,12 @@ def _blocks(
 
 
 def _components(rows: list[Equation]) -> list[list[int | sp.Symbol]]:
-    """Return the places of equations and the unknowns that belong together."""
     edges = [(index, unknown) for index, (row, _, _) in enumerate(rows) for unknown in row]
     vertices = [*range(len(rows)), *dict.fromkeys(unknown for _, unknown in edges)]
     return connected_components((vertices, edges))
 
 
 def _largest(rows: list[Equation]) -> int:
-    """Return the size of the largest connected component."""
     return max((len(component) for component in _components(rows)), default=0)
 
 
@@ -320,8 +318,8 @@ def _eliminated(
     """
     rows = [({u: name(c) for u, c in row.items()}, name(right), i) for row, right, i in rows]
     last: list[Definition] = []
-    while (found := pivot(rows)) is not None:
-        index, unknown = found
+    while (definitions := pivot(rows)) is not None:
+        index, unknown = definitions
         row, right, _ = rows.pop(index)
         others = {u: c for u, c in row.items() if u != unknown}
         rows = [_eliminate(e, unknown, others, right, row[unknown], name) for e in rows]

@@ -63,11 +63,11 @@ class Parameters:
             if value != value:
                 raise DeclarationProblem(f"parameter {name!r} is not a number")
         tape, inputs = self.program(frozenset(overrides))
-        known = {**self.literals, **overrides}
-        numbers = np.array([*(known[name] for name in inputs), math.inf])
-        found = tape.at(_NO_VARIABLES, numbers, 0.0)
-        parameters, further = found[: len(self.names)], found[len(self.names) :]
-        if math.isnan(found.min(initial=0.0)):
+        values = {**self.literals, **overrides}
+        numbers = np.array([*(values[name] for name in inputs), math.inf])
+        outputs = tape.at(_NO_VARIABLES, numbers, 0.0)
+        parameters, further = outputs[: len(self.names)], outputs[len(self.names) :]
+        if math.isnan(outputs.min(initial=0.0)):
             # Evaluated one by one, the formula at fault is named.
             Constants(self._formulas).values(overrides)
         return parameters, further
@@ -77,10 +77,10 @@ class Parameters:
 
         Behind those parameters it takes an infinity.
         """
-        given = overridden.difference(self.literals)
-        if given not in self._tapes:
-            self._tapes[given] = self._tape(given)
-        return self._tapes[given]
+        inputs_given = overridden.difference(self.literals)
+        if inputs_given not in self._tapes:
+            self._tapes[inputs_given] = self._tape(inputs_given)
+        return self._tapes[inputs_given]
 
     def _tape(self, given: frozenset[str]) -> tuple[Tape, tuple[str, ...]]:
         inputs = tuple(n for n in self._declared if n in self.literals or n in given)

@@ -58,7 +58,7 @@ def expand(
             if name in _BINARY:
                 found = _BINARY[name](a, register(right))
             else:
-                found = _power(a, right) if name == "powi" else _UNARY[name](a)
+                found = _integer_power(a, right) if name == "powi" else _UNARY[name](a)
         except (ValueError, ZeroDivisionError, OverflowError):
             found = Series([math.nan] * terms, [math.nan] * terms)
         registers[place] = found
@@ -115,10 +115,12 @@ def _div(a: Series, b: Series) -> Series:
     below = [-x for x in b.values]
 
     def quotient(above: Sequence[float], signed: Sequence[float]) -> list[float]:
-        found: list[float] = []
+        quotients: list[float] = []
         for k, x in enumerate(above):
-            found.append((x + sum(found[i] * signed[k - i] for i in range(k))) / abs(b.values[0]))
-        return found
+            quotients.append(
+                (x + sum(quotients[i] * signed[k - i] for i in range(k))) / abs(b.values[0])
+            )
+        return quotients
 
     sign = math.copysign(1.0, b.values[0])
     values = quotient([sign * x for x in a.values], [sign * x for x in below])
@@ -191,7 +193,6 @@ def _log(a: Series) -> Series:
 
 
 def _arc(a: Series) -> Series:
-    """Return the derivative of asin."""
     return _div(_one(a), _sqrt(_sub(_one(a), _mul(a, a))))
 
 
@@ -201,7 +202,7 @@ def _atan2(y: Series, x: Series) -> Series:
     return _chain(first, (y, _div(x, square)), (x, _neg(_div(y, square))))
 
 
-def _power(a: Series, exponent: int) -> Series:
+def _integer_power(a: Series, exponent: int) -> Series:
     result = None
     while exponent:
         if exponent & 1:
@@ -214,12 +215,11 @@ def _power(a: Series, exponent: int) -> Series:
 def _pow(a: Series, b: Series) -> Series:
     n = b.values[0]
     if not any(b.values[1:]) and n == math.floor(n) and 0.0 <= n <= _MAX_EXPONENT:
-        return _power(a, int(n))
+        return _integer_power(a, int(n))
     return _exp(_mul(b, _log(a)))
 
 
 def _sign_of(a: Series) -> float:
-    """Return the sign that a series has just after its start."""
     for value, size in zip(a.values, a.sizes, strict=True):
         if not abs(value) <= _ZERO_COEFFICIENT * size:
             return math.copysign(1.0, value)

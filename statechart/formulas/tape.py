@@ -107,13 +107,13 @@ class Tape:
         """Return the operations that outputs at these places need: result and code of each."""
         if places not in self._needed:
             base = self.n_variables + 1 + self.n_parameters + len(self.constants)
-            wanted, found = {self.outputs.item(place) for place in places}, []
+            wanted, operations = {self.outputs.item(place) for place in places}, []
             for result in range(base + len(self.code) - 1, base - 1, -1):
                 if result in wanted:
                     op, left, right = self.code[result - base].tolist()
                     wanted |= {left, right} if op <= POW else {left}
-                    found.append((result, op, left, right))
-            self._needed[places] = found[::-1]
+                    operations.append((result, op, left, right))
+            self._needed[places] = operations[::-1]
         return self._needed[places]
 
     @cached_property
@@ -144,13 +144,13 @@ def _coloured(reads: list[list[int]], variables: int) -> tuple[Ints, Ints, Ints]
     for output, columns in enumerate(reads):
         for variable in columns:
             readers[variable].append(output)
-    taken: list[set[int]] = [set() for _ in reads]
+    used_colours: list[set[int]] = [set() for _ in reads]
     colours = [0] * variables
     for variable, outputs in enumerate(readers):
-        while any(colours[variable] in taken[output] for output in outputs):
+        while any(colours[variable] in used_colours[output] for output in outputs):
             colours[variable] += 1
         for output in outputs:
-            taken[output].add(colours[variable])
+            used_colours[output].add(colours[variable])
     pairs = [(output, variable) for output, columns in enumerate(reads) for variable in columns]
     rows, read = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
     return rows, read, np.array(colours, dtype=np.int64)[read]

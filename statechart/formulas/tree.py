@@ -231,14 +231,15 @@ def evaluate(node: Node, values: Mapping[str, float], source: Source) -> float:
     return result
 
 
-def _power(base: float, exponent: float) -> float:
+def _checked_power(base: float, exponent: float) -> float:
     if base == 0 and exponent < 0:
         raise ZeroDivisionError
     return math.pow(base, exponent)
 
 
 _OPERATORS: Mapping[str, Callable[[float, float], float]] = {
-    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "**": _power,
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv,
+    "**": _checked_power,
 }  # fmt: skip
 
 

@@ -43,15 +43,15 @@ def conditions(observer: Observer, trace: Trace) -> tuple[float | None, ...]:
         margin = _fired(observer, trace, before.get(jump.j), jump)
         if margin is not None:
             groups.setdefault(margin, []).append(place)
-    found: list[float | None] = [None] * len(trace.jumps)
+    numbers: list[float | None] = [None] * len(trace.jumps)
     scale = sizes(trace)
     for margin, places in groups.items():
         jumps = [trace.jumps[place] for place in places]
         for place, kappa in zip(
             places, _condition(observer, trace, margin, jumps, scale), strict=True
         ):
-            found[place] = kappa if not math.isnan(kappa) else None
-    return tuple(found)
+            numbers[place] = kappa if not math.isnan(kappa) else None
+    return tuple(numbers)
 
 
 def _fired(observer: Observer, trace: Trace, arc: Arc | None, jump: Jump) -> Margin | None:
@@ -79,7 +79,7 @@ def _condition(
 
     rates = observer.at(trace, list(observer.automaton.rates), jumps, before=True)
     span = trace.t_end or 1.0
-    along = gradient(
+    rate = gradient(
         [(replace(j, t=j.t - _STEP * span), replace(j, t=j.t + _STEP * span)) for j in jumps],
         np.full(len(jumps), _STEP * span),
     )
@@ -95,7 +95,7 @@ def _condition(
             ],
             np.full(len(jumps), step),
         )
-        along += slope * rates[:, i]
+        rate += slope * rates[:, i]
         total += np.abs(slope) * size
     with np.errstate(divide="ignore", invalid="ignore"):
-        return (total / (span * np.abs(along))).tolist()
+        return (total / (span * np.abs(rate))).tolist()

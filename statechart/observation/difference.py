@@ -113,7 +113,7 @@ def compare(
     end = max(coarse.t_end, fine.t_end)
     times = [("the end", coarse.t_end, fine.t_end)] if same_end else []
     times += [(f"the time of {one.region}.{one.cause}", one.t, other.t) for one, other in pairs]
-    late = _worst(Compared(*time, _relative(time[1], time[2], end, 0.0)) for time in times)
+    delay = _worst(Compared(*time, _relative(time[1], time[2], end, 0.0)) for time in times)
     outputs: dict[str, Compared] = {}
     for name, one in coarse_outputs.items():
         size = scales.outputs.get(name, 0.0)
@@ -124,9 +124,9 @@ def compare(
         )
     return Difference(
         state.off if same_end else math.inf,
-        late.off,
+        delay.off,
         {name: one.off for name, one in outputs.items()},
-        _worst((state, late, *outputs.values())),
+        _worst((state, delay, *outputs.values())),
         diverged,
     )
 
@@ -161,7 +161,10 @@ def parted(reference: Trace, trace: Trace, *, brief: float = 0.0) -> float | Non
         return diverged
     scale = _scales(reference, trace)
     with np.errstate(invalid="ignore"):
-        apart = np.abs(_states(reference, times) - _states(trace, times)) > _PARTED_PART * scale
+        apart = (
+            np.abs(_sampled_states(reference, times) - _sampled_states(trace, times))
+            > _PARTED_PART * scale
+        )
     where = np.flatnonzero(apart.any(axis=1))
     return float(times[where[0]]) if len(where) else diverged
 
@@ -185,7 +188,7 @@ def distance(reference: Trace, trace: Trace) -> float:
     weights = np.repeat(lengths / counts, counts)
     times = np.minimum(np.repeat(marks[:-1], counts) + (place + 0.5) * weights, end)
     with np.errstate(invalid="ignore"):
-        apart = np.abs(_states(reference, times) - _states(trace, times))
+        apart = np.abs(_sampled_states(reference, times) - _sampled_states(trace, times))
     return float((weights @ apart / (end * _scales(reference, trace))).max(initial=0.0))
 
 
@@ -222,10 +225,10 @@ def paired(
     pairs: list[tuple[Jump, Jump]] = []
     a, b = coarse.jumps, fine.jumps
     ends: set[int] = set()
-    left = without_summed([a, b])
-    if left is not None:
-        ends = {id(jump) for run in left for jump, end in run if end}
-        a, b = (tuple(jump for jump, _ in run) for run in left)
+    unpaired = without_summed([a, b])
+    if unpaired is not None:
+        ends = {id(jump) for run in unpaired for jump, end in run if end}
+        a, b = (tuple(jump for jump, _ in run) for run in unpaired)
     window = brief * max(coarse.t_end, fine.t_end)
     i = j = 0
     while i < len(a) and j < len(b):
@@ -240,15 +243,15 @@ def paired(
         elif _accumulates(other) and _repeats(one, other):
             i += 1
         else:
-            again = _next_common_mode(a, b, i, j, window) if window > 0.0 else None
-            if again is None:
+            next_match = _next_common_mode(a, b, i, j, window) if window > 0.0 else None
+            if next_match is None:
                 return pairs, min(one.t, other.t)
-            i, j = again
-    rest = (*a[i:], *b[j:])
-    if not rest:
+            i, j = next_match
+    remainder = (*a[i:], *b[j:])
+    if not remainder:
         return pairs, None
-    ended = rest[0].t
-    passed = 0.0 <= rest[-1].t - ended < window and rest[-1].target == rest[0].source
+    ended = remainder[0].t
+    passed = 0.0 <= remainder[-1].t - ended < window and remainder[-1].target == remainder[0].source
     return pairs, None if passed else ended
 
 
@@ -292,7 +295,7 @@ def _scales(reference: Trace, trace: Trace) -> Array:
     return scale
 
 
-def _states(trace: Trace, times: Array) -> Array:
+def _sampled_states(trace: Trace, times: Array) -> Array:
     arcs, local = at_times(trace, times)
     return np.concatenate([arc.states(tau) for arc, tau in zip(arcs, local, strict=True)])
 

@@ -56,12 +56,12 @@ def graze_warnings(found: Sequence[Graze]) -> tuple[str, ...]:
 
 
 def _sentence(several: Sequence[Graze]) -> str:
-    graze, more = several[0], len(several) - 1
-    again = f"; so {more} time{'s' if more > 1 else ''} more" if more else ""
+    graze, count = several[0], len(several) - 1
+    further = f"; so {count} time{'s' if count > 1 else ''} more" if count else ""
     if graze.turned:
         return (
             f"{graze.guard} comes to its boundary at t = {graze.t:.6g}, where another event turns "
-            f"it back, and does not fire{again}"
+            f"it back, and does not fire{further}"
         )
     if graze.least < -graze.uncertainty:
         return (
@@ -69,12 +69,12 @@ def _sentence(several: Sequence[Graze]) -> str:
             "less than its tolerance at the start of the flow, and does not fire; start the "
             "flow farther from the boundary"
         )
-    how = "fires" if graze.fired else "comes to its boundary"
+    description = "fires" if graze.fired else "comes to its boundary"
     would = "would have been" if graze.fired else "is"
     return (
-        f"{graze.guard} {how} at t = {graze.t:.6g}, where its least value {would} "
+        f"{graze.guard} {description} at t = {graze.t:.6g}, where its least value {would} "
         f"{graze.least:.2g} and the run leaves {graze.uncertainty:.2g} open: whether it passes is "
-        f"not known{again}"
+        f"not known{further}"
     )
 
 
@@ -122,10 +122,10 @@ class _GuardScan:
         self._named |= {m.name: m.relation for m in compiled.mode.margins if m.whole is not None}
         self._values = contiguous(trace.values)
         self._kinds = trace.tolerances
-        part = max(STATE_TOLERANCES * trace.tolerance, STATE_ROUND_OFF)
-        self._errors = part * sizes(trace)
+        chunk = max(STATE_TOLERANCES * trace.tolerance, STATE_ROUND_OFF)
+        self._errors = chunk * sizes(trace)
         # What is farther off, in parts of what a guard is in its flows, is not looked at closely.
-        self._near = float(np.sqrt(part))
+        self._near = float(np.sqrt(chunk))
 
     def _table(self, states: Array, times: Array) -> Array:
         with np.errstate(all="ignore"):
@@ -134,15 +134,15 @@ class _GuardScan:
     def between(self, arcs: Sequence[Arc]) -> Iterator[Graze]:
         """Yield the undecided minima of guards inside flows."""
         tau, rows, of = self._grid(arcs)
-        here, edges = rows[1:-1], np.searchsorted(of, np.arange(len(arcs) + 1))
+        margins, edges = rows[1:-1], np.searchsorted(of, np.arange(len(arcs) + 1))
         with np.errstate(all="ignore"):
-            low = (here <= rows[:-2]) & (here <= rows[2:]) & (of[:-2] == of[2:])[:, None]
-            before, after = rows[:-2] - here, rows[2:] - here
+            low = (margins <= rows[:-2]) & (margins <= rows[2:]) & (of[:-2] == of[2:])[:, None]
+            before, after = rows[:-2] - margins, rows[2:] - margins
             # Steps of unlike lengths meet where the places are not evenly spaced.
             spans = np.diff(tau)[:, None]
             drops = np.fmax(before / spans[:-1] * spans[1:], after / spans[1:] * spans[:-1])
-            near = self._near * np.fmax.reduce(np.abs(rows), initial=0.0)
-            low &= here <= np.fmax(before + after, drops) + near
+            candidates_mask = self._near * np.fmax.reduce(np.abs(rows), initial=0.0)
+            low &= margins <= np.fmax(before + after, drops) + candidates_mask
         lowest: dict[tuple[int, int], int] = {}
         for i, k in np.argwhere(low).tolist():
             place = lowest.setdefault((int(of[i]), k), i + 1)
@@ -250,8 +250,10 @@ class _GuardScan:
         state = sample_states(arc.coefficients, arc.times, np.array([tau]))[0]
         t = arc.start.high + tau
         name, kind = self._watched[k]
-        least = self._table(state[None], np.array([t])).item(k) + further
-        room = margin_errors(self._guards, k, state, self._errors, self._values, t)
-        room += self._kinds.get(kind, 0.0)
-        missed = kind == "plain" and not fired and least < 0.0
-        return Graze(name, t, least, room, fired) if missed or abs(least) <= room else None
+        lowest = self._table(state[None], np.array([t])).item(k) + further
+        capacity = margin_errors(self._guards, k, state, self._errors, self._values, t)
+        capacity += self._kinds.get(kind, 0.0)
+        missed = kind == "plain" and not fired and lowest < 0.0
+        return (
+            Graze(name, t, lowest, capacity, fired) if missed or abs(lowest) <= capacity else None
+        )

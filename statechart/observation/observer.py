@@ -67,12 +67,12 @@ class Observer:
         """The observables that change along a run: variables first, no parameter, no time."""
         automaton = self.automaton
         constant, variables = {automaton.time, *automaton.parameters}, {*automaton.names}
-        others = [
+        unknowns = [
             name
             for name, expression in automaton.observables.items()
             if expression not in constant and name not in variables
         ]
-        return (*automaton.names, *others)
+        return (*automaton.names, *unknowns)
 
     def sample(
         self,
@@ -98,12 +98,12 @@ class Observer:
         if arcs:
             points = along(arcs, local)
             counts = [len(tau) for tau in local]
-            held, jumped = [arc.mode for arc in arcs], [arc.j for arc in arcs]
+            constant_columns, jumped = [arc.mode for arc in arcs], [arc.j for arc in arcs]
         else:  # nothing flowed: the run is its last state
             rows = 1 if times is None else np.size(times)
             points = self._instants(trace, [end_of(trace)] * rows)
-            counts, held, jumped = [rows], [trace.final_mode], [len(trace.jumps)]
-        modes = tuple(dict.fromkeys(held))
+            counts, constant_columns, jumped = [rows], [trace.final_mode], [len(trace.jumps)]
+        modes = tuple(dict.fromkeys(constant_columns))
         places = {key: place for place, key in enumerate(modes)}
         table = self._table(trace, expressions, points)
         shown = points.times
@@ -112,7 +112,7 @@ class Observer:
         return Samples(
             shown,
             np.repeat(np.array(jumped, dtype=np.int64), counts),
-            np.repeat(np.array([places[key] for key in held], dtype=np.intp), counts),
+            np.repeat(np.array([places[key] for key in constant_columns], dtype=np.intp), counts),
             modes,
             {name: table[:, k] for k, name in enumerate(formulas)},
         )
@@ -150,17 +150,17 @@ class Observer:
 
         None where a mode that was passed in no time has singular equations.
         """
-        found: list[dict[str, float]] = [{} for _ in jumps]
-        left: dict[tuple[Key, Roles], list[int]] = {}
+        tables: list[dict[str, float]] = [{} for _ in jumps]
+        remaining: dict[tuple[Key, Roles], list[int]] = {}
         for place, jump in enumerate(jumps):
             stepped = trace.step is not None
             roles = () if stepped else roles_at(trace, jump.j, jump.source, ends=True)
-            left.setdefault((jump.source, roles), []).append(place)
-        for flow, places in left.items():
+            remaining.setdefault((jump.source, roles), []).append(place)
+        for flow, places in remaining.items():
             margins, rows = self._margins_left(trace, *flow, [jumps[place] for place in places])
             for place, row in zip(places, rows.tolist(), strict=True):
-                found[place] = {m.name: v for m, v in zip(margins, row, strict=True)}
-        return found
+                tables[place] = {m.name: v for m, v in zip(margins, row, strict=True)}
+        return tables
 
     def _margins_left(
         self, trace: Trace, key: Key, roles: Roles, jumps: Sequence[Jump]
@@ -193,7 +193,7 @@ class Observer:
             owners.setdefault(roles, []).append(np.arange(start, end))
             start = end
         modes = self.modes_of(trace)
-        for roles, parts in owners.items():
+        for roles, blocks in owners.items():
             mode = modes(roles)
             columns = [
                 i
@@ -201,7 +201,7 @@ class Observer:
                 if mode is not None or not self.programs.needed((e,))
             ]
             if columns:
-                index = np.concatenate(parts)
+                index = np.concatenate(blocks)
                 tape = self.programs.tape(
                     visible_expressions([expressions[i] for i in columns], mode), mode
                 )
@@ -243,8 +243,8 @@ class Programs:
         self._automaton = automaton
         self._expressions: dict[str | int | float, sp.Expr] = {}
         self.solved = (*automaton.unknowns, *automaton.controls)
-        given = (*automaton.variables, *automaton.parameters, automaton.time)
-        self._given: frozenset[sp.Basic] = frozenset(given)
+        definitions = (*automaton.variables, *automaton.parameters, automaton.time)
+        self._given: frozenset[sp.Basic] = frozenset(definitions)
         self._needs: dict[tuple[sp.Expr, ...], bool] = {}
         self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None, bool], Tape] = {}
         self._actives: dict[tuple[Key, tuple[Where, ...], tuple[sp.Expr, ...]], Active] = {}
@@ -279,11 +279,11 @@ class Programs:
 
     def needed(self, expressions: tuple[sp.Expr, ...]) -> bool:
         """Tell whether the expressions use what a mode solves for."""
-        found = self._needs.get(expressions)
-        if found is None:
-            found = any(e.free_symbols - self._given for e in expressions)
-            self._needs[expressions] = found
-        return found
+        needed = self._needs.get(expressions)
+        if needed is None:
+            needed = any(e.free_symbols - self._given for e in expressions)
+            self._needs[expressions] = needed
+        return needed
 
     def tape(
         self, expressions: tuple[sp.Expr, ...], mode: Mode | None, *, known: bool = False

@@ -86,17 +86,17 @@ def _value(tapes: OutputTapes, tape: Ints, state: Array, parameters: Array, time
 
 
 @kernel
-def number_of_events(found: BatchResult, row: int) -> int:
+def number_of_events(result: BatchResult, row: int) -> int:
     """Return the number of events of a run; its stop, which stands in no buffer, is one."""
-    count = found.spans[row, EVENTS_END] - found.spans[row, EVENTS]
-    return count + (1 if found.ends[row, HOW] == STOPPED else 0)
+    count = result.spans[row, EVENTS_END] - result.spans[row, EVENTS]
+    return count + (1 if result.ends[row, HOW] == STOPPED else 0)
 
 
 @kernel
 def _list_values(
     tapes: OutputTapes,
     block: TraceBuffer,
-    found: BatchResult,
+    result: BatchResult,
     marks: NDArray[np.uint8],
     values: OutputValues,
 ) -> None:
@@ -104,18 +104,18 @@ def _list_values(
     for i in range(tapes.waits.shape[0]):
         wait, side = tapes.waits[i, 0], 0 if tapes.waits[i, 1] else 1
         first, at = 0, 0
-        for row in range(found.ends.shape[0]):
-            begin, end = found.spans[row, EVENTS], found.spans[row, EVENTS_END]
-            total = number_of_events(found, row)
+        for row in range(result.ends.shape[0]):
+            begin, end = result.spans[row, EVENTS], result.spans[row, EVENTS_END]
+            total = number_of_events(result, row)
             for k in range(total):
                 if marks[first + k, wait] == 0:
                     continue
-                event, kind = begin + k, found.place[row, N_MODE]
-                state, time = found.final[row], found.now[row, T_HIGH]
+                event, kind = begin + k, result.place[row, N_MODE]
+                state, time = result.final[row], result.clock[row, T_HIGH]
                 if event < end:
                     kind = np.int64(block.events[event, SOURCE + side])
                     state, time = block.states[event, side], block.numbers[event, TIME]
-                tape, parameters = tapes.events[i, kind], found.values[row]
+                tape, parameters = tapes.events[i, kind], result.values[row]
                 values.listed[i, at] = _value(tapes, tape, state, parameters, time)
                 at += 1
             first += total
@@ -137,18 +137,18 @@ def _terms_of(block: TraceBuffer, arc: int, variables: int, terms: Array) -> Arr
 
 @kernel
 def _integrate(
-    tapes: OutputTapes, block: TraceBuffer, resolved: Array, found: BatchResult, totals: Array
+    tapes: OutputTapes, block: TraceBuffer, resolved: Array, integral: BatchResult, totals: Array
 ) -> None:
     """Add up the integrals (m, i) along the arcs of runs."""
-    variables = found.final.shape[1]
-    for row in range(found.spans.shape[0]):
-        for arc in range(found.spans[row, ARCS], found.spans[row, ARCS_END]):
+    variables = integral.final.shape[1]
+    for row in range(integral.spans.shape[0]):
+        for arc in range(integral.spans[row, ARCS], integral.spans[row, ARCS_END]):
             kind = block.arcs[arc, 0]
             tape = tapes.integrals[kind]
             if tape[5] == 0:
                 continue
             times, terms = _times_of(block, arc), _terms_of(block, arc, variables, resolved)
-            steps = Steps(times, terms, found.values[row], block.starts[arc, 0])
+            steps = Steps(times, terms, integral.values[row], block.starts[arc, 0])
             sums, _ = integrate_outputs(_program(tapes, tape), steps, 0.0, times[-1])
             for i in range(sums.shape[0]):
                 totals[row, tapes.columns[kind, i]] += sums[i]
@@ -169,17 +169,17 @@ def _widen_by_arcs(
     formula: int,
     block: TraceBuffer,
     resolved: Array,
-    found: BatchResult,
+    ranges: BatchResult,
     row: int,
     result: Array,
 ) -> None:
-    variables = found.final.shape[1]
-    for arc in range(found.spans[row, ARCS], found.spans[row, ARCS_END]):
+    variables = ranges.final.shape[1]
+    for arc in range(ranges.spans[row, ARCS], ranges.spans[row, ARCS_END]):
         tape = tapes.extremes[formula, block.arcs[arc, 0]]
         if tape[5] == 0:
             continue
         terms = _terms_of(block, arc, variables, block.coefficients)
-        steps = Steps(_times_of(block, arc), terms, found.values[row], block.starts[arc, 0])
+        steps = Steps(_times_of(block, arc), terms, ranges.values[row], block.starts[arc, 0])
         rest = _terms_of(block, arc, variables, resolved)
         widen(_program(tapes, tape), steps, rest, block.starts[arc, 1], result)
 
@@ -197,9 +197,9 @@ def _extremes(
     """Bring the least and the greatest value (m, 2) of a formula up to date."""
     kinds, first = tapes.extremes[formula], 0
     for row in range(found.spans.shape[0]):
-        parameters, begun = found.values[row], found.ends[row, FIRST_MODE]
-        last, time = found.place[row, N_MODE], found.now[row, T_HIGH]
-        _include(result[row], _value(tapes, kinds[begun], found.initial[row], parameters, 0.0))
+        parameters, started = found.values[row], found.ends[row, FIRST_MODE]
+        last, time = found.place[row, N_MODE], found.clock[row, T_HIGH]
+        _include(result[row], _value(tapes, kinds[started], found.initial[row], parameters, 0.0))
         _widen_by_arcs(tapes, formula, block, resolved, found, row, result[row])
         begin = found.spans[row, EVENTS]
         for event in range(begin, found.spans[row, EVENTS_END]):
@@ -215,30 +215,30 @@ def compute_outputs(
     tapes: OutputTapes,
     block: TraceBuffer,
     resolved: Array,
-    found: BatchResult,
+    result: BatchResult,
     marks: NDArray[np.uint8],
     values: OutputValues,
 ) -> None:
     """Write the values of the formulas of runs.
 
-    The block holds arcs and events of the runs `found`; `resolved` are its coefficients, with 0 in
+    The block holds arcs and events of the runs `result`; `resolved` are its coefficients, with 0 in
     the place of what has no value: that adds nothing to integrals. `marks` (e, w + 1) say which
     waits each event ends, run by run; last whether a mode of no duration follows it. Fills
     `values`.
     """
-    _list_values(tapes, block, found, marks, values)
-    for row in range(found.ends.shape[0]):
-        parameters, last = found.values[row], found.place[row, N_MODE]
-        begun, time = found.ends[row, FIRST_MODE], found.now[row, T_HIGH]
+    _list_values(tapes, block, result, marks, values)
+    for row in range(result.ends.shape[0]):
+        parameters, last = result.values[row], result.place[row, N_MODE]
+        started, time = result.ends[row, FIRST_MODE], result.clock[row, T_HIGH]
         for i in range(tapes.start.shape[0]):
             values.start[row, i] = _value(
-                tapes, tapes.start[i, begun], found.initial[row], parameters, 0.0
+                tapes, tapes.start[i, started], result.initial[row], parameters, 0.0
             )
         for i in range(tapes.end.shape[0]):
             values.end[row, i] = _value(
-                tapes, tapes.end[i, last], found.final[row], parameters, time
+                tapes, tapes.end[i, last], result.final[row], parameters, time
             )
     if tapes.columns.shape[1] > 0:
-        _integrate(tapes, block, resolved, found, values.integrals)
+        _integrate(tapes, block, resolved, result, values.integrals)
     for formula in range(tapes.extremes.shape[0]):
-        _extremes(tapes, formula, block, resolved, found, marks[:, -1], values.extremes[formula])
+        _extremes(tapes, formula, block, resolved, result, marks[:, -1], values.extremes[formula])

@@ -142,8 +142,8 @@ class Outputs:
             return {name: trace.outputs[name] for name in self.names}
         batch = getattr(trace.arcs, "source", None)
         if isinstance(batch, Batch):
-            found = self.of_batch(batch, lambda _, j: trace.jumps[j])
-            return {name: found[name][0] for name in self.names}
+            result = self.of_batch(batch, lambda _, j: trace.jumps[j])
+            return {name: result[name][0] for name in self.names}
         accumulator = OutputAccumulator(self)
         if accumulator.motion:
             trace.require_motion()
@@ -234,13 +234,13 @@ class Outputs:
     def marks_of(self, jump: Jump) -> tuple[int, ...]:
         """Return a mark for each set of events that outputs wait for: 1 if a jump is one."""
         key = jump.region, jump.cause, jump.source, jump.target, *jump.impulse
-        found = self._marked.get(key)
-        if found is None:
+        marks = self._marked.get(key)
+        if marks is None:
             regions = self.observer.automaton.regions
-            found = self._marked[key] = tuple(
+            marks = self._marked[key] = tuple(
                 [int(any(happened(regions, jump, event) for event in wait)) for wait in self._waits]
             )
-        return found
+        return marks
 
     def _marks(self, batch: Batch, jump_of: Callable[[int, int], Jump]) -> _Marks:
         """Return the marks of all events of all runs, a stop being one; see `compute_outputs`.
@@ -461,10 +461,10 @@ class OutputAccumulator:
     @property
     def result(self) -> dict[str, OutputValue]:
         """The outputs, in the order of the declaration."""
-        found = self._outputs.values_by_run(
-            self.values, [[one] for one in self._listed], [[count] for count in self._counted]
+        outputs = self._outputs.values_by_run(
+            self.values, [[output] for output in self._listed], [[count] for count in self._counted]
         )
-        return {name: found[name][0] for name in self._outputs.names}
+        return {name: outputs[name][0] for name in self._outputs.names}
 
     def take(
         self, trace: Trace, arcs: Sequence[Arc], jumps: Sequence[Jump], *, ended: bool
@@ -540,7 +540,7 @@ class OutputAccumulator:
         block.numbers[:, TIME] = points.times[1:-1:2]
         found = BatchResult.empty(1, len(trace.parameters), states.shape[1], 0)
         found.values[0], found.initial[0], found.final[0] = trace.values, states[0], states[-1]
-        found.now[0, loop.T_HIGH], found.spans[0] = trace.t_end, (0, len(arcs), 0, count)
+        found.clock[0, loop.T_HIGH], found.spans[0] = trace.t_end, (0, len(arcs), 0, count)
         tapes = outputs.tapes_of(zeros, self._mode_of(trace), solved=solved)
         # The last kind has no formulas: what was taken before, or is to come, adds nothing.
         found.ends[0, loop.FIRST_MODE] = len(numbers) if self.started else kinds[0]
@@ -567,8 +567,8 @@ def outputs_of(observer: Observer) -> Outputs:
     """Return the declared outputs of an observer's model, made ready once."""
     if observer.outputs is None:
         observer.outputs = Outputs(observer)
-    found: Outputs = observer.outputs
-    return found
+    result: Outputs = observer.outputs
+    return result
 
 
 def outputs(observer: Observer, trace: Trace) -> dict[str, OutputValue]:
@@ -598,8 +598,8 @@ def extremes(observer: Observer, trace: Trace, formula: Formula) -> tuple[float,
         Outputs(observer, (), [finite if _by_mode(formula) else formula])
     )
     accumulator.take(trace, trace.arcs, trace.jumps, ended=True)
-    found = [*infinite, *accumulator.values.extremes.ravel().tolist()]
-    return np.fmin.reduce(found).item(), np.fmax.reduce(found).item()
+    result = [*infinite, *accumulator.values.extremes.ravel().tolist()]
+    return np.fmin.reduce(result).item(), np.fmax.reduce(result).item()
 
 
 def extremes_along(

@@ -58,17 +58,17 @@ class Endpoint(NamedTuple):
 def subdivided(arcs: Sequence[Arc], per_step: float) -> list[Array]:
     """Return local times: `per_step` intervals in every step, both ends of each arc included."""
     every, count = max(1, math.ceil(1.0 / per_step)), math.ceil(per_step)
-    alike: dict[int, list[int]] = {}
+    uniform: dict[int, list[int]] = {}
     for place, arc in enumerate(arcs):
-        alike.setdefault(len(arc.times), []).append(place)
-    found: dict[int, Array] = {}
-    for places in alike.values():
+        uniform.setdefault(len(arc.times), []).append(place)
+    samples: dict[int, Array] = {}
+    for places in uniform.values():
         times = np.array([arcs[place].times for place in places])
         ends = np.concatenate([times[:, :-1:every], times[:, -1:]], axis=1)
         inner = ends[:, :-1, None] + np.diff(ends)[..., None] * (np.arange(count) / count)
         local = np.concatenate([inner.reshape(len(places), -1), ends[:, -1:]], axis=1)
-        found |= zip(places, local, strict=True)
-    return [found[place] for place in range(len(arcs))]
+        samples |= zip(places, local, strict=True)
+    return [samples[place] for place in range(len(arcs))]
 
 
 def along(arcs: Sequence[Arc], local: Sequence[Array]) -> Points:
@@ -149,8 +149,8 @@ def places_in(regions: Sequence[Region], key: Key, where: Sequence[Where]) -> li
     states = {region.name: region.active(state) for region, state in zip(regions, key, strict=True)}
     return [
         place
-        for place, wanted in enumerate(where)
-        if all(state in states[region] for region, state in wanted)
+        for place, requested in enumerate(where)
+        if all(state in states[region] for region, state in requested)
     ]
 
 
@@ -160,7 +160,7 @@ def visible_expressions(expressions: Sequence[sp.Expr], mode: Mode | None) -> tu
     return tuple([e.xreplace(hidden) for e in expressions]) if hidden else tuple(expressions)
 
 
-def _place(arcs: Sequence[Arc], j: int, ends: bool) -> int:
+def _arc_index(arcs: Sequence[Arc], j: int, ends: bool) -> int:
     """Return the last arc after up to `j` jumps, or the first after so many or more."""
     if ends:
         return bisect_right(arcs, j, key=lambda arc: arc.j) - 1
@@ -172,7 +172,7 @@ def roles_at(trace: Trace, j: int, mode: Key, *, ends: bool) -> Roles:
 
     `ends`: at the end of that time, else at its start.
     """
-    arcs, place = trace.arcs, _place(trace.arcs, j, ends)
+    arcs, place = trace.arcs, _arc_index(trace.arcs, j, ends)
     if 0 <= place < len(arcs) and arcs[place].j == j and arcs[place].mode == mode:
         return arcs[place].roles
     # A stop, for one, changes nothing: the arc before it goes on.
@@ -191,7 +191,7 @@ def _solved_rows(trace: Trace, endpoints: Sequence[Endpoint], width: int) -> Arr
     rows = np.full((len(endpoints), width), np.nan)
     for row, one in zip(rows, endpoints, strict=True):
         if trace.arcs:
-            place = min(max(_place(trace.arcs, one.j, one.ends), 0), len(trace.arcs) - 1)
+            place = min(max(_arc_index(trace.arcs, one.j, one.ends), 0), len(trace.arcs) - 1)
             solved = trace.arcs[place].solved
             assert solved is not None
             row[:] = solved[-1 if one.ends else 0]

@@ -66,8 +66,8 @@ class RunScales:
         self._kinds: dict[Dimension, float] = {}
         kinds = [model.quantity(name).dimension for name in automaton.names]
         for kind, size, change in zip(kinds, largest.tolist(), spread.tolist(), strict=True):
-            found = change if kind in _TRAVELLED else size
-            self._kinds[kind] = max(self._kinds.get(kind, 0.0), found)
+            sizes = change if kind in _TRAVELLED else size
+            self._kinds[kind] = max(self._kinds.get(kind, 0.0), sizes)
         self._kinds[""] = 0.0  # of quantities of unknown kinds each has a scale of its own
         self._leaves: dict[sp.Symbol, float] = {
             automaton.time: trace.t_end,
@@ -79,14 +79,14 @@ class RunScales:
         self.variables: Array = np.maximum(_NEARLY_ZERO * scales, largest)
         self.zeros: Array = np.array([self._zero(kind) for kind in kinds])
 
-    def of(self, formula: FormulaLike, own: float = 0.0) -> float:
-        """Return the scale of a formula that has been as large as `own`.
+    def of(self, formula: FormulaLike, scale: float = 0.0) -> float:
+        """Return the scale of a formula that has been as large as `scale`.
 
         The scale of its kind is that of its terms: a difference of equal lengths is nearly zero on
         the scale of lengths.
         """
         size = self._size(self._observer.programs.expression(formula))
-        return max(own, _NEARLY_ZERO * (size or 0.0))
+        return max(scale, _NEARLY_ZERO * (size or 0.0))
 
     def zero(self, formula: FormulaLike) -> float:
         """Return the bound below which a formula is zero to round-off."""
@@ -105,8 +105,8 @@ class RunScales:
     def _size(self, node: sp.Expr) -> float | None:
         """Return the size of an expression from those of its terms; None where that is unknown."""
         if node.free_symbols <= self._fixed:
-            found = abs(float(node.xreplace(self._leaves_fixed)))
-            return found if np.isfinite(found) else None
+            size = abs(float(node.xreplace(self._leaves_fixed)))
+            return size if np.isfinite(size) else None
         if node.is_Symbol:
             return self._leaves.get(node) if node in self._leaves else self._unknown(node)
         if node.is_Pow and not node.exp.is_positive:

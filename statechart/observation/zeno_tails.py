@@ -44,11 +44,11 @@ def last_resolved(trace: Trace) -> list[Jump]:
         for i, (before, after) in enumerate(zip(jump.source, jump.target, strict=True)):
             if before == after or i not in bounced:
                 continue
-            last = bounced.pop(i)
+            latest = bounced.pop(i)
             # What was not free came to its impact, and leaves it, by another cause.
-            alike = i != about or jump.cause == last.cause
-            if alike and jump.t - last.t <= _CAPTURED * trace.step:
-                found[id(last)] = last
+            same_cause = i != about or jump.cause == latest.cause
+            if same_cause and jump.t - latest.t <= _CAPTURED * trace.step:
+                found[id(latest)] = latest
         if about is not None and jump.impulse and jump.source[about] == jump.target[about]:
             bounced[about] = jump
     return list(found.values())
@@ -65,10 +65,13 @@ def without_summed(runs: Sequence[Sequence[Jumping]]) -> list[list[tuple[Jumping
     if len(set(map(len, sums))) != 1:
         return None
     windows = [
-        (_WINDOW[0] * min(j.skipped for j in same), _WINDOW[1] * max(j.skipped for j in same))
-        for same in zip(*sums, strict=True)
+        (
+            _WINDOW[0] * min(j.skipped for j in same_series),
+            _WINDOW[1] * max(j.skipped for j in same_series),
+        )
+        for same_series in zip(*sums, strict=True)
     ]
-    return [_left(run, own, windows) for run, own in zip(runs, sums, strict=True)]
+    return [_left(run, own_jumps, windows) for run, own_jumps in zip(runs, sums, strict=True)]
 
 
 def _left(

@@ -12,6 +12,7 @@ for (const title of byId("diagram").querySelectorAll("title")) title.remove();
 const chart = byId("diagram").firstElementChild;
 const least = chart ? 0.77 * chart.width.baseVal.value : 0;
 byId("diagram").style.setProperty("--least", `${least}px`);
+byId("diagram").style.setProperty("--lowest", `${chart ? 0.6 * chart.height.baseVal.value : 0}px`);
 function arrange() {
   const seen = document.querySelector(".seen");
   seen.append(byId("diagram"));
@@ -50,7 +51,7 @@ const fitted = (name, room) => {
   const half = (most - 1) / 2;
   return name.length <= most ? name : `${name.slice(0, Math.ceil(half))}\u2026${name.slice(name.length - Math.floor(half))}`;
 };
-const [above, high, number] = [20, 138, 58];
+const [above, high, number] = [20, 138, 70];
 const span = times[last] || 1;
 const cursors = [];
 const values = [];

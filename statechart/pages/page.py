@@ -382,7 +382,7 @@ def html(shown: Mapping[str, Any]) -> str:
     return re.sub(f"@({'|'.join(parts)})@", lambda found: parts[found[1]], text)
 
 
-def write(shown: Mapping[str, Any], path: Path) -> None:
+def write_page(shown: Mapping[str, Any], path: Path) -> None:
     """Write the page, whole or not at all."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise DeclarationError(f"a page is .html, not {path.suffix or path.name!r}")

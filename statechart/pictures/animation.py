@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from PIL import Image, ImageFont
 
 SUFFIXES = (".gif", ".mp4")
-"""What `write` can write."""
+"""What `write_animation` can write."""
 
 # Pictures a second; a GIF counts hundredths of a second, of which this is a whole number.
 _RATE = 25
@@ -95,7 +95,7 @@ def check(path: Path, size: int, speed: float | None = None, trail: float | None
         raise StatechartError("an mp4 needs the program ffmpeg, which is not here; write a .gif")
 
 
-def write(
+def write_animation(
     film: Film,
     path: Path,
     *,

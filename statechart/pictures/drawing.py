@@ -194,7 +194,7 @@ def _names(ax: Axes, film: Film, radius: float) -> Iterator[_Name]:
         if shape.kind == "ground":
             style: dict[str, Any] = {"color": INK}
             size = _size(ax, shape.name)
-            places = _along(ax, film, shape, size, scale)
+            places = _label_positions(ax, film, shape, size, scale)
         else:
             style = {"color": INK, "style": "italic"}
             size = _size(ax, shape.name)
@@ -207,7 +207,6 @@ def _names(ax: Axes, film: Film, radius: float) -> Iterator[_Name]:
 
 
 def _size(ax: Axes, text: str) -> Array:
-    """Return width and height of a text in pixels."""
     drawn = ax.text(0.0, 0.0, text, fontsize=_SIZE)
     extent = drawn.get_window_extent()
     drawn.remove()
@@ -225,7 +224,7 @@ def _around(place: Array, size: Array, radius: float, scale: float) -> Array:
     return np.concatenate(found)
 
 
-def _along(ax: Axes, film: Film, shape: Shape, size: Array, scale: float) -> Array:
+def _label_positions(ax: Axes, film: Film, shape: Shape, size: Array, scale: float) -> Array:
     """Return middles of a text along a surface, on the side of its solid, beyond the hatching."""
     points = ax.transData.transform(placed(shape.points, film.poses[0, shape.frame]))
     steps = np.diff(points, axis=0)
@@ -285,7 +284,6 @@ def crossing(low: Array, high: Array, one: Array, two: Array) -> Array:
 
 
 def _marks(film: Film) -> Array:
-    """Return the places (m, 2) of all marks of the first picture."""
     found = [touch.places[:1] for touch in film.touches]
     marked = [s for s in film.shapes if s.kind in ("mass", "joint", "pivot")]
     found += [placed(shape.points, film.poses[0, shape.frame]) for shape in marked]

@@ -25,7 +25,7 @@ MAX_CURVES = 5
 
 _MAX_FORCES = 3
 # Sizes of one order of magnitude are alike.
-_ALIKE = 0.1
+_SAME_SCALE = 0.1
 # Columns that are not drawn are named up to so many.
 _NAMED = 2
 _MAX_PANELS = 4
@@ -90,7 +90,7 @@ def curves(observer: Observer, trace: Trace) -> tuple[Samples, list[Panel]]:
     """Return a run sampled for curves, and the panels of curves that share an axis."""
     samples = observer.sample(trace, per_step=_per_step(trace))
     samples = without_round_off(observer.automaton, trace, samples)
-    states = _states(observer.automaton, samples)
+    states = _variable_panels(observer.automaton, samples)
     forces = _force_panels(observer.automaton, trace, samples)
     panels = [*states, *_gaps(observer.automaton, trace, samples), *forces]
     panels += _impulses(observer.automaton, trace, forces)
@@ -200,13 +200,13 @@ def _part(name: str) -> str:
 def _spread(sizes: Mapping[str, float], nothing: float = 0.0) -> list[str]:
     """Return a handful of many that are alike, from the first to the last; else none."""
     most = max(sizes.values())
-    alike = [name for name, size in sizes.items() if size >= _ALIKE * most > nothing]
+    alike = [name for name, size in sizes.items() if size >= _SAME_SCALE * most > nothing]
     if len(alike) <= MAX_CURVES:
         return []
     return [alike[round(k * (len(alike) - 1) / (MAX_CURVES - 1))] for k in range(MAX_CURVES)]
 
 
-def _states(automaton: Automaton, samples: Samples) -> list[Panel]:
+def _variable_panels(automaton: Automaton, samples: Samples) -> list[Panel]:
     """Return the variables: positions and velocities apart, and so lengths and angles."""
     model = automaton.declaration
     places = {symbol: k for k, symbol in enumerate(automaton.variables)}
@@ -365,7 +365,6 @@ def strongest(times: Array, sizes: Array, end: float) -> tuple[Array, Array]:
 
 
 def _first_rows(t: Array) -> NDArray[np.intp]:
-    """Return the first row in every column of the figure that has one."""
     edges = np.linspace(t[0], t[-1], COLUMNS + 1)[:-1]
     begins: NDArray[np.intp] = np.unique(np.searchsorted(t, edges))
     return begins

@@ -116,11 +116,11 @@ def figure(
         result.suptitle(trace.name)
         stack(result, axes, heights, lines=lines, strip=strip)
     if path is not None:
-        write(result, path)
+        write_figure(result, path)
     return result
 
 
-def write(drawing: Figure, path: Path | str) -> None:
+def write_figure(drawing: Figure, path: Path | str) -> None:
     """Write a figure to a file: svg, png or pdf by its suffix."""
     path = Path(path)
     kind = path.suffix.lower().lstrip(".")
@@ -488,6 +488,5 @@ def stack(
 
 
 def _outer(ax: Axes) -> float:
-    """Return where the labels on the left of axes begin, in pixels."""
     box = ax.yaxis.get_tightbbox()
     return ax.bbox.x0 if box is None else float(box.x0)

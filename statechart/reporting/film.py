@@ -92,7 +92,7 @@ def animate(
     stage = stage_of(observer.automaton)
     speed, times = animation.pace(until_rest(stage, observer, trace), showing.speed)
     film = filmed(stage, observer, trace, times)
-    animation.write(
+    animation.write_animation(
         film, path, speed=speed, size=showing.size, trail=showing.trail, progress=progress
     )
     return path

@@ -79,7 +79,7 @@ def report(
         "invariants", lambda: invariants(observer, trace), {}
     )
     jumps = trace.jumps[:most]
-    events = _events(observer, trace, jumps, conditions[:most], done, explain=explain)
+    events = _event_rows(observer, trace, jumps, conditions[:most], done, explain=explain)
     without = left_out(automaton, trace)
     without += [{"what": what, "why": why} for what, why in done.failed.items()]
     result = _ended(trace) | {
@@ -133,7 +133,7 @@ def _ended(trace: Trace) -> dict[str, Any]:
     }
 
 
-def _events(
+def _event_rows(
     observer: Observer,
     trace: Trace,
     jumps: Sequence[Jump],
@@ -258,8 +258,8 @@ def _event(
         "j": jump.j,
         "contact": jump.region or None,
         "cause": jump.cause,
-        "from": _states(trace, jump.source),
-        "to": _states(trace, jump.target),
+        "from": _states_by_region(trace, jump.source),
+        "to": _states_by_region(trace, jump.target),
         "state": dict(zip(names, after, strict=True)),
         "state_before": dict(zip(names, before, strict=True)),
         "impulse": {
@@ -285,7 +285,7 @@ def _event(
     return safe
 
 
-def _states(trace: Trace, key: Key) -> dict[str, str]:
+def _states_by_region(trace: Trace, key: Key) -> dict[str, str]:
     return dict(zip(trace.regions, key, strict=True))
 
 

@@ -45,7 +45,7 @@ def summary(report: Mapping[str, Any], digits: int = DIGITS) -> str:
 
 def describe_run(report: Mapping[str, Any], digits: int = DIGITS) -> list[Block]:
     """Return the blocks of `summary`: texts and tables."""
-    parts: list[list[Block]] = [[_head(report)], _events(report, digits)]
+    parts: list[list[Block]] = [[_head(report)], _event_blocks(report, digits)]
     units = report.get("units", {})
     parts += [
         _values(title, values, units, digits)
@@ -122,7 +122,7 @@ def _how(report: Mapping[str, Any]) -> str:
     return f"tolerance {report['tolerance']:.3g}"
 
 
-def _events(report: Mapping[str, Any], digits: int) -> list[Block]:
+def _event_blocks(report: Mapping[str, Any], digits: int) -> list[Block]:
     events = report["events"]
     if not events:
         if report["record"] != "modes":

@@ -78,7 +78,7 @@ def draw(
 
 def draw_scene(model: Declaration | Runner | str | Path, path: str | Path) -> Path:
     """Draw a scene where its runs start: bodies, surfaces, contacts coloured by mode, and names."""
-    from statechart.reporting.figure import write as write_figure
+    from statechart.reporting.figure import write_figure
 
     write_figure(_scene(model if isinstance(model, Runner) else Runner(model)), path)
     return Path(path)

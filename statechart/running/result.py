@@ -198,7 +198,7 @@ class Result:
         """
         if not 0.0 <= t <= self.trace.t_end:
             raise StatechartError(
-                f"t = {t!r} is outside the run, which is from 0 to {self.trace.t_end!r}"
+                f"t = {t:.7g} is outside the run, which is from 0 to {self.trace.t_end:.7g}"
             )
         found = self.observer.sample(self.trace, times=[t])
         states = dict(zip(self.trace.regions, found.modes[found.mode[0]], strict=True))
@@ -300,10 +300,10 @@ class Result:
         StatechartError
             If the suffix is another, the study is of another model, or the file cannot be written.
         """
-        from statechart.pages.page import write
+        from statechart.pages.page import write_page
 
         path = Path(path)
-        write(_page_content(self, study), path)
+        write_page(_page_content(self, study), path)
         return path
 
     @property

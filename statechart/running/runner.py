@@ -15,12 +15,12 @@ from statechart.automaton.time_stepper import Control, Sample, Sampling
 from statechart.automaton.trace import Arc, Jump, Key, Outcome
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
-from statechart.documents.hints import checked
+from statechart.documents.hints import checked, unknown_parameter
 from statechart.documents.setting import Record, Setting, SettingWords
 from statechart.documents.validation import Document, located
 from statechart.engines.engine import Allowance
 from statechart.engines.request import Measured, planned
-from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
+from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
 from statechart.execution.outcome import error_of
 from statechart.execution.simulator import BatchRunner, Simulator
 from statechart.formulas.formula import parse
@@ -420,7 +420,7 @@ class RunInputs:
             if name not in self._parameters:
                 raise DeclarationError(
                     f"no parameter {name!r}",
-                    advice=close_matches(str(name), self._parameters),
+                    advice=unknown_parameter(str(name), self._parameters),
                     source=self.document.source if self.document else "",
                 )
             if not is_real(value):

@@ -100,7 +100,7 @@ def figure(study: Measurements) -> Figure:
         return entitle(drawing, study.model)
 
 
-def write(folder: Path | str, study: Measurements) -> None:
+def write_study_figure(folder: Path | str, study: Measurements) -> None:
     """Write a study's figure (trade.svg, trade.png) and table (trade.csv) to a folder."""
     from matplotlib import rc_context
 
@@ -179,7 +179,6 @@ def _dress(ax: Axes, label: str) -> None:
 
 
 def _work(point: Point) -> float:
-    """Return evaluations; steps, where they are fixed; not a number where neither is counted."""
     count = point.steps if point.setting.step else point.evaluations
     return float(count) if count else math.nan
 

@@ -52,8 +52,8 @@ def describe_study(study: Measurements) -> list[Block]:
             (
                 point.setting.label + marks(point, front, cold),
                 _modes(point),
-                *(_number(x) for x in shown),
-                *(_number(errors.violations.get(name)) for name in kinds),
+                *(_format_number(x) for x in shown),
+                *(_format_number(errors.violations.get(name)) for name in kinds),
                 str(point.evaluations or ""),
                 str(point.steps),
                 _seconds(point.seconds),
@@ -158,7 +158,7 @@ def _foot(study: Measurements) -> str:
             f"+- {slope.scatter:.1g} "
             f"(theory {slope.theory:.3g}), {slope.points} points"
         )
-    why, listed = reasons(study), _listed(study)
+    why, listed = reasons(study), _listed_warnings(study)
     lines += [
         f"{family} deviates from the reference even at its finest: see {_footnote(texts, listed)}, "
         "which the reference does not have"
@@ -230,7 +230,7 @@ def omitted(study: Measurements) -> list[str]:
     ]
 
 
-def _listed(study: Measurements) -> list[Note]:
+def _listed_warnings(study: Measurements) -> list[Note]:
     """Return the warnings that are listed in full: all that explain a deviation, first."""
     why = [text for texts in reasons(study).values() for text in texts]
     found = sorted(notes(study), key=lambda note: not note.says_one_of(why))
@@ -275,7 +275,7 @@ def _modes(point: Point) -> str:
     return f"others from t = {point.diverged:.6g}{ended}"
 
 
-def _number(value: float | None) -> str:
+def _format_number(value: float | None) -> str:
     return "" if value is None else f"{value:.2g}"
 
 

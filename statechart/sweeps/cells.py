@@ -194,7 +194,7 @@ class _Cells:
             found.outcome[here[batch.stopped]] = Outcome.STOPPED.name
             found.message[here] = ""
             found.certified[here] = True
-            found.t_end[here] = batch.result.now[:, T_HIGH]
+            found.t_end[here] = batch.result.clock[:, T_HIGH]
             texts = map(structure.sequence, _modes_of(batch))
             found.modes[here] = [codes.setdefault(text, len(codes)) for text in texts]
         if done:

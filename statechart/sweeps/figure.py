@@ -183,7 +183,6 @@ def shorten_alike(texts: Sequence[str]) -> list[str]:
 
 
 def _legend_columns(cells: _Cells, width: float, most: int) -> int:
-    """Return the number of columns of a legend that fit a width in inches."""
     longest = _HANDLE + _LETTER * max(map(len, cells.labels), default=0)
     return int(np.clip(width / longest, 1, most))
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array
 from statechart.documents.declaration import Declaration
+from statechart.documents.hints import unknown_parameter
 from statechart.documents.outputs import Value
 from statechart.documents.quantities import entitled
 from statechart.documents.setting import Setting
@@ -121,7 +122,7 @@ class Plan:
             if name not in model.parameters:
                 raise DeclarationError(
                     f"the model has no parameter {name!r}",
-                    advice=close_matches(name, model.parameters),
+                    advice=unknown_parameter(name, model.parameters),
                 )
         self.model, self.grid, self.accurate = model, grid, accurate
         self.columns = {name: numbers(name, given) for name, given in columns.items()}

@@ -73,7 +73,7 @@ def cells(
 def values(name: str, text: str) -> Array:
     """Return the values (n,) that a text stands for: `lin:A:B:N`, `log:A:B:N`, or a list."""
     if ":" not in text:
-        return np.array([_number(name, word) for word in text.split(",")])
+        return np.array([_number_in_range(name, word) for word in text.split(",")])
     spacing, *words = text.split(":")
     if spacing not in _SPACINGS or len(words) != 3:
         raise _wrong(name, f"{text!r} is no range", _FORMS)
@@ -154,7 +154,7 @@ def read_table(path: Path | str) -> pd.DataFrame:
     for row, words in enumerate(found.iloc[1:].itertuples(index=False), 2):
         for name, word in zip(names, words, strict=True):
             try:
-                columns[name].append(_number(name, str(word)))
+                columns[name].append(_number_in_range(name, str(word)))
             except DeclarationError as error:
                 raise DeclarationError(
                     f"{path}, row {row}: {error.message}",
@@ -180,7 +180,7 @@ def numbers(name: str, given: Sequence[float] | Array) -> Array:
 
 
 def _interval(name: str, spacing: str, first: str, last: str) -> Interval:
-    least, greatest = _number(name, first), _number(name, last)
+    least, greatest = _number_in_range(name, first), _number_in_range(name, last)
     if not (math.isfinite(least) and math.isfinite(greatest)):
         raise _wrong(name, "the ends of a range must be finite", _FORMS)
     if least > greatest:
@@ -192,7 +192,7 @@ def _interval(name: str, spacing: str, first: str, last: str) -> Interval:
     return Interval(spacing, least, greatest)
 
 
-def _number(name: str, text: str) -> float:
+def _number_in_range(name: str, text: str) -> float:
     word = text.strip()
     if not word:
         raise _wrong(name, "a number is missing", _FORMS)

@@ -127,15 +127,17 @@ def format_text(report: dict[str, Any], digits: int = DIGITS) -> list[Block]:
     return join_blocks(
         [
             [head],
-            _listed(("outcome", "cells", "such as"), outcomes),
-            _listed(("output", "", "least", "greatest", "unit", "cells without"), outputs),
-            _listed(("cells", "sequence of modes"), sequences),
+            _without_empty_columns(("outcome", "cells", "such as"), outcomes),
+            _without_empty_columns(
+                ("output", "", "least", "greatest", "unit", "cells without"), outputs
+            ),
+            _without_empty_columns(("cells", "sequence of modes"), sequences),
             [f"in {report['store']}\n"] if report["store"] else [],
         ]
     )
 
 
-def _listed(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[Block]:
+def _without_empty_columns(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[Block]:
     """Return a table without the columns that say nothing."""
     said = [k for k in range(len(head)) if any(row[k] for row in rows)]
     columns = [[head[k], *aligned([row[k] for row in rows])] for k in said]

@@ -144,13 +144,15 @@ def _compare(
         shaken = [s for s in near if len(s.events) > i and s.events[i].what == mine.what]
         allowed = _allowed(mine, [s.events[i].numbers for s in shaken], first, error, floor)
         if len(shaken) < len(near):
-            raise Undecidable(f"{_place(i, mine)}: a change of {NUDGE:g} takes another course")
+            raise Undecidable(
+                f"{_event_label(i, mine)}: a change of {NUDGE:g} takes another course"
+            )
         near = shaken
         # What is found a little later has moved on until then.
         allowed += abs(mine.t - its.t) * mine.rates
         if mine.hit != its.hit:
             _raise_undecidable_hit(first, second, i)
-        _assert_close(mine.numbers, its.numbers, allowed, reference, _place(i, mine))
+        _assert_close(mine.numbers, its.numbers, allowed, reference, _event_label(i, mine))
     if any(len(sequence.events) != len(first.events) for sequence in near):
         raise Undecidable(f"the end: a change of {NUDGE:g} takes another course")
     if first.mode != second.mode:
@@ -213,16 +215,16 @@ def _raise_undecidable_hit(first: EventSequence, second: EventSequence, i: int) 
         for one, two in pairwise(sequence.events[i : i + 2]):
             if two.t - one.t <= instant:
                 raise Undecidable(
-                    f"{_place(i, one)}: impacts closer than {instant:.1e} in time are one in one "
-                    "of the runs"
+                    f"{_event_label(i, one)}: impacts closer than {instant:.1e} in time are one in "
+                    "one of the runs"
                 )
     n = len(first.end) // 2
     small = _SLOW_IMPACT * first.sizes[n + 1 :]
     both = [sequence.events[i].numbers for sequence in (first, second)]
     if all((np.abs(at[n + 1 :] - at[1 : n + 1]) <= small).all() for at in both):
         raise Undecidable(
-            f"{_place(i, first.events[i])}: an impact so slow that rounding decides which of the "
-            "contacts that move together are hit first"
+            f"{_event_label(i, first.events[i])}: an impact so slow that rounding decides which of "
+            "the contacts that move together are hit first"
         )
 
 
@@ -239,7 +241,7 @@ def _raise_if_tolerances_decide(
     courses = [[one.what for one in s.events[: count + 1]] for s in (first, second)]
     if courses[0] == courses[1] and courses[0][count:] != [event.what]:
         raise Undecidable(
-            f"{_place(i, event)}: at the tolerances of the other engine it takes its course"
+            f"{_event_label(i, event)}: at the tolerances of the other engine it takes its course"
         )
 
 
@@ -254,7 +256,7 @@ def _raise_difference(
 ) -> NoReturn:
     """Event `i` differs: raise what that means."""
     own, others = first.events[i : i + 1], second.events[i : i + 1]
-    place = _place(i, (own or others)[0])
+    place = _event_label(i, (own or others)[0])
     what = tuple(event.what for event in own)
     if any(tuple(e.what for e in sequence.events[i : i + 1]) != what for sequence in near):
         raise Undecidable(f"{place}: a change of {NUDGE:g} takes another course")
@@ -281,7 +283,7 @@ def _raise_difference(
     raise AssertionError(f"{place}: {shown[0]} in one run, {shown[1]} in the other")
 
 
-def _place(i: int, event: Event) -> str:
+def _event_label(i: int, event: Event) -> str:
     return f"event {i + 1} ({event.what[0]} {event.what[1]}, t = {shortest(event.t)})"
 
 

@@ -165,10 +165,6 @@ def check(
     progress : callable, optional
         Called with the name of every property before it is tested.
 
-    Returns
-    -------
-    CheckReport
-
     Raises
     ------
     DeclarationError

@@ -38,7 +38,7 @@ def parts(schema: Path, **sections: Any) -> list[list[str]]:
 APART = [["one", "p"], ["q", "two"]]
 
 
-def test_bodies_that_nothing_couples_are_apart(schema: Path) -> None:
+def test_uncoupled_bodies_are_separate_components(schema: Path) -> None:
     assert parts(schema) == APART
 
 

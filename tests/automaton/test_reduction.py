@@ -258,7 +258,7 @@ def test_friction_that_slides_keeps_all_coordinates() -> None:
     assert mode_of(pinned_rod(), "slide+").eliminated == {}
 
 
-def test_a_frictionless_slide_on_a_line_leaves_what_is_along_it() -> None:
+def test_a_frictionless_slide_leaves_the_coordinate_along_the_line() -> None:
     model = pinned_rod(parameters={"m": 2, "I": 0.3, "mu": 0})
     zeros = zeros_of(model)
     assert names(model, mode_of(model, "slide+", zeros=zeros)) == ["rod.y", "rod.dy"]

@@ -219,7 +219,7 @@ def test_a_ball_thrown_from_the_ground_with_tiny_speed_scale_is_not_lost(engine:
 
 
 @both
-def test_one_region_sees_at_once_what_another_has_set(engine: Engine) -> None:
+def test_a_region_reads_updates_of_another_at_once(engine: Engine) -> None:
     chart = compose(
         {"x": 0, "signal": 0},
         {
@@ -279,7 +279,7 @@ def test_transitions_that_enable_each_other_for_ever_are_named(engine: Engine) -
 
 
 @both
-def test_an_update_that_leaves_its_own_guard_true_is_a_loop(engine: Engine) -> None:
+def test_an_update_that_keeps_its_guard_true_is_a_loop(engine: Engine) -> None:
     chart = compose({"x": 0}, {"r": region({"a": {"x": "1"}}, go("a", "a", "x >= 1", "add", x=2))})
     with pytest.raises(EventLoop, match="add"):
         run(chart, engine, 5.0)

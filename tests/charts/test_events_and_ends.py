@@ -360,7 +360,7 @@ def test_mistakes_with_ends_and_guards_are_answered(old: str, new: str, words: s
     assert words in str(caught.value)
 
 
-def test_two_guards_beside_one_event_are_asked_in_their_order(tmp_path: Path) -> None:
+def test_two_guards_of_one_event_are_evaluated_in_order(tmp_path: Path) -> None:
     text = """
 variables: {x: 0}
 regions:

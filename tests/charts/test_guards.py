@@ -266,7 +266,7 @@ def test_events_exactly_at_the_end_happen(of: str, rate: float, way: float) -> N
 
 
 @both
-def test_a_transition_back_to_its_own_state_is_judged_anew_and_is_no_entering(name: str) -> None:
+def test_a_self_transition_is_judged_again_and_does_not_enter(name: str) -> None:
     hear: dict[str, Any] = {"name": "hear", "from": "on", "to": "on", "updates": {"m": "m + 1"}}
     chart = compose(
         {"x": 0, "n": 0, "m": 0},
@@ -424,7 +424,7 @@ outputs: {n: {value: n}, t: {value: time}}
 """
 
 
-def test_a_scene_ends_at_the_bounce_that_is_asked_for() -> None:
+def test_a_scene_ends_at_the_declared_bounce() -> None:
     # Falls of 0.4, then twice 0.4 times e, and e of e.
     bounces = interpret(read_text(BOUNCES))
     for count, end in ((1, 0.4), (2, 0.4 + 0.72), (3, 0.4 + 0.72 + 0.648)):

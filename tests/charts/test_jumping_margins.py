@@ -106,7 +106,7 @@ def test_scenes_see_the_jump_of_an_angle(
     engine: str, loop: bool, cause: str, parts: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(CompiledSceneLaws, "ready", lambda _: loop)
-    monkeypatch.setattr(compiled_loop, "_WORTH", -1 if loop else math.inf)
+    monkeypatch.setattr(compiled_loop, "_WORTH_COMPILING", -1 if loop else math.inf)
     text = SCENE.format(**{"region": "", "stop": "", "enabled": "", **parts})
     if "region" not in parts:
         text = text.replace("controls: {push: 0}\n", "").replace("push]", "0]")

@@ -126,7 +126,7 @@ def test_scenes_see_windows_in_guards_stops_and_conditions(
     engine: str, width: float, loop: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(CompiledSceneLaws, "ready", lambda _: loop)
-    monkeypatch.setattr(compiled_loop, "_WORTH", -1 if loop else math.inf)
+    monkeypatch.setattr(compiled_loop, "_WORTH_COMPILING", -1 if loop else math.inf)
     for cause, text in (
         ("hit", scene(guard=f"ball.x**2 <= {width**2!r}")),
         ("stop", scene(stop=f"ball.x**2 <= {width**2!r}")),

@@ -190,7 +190,7 @@ outputs: {x: {value: x}, first: {integral: 1, during: {job: first}}}
 
 
 @pytest.mark.parametrize(("target", "x", "first"), [("last", 3.5, 0.5), ("work", 2.5, 1.5)])
-def test_a_history_resumes_what_was_interrupted(
+def test_a_history_resumes_the_interrupted_state(
     tmp_path: Path, target: str, x: float, first: float
 ) -> None:
     # From 0.5 on it is in its second state, pauses from 1 to 3, and works on until 4.

@@ -104,7 +104,7 @@ def test_a_start_on_the_surface_goes_the_way_that_it_is_led(engine: Engine) -> N
 
 
 @both
-def test_rest_under_a_restoring_sign_is_kept(engine: Engine) -> None:
+def test_rest_under_a_restoring_sign_persists(engine: Engine) -> None:
     trace = run(flow({"x": 0, "v": 0}, x="v", v="-sign(x)"), engine, 1.0)
     assert trace.final == pytest.approx([0.0, 0.0], abs=0.0)
 
@@ -149,7 +149,7 @@ def test_nested_switches_cross_one_after_another(engine: Engine) -> None:
 
 
 @both
-def test_a_fractional_power_of_what_is_cut_off_is_zero_beyond(engine: Engine) -> None:
+def test_a_fractional_power_of_a_clipped_value_is_zero_beyond_the_clip(engine: Engine) -> None:
     trace = run(flow({"y": 1, "v": 0}, y="v", v="9*max(0, -y)**1.5 - 1"), engine, 4.0)
     assert breaks(trace)[0] == pytest.approx(math.sqrt(2.0), abs=1e-12)
     y, v = trace.final

@@ -42,7 +42,7 @@ def test_a_history_is_no_state_that_a_guard_may_ask_for() -> None:
         Chart.model_validate_json(asked)
 
 
-def test_at_least_sixty_tests_are_said_and_the_page_has_their_numbers() -> None:
+def test_the_page_lists_the_numbers_of_at_least_sixty_tests() -> None:
     said = {*CHARTS, *REFUSED}
     assert len(said) == len(CHARTS) + len(REFUSED) >= 60
     text = PAGE.read_text("utf-8")

@@ -81,7 +81,7 @@ def test_modes_are_not_listed_of_a_start_that_is_wrong(cli: Cli) -> None:
     assert "model.yaml:13:5: contacts.tip: contact 'tip' starts inside its surface" in err
 
 
-def test_validate_warns_of_what_needs_no_run(cli: Cli) -> None:
+def test_validate_gives_the_warnings_that_need_no_run(cli: Cli) -> None:
     text = SCENE.replace("{mass: 1,", "{mass: 1, inertia: 1e-15,").replace(
         "point: {body: ball}", "point: {body: ball, at: [0, -1]}"
     )
@@ -366,7 +366,7 @@ def test_modes_are_listed_and_none_is_built(cli: Cli) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["svg", "png", "pdf", "dot", "mmd", "scxml"])
-def test_draw_writes_what_the_suffix_names(cli: Cli, suffix: str) -> None:
+def test_draw_writes_the_format_of_the_suffix(cli: Cli, suffix: str) -> None:
     code, out, _ = cli("draw", "toppling_stick", "-o", f"chart.{suffix}")
     assert (code, out.strip()) == (0, f"chart.{suffix}")
     data = (cli.folder / f"chart.{suffix}").read_bytes()
@@ -471,7 +471,7 @@ def test_check_passes_on_a_shipped_model(cli: Cli) -> None:
     assert list(cli.folder.iterdir()) == []
 
 
-def test_a_failing_check_exits_with_one_and_writes_what_reproduces_it(cli: Cli) -> None:
+def test_a_failing_check_exits_with_1_and_writes_a_reproduction(cli: Cli) -> None:
     path = cli.write(
         "kind: chart\nname: fall\nparameters: {v0: 1}\nranges: {v0: [0, 1]}\n"
         "variables: {x: 0, v: v0}\nstop: {time: 3}\nregions:\n  r:\n    initial: s\n"
@@ -497,7 +497,7 @@ def test_new_writes_a_scene_that_runs_and_overwrites_nothing(cli: Cli) -> None:
     assert (cli.folder / "rod.yaml").read_text() == text
 
 
-def test_an_unexpected_error_is_one_message_unless_asked_for_more(
+def test_an_unexpected_error_is_one_message_without_a_traceback(
     cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(arguments: object) -> int:
@@ -513,7 +513,7 @@ def test_an_unexpected_error_is_one_message_unless_asked_for_more(
         cli("schema")
 
 
-def test_an_interrupted_run_reports_and_saves_what_there_is(
+def test_an_interrupted_run_reports_and_saves_its_trace(
     cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from statechart.charts.laws import ChartLaws

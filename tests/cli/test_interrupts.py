@@ -48,13 +48,13 @@ def striking(work: Callable[..., object], at: int) -> Callable[..., object]:
 
 
 def test_these_tests_pass_where_a_shell_ignores_signals_in_the_background() -> None:
-    one = f"{__file__}::test_a_signal_waits_until_it_is_looked_for"
+    one = f"{__file__}::test_a_held_signal_waits_for_the_next_check"
     command = f"trap '' INT TERM HUP; '{sys.executable}' -m pytest -q '{one}'"
     done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
 
 
-def test_a_signal_waits_until_it_is_looked_for() -> None:
+def test_a_held_signal_waits_for_the_next_check() -> None:
     with interrupts.held():
         strike()
         assert interrupts.arrived() == 1
@@ -63,7 +63,7 @@ def test_a_signal_waits_until_it_is_looked_for() -> None:
     assert interrupts.arrived() == 0
 
 
-def test_a_signal_that_nobody_looked_for_is_delivered_after_all() -> None:
+def test_a_held_signal_without_a_check_is_delivered_at_the_end() -> None:
     done = []
 
     def work() -> None:
@@ -131,7 +131,7 @@ def test_after_a_signal_only_required_files_are_written() -> None:
     assert pieces.text() == "b, c, e (interrupted)"
 
 
-def test_signals_shorten_kept_pieces_without_ending_them() -> None:
+def test_signals_shorten_held_blocks_without_ending_them() -> None:
     pieces = PartialReport()
     with interrupts.held():
         assert pieces.keep("a", lambda short: short or strike(), False) is True

@@ -10,7 +10,7 @@ from statechart.cli.main import main
 
 
 @pytest.mark.parametrize("name", ["true", "null", "Null", "sin", "my scene", "1st"])
-def test_a_name_that_no_document_can_have(
+def test_an_invalid_document_name_is_refused(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

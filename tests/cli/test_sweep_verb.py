@@ -114,7 +114,7 @@ def test_cells_that_cannot_run_do_not_end_a_sweep(capsys: pytest.CaptureFixture[
     assert "must be between 0 and 1, not 1.5" in told
 
 
-def test_a_sweep_of_which_nothing_runs_has_failed() -> None:
+def test_a_sweep_in_which_no_cell_runs_fails() -> None:
     assert main(["sweep", "bouncing_ball", "--over", "k=1.5,2"]) == 1
 
 
@@ -264,7 +264,7 @@ def run(task, rows):
 """
 
 
-def test_a_worker_that_is_killed_costs_nothing_that_was_done(tmp_path: Path) -> None:
+def test_a_killed_worker_loses_no_finished_cells(tmp_path: Path) -> None:
     (tmp_path / "dead.py").write_text(_RUN)
     (tmp_path / "main.py").write_text(_DEAD)
     store = tmp_path / "a.zarr"

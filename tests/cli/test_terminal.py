@@ -76,7 +76,7 @@ def test_bash_completes_verbs_options_and_models(tmp_path: Path) -> None:
     ]
 
 
-def test_fish_and_zsh_load_what_completes(tmp_path: Path) -> None:
+def test_fish_and_zsh_load_the_completion_script(tmp_path: Path) -> None:
     asked = {
         "fish": (
             "{0} completion fish | source; complete -C 'statechart run toppl'; "
@@ -103,7 +103,7 @@ def test_fish_and_zsh_load_what_completes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
-def test_other_shells_can_read_what_completes(
+def test_the_completion_script_can_be_read_by_other_shells(
     shell: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     assert main(["completion", shell]) == 0
@@ -176,7 +176,7 @@ def test_the_page_of_a_run_is_opened(
     assert "the suffix must be .html or .htm" in capsys.readouterr().err
 
 
-def test_quiet_says_nothing_of_progress(
+def test_quiet_suppresses_progress(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -215,7 +215,7 @@ def test_long_work_is_a_bar_on_a_terminal_and_lines_elsewhere(
 
 
 @pytest.mark.skipif(find_spec("heyoka") is None, reason="heyoka is not installed")
-def test_a_cache_that_cannot_be_kept_says_nothing_among_results(tmp_path: Path) -> None:
+def test_an_unwritable_cache_prints_no_message_among_results(tmp_path: Path) -> None:
     kept = tmp_path / "file"
     kept.touch()
     settings = {**os.environ, "HOME": str(kept), "XDG_CACHE_HOME": str(kept)}
@@ -243,7 +243,7 @@ def actions() -> list[object]:
 
 
 @pytest.mark.parametrize("action", actions())
-def test_every_option_and_argument_says_what_it_is(action: argparse.Action) -> None:
+def test_every_option_and_argument_has_a_help_text(action: argparse.Action) -> None:
     assert action.help
 
 
@@ -256,6 +256,9 @@ def test_every_option_and_argument_says_what_it_is(action: argparse.Action) -> N
         ("run toppling_stick --set mu=1 g=2", "'g=2' is left over; write --set before each"),
         ("sweep toppling_stick mu=1", "'mu=1' is left over; write --over before each"),
         ("run toppling_stick twice", "'twice' is left over; put arguments with blanks in quotes"),
+        ("run toppling_stick --page a.html", "no option --page; write --report\n"),
+        ("run toppling_stick --t-end 3", "no option --t-end; write --until\n"),
+        ("animate toppling_stick", "write statechart run FILE --animate FILM.gif"),
         ("rnu toppling_stick", "no verb 'rnu'; did you mean 'run'? known: "),
     ],
 )  # fmt: skip

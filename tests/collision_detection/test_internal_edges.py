@@ -120,7 +120,7 @@ def test_sliding_over_flush_grounds_equals_sliding_on_one_edge(name, shape):
 
 
 @pytest.mark.parametrize("step", [5e-3, 1.1e-3])
-def test_a_tile_that_stands_out_catches(step):
+def test_a_protruding_tile_catches_a_sliding_body(step):
     tiles = {"t": (-9, 2, -1, 0), "s": (2, 40, -1, 0.05)}
     edges = {"t": edge((-9, 0), (2, 0)), "kerb": edge((2, 0), (2, 0.05)),
              "s": edge((2, 0.05), (40, 0.05))}  # fmt: skip
@@ -135,7 +135,7 @@ def test_a_tile_that_stands_out_catches(step):
 
 
 @pytest.mark.parametrize("steps", [80.3, 300.25, 1000.4])
-def test_a_sharp_corner_does_not_pass_under_a_wall_that_stands_on_the_floor(steps):
+def test_a_sharp_corner_does_not_pass_under_a_wall_on_the_floor(steps):
     grounds = {"floor": edge((-9, 0), (2, 0)), "wall": edge((2, 0), (2, 0.3))}
     # It would be at the wall after so many steps.
     x, y, angle, *_ = final(grounds, 1.2 / 5 / steps, shape=WEDGE, time=0.32, mu=0)
@@ -152,7 +152,7 @@ def test_a_box_that_falls_on_the_end_of_a_wall_or_on_a_ridge_is_held():
         assert [y, angle] == pytest.approx([0.1, 0], abs=1e-6)
 
 
-def test_bodies_that_rest_beside_each_other_are_one_floor():
+def test_adjacent_resting_bodies_form_one_floor():
     crate = "shape: {polygon: [[-1, -0.5], [1, -0.5], [1, 0.5], [-1, 0.5]]}"
     text = f"""kind: scene
 name: crates

@@ -37,7 +37,7 @@ def ended(kind: str, **values: float) -> np.ndarray:
 
 @pytest.mark.parametrize("v", [0.7, 2.0, 3.0])
 @pytest.mark.parametrize("mu", [0.0, 0.1, 0.4, 1.0])
-def test_a_box_that_comes_to_a_wall_does_what_it_does_before_lines(v, mu):
+def test_a_box_meets_a_wall_of_edges_as_one_of_lines(v, mu):
     for tilt in (0.0, 0.1):
         values = {"v": v, "mu": mu, "tilt": tilt}
         np.testing.assert_allclose(ended("edge", **values), ended("line", **values), atol=1e-9)
@@ -67,7 +67,7 @@ FOOT = "[[0.5, 0], [1.5, 0.3]]"
         ("edge: [[-5, 0], [0.5, 0]]", "edge: [[1/2 + 1e-15, 0], [1.5, 0.3]]"),
     ],
 )
-def test_a_ramp_whose_foot_is_on_a_floor_is_what_it_is_where_they_end_in_each_other(low, rise):
+def test_a_ramp_on_a_floor_equals_a_ramp_that_ends_at_it(low, rise):
     joined = {"low": "edge: [[-5, 0], [0.5, 0]]", "rise": f"edge: {FOOT}"}
     both = "low", "rise"
     found = slid({"low": low, "rise": rise}, both, 0.05)

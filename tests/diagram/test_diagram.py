@@ -286,7 +286,7 @@ def test_infeasible_state_is_dashed_and_says_why():
     assert 'tooltip="the wall is in the way"' in line
 
 
-def test_identifiers_differ_for_names_that_look_alike():
+def test_similar_names_have_different_identifiers():
     names = ("a:b", "a b", "a_b", "A_B", "a+b", "a-b", "1", "s_1", "state", "μ", "λ", "")
     every = identifiers(single("", (Node(n, n) for n in names), ())).values()
     assert len({name.lower() for name in every}) == len(names)

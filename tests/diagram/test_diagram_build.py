@@ -76,7 +76,7 @@ def test_one_contact_is_drawn_as_boxes_in_boxes() -> None:
     assert sum(link.cause in ("liftoff", "touchdown", "stick") for link in chart.links) == 4
 
 
-def test_a_choice_of_targets_says_what_each_resets() -> None:
+def test_a_choice_of_targets_shows_the_reset_of_each() -> None:
     runner = Runner("toppling_stick")
     (chart,) = build(runner.automaton, runner.start()[0]).charts
     resets = {link.target: link.reset for link in chart.links if link.cause == "touchdown"}
@@ -173,7 +173,7 @@ def test_legend_of_visited_modes_lists_visited_states_only() -> None:
     assert [row[0] for row in alone.states] == ["slide+", "slide-", "pin"]
 
 
-def test_modes_are_named_by_what_is_not_at_its_default() -> None:
+def test_modes_are_named_by_states_other_than_the_defaults() -> None:
     regions = automaton("woodpecker").regions
     names = [
         mode_label(list(zip(regions, states, strict=True)))[0]
@@ -198,7 +198,7 @@ def test_a_mode_of_many_closed_contacts_is_named_by_their_states() -> None:
     assert [(region.name, state) for region, state in told] == [("c0", "pin"), ("c10", "slide+")]
 
 
-def test_a_jump_of_several_regions_at_once_is_a_link_of_its_own() -> None:
+def test_a_simultaneous_jump_of_several_regions_is_one_link() -> None:
     runner = switches(2)
     trace = runner.run().trace
     both = replace(trace.jumps[0], target=("on", "on"))

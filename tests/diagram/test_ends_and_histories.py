@@ -75,7 +75,7 @@ def test_mermaid_ends_inside_the_states_that_are_done(diagram: Diagram) -> None:
     assert sum(line.strip() == "--" for line in lines) == 1
 
 
-def test_pictures_show_ends_histories_and_what_leaves_nothing(diagram: Diagram) -> None:
+def test_pictures_show_final_states_histories_and_dead_ends(diagram: Diagram) -> None:
     source = dot(diagram)
     assert source.count("\N{FISHEYE}") == 2
     assert source.count("shape=circle") == 1 + 4  # the history, and where charts begin

@@ -158,7 +158,7 @@ stop: {time: 1}
 """
 
 
-def test_no_arrow_leaves_the_room_of_its_chart() -> None:
+def test_no_arrow_leaves_the_area_of_its_chart() -> None:
     laid = json.loads(render(dot(drawn(Runner(read_text(LOOPS)))[0]), "json"))
     heading, table = (
         border(item) for item in laid["objects"] if item["name"] in ("_title", "_events")

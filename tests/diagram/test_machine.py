@@ -180,3 +180,20 @@ def test_the_machine_raises_the_events_that_its_transitions_wait_for(tmp_path: P
     machine.send("job.begin")
     active = {state.id for state in machine.configuration}
     assert {"job_done", "watch_busy"} <= active
+
+
+def test_the_machine_raises_no_event_of_the_states_it_starts_in(tmp_path: Path) -> None:
+    io = pytest.importorskip("statemachine.io")
+    text = RAISED.replace("on: job.work", "on: job.boot").replace(
+        "on: watch.seen}", "on: watch.seen}\n      - {name: back, from: work, to: boot, after: 1}"
+    )
+    written = tmp_path / "raised.scxml"
+    written.write_text(scxml(drawn(Runner(read_text(text)))[0]), encoding="utf-8")
+    machine = io.load(written)()
+    assert "watch_idle" in {state.id for state in machine.configuration}
+    machine.model.x = 1
+    machine.send("job.begin")
+    machine.send("job.back")
+    # The run, too, enters `busy` when `boot` is entered again.
+    assert "watch_busy" in {state.id for state in machine.configuration}
+    assert Runner(read_text(text)).run().trace.modes[0] == ("boot", "idle")

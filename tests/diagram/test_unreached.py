@@ -137,7 +137,7 @@ def test_the_graph_of_a_drawing_has_the_transitions_of_states_that_are_never_ent
     assert graph.nodes["b",] == {"label": "m:b", "feasible": False, "reason": UNREACHED}
 
 
-def test_a_controller_beside_a_contact_is_drawn_whole() -> None:
+def test_a_controller_next_to_a_contact_is_drawn_completely() -> None:
     drawing = diagram("""\
 kind: scene
 name: controlled

@@ -64,7 +64,7 @@ def here(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("name", [name for name, page in NAMES.items() if followed(page)])
-def test_a_page_does_what_it_says(name: str, at_home: Path) -> None:
+def test_examples_of_a_page_run(name: str, at_home: Path) -> None:
     if name == "sweeps.md":
         shutil.copy(DOCS / "models" / "ball_on_a_plate.yaml", at_home)
     follow(NAMES[name], at_home, thinner if name == "sweeps.md" else str, here)
@@ -176,7 +176,7 @@ def test_every_block_is_of_a_kind_that_is_done() -> None:
 
 
 @pytest.mark.parametrize("room", [statechart.testing, contacts.testing])
-def test_strategies_and_assertions_each_have_an_example_and_say_what_they_take(
+def test_strategies_and_assertions_have_examples_and_parameters(
     room: ModuleType,
 ) -> None:
     page = (DOCS / "testing.md").read_text(encoding="utf-8")

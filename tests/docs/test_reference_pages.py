@@ -58,7 +58,7 @@ def test_reference_lists_both_forms_of_a_field(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("package", [statechart, contacts])
-def test_every_public_name_stands_on_one_page_of_the_reference(package: ModuleType) -> None:
+def test_every_public_name_is_on_exactly_one_page_of_the_reference(package: ModuleType) -> None:
     pages = (Path(__file__).parents[2] / "docs" / "api").glob("*.md")
     listed = [
         name

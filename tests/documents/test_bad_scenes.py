@@ -86,7 +86,7 @@ def test_the_ends_of_ranges_are_models(ranges: str, words: str) -> None:
     assert "let the range end where the model is still one" in str(error)
 
 
-def test_a_range_points_to_what_is_wrong_in_a_list() -> None:
+def test_an_error_in_a_list_has_the_place_of_the_item() -> None:
     text = SCENE.replace("mass: m", "mass: m, shape: {polygon: [[-e, 0], [e, 0], [0, 1]]}")
     with pytest.raises(
         DeclarationError, match=r"rod\.shape\.polygon \(line 7, column 35\): all cor"

@@ -139,7 +139,7 @@ def test_numbers_and_text_survive_exactly(parameters: dict[str, float | int], do
 @pytest.mark.parametrize(
     "text", ["1e-3", "1", "true", "null", "~", "", ".inf", "a: b", "# x", "- a", "'", "[", "off"]
 )
-def test_text_that_looks_like_something_else_stays_text(text: str) -> None:
+def test_text_that_resembles_another_type_stays_text(text: str) -> None:
     chart = ball().model_copy(update={"doc": text})
     assert validate(read_text(dump(chart)), Chart).doc == text
 
@@ -287,7 +287,7 @@ def test_two_regions_must_not_move_the_same_variable() -> None:
         assert word in error.message
 
 
-def test_several_errors_are_all_told_in_order() -> None:
+def test_several_errors_are_listed_in_order() -> None:
     error = refused(ball_with("rest: {}", "rest: {flow: 1}").replace("time: 10", "tiem: 10"))
     assert [line.split(": ")[0] for line in str(error).splitlines()] == [
         "f.yaml:12:14",
@@ -361,7 +361,7 @@ def _installed(_anew: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
 
 
 @pytest.mark.usefixtures("_installed")
-def test_the_kind_is_looked_up_and_no_other_imported() -> None:
+def test_only_the_package_of_the_kind_is_imported() -> None:
     assert interpret(read_text(BALL)) == ball()
     assert set(kinds()) == {"chart", "scene"}
     assert kind("chart") is CHART

@@ -261,7 +261,7 @@ def test_anything_like_yaml_is_a_document_or_a_declaration_error(text: str) -> N
         ("kind: scene\n".encode("utf-16-le"), "1:2: the character U+0000 is not allowed; save the"),
     ],
 )
-def test_a_file_of_another_kind_is_named_as_what_it_is(tmp_path, raw, told):
+def test_a_file_of_another_format_is_named_in_the_error(tmp_path, raw, told):
     path = tmp_path / "model.yaml"
     path.write_bytes(raw)
     with pytest.raises(DeclarationError) as caught:

@@ -65,6 +65,7 @@ MISTAKES = {
     "no restitution": (", restitution: e", "", "write restitution: 0 for an impact without rebou"),
     "friction below zero": ("friction: mu", "friction: -0.1", "must be zero or positive, not -0.1"),
     "restitution above one": ("restitution: e", "restitution: 2", "between 0 and 1, not 2"),
+    "mode of another name": ("friction: mu", "friction: mu, modes: [stick]", "; write pin"),
     "mode misspelt": ("friction: mu", "friction: mu, modes: [free, slip]", "'slide', 'pin', not"),
     "one mode": ("friction: mu", "friction: mu, modes: slide", "such as [slide, pin]"),
     "useless friction": ("friction: mu", "friction: mu, modes: [free, pin]", "list slide among"),
@@ -454,7 +455,7 @@ OF_JOINTS = {
 
 
 @pytest.mark.parametrize("mistake", OF_JOINTS)
-def test_keys_of_other_programs_are_told_what_to_write(mistake: str) -> None:
+def test_keys_of_other_programs_have_hints(mistake: str) -> None:
     old, new, words = OF_JOINTS[mistake]
     assert old in LINKED
     with pytest.raises(DeclarationError) as caught:

@@ -56,6 +56,9 @@ def scene(**changes: object) -> Scene:
             lambda: setattr(Body(mass=1), "mass", 2),
             "Body: mass does not change once it is built; build another one: model_copy(",
         ),
+        (lambda: run(scene(), parameters={"gravity": 1}), "get a name by parameters: {g: 9.81}"),
+        (lambda: run(scene(), parameters={"dt": 1}), "no parameter 'dt'; write --step, in Python"),
+        (lambda: run(scene(), engine="RK45"), "no engine 'RK45'; write scipy"),
         (lambda: run(scene(), parameters={"m": "1"}), "no parameter 'm'; known: none"),
         (
             lambda: run("toppling_stick", parameters={"mu": "0.3"}),
@@ -196,7 +199,7 @@ def test_a_part_of_a_part_has_the_path_of_its_field_in_the_whole() -> None:
     ]
 
 
-def test_an_error_of_a_type_inside_of_a_call_stays_what_it_is() -> None:
+def test_a_type_error_inside_a_call_is_not_changed() -> None:
     def broken(line: str) -> None:
         raise TypeError(line)
 

@@ -147,7 +147,7 @@ def test_an_output_has_the_unit_of_its_formula(text: str, unit: str) -> None:
     assert model.unit("z") == unit
 
 
-def test_parameters_have_the_units_of_what_they_stand_for() -> None:
+def test_parameters_have_the_units_of_their_uses() -> None:
     springs = load("hopper")
     found = {name: springs.unit(name) for name in springs.parameters}
     assert found == {
@@ -203,7 +203,7 @@ outputs: {{tilted: {{value: cos(half), at: end}}}}
     assert model.unit("half") == "rad"
 
 
-def test_gains_that_are_plain_numbers_leave_rates_what_they_are() -> None:
+def test_constant_gains_do_not_change_the_units_of_rates() -> None:
     scene = read_text(
         "kind: scene\nname: leg\nunits: SI\nstop: {time: 1}\n"
         "coordinates: {lean: {start: 0}}\ncontrols: {tau: 0}\n"

@@ -15,7 +15,7 @@ def test_other_values_make_another_model():
     assert other.with_(mu=0.2, I_G="1/3").values() == model.values()
 
 
-def test_it_runs_as_with_the_values_set():
+def test_a_variant_runs_as_the_model_with_these_values():
     other = statechart.load("toppling_stick").with_(mu=0.3)
     set_ = statechart.run("toppling_stick", parameters={"mu": 0.3})
     assert statechart.run(other).outputs == set_.outputs

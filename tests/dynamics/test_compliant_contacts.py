@@ -153,7 +153,7 @@ def test_steps_come_nearer_to_the_closed_form_of_a_compliant_contact(name: str) 
         assert off < (150 if name == "undamped" else 40) * step
 
 
-def test_a_rigid_contact_bounces_beside_a_compliant_one_on_a_rope() -> None:
+def test_a_rigid_contact_bounces_together_with_a_compliant_one_on_a_rope() -> None:
     text = _BALL.replace("bodies: {", "bodies: {stone: {mass: 2, start: {x: 3, y: 0.5}}, ")
     text = (
         text.replace(
@@ -220,9 +220,7 @@ outputs: {gap: {value: c.gap}, slips: {value: time, at: first brake.slip}}
 
 @pytest.mark.parametrize(("engine", "step"), [("taylor", None), ("impulse", 1e-4)])
 @pytest.mark.parametrize("led", [False, True])
-def test_a_damper_that_lands_moves_what_a_brake_holds(
-    engine: str, step: float | None, led: bool
-) -> None:
+def test_a_landing_damper_moves_a_braked_body(engine: str, step: float | None, led: bool) -> None:
     # The damper's force at the touch, d w, exceeds the limit: the brake slips at once, and the gap
     # obeys g'' + d g' + k g = -L.
     region = "regions: {r: {initial: on, variables: {s: 0}, states: {on: {flows: {s: w}}}}}\n"

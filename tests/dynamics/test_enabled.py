@@ -111,7 +111,7 @@ def test_a_particle_slides_off_the_end_of_a_table(name: str) -> None:
 
 
 @pytest.mark.parametrize(("x", "caught"), [(-1.001, False), (-0.999, True), (1.001, False)])
-def test_only_what_falls_between_its_ends_meets_an_edge(x: float, caught: bool) -> None:
+def test_only_points_between_its_ends_meet_an_edge(x: float, caught: bool) -> None:
     trace = _run(_scene(Surface(edge=((-1, 2), (1, 2))), {"x": x, "y": 3}))
     assert (trace.final_mode == ("pin",)) is caught
 
@@ -195,9 +195,7 @@ def test_conditions_are_read_back_as_they_were_written() -> None:
         ({"enabled": "time > 0", "modes": (Slide(), Pin()), "restitution": None}, "list free"),
     ],
 )
-def test_conditions_that_nothing_can_decide_are_refused(
-    fields: dict[str, Any], message: str
-) -> None:
+def test_undecidable_conditions_are_refused(fields: dict[str, Any], message: str) -> None:
     text = None
     with pytest.raises(Exception, match=message):
         text = _scene(Surface(height=0), {}, **fields)

@@ -238,7 +238,7 @@ def test_work_of_a_driven_pivot_equals_the_gain_of_energy() -> None:
     assert max(float(np.abs(arc.coefficients[:, 2, 0]).max()) for arc in free.arcs) > 2.0
 
 
-def test_a_joint_that_others_imply_changes_nothing_but_the_share_of_forces() -> None:
+def test_a_redundant_joint_changes_only_the_sharing_of_forces() -> None:
     once, twice = _pendulum(0.7), _pendulum(0.7)
     pivot = once.joints["pivot"]
     twice = once.model_copy(update={"joints": {"pivot": pivot, "again": pivot}})
@@ -363,7 +363,7 @@ def test_a_joint_is_read_back_as_it_was_written() -> None:
         ("{point: {body: rod}}", "'to' is missing"),
     ],
 )
-def test_a_joint_that_says_nothing_is_refused_with_its_place(joint: str, message: str) -> None:
+def test_an_empty_joint_is_refused_with_its_place(joint: str, message: str) -> None:
     lines = [*_DOCUMENT.splitlines()[:-1], f"  hip: {joint}"]
     with pytest.raises(DeclarationError, match=message) as caught:
         _read("\n".join(lines))

@@ -129,7 +129,7 @@ def test_a_block_rides_on_a_belt_until_its_acceleration_beats_friction(name: str
     assert trace.final[2] == pytest.approx(speed, abs=1e-9)
 
 
-def test_a_block_stays_where_it_stands_on_a_shaken_table(name: str) -> None:
+def test_a_block_sticks_to_a_shaken_table(name: str) -> None:
     scene = Scene(
         name="table",
         gravity=10,

@@ -7,11 +7,13 @@ import re
 from typing import Any
 
 import pytest
+from scipy.integrate import solve_ivp
 
 import statechart
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, NoConsistentMode
 from statechart.loading.load import interpret
+from statechart.testing.checking import check
 
 _BREAKS = """
 kind: scene
@@ -223,9 +225,98 @@ def test_a_broken_joint_does_not_close_again() -> None:
         ("rope: 1, restitution: 0.5", "rest: captured", "write enabled"),
         ("rope: 1, restitution: 0.5", "limits: [0, 1]", "a particle, which has no angle"),
         ("rope: 1,", "rope: 1, enabled: rope.X <= 1,", "rope.X"),
+        ("rope: 1,", "rope: 2 + a.x,", "write a formula of time, controls and variables"),
+        ("rope: 1, restitution: 0.5", "rod: 2 + a.x", "write a formula of time, or a rope"),
     ],
 )
 def test_a_mistake_in_a_joint_is_reported(old: str, new: str, told: str) -> None:
     assert old in _ROPE
     with pytest.raises(DeclarationError, match=re.escape(told)):
         statechart.run(interpret(read_text(_ROPE.replace(old, new), "joint.yaml")))
+
+
+_ENGINES = [
+    ({"engine": "taylor"}, 1e-9),
+    ({"engine": "scipy"}, 1e-9),
+    ({"engine": "impulse", "step": 1e-3}, 2e-3),
+]
+_WINCH = """
+kind: scene
+name: winch
+gravity: 9.81
+parameters: {v: 0.3}
+bodies: {load: {mass: 2, start: {y: -2}}}
+surfaces: {floor: {height: -2}}
+contacts: {foot: {point: {body: load}, surface: floor, friction: 0.5, restitution: 0}}
+joints: {rope: {point: {body: load}, to: [0, 0], rope: l}}
+regions:
+  winch:
+    initial: idle
+    variables: {l: 2.06}
+    states: {idle: {}, hauls: {flows: {l: -v}}, holds: {}}
+    transitions:
+      - {name: go, from: idle, to: hauls, after: 0.5}
+      - {name: done, from: hauls, to: holds, guard: l <= 1.5}
+stop: {time: 3}
+outputs:
+  taut: {value: time, at: each rope.touchdown}
+  top: {maximum: load.y}
+  pull: {value: rope.V}
+"""
+_HAULED = """
+kind: scene
+name: hauled
+gravity: 9.81
+parameters: {L: 2, v: 0.3, phi: 0.1}
+bodies:
+  load: {mass: 2, start: {x: L*sin(phi), y: -L*cos(phi), dx: -v*sin(phi), dy: v*cos(phi)}}
+joints: {line: {point: {body: load}, to: [0, 0], KIND: L - v*time}}
+stop: {time: 3}
+outputs: {x: {value: load.x}, y: {value: load.y}, pull: {value: line.FORCE}}
+"""
+
+
+@pytest.mark.parametrize(("settings", "near"), _ENGINES)
+def test_a_winch_lifts_a_load_and_stops(settings: dict[str, Any], near: float) -> None:
+    got = statechart.run(interpret(read_text(_WINCH)), **settings).outputs
+    flight = 2 * 0.3 / 9.81
+    assert got["taut"] == pytest.approx([0.7, 0.7 + 0.5 / 0.3 + flight], abs=near)
+    assert got["top"] == pytest.approx(-1.5 + 0.3 * flight / 4, abs=near)
+    assert got["pull"] == pytest.approx(2 * 9.81, abs=near)
+
+
+@pytest.mark.parametrize(("kind", "force"), [("rope", "V"), ("rod", "T")])
+@pytest.mark.parametrize(("settings", "near"), _ENGINES)
+def test_a_pendulum_that_is_hauled_in(
+    kind: str, force: str, settings: dict[str, Any], near: float
+) -> None:
+    """L phi'' = 2 v phi' - g sin(phi), and the tension m (L phi'^2 + g cos(phi))."""
+    v, g = 0.3, 9.81
+    swing = solve_ivp(
+        lambda t, y: (y[1], (2 * v * y[1] - g * math.sin(y[0])) / (2 - v * t)),
+        (0, 3), (0.1, 0), method="DOP853", rtol=1e-12, atol=1e-13,
+    )  # fmt: skip
+    (phi, rate), length = swing.y[:, -1], 2 - v * 3
+    text = _HAULED.replace("KIND", kind).replace("FORCE", force)
+    got = statechart.run(interpret(read_text(text)), **settings).outputs
+    want = {
+        "x": length * math.sin(phi),
+        "y": -length * math.cos(phi),
+        "pull": 2 * (length * rate**2 + g * math.cos(phi)),
+    }
+    assert {**got} == pytest.approx(want, rel=0, abs=near)
+
+
+def test_work_of_a_winch_is_its_tension_times_its_speed() -> None:
+    text = _HAULED.replace("KIND", "rope").replace("FORCE", "V")
+    report = check(interpret(read_text(text)), examples=2, seed=1)
+    assert report.passed, report.text()
+
+
+def test_a_rope_that_a_control_shortens_ends_the_run() -> None:
+    text = _WINCH.replace("variables: {l: 2.06}", "variables: {}").replace("l <= 1.5", "time >= 2")
+    text = text.replace("flows: {l: -v}", "sets: {l: 1.5}").replace(
+        "stop:", "controls: {l: 2}\nstop:"
+    )
+    with pytest.raises(NoConsistentMode, match="rope 'rope' jumps to 0"):
+        statechart.run(interpret(read_text(text)))

@@ -375,7 +375,7 @@ def test_open_coupling_that_closes_on_turning_wheels_slips_until_the_speeds_meet
     assert found[3][1] == pytest.approx(T3 + 0.1, abs=EXACT)
 
 
-def test_open_couplings_are_told_apart_by_their_names() -> None:
+def test_open_couplings_are_distinguished_by_their_names() -> None:
     trace = run(CLUTCHES).trace
     assert trace.arcs[0].mode == ("slip+", "open", "open")
 

@@ -103,7 +103,7 @@ stop: {time: 1}
         ("time: 1", "time: 1, conditions: {far: b.x >= mu}"),
     ],
 )
-def test_a_control_that_no_state_sets_is_refused_wherever_it_is_used(old: str, new: str) -> None:
+def test_a_control_without_a_setting_state_is_refused(old: str, new: str) -> None:
     text = IDLE.replace(old, new, 1)
     assert "f.yaml:6:12: controls.mu: no state sets 'mu'; set it in a state of" in refused(text)
 
@@ -146,7 +146,7 @@ def test_coefficients_of_contacts_are_constant_in_a_state_of_one_region() -> Non
     assert "regions 'motor' and 'gear' both set what it depends on" in refused(two)
 
 
-def test_a_scene_with_controllers_equals_what_is_read_back_from_its_own_text() -> None:
+def test_a_scene_with_controllers_survives_a_round_trip_through_yaml() -> None:
     for text in (SPRINT, ICE, BALL, TWO):
         model = interpret(read_text(text))
         assert isinstance(model, Scene)

@@ -53,6 +53,23 @@ def scene(text: str) -> Scene:
     return validate(read_text(text), Scene)
 
 
+def shares(drag: float | str, friction: float, force: str = "") -> Scene:
+    """Return a pushed block on a floor with friction, and a force."""
+    rest = f"drag: {{body: b, force: [{force or drag}, 0]}}" if drag else ""
+    return scene(f"""\
+kind: scene
+name: both
+gravity: {G}
+bodies: {{b: {{mass: {MASS}, start: {{dx: 1}}}}}}
+surfaces: {{floor: {{line: [[0, 0], [1, 0]]}}}}
+contacts: {{c: {{point: {{body: b}}, surface: floor, friction: {friction!r}, restitution: 0}}}}
+controls: {{u: 0}}
+regions: {{r: {{initial: on, states: {{on: {{sets: {{u: {drag}}}}}}}}}}}
+forces: {{push: {{body: b, force: [9*sin(3*time), 0]}}, {rest}}}
+stop: {{time: 6}}
+""")
+
+
 def starts(trace: Trace) -> list[float]:
     return [arc.start.high for arc in trace.arcs[1:]]
 
@@ -106,3 +123,28 @@ def test_steps_stand_still_under_a_push_below_friction() -> None:
     assert np.abs(result.trace.final - [0.5, 0.0, 0.0, 0.0]).max() < 1e-14
     # The control is what holds the block.
     assert result.outputs["way"] < 1e-12
+
+
+@engines
+@pytest.mark.parametrize("drag", [0.4, 2.5, 6.0])
+@pytest.mark.parametrize("force", ["", "u"])
+def test_a_sign_and_a_contact_bear_together_what_they_can(
+    engine: str, drag: float, force: str
+) -> None:
+    both = run(shares(f"-{drag}*sign(b.dx)", MU, force), engine=engine).trace
+    alone = run(shares(0, MU + drag / (MASS * G)), engine=engine).trace
+    assert [jump.cause for jump in both.jumps] == [jump.cause for jump in alone.jumps]
+    assert [jump.t for jump in both.jumps] == pytest.approx([j.t for j in alone.jumps], abs=1e-11)
+    assert both.final == pytest.approx(alone.final, abs=1e-11)
+    assert both.certified
+
+
+@pytest.mark.parametrize("push", [0.5, 1.5])
+def test_the_smallest_forces_of_a_contact_and_a_sign_are_shown(push: float) -> None:
+    text = BLOCK.replace("friction: 0, modes: [slide]", f"friction: {MU}, modes: [slide, pin]")
+    text = text.replace("-k*b.x + 6*sin(2*time) + u", f"{push} - 0.5*sign(b.dx)")
+    text = text.replace("outputs: {", "outputs: {H: {value: c.H}, ")
+    result = run(scene(text), engine="taylor")
+    # Equal springs share, until the sign is at its limit.
+    assert result.outputs["H"] == pytest.approx(-max(push / 2, push - 0.5), abs=1e-12)
+    assert "the forces of c, sign(b.dx) are indeterminate" in " ".join(result.warnings)

@@ -151,7 +151,7 @@ outputs:
 
 
 @ENGINES
-def test_a_ball_keeps_its_energy_in_a_bowl_that_rises_beside_a_variable(engine: str) -> None:
+def test_a_ball_in_a_rising_bowl_conserves_energy_with_a_variable(engine: str) -> None:
     # In the frame of the bowl gravity is g + a.
     ran = run(MOVING_BOWL, engine)
     assert ran.trace.outcome.name == "HORIZON"

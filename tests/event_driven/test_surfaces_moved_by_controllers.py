@@ -157,7 +157,7 @@ def test_a_shelf_that_jumps_into_a_point_ends_the_run(settings: str) -> None:
     assert "surface 'shelf' jumps 0.2 deep into the point of 'foot'" in trace.message
 
 
-def test_a_path_by_what_bodies_do_is_refused() -> None:
+def test_a_path_that_depends_on_bodies_is_refused() -> None:
     with pytest.raises(DeclarationError, match=r"'s' moves a surface, and depends on 'ball\.x'"):
         _run(LIFT.replace("{s: v}", "{s: ball.x}"), ENGINES[0], 1.0)
     with pytest.raises(DeclarationError, match=r"'h' moves a surface, and depends on 'ball\.y'"):

@@ -122,7 +122,7 @@ def test_certificate_compiles_tape_kernel_for_one_signature_only(
     assert len(tape_values.compiled.signatures) == 1
 
 
-def test_a_run_without_steps_has_nothing_to_prove() -> None:
+def test_a_run_without_steps_is_proved() -> None:
     trace = run("toppling_stick", until=0, certify=True).trace
     assert trace.certified is True
     assert trace.evidence["motion"] == "the run has no steps"
@@ -212,13 +212,13 @@ _LOWEST = (
 
 
 @pytest.mark.parametrize("until", [10, 100, 1000])
-def test_round_off_of_steps_that_nothing_bounds_alone_is_part_of_the_whole(until: float) -> None:
+def test_round_off_of_steps_is_part_of_the_global_error(until: float) -> None:
     # Of each step no more is known than its bound; a sum of them is off by one of them at least.
     motion = run(read_text(_SWING), engine="taylor", until=until, certify=True).trace.motion
     assert motion.local <= motion.whole <= 100.0 * motion.local
 
 
-def test_round_off_makes_an_event_late_by_what_its_slope_magnifies_it_to() -> None:
+def test_round_off_delays_an_event_by_its_inverse_slope() -> None:
     trace = run(read_text(_LOWEST), engine="taylor", until=4, certify=True).trace
     (jump,) = trace.jumps
     slope = math.sqrt(1.0 - 0.999999**2)
@@ -228,9 +228,7 @@ def test_round_off_makes_an_event_late_by_what_its_slope_magnifies_it_to() -> No
 
 
 @pytest.mark.parametrize(("part", "proved"), [(6.0, True), (9.0, False), (50.0, False)])
-def test_a_step_is_proved_to_sixteen_times_what_steps_are_allowed(
-    part: float, proved: bool
-) -> None:
+def test_a_step_is_proved_up_to_sixteen_times_the_allowed_defect(part: float, proved: bool) -> None:
     # x' = 0, and a step that rises by so many times what is allowed: the integral of its defect,
     # which the enclosure bounds by a little more than twice that.
     chart = interpret(read_text(_SWING.replace("{x: v, v: -x}", "{x: 0}")))

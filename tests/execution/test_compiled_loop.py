@@ -44,7 +44,7 @@ CASES = [
 def traced(
     model: str, values: dict[str, float], worth: float, monkeypatch: pytest.MonkeyPatch
 ) -> Trace:
-    monkeypatch.setattr(compiled_loop, "_WORTH", worth)
+    monkeypatch.setattr(compiled_loop, "_WORTH_COMPILING", worth)
     runner = Runner(model)
     runner.run(values, throw=False)  # every mode is made known
     return runner.run(values, throw=False).trace
@@ -97,7 +97,7 @@ def test_low_bounces_are_made_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_repeated_run_keeps_its_warnings(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled_loop, "_WORTH", -1)
+    monkeypatch.setattr(compiled_loop, "_WORTH_COMPILING", -1)
     lifted = (Path(models.__file__).parent / "bouncing_ball.yaml").read_text()
     runner = Runner(read_text(lifted.replace("gravity: g\n", "gravity: -9.81\n")))
     warnings = [runner.run(until=0.1).trace.warnings for _ in range(3)]

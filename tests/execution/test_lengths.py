@@ -56,7 +56,7 @@ def test_starts_near_the_least_float_are_integrated(method: str, x0: float) -> N
 
 @pytest.mark.parametrize("name", ["taylor", "scipy"])
 @pytest.mark.parametrize("height", [5e-324, 1e-310, 1e-300, 1e-200, 1e-99])
-def test_a_ball_dropped_from_next_to_nothing_comes_to_rest(name: str, height: float) -> None:
+def test_a_ball_dropped_from_a_tiny_height_comes_to_rest(name: str, height: float) -> None:
     made = run(read_text(BALL), engine=name, parameters={"y0": height}).trace
     assert made.outcome is Outcome.HORIZON
     assert abs(made.final[1]) <= max(height, 1e-20)
@@ -105,7 +105,7 @@ def test_a_trace_that_grows_too_large_ends_the_run(
     assert size < 2 * 2**20
 
 
-def test_a_trace_that_memory_does_not_hold_is_kept_on_disk(
+def test_a_trace_larger_than_memory_is_stored_on_disk(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     runner = Runner("stick_slip_block", engine="taylor")
@@ -131,7 +131,7 @@ def test_a_trace_of_many_blocks_takes_few_files(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(trace_store, "IN_MEMORY", 2**18)
     monkeypatch.setattr(trace_store, "_TERMS", 2**11)
     # What a flow may take of a pad fits on it.
-    monkeypatch.setattr(compiled_loop, "_PART", 2**9)
+    monkeypatch.setattr(compiled_loop, "_MAX_COEFFICIENTS", 2**9)
     runner = Runner("stick_slip_block", engine="taylor")
     resource.setrlimit(resource.RLIMIT_NOFILE, (opened + 60, most[1]))
     try:

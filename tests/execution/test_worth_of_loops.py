@@ -1,9 +1,9 @@
 """Choice of the compiled loop: cached on disk, or worth compiling."""
 
-from statechart.execution.compiled_loop import _WORTH, _CompilationPolicy
+from statechart.execution.compiled_loop import _WORTH_COMPILING, _CompilationPolicy
 
 
-def test_the_disk_is_looked_at_when_twice_as_much_was_asked_for() -> None:
+def test_the_cache_is_checked_when_the_requests_have_doubled() -> None:
     looked: list[bool] = []
 
     def look() -> bool:
@@ -17,5 +17,5 @@ def test_the_disk_is_looked_at_when_twice_as_much_was_asked_for() -> None:
 
 def test_loop_is_compiled_after_enough_requests() -> None:
     worth = _CompilationPolicy(lambda: False)
-    assert not worth.pays(_WORTH)
+    assert not worth.pays(_WORTH_COMPILING)
     assert worth.pays()

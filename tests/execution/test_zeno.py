@@ -148,7 +148,7 @@ def bouncing(*names: str, settle: bool) -> Automaton:
     )
 
 
-def test_an_accumulation_that_nobody_declared_ends_the_run_and_says_what_to_do() -> None:
+def test_an_undeclared_accumulation_ends_the_run_with_advice() -> None:
     simulator = Simulator(bouncing("one", settle=False), Taylor(2.2e-16))
     trace = simulator.run(until=20.0, throw=False)
     assert trace.outcome is Outcome.ZENO
@@ -175,7 +175,7 @@ def test_two_balls_settle_each_at_its_own_time(one: float, other: float) -> None
         assert settled["a"] == settled["b"]
 
 
-def test_the_rest_of_a_sequence_holds_its_own_region_only() -> None:
+def test_a_zeno_sequence_captures_only_its_region() -> None:
     chart = bouncing("a", "b", settle=True)
     simulator = Simulator(chart, SciPy(1e-6))
     trace = simulator.run({"k_a": 0.5, "k_b": 1.0}, until=3.0)
@@ -254,7 +254,7 @@ def test_jumps_at_one_instant_without_flows_between_are_a_loop_and_no_accumulati
     assert found == [None] * 60
 
 
-def test_intervals_that_round_off_disturbs_are_not_extrapolated_beyond_what_converges() -> None:
+def test_intervals_with_round_off_are_extrapolated_only_while_they_converge() -> None:
     disturbed = np.random.default_rng(1).uniform(-1e-4, 1e-4, (200, 12))
     rest = 0.7**12 / 0.3
     for row in 0.7 ** np.arange(12) * (1.0 + disturbed):

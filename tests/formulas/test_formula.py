@@ -269,7 +269,7 @@ def test_cyclic_parameters_name_the_cycle() -> None:
         order_parameters({"x": parse("x + 1")})
 
 
-def test_a_value_given_to_one_of_them_breaks_the_cycle() -> None:
+def test_an_override_of_one_parameter_breaks_a_cycle() -> None:
     assert Constants({"a": parse("b"), "b": parse("a")}).values({"a": 2}) == {"a": 2, "b": 2}
 
 

@@ -166,7 +166,7 @@ def test_a_chart_without_unknowns_needs_no_solution() -> None:
     assert solve_linear([], ()) == ()
 
 
-def test_masses_and_constraints_that_belong_together_divide_by_nothing_that_vanishes() -> None:
+def test_coupled_masses_and_constraints_have_no_vanishing_pivots() -> None:
     # A mass matrix and constraints of which every entry but the masses may be zero at a state.
     count, held = 5, 3
     unknowns = system(count + held)

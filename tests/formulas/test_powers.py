@@ -109,7 +109,7 @@ def runner(what: str, p: int, q: int, engine: str) -> Runner:
     b=st.floats(0.1, 1.0),
     c=st.floats(0.1, 1.0),
 )
-def test_whole_powers_of_what_starts_at_zero_follow_their_equations(
+def test_integer_powers_of_series_that_start_at_zero_are_exact(
     what: str, p: int, q: int, x0: float, a: float, b: float, c: float
 ) -> None:
     numbers = {"x0": 0.0 if what == "hung" else x0, "a": a, "b": b, "c": c}

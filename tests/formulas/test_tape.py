@@ -123,7 +123,7 @@ def test_a_definition_cannot_use_a_later_one():
         tape_of(a, definitions=[(a, b + 1), (b, X)])
 
 
-def test_a_symbol_given_twice_is_refused():
+def test_a_duplicate_symbol_is_refused():
     with pytest.raises(StatechartError, match="twice: x"):
         compile_tape([X], variables=[X], parameters=[X], time=T)
 

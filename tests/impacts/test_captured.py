@@ -131,7 +131,7 @@ def test_feet_that_rattle_bear_together_only_when_they_have_come_to_rest(name: s
 @both
 @pytest.mark.parametrize(("e", "count"), [(0.5, 24), (0.8, 70)])
 @pytest.mark.parametrize("base", [0.0, 0.1, 5.0, 1e3])
-def test_as_many_bounces_are_resolved_wherever_the_origin_is(
+def test_the_number_of_resolved_bounces_does_not_depend_on_the_origin(
     name: str, base: float, e: float, count: int
 ) -> None:
     values = {"base": 0.0, "e": e, "mu": 0.1, "v": 0.3, "h": 0.25, "part": 99.0}

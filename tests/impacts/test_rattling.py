@@ -63,7 +63,7 @@ def assert_energy_never_grows(trace) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_impacts_in_turn_that_no_gap_resolves_are_the_end_of_them(engine: str) -> None:
+def test_alternating_impacts_below_the_gap_tolerance_end(engine: str) -> None:
     trace = runner(REPORTED, engine).run(throw=False).trace
     assert trace.outcome.name == "HORIZON"
     assert trace.jumps[-1].target == ("pin", "pin")

@@ -239,7 +239,7 @@ def test_endless_sequences_are_reported() -> None:
 # --- which contacts belong together
 
 
-def test_contacts_that_share_nothing_keep_their_own_law() -> None:
+def test_uncoupled_contacts_keep_their_own_impact_law() -> None:
     wide = np.zeros((3, 2, 6))
     wide[0, :, :3], wide[1, :, 3:], wide[2, :, 3:] = point(0.6, -0.8), point(-1, 0), point(1, 0)
     velocity = [0.3, -1.0, 0.2, 0.0, 0.0, 0.0]
@@ -468,7 +468,7 @@ def check(snapshot: Snapshot, laws: list[ContactLaw], result: Impacts) -> None:
     assert (np.abs(snapshot.mass @ change - pushed) <= rounding).all(), "impulses"
 
 
-def test_impulses_are_what_moved_a_heavy_body_with_nearly_no_inertia() -> None:
+def test_impulses_balance_the_momentum_of_a_body_with_nearly_no_inertia() -> None:
     # Once slip has stopped, an impulse at the tip turns the body and hardly moves it; what rounding
     # leaves of the tip's rate is not to be mended by what would move it.
     jacobian = [
@@ -520,7 +520,7 @@ def test_random_impacts_keep_energy_cones_and_separation(choice: Any) -> None:
         check(snapshot, laws, impacts(snapshot, laws, [True] * len(laws), choice))
 
 
-def test_contacts_at_one_place_are_given_no_impulses_that_only_rounding_explains() -> None:
+def test_contacts_at_one_place_have_no_impulses_of_round_off() -> None:
     # A tip at the bottom of a groove: both walls act on the one velocity of the tip.
     random = np.random.default_rng(3)
     for _ in range(400):

@@ -55,7 +55,7 @@ def _followed(e: float, j: float, c: float, k: float, mu: float) -> tuple[float,
 @pytest.mark.parametrize(
     ("j", "c", "k", "mu"), [(50, 0, 0, 0), (-50, 0, 0, 0), (30, -40, 0, 0), (0, 40, 90, 0.5)]
 )
-def test_the_rest_of_them_is_summed_with_what_their_acceleration_changes_by(
+def test_the_zeno_sum_includes_the_change_of_acceleration(
     engine: str, e: float, j: float, c: float, k: float, mu: float
 ) -> None:
     values = {"e": e, "j": j, "c": c, "k": k, "mu": mu}

@@ -57,7 +57,7 @@ def test_a_ball_in_a_corner_is_hit_by_both_walls_at_once(engine: str, e: float) 
     assert [found["x"], found["y"]] == pytest.approx([2.0 * e * 1.5] * 2, abs=1e-12)
 
 
-def test_hinged_rods_that_a_motor_spins_up_keep_what_no_force_changes(engine: str) -> None:
+def test_hinged_rods_with_a_motor_conserve_momenta(engine: str) -> None:
     g, length, mass, push, first, second, end = 9.81, 0.375, 2.0, 6.0, -0.9, -2.2, 2.5
     found = outputs("tumble", engine)
     # The middle of both falls; they start at rest, and the motor turns them against each other.

@@ -89,7 +89,7 @@ def test_a_block_at_the_friction_limit_sticks(engine: str, force: str) -> None:
         ("-5*time**2 - time**4", -5.0, 0.0, 1),
     ],
 )
-def test_a_plate_that_falls_as_what_lies_on_it(
+def test_a_falling_plate_carries_its_load_without_force(
     engine: str, path: str, y: float, push: float, left: int
 ) -> None:
     # It presses, or leaves, by what its path has beyond the second order.

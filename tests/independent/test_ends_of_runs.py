@@ -68,7 +68,9 @@ def test_a_condition_is_met_as_a_guard_fires(
     ("condition", "end"), [("b.dx <= 0", _LANDS), ("b.dx < 0", 2.0), ("b.dx**2 <= 0", _LANDS)]
 )
 @pytest.mark.parametrize("e", [0.0, 0.5])
-def test_by_steps_what_stays_on_its_boundary_is_met(condition: str, end: float, e: float) -> None:
+def test_steps_meet_a_stop_condition_that_stays_on_its_boundary(
+    condition: str, end: float, e: float
+) -> None:
     model = interpret(read_text(_THROWN.replace("CONDITION", condition)))
     for step in (1e-3, 1.234e-3):
         found = statechart.run(

@@ -53,7 +53,7 @@ settings: {{engine: impulse, step: STEP}}
 
 
 @pytest.mark.parametrize("force", [9.7, 10.5, 12.0, 30.0])
-def test_a_gripper_lifts_what_its_friction_holds(force):
+def test_a_gripper_lifts_up_to_its_friction_limit(force):
     # It closes at rest and starts at once: the box lags until it has the speed of the jaws, and
     # goes on a little where they stop.
     gains, loses = 2 * 0.5 * force - G, 2 * 0.5 * force + G

@@ -151,7 +151,7 @@ def test_with_events_it_is_one_leg(engine, moved):
     ids=["one point", "two points", "joints"],
 )
 @pytest.mark.parametrize("step", [4e-3, 1e-3, 3e-4, 1e-4])
-def test_by_steps_what_is_held_is_struck_as_one(step, arm, moved):
+def test_steps_strike_latched_bodies_as_one(step, arm, moved):
     found = _run(arm, moved, engine="impulse", step=step).outputs
     for name, wanted in _moves().items():
         assert np.abs(found[name] - wanted).max() <= 12.0 * step, (name, found[name], wanted)

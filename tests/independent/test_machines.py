@@ -32,7 +32,7 @@ def expected(name: str) -> Mapping[str, Any]:
         ("scipy", "LSODA", 1e-10, 1e-6),
     ],
 )
-def test_a_machine_does_what_it_does(
+def test_a_machine_follows_its_closed_form(
     name: str, engine: str, method: str | None, tolerance: float | None, error: float
 ) -> None:
     result = statechart.run(

@@ -176,7 +176,7 @@ SPRING = 2000 * (0.2 * math.tan(LEAN) + 0.1)
 
 
 @pytest.mark.parametrize("mu", [0.1, 0.3, 0.6])
-def test_a_wedge_sticks_between_what_drives_it_in_and_what_draws_it_out(mu):
+def test_a_wedge_sticks_between_its_two_force_limits(mu):
     friction = math.atan(mu)
     into, out = (2 * SPRING * math.tan(LEAN + sign * friction) for sign in (1, -1))
     # Below its angle of friction it has to be drawn.

@@ -149,7 +149,7 @@ def test_a_hand_acts_at_the_instant_of_a_contacts_event(engine: str) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_rough_elastic_ball_keeps_what_friction_leaves_it(engine: str) -> None:
+def test_a_rough_elastic_ball_loses_only_the_work_of_friction(engine: str) -> None:
     # The first impact takes the slip of 1 + 0.6, by an impulse of 1.6/(1/m + r^2/I); no later one.
     impulse = 1.6 / 1.4
     found = outputs(_BALL, engine)

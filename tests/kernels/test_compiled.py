@@ -69,7 +69,7 @@ def _first_row(values: Array, pair: tuple[Array, Array]) -> Array:
     ("function", "counts"),
     [(_sum_of_rows, False), (_of_a_copy, True), (_of_those_chosen, True), (_first_row, True)],
 )
-def test_references_are_counted_where_arrays_are_made_or_given_back(function, counts):
+def test_references_are_counted_when_arrays_are_created_or_returned(function, counts):
     compiled = Kernel(function, interpreted=False)
     compiled.cache._folders.clear()  # loaded code has no text
     values, pair = np.array([[1.0, 2.0], [3.0, 4.0]]), (np.array([5.0, 6.0]), np.ones(2))
@@ -270,7 +270,7 @@ def test_literals_and_widths_of_integers_are_no_other_signature(upper, tmp_path)
     assert [signature[0].name for signature in lower.inner.overloads] == ["int64"]
 
 
-def test_a_kernel_that_cannot_be_kept_beside_its_source_is_kept_for_the_user(
+def test_a_kernel_with_a_read_only_source_is_cached_for_the_user(
     upper, tmp_path, compilations, monkeypatch
 ):
     monkeypatch.setattr(cache.Path, "home", lambda: tmp_path / "home")

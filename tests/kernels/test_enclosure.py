@@ -117,7 +117,7 @@ small = st.floats(-1.5, 1.5)
     st.floats(0.0, 1.0),
     st.sampled_from([0.0, 1e-6, 0.01, 0.1, 0.5]),
 )
-def test_an_enclosure_contains_what_balls_of_200_bits_find(expression, numbers, p, m, w):
+def test_an_enclosure_contains_the_result_of_200_bit_ball_arithmetic(expression, numbers, p, m, w):
     tape = tape_of(expression)
     coeffs = np.array(numbers).reshape(1, 2, 3)
     times, start = [0.25, 1.5], 3.0

@@ -72,7 +72,7 @@ def test_chosen_outputs_have_the_enclosures_of_the_whole_tape(found, chosen, w, 
     assert np.array_equal(jets[asked, :columns], whole[asked, :columns], equal_nan=True)
 
 
-def test_only_what_is_needed_is_run():
+def test_only_the_needed_operations_run():
     found = [X + 1, sp.sin(X) * sp.cos(X), sp.exp(Y) * sp.sin(X), P**2]
     tape = compile_tape(found, variables=[X, Y], parameters=[P], time=T)
     counts = [enclosed(tape, chosen, 0.5, 0)[1:] for chosen in (0, 1, 2, 4, 6, 8, 15)]

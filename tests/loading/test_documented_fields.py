@@ -60,12 +60,12 @@ def _is_part(annotation: object) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, Part)
 
 
-def test_all_fields_are_looked_at() -> None:
+def test_all_fields_are_covered() -> None:
     assert len(FIELDS) > 110
 
 
 @pytest.mark.parametrize(("part", "name"), FIELDS)
-def test_a_field_says_what_it_is_and_how_it_is_written(part: type[Part], name: str) -> None:
+def test_every_field_has_a_description_and_an_example(part: type[Part], name: str) -> None:
     field = part.model_fields[name]
     assert field.description
     assert field.examples
@@ -91,7 +91,7 @@ def test_examples_agree_with_the_schema_that_holds_them(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(kinds()))
-def test_a_description_of_a_part_is_its_own_and_not_those_of_its_fields(name: str) -> None:
+def test_the_description_of_a_part_excludes_those_of_its_fields(name: str) -> None:
     definitions = json.loads(schema(name))["$defs"].values()
     assert all("Parameters" not in model.get("description", "") for model in definitions)
 
@@ -118,7 +118,7 @@ def test_help_shows_no_addresses(named: object) -> None:
     assert not re.search(r"0x[0-9a-f]{6}", said)
 
 
-def test_help_of_what_is_returned_shows_what_users_call() -> None:
+def test_help_of_returned_objects_lists_public_methods() -> None:
     said = pydoc.render_doc(statechart.Result, renderer=pydoc.plaintext)
     for name in ("animate", "at", "diagram", "plot", "report", "save", "to_xarray"):
         assert re.search(rf"^ \|  {name}\(self", said, re.MULTILINE)
@@ -150,7 +150,7 @@ DECLARED = [public for public in PUBLIC if issubclass(public, Declaration)]
 
 
 @pytest.mark.parametrize("public", DECLARED, ids=lambda public: public.__name__)
-def test_help_of_a_document_shows_what_users_call(public: type) -> None:
+def test_help_of_a_document_lists_public_methods(public: type) -> None:
     said = pydoc.render_doc(public, renderer=pydoc.plaintext)
     assert not re.search(r"__\w+__", said)
     shown = re.findall(r"^ \|  (\w+)\(self", said, re.MULTILINE)

@@ -20,7 +20,7 @@ print(find("dice").name)
 """
 
 
-def test_a_folder_beside_a_script_hides_no_shipped_model(tmp_path: Path) -> None:
+def test_a_folder_next_to_a_script_does_not_shadow_shipped_models(tmp_path: Path) -> None:
     (tmp_path / "models").mkdir()
     (tmp_path / "models" / "__init__.py").write_text("MINE = True\n")
     (tmp_path / "script.py").write_text(SCRIPT)

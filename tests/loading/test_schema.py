@@ -17,7 +17,7 @@ FOLDER = Path(__file__).parents[2] / "docs" / "schema"
 
 
 @pytest.mark.parametrize("kind", ["scene", "chart"])
-def test_the_committed_schema_is_what_the_verb_prints(kind: str) -> None:
+def test_the_committed_schema_equals_the_output_of_the_verb(kind: str) -> None:
     assert (FOLDER / f"{kind}.json").read_text(encoding="utf-8") == schema(kind)
 
 

@@ -40,7 +40,7 @@ def test_bounce_times_and_the_zeno_time(engine: str, case: dict) -> None:
     assert trace.certified
 
 
-def test_the_ledger_says_what_was_skipped(engine: str) -> None:
+def test_the_ledger_lists_the_skipped_impacts(engine: str) -> None:
     trace = run("bouncing_ball", engine, until=20.0, k=0.5)
     last, rest = trace.jumps[-2:]
     assert (last.cause, rest.cause) == ("touchdown", "zeno")

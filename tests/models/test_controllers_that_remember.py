@@ -9,7 +9,7 @@ from statechart.running.runner import Runner
 
 
 @pytest.mark.parametrize("v", [0.5, 1.0, 1.5])
-def test_the_hopper_comes_to_the_speed_that_is_asked_for(v: float) -> None:
+def test_the_hopper_reaches_the_required_speed(v: float) -> None:
     found = Runner("raibert_hopper").run({"v": v})
     assert found.trace.certified
     speeds, stances = found.outputs["speeds"], found.outputs["stances"]
@@ -30,7 +30,7 @@ def test_engines_agree_on_the_hopper() -> None:
     assert scipy["speeds"] == pytest.approx(taylor["speeds"], rel=1e-7)
 
 
-def test_the_sum_of_what_is_seen_finds_the_load() -> None:
+def test_integral_control_identifies_the_load() -> None:
     found = Runner("sampled_balance").run({"T": 0.04, "load": 0.7}).outputs
     assert found["samples"] == 100
     # Upright and at rest the torque is the load's; the slowest mode of the loop has a rate of 2/s.

@@ -103,7 +103,7 @@ CLOSED_FORMS = [
     CLOSED_FORMS,
     ids=lambda value: str(value)[:40] if isinstance(value, str | dict) else "",
 )
-def test_at_its_edge_a_model_does_what_is_known(
+def test_a_model_at_its_limit_follows_its_closed_form(
     engine: str,
     model: str,
     parameters: dict[str, float],
@@ -180,7 +180,7 @@ stop: {time: 1}
 """
 
 
-def test_along_a_wall_that_nothing_presses_on_it_falls_freely(engine: str) -> None:
+def test_a_body_along_a_wall_without_pressure_falls_freely(engine: str) -> None:
     trace = _run(BESIDE, engine).trace
     assert not trace.jumps
     assert trace.final == pytest.approx([0.0, 5 - 0.5 * G, 0.0, -G], abs=1e-11)

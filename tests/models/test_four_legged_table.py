@@ -37,7 +37,7 @@ def test_at_rest_every_leg_bears_a_quarter_and_says_that_it_might_not(engine: st
 
 
 @pytest.mark.parametrize("push", [-19.0, 5.0, 12.0])
-def test_pushed_it_stands_on_forces_as_euler_took_them(engine: str, push: float) -> None:
+def test_a_pushed_table_has_the_leg_forces_of_euler(engine: str, push: float) -> None:
     # Legs that give way alike: V is linear along the row; the moment of the push is what skews it.
     trace = run(MODEL, engine, push=push, until=1.0)
     assert (trace.final == trace.initial).all()
@@ -48,7 +48,7 @@ def test_pushed_it_stands_on_forces_as_euler_took_them(engine: str, push: float)
 
 
 @pytest.mark.parametrize("growth", [20.0, -7.5])
-def test_it_slips_when_the_push_exceeds_what_all_legs_together_can_hold(
+def test_it_slips_when_the_push_exceeds_the_friction_of_all_legs(
     engine: str, growth: float
 ) -> None:
     # Some legs are on the edge of their cones long before.

@@ -59,7 +59,7 @@ def test_no_method_is_missing():
     assert set(METHODS) == {"RK45", "DOP853", "Radau", "LSODA"}
 
 
-def test_every_shipped_model_declares_what_checks_vary_and_its_end():
+def test_every_shipped_model_declares_ranges_and_a_stop_time():
     for name in NAMES:
         model = load(name)
         assert model.ranges, name

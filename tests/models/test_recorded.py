@@ -17,7 +17,7 @@ ELSEWHERE = 1e-7
 
 
 @pytest.mark.parametrize("model", models.names())
-def test_a_shipped_model_gives_what_was_recorded(model: str, tmp_path: Path) -> None:
+def test_a_shipped_model_reproduces_its_record(model: str, tmp_path: Path) -> None:
     recorded = json.loads((recording.FOLDER / f"{model}.json").read_text(encoding="utf-8"))
     found = json.loads(recording.written(recording.record(model, tmp_path)))
     tolerance = ROUNDING

@@ -54,7 +54,7 @@ def test_its_impacts_accumulate_when_the_reference_says_and_it_stands(engine: st
     assert trace.final == pytest.approx([0.0, 1.0, 0.0, 0.0, 0.0, 0.0], abs=1e-11)
 
 
-def test_it_tilts_as_far_as_the_reference_says(engine: str) -> None:
+def test_the_tilt_agrees_with_the_reference(engine: str) -> None:
     trace = run(MODEL, engine, until=7.7, **GIVEN)
     expected = [float(amplitude) for amplitude in CASE["nonlinear_amplitudes"]]
     found = []

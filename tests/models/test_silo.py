@@ -39,5 +39,5 @@ def test_discs_flow_out_at_a_constant_rate_that_grows_as_beverloo_says(silo):
     assert wide.sum() == pytest.approx(expected * narrow.sum(), rel=0.2)
 
 
-def test_the_pan_weighs_nothing_before_the_gate_opens(silo):
+def test_the_pan_has_no_load_before_the_gate_opens(silo):
     assert silo.run(until=0.04).outputs["load"] == pytest.approx(9.81, rel=1e-9)

@@ -91,7 +91,7 @@ contacts:
 """
 
 
-def test_a_light_ball_under_a_heavy_one_is_hit_to_and_fro_until_nothing_approaches(
+def test_a_light_ball_between_heavy_ones_bounces_until_all_separate(
     engine: str,
 ) -> None:
     scene = validate(read_text(SQUEEZED), Scene)

@@ -187,7 +187,7 @@ def test_a_frictionless_contact_slides_without_direction() -> None:
     assert len(found) == 4
 
 
-def test_a_contact_that_nothing_moves_is_pinned() -> None:
+def test_a_contact_without_motion_is_pinned() -> None:
     found = feasible_modes(np.zeros((1, 2, 3)), [ALL], ["A"])
     assert [(*mode.states, mode.feasible) for mode in found] == [
         ("free", False),
@@ -205,7 +205,7 @@ def test_without_contacts_there_is_one_mode_and_it_is_possible() -> None:
     assert feasible_modes(np.zeros((0, 2, 3)), []) == (ModeVerdict((), True, ""),)
 
 
-def test_reasons_name_the_contacts_and_what_they_hold() -> None:
+def test_reasons_name_the_contacts_and_their_conditions() -> None:
     ladder = planar([(-1, 1), (1, -1)], [(1, 0), (0, 1)])
     refused = {m.states: m for m in feasible_modes(ladder, [ALL, ALL], ["wall", "floor"])}
     pinned = refused["pin", "slide+"]

@@ -147,7 +147,7 @@ def test_springs_bear_the_smallest_forces_in_their_cones(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_springs_bear_what_is_in_no_cone_not_at_all(seed: int) -> None:
+def test_springs_bear_no_load_outside_all_cones(seed: int) -> None:
     generator = np.random.default_rng(seed)
     cones = np.tile(np.array([2.0, 1.0]) / math.sqrt(5.0), (4, 1))
     reach = generator.normal(size=(4, 2, 2))
@@ -289,7 +289,7 @@ def test_a_sliding_bar_comes_to_rest_on_all_its_points(name: str, arms: list[flo
     assert trace.indeterminate[("pin",) * len(arms)] == trace.regions
 
 
-def test_two_points_share_what_is_not_determined_evenly() -> None:
+def test_two_points_share_an_undetermined_load_evenly() -> None:
     trace = run(standing([-1.0, 1.0], push=0.2), until=1.0)
     simulator = Simulator(automaton(standing([-1.0, 1.0], push=0.2)), engine("taylor"))
     found = Observer(simulator).final(trace, ["p0.V", "p0.H", "p1.V", "p1.H"])

@@ -41,7 +41,7 @@ outputs: {least: {minimum: ball.dy}, most: {maximum: ball.dy}, force: {maximum: 
 
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
-def test_states_in_which_nothing_flows_belong_to_the_run(engine: str) -> None:
+def test_states_without_duration_count_for_extremes(engine: str) -> None:
     result = Runner(read_text(PASSING), engine=engine).run()
     assert dict(result.outputs) == {"least": -7.0, "most": 20.0, "k": 3.0, "still": 0.0}
     assert invariants(result.observer, result.trace) == {"few": -1.0, "low": -10.0}

@@ -162,7 +162,7 @@ def test_samples_cover_the_run_with_two_rows_at_a_jump(stick: Observer) -> None:
     assert np.abs(samples.columns["tip.gap"]).max() < 1e-12
 
 
-def test_samples_at_given_times_are_after_a_jump(stick: Observer) -> None:
+def test_samples_at_the_time_of_a_jump_are_those_after_it(stick: Observer) -> None:
     trace = run(stick)
     times = np.array([0.0, 1.0, trace.jumps[1].t, trace.t_end])
     samples = stick.sample(trace, ["tip.H"], times=times)

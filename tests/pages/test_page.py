@@ -36,7 +36,7 @@ def data_of(text: str) -> dict:
     return json.loads(re.search(r'id="data">(.*?)</script>', text, re.DOTALL)[1])
 
 
-def test_a_page_needs_nothing_else(page):
+def test_a_page_is_self_contained(page):
     text = page.read_text(encoding="utf-8")
     assert len(text) < 3_000_000
     assert not re.search(r'(src|href)="(?!#)', text.split('id="data"')[0])
@@ -75,7 +75,7 @@ def test_a_page_is_html(result, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_line_writes_one_and_refuses_what_is_none(tmp_path, capsys):
+def test_the_command_line_writes_a_page_and_refuses_other_suffixes(tmp_path, capsys):
     target = tmp_path / "ball.html"
     assert main(["run", "bouncing_ball_chart", "--report", str(target)]) == 0
     assert data_of(target.read_text(encoding="utf-8"))["film"] is None
@@ -249,7 +249,7 @@ def test_a_page_ends_where_its_figure_does_and_curves_reach_the_end(name, tmp_pa
             assert numbers(curve)[-1] == pytest.approx(found[0], abs=1e-6)
 
 
-def test_a_page_tells_how_exact_its_run_is_and_what_that_took(tmp_path):
+def test_a_page_shows_accuracy_and_cost_of_its_run(tmp_path):
     result = statechart.run("toppling_stick", accuracy=1e-6)
     shown, _ = panels_of(result, tmp_path)
     said = "\n".join(shown["computed"])
@@ -353,7 +353,7 @@ def test_curves_have_round_ticks_and_values_under_the_cursor(browser, result):
 
 
 @in_browser
-def test_on_a_wide_screen_reasons_stand_beside_the_scene(page, tmp_path):
+def test_a_wide_page_shows_reasons_next_to_the_scene(page, tmp_path):
     with Browser(tmp_path / "browser", width=1280) as opened:
         opened.open(page)
         place = "document.querySelector('{}').getBoundingClientRect()"

@@ -35,9 +35,7 @@ def shown(page: Path) -> Any:
     return json.loads(found[1])["study"]
 
 
-def test_a_page_tells_what_a_study_does_and_marks_its_own_setting(
-    study: Study, tmp_path: Path
-) -> None:
+def test_a_page_shows_the_study_and_marks_its_setting(study: Study, tmp_path: Path) -> None:
     result = statechart.run("toppling_stick", method="RK45", tolerance=1e-4)
     told = shown(result.report(tmp_path / "page.html", study=study))
     assert base64.b64decode(told["figure"]).startswith(b"<?xml")
@@ -68,7 +66,7 @@ def test_a_study_says_that_the_run_had_other_parameters_and_is_of_no_other_model
 
 
 @pytest.mark.parametrize("verb", ["run", "view"])
-def test_the_command_line_shows_the_study_that_is_beside_the_page(
+def test_the_command_line_includes_a_study_saved_next_to_the_page(
     verb: str, study: Study, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("webbrowser.open", lambda _: True)

@@ -89,7 +89,7 @@ def test_the_same_run_gives_the_same_file(tmp_path):
     assert one == result.animate(tmp_path / "two.gif", speed=1.0, size=160).read_bytes()
 
 
-def test_heaps_are_animated_until_nothing_moves(tmp_path):
+def test_heaps_are_animated_until_rest(tmp_path):
     result = statechart.run("dice", parameters={"n": 3})
     path = result.animate(tmp_path / "dice.gif", size=160)
     with Image.open(path) as film:
@@ -115,7 +115,7 @@ def test_an_unwritable_film_is_reported_before_the_run(tmp_path, capsys, monkeyp
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_chart_has_nothing_to_animate(tmp_path, capsys):
+def test_a_chart_cannot_be_animated(tmp_path, capsys):
     target = tmp_path / "ball.gif"
     assert main(["run", "bouncing_ball_chart", "--animate", str(target)]) == 1
     assert "no bodies" in capsys.readouterr().err

@@ -150,7 +150,7 @@ def pair_of(tension: str, scene: str = PAIR) -> Film:
         ("k*sin(time)", {"reaction"}),
     ],
 )
-def test_reactions_along_a_line_are_drawn_as_what_they_are(tension, kinds):
+def test_reactions_along_a_line_are_drawn_along_it(tension, kinds):
     links = ("link", "spring", "damper", "reaction")
     assert {shape.kind for shape in pair_of(tension).shapes if shape.kind in links} == kinds
 
@@ -235,7 +235,7 @@ def test_the_ground_below_a_body_with_a_shape_is_seen(tmp_path, monkeypatch):
     )
     drawn = []
     monkeypatch.setattr("statechart.pictures.drawing.picture", drawn.append)
-    monkeypatch.setattr("statechart.reporting.figure.write", lambda drawing, path: None)
+    monkeypatch.setattr("statechart.reporting.figure.write_figure", lambda drawing, path: None)
     draw_scene(path, tmp_path / "scene.png")
     (film,) = drawn
     assert film.centres[0, 1] - film.half[1] < 0.0
@@ -334,7 +334,7 @@ def test_the_scene_at_the_start_has_the_forces_and_modes_of_the_first_step(
 ):
     drawn = []
     monkeypatch.setattr("statechart.pictures.drawing.picture", drawn.append)
-    monkeypatch.setattr("statechart.reporting.figure.write", lambda drawing, path: None)
+    monkeypatch.setattr("statechart.reporting.figure.write_figure", lambda drawing, path: None)
     draw_scene(name, tmp_path / "scene.png")
     (film,) = drawn
     assert film.times.tolist() == [0.0]
@@ -393,7 +393,7 @@ stop: {time: 1}
 """
 
 
-def test_bodies_without_a_shape_are_drawn_beside_those_that_declare_one():
+def test_bodies_without_a_shape_are_drawn_together_with_shapes():
     film = film_of(read_text(GRIPPER), [0.0])
     # The pin is part of the crank: it moves with it; the bob has its coordinate.
     assert {shape.name for shape in shapes(film, "mass")} == {"finger"}

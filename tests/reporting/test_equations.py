@@ -158,7 +158,7 @@ def test_the_verb_prints_them(capsys: pytest.CaptureFixture[str]) -> None:
         ("--equations", "pin", "--at", "stick.angle=0.1"),
     ],
 )
-def test_the_verb_refuses_what_it_would_pass_over(
+def test_the_verb_refuses_options_that_it_would_ignore(
     options: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["modes", "toppling_stick", *options]) == 2

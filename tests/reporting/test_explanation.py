@@ -40,7 +40,7 @@ def test_margins_of_an_event_belong_to_the_mode_before_it() -> None:
     assert stop["margins"]["fallen"] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_margins_agree_with_what_the_observer_says() -> None:
+def test_margins_agree_with_the_observer() -> None:
     result = Runner("toppling_stick").run()
     events = result.to_dict(explain=True)["events"]
     values = result.observer.at(result.trace, ["tip.V"], result.trace.jumps, before=True)[:, 0]
@@ -56,7 +56,7 @@ def test_without_explain_no_margins_are_evaluated() -> None:
     assert all("margins" not in event for event in events)
 
 
-def test_margins_of_charts_and_of_what_a_zeno_sequence_holds() -> None:
+def test_margins_of_charts_and_of_captured_regions() -> None:
     events = Runner("bouncing_ball_chart").run().to_dict(explain=True)["events"]
     assert events[0]["margins"] == {"ball.bounce": pytest.approx(0.0, abs=1e-12)}
     assert events[-1]["cause"] == "settle"
@@ -89,7 +89,7 @@ def test_the_first_and_the_last_of_many_events_are_explained() -> None:
     assert said.count("\nt = ") + said.startswith("t = ") == 40
 
 
-def test_the_command_line_explains_and_what_it_saves_can(
+def test_the_command_line_and_saved_runs_explain_jumps(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -110,13 +110,13 @@ def test_the_command_line_explains_and_what_it_saves_can(
     assert explanation(saved) in said
 
 
-def test_a_run_without_events_has_nothing_to_explain() -> None:
+def test_a_run_without_events_has_no_explanations() -> None:
     runner = Runner(read_text(BAR.replace("time: 0.45", "time: 0.1")))
     assert explanation(runner.run().to_dict(explain=True)) == ""
 
 
 @pytest.mark.parametrize("name", SOUND)
-def test_every_jump_says_what_was_taken_and_why_nothing_else_was(name: str) -> None:
+def test_every_jump_names_its_mode_and_the_reasons_against_others(name: str) -> None:
     trace = run(name, "taylor", until=3.0)
     for jump in trace.jumps:
         if jump.cause == "stop":

@@ -220,7 +220,7 @@ def test_impulses_without_forces_have_an_axis_of_their_own() -> None:
     np.testing.assert_allclose(stems.get_ydata(), 4 * math.sqrt(2 * 9.81 * 0.5))
 
 
-def test_the_rounding_of_zero_is_not_looked_at() -> None:
+def test_round_off_of_zero_does_not_scale_an_axis() -> None:
     _, axes = drawn(DROP.replace("E}", "0}"))
     velocity = axes[1]
     lines = {str(line.get_label()): line for line in velocity.get_lines()}  # type: ignore[attr-defined]
@@ -252,7 +252,7 @@ def test_regions_that_change_have_a_row() -> None:
 
 
 @pytest.mark.parametrize("name", ["rimless_wheel", "woodpecker", "hopper"])
-def test_nothing_is_cut_off_and_legends_are_apart(name: str) -> None:
+def test_figures_have_no_clipped_text_and_no_overlapping_legends(name: str) -> None:
     drawing = Runner(name).run().plot()
     outer, paper = drawing.get_tightbbox(), drawing.get_size_inches()  # both in inches
     assert outer.x0 >= 0.0

@@ -33,7 +33,7 @@ settings: {engine: impulse, step: 1e-3}
     assert titles[:3] == ["position", "velocity", "impulse"]
 
 
-def test_time_goes_on_as_long_as_what_is_not_drawn_moves() -> None:
+def test_the_time_axis_covers_the_motion_of_undrawn_variables() -> None:
     # Six bodies fall farther than the plate that they lie on then is shaken: heights are drawn.
     text = """
 kind: scene

@@ -49,7 +49,7 @@ def test_check_tells_which_invariant_fails(tmp_path: Path) -> None:
     assert "the margin of 'low' is -" in broken.text()
 
 
-def test_an_invariant_of_what_there_is_not_is_refused_with_its_place(tmp_path: Path) -> None:
+def test_an_invariant_of_an_unknown_name_is_refused_with_its_place(tmp_path: Path) -> None:
     file = ball(tmp_path, "  low: hight <= 2\n")
     with pytest.raises(DeclarationError, match="unknown name 'hight'") as caught:
         statechart.run(file)

@@ -110,7 +110,7 @@ def test_pinning_all_driven_contacts_is_infeasible(listed) -> None:
     assert reasons == {("pin", "pin"): "A pin and B pin leave what is driven no motion"}
 
 
-def test_a_mode_that_none_of_the_points_can_take_leaves_nothing_possible(listed) -> None:
+def test_a_mode_impossible_for_every_point_leaves_no_feasible_mode(listed) -> None:
     # Points of a body that cannot turn and lists no free: they slide alike or not at all.
     text = BAR.replace(", inertia: 1/3", "").replace(", angle: tilt", "")
     text = (

@@ -134,7 +134,7 @@ def test_an_existing_folder_keeps_its_other_files(
     assert json.loads((tmp_path / "run.json").read_text())["model"] == "toppling_stick"
 
 
-def test_a_file_in_the_way_is_an_error_and_is_kept(
+def test_an_existing_file_is_an_error_and_is_not_overwritten(
     observer: Observer, trace: Trace, tmp_path: Path
 ) -> None:
     (tmp_path / "run").write_text("mine")
@@ -147,7 +147,7 @@ def test_a_file_in_the_way_is_an_error_and_is_kept(
 
 
 @pytest.mark.parametrize("exists", [False, True])
-def test_on_a_full_disk_what_fits_is_written_and_the_rest_is_named(
+def test_a_full_disk_keeps_complete_tables_and_names_the_missing_ones(
     observer: Observer, trace: Trace, tmp_path: Path, exists: bool
 ) -> None:
     made = report(observer, trace)

@@ -73,7 +73,7 @@ def test_boxes_queue_at_a_gate_and_ride_on():
         assert_free_fall(body_numbers(model, model.values()), result.trace)
 
 
-def test_boxes_that_press_nothing_on_each_other_slide_together():
+def test_boxes_without_mutual_pressure_slide_together():
     # Open from the start, and the last one against the others: all gain the belt's speed alike.
     text = BELT.replace("-0.5*index", "-2*a*index").replace("D: 1", "D: 100")
     trace = Runner(interpret(read_text(text.replace("STEP", "1e-3")))).run(until=0.4).trace

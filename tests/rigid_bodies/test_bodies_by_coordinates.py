@@ -188,7 +188,7 @@ def _swung(t: float, q: Array) -> Array:
     return np.array([u, v, *np.linalg.solve(mass, force)])
 
 
-def test_a_mechanism_that_touches_nothing_swings_with_second_order() -> None:
+def test_a_mechanism_without_contacts_converges_with_second_order() -> None:
     exact = solve_ivp(_swung, (0.0, 1.5), [1.2, 1.2, 0.0, 0.0], rtol=1e-11, atol=1e-11).y[:, -1]
     far, errors, gained = BY_COORDINATES.replace("-0.17,", "9,"), [], []
     for h in (4e-3, 2e-3, 1e-3):
@@ -228,7 +228,7 @@ forces:
 
 
 @pytest.mark.parametrize(("squeeze", "lifts"), [(20, True), (2, False)])
-def test_a_four_bar_gripper_lifts_what_friction_holds(squeeze: float, lifts: bool) -> None:
+def test_a_four_bar_gripper_lifts_up_to_the_friction_limit(squeeze: float, lifts: bool) -> None:
     result = _run(GRIPPER.replace("SQUEEZE", str(squeeze)), 4.0)
     found, mode = (
         _final(result),

@@ -118,7 +118,7 @@ def test_any_stiffness_is_stable(d):
     assert result.trace.warnings == ()
 
 
-def test_it_never_pulls():
+def test_a_compliant_contact_never_pulls():
     """An overdamped ball comes back slowly: a linear damper would hold it, this one lets it go."""
     result = run(BALL, {"d": 3000, "k": 4e5, "end": 0.6}, step=1e-4)
     trace, column = result.trace, 4

@@ -325,7 +325,7 @@ def test_a_fixed_body_needs_collisions() -> None:
         Scene.model_validate(scene)
 
 
-def test_forces_and_joints_do_not_hold_what_moves_as_prescribed() -> None:
+def test_forces_and_joints_on_prescribed_bodies_are_refused() -> None:
     law = "  all: {bodies: [box, a], friction: 0.3, restitution: 0}"
     bodies = f"  box: {{{MOVED}, start: {{y: 9}}}}\n  a: {{fixed: true, shape: {{disc: 1}}}}"
     for more, message in (

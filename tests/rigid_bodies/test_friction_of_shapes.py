@@ -71,7 +71,7 @@ def test_a_block_between_both_angles_of_friction_holds():
 
 
 @pytest.mark.parametrize("v", [-0.5, -1e-3])
-def test_it_slides_on_where_it_is_pushed_down(v):
+def test_a_block_pushed_downhill_slides_on(v):
     """tan(0.4) = 0.42 is above the kinetic coefficient: it does not stop."""
     pull = G * (math.sin(0.4) - 0.3 * math.cos(0.4))
     outputs = run(SLOPE, {"v": v}).outputs
@@ -79,7 +79,7 @@ def test_it_slides_on_where_it_is_pushed_down(v):
     assert outputs["sticks"] == 0
 
 
-def test_it_slides_up_under_kinetic_friction_and_holds_where_it_stops():
+def test_a_block_slides_uphill_and_sticks_when_it_stops():
     v, pull = 2.0, G * (math.sin(0.4) + 0.3 * math.cos(0.4))
     outputs = run(SLOPE, {"v": v}).outputs
     assert outputs["way"] == pytest.approx(v**2 / (2 * pull), abs=1e-4)
@@ -169,7 +169,7 @@ outputs: {low: {value: low.x}, top: {value: top.x}, sticks: {count: top.stick}}
 
 
 @pytest.mark.parametrize("load", [2.4, -2.4, 0.0])
-def test_what_rests_stays_while_static_friction_fails_to_stop_another_slip(load: float) -> None:
+def test_resting_bodies_stay_while_another_keeps_slipping(load: float) -> None:
     """The load and static friction from above would move it, and kinetic friction does not.
 
     The box above swings about the places where spring and friction balance, 1/40 from 0.

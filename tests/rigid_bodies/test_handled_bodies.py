@@ -204,7 +204,7 @@ def test_penetration_of_a_turning_body_equals_the_reported_one(text, values):
     assert trace.tolerances["gap"] < 1e-6
 
 
-def test_a_disc_beside_the_end_of_a_plate_is_not_in_it():
+def test_a_disc_next_to_the_end_of_a_plate_does_not_penetrate_it():
     # Its centre is on the line of the step's upper side.
     text = WHEEL.replace("{R: 0.3, s: 0.1", "{R: 0.1, s: 0.1")
     model = interpret(read_text(text))

@@ -68,7 +68,7 @@ def test_runs_with_other_copies_are_composed_once_and_do_not_mix_their_parameter
     assert slower.final.tolist() != first.trace.final.tolist()
 
 
-def test_a_stack_of_boxes_stands_still():
+def test_a_stack_of_boxes_stays_at_rest():
     result = Runner("box_stack").run()
     assert result.outputs["fastest"] < 1e-10
     assert result.outputs["top"] == pytest.approx(0.45, abs=1e-12)
@@ -204,7 +204,7 @@ def test_a_path_without_a_start_is_reported_with_its_line():
         Runner(read_text(text, "two.yaml")).run()
 
 
-def test_engines_with_events_say_what_runs_it():
+def test_engines_with_events_name_the_engine_for_shapes():
     with pytest.raises(StatechartError, match="or take impulse"):
         Runner(interpret(read_text(TWO)), engine="scipy").run()
 

@@ -99,7 +99,7 @@ def test_the_tolerance_trades_iterations_for_exactness():
     assert iterations[0] < 0.7 * iterations[1]
 
 
-def test_heaps_beside_each_other_take_as_many_steps_at_once_as_one(monkeypatch):
+def test_separate_heaps_take_as_many_steps_per_call_as_one(monkeypatch):
     calls = []
 
     def counted(*arguments):

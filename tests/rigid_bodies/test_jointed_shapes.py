@@ -82,7 +82,7 @@ def test_a_jointed_bar_swings_as_a_pendulum():
     assert errors[2] < 0.3 * errors[1] < 0.09 * errors[0] / 0.25
 
 
-def test_nothing_drifts_and_no_energy_is_gained_in_many_turns():
+def test_joints_do_not_drift_and_energy_does_not_grow_in_many_turns():
     result = run(chain(1, step=2e-3, time=40), a=2.5)
     sampled = result.observer.sample(result.trace, ["energy"], times=np.linspace(1, 40, 300))
     energy = sampled.columns["energy"]
@@ -143,7 +143,7 @@ def test_a_spinning_chain_without_gravity_keeps_its_energy_and_spin():
     assert values.min() >= values[0] * 0.995
 
 
-def test_the_force_of_a_joint_is_what_holds():
+def test_the_force_of_a_joint_balances_the_load():
     text = chain(1, time=0.2).replace(
         "stop:", "outputs: {X: {value: j0.X}, Y: {value: j0.Y}}\nstop:"
     )

@@ -75,7 +75,7 @@ def test_a_landed_body_stays_in_contact(shape, bench):
     assert 5 < early < 15
 
 
-def test_both_corners_of_what_is_plastic_land_where_it_touches():
+def test_both_corners_of_a_plastic_box_land_at_the_touch_point():
     trace = dropped("box", False, "plastic").run({"height": HEIGHTS[0]}).trace
     alike = dropped("box", False).run({"height": HEIGHTS[0]}).trace
     assert math.fmod(math.sqrt(2 * HEIGHTS[0] / GRAVITY), STEP) > 0.5 * STEP

@@ -39,7 +39,7 @@ contacts:
 
 
 @pytest.mark.parametrize(("of", "e"), [(SHAPE, 1), (SHAPE, 0.97), (SHAPE, 0.9), (POINT, 1)])
-def test_walls_that_meet_in_a_ball_are_no_matter_of_the_step(of, e):
+def test_walls_that_squeeze_a_ball_are_reported_at_every_step_size(of, e):
     with pytest.raises(UnsolvedImpulses, match="leave it no room") as caught:
         Runner(interpret(read_text(WALLS + of))).run({"e": e})
     time, deep = map(
@@ -49,7 +49,7 @@ def test_walls_that_meet_in_a_ball_are_no_matter_of_the_step(of, e):
     assert deep == pytest.approx(SPEED * time - (1 - RADIUS), rel=0.03)
 
 
-def test_walls_that_leave_a_way_out_are_followed():
+def test_a_body_escapes_between_walls_that_leave_a_gap():
     # They lean away from each other: what is squeezed between them is driven out upwards.
     trace = Runner(interpret(read_text(WALLS + SHAPE))).run({"e": 0, "tilt": 2}).trace
     assert trace.outcome is Outcome.HORIZON
@@ -77,7 +77,7 @@ settings: {engine: impulse, step: 1e-3}
 
 
 @pytest.mark.parametrize("e", [0, 0.5, 1])
-def test_a_squeezed_body_is_reported_whatever_its_earlier_speed(e):
+def test_a_squeezed_body_is_reported_at_any_earlier_speed(e):
     """Three balls in a row between a wall and one that leaves them no room from t = 2 on.
 
     What bounces there becomes so fast that what is squeezed is no deeper than a step at that.

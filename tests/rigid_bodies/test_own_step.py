@@ -139,7 +139,7 @@ stop: {time: 4}
         ("moment: 50*sin(pi*time/4)", 50 * 4 * 0.1),
     ],
 )
-def test_the_step_follows_what_speed_forces_reach(force, speed):
+def test_the_chosen_step_follows_the_speed_that_forces_reach(force, speed):
     step = Runner(read_text(THRUST.replace("FORCE", force))).setting.step
     assert step == pytest.approx(0.1 * 0.1 / max(speed, 1.0), rel=0.1)
 

@@ -67,7 +67,7 @@ def test_on_a_steeper_one_it_rolls_down():
     assert outputs["way"] == pytest.approx(-pull / 2 * 2**2, rel=2e-3)
 
 
-def test_it_turns_back_where_it_is_rolled_up_a_steep_slope():
+def test_a_disc_rolled_up_a_steep_slope_returns():
     alpha, v = 0.3, 1.0
     up = 2 / 3 * G * (math.sin(alpha) + LENGTH / R * math.cos(alpha))
     down = 2 / 3 * G * (math.sin(alpha) - LENGTH / R * math.cos(alpha))

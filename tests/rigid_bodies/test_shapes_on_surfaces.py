@@ -240,7 +240,7 @@ def test_a_box_that_pivots_on_its_corner_follows_the_closed_form_to_second_order
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.2)
 
 
-def test_a_disc_at_rest_beside_a_turning_drum_rolls_in_it():
+def test_a_disc_at_rest_in_a_turning_drum_rolls():
     surfaces = {"drum": "circle: [1, 2], radius: 0.5, hollow: true, turn: 2*time"}
     # Without gravity and slip it goes round as a planet does; started on that way.
     speed, spin = 0.3, (2 * 0.5 - 0.3) / 0.05

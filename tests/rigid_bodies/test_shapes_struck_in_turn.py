@@ -104,7 +104,7 @@ def test_a_row_that_touches_passes_a_blow_on(masses, e, speeds, step):
 @pytest.mark.parametrize("gap", [0.0, 1e-9, 1e-6, 1e-4])
 @pytest.mark.parametrize("masses", [[1, 1, 1], [1, 3, 0.5]])
 @pytest.mark.parametrize("e", [0.5, 1.0])
-def test_a_row_nears_what_happens_event_by_event_with_the_step(masses, e, gap):
+def test_a_row_converges_to_the_run_with_events(masses, e, gap):
     places = [0.0, 2 * R + START, 4 * R + START + gap]
     speeds = [1.0, 0.0, 0.0]
     x, v = event_by_event(masses, e, places, speeds, 2.0)
@@ -118,7 +118,7 @@ def test_a_row_nears_what_happens_event_by_event_with_the_step(masses, e, gap):
 
 @pytest.mark.parametrize("gap", [0.0, 1e-8, 1e-5, 1e-3])
 @pytest.mark.parametrize("e", [0.5, 1.0])
-def test_a_row_on_a_floor_does_not_depend_on_what_a_step_takes_for_touching(e, gap):
+def test_a_row_on_a_floor_does_not_depend_on_the_contact_tolerance(e, gap):
     """Gaps below what falls in two steps do, 2e-5 m at 1e-3 s and 2e-7 at 1e-4."""
     text = row([1, 1, 1], e, [0.0, gap], [1, 0, 0]) + "gravity: 9.81\n"
     text += "surfaces: {floor: {line: [[-1, -0.1], [1, -0.1]]}}\n"

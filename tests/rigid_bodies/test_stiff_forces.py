@@ -95,7 +95,7 @@ settings: {engine: impulse, step: 1e-3}
 """
 
 
-def test_any_number_of_bodies_is_looked_at():
+def test_stiffness_is_checked_for_any_number_of_bodies():
     # One step of a damper leaves 1 - h c/m of a speed.
     runner = Runner(interpret(read_text(MANY)))
     assert runner.run({"c": 0.98 * 4e3}).outputs["far"] < 600.0

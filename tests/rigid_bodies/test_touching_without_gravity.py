@@ -73,7 +73,7 @@ def test_a_rack_breaks_alike_on_both_sides_and_wherever_it_lies(e, law):
 
 
 @pytest.mark.parametrize("depth", [1e-12, 1e-9, 1e-8])
-def test_discs_that_start_slightly_in_each_other_stay_where_nothing_moves_them(depth):
+def test_slightly_overlapping_discs_without_forces_stay_at_rest(depth):
     speeds, warnings = struck([(1.0, 0.0), (1.0 + 2 * R - depth, 0.0)], -9.0, 0)
     assert not warnings
     assert np.abs(speeds[:-1]).max() == 0.0
@@ -82,7 +82,7 @@ def test_discs_that_start_slightly_in_each_other_stay_where_nothing_moves_them(d
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-12])
 @pytest.mark.parametrize("beside", [0.0072, 0.0144])
 @pytest.mark.parametrize("law", ["capped", "sequential"])
-def test_a_rack_that_loses_nothing_keeps_its_energy_whatever_the_tolerance(beside, tolerance, law):
+def test_an_elastic_rack_conserves_energy_at_any_tolerance(beside, tolerance, law):
     """Round-off separates some discs in the step in which others rebound."""
     rows = [(row, 2 * j - row) for row in range(5) for j in range(row + 1)]
     rack = [(row * R * math.sqrt(3), side * R) for row, side in rows]

@@ -80,7 +80,7 @@ def test_the_condition_tells_how_far_an_error_moves_an_event() -> None:
     assert 0.0 < shift <= 1.01 * kappa * 1e-6
 
 
-def test_jumps_that_nothing_fired_have_no_condition() -> None:
+def test_jumps_without_a_fired_margin_have_no_condition_number() -> None:
     result = run("bouncing_ball", accuracy=1e-6)
     assert len(result.conditions) == len(result.trace.jumps)
     for jump, kappa in zip(result.trace.jumps, result.conditions, strict=True):
@@ -161,7 +161,7 @@ def test_one_run_in_time_has_no_estimate_and_says_so() -> None:
     assert "allowed one run" in answer.warnings[0]
 
 
-def test_a_run_that_is_over_time_keeps_what_it_has_and_the_one_before_counts() -> None:
+def test_a_run_over_the_time_budget_reports_the_last_complete_one() -> None:
     ticks = count()
     allowance = Allowance(10.0, clock=lambda: float(next(ticks)))
     allowance.begin()
@@ -281,7 +281,7 @@ def test_sums_of_alternating_impacts_that_begin_elsewhere_are_the_same_motion(
 ) -> None:
     many = run("rocking_block", until=13.0, engine="scipy", tolerance=2.3e-14)
     # They begin at a part of the length, whatever the tolerance.
-    monkeypatch.setattr(accumulation, "_LOW_AT_REST", 1e-4)
+    monkeypatch.setattr(accumulation, "_MAX_HEIGHT_AT_REST", 1e-4)
     few = run("rocking_block", until=13.0, engine="scipy", tolerance=1e-11)
     assert len(many.trace.jumps) > len(few.trace.jumps)
     assert few.endless == many.endless != frozenset()
@@ -415,7 +415,7 @@ def test_the_second_run_is_far_tighter_if_events_are_counted() -> None:
     assert result.outputs["clicks"] == run("newtons_cradle").outputs["clicks"]
 
 
-def test_a_budget_compiles_nothing_that_it_has_no_time_for() -> None:
+def test_a_budget_does_not_start_compilations_that_exceed_it() -> None:
     result = run("compass_walker", budget=0.02, throw=False)
     assert result.trace.engine == "scipy DOP853"
     assert any("are too few to compile" in text for text in result.warnings)

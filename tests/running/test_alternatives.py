@@ -44,7 +44,7 @@ def rows(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, dict]
     return {row["choice"]: row for row in json.loads(capsys.readouterr().out)["alternatives"]}
 
 
-def test_a_cradle_depends_on_what_simultaneous_impacts_do(
+def test_a_cradle_depends_on_the_law_of_simultaneous_impacts(
     balls: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = rows(capsys, balls)

@@ -45,7 +45,7 @@ def test_a_model_draws_and_checks_itself(tmp_path: object) -> None:
     assert SCENE.check(examples=1, seed=1).passed
 
 
-def test_the_mode_at_the_start_is_given_by_either_name() -> None:
+def test_the_initial_mode_is_found_by_either_name() -> None:
     fields = SCENE.model_dump(by_alias=True)
     assert fields["modes"] == {"base": "pin"}
     assert Scene(**fields) == SCENE
@@ -61,7 +61,7 @@ def test_a_model_prints_as_the_file_that_it_could_be_read_from() -> None:
     assert interpret(read_text(str(SCENE))) == SCENE
 
 
-def test_answers_print_as_what_they_say() -> None:
+def test_inspection_results_print_their_text() -> None:
     found = check("bouncing_ball_chart", examples=1, seed=1)
     assert str(found) == repr(found) == found.text()
     drawn = SCENE.diagram()

@@ -36,7 +36,7 @@ def test_times_of_a_data_set_are_unique_and_are_found(result):
     assert list(data["event_cause"].to_numpy()) == ["slip", "reverse", "stop"]
 
 
-def test_a_reading_is_what_held_then(result):
+def test_a_reading_has_mode_and_state_at_its_time(result):
     reading = result.at(result.trace.jumps[0].t)
     assert reading.mode == {"tip": "slide-"}
     assert reading.jumps == 1

@@ -83,7 +83,7 @@ def test_arguments_override_the_settings_of_the_document() -> None:
     assert result.error_estimate <= 1e-6
 
 
-def test_without_accuracy_nothing_is_estimated() -> None:
+def test_a_run_without_accuracy_has_no_error_estimate() -> None:
     assert run(read_text(BALL)).error_estimate is None
 
 
@@ -100,7 +100,7 @@ def test_the_requested_accuracy_is_estimated_and_reached(name: str) -> None:
     assert set(rough.asked.not_judged) == exact.endless
 
 
-def test_an_accuracy_beyond_reach_is_given_up_with_what_was_reached() -> None:
+def test_an_unreachable_accuracy_reports_the_reached_one() -> None:
     result = run("toppling_stick", accuracy=1e-16, engine="scipy")
     assert result.error_estimate is not None
     assert 1e-16 < result.error_estimate < 1e-8
@@ -234,7 +234,7 @@ def test_a_run_with_too_many_jumps_keeps_those_it_made() -> None:
         run(read_text(text))
 
 
-def test_an_interrupted_run_keeps_what_was_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_run_returns_its_trace(monkeypatch: pytest.MonkeyPatch) -> None:
     runner = Runner("bouncing_ball_chart")
     laws = type(runner.automaton.laws)
     jump, calls = laws.jump, []
@@ -313,6 +313,6 @@ def test_a_file_may_say_the_longest_step_and_a_call_another() -> None:
         ({"max_step": 0.0}, "must be a positive time"),
     ],
 )
-def test_a_longest_step_that_means_nothing_is_refused(asked: dict[str, Any], words: str) -> None:
+def test_a_maximal_step_without_effect_is_refused(asked: dict[str, Any], words: str) -> None:
     with pytest.raises(DeclarationError, match=words):
         Runner("toppling_stick", **asked)

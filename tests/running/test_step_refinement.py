@@ -117,7 +117,7 @@ def test_a_stick_topples_as_by_its_events() -> None:
         assert off(result, name, float(value)) <= 1e-4  # type: ignore[arg-type]
 
 
-def test_steps_begin_as_given_and_shorten_until_the_estimate_is_below() -> None:
+def test_step_refinement_halves_the_step_until_the_estimate_is_below() -> None:
     text = read_text(BLOCK)
     runner = Runner(text, engine="impulse", step=0.01)
     steps: list[float] = []
@@ -164,7 +164,7 @@ outputs: {vx: {value: b.dx}}
     assert off(result, "vx", 5.0 * (1.0 - 0.75 * 0.75)) <= 1e-2
 
 
-def test_runs_that_come_no_nearer_are_given_up_and_exit_with_1(
+def test_runs_that_do_not_converge_end_with_exit_code_1(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     # The last digits of a distance, which no step settles.

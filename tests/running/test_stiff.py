@@ -47,7 +47,7 @@ def test_robertsons_problem_runs_to_its_published_end() -> None:
     assert "the model is stiff: its steps collapse to 0.0036 at t = 14.9" in reason
 
 
-def test_a_requested_engine_is_kept_on_a_stiff_model() -> None:
+def test_a_requested_engine_also_runs_a_stiff_model() -> None:
     found = run(ROBERTSON, engine="taylor")
     assert found.trace.outcome is Outcome.TOO_LONG
     assert found.trace.engine == "taylor"

@@ -56,7 +56,7 @@ def test_pieces_come_before_the_run_is_over() -> None:
     assert second.t == pytest.approx(math.sqrt(2 * 1 / 9.81), abs=1e-12)
 
 
-def test_arcs_of_a_watched_run_end_where_it_is_looked_at() -> None:
+def test_arcs_of_a_streamed_run_end_at_its_samples() -> None:
     runner = Runner("toppling_stick", engine="taylor")
     arcs = [piece for piece in runner.stream(until=3.0, every=0.5) if isinstance(piece, Arc)]
     assert [arc.start.high for arc in arcs] == pytest.approx([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])

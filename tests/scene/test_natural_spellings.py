@@ -37,7 +37,7 @@ def test_a_contact_without_friction_needs_no_modes() -> None:
         puck(", modes: [free, slide, pin]")
 
 
-def test_friction_that_is_given_later_brings_the_pin_back() -> None:
+def test_a_friction_set_later_restores_the_mode_pin() -> None:
     contact = puck().contacts["rim"].model_copy(update={"friction": 0.5})
     assert contact.kinds == {"free", "slide", "pin"}
     assert "modes" not in str(puck())

@@ -83,7 +83,7 @@ def test_the_image_moves_as_the_image(change: Any) -> None:
     assert np.allclose(other.final * reading.factors, one.final, atol=1e-9)
 
 
-def test_a_wheel_in_coordinates_of_its_own_is_the_same() -> None:
+def test_a_wheel_in_declared_coordinates_moves_as_a_free_one() -> None:
     rolls = scene("""
 kind: scene
 name: wheel

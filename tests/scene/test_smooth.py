@@ -53,7 +53,7 @@ def test_a_force_with_a_kink_is_flown_piece_by_piece(
 
 
 @pytest.mark.parametrize("force", ["-c*b.dx", "-abs(c)*b.dx", "min(c, l)*push - b.dx", "abs(push)"])
-def test_kinks_of_what_is_constant_while_a_scene_flows_are_allowed(force: str) -> None:
+def test_kinks_in_constants_of_a_flow_are_allowed(force: str) -> None:
     validate(read_text(FORCED.replace("-c*b.dx", f"'{force}'")), Scene)
 
 

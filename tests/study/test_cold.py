@@ -25,7 +25,7 @@ def setting(chosen: Chosen | None) -> Setting | None:
     return None if chosen is None else chosen.setting
 
 
-def test_a_first_run_is_timed_in_a_process_of_its_own() -> None:
+def test_a_first_run_is_timed_in_a_separate_process() -> None:
     model = Runner(read_text(OSCILLATOR)).model
     with FreshProcess(model, 5.0) as fresh:
         for one in (RK45, Setting(engine="auto", accuracy=1e-3)):

@@ -16,7 +16,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, StatechartError
 from statechart.observation.difference import distance
 from statechart.running.runner import Runner
-from statechart.study.figure import figure, write
+from statechart.study.figure import figure, write_study_figure
 from statechart.study.measurements import Errors, Point, fingerprint
 from statechart.study.slopes import slopes
 from statechart.study.study import Study, load, save
@@ -73,7 +73,7 @@ def test_many_bodies_trade_steps_and_how_exact_impulses_are(tmp_path: Path) -> N
     assert [point.setting for point in found.points] == settings
     assert found.points == load(tmp_path).points
     assert "impulse to 1e-08 step 0.001" in format_text(found)
-    write(tmp_path, found)
+    write_study_figure(tmp_path, found)
     assert "1e-08" in (tmp_path / "trade.csv").read_text()
     loose, tight = (point.errors for point in found.points)
     assert loose.energy != tight.energy
@@ -130,7 +130,7 @@ stop: {time: 4}
     assert distance(first, first) == 0.0
 
 
-def test_the_pareto_front_has_what_nothing_beats() -> None:
+def test_the_pareto_front_has_the_undominated_points() -> None:
     slow, good, bad = point(1e-6, 1e-6, 2.0), point(1e-5, 1e-7, 1.0), point(1e-3, 1e-3, 0.5)
     other = point(1e-4, 1e-12, 0.1, same_modes=False, diverged=0.5)
     assert study(slow, good, bad, other).front() == (bad, good)
@@ -211,7 +211,7 @@ def test_a_chaotic_motion_has_no_errors_but_a_time_at_which_runs_part(tmp_path: 
     assert "starts that differ by the tolerance" in refused.refused
     assert "leaves it at" in format_text(found)
     assert found.front() == ()
-    write(tmp_path, found)
+    write_study_figure(tmp_path, found)
     shown = to_dict(found)
     assert shown["points"][0]["error"] is None
     json.dumps(shown, allow_nan=False)
@@ -286,7 +286,7 @@ def test_keys_without_effect_on_motion_keep_the_fingerprint() -> None:
     assert fingerprint(one) == fingerprint(same) != fingerprint(other)
 
 
-def test_a_model_that_no_engine_takes_to_its_end_has_no_reference() -> None:
+def test_a_model_that_no_engine_completes_has_no_reference() -> None:
     blows_up = OSCILLATOR.replace("v: -x,", "v: x**3,")
     with pytest.raises(StatechartError, match="no reference"):
         trade(Runner(read_text(blows_up)), settings=scipy("RK45", 3))
@@ -316,7 +316,7 @@ def test_unequal_modes_are_shown_as_such(tmp_path: Path) -> None:
     assert "others from t = 0.25" in format_text(found)
     labels = [t.get_text() for t in figure(found).legends[0].get_texts()]
     assert "RK45, other modes" in labels
-    write(tmp_path, found)
+    write_study_figure(tmp_path, found)
     rows = (tmp_path / "trade.csv").read_text().splitlines()
     assert len(rows) == 3
     assert {p.name for p in tmp_path.iterdir()} == {"trade.svg", "trade.png", "trade.csv"}

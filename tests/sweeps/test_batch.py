@@ -76,7 +76,7 @@ def compared(
 ) -> int:
     """Run cells together and alone; return how many went through together."""
     # Else they do so where the call lies compiled on disk.
-    monkeypatch.setattr(compiled_loop, "_WORTH", -1)
+    monkeypatch.setattr(compiled_loop, "_WORTH_COMPILING", -1)
     columns = dict(zip(model.ranges, table.T, strict=True))
     plan = Plan(model, Setting(), columns, grid=False, until=until)
     sweep_cells._cells.cache_clear()
@@ -119,7 +119,7 @@ def test_shipped_models(
     assert compared(model, cells(model, 24), monkeypatch, until) >= least
 
 
-def test_a_velocity_that_is_rounding_is_nothing_to_bring_back(
+def test_a_velocity_of_round_off_is_not_projected(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # As the slide turns, the rate of the gap is 3e-16 to 7e-16, beside speeds of 1.2 to 1.6.
@@ -138,7 +138,7 @@ def test_conditions_lists_counts_and_plastic_impacts(monkeypatch: pytest.MonkeyP
 def test_outputs_of_one_run_are_those_of_its_jumps_and_arcs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(compiled_loop, "_WORTH", -1)
+    monkeypatch.setattr(compiled_loop, "_WORTH_COMPILING", -1)
     model = interpret(read_text(HAIRY))
     assert isinstance(model, Declaration)
     runner, made = Runner(model), 0
@@ -181,7 +181,7 @@ def test_a_stop_time_that_varies(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_call_is_compiled_once_so_many_cells_are_worth_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(compiled_loop, "_WORTH", 300)
+    monkeypatch.setattr(compiled_loop, "_WORTH_COMPILING", 300)
     monkeypatch.setattr(CompiledSceneLaws, "compiled", lambda self: False)
     model = load("toppling_stick")
     plan = Plan(model, Setting(), {"mu": [0.2, 0.4]})
@@ -194,13 +194,13 @@ def test_the_call_is_compiled_once_so_many_cells_are_worth_it(
     assert structure.through > 50
 
 
-def test_runs_that_look_for_an_accuracy_are_made_alone() -> None:
+def test_runs_with_a_required_accuracy_are_not_batched() -> None:
     assert Runner("toppling_stick", accuracy=1e-9).batch(("mu",)) is None
     assert Runner("toppling_stick", engine="impulse", step=1e-2).batch(("mu",)) is None
     assert Runner("toppling_stick").batch(("mu",)) is not None
 
 
-def test_sweeps_by_scipy_give_what_its_runs_give() -> None:
+def test_sweeps_by_scipy_equal_its_single_runs() -> None:
     plan = Plan(load("bouncing_ball"), Setting("scipy"), {"k": np.linspace(0.1, 0.5, 5)})
     found = run_block(plan.task, np.linspace(0.1, 0.5, 5)[:, None])
     runner = Runner("bouncing_ball", engine="scipy")

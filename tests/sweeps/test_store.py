@@ -91,7 +91,7 @@ def test_lists_of_an_interrupted_sweep_resume(
     same(sweep(model, LISTS, store=store, resume=True), whole)
 
 
-def test_a_signal_is_not_kept_from_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_signal_reaches_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sweeps, "run_block", interrupting(1))
     assert sweep(STICK, {"mu": [0.2]}).attrs["complete"] == 0
     with pytest.raises(KeyboardInterrupt):
@@ -130,7 +130,7 @@ def test_folders_that_are_no_store_are_left_alone(tmp_path: Path, content: str) 
         sweep(STICK, {"mu": [0.2]}, store=store, resume=True)
 
 
-def test_a_store_begun_by_a_process_that_was_killed_at_once_is_begun_again(tmp_path: Path) -> None:
+def test_a_store_of_a_killed_process_is_created_again(tmp_path: Path) -> None:
     store = tmp_path / "a.zarr"
     whole = sweep(STICK, {"mu": [0.2]}, store=store).load()
     shutil.rmtree(store / "outcome")
@@ -307,9 +307,7 @@ def test_a_store_that_lost_a_chunk_is_refused_with_its_name(
     sweep(model, over, store=store, resume=True)
 
 
-def test_room_for_texts_that_were_not_written_is_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_texts_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole, store = sweep(STICK, GRID), tmp_path / "a.zarr"
     monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
     with monkeypatch.context() as patched:

@@ -300,7 +300,7 @@ def test_idle_workers_leave_no_processes(
     assert not list(tmp_path.iterdir())
 
 
-def test_results_of_dead_workers_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_of_dead_workers_are_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sweeps, "_FIRST_BLOCKS", 1)
     monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
     store = tmp_path / "a.zarr"

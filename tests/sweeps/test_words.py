@@ -56,7 +56,7 @@ def drawn(columns: dict[str, np.ndarray], *, grid: bool = True, **options: objec
     return plan, data, figure(plan, data)
 
 
-def test_two_parameters_are_maps_of_what_cells_gave() -> None:
+def test_sweeps_of_two_parameters_are_shown_as_maps() -> None:
     columns = {"mu": np.geomspace(0.05, 50, 12), "I_G": np.linspace(0.1, 1.0, 10)}
     _, data, picture = drawn(columns)
     numbers, modes = (ax.collections[0] for ax in picture.axes[:2])

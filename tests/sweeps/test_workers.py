@@ -44,7 +44,7 @@ def same(one: xr.Dataset, other: xr.Dataset) -> None:
     xr.testing.assert_identical(one, other)
 
 
-def test_a_cluster_loses_nothing_with_a_worker(
+def test_a_cluster_loses_no_cells_with_a_worker(
     machines: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sweeps, "_FIRST_BLOCKS", 4)
@@ -214,7 +214,7 @@ if __name__ == "__main__":
 """
 
 
-def test_one_of_several_processes_says_what_is_compiled(tmp_path: Path) -> None:
+def test_only_one_process_reports_compilations(tmp_path: Path) -> None:
     script = tmp_path / "compiling.py"
     script.write_text(_COMPILING)
     said = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)

@@ -180,7 +180,7 @@ def test_a_good_scene_passes_every_property():
 
 
 @pytest.mark.parametrize("e", [1e-4, 1e-6])
-def test_the_rounding_of_an_impact_explains_what_the_flight_after_it_lasts(e):
+def test_round_off_of_an_impact_explains_the_duration_of_the_next_flight(e):
     case = Subject(model(ROD)).case({"vy": 0.0, "e": e})
     first, *others = case.sensitivity.conditions
     assert first < 1.0
@@ -239,7 +239,7 @@ def test_an_invariant_that_is_broken_for_a_moment_is_caught(where):
 
 
 @pytest.mark.parametrize("broken", ["k <= 2", "x >= -1", "x <= 19"])
-def test_an_invariant_that_is_broken_where_nothing_flows_is_caught(broken):
+def test_an_invariant_violated_in_a_state_without_duration_is_caught(broken):
     # In a mode of no duration, and after the jump that the run ends with.
     text = """
 kind: chart
@@ -304,7 +304,7 @@ def test_body_pressed_beyond_its_weight_gains_no_energy():
     assert report.passed, report.text()
 
 
-def test_a_part_of_a_large_force_that_nobody_declared_is_caught():
+def test_an_undeclared_part_of_a_large_force_is_caught():
     def judge(declared):
         assert_energy(Mechanics(declared), subject, pushed)
 
@@ -521,7 +521,7 @@ def test_the_same_seed_gives_the_same_report():
     json.dumps(one)
 
 
-def test_the_text_tells_what_was_skipped_and_what_failed():
+def test_the_text_lists_skipped_and_failed_properties():
     faulty = model(BALL.replace("v: -k*v", "v: -k*v*2.2"))
     text = check(faulty, examples=3, seed=1).text()
     assert "FAILED" in text
@@ -578,7 +578,7 @@ def test_readings_are_the_identity_by_default():
     assert Reading().time == 1.0
 
 
-def test_a_flight_shorter_than_rounding_of_what_was_before_passes_no_guard():
+def test_a_flight_shorter_than_earlier_round_off_passes_no_guard():
     subject = Subject(load("bouncing_ball_chart"))
     for trace in subject.case({"k": 1.07e-301}).traces.values():
         assert_margins(subject, trace)

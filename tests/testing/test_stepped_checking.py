@@ -92,7 +92,7 @@ def test_a_good_model_passes(text):
     assert units.examples > units.undecidable
 
 
-def test_invariants_of_steps_are_judged_by_what_a_step_moves():
+def test_invariants_of_stepped_runs_allow_the_change_in_a_step():
     # The ball comes to the ground by up to a step of its fall deeper than its radius, at -3.4.
     text = HEAP.replace("y: 0.11", "y: 0.5")
     sound = model(

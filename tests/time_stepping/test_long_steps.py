@@ -113,7 +113,7 @@ def test_a_step_of_fifty_diameters_is_taken_in_256_parts() -> None:
     assert found.outputs["vx"] == pytest.approx(250.0)
 
 
-def test_discs_that_are_in_the_same_place_at_a_look_have_met() -> None:
+def test_discs_at_the_same_midpoint_have_met() -> None:
     found = runner(DISCS, 0.02).run({"x0": -1.5, "y0": 0.0})
     assert found.outputs["vx"] == pytest.approx(12.5)
 
@@ -144,7 +144,7 @@ def test_a_drive_that_steps_sample_at_one_phase_warns() -> None:
 
 
 @pytest.mark.parametrize("name", ["hopper", "woodpecker", "compass_walker", "stick_slip_block"])
-def test_the_shipped_models_warn_of_nothing_at_a_step_that_does(name: str) -> None:
+def test_the_shipped_models_have_no_warnings_at_a_suitable_step(name: str) -> None:
     runner_ = Runner(name, engine="impulse", step=1e-3)
     warnings = runner_.run(until=0.5, throw=False).warnings
     assert not any("springs swing" in w or "forces change" in w for w in warnings)
@@ -306,7 +306,7 @@ def test_a_slow_drift_that_reversals_of_slip_carry_on_warns() -> None:
     assert not runner(DRIVE, 1e-4).run(values).warnings
 
 
-def test_discs_that_graze_meet_and_those_beside_each_other_do_not() -> None:
+def test_grazing_discs_meet_and_separate_ones_do_not() -> None:
     text = DISCS.replace("disc: 0.1", "disc: 0.02")
     for x0 in np.linspace(-1.5, -1.3, 21):
         speeds = [

@@ -94,7 +94,7 @@ def test_states_and_updates_are_those_of_events() -> None:
     assert stop.after[place] == stop.before[found.variables.index("block.dx")]
 
 
-def test_it_does_not_matter_how_many_steps_are_taken_at_once(
+def test_results_do_not_depend_on_the_number_of_steps_per_call(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     whole = run(TOWED, 1e-3)

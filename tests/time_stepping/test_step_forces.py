@@ -91,7 +91,7 @@ def cornered(simultaneous, engine, step=None):
 
 @given(thrown(), st.sampled_from([1e-3, 2.7e-4]))
 @examples(15)
-def test_impulses_push_within_friction_and_are_what_changes_the_momentum(values, step):
+def test_impulses_lie_in_the_cone_and_equal_the_change_of_momentum(values, step):
     trace = cornered("capped", "impulse", step).run(values, throw=False).trace
     for jump in trace.jumps:
         push = np.zeros(2)

@@ -65,7 +65,7 @@ def test_a_scene_is_built_run_drawn_and_saved(tmp_path: Path) -> None:
     assert modes.nodes["pin",]["visits"] == 1
 
 
-def test_parts_of_scenes_say_what_they_are() -> None:
+def test_parts_of_scenes_have_types() -> None:
     parts = (
         Coordinate(start=1),
         Shape(disc=1),
@@ -135,7 +135,7 @@ def test_a_declaration_needs_no_arrays_and_no_reader_of_files() -> None:
     assert said.stdout == "set()\n"
 
 
-def test_a_face_imports_nothing_before_it_is_used() -> None:
+def test_public_packages_import_lazily() -> None:
     code = "import sys, statechart, contacts; print('numpy' in sys.modules, len(dir(statechart)))"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout.startswith("False")

@@ -170,7 +170,6 @@ class _Grid:
         return f"{self.prefix}{'hv'[axis]}{number}"
 
     def _size(self, axis: int, bond: int) -> Point:
-        """Return width and height of the words on an arrow."""
         return self.sizes.get(self._key(axis, bond), (0.0, 0.0))
 
     def _measure(self) -> None:
@@ -264,7 +263,7 @@ class _Grid:
             top = self.places[across][0] - self.reach[across] - _MARGIN * deep
             end = self.size[across] + _MARGIN * deep
             colour = FRAME if node.infeasible is None else FAINT
-            size = _turned(k, high - low, end - top)
+            size = _along_axis(k, high - low, end - top)
             centre = _point(k, (low + high) / 2, (top + end) / 2)
             yield Box(self._key(k, f"_{number}"), centre, size, {**_BAND, "color": colour})
             name = self._key(k, f"in{number}")
@@ -325,11 +324,10 @@ class _Grid:
         return self._side(k, span[side > 0], side, deep)
 
 
-def _turned(axis: int, along: float, across: float) -> Point:
+def _along_axis(axis: int, along: float, across: float) -> Point:
     return (along, across) if axis == 0 else (across, along)
 
 
 def _point(axis: int, u: float, v: float) -> Point:
-    """Return a place on the page, y upwards."""
-    x, y = _turned(axis, u, v)
+    x, y = _along_axis(axis, u, v)
     return x, -y

@@ -1,0 +1,390 @@
+"""Random scenes of friction laws, couplings, compliant contacts and joints that let go.
+
+Taylor and SciPy have to agree: the same outcome, the same events, final states and event times to
+1e-6 of their size. Time steps of 2 ms and 0.5 ms have to approach them (first order), or a run has
+to warn. Scenes of bodies with shapes run by steps only.
+
+Run with ``python benchmarks/random_laws.py [COUNT] [SEED] [SECONDS]``.
+"""
+
+from __future__ import annotations
+
+import random
+import sys
+import time
+from collections.abc import Callable
+
+from statechart import Runner
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import StatechartError
+from statechart.running.result import Result
+
+HEAD = "kind: scene\nname: laws\ngravity: 9.81\nstop: {time: 1.5}\nsettings: {max_jumps: 2000}\n"
+STEPS = 2e-3, 5e-4
+AGREE, NEAR = 1e-6, 0.02  # of final states and times of events: engines; steps of 0.5 ms
+
+# A scene as lines of its sections, such as {"bodies": ["b: {mass: 1}"]}.
+Scene = dict[str, list[str]]
+
+
+class Draw(random.Random):
+    """Random formulas."""
+
+    def number(self, low: float, high: float) -> str:
+        """Return a number of three decimals."""
+        return f"{self.uniform(low, high):.3f}"
+
+    def wave(self, size: float) -> str:
+        """Return a formula of time."""
+        a, w = self.number(0.3 * size, size), self.number(1, 9)
+        return self.choice(
+            [
+                f"{a}*sin({w}*time + {self.number(0, 6)})",
+                f"{a}*sat(2*sin({w}*time), -1, 1)",
+                f"{a}*max(sin({w}*time), -0.4)",
+                f"{a}*(mod(time, {self.number(0.2, 0.7)}) - 0.2)",
+                f"{a}*u",
+                f"{self.number(-size, size)}",
+            ]
+        )
+
+    def push(self, size: float, speed: str, place: str) -> str:
+        """Return a formula of time, a speed and a place."""
+        spring = f" - {self.number(0.5, 4)}*{size}*{place}" if self.random() < 0.4 else ""
+        drag = self.choice(
+            [
+                "",
+                f" - {self.number(0.05, 0.5)}*{size}*{speed}",
+                f" - {size}*sat({self.number(0.1, 2)}*{speed}, -0.2, 0.2)",
+            ]
+        )
+        return self.wave(size) + spring + drag
+
+    def friction(self, slips: bool = True) -> str:
+        """Return a coefficient, or two of them, that may depend on the slip."""
+        s = self.uniform(0.1, 0.8)
+        k = s * self.uniform(0.4, 1.0)
+        stribeck = f"{k:.3f} + {s - k:.3f}*exp(-abs(slip)/{self.number(0.05, 0.5)})"
+        return self.choice(
+            [
+                f"{s:.3f}",
+                f"{{static: {s:.3f}, kinetic: {k:.3f}}}",
+                f"{{static: {1.1 * s:.3f}, kinetic: {stribeck}}}",
+                stribeck,
+            ][: 4 if slips else 2]
+        )
+
+    def limit(self, size: float) -> str:
+        """Return the limit of a coupling, quoted."""
+        s = self.uniform(0.2, 1.0) * size
+        return self.choice(
+            [
+                f"{s:.3f}",
+                f"{{static: {s:.3f}, kinetic: {s * self.uniform(0.4, 1):.3f}}}",
+                f"{s:.3f}*(1.2 + sin({self.number(1, 5)}*time))",
+                f"'{s:.3f}*(1.2 - mod(time, {self.number(0.2, 0.7)}))'",
+                f"{s:.3f}*(1.5 + u)",
+            ]
+        )
+
+    def enabled(self, relation: str = "time <= 9") -> str:
+        """Return an `enabled`, or nothing."""
+        if self.random() < 0.5:
+            return ""
+        gate = self.choice(
+            [
+                f"time >= {self.number(0.1, 0.9)}",
+                f"time <= {self.number(0.2, 1.2)}",
+                f"sin({self.number(3, 9)}*time) >= -0.3",
+                f"mod(time, 0.7) <= {self.number(0.2, 0.6)}",
+                "in(control.high)",
+                "not in(control.high)",
+                relation,
+            ]
+        )
+        return f", enabled: '{gate}'"
+
+    def closing(self) -> str:
+        """Return the normal law of a contact."""
+        if self.random() < 0.4:
+            k = 10.0 ** self.uniform(2.5, 4.5)
+            return f"stiffness: {k:.1f}, damping: {self.uniform(0, 1.5) * k**0.5:.3f}"
+        return f"restitution: {self.choice(['0', '0', self.number(0.1, 0.7)])}"
+
+
+def wheels(draw: Draw) -> Scene:
+    """Wheels with brakes and clutches."""
+    count = draw.randint(1, 3)
+    scene: Scene = {"coordinates": [], "bodies": [], "couplings": [], "forces": []}
+    for i in range(count):
+        scene["coordinates"] += [f"p{i}: {{rate: {draw.choice(['0', draw.number(-4, 4)])}}}"]
+        turns = f"inertia: {draw.number(0.5, 2)}, position: [{i}, 0], angle: p{i}"
+        scene["bodies"] += [f"w{i}: {{mass: 1, {turns}}}"]
+        push = draw.push(3, f"dp{i}", f"p{i}")
+        scene["forces"] += [f"f{i}: {{body: w{i}, moment: '{push}'}}"]
+    for k in range(draw.randint(1, 4)):
+        a = draw.randrange(count)
+        others = [f"w{i}" for i in range(count) if i != a]
+        bodies = ", ".join([f"w{a}", *draw.sample(others, min(len(others), draw.randint(0, 1)))])
+        gate = draw.enabled(f"abs(dp{a}) <= {draw.number(0.5, 3)}")
+        scene["couplings"] += [f"c{k}: {{bodies: [{bodies}], limit: {draw.limit(3)}{gate}}}"]
+    return scene
+
+
+def ball(draw: Draw) -> Scene:
+    """A ball with rolling resistance on a belt."""
+    belt = draw.choice(["", f", displacement: ['{draw.wave(0.1)}', 0]"])
+    if "mod" in belt or "max" in belt or "sat" in belt or "*u" in belt:
+        belt = f", displacement: ['{draw.number(0.1, 1)}*mod(time, 0.4)', 0]"
+    rolls = draw.choice(["", f", rolling_resistance: {draw.number(0.001, 0.02)}"])
+    law = f"friction: {draw.friction()}, {draw.closing()}{rolls}"
+    start = f"y: {draw.choice(['0.1', '0.15', '0.3'])}, dx: {draw.number(-2, 2)}"
+    force = draw.push(3, "b.dx", "b.x")
+    return {
+        "bodies": [
+            f"b: {{mass: 1, inertia: 0.004, start: {{{start}, dangle: {draw.number(-15, 15)}}}}}"
+        ],
+        "surfaces": [f"floor: {{height: 0{belt}}}"],
+        "contacts": [
+            f"rim: {{point: {{body: b}}, radius: 0.1, surface: floor, {law}{draw.enabled()}}}"
+        ],
+        "couplings": [f"brake: {{bodies: [b], limit: {draw.limit(0.3)}{draw.enabled()}}}"],
+        "forces": [f"push: {{body: b, force: ['{force}', 0]}}"],
+    }
+
+
+def box(draw: Draw) -> Scene:
+    """A box on two feet, beside a load on a rail that may let go."""
+    slope, tilt = draw.choice(["0", draw.number(-0.3, 0.3)]), draw.number(-0.3, 0.3)
+    start = f"y: 0.26, dx: {draw.number(-1, 1)}"
+    if draw.random() < 0.6:
+        tilt, v = slope, draw.number(-1, 1)
+        start = f"x: -0.1*sin({slope}), y: 0.1*cos({slope}), dx: {v}*cos({slope})"
+        start += f", dy: {v}*sin({slope})"
+    same = draw.friction(), draw.closing()
+    feet = [same, same if draw.random() < 0.6 else (draw.friction(), draw.closing())]
+    place = draw.choice(["{y: 0.4}", "{x: 0.3}", "{body: b, at: [0, 0.1]}", "[0.2, 0.4]"])
+    held = draw.choice(["", ", angle: held"])
+    gate = draw.enabled("abs(load.dx) <= 1.5")
+    start_load = "y: 0.4, x: 0.2"
+    if "body" in place or "0.3" in place or place.startswith("["):
+        gate = ", rest: captured" + (gate or f", enabled: time >= {draw.number(0.2, 0.8)}")
+    scene: Scene = {
+        "bodies": [
+            f"b: {{mass: 1, inertia: 0.02, start: {{{start}, angle: {tilt}}}}}",
+            f"load: {{mass: {draw.number(0.2, 1)}, inertia: 0.01, start: {{{start_load}}}}}",
+        ],
+        "surfaces": [f"floor: {{incline: {slope}}}"],
+        "contacts": [
+            f"foot{i}: {{point: {{body: b, at: [{x}, -0.1]}}, surface: floor,"
+            f" friction: {friction}, {law}}}"
+            for i, (x, (friction, law)) in enumerate(zip((-0.2, 0.2), feet, strict=True))
+        ],
+        "joints": [f"rail: {{point: {{body: load}}, to: {place}{held}{gate}}}"],
+        "forces": [
+            f"drive: {{body: b, force: ['{draw.push(8, 'b.dx', 'b.x')}', 0]}}",
+            f"pull: {{body: load, force: ['{draw.push(2, 'load.dx', 'load.x')}', 0],"
+            f" moment: '{draw.wave(0.1)}'}}",
+        ],
+    }
+    if place.startswith("{y") and not held:
+        scene["couplings"] = [f"rub: {{joint: rail, limit: {draw.limit(2)}}}"]
+    elif not held:
+        bodies = draw.choice(["[load]", "[load, b]"])
+        scene["couplings"] = [f"rub: {{bodies: {bodies}, limit: {draw.limit(0.2)}}}"]
+    return scene
+
+
+def hanging(draw: Draw) -> Scene:
+    """Two rods on a rope, a rod or a pin above a floor."""
+    first, angle = draw.choice(["rope: 0.5", "rod: 0.5", ""]), draw.number(-1, 1)
+    hook, x = f"0.25*(1 - cos({angle}))", "0.75" if first else "0.25"
+    e = f", restitution: {draw.number(0, 0.6)}" if draw.random() < 0.5 else ""
+    if not first:
+        stops = f"limits: [{draw.number(-1.5, -1)}, {draw.number(1, 1.5)}]{e}"
+        first = draw.choice(["restitution: 0, limits: [-9, 9]", stops])
+    elif first.startswith("rope"):
+        first += e
+    gates = [
+        "",
+        f", enabled: 'hypot(elbow.X, elbow.Y) <= {draw.number(5, 40)}'",
+        f", rest: captured, enabled: time >= {draw.number(0.1, 0.6)}",
+    ]
+    law = f"friction: {draw.friction()}, {draw.closing()}"
+    push = draw.push(0.5, "b.dangle", "b.angle")
+    scene: Scene = {
+        "bodies": [
+            f"b: {{mass: 1, inertia: 0.02,"
+            f" start: {{x: {x}, y: 0.25*sin({angle}), angle: {angle}}}}}",
+            f"c: {{mass: {draw.number(0.2, 1)}, inertia: 0.01,"
+            f" start: {{x: {x} + 0.25 + 0.25*cos({angle}), y: 0.5*sin({angle})}}}}",
+        ],
+        "surfaces": [f"floor: {{height: -{draw.number(0.5, 1)}}}"],
+        "contacts": [f"tip: {{point: {{body: c, at: [0.25, 0]}}, surface: floor, {law}}}"],
+        "joints": [
+            f"hook: {{point: {{body: b, at: [-0.25, 0]}}, to: ['{hook}', 0], {first}}}",
+            f"elbow: {{point: {{body: c, at: [-0.25, 0]}}, to: {{body: b, at: [0.25, 0]}}"
+            f"{draw.choice(gates)}}}",
+        ],
+        "forces": [f"push: {{body: b, moment: '{push}'}}"],
+    }
+    if draw.random() < 0.6:
+        held = draw.choice(["joint: elbow", "bodies: [b]", "bodies: [b, c]"])
+        scene["couplings"] = [f"rub: {{{held}, limit: {draw.limit(0.5)}{draw.enabled()}}}"]
+    return scene
+
+
+def shapes(draw: Draw) -> Scene:
+    """A box and a disc on fixed crates, pushed by a led slider; by steps only."""
+    at = draw.number(0.1, 1)
+    link = draw.choice(
+        [
+            "point: {body: box, at: [0, 0.05]}, to: {body: disc}, rope: 0.4",
+            f"point: {{body: box}}, to: {{x: 0.3}}, rest: captured, enabled: time >= {at}",
+            f"point: {{body: disc}}, to: {{x: 0.6}}, rest: captured, enabled: time <= {at}",
+            "point: {body: box}, to: {body: disc}, rest: captured, angle: held,"
+            " enabled: in(control.high)",
+        ]
+    )
+    square = "shape: {polygon: [[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]}"
+    slab = "shape: {polygon: [[-0.5, -0.2], [0.5, -0.2], [0.5, 0], [-0.5, 0]]}"
+    rolls = draw.choice(["", f", rolling_resistance: {draw.number(0.001, 0.02)}"])
+    start = f"x: 0.3, y: {draw.choice(['0.05', '0.08'])}, dx: {draw.number(-1, 1)}"
+    ground = f"friction: {draw.friction(False)}, {draw.closing()}{rolls}"
+    path = draw.choice(["0.1*sin(5*time)", "0.4*time", "s"])
+    return {
+        "bodies": [
+            f"box: {{mass: 1, inertia: 0.002, {square}, start: {{{start}}}}}",
+            "disc: {mass: 0.5, inertia: 0.000625, shape: {disc: 0.05},"
+            f" start: {{x: 0.6, y: 0.05, dx: {draw.number(-1, 1)}}}}}",
+            f"crate: {{fixed: true, copies: 3, {slab}, start: {{x: index - 0.5}}}}",
+            f"slider: {{position: ['{path}', 0.05], {square}}}",
+        ],
+        "collisions": [
+            f"ground: {{bodies: [box, disc, crate], {ground}}}",
+            f"pushes: {{bodies: [box, disc, slider], friction: {draw.friction(False)},"
+            " restitution: 0}",
+        ],
+        "joints": [f"link: {{{link}}}"],
+        "forces": [f"drive: {{body: box, force: ['{draw.push(4, 'box.dx', 'box.x')}', 0]}}"],
+    }
+
+
+SPEEDS = {wheels: "dp0", ball: "b.dx", box: "b.dx", hanging: "b.dangle", shapes: "box.dx"}
+FAMILIES: list[Callable[[Draw], Scene]] = [*SPEEDS]
+
+
+def control(draw: Draw, scene: Scene, speed: str) -> list[str]:
+    """Return a controller that sets the control `u` and lets the variable `s` flow."""
+    regions = {"couplings": ("lock", "slip"), "contacts": ("stick", "touchdown", "liftoff")}
+    events = [
+        f"on: {line.split(':')[0]}.{event}"
+        for section, causes in regions.items()
+        for line in scene.get(section, [])
+        for event in causes
+    ]
+    ways = [
+        f"guard: '{speed} >= {draw.number(0.1, 1)}'",
+        f"after: {draw.number(0.1, 0.5)}",
+        f"after: {draw.number(0.1, 0.5)}, guard: '{speed} <= {draw.number(-0.5, 0.5)}'",
+        *events,
+        *(f"{event}, guard: time >= {draw.number(0.1, 0.8)}" for event in events),
+    ]
+    down = draw.choice([f"after: {draw.number(0.05, 0.6)}", f"every: {draw.number(0.2, 0.6)}"])
+    return [
+        "control:",
+        "  initial: low",
+        "  variables: {s: 0}",
+        "  states:",
+        f"    low: {{sets: {{u: {draw.number(-1, 0)}}}, flows: {{s: 0.3}}}}",
+        f"    high: {{sets: {{u: {draw.number(0, 1)}}}, flows: {{s: -0.2}}}}",
+        "  transitions:",
+        f"    - {{name: rise, from: low, to: high, {draw.choice(ways)}}}",
+        f"    - {{name: fall, from: high, to: low, {down}}}",
+    ]
+
+
+def write_scene(seed: int) -> tuple[str, str]:
+    """Return the family and the text of the scene with this seed."""
+    draw = Draw(seed)
+    family = FAMILIES[seed % len(FAMILIES)]
+    scene = family(draw)
+    scene["controls"] = ["u: 0.3"]
+    scene["regions"] = control(draw, scene, SPEEDS[family])
+    sections = ("\n  ".join([f"{key}:", *lines]) for key, lines in scene.items())
+    return family.__name__, HEAD + "\n".join(sections) + "\n"
+
+
+def run(text: str, **settings: object) -> Result | str:
+    """Run a scene; return its message where it is refused."""
+    try:
+        return Runner(read_text(text), **settings).run(throw=False)  # type: ignore[arg-type]
+    except StatechartError as error:
+        return f"{type(error).__name__}: {error}"
+
+
+def distance(one: Result, other: Result) -> float:
+    """Return by how much two final states differ, relative to their size."""
+    pairs = zip(one.trace.final, other.trace.final, strict=True)
+    return max(abs(x - y) / max(1.0, abs(x)) for x, y in pairs)
+
+
+def events(result: Result) -> list[tuple[str, str]]:
+    """Return regions and causes of jumps."""
+    return [(jump.region, jump.cause) for jump in result.trace.jumps]
+
+
+def judge(family: str, text: str) -> str:
+    """Return how the engines differ, or nothing."""
+    steps = [run(text, engine="impulse", step=step) for step in STEPS]
+    if family == "shapes":
+        steps.append(run(text, engine="impulse", step=STEPS[1] / 4))
+        taylor = scipy = steps.pop()
+    else:
+        taylor, scipy = run(text, engine="taylor"), run(text, engine="scipy")
+    for result in (taylor, scipy, *steps):
+        if isinstance(result, str):
+            return f"refused: {result}"
+    name = taylor.trace.outcome.name
+    told = "" if not taylor.warnings else " (warns)"
+    if scipy.trace.outcome is not taylor.trace.outcome:
+        return f"engines: {name}, {scipy.trace.outcome.name}{told}"
+    if name != "HORIZON":
+        return f"ends: {name} at {taylor.trace.t_end:.4g} {taylor.message}"
+    if events(taylor) != events(scipy):
+        return f"engines: events {len(events(taylor))}, {len(events(scipy))}{told}"
+    late = max(
+        (abs(a.t - b.t) for a, b in zip(taylor.trace.jumps, scipy.trace.jumps, strict=True)),
+        default=0.0,
+    )
+    off = max(late, distance(taylor, scipy))
+    if off > AGREE:
+        return f"engines: off by {off:.2g}{told}"
+    for result in steps:
+        if result.trace.outcome is not taylor.trace.outcome:
+            return f"steps: {result.trace.outcome.name}"
+    coarse, fine = (distance(taylor, result) for result in steps)
+    if (fine > NEAR and fine > 0.5 * coarse) or fine > 0.3:
+        warns = " (warns)" if steps[1].warnings else ""
+        return f"steps: off by {coarse:.2g}, {fine:.2g}{warns}"
+    return ""
+
+
+def main(count: int = 300, seed: int = 0, seconds: int = 3600) -> int:
+    """Judge `count` scenes; print those whose runs differ, return how many."""
+    began, differ, tried = time.process_time(), 0, 0
+    for one in range(seed, seed + count):
+        if time.process_time() - began > seconds:
+            break
+        family, text = write_scene(one)
+        verdict = judge(family, text)
+        tried += 1
+        if verdict:
+            differ += 1
+            print(one, family, verdict, flush=True)
+    print(f"{tried} scenes, {differ} differ")
+    return differ
+
+
+if __name__ == "__main__":
+    sys.exit(min(main(*map(int, sys.argv[1:])), 1))
