@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 
 from contacts.solvers.lemke import UNKNOWNS, complementarity_problem
-from contacts.solvers.step_impulses import ContactProblem
+from contacts.solvers.step_impulses import coordinate_rows, new_island
 
 
 def lcp_of(delassus, free, cones):
@@ -55,10 +55,10 @@ def every_impulses(delassus, free, cones):
 
 
 def impact_problem(delassus, before, free, wanted, cones, rebounds):
-    """Return contacts that all feel each other, one coordinate to a velocity."""
+    """Return contacts that all feel each other, one coordinate to a velocity, and their island."""
     m = len(cones)
-    return ContactProblem(
-        np.arange(m), np.eye(2 * m).reshape(m, 2, 2 * m), np.ascontiguousarray(delassus.T),
-        delassus, np.zeros(m, np.int64), np.zeros(m, np.int64), cones, before, free, wanted,
-        rebounds, np.ones(m, np.bool_), np.zeros(m, np.bool_), np.zeros(m, np.bool_),
-    )  # fmt: skip
+    jacobians = np.eye(2 * m).reshape(m, 2, 2 * m)
+    columns = np.ascontiguousarray(delassus.T)
+    island = new_island(np.arange(m), before, free, wanted)
+    island.rebounds[:] = rebounds
+    return coordinate_rows(jacobians, columns, np.zeros(m), cones), island

@@ -153,12 +153,18 @@ def has_two_coefficients(law: Array) -> bool:
 
 
 @kernel
+def rolling_share(active: ActiveContacts, i: int) -> float:
+    """Return the load of a contact, in parts of that of its row."""
+    return 2.0 if active.twins[i] == ROLLS else 1.0
+
+
+@kernel
 def write_friction(numbers: BodyNumbers, i: int, way: int, active: ActiveContacts) -> None:
     """Write the cone of a contact that rests (0) or slips this `way`."""
     law, at = numbers.materials[active.laws[i]], 0 if way in (0, ON_TRIAL) else KINETIC
     active.ways[i] = way
     active.materials[i, 0] = law[at]
-    active.materials[i, 1] = law[at + 1] * (2.0 if active.twins[i] == ROLLS else 1.0)
+    active.materials[i, 1] = law[at + 1] * rolling_share(active, i)
 
 
 @kernel

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,33 +12,36 @@ from contacts.collision_detection.active_contacts import (
     ROLLS,
     ActiveContacts,
     has_two_coefficients,
-    write_friction,
+    rolling_share,
 )
-from contacts.collision_detection.body_numbers import BodyNumbers
+from contacts.collision_detection.body_numbers import KINETIC, BodyNumbers
 from contacts.collision_detection.joints import bent_on
 from contacts.collision_detection.midpoint import Midpoint, push_link
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.solvers.contact_rows import (
-    BEGINS,
     HELD,
-    ON_TRIAL,
     PAIR,
     ContactRows,
     add,
     along,
     complete,
     joint_work,
-    law_of,
     moved,
-    overload,
-    scale,
     scale_of_sum,
     slope,
 )
-from contacts.solvers.contact_solver import solve_rows
 from contacts.solvers.impact_sequence import in_turn
 from contacts.solvers.impulse_coupling import root
 from contacts.solvers.island_impulses import island_impulses
+from contacts.solvers.step_impulses import (
+    ONE,
+    TWO,
+    Island,
+    allowed_beside,
+    change_friction,
+    forces_beside_impacts,
+    order_matters,
+)
 from contacts.time_stepping.chunk import (
     AMBIGUOUS,
     CALMED,
@@ -51,28 +53,12 @@ from contacts.time_stepping.chunk import (
     UNENDED,
     WORK,
 )
-from statechart.arrays import Array, Bools, Ints
+from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import kernel
 
 PLASTIC, CAPPED, SEQUENTIAL = range(3)
 """Codes of `contacts.scene.parts.Simultaneous`."""
-
-
-class Island(NamedTuple):
-    """Contacts that share bodies: their velocities and impulses, each (m, 2), and who rebounds.
-
-    Members are in the order of their rows. Velocities are those before the step and without
-    impulses, and what these may not fall below, negated; `sudden` are impulses of impacts in turn.
-    """
-
-    members: Ints
-    start: Array
-    unforced: Array
-    wanted: Array
-    chosen: Array
-    sudden: Array
-    rebounds: Bools
 
 
 # Contacts that are next to each other are of the same body: where they are solved so many apart
@@ -328,32 +314,17 @@ def ratio_remarks(worst: Array, names: Sequence[str], allowed: float) -> tuple[s
     )
 
 
-# Forces beside impacts are found to this part of what falls in a step at least.
-_NEAR = 1e-2
-
-
 @kernel
-def _near(allowed: float, slow: float, fast: float) -> float:
-    """Return a residual for what approaches slower than others in a step.
-
-    It is found no nearer, as velocities, than the impulses of the step are.
-    """
-    return min(allowed * fast / slow, max(allowed, _NEAR)) if slow > 0.0 else allowed
-
-
-@kernel
-def _with_impacts(space: Workspace, members: Ints, sudden: Array, chosen: Array) -> int:
-    """Add the impulses of impacts in turn to those after them; return how many are not struck."""
-    active, quiet = space.active, 0
-    for a in range(len(members)):
-        i = members[a]
+def _add_impacts(space: Workspace, island: Island) -> None:
+    """Add the impulses of impacts in turn to those after them."""
+    sudden, chosen = island.sudden, island.chosen
+    for a in range(len(island.members)):
+        i = island.members[a]
         # Contacts that are pressed together again do not rebound.
         rebounds = sudden[a, 0] > 0.0 >= chosen[a, 0]
-        space.bounces[i] = rebounds and active.materials[i, 2] > 0.0
-        quiet += 0 if active.hit[i] else 1
+        space.bounces[i] = rebounds and space.active.materials[i, 2] > 0.0
         for d in range(2):
             chosen[a, d] += sudden[a, d]
-    return quiet
 
 
 @kernel
@@ -413,49 +384,31 @@ def impacts_in_turn(
             island.unforced[a, d] += changed
         if slope(contacts.cones[a]) < 0.0:
             continue
-        active.hit[i] = active.hit[i] or island.sudden[a, 0] > 0.0
+        island.hit[a] = island.hit[a] or island.sudden[a, 0] > 0.0
         island.rebounds[a] = False
-        if active.hit[i]:
+        if island.hit[a]:
             for d in range(2):
                 island.wanted[a, d] = active.wanted[i, d] = 0.0
     return done, missed, left
 
 
 @kernel
-def _mechanism(numbers: BodyNumbers, b: int) -> int:
-    """Return the first of the bodies that share coordinates with a body; itself if it is free."""
-    free = len(numbers.inverse) - numbers.links.bodies
-    return free + numbers.links.firsts[b - free] if b >= free else b
-
-
-@kernel
-def is_ambiguous(
-    numbers: BodyNumbers, active: ActiveContacts, contacts: ContactRows, island: Island, h: float,
-    struck: Ints,
-) -> bool:  # fmt: skip
+def _order_decides(
+    numbers: BodyNumbers, active: ActiveContacts, contacts: ContactRows, island: Island, h: float
+) -> bool:
     """Return whether impacts in turn would do something else than those at once.
 
-    It is so where a body is struck at two of those that it touches, and both are `LIVELY`:
-    where it bears more than in the step before, and than what would rest in two steps. `struck`
-    (b,) is overwritten.
+    They are `LIVELY` contacts that bear more than in the step before, and than what would rest in
+    two steps. `Island.sudden` is overwritten.
     """
-    for i in island.members:
-        for side in range(2):
-            if active.bodies[i, side] >= 0:
-                struck[_mechanism(numbers, active.bodies[i, side])] = -1
-    for a in range(len(island.members)):
+    pairs, lively = np.empty_like(island.members), np.empty_like(island.hit)
+    for a in range(len(pairs)):
         i = island.members[a]
-        sudden = contacts.own[a, 0] * (island.chosen[a, 0] - active.pushes[i, 0])
-        if not (active.materials[i, 2] >= LIVELY and sudden > _slow(numbers, active, i, h)):
-            continue
-        pair = _pair(numbers, active, i)
-        for side in range(2):
-            b = _mechanism(numbers, active.bodies[i, side])
-            if b >= 0 and struck[b] >= 0 and struck[b] != pair:
-                return True
-            if b >= 0:
-                struck[b] = pair
-    return False
+        for d in range(2):
+            island.sudden[a, d] = island.chosen[a, d] - active.pushes[i, d]
+        pairs[a], sudden = _pair(numbers, active, i), contacts.own[a, 0] * island.sudden[a, 0]
+        lively[a] = active.materials[i, 2] >= LIVELY and sudden > _slow(numbers, active, i, h)
+    return order_matters(contacts, pairs, lively, island.sudden)
 
 
 # Slips of islands whose impulses are exact are known to this part of the fastest approach.
@@ -594,75 +547,30 @@ def close_joints(
 
 
 @kernel
-def _write_island_friction(
-    numbers: BodyNumbers, contacts: ContactRows, island: Island, a: int, way: int,
-    active: ActiveContacts,
-) -> None:  # fmt: skip
-    """Write the friction of contact a of an island that rests (0) or slips this `way`."""
-    i = island.members[a]
-    write_friction(numbers, i, way, active)
-    contacts.cones[a, 0], contacts.cones[a, 1] = active.materials[i, 0], active.materials[i, 1]
-    law_of(contacts.own[a], slope(contacts.cones[a]), contacts.laws[a])
-
-
-@kernel
-def _change_friction(
-    numbers: BodyNumbers, space: Workspace, contacts: ContactRows, island: Island, none: float,
-    lasts: bool,
-) -> bool:  # fmt: skip
-    """Change the friction of contacts whose slip begins or turns; return whether there are.
-
-    A slip that would turn in the step stops if static friction bears what would hold it over the
-    whole step; where something strikes (not `lasts`), if it stops it. What static friction does not
-    hold slips under kinetic friction: what slipped before the step first, then one by one the most
-    overloaded, as each relieves the others. Each contact changes three times at most. A slip up to
-    `none` is what the impulses miss; `_end_slips` notes what kinetic friction has stopped.
-    """
-    active, first, most, way, changes = space.active, -1, 0.0, 0, False
-    rates = contacts.rates[0, : 3 * contacts.moving + 3]
-    moved(contacts, island.chosen, rates)
-    for a in range(len(island.members)):
-        i, normal = island.members[a], island.chosen[a, 0]
-        law, old = active.laws[i], active.ways[i]
-        judged = law >= 0 and abs(old) != BEGINS and normal > 0.0
-        if not judged or not has_two_coefficients(numbers.materials[law]):
-            continue
-        slip = island.unforced[a, 1] + island.wanted[a, 1] + along(contacts, a, 1, rates)
-        if abs(slip) <= none or (abs(old) == 1 and slip * old > 0.0):
-            continue
-        if abs(old) == 1:
-            changes = True
-            _write_island_friction(numbers, contacts, island, a, ON_TRIAL if lasts else 0, active)
-            if lasts:
-                island.wanted[a, 1] -= island.start[a, 1]
-            continue
-        load = overload(slip, contacts.own[a, 1], normal, contacts.cones[a])
-        if abs(island.start[a, 1]) > none:
-            load = math.inf
-        if load > most:
-            first, most, way = a, load, BEGINS if slip > 0.0 else -BEGINS
-    if changes:
-        return True
-    for a in range(len(island.members)):
-        if active.ways[island.members[a]] == ON_TRIAL and first in (a, -1):
-            _write_island_friction(numbers, contacts, island, a, 0, active)
-            island.wanted[a, 1] += island.start[a, 1]
-            changes = True
-    if first >= 0:
-        _write_island_friction(numbers, contacts, island, first, way, active)
-    return changes or first >= 0
-
-
-@kernel
-def _end_slips(contacts: ContactRows, active: ActiveContacts, island: Island, none: float) -> None:
-    """Note which slips kinetic friction has ended: no more than `none` is left of them."""
-    rates = contacts.rates[0, : 3 * contacts.moving + 3]
-    moved(contacts, island.chosen, rates)
+def _write_frictions(numbers: BodyNumbers, active: ActiveContacts, island: Island) -> bool:
+    """Write the frictions of an island; return whether some differ at rest and in motion."""
+    splits = False
     for a in range(len(island.members)):
         i = island.members[a]
+        used, island.kinds[a], island.ways[a] = active.laws[i], ONE, active.ways[i]
+        if used < 0 or not has_two_coefficients(numbers.materials[used]):
+            continue
+        splits, island.kinds[a] = True, TWO
+        for way in range(3):
+            at = 0 if way == 0 else KINETIC
+            island.frictions[a, way, 0] = numbers.materials[used, at]
+            island.frictions[a, way, 1] = rolling_share(active, i) * numbers.materials[used, at + 1]
+    return splits
+
+
+@kernel
+def _write_slips(contacts: ContactRows, island: Island, none: float) -> None:
+    """Write the slips after the step; those up to `none` are what the impulses miss."""
+    rates = contacts.rates[0, : 3 * contacts.moving + 3]
+    moved(contacts, island.chosen, rates)
+    for a in range(len(island.members)):
         slip = island.unforced[a, 1] + island.wanted[a, 1] + along(contacts, a, 1, rates)
-        if abs(slip) <= none:
-            active.ways[i] = 0
+        island.after[a, 1] = slip if abs(slip) > none else 0.0
 
 
 @kernel
@@ -701,10 +609,15 @@ def solve_islands(
         spread(members, space.spare)
         contacts = island_rows(numbers, members, space)
         start, unforced = space.island[0, :size], space.island[1, :size]
-        asked, chosen = space.island[2, :size], space.island[3, :size]
-        sudden, rebounds = space.island[4, :size], space.rebounds[:size]
-        together = Island(members, start, unforced, asked, chosen, sudden, rebounds)
-        quiet, lively, touching, splits = 0, False, 0, False
+        asked, chosen = space.island[2, :size], space.island[4, :size]
+        rebounds, hit = space.flags[0, :size], space.flags[1, :size]
+        together = Island(
+            members, start, unforced, asked, space.island[3, :size], chosen,
+            space.island[5, :size], space.island[6, :size], rebounds, hit, space.kinds[:size],
+            space.ways[:size], space.frictions[:size],
+        )  # fmt: skip
+        quiet, lively, touching = True, False, 0
+        splits = _write_frictions(numbers, active, together)
         for a in range(size):
             touching += 1 if materials[members[a], 0] >= 0.0 else 0
         for a in range(size):
@@ -718,9 +631,8 @@ def solve_islands(
             put(active.wanted[i], asked[a])
             space.bounces[i] = rebounds[a]
             lively = lively or (rebounds[a] and materials[i, 2] >= LIVELY)
-            quiet += 0 if active.hit[i] else 1
-            used = active.laws[i]
-            splits = splits or (used >= 0 and has_two_coefficients(numbers.materials[used]))
+            hit[a] = active.hit[i]
+            quiet = quiet and not hit[a]
         bound = 0.0
         for a in range(size):
             for side in range(2):
@@ -732,7 +644,7 @@ def solve_islands(
         for b in range(free, len(inverse)):
             if root(space.parents, b) == island:
                 bound += 0.125 * space.mid.pull[b] ** 2 / inverse[b, 0]
-        sequential = law == SEQUENTIAL and size > 1 and quiet < size
+        sequential = law == SEQUENTIAL and size > 1 and not quiet
         near, turns, left = allowed, 0, 0.0
         missed_turn, share = 0.0, 1.0
         fast = scale_of_sum(contacts, unforced, asked)
@@ -741,13 +653,16 @@ def solve_islands(
                 numbers, active, contacts, together, h, allowed
             )
             slow = scale_of_sum(contacts, unforced, asked)
-            sequential, share, near = left == 0.0, slow / fast, _near(allowed, slow, fast)
+            sequential, share = left == 0.0, slow / fast
+            near = allowed_beside(allowed, slow, fast)
         missed, done, softened = island_impulses(
             contacts, start, unforced, asked, rebounds, chosen, near, bound, True
         )
-        while splits and _change_friction(
-            numbers, space, contacts, together, max(missed, _SLIP_ROUND_OFF) * fast, quiet == size
-        ):
+        while splits:
+            none = max(missed, _SLIP_ROUND_OFF) * fast
+            _write_slips(contacts, together, none)
+            if not change_friction(contacts, together, none, not quiet):
+                break
             missed, further, softened = island_impulses(
                 contacts, start, unforced, asked, rebounds, chosen, near, bound, True
             )
@@ -758,17 +673,18 @@ def solve_islands(
                 numbers, space, contacts, together, h, sequential, bounds, found
             )
         if splits:
-            _end_slips(contacts, active, together, max(missed, _SLIP_ROUND_OFF) * fast)
+            _write_slips(contacts, together, max(missed, _SLIP_ROUND_OFF) * fast)
         missed, done = max(share * missed, missed_turn), done + turns
         if missed > allowed:
             note_worst(numbers.inverse, active.bodies, members, missed, space.worst)
         if sequential:
-            quiet = _with_impacts(space, members, sudden, chosen)
+            _add_impacts(space, together)
+            quiet = not hit.any()
         if (
             lively
             and law == CAPPED
             and size > 1
-            and is_ambiguous(numbers, active, contacts, together, h, local)
+            and _order_decides(numbers, active, contacts, together, h)
         ):
             effort[AMBIGUOUS] = 1.0
         effort[UNENDED] = max(effort[UNENDED], left)
@@ -777,41 +693,20 @@ def solve_islands(
             space.known[i] = max(missed, allowed) * fast
             put(chosen[a], space.pressed[i])
             put(chosen[a], space.steady[i])
+            active.hit[i] = hit[a]
+            if splits:
+                # Kinetic friction has ended slips of which nothing is left.
+                active.ways[i] = together.ways[a] if together.after[a, 1] != 0.0 else 0
+                active.materials[i, 0], active.materials[i, 1] = contacts.cones[a]
             # The last impulse of a lasting contact is a better guess than one beside impacts.
-            if quiet == size or active.hit[i]:
+            if quiet or hit[a]:
                 put(chosen[a], active.pushes[i])
-        if forces and quiet < size:
-            _island_forces(numbers, space, members, quiet, allowed, fast)
+        if forces and not quiet:
+            least, pushes = active.free[members] + active.wanted[members], active.pushes[members]
+            pushes = forces_beside_impacts(contacts, hit, least, pushes, allowed, fast)
+            for a in range(size):
+                put(pushes[a], space.steady[members[a]])
         effort[RESIDUAL] = max(effort[RESIDUAL], missed)
         effort[ITERATIONS] += done
         effort[CALMED] = max(effort[CALMED], 1.0 if softened else 0.0)
         effort[WORK] += done * size
-
-
-@kernel
-def _island_forces(
-    numbers: BodyNumbers, space: Workspace, members: Ints, quiet: int, allowed: float, fast: float
-) -> None:
-    """Write what is force of an island's impulses: those without what strikes.
-
-    `quiet` of its contacts are not struck; `fast` is the `scale` of all.
-    """
-    active = space.active
-    others, last = np.empty(quiet, np.int64), 0
-    for i in members:
-        space.steady[i, 0] = space.steady[i, 1] = 0.0
-        if not active.hit[i]:
-            others[last] = i
-            last += 1
-    if quiet == 0:
-        return
-    alone, least = np.empty((quiet, 2)), np.empty((quiet, 2))
-    for a in range(quiet):
-        for d in range(2):
-            least[a, d] = active.free[others[a], d] + active.wanted[others[a], d]
-        put(active.pushes[others[a]], alone[a])
-    contacts = island_rows(numbers, others, space)
-    near = _near(allowed, scale(contacts, least), fast)
-    solve_rows(contacts, least, alone, near, False, False)
-    for a in range(quiet):
-        put(alone[a], space.steady[others[a]])

@@ -26,10 +26,12 @@ class Workspace(NamedTuple):
     bounces: Ints  # (c,): 1: restitution is asked for.
     known: Array  # (c,): slip that the impulses of the island may have missed.
     contacts: ContactRows  # Those of an island.
-    # (5, c, 2): their velocities before the step and without impulses, what is wanted, and
-    # impulses; and those of impacts in turn.
+    # Those of its `Island`: (7, c, 2), (2, c), (c,), (c,), and (c, 3, 2).
     island: Array
-    rebounds: Bools  # (c,): which of them do.
+    flags: Bools
+    kinds: Ints
+    ways: Ints
+    frictions: Array
     # See `contacts.rigid_bodies.island_step`.
     parents: Ints  # shape (b,)
     local: Ints  # shape (b,)
@@ -59,8 +61,11 @@ class Workspace(NamedTuple):
             np.empty(most, np.int64),
             np.empty(most),
             ContactRows.allocate(most, count, numbers.padded, numbers.links.rows),
-            np.empty((5, most, 2)),
-            np.empty(most, np.bool_),
+            np.empty((7, most, 2)),
+            np.empty((2, most), np.bool_),
+            np.empty(most, np.int64),
+            np.empty(most, np.int64),
+            np.empty((most, 3, 2)),
             np.empty(count, np.int64),
             np.empty(count, np.int64),
             np.empty(count + 1, np.int64),

@@ -7,8 +7,8 @@ Unknown impulses p = (p_n, p_t) and velocities u = least + W p of every contact,
 `contact_rows`: J and columns M^-1 J^T by bodies (coordinates are blocks that all contacts share),
 residual and sweeps; `proximal_points`: Newton's method, on `sparse_blocks`; `lemke`: the fallback;
 `contact_solver`: the ladder of these, which returns the best impulses with their residual.
-`island_impulses` adds restitution and bounds of work, `step_impulses` the rows of coordinates and
-what of them is force, `impact_sequence` impacts in turn. Of the event engine:
-`mode_solver` (all modes), `saddle_point` (one), `smallest_forces` and `redundancy` (load sharing),
-`dependence` (rank), `impulse_coupling` (groups).
+`island_impulses` adds restitution and bounds of work, `impact_sequence` impacts in turn, and
+`step_impulses` the island of a step: rows of coordinates, friction that changes, what is force.
+Of the event engine: `mode_solver` (all modes), `saddle_point` (one), `smallest_forces` and
+`redundancy` (load sharing), `dependence` (rank), `impulse_coupling` (groups).
 """

@@ -108,6 +108,16 @@ def complete(contacts: ContactRows) -> None:
 
 
 @kernel
+def rows_of(contacts: ContactRows, chosen: Ints) -> ContactRows:
+    """Return some of the contacts."""
+    return ContactRows(
+        contacts.bodies[chosen], contacts.moving, contacts.rows[chosen], contacts.columns[chosen],
+        contacts.own[chosen], contacts.cones[chosen], contacts.laws[chosen], contacts.rates,
+        contacts.spare, contacts.shared, contacts.padded,
+    )  # fmt: skip
+
+
+@kernel
 def slope(cone: Array) -> float:
     """Return the coefficient of friction, which `STEEPEST` bounds; or `HELD`, or `GUIDED`."""
     if cone[0] < 0.0:

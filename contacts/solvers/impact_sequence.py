@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.solvers.contact_rows import LAW, PAIR, ContactRows, add, contact_velocity, slope
+from contacts.solvers.contact_rows import PAIR, ContactRows, add, contact_velocity, rows_of, slope
 from contacts.solvers.island_impulses import island_impulses
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import put
@@ -52,29 +52,6 @@ def _participants(contacts: ContactRows, pairs: Ints, next_ones: Bools, first: i
 
 
 @kernel
-def _rows_of(contacts: ContactRows, chosen: Ints) -> ContactRows:
-    """Return some of the contacts."""
-    count, sides = len(chosen), contacts.bodies.shape[1]
-    room = ContactRows(
-        np.empty((count, sides), np.int64), contacts.moving, np.empty((count, 2, 3 * sides)),
-        np.empty((count, 2, 3 * sides)), np.empty((count, 3)), np.empty((count, 2)),
-        np.empty((count, LAW)), contacts.rates, contacts.spare,
-        contacts.shared, contacts.padded,
-    )  # fmt: skip
-    for a in range(count):
-        i = chosen[a]
-        for side in range(sides):
-            room.bodies[a, side] = contacts.bodies[i, side]
-        for d in range(2):
-            put(contacts.rows[i, d], room.rows[a, d])
-            put(contacts.columns[i, d], room.columns[a, d])
-        put(contacts.own[i], room.own[a])
-        put(contacts.laws[i], room.laws[a])
-        put(contacts.cones[i], room.cones[a])
-    return room
-
-
-@kernel
 def _hit(
     contacts: ContactRows, chosen: Ints, now: Array, restitution: Array, slow: Array,
     allowed: float, impulses: Array, rates: Array,
@@ -90,7 +67,7 @@ def _hit(
         if not joint and -now[i, 0] > slow[i] and restitution[i] > 0.0:
             wanted[a, 0], rebounds[a] = restitution[i] * now[i, 0], True
     left, done, _ = island_impulses(
-        _rows_of(contacts, chosen),
+        rows_of(contacts, chosen),
         before,
         before,
         wanted,

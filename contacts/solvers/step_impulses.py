@@ -1,6 +1,7 @@
-"""Impulses of a step of coordinates, and which of them are forces.
+"""Impulses of an island in a step: friction that changes, impacts whose order decides, forces.
 
-Contacts that feel each other's impulses are an island whose rows are in the coordinates.
+An island is a group of contacts that feel each other's impulses: through bodies of three rates
+each, or through coordinates that all of them move.
 """
 
 from __future__ import annotations
@@ -10,7 +11,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.solvers.contact_rows import LAW, ContactRows, complete, slope
+from contacts.solvers.contact_rows import (
+    BEGINS,
+    LAW,
+    ON_TRIAL,
+    ContactRows,
+    add,
+    along,
+    complete,
+    law_of,
+    overload,
+    rates_of,
+    rows_of,
+    scale,
+    slope,
+    without,
+)
 from contacts.solvers.contact_solver import solve_rows
 from contacts.solvers.island_impulses import island_impulses, work_share
 from contacts.solvers.saddle_point import largest_size
@@ -21,128 +37,254 @@ from statechart.kernels.jit import kernel
 # Velocities and impulses below this part of the largest are round-off; and velocities that are
 # sums, below this part of their terms.
 _ROUNDING, SUM_ROUNDING = 1e-13, 1e-9
+# Another impact that changes a velocity by less than this part of its own change is not felt: a
+# body turns within a step.
+_NEGLIGIBLE_CHANGE = 1e-3
+# Forces beside impacts are found to this part of what falls in a step at least.
+_NEAR = 1e-2
+
+ONE, TWO, LIMIT = range(3)
+"""Kinds of friction: one coefficient; one at rest and another in motion; two limits of a force,
+which bears nothing at an instant."""
 
 
-class ContactProblem(NamedTuple):
-    """Contacts that take part in a step, by the coordinates that they move."""
+class Island(NamedTuple):
+    """Contacts that feel each other's impulses, in the order of their rows."""
 
-    which: Ints  # (m,): numbers of the contacts.
-    jacobians: Array  # (m, 2, n): normal and tangential.
-    # Changes of all rates, and of the contacts' velocities, by unit impulses.
-    columns: Array  # (2 m, s): of the coordinates the first n.
-    delassus: Array  # shape (2 m, 2 m)
-    groups: Ints  # (m,): equal for those that feel each other's impulses.
-    # (m,): direction of the slip whose friction is in `cones`; 0: that at rest; or `ON_TRIAL`.
-    directions: Ints
-    # (m, 2): edges of cones; velocities before the step, and after it without impulses; what these
-    # may not fall below, negated.
-    cones: Array
-    before: Array
-    free: Array
+    members: Ints  # (m,): their numbers.
+    # (m, 2): velocities before the step, and without impulses; what these may not fall below,
+    # negated; the sum of both.
+    start: Array
+    unforced: Array
     wanted: Array
-    # (m,): who asks for restitution; whose impulse is one at an instant.
+    least: Array
+    # (m, 2): impulses; velocities under them, 0 for round-off; impulses of impacts in turn.
+    chosen: Array
+    after: Array
+    sudden: Array
+    # (m,): who asks for restitution; who is struck.
     rebounds: Bools
-    sudden: Bools
-    yields: Bools  # (m,): who is compliant.
-    # (m,): whose normal row moves something of its own: `delassus` has it beyond the coordinates.
-    apart: Bools
+    hit: Bools
+    # (m,): kind of the friction; way of the slip whose friction holds: 0 at rest, 1 or -1 as it was
+    # before the step, `BEGINS` or -`BEGINS`, or `ON_TRIAL`.
+    kinds: Ints
+    ways: Ints
+    frictions: Array  # (m, 3, 2): edges of the cone at rest, in slip+ and in slip-.
 
 
 @kernel
-def coordinate_rows(problem: ContactProblem, which: Ints) -> ContactRows:
-    """Return the rows of the contacts `which`: all of them move the same coordinates.
+def _write_friction(contacts: ContactRows, island: Island, a: int, way: int) -> None:
+    """Write the friction of contact a that rests or slips this `way`."""
+    island.ways[a], at = way, 0
+    if way not in (0, ON_TRIAL):
+        at = 1 if way > 0 else 2
+    put(island.frictions[a, at], contacts.cones[a])
+    law_of(contacts.own[a], slope(contacts.cones[a]), contacts.laws[a])
 
-    The normal row of a compliant contact or of a coupling moves one of its own, too.
+
+@kernel
+def change_friction(contacts: ContactRows, island: Island, resting: float, struck: bool) -> bool:
+    """Change the friction of contacts whose slip begins or turns; return whether there are.
+
+    A slip that would turn in the step stops if static friction bears what would hold it over the
+    whole step; in an impact kinetic friction stops or turns it. What static friction does not hold
+    slips under kinetic friction: what slipped before the step first, then one by one the most
+    overloaded, as each relieves the others. Each contact changes three times at most.
+
+    Parameters
+    ----------
+    resting : float
+        What slipped no faster before the step was at rest.
+    struck : bool
+        Whether a contact of the island is struck.
     """
-    count, n = len(which), problem.jacobians.shape[2]
+    ways, first, most, way, changes = island.ways, -1, 0.0, 0, False
+    for a in range(len(ways)):
+        old, slip, normal = ways[a], island.after[a, 1], island.chosen[a, 0]
+        judged = island.kinds[a] != ONE and abs(old) != BEGINS and normal > 0.0
+        if not judged or slip == 0.0 or (abs(old) == 1 and slip * old > 0.0):
+            continue
+        turned = BEGINS if slip > 0.0 else -BEGINS
+        if abs(old) == 1:
+            changes = True
+            if not struck:
+                _write_friction(contacts, island, a, ON_TRIAL)
+                island.wanted[a, 1] -= island.start[a, 1]
+            else:
+                _write_friction(contacts, island, a, turned if island.kinds[a] == TWO else 0)
+            continue
+        load = overload(slip, contacts.own[a, 1], normal, contacts.cones[a])
+        if abs(island.start[a, 1]) > resting:
+            load = math.inf
+        if load > most:
+            first, most, way = a, load, turned
+    if changes:
+        return True
+    for a in range(len(ways)):
+        if ways[a] == ON_TRIAL and first in (a, -1):
+            ways[a], changes = 0, True
+            island.wanted[a, 1] += island.start[a, 1]
+    if first >= 0:
+        _write_friction(contacts, island, first, way)
+    return changes or first >= 0
+
+
+@kernel
+def new_island(members: Ints, start: Array, unforced: Array, wanted: Array) -> Island:
+    """Return an island that is solved from nothing, with one friction that holds everywhere."""
+    m = len(members)
+    return Island(
+        members, start, unforced, wanted, np.empty((m, 2)), np.zeros((m, 2)), np.empty((m, 2)),
+        np.zeros((m, 2)), np.zeros(m, np.bool_), np.zeros(m, np.bool_), np.zeros(m, np.int64),
+        np.zeros(m, np.int64), np.empty((m, 3, 2)),
+    )  # fmt: skip
+
+
+@kernel
+def order_matters(contacts: ContactRows, pairs: Ints, lively: Bools, impulses: Array) -> bool:
+    """Return whether lively impacts of different pairs of bodies (m,) change each other."""
+    rates = rates_of(contacts, 0)
+    for a in range(len(pairs)):
+        if not lively[a]:
+            continue
+        add(contacts, a, impulses[a, 0], impulses[a, 1], rates)
+        for b in range(len(pairs)):
+            if not lively[b] or pairs[a] == pairs[b]:
+                continue
+            for d in range(2 if slope(contacts.cones[b]) > 0.0 else 1):
+                own = abs(contacts.own[b, d] * impulses[b, 0])
+                if abs(along(contacts, b, d, rates)) > _NEGLIGIBLE_CHANGE * own:
+                    return True
+        without(contacts, a, rates)
+    return False
+
+
+@kernel
+def allowed_beside(allowed: float, slow: float, fast: float) -> float:
+    """Return a residual for what approaches slower than others in a step.
+
+    It is found no nearer, as velocities, than the impulses of the step are.
+    """
+    return min(allowed * fast / slow, max(allowed, _NEAR)) if slow > 0.0 else allowed
+
+
+@kernel
+def forces_beside_impacts(
+    contacts: ContactRows, hit: Bools, least: Array, impulses: Array, allowed: float, fast: float
+) -> Array:
+    """Return what of impulses is force: those without what is struck.
+
+    Parameters
+    ----------
+    contacts : ContactRows
+    hit : (m,) array of bool
+    least : (m, 2)
+        Velocities without impulses, plus what is missing of them.
+    impulses : (m, 2)
+        Where to start.
+    allowed : float
+        Residual.
+    fast : float
+        The `scale` of all contacts.
+    """
+    forces, others = np.zeros((len(hit), 2)), indices(~hit)
+    if len(others) > 0:
+        quiet, alone, left = rows_of(contacts, others), impulses[others], least[others]
+        near = allowed_beside(allowed, scale(quiet, left), fast)
+        solve_rows(quiet, left, alone, near, False, True)
+        for a in range(len(others)):
+            put(alone[a], forces[others[a]])
+    return forces
+
+
+@kernel
+def coordinate_rows(jacobians: Array, columns: Array, pads: Array, cones: Array) -> ContactRows:
+    """Return contacts that move the same coordinates as rows.
+
+    Parameters
+    ----------
+    jacobians : (m, 2, n)
+        Normal and tangential.
+    columns : (2 m, s)
+        Changes of all rates by unit impulses: of the coordinates the first n.
+    pads : (m,)
+        Compliance of what the normal row of a compliant contact or a coupling moves besides; 0:
+        nothing.
+    cones : (m, 2)
+    """
+    count, n = len(jacobians), jacobians.shape[2]
     soft = n
-    for i in which:
-        soft += 1 if problem.apart[i] else 0
-    threes, soft = (soft + 2) // 3, n
-    bodies, cones = np.empty((count, threes), np.int64), np.empty((count, 2))
-    rows, columns = np.zeros((count, 2, 3 * threes)), np.zeros((count, 2, 3 * threes))
     for a in range(count):
-        i = which[a]
-        put(problem.cones[i], cones[a])
-        for side in range(threes):
-            bodies[a, side] = side
-        for d in range(2):
-            for j in range(n):
-                rows[a, d, j] = problem.jacobians[i, d, j]
-                columns[a, d, j] = problem.columns[2 * i + d, j]
-        if problem.apart[i]:
-            rows[a, 0, soft], columns[a, 0, soft] = 1.0, problem.delassus[2 * i, 2 * i]
-            for j in range(n):
-                columns[a, 0, soft] -= rows[a, 0, j] * columns[a, 0, j]
-            soft += 1
+        soft += 1 if pads[a] > 0.0 else 0
+    threes, soft = (soft + 2) // 3, n
     contacts = ContactRows(
-        bodies, threes, rows, columns, np.empty((count, 3)), cones, np.empty((count, LAW)),
+        np.empty((count, threes), np.int64), threes, np.zeros((count, 2, 3 * threes)),
+        np.zeros((count, 2, 3 * threes)), np.empty((count, 3)), cones, np.empty((count, LAW)),
         np.empty((3, 3 * threes + 3)), np.empty((7, count, 2)), 1, 0,
     )  # fmt: skip
+    for a in range(count):
+        for side in range(threes):
+            contacts.bodies[a, side] = side
+        for d in range(2):
+            for j in range(n):
+                contacts.rows[a, d, j] = jacobians[a, d, j]
+                contacts.columns[a, d, j] = columns[2 * a + d, j]
+        if pads[a] > 0.0:
+            contacts.rows[a, 0, soft], contacts.columns[a, 0, soft] = 1.0, pads[a]
+            soft += 1
     complete(contacts)
     return contacts
 
 
 @kernel
-def _without_rounding(velocities: Array, size: float) -> None:
-    """Set to zero what is rounding of velocities as large as `size`."""
-    for i in range(len(velocities)):
+def write_velocities(contacts: ContactRows, least: Array, impulses: Array, after: Array) -> None:
+    """Write the velocities (m, 2) in coordinates under impulses, 0 for round-off of their terms."""
+    for a in range(len(least)):
         for d in range(2):
-            if abs(velocities[i, d]) <= _ROUNDING * size:
-                velocities[i, d] = 0.0
+            after[a, d], terms = least[a, d], abs(least[a, d])
+            for b in range(len(least)):
+                for e in range(2):
+                    term = 0.0
+                    for k in range(contacts.rows.shape[2]):
+                        term += contacts.rows[a, d, k] * contacts.columns[b, e, k]
+                    term *= impulses[b, e]
+                    after[a, d] += term
+                    terms += abs(term)
+            if abs(after[a, d]) <= SUM_ROUNDING * terms:
+                after[a, d] = 0.0
 
 
 @kernel
-def solve_impacts(
-    problem: ContactProblem, start: Array, allowed: float
-) -> tuple[float, bool, Array, Array]:
-    """Return the residual of impulses, whether none rebounds in a group, the impulses, and `least`.
+def coordinate_impulses(
+    contacts: ContactRows, island: Island, allowed: float
+) -> tuple[float, bool]:
+    """Find impulses in coordinates, in place; return their residual, and whether none rebounds.
 
-    Parameters
-    ----------
-    problem : ContactProblem
-    start : (m, 2)
-        Impulses of the step before.
-    allowed : float
-        Residual. Impulses that miss more are reduced until they add no energy.
-
-    Returns
-    -------
-    residual : float
-    softened : bool
-    impulses : (m, 2)
-    least : (m, 2)
-        Velocities without impulses, plus what is missing of them, without round-off.
+    Impulses that miss more than is allowed are reduced until they add no energy.
     """
-    groups, free, before = problem.groups, problem.free, problem.before
-    impulses, least, size = start.copy(), free + problem.wanted, 0.0
-    for a in range(len(groups)):
+    before, free, impulses, least = island.start, island.unforced, island.chosen, island.least
+    size = 0.0
+    for a in range(len(free)):
         size = max(size, largest_size(free[a]), largest_size(before[a]))
-    _without_rounding(least, size)
-    missed, softened = 0.0, False
-    for label in range(len(groups)):
-        which = indices(groups == label)
-        if len(which) == 0:
-            continue
-        contacts, rebounds = coordinate_rows(problem, which), problem.rebounds
-        chosen, was, alone, wanted = impulses, before, free, least - free
-        if len(which) < len(groups):
-            chosen, was, alone = impulses[which], before[which], free[which]
-            wanted, rebounds = wanted[which], rebounds[which]
-        left, _, soft = island_impulses(
-            contacts, was, alone, wanted, rebounds, chosen, allowed, math.inf, False
-        )
-        share = 1.0 if left <= allowed else work_share(contacts, chosen, was, alone, 0.0)
-        missed, softened = max(missed, left), softened or soft
-        for a in range(len(which)):
-            # An impulse that changes a velocity by round-off is none.
-            normal, tangential = share * chosen[a, 0], share * chosen[a, 1]
-            normal = normal if contacts.own[a, 0] * normal > _ROUNDING * size else 0.0
-            shears = contacts.own[a, 1] * abs(tangential) > _ROUNDING * size
-            edge = slope(contacts.cones[a]) * normal
-            impulses[which[a], 0] = normal
-            impulses[which[a], 1] = min(max(tangential, -edge), edge) if shears else 0.0
-    return missed, softened, impulses, least
+    for a in range(len(free)):
+        for d in range(2):
+            least[a, d] = free[a, d] + island.wanted[a, d]
+            if abs(least[a, d]) <= _ROUNDING * size:
+                least[a, d] = 0.0
+    missed, _, softened = island_impulses(
+        contacts, before, free, least - free, island.rebounds, impulses, allowed, math.inf, False
+    )
+    share = 1.0 if missed <= allowed else work_share(contacts, impulses, before, free, 0.0)
+    for a in range(len(free)):
+        # An impulse that changes a velocity by round-off is none.
+        normal, tangential = share * impulses[a, 0], share * impulses[a, 1]
+        normal = normal if contacts.own[a, 0] * normal > _ROUNDING * size else 0.0
+        shears = contacts.own[a, 1] * abs(tangential) > _ROUNDING * size
+        edge = slope(contacts.cones[a]) * normal
+        impulses[a, 0] = normal
+        impulses[a, 1] = min(max(tangential, -edge), edge) if shears else 0.0
+    write_velocities(contacts, least, impulses, island.after)
+    return missed, softened
 
 
 def smoothed(cones: Array) -> Array:
@@ -153,16 +295,7 @@ def smoothed(cones: Array) -> Array:
 
 
 @kernel
-def of_group(chosen: Bools, groups: Ints, label: int) -> bool:
-    """Return whether one of the chosen contacts (m,) belongs to a group."""
-    found = False
-    for a in range(len(groups)):
-        found = found or (chosen[a] and groups[a] == label)
-    return found
-
-
-@kernel
-def _part_left(push: Array, force: Array, cone: Array) -> float:
+def part_left(push: Array, force: Array, cone: Array) -> float:
     """Return the largest part of `force`, up to 1, without which `push` is still in its cone."""
     part = 1.0
     # Of what slides both are on the edge, but for rounding.
@@ -191,55 +324,9 @@ def into_cone(impulse: Array, cone: Array) -> Array:
 
 
 @kernel
-def velocity_after(delassus: Array, least: Array, impulses: Array, a: int, d: int) -> float:
-    """Return the velocity of contact `a` along its normal (0) or tangent (1), 0 for round-off."""
-    after, terms = least[a, d], abs(least[a, d])
-    for b in range(len(impulses)):
-        for e in range(2):
-            term = delassus[2 * a + d, 2 * b + e] * impulses[b, e]
-            after += term
-            terms += abs(term)
-    return after if abs(after) > SUM_ROUNDING * terms else 0.0
-
-
-@kernel
-def is_sliding(problem: ContactProblem, least: Array, impulses: Array, a: int) -> bool:
-    """Return whether contact `a` slips, and its impulse is on the edge of its cone.
+def is_sliding(cone: Array, impulse: Array, slip: float) -> bool:
+    """Return whether a contact slips, and its impulse is on the edge of its cone.
 
     What rolls without a load slips by round-off of nothing.
     """
-    edge = slope(problem.cones[a]) * impulses[a, 0]
-    on_edge = abs(impulses[a, 1]) >= (1.0 - SUM_ROUNDING) * edge
-    return on_edge and velocity_after(problem.delassus, least, impulses, a, 1) != 0.0
-
-
-@kernel
-def steady_impulses(
-    problem: ContactProblem, least: Array, pushes: Array, allowed: float
-) -> tuple[Array, Bools]:
-    """Return the impulses (m, 2) of a step that are forces, and which contacts slide under them.
-
-    They are those that there would be without the contacts that something strikes at an instant.
-    An impact takes off a contact no more than what that bears; what feels none bears forces alone.
-    """
-    m, groups, sudden = len(pushes), problem.groups, problem.sudden
-    steady, slides = np.zeros((m, 2)), np.zeros(m, np.bool_)
-    others = indices(~sudden)
-    if len(others) == m:
-        for a in range(m):
-            put(pushes[a], steady[a])
-    elif len(others) > 0:
-        forces = pushes[others]
-        solve_rows(coordinate_rows(problem, others), least[others], forces, allowed, False, True)
-        for a in range(len(others)):
-            put(forces[a], steady[others[a]])
-    for a in others:
-        if of_group(sudden, groups, groups[a]):
-            slides[a] = is_sliding(problem, least, steady, a)
-            left = _part_left(pushes[a], steady[a], problem.cones[a])
-            steady[a, 0] *= left
-            steady[a, 1] *= left
-        else:
-            put(pushes[a], steady[a])
-            slides[a] = is_sliding(problem, least, pushes, a)
-    return steady, slides
+    return slip != 0.0 and abs(impulse[1]) >= (1.0 - SUM_ROUNDING) * slope(cone) * impulse[0]

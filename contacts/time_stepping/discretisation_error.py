@@ -14,14 +14,14 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.dynamics.scales import Scales
-from contacts.solvers.impulse_coupling import coupled_contacts
-from contacts.solvers.step_impulses import ContactProblem, solve_impacts
+from contacts.solvers.step_impulses import coordinate_impulses, coordinate_rows, new_island
 from contacts.states import PIN, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.stability import DEPENDENT, Swings
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.time_stepper import DEFAULT_IMPULSES
+from statechart.kernels.jit import kernel
 
 # A coordinate that is slower, or goes less far, than this part of the scene's is at rest.
 _LITTLE = 1e-3
@@ -31,6 +31,23 @@ _LITTLE = 1e-3
 _FORCES, _IMPACTS, _PHASE = 0.1, 0.15, 0.5
 # The same, relative to the way of a coordinate.
 _WAY = 0.2
+
+
+@kernel
+def _impact_impulses(
+    jacobians: Array, columns: Array, before: Array, cones: Array, restitution: Array,
+    allowed: float,
+) -> tuple[float, Array]:  # fmt: skip
+    """Return the residual and the impulses (m, 2) of contacts in coordinates that are struck."""
+    m, wanted = len(before), np.zeros((len(before), 2))
+    for a in range(m):
+        wanted[a, 0] = restitution[a] * min(before[a, 0], 0.0)
+    island = new_island(np.arange(m), before, before.copy(), wanted)
+    for a in range(m):
+        island.rebounds[a] = restitution[a] > 0.0
+    contacts = coordinate_rows(jacobians, columns, np.zeros(m), cones)
+    missed, _ = coordinate_impulses(contacts, island, allowed)
+    return missed, island.chosen
 
 
 def velocity_change(
@@ -47,21 +64,10 @@ def velocity_change(
     system[:n, :n], system[n:, :n], system[:n, n:] = mass, held, held.T
     right = np.vstack([rows.T, np.zeros((r, 2 * m))])
     moved = np.linalg.lstsq(system, right, rcond=DEPENDENT)[0][:n]
-    delassus = np.ascontiguousarray(rows @ moved)
-    wanted = np.zeros((m, 2))
-    wanted[:, 0] = restitution * np.minimum(velocities[:, 0], 0.0)
-    groups = coupled_contacts(
-        mass, held, pushes.reshape(m, 2 * n), np.arange(m), np.zeros(m, dtype=np.int64)
-    )
-    problem = ContactProblem(
-        np.arange(m), pushes, np.ascontiguousarray(moved.T), delassus, groups,
-        np.zeros(m, dtype=np.int64), cones, velocities,
-        velocities.copy(), wanted, restitution > 0.0, np.ones(m, dtype=np.bool_),
-        np.zeros(m, dtype=np.bool_), np.zeros(m, dtype=np.bool_),
-    )  # fmt: skip
-    missed, _, impulses, _ = solve_impacts(problem, np.zeros((m, 2)), DEFAULT_IMPULSES.tolerance)
+    columns, allowed = np.ascontiguousarray(moved.T), DEFAULT_IMPULSES.tolerance
+    missed, impulses = _impact_impulses(pushes, columns, velocities, cones, restitution, allowed)
     change: Array = moved @ impulses.reshape(2 * m)
-    return change if missed <= DEFAULT_IMPULSES.tolerance and np.isfinite(change).all() else None
+    return change if missed <= allowed and np.isfinite(change).all() else None
 
 
 class Equations(NamedTuple):

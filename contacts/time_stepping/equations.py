@@ -37,9 +37,7 @@ class StepConstants(NamedTuple):
     used: Ints
     restitution: Array  # shape (c,)
     plastic: bool  # Whether contacts that are hit together do not rebound.
-    # (c, 2): the body of each contact's point, and of its surface; -1 for none, and for all where
-    # the scene does not ask for impacts at once that rebound.
-    bodies: Ints
+    capped: bool  # Whether those rebound, as far as no energy is added.
     # (c,): the number of the pair of a body and a surface's body, or a surface, that touch.
     pairs: Ints
     # (c,): how many components of a contact's velocity are constrained whatever the impulse: 0, 1
@@ -48,6 +46,7 @@ class StepConstants(NamedTuple):
     slips: Ints  # (c,): whether a contact may slide: 0, 1, or 2 if its slides have a direction.
     joints: int  # Number of components of joints.
     signs: int  # Number of signs of velocities in forces.
+    allowed: float  # Residual of impulses that are good enough.
     # Tolerances of gaps and speeds. A contact touches up to this gap, and lasts up to this speed of
     # approach. A contact that was off comes back where it is no deeper than the gap tolerance below
     # those that last.
@@ -139,7 +138,9 @@ class FactoredEquations(NamedTuple):
 
     factors: Array  # See `contacts.solvers.saddle_point.factorise`.
     order: Ints
-    change: Array  # What a step changes without free contacts.
+    # What a step changes: without free contacts at first; under what lasts alone.
+    change: Array
+    lasting: Array
 
 
 class StepInstant(NamedTuple):
@@ -159,25 +160,12 @@ class ContactRoles(NamedTuple):
     leaving: Bools
     # (c,): the gap of a contact that is off where its point leaves another surface in this step.
     entered: Array
+    groups: Ints  # (c,): the first of those that feel each other's impulses; see `label_groups`.
     # (c, 2): what velocities may not fall below, negated; what they are before the step, and after
     # it without impulses.
     wanted: Array
     before: Array
     free: Array
-
-
-class ContactForces(NamedTuple):
-    """Solution of the contact problem."""
-
-    least: Array  # (m, 2): velocities without impulses, as they were asked for.
-    # Impulses; those of them that are forces, and who slides under these.
-    pushes: Array  # shape (m, 2)
-    steady: Array  # shape (m, 2)
-    slides: Bools  # shape (m,)
-    # Whether another solution lets a contact come off that slides, or slide that comes off.
-    several: bool
-    # 1 + the number of a contact that friction lets neither slide on nor come off; 0: none.
-    jammed: int
 
 
 CONTACT, EDGES = 12, 8

@@ -11,16 +11,14 @@ import math
 
 import numpy as np
 
-from contacts.solvers.step_impulses import ContactProblem, solve_impacts
+from contacts.solvers.step_impulses import change_friction, coordinate_impulses
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import (
     AMBIGUOUS,
     BAD_INERTIA,
     CALMED,
-    CHOSEN,
     CONTACTS,
     DONE,
-    JAMMED,
     NOT_FINITE,
     RESIDUAL,
     Chunk,
@@ -29,7 +27,6 @@ from contacts.time_stepping.equations import (
     CONTACT,
     EDGES,
     JOINT,
-    ContactForces,
     ContactHistory,
     ContactRoles,
     FactoredEquations,
@@ -44,22 +41,24 @@ from contacts.time_stepping.settling import settle, unsettle
 from contacts.time_stepping.step_contacts import (
     LOADED,
     LOADINGS,
-    change_friction,
     clear_contacts,
+    clear_round_off,
     close_opposed,
-    contact_problem,
     coupling_loads,
+    energy_added,
     find_active,
-    largest_energy_gain,
+    group_island,
+    is_mixed_with_impacts,
+    label_groups,
     load_couplings,
-    mixed_with_impacts,
+    members_of,
     order_decides,
     share_forces,
-    shared_impulses,
+    share_loads,
     split_forces,
     write_modes,
 )
-from statechart.arrays import Array, Bools
+from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
@@ -223,7 +222,7 @@ def _free_change(
         light[0] = True
         regular, factors, order, right = factor_equations(numbers, n, h, damped, held, joints, True)
     change = solve_factored(factors, order, right) if regular else right
-    return regular, FactoredEquations(factors, order, change)
+    return regular, FactoredEquations(factors, order, change, np.empty(len(change)))
 
 
 # So many sweeps over the signs at most; they have settled where none changes by more than this.
@@ -292,25 +291,6 @@ def hold_signs(
 
 
 @kernel
-def _write_forces(
-    scene: StepConstants, memory: ContactHistory, tape: TapeValues, problem: ContactProblem,
-    answer: ContactForces, met: ContactRoles, k: int, chunk: Chunk,
-) -> bool:  # fmt: skip
-    """Write what contacts bear in step k; return whether forces are mixed with impacts."""
-    # Before the memory of lasting contacts changes.
-    mixed = mixed_with_impacts(memory, tape, problem, answer.pushes, chunk.h)
-    modes = write_modes(scene, memory, problem, answer, met, k, chunk)
-    steady = share_forces(memory, problem, modes, answer.steady, k, chunk)
-    before, blurred = tape.size + scene.joints, False
-    for a in range(len(problem.which)):
-        i, blurred = problem.which[a], blurred or mixed[a]
-        for d in range(2):
-            force = math.nan if mixed[a] else steady[a, d] / chunk.h
-            chunk.solved[k, before + 2 * i + d] = 0.0 if chunk.codes[k, i] == FREE else force
-    return blurred
-
-
-@kernel
 def _add_impulses(columns: Array, impulses: Array, rates: Array) -> None:
     """Add to rates (s,) what impulses (m, 2) of contacts with these columns (2 m, s) do to them."""
     for a in range(len(impulses)):
@@ -320,11 +300,53 @@ def _add_impulses(columns: Array, impulses: Array, rates: Array) -> None:
 
 
 @kernel
+def _step_group(
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
+    members: Ints, met: ContactRoles, k: int, chunk: Chunk,
+) -> bool:  # fmt: skip
+    """Let a group of contacts act in step k; return whether forces are mixed with impacts."""
+    n, h, rounds, loaded, changes = tape.size, chunk.h, 0, 0.0, True
+    island, contacts, columns, pads = group_island(scene, memory, tape, equations, members, met, h)
+    struck, missed, softened = bool(island.hit.any()), 0.0, False
+    while changes:
+        missed, softened = coordinate_impulses(contacts, island, scene.allowed)
+        rounds += 1
+        # Friction begins or turns under the limits that are there in the end.
+        loads = coupling_loads(scene, members, columns, equations.change, island.chosen, h)
+        loaded = load_couplings(scene, tape, members, loads, pads, island.unforced)
+        changes = loaded > LOADED and rounds < LOADINGS
+        changes = changes or change_friction(contacts, island, scene.rounding, struck)
+    if loaded > LOADED:
+        missed = max(missed, loaded)
+    clear_round_off(scene, island, contacts, h)
+    chunk.stats[k, RESIDUAL] = max(chunk.stats[k, RESIDUAL], missed)
+    chunk.stats[k, CALMED] = max(chunk.stats[k, CALMED], 1.0 if softened else 0.0)
+    steady, modes = split_forces(scene, memory, island, contacts, k, chunk)
+    made = energy_added(scene, tape, island, contacts, chunk.states[k, n : 2 * n])
+    chunk.gained[k] = max(chunk.gained[k], made)
+    _add_impulses(columns, island.chosen, equations.change)
+    _add_impulses(columns, steady, equations.lasting)
+    # Before the memory of lasting contacts changes.
+    mixed = is_mixed_with_impacts(scene, memory, tape, island, h)
+    write_modes(scene, memory, island, contacts, steady, met, k, chunk)
+    shared = share_forces(scene, memory, island, contacts, modes, steady, k, chunk)
+    for a in range(len(members)):
+        i, at = members[a], n + scene.joints + 2 * members[a]
+        for d in range(2):
+            force = math.nan if mixed else shared[a, d] / h
+            chunk.solved[k, at + d] = 0.0 if chunk.codes[k, i] == FREE else force
+    if order_decides(scene, island, contacts, k, chunk):
+        chunk.stats[k, AMBIGUOUS] = 1.0
+    return mixed
+
+
+@kernel
 def _write_held(
-    scene: StepConstants, n: int, total: Array, lasting: Array, blurred: bool, k: int, chunk: Chunk
+    scene: StepConstants, equations: FactoredEquations, blurred: bool, k: int, chunk: Chunk
 ) -> None:
     """Write what is held whatever the impulse: contacts, and joints behind them."""
-    at, h = n, chunk.h
+    n, h, total, lasting = scene.size, chunk.h, equations.change, equations.lasting
+    at = n
     for i in range(len(scene.held)):
         held = scene.held[i]
         if held > 0:
@@ -378,7 +400,7 @@ def _follow(
 @kernel
 def keep_leaving(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
-    instant: StepInstant, allowed: float, k: int, met: ContactRoles, chunk: Chunk,
+    instant: StepInstant, k: int, met: ContactRoles, chunk: Chunk,
 ) -> bool:  # fmt: skip
     """Turn contacts off that do not last as their conditions cease to hold; whether some stay on.
 
@@ -387,63 +409,77 @@ def keep_leaving(
     keep it from falling. The parameters are those of `step_scene` in its step k.
     """
     n, h, stays, (time, state, middle) = tape.size, chunk.h, False, instant
-    change = equations.change
+    change, c = equations.change, len(memory.level)
     level, closed = memory.level.copy(), memory.closed.copy()
     find_active(scene, memory, tape, change, k, met, chunk)
     close_opposed(scene, memory, tape, h, met)
-    which = indices(met.active)
-    problem = contact_problem(scene, memory, tape, equations, which, met, h)
-    bears = np.zeros(len(which), np.bool_)
+    label_groups(scene, tape, met)
+    which, bears, pushes = indices(met.active), np.zeros(c, np.bool_), np.zeros((c, 2))
+    # How impulses along the normal and the tangent change the rates.
+    moves = np.zeros((c, 2, n))
     there, ahead = middle.copy(), np.empty_like(tape.numbers)
     alone = np.empty_like(tape.numbers)
-    for at_rest in (False, True):
-        for a in range(len(which) if at_rest else 0):
-            # Gaps that landings have left move the point, too, to where it is to rest.
-            if not met.hit[which[a]]:
-                problem.wanted[a, 0] = 0.0
-        missed, _, pushes, least = solve_impacts(problem, memory.pushes[which], allowed)
-        pushes = shared_impulses(scene, problem, least, pushes)
-        for a in range(len(which)):
-            bears[a] = missed <= allowed and pushes[a, 0] > 0.0 and (bears[a] or not at_rest)
-        for j in range(n if at_rest else 0):
-            there[n + j] = state[n + j] + change[j]
-            for a in range(len(which)):
-                for d in range(2):
-                    there[n + j] += problem.columns[2 * a + d, j] * pushes[a, d]
-            there[j] += h * there[n + j]
+    for label in which:
+        members = members_of(met, label)
+        if len(members) == 0:
+            continue
+        group = group_island(scene, memory, tape, equations, members, met, h)
+        island, contacts, columns, _ = group
+        for at_rest in (False, True):
+            for a in range(len(members) if at_rest else 0):
+                # Gaps that landings have left move the point, too, to where it is to rest.
+                if not met.hit[members[a]]:
+                    island.wanted[a, 0] = 0.0
+                put(memory.pushes[members[a]], island.chosen[a])
+            missed, _ = coordinate_impulses(contacts, island, scene.allowed)
+            share_loads(scene, island, contacts)
+            for a in range(len(members)):
+                i, presses = members[a], missed <= scene.allowed and island.chosen[a, 0] > 0.0
+                bears[i] = presses and (bears[i] or not at_rest)
+        for a in range(len(members)):
+            for d in range(2):
+                pushes[members[a], d] = island.chosen[a, d]
+                put(columns[2 * a + d, :n], moves[members[a], d])
+    for j in range(n):
+        there[n + j] = state[n + j] + change[j]
+        for i in which:
+            for d in range(2):
+                there[n + j] += moves[i, d, j] * pushes[i, d]
+        there[j] += h * there[n + j]
     _flow_controllers(scene, time, middle, h, there)
     tape_values(*scene.equations, there, scene.parameters, time + h, ahead)
     for i in range(len(closed)):
         memory.off[i] = memory.off[i] or met.leaving[i]
-    for a in range(len(which)):
-        i = which[a]
+    for i in which:
         if not met.leaving[i]:
             continue
         at = tape.first + tape.per * i + 2 * n + 5
         now, then = tape.numbers[at], ahead[at]
         # At rest conditions fall by round-off.
         rounding = _AT_REST * abs(now) + h * scene.rounding
-        stays_on = bears[a] and now - then <= rounding
+        stays_on = bears[i] and now - then <= rounding
         if stays_on and then - now <= rounding:
             # It does not come back by itself.
             apart = there.copy()
             for j in range(n):
-                for b in range(len(which)):
-                    for d in range(2 if b != a else 0):
-                        apart[n + j] -= problem.columns[2 * b + d, j] * pushes[b, d]
+                for b in which:
+                    for d in range(2 if b != i else 0):
+                        apart[n + j] -= moves[b, d, j] * pushes[b, d]
                 apart[j] += h * (apart[n + j] - there[n + j])
             tape_values(*scene.equations, apart, scene.parameters, time + h, alone)
             stays_on = then - alone[at] > rounding
         memory.off[i] = not stays_on
         stays = stays or stays_on
-    for a in range(len(which)):
-        i, row = which[a], tape.first + tape.per * which[a]
+    for i in which:
+        row, own = tape.first + tape.per * i, 0.0
         if not (met.leaving[i] and memory.off[i]):
             continue
+        for j in range(n):
+            own += tape.numbers[row + j] * moves[i, 0, j]
         deep = min(tape.numbers[row + 2 * n + 2], 0.0)
         there = middle.copy()
         for j in range(n):
-            there[j] -= deep / problem.delassus[2 * a, 2 * a] * problem.columns[2 * a, j]
+            there[j] -= deep / own * moves[i, 0, j]
         tape_values(*scene.equations, there, scene.parameters, time, ahead)
         _follow(scene, memory, tape, ahead, met, scene.near - _BENT * deep)
     for i in range(len(closed)):
@@ -478,7 +514,7 @@ def _age_contacts(memory: ContactHistory, active: Bools) -> None:
 
 @kernel
 def step_scene(
-    scene: StepConstants, memory: ContactHistory, start: float, allowed: float, chunk: Chunk
+    scene: StepConstants, memory: ContactHistory, start: float, chunk: Chunk
 ) -> tuple[int, int]:
     """Take the steps of a chunk; return how many were taken, and the status.
 
@@ -488,8 +524,6 @@ def step_scene(
         Changed in place.
     start : float
         When the first step begins.
-    allowed : float
-        Residual of impulses that are good enough.
     chunk : Chunk
         To be filled; unknowns are accelerations (n,), forces of joints and of contacts that last
         (2 c,; not a number where the step holds an impact as well), what controllers set (u,).
@@ -521,46 +555,29 @@ def step_scene(
         chunk.approach[k] = chunk.closing[k] = chunk.gained[k] = 0.0
         met = ContactRoles(
             np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.empty(c),
-            np.zeros((c, 2)), np.zeros((c, 2)), np.zeros((c, 2)),
+            np.empty(c, np.int64), np.zeros((c, 2)), np.zeros((c, 2)), np.zeros((c, 2)),
         )  # fmt: skip
         if not switch_contacts(scene, memory, tape, equations.change, k, met, chunk):
             return k, NOT_FINITE
         if met.leaving.any():
             instant = StepInstant(time, state, middle)
-            keep_leaving(scene, memory, tape, equations, instant, allowed, k, met, chunk)
+            keep_leaving(scene, memory, tape, equations, instant, k, met, chunk)
         find_active(scene, memory, tape, equations.change, k, met, chunk)
         close_opposed(scene, memory, tape, h, met)
-        total, lasting = equations.change, equations.change.copy()
+        total, lasting = equations.change, equations.lasting
+        put(total, lasting)
         put(-lasting[:n], memory.pushed)
         which, blurred = indices(met.active), False
         chunk.stats[k, CONTACTS] = len(which)
         clear_contacts(scene, memory.off, forces, k, chunk)
         if len(which) > 0:
-            problem = contact_problem(scene, memory, tape, equations, which, met, h)
-            changes, rounds = True, 0
-            last = memory.pushes[which]
-            while changes:
-                missed, softened, pushes, least = solve_impacts(problem, last, allowed)
-                # Friction begins or turns under the limits that are there in the end.
-                loads = coupling_loads(scene, which, problem.columns, equations.change, pushes, h)
-                unloaded = load_couplings(scene, tape, which, loads, problem.delassus, problem.free)
-                rounds += 1
-                changes = unloaded > LOADED and rounds < LOADINGS
-                changes = changes or change_friction(scene, tape, problem, least, pushes)
-            if unloaded > LOADED:
-                missed = max(missed, unloaded)
-            chunk.stats[k, RESIDUAL], chunk.stats[k, CALMED] = missed, softened
-            answer = split_forces(scene, memory, problem, least, pushes, allowed)
-            chunk.stats[k, CHOSEN], chunk.stats[k, JAMMED] = answer.several, answer.jammed
-            rates = state[n : 2 * n]
-            made = largest_energy_gain(scene, tape, problem, answer.pushes, rates)
-            chunk.gained[k] = max(chunk.gained[k], made)
-            _add_impulses(problem.columns, answer.pushes, total)
-            _add_impulses(problem.columns, answer.steady, lasting)
-            blurred = _write_forces(scene, memory, tape, problem, answer, met, k, chunk)
-            ambiguous = len(which) > 1 and order_decides(scene, problem, k, chunk)
-            chunk.stats[k, AMBIGUOUS] = ambiguous
-        _write_held(scene, n, total, lasting, blurred, k, chunk)
+            label_groups(scene, tape, met)
+        for label in which:
+            members = members_of(met, label)
+            if len(members) > 0:
+                mixed = _step_group(scene, memory, tape, equations, members, met, k, chunk)
+                blurred = blurred or mixed
+        _write_held(scene, equations, blurred, k, chunk)
         for i in range(n):
             memory.pushed[i] += lasting[i]
             chunk.solved[k, i] = lasting[i] / h

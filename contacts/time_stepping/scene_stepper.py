@@ -256,15 +256,15 @@ class SteppedScene(SteppedSystem):
         memory = self._step_state.contacts
         scene = StepConstants(
             tape.program, source.flows.program, n, source.damped, self._values, self._cones,
-            source.used, self._restitution, source.plastic, source.bodies, source.pairs,
-            source.held, source.slips, r, source.signs, self._near, self._still,
+            source.used, self._restitution, source.plastic, source.capped, source.pairs,
+            source.held, source.slips, r, source.signs, self._allowed, self._near, self._still,
             ROUNDING * self._speed,
             self._speed, _SLOWEST * self._speed, self._negligible, self._soft, source.couplings,
             source.carriers,
         )  # fmt: skip
         swings = self._check_springs(chunk, start)
 
-        done, status = step_scene(scene, memory, start, self._allowed, chunk)
+        done, status = step_scene(scene, memory, start, chunk)
         if not done:
             raise _failure(status)
         followed = self._count_allowed(chunk.first(done), start)

@@ -151,8 +151,9 @@ class SteppedTape:
             + [sp.S.Zero] * (2 * self.couplings)
         )
         self.size = len(mechanics.q)
-        self.bodies, self.pairs = _touching_bodies(mechanics.scene)
+        self.pairs = _touching_pairs(mechanics.scene)
         self.plastic = mechanics.scene.simultaneous == "plastic"
+        self.capped = mechanics.scene.simultaneous == "capped"
         self.may_jam = mechanics.scene.paradox == "impact"
 
     def equations(self, values: Array, state: Array, time: float) -> StateEquations:
@@ -226,17 +227,13 @@ def _kinetic_edge(static: sp.Expr, kinetic: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
     return cone_edge(mu)
 
 
-def _touching_bodies(scene: Scene) -> tuple[Ints, Ints]:
-    """Return the bodies (c, 2) of contacts, and the numbers (c,) of the pairs that touch."""
-    places = {name: i for i, name in enumerate(scene.bodies)}
-    bodies = np.full((len(scene.frictional), 2), -1)
+def _touching_pairs(scene: Scene) -> Ints:
+    """Return the numbers (c,) of the pairs of bodies, or of a body and a surface, that touch."""
     things: list[frozenset[str]] = []
-    for i, contact in enumerate(scene.contacts.values()):
-        point, carrier = contact.point.body, scene.surfaces[contact.surface].body
-        if scene.simultaneous == "capped":
-            bodies[i] = places[point], -1 if carrier is None else places[carrier]
+    for contact in scene.contacts.values():
+        carrier = scene.surfaces[contact.surface].body
         ground = f"surface {contact.surface}" if carrier is None else f"body {carrier}"
-        things.append(frozenset({f"body {point}", ground}))
+        things.append(frozenset({f"body {contact.point.body}", ground}))
     things += [frozenset({f"coupling {name}"}) for name in scene.couplings]
     numbers = {pair: k for k, pair in enumerate(dict.fromkeys(things))}
-    return bodies, np.array([numbers[pair] for pair in things], dtype=np.int64)
+    return np.array([numbers[pair] for pair in things], dtype=np.int64)

@@ -43,6 +43,7 @@ from contacts.time_stepping.step_contacts import (
     coupling_mode,
     delassus_of,
     load_couplings,
+    normal_pads,
     unit_responses,
     write_cone,
 )
@@ -271,14 +272,17 @@ def settle(
             brakes[a] = landed and is_coupling(scene, i) and scene.carriers[i] < 0
             against[a] = against[a] or brakes[a]
         ended, solved, forces = False, False, np.zeros((m, 2))
+        pads = normal_pads(scene, tape, which, columns, h)
+        for a in range(m):
+            delassus[2 * a, 2 * a] += pads[a]
         loads = coupling_loads(scene, which, columns, moving, forces, 1.0)
-        load_couplings(scene, tape, which, loads, delassus, alone)
+        load_couplings(scene, tape, which, loads, pads, alone)
         for _ in range(LOADINGS):
             solved, forces = solve_accelerations(
                 delassus, alone, cones, slides, terms, forced, sums
             )
             loads = coupling_loads(scene, which, columns, moving, forces, 1.0)
-            if load_couplings(scene, tape, which, loads, delassus, alone) > LOADED:
+            if load_couplings(scene, tape, which, loads, pads, alone) > LOADED:
                 continue
             for a in range(m):
                 if brakes[a]:

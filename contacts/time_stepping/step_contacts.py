@@ -9,17 +9,22 @@ import math
 
 import numpy as np
 
-from contacts.solvers.contact_rows import BEGINS, ON_TRIAL, overload
+from contacts.solvers.contact_rows import ContactRows, scale
 from contacts.solvers.impulse_coupling import coupled_contacts
 from contacts.solvers.redundancy import shared_forces
 from contacts.solvers.step_impulses import (
+    LIMIT,
     SUM_ROUNDING,
-    ContactProblem,
+    TWO,
+    Island,
+    coordinate_rows,
+    forces_beside_impacts,
     into_cone,
     is_sliding,
-    of_group,
-    steady_impulses,
-    velocity_after,
+    new_island,
+    order_matters,
+    part_left,
+    write_velocities,
 )
 from contacts.states import (
     FREE,
@@ -34,7 +39,9 @@ from contacts.states import (
     SLIP_PLUS,
 )
 from contacts.time_stepping.chunk import (
+    CHOSEN,
     HIT,
+    JAMMED,
     LASTING,
     LIVELY,
     SEPARATED,
@@ -48,7 +55,6 @@ from contacts.time_stepping.equations import (
     HOLDING,
     JOINT,
     LANDED,
-    ContactForces,
     ContactHistory,
     ContactRoles,
     FactoredEquations,
@@ -58,67 +64,8 @@ from contacts.time_stepping.equations import (
     solve_factored,
 )
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import indices, put
+from statechart.kernels.copies import indices, put, put_rows
 from statechart.kernels.jit import kernel
-
-
-@kernel
-def energy_added(
-    numbers: Array,
-    rates: Array,
-    rows: Ints,
-    groups: Ints,
-    work: Array,
-    moving: Array,
-    negligible: float,
-) -> float:
-    """Return the largest part of its own energy that contacts add to a group of them.
-
-    With velocities U- before a step and U+ after it, impulses P change the energy by
-    ``P (U+ + U-)/2``, beside what surfaces do that move. Friction and restitution take energy. What
-    keeps a contact on its surface, while the surface or the body turns, gives in its second half
-    what it took in its first; a contact that lands where the surface turns by a radian within the
-    step has taken nothing before. One that is struck there is struck in a direction that is as far
-    off: what it would add had it landed counts for it as well.
-
-    Parameters
-    ----------
-    numbers : (k,) array
-        Of the step's tape, beginning with the mass matrix (n, n).
-    rates : (n,) array
-        Before the step.
-    rows : (m,) array of int
-        Where the Jacobians of contacts are among the numbers.
-    groups : (m,) array of int
-        Equal for contacts that feel each other's impulses; below m.
-    work : (m,) array
-        P (U+ + U-) of contacts.
-    moving : (m,) array
-        Twice the energy that they move with at least.
-    negligible : float
-        Twice the energy that is none.
-    """
-    n, worst = len(rates), 0.0
-    moved = np.empty(n, np.bool_)
-    for group in range(len(groups)):
-        gained, had, kinetic = 0.0, 0.0, 0.0
-        moved[:] = False
-        for a in range(len(rows)):
-            if groups[a] != group:
-                continue
-            gained += work[a]
-            had = max(had, moving[a])
-            for j in range(n):
-                hold = numbers[rows[a] + j] != 0.0 or numbers[rows[a] + n + j] != 0.0
-                moved[j] = moved[j] or hold
-        if gained <= 0.0:
-            continue
-        for i in range(n):
-            if moved[i]:
-                for j in range(n):
-                    kinetic += rates[i] * numbers[n * i + j] * rates[j]
-        worst = max(worst, gained / max(had, kinetic, negligible))
-    return worst
 
 
 @kernel
@@ -148,10 +95,10 @@ def mode_of_impulse(impulse: Array, slip: float, sliding: bool, cone: Array, dir
 
 
 @kernel
-def pressing(compliance: Array, slip: float, cone: Array) -> bool:
+def pressing(own: Array, slip: float, cone: Array) -> bool:
     """Return whether friction presses a sliding contact into its surface (Painleve's paradox)."""
     against = -cone[1] if slip > 0.0 else cone[1]
-    return slip != 0.0 and compliance[0, 0] * cone[0] + compliance[0, 1] * against <= 0.0
+    return slip != 0.0 and own[0] * cone[0] + own[2] * against <= 0.0
 
 
 # Directions are opposite to within this part of their size.
@@ -207,9 +154,6 @@ def _opposing_lever(tape: TapeValues, i: int, other: int) -> float:
     return lever if apart <= _OPPOSITE * most else 0.0
 
 
-# Another impact that changes a velocity by less than this part of its own change is not felt: a
-# body turns within a step.
-_NEGLIGIBLE_CHANGE = 1e-3
 # A contact that lands slower than this part of what a step without contact would make of rest
 # brings no momentum that forces would tell.
 _NEGLIGIBLE_LANDING = 1e-9
@@ -296,13 +240,9 @@ def _yielding(scene: StepConstants, i: int, h: float) -> float:
 
 
 @kernel
-def _is_alone(groups: Ints, a: int, without: Bools) -> bool:
-    """Return whether a contact is the only one of its group, but for the first ones `without`."""
-    alone = True
-    for b in range(len(groups)):
-        left_out = b < len(without) and without[b]
-        alone = alone and (b == a or left_out or groups[b] != groups[a])
-    return alone
+def _is_finite(scene: StepConstants, i: int) -> bool:
+    """Return whether contact i is compliant or a coupling: no impact is simultaneous with it."""
+    return scene.soft[i, 0] > 0.0 or is_coupling(scene, i)
 
 
 @kernel
@@ -333,6 +273,27 @@ def delassus_of(tape: TapeValues, which: Ints, columns: Array) -> Array:
                     value += tape.numbers[row + d * n + j] * columns[b, j]
                 result[2 * a + d, b] = value
     return result
+
+
+@kernel
+def normal_pads(
+    scene: StepConstants, tape: TapeValues, which: Ints, columns: Array, h: float
+) -> Array:
+    """Return compliances (m,) of what normal rows of compliant contacts and couplings move besides.
+
+    Those of couplings move nothing else: their pads are of the size of the velocities of others.
+    """
+    pads = np.zeros(len(which))
+    for a in range(len(which)):
+        i = which[a]
+        if scene.soft[i, 0] > 0.0:
+            pads[a] = 1.0 / _yielding(scene, i, h)
+        if is_coupling(scene, i):
+            row = tape.first + tape.per * i + tape.size
+            for j in range(tape.size):
+                pads[a] += tape.numbers[row + j] * columns[2 * a + 1, j]
+            pads[a] = pads[a] if pads[a] > 0.0 else 1.0
+    return pads
 
 
 # Rolling resistances are loaded so often, and until none changes by more than this part of itself.
@@ -377,7 +338,7 @@ def coupling_loads(
 
 @kernel
 def load_couplings(
-    scene: StepConstants, tape: TapeValues, which: Ints, loads: Array, delassus: Array, free: Array
+    scene: StepConstants, tape: TapeValues, which: Ints, loads: Array, pads: Array, free: Array
 ) -> float:
     """Load couplings, in place, with the impulses of their limits at rest; return what changed.
 
@@ -387,11 +348,8 @@ def load_couplings(
     changed = 0.0
     for a in range(len(which)):
         if is_coupling(scene, which[a]):
-            # Of the size of velocities, as the other rows.
-            own = delassus[2 * a + 1, 2 * a + 1]
-            delassus[2 * a, 2 * a] = own if own > 0.0 else 1.0
             limit = tape.numbers[tape.first + tape.per * which[a] + 2 * tape.size + 2]
-            before, free[a, 0] = free[a, 0], -delassus[2 * a, 2 * a] * loads[a] * limit
+            before, free[a, 0] = free[a, 0], -pads[a] * loads[a] * limit
             if before != free[a, 0]:
                 size = max(abs(before), abs(free[a, 0]))
                 changed = max(changed, abs(free[a, 0] - before) / size)
@@ -399,34 +357,36 @@ def load_couplings(
 
 
 @kernel
-def _has_two(scene: StepConstants, i: int) -> bool:
-    """Return whether a contact has a friction at rest and another in motion."""
-    return scene.used[i] >= 0 or is_coupling(scene, i)
-
-
-@kernel
-def _groups(scene: StepConstants, tape: TapeValues, which: Ints) -> Ints:
-    """Label the groups of the contacts `which` (m,), then those of constraints."""
-    numbers, n, c, m = tape.numbers, tape.size, len(scene.held), len(which)
-    constraints = indices(scene.held > 0)
-    members = np.empty(m + len(constraints), np.int64)
-    for a in range(len(members)):
-        members[a] = which[a] if a < m else constraints[a - m]
-    joints, width = tape.first + tape.per * c, n + JOINT
-    return coupled_contacts(
+def label_groups(scene: StepConstants, tape: TapeValues, met: ContactRoles) -> None:
+    """Label contacts that take part, and constraints, by the first of their group; others -1."""
+    numbers, n, c, active = tape.numbers, tape.size, len(scene.held), indices(met.active)
+    constraints, joints, width = indices(scene.held > 0), tape.first + tape.per * c, n + JOINT
+    which = np.empty(len(active) + len(constraints), np.int64)
+    for a in range(len(which)):
+        which[a] = active[a] if a < len(active) else constraints[a - len(active)]
+    labels = coupled_contacts(
         numbers[: n * n].reshape((n, n)),
         numbers[joints : joints + width * scene.joints].reshape((scene.joints, width)),
         numbers[tape.first : joints].reshape((c, tape.per)),
-        members,
+        which,
         scene.held,
     )
+    met.groups[:] = -1
+    for a in range(len(which)):
+        met.groups[which[a]] = which[labels[a]]
+
+
+@kernel
+def members_of(met: ContactRoles, label: int) -> Ints:
+    """Return the contacts with a label that take part."""
+    return indices((met.groups == label) & met.active)
 
 
 @kernel
 def write_cone(scene: StepConstants, tape: TapeValues, i: int, direction: int, cone: Array) -> None:
     """Write the unit edge (2,) of the friction cone of contact i that slips, or rests (0)."""
     put(scene.cones[i], cone)
-    if direction != 0 and _has_two(scene, i):
+    if direction != 0 and (scene.used[i] >= 0 or is_coupling(scene, i)):
         at = tape.first + tape.per * i + 2 * tape.size + (EDGES if direction > 0 else EDGES + 2)
         cone[0], cone[1] = tape.numbers[at], tape.numbers[at + 1]
         if cone[1] <= SUM_ROUNDING * cone[0]:
@@ -434,170 +394,150 @@ def write_cone(scene: StepConstants, tape: TapeValues, i: int, direction: int, c
 
 
 @kernel
-def change_friction(
-    scene: StepConstants, tape: TapeValues, problem: ContactProblem, least: Array, pushes: Array
-) -> bool:
-    """Change the friction of contacts whose slip begins or turns; return whether there are.
-
-    A slip that would turn in the step stops if static friction bears what would hold it over the
-    whole step; in an impact kinetic friction stops or turns it. What static friction does not hold
-    slips under kinetic friction: what slipped before the step first, then one by one the most
-    overloaded, as each relieves the others. Each contact changes three times at most.
-    """
-    ways, first, most, way, changes = problem.directions, -1, 0.0, 0, False
-    for a in range(len(ways)):
-        i, normal = problem.which[a], pushes[a, 0]
-        slip = velocity_after(problem.delassus, least, pushes, a, 1)
-        judged = _has_two(scene, i) and abs(ways[a]) != BEGINS and normal > 0.0
-        if not judged or slip == 0.0 or (abs(ways[a]) == 1 and slip * ways[a] > 0.0):
-            continue
-        turned = BEGINS if slip > 0.0 else -BEGINS
-        if abs(ways[a]) == 1:
-            struck = of_group(problem.sudden, problem.groups, problem.groups[a])
-            ways[a], changes = turned if struck and scene.used[i] >= 0 else 0, True
-            write_cone(scene, tape, i, ways[a], problem.cones[a])
-            if not struck:
-                ways[a] = ON_TRIAL
-                problem.wanted[a, 1] -= problem.before[a, 1]
-            continue
-        load = overload(slip, problem.delassus[2 * a + 1, 2 * a + 1], normal, problem.cones[a])
-        if abs(problem.before[a, 1]) > scene.rounding:
-            load = math.inf
-        if load > most:
-            first, most, way = a, load, turned
-    if changes:
-        return True
-    for a in range(len(ways)):
-        if ways[a] == ON_TRIAL and first in (a, -1):
-            ways[a], changes = 0, True
-            problem.wanted[a, 1] += problem.before[a, 1]
-    if first >= 0:
-        ways[first], changes = way, True
-        write_cone(scene, tape, problem.which[first], way, problem.cones[first])
-    return changes
-
-
-@kernel
-def contact_problem(
+def group_island(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
-    which: Ints, met: ContactRoles, h: float,
-) -> ContactProblem:  # fmt: skip
-    """Return the problem of the contacts that take part; `met` loses rebounds of plastic groups."""
-    m = len(which)
-    columns = unit_responses(tape, equations, which)
-    delassus, jacobians = delassus_of(tape, which, columns), np.empty((m, 2, tape.size))
-    groups = _groups(scene, tape, which)
-    cones, before = np.empty((m, 2)), np.empty((m, 2))
-    free, wanted = np.empty((m, 2)), np.empty((m, 2))
-    rebounds, sudden = np.empty(m, np.bool_), np.empty(m, np.bool_)
-    directions = np.zeros(m, np.int64)
-    yields, apart = np.empty(m, np.bool_), np.empty(m, np.bool_)
+    members: Ints, met: ContactRoles, h: float,
+) -> tuple[Island, ContactRows, Array, Array]:  # fmt: skip
+    """Return a group of contacts as an island and its rows, their `unit_responses`, and pads.
+
+    `met` loses rebounds of plastic groups.
+    """
+    columns = unit_responses(tape, equations, members)
+    pads = normal_pads(scene, tape, members, columns, h)
+    m, n, struck, together = len(members), tape.size, False, 0
+    island = new_island(members, met.before[members], met.free[members], np.zeros((m, 2)))
+    jacobians, cones = np.empty((m, 2, n)), np.empty((m, 2))
+    for i in range(len(met.groups)):
+        alike = met.groups[i] == met.groups[members[0]]
+        together += 1 if alike and not _is_finite(scene, i) else 0
     for a in range(m):
-        i = which[a]
-        row = tape.first + tape.per * i
+        i = members[a]
+        row, slip = tape.first + tape.per * i, island.start[a, 1]
         for d in range(2):
-            for j in range(tape.size):
-                jacobians[a, d, j] = tape.numbers[row + d * tape.size + j]
-        slip = met.before[i, 1]
+            for j in range(n):
+                jacobians[a, d, j] = tape.numbers[row + d * n + j]
         if abs(slip) > scene.rounding and (memory.slid[i] or not memory.closed[i]):
-            directions[a] = 1 if slip > 0.0 else -1
-        rebounds[a], sudden[a] = met.hit[i] and scene.restitution[i] > 0.0, met.hit[i]
-        if scene.carriers[i] >= 0:
-            sudden[a] = met.hit[scene.carriers[i]]
-        write_cone(scene, tape, i, directions[a], cones[a])
-        put(met.before[i], before[a])
-        put(met.free[i], free[a])
-        yields[a] = scene.soft[i, 0] > 0.0
-        apart[a] = yields[a] or is_coupling(scene, i)
-        if yields[a]:
-            delassus[2 * a, 2 * a] += 1.0 / _yielding(scene, i, h)
-    loads = coupling_loads(scene, which, columns, equations.change, np.zeros((m, 2)), h)
-    load_couplings(scene, tape, which, loads, delassus, free)
+            island.ways[a] = 1 if slip > 0.0 else -1
+        write_cone(scene, tape, i, island.ways[a], cones[a])
+        if scene.used[i] >= 0 or is_coupling(scene, i):
+            island.kinds[a] = TWO if scene.used[i] >= 0 else LIMIT
+            for way in range(-1, 2):
+                write_cone(scene, tape, i, way, island.frictions[a, way])
+        island.rebounds[a] = met.hit[i] and scene.restitution[i] > 0.0
+        if scene.plastic and island.rebounds[a] and together > 1:
+            island.rebounds[a], met.wanted[i, 0] = False, 0.0
+        island.hit[a] = met.hit[i if scene.carriers[i] < 0 else scene.carriers[i]]
+        struck = struck or island.hit[a]
+        put(memory.pushes[i], island.chosen[a])
     for a in range(m):
-        # Couples and compliant forces are finite: no impact is simultaneous with them.
-        if scene.plastic and rebounds[a] and not _is_alone(groups, a, apart):
-            rebounds[a], met.wanted[which[a], 0] = False, 0.0
-        put(met.wanted[which[a]], wanted[a])
+        put(met.wanted[members[a]], island.wanted[a])
         # After an impact bodies turn otherwise than they did: no slip is left to what they did.
-        if of_group(sudden, groups[:m], groups[a]):
-            wanted[a, 1] = 0.0
-    return ContactProblem(
-        which, jacobians, columns, delassus, groups[:m], directions, cones, before, free, wanted,
-        rebounds, sudden, yields, apart,
-    )  # fmt: skip
+        if struck:
+            island.wanted[a, 1] = 0.0
+    loads = coupling_loads(scene, members, columns, equations.change, island.chosen, h)
+    load_couplings(scene, tape, members, loads, pads, island.unforced)
+    return island, coordinate_rows(jacobians, columns, pads, cones), columns, pads
 
 
 @kernel
 def split_forces(
-    scene: StepConstants, memory: ContactHistory, problem: ContactProblem, least: Array,
-    pushes: Array, allowed: float,
-) -> ContactForces:  # fmt: skip
-    """Return what of impulses is force; what jams is struck at an instant.
+    scene: StepConstants, memory: ContactHistory, island: Island, contacts: ContactRows, k: int,
+    chunk: Chunk,
+) -> tuple[Array, Ints]:  # fmt: skip
+    """Return what of impulses is force, and the modes under it; what jams is struck at an instant.
 
     Where friction presses a sliding contact into its surface no finite force keeps one there that
-    would go in; one that would come off may as well slide on.
+    would go in; one that would come off may as well slide on. An impact takes off a contact no more
+    than what that bears.
     """
-    delassus, sudden, several, jammed = problem.delassus, problem.sudden, False, 0
-    for a in range(len(problem.which)):
-        i = problem.which[a]
-        corner, slip = delassus[2 * a : 2 * a + 2, 2 * a : 2 * a + 2], problem.before[a, 1]
+    pushes, least, after, hit = island.chosen, island.least, island.after, island.hit
+    m, cones, under, slides = len(least), contacts.cones, after, np.zeros(len(least), np.bool_)
+    modes = np.full(m, FREE)
+    for a in range(m):
+        i = island.members[a]
         # Where it stuck, its slip is rounding.
         if scene.slips[i] > 0 and (memory.slid[i] or not memory.closed[i]):
-            paradox = pressing(corner, slip, problem.cones[a])
-            if paradox and least[a, 0] < 0.0 and not sudden[a]:
-                sudden[a], jammed = True, i + 1
-            clear = SUM_ROUNDING * (abs(problem.before[a, 0]) + abs(problem.free[a, 0]))
+            paradox = pressing(contacts.own[a], island.start[a, 1], cones[a])
+            if paradox and least[a, 0] < 0.0 and not hit[a]:
+                hit[a], chunk.stats[k, JAMMED] = True, i + 1
+            clear = SUM_ROUNDING * (abs(island.start[a, 0]) + abs(island.unforced[a, 0]))
             # The impulses of others decide, too, where there are others.
-            off = least[a, 0] > clear and memory.closed[i]
-            off = off and _is_alone(problem.groups, a, np.zeros(0, np.bool_))
-            several = several or (paradox and off)
-    steady, slides = steady_impulses(problem, least, pushes, allowed)
-    return ContactForces(least, pushes, steady, slides, several, jammed)
+            if paradox and least[a, 0] > clear and memory.closed[i] and m == 1:
+                chunk.stats[k, CHOSEN] = 1.0
+    steady, struck = pushes.copy(), hit.any()
+    if struck:
+        fast = scale(contacts, least)
+        steady = forces_beside_impacts(contacts, hit, least, pushes, scene.allowed, fast)
+        under = np.empty_like(after)
+        write_velocities(contacts, least, steady, under)
+    for a in range(m):
+        slides[a] = not hit[a] and is_sliding(cones[a], steady[a], under[a, 1])
+        left = part_left(pushes[a], steady[a], cones[a]) if struck else 1.0
+        steady[a, 0] *= left
+        steady[a, 1] *= left
+    if struck:
+        write_velocities(contacts, least, steady, under)
+    for a in range(m):
+        i, slip = island.members[a], under[a, 1]
+        directed = scene.slips[i] == 2
+        if is_coupling(scene, i):
+            modes[a] = FREE if after[a, 1] != 0.0 else LOCKED
+        elif steady[a, 0] > 0.0:
+            modes[a] = mode_of_impulse(steady[a], after[a, 1], slides[a], cones[a], directed)
+        elif pushes[a, 0] <= 0.0 and under[a, 0] == 0.0:
+            modes[a] = mode_of_impulse(steady[a], slip, slip != 0.0, cones[a], directed)
+    return steady, modes
 
 
 @kernel
-def largest_energy_gain(
-    scene: StepConstants, tape: TapeValues, problem: ContactProblem, pushes: Array, rates: Array
+def energy_added(
+    scene: StepConstants, tape: TapeValues, island: Island, contacts: ContactRows, rates: Array
 ) -> float:
-    """Return the largest part of its own energy that contacts add to a group of them."""
-    m, delassus = len(problem.which), problem.delassus
-    work, moving, rows = np.empty(m), np.empty(m), np.empty(m, np.int64)
-    for a in range(m):
-        work[a], rows[a] = 0.0, tape.first + tape.per * problem.which[a]
+    """Return the part of its own energy that contacts add to a group that moves at these rates.
+
+    With velocities U- before a step and U+ after it, impulses P change the energy by
+    ``P (U+ + U-)/2``, beside what surfaces do that move. Friction and restitution take energy. What
+    keeps a contact on its surface, while the surface or the body turns, gives in its second half
+    what it took in its first; a contact that lands where the surface turns by a radian within the
+    step has taken nothing before. One that is struck there is struck in a direction that is as far
+    off: what it would add had it landed counts for it as well.
+    """
+    n, gained, energy, had = tape.size, 0.0, 0.0, scene.negligible
+    moves = np.zeros(n, np.bool_)
+    for a in range(len(island.members)):
         # The spring of a compliant contact gives energy back.
-        for d in range(1 if problem.yields[a] else 0, 2):
-            both = problem.before[a, d] + problem.free[a, d]
-            for b in range(2 * m):
-                both += delassus[2 * a + d, b] * pushes[b // 2, b % 2]
-            work[a] += pushes[a, d] * both
-        speed = max(math.hypot(problem.before[a, 0], problem.before[a, 1]), scene.slowest)
-        moving[a] = speed * speed / delassus[2 * a, 2 * a]
-    return energy_added(tape.numbers, rates, rows, problem.groups, work, moving, scene.negligible)
+        for d in range(1 if scene.soft[island.members[a], 0] > 0.0 else 0, 2):
+            change = island.after[a, d] - island.least[a, d]
+            both = island.start[a, d] + island.unforced[a, d] + change
+            gained += island.chosen[a, d] * both
+        speed = max(math.hypot(island.start[a, 0], island.start[a, 1]), scene.slowest)
+        had = max(had, speed * speed / contacts.own[a, 0])
+        for j in range(n):
+            moves[j] = moves[j] or contacts.rows[a, 0, j] != 0.0 or contacts.rows[a, 1, j] != 0.0
+    for i in range(n):
+        for j in range(n if moves[i] else 0):
+            energy += rates[i] * tape.numbers[n * i + j] * rates[j]
+    return max(gained, 0.0) / max(had, energy)
 
 
 @kernel
-def mixed_with_impacts(
-    memory: ContactHistory, tape: TapeValues, problem: ContactProblem, pushes: Array, h: float
-) -> Bools:
-    """Return whose impulses (m,) of this step are not those of forces alone."""
-    which, groups, m = problem.which, problem.groups, len(problem.which)
-    mixed = np.zeros(m, np.bool_)
-    for a in range(m):
-        i, nearing = which[a], -problem.before[a, 0]
-        late = _NEGLIGIBLE_LANDING * abs(problem.free[a, 0] + nearing)
+def is_mixed_with_impacts(
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, island: Island, h: float
+) -> bool:
+    """Return whether impulses of a group in this step are not those of forces alone."""
+    lands = holds = False
+    for a in range(len(island.members)):
+        i, nearing = island.members[a], -island.start[a, 0]
+        late = _NEGLIGIBLE_LANDING * abs(island.unforced[a, 0] + nearing)
         bias = 0.5 * h * tape.numbers[tape.first + tape.per * i + 2 * tape.size]
-        arrives = nearing > late or abs(problem.wanted[a, 0] - bias) > late
-        arrives = arrives and not problem.yields[a]
-        if pushes[a, 0] > 0.0 and (problem.sudden[a] or (not memory.closed[i] and arrives)):
-            for b in range(m):
-                if groups[b] == groups[a]:
-                    memory.fresh[which[b]] = HOLDING
-                    memory.settling[which[b]] = LANDED
-    for a in range(m):
-        if memory.fresh[which[a]] > 0:
-            for b in range(m):
-                mixed[b] = mixed[b] or groups[b] == groups[a]
-    return mixed
+        arrives = nearing > late or abs(island.wanted[a, 0] - bias) > late
+        arrives = arrives and not memory.closed[i] and not scene.soft[i, 0] > 0.0
+        lands = lands or (island.chosen[a, 0] > 0.0 and (island.hit[a] or arrives))
+    for i in island.members:
+        if lands:
+            memory.fresh[i], memory.settling[i] = HOLDING, LANDED
+        holds = holds or memory.fresh[i] > 0
+    return holds
 
 
 @kernel
@@ -615,152 +555,105 @@ def coupling_mode(scene: StepConstants, i: int, slip: float, modes: Ints) -> int
 
 
 @kernel
-def _round_off(
-    scene: StepConstants, problem: ContactProblem, pushes: Array, a: int, h: float
-) -> float:
-    """Return the slip of coupling `a` that round-off of the gaps of contacts that press makes."""
-    most, delassus, groups = 0.0, problem.delassus, problem.groups
-    for b in range(len(groups)):
-        if groups[b] == groups[a] and pushes[b, 0] > 0.0 and not problem.apart[b]:
-            most = max(most, abs(delassus[2 * a + 1, 2 * b]) / delassus[2 * b, 2 * b])
-    found: float = most * scene.near / h
-    return found
+def clear_round_off(scene: StepConstants, island: Island, contacts: ContactRows, h: float) -> None:
+    """Clear slips of couplings that round-off of the gaps of contacts that press makes."""
+    for a in range(len(island.members)):
+        most = 0.0
+        for b in range(len(island.members) if is_coupling(scene, island.members[a]) else 0):
+            if island.chosen[b, 0] > 0.0 and not _is_finite(scene, island.members[b]):
+                turned = 0.0
+                for k in range(contacts.rows.shape[2]):
+                    turned += contacts.rows[a, 1, k] * contacts.columns[b, 0, k]
+                most = max(most, abs(turned) / contacts.own[b, 0])
+        if abs(island.after[a, 1]) <= most * scene.near / h:
+            island.after[a, 1] = 0.0
 
 
 @kernel
 def write_modes(
-    scene: StepConstants, memory: ContactHistory, problem: ContactProblem, answer: ContactForces,
-    met: ContactRoles, k: int, chunk: Chunk,
-) -> Ints:  # fmt: skip
-    """Write modes and impulses of step k, and who lasts; return the modes (m,) under forces."""
-    m, sudden, cones = len(problem.which), problem.sudden, problem.cones
-    pushes, steady = answer.pushes, answer.steady
-    modes = np.full(m, FREE)
+    scene: StepConstants, memory: ContactHistory, island: Island, contacts: ContactRows,
+    steady: Array, met: ContactRoles, k: int, chunk: Chunk,
+) -> None:  # fmt: skip
+    """Write modes and impulses of step k, and who lasts."""
+    cones, pushes, struck = contacts.cones, island.chosen, island.hit.any()
     used_at = scene.size + scene.joints + 2 * len(scene.cones)
-    for a in range(m):
-        i = problem.which[a]
+    for a in range(len(pushes)):
+        i, slip = island.members[a], island.after[a, 1]
         put(pushes[a], memory.pushes[i])
-        slip = velocity_after(problem.delassus, answer.least, pushes, a, 1)
-        if is_coupling(scene, i) and abs(slip) <= _round_off(scene, problem, pushes, a, chunk.h):
-            slip = 0.0
         memory.slid[i] = slip != 0.0
         if is_coupling(scene, i):
             memory.closed[i] = True
-            modes[a] = FREE if slip != 0.0 else LOCKED
             chunk.codes[k, i] = coupling_mode(scene, i, slip, chunk.codes[k])
             continue
-        if of_group(sudden, problem.groups, problem.groups[a]):
+        if struck:
             for d in range(2):
                 chunk.impulses[k, i, d] = pushes[a, d] - steady[a, d]
             put(into_cone(chunk.impulses[k, i], cones[a]), chunk.impulses[k, i])
-        pressed, directed = pushes[a, 0] > 0.0, scene.slips[i] == 2
+        pressed = pushes[a, 0] > 0.0
         if scene.used[i] >= 0:
             mu = cones[a, 1] / cones[a, 0] if cones[a, 0] > 0.0 else math.inf
             chunk.solved[k, used_at + scene.used[i]] = mu
         if pressed and not met.hit[i] and not memory.closed[i]:
             chunk.closing[k] = max(chunk.closing[k], chunk.gaps[k, i] - memory.level[i])
         # What another contact's impulse stops as its own would is struck, too.
-        met_alike = met.hit[i] and velocity_after(problem.delassus, answer.least, pushes, a, 0) == 0
-        chunk.struck[k, i] = sudden[a] and (pressed or met_alike)
+        chunk.struck[k, i] = island.hit[a] and (
+            pressed or (met.hit[i] and island.after[a, 0] == 0.0)
+        )
         if chunk.struck[k, i] and not met.hit[i]:
             # A jamming contact falls freely up to the middle of the step, where it is struck.
-            falling = -0.5 * (problem.before[a, 0] + problem.free[a, 0])
+            falling = -0.5 * (island.start[a, 0] + island.unforced[a, 0])
             chunk.approach[k] = max(chunk.approach[k], falling)
-        memory.closed[i] = pressed and not problem.rebounds[a]
+        memory.closed[i] = pressed and not island.rebounds[a]
         if memory.closed[i]:
-            chunk.codes[k, i] = mode_of_impulse(
-                pushes[a], slip, is_sliding(problem, answer.least, pushes, a), cones[a], directed
-            )
-        if steady[a, 0] > 0.0:
-            modes[a] = mode_of_impulse(steady[a], slip, answer.slides[a], cones[a], directed)
-        elif not pressed and velocity_after(problem.delassus, answer.least, steady, a, 0) == 0.0:
-            slip = velocity_after(problem.delassus, answer.least, steady, a, 1)
-            modes[a] = mode_of_impulse(steady[a], slip, slip != 0.0, cones[a], directed)
-    return modes
+            sliding = is_sliding(cones[a], pushes[a], slip)
+            directed = scene.slips[i] == 2
+            chunk.codes[k, i] = mode_of_impulse(pushes[a], slip, sliding, cones[a], directed)
 
 
 @kernel
-def coupled_order_matters(
-    bodies: Ints, pairs: Ints, lively: Bools, delassus: Array, cones: Array, impulses: Array
+def order_decides(
+    scene: StepConstants, island: Island, contacts: ContactRows, k: int, chunk: Chunk
 ) -> bool:
-    """Return whether a body is struck at once at contacts whose impacts change each other.
-
-    `bodies`, `pairs`, `lively`: bodies (m, 2) of contacts, which pairs of them touch, and whose
-    impacts are `LIVELY`; `delassus` (2 m, 2 m), `cones` (m, 2), `impulses` (m, 2): of the step's
-    contact problem.
-    """
-    for a in range(len(pairs)):
-        for b in range(len(pairs)):
-            if lively[a] and lively[b] and pairs[a] != pairs[b]:
-                for d in range(2 if cones[b, 1] > 0.0 else 1):
-                    own = abs(delassus[2 * b + d, 2 * b + d] * impulses[b, 0])
-                    moved = 0.0
-                    for e in range(2):
-                        moved += delassus[2 * b + d, 2 * a + e] * impulses[a, e]
-                    if _share_body(bodies, a, b) and abs(moved) > _NEGLIGIBLE_CHANGE * own:
-                        return True
-    return False
-
-
-@kernel
-def _share_body(bodies: Ints, a: int, b: int) -> bool:
-    shared = False
-    for i in range(2):
-        for j in range(2):
-            shared = shared or (bodies[a, i] >= 0 and bodies[a, i] == bodies[b, j])
-    return shared
-
-
-@kernel
-def order_decides(scene: StepConstants, problem: ContactProblem, k: int, chunk: Chunk) -> bool:
     """Return whether the impacts of step k, one after another, would have another outcome."""
-    m, which = len(problem.which), problem.which
-    lively = np.empty(m, np.bool_)
-    for a in range(m):
-        i = which[a]
-        slow = max(SLOW * abs(problem.free[a, 0] - problem.before[a, 0]), scene.still)
-        sudden = problem.delassus[2 * a, 2 * a] * chunk.impulses[k, i, 0]
+    lively = np.zeros(len(island.members), np.bool_)
+    for a in range(len(lively)):
+        i = island.members[a]
+        slow = max(SLOW * abs(island.unforced[a, 0] - island.start[a, 0]), scene.still)
+        sudden = contacts.own[a, 0] * chunk.impulses[k, i, 0]
         lively[a] = scene.restitution[i] >= LIVELY and sudden > slow
-    bodies, pairs = scene.bodies[which], scene.pairs[which]
-    return coupled_order_matters(
-        bodies, pairs, lively, problem.delassus, problem.cones, chunk.impulses[k][which]
-    )
+    impulses = chunk.impulses[k][island.members]
+    return scene.capped and order_matters(contacts, scene.pairs[island.members], lively, impulses)
 
 
 @kernel
-def shared_impulses(
-    scene: StepConstants, problem: ContactProblem, least: Array, pushes: Array
-) -> Array:
-    """Return impulses (m, 2), shared out by all that touch where the motion leaves them open."""
-    m = len(pushes)
-    if m < 2 or problem.apart.any():
-        return pushes
+def share_loads(scene: StepConstants, island: Island, contacts: ContactRows) -> None:
+    """Share impulses, in place, out by all that touch where the motion leaves them open."""
+    m, pushes, cones = len(island.members), island.chosen, contacts.cones
     modes = np.full(m, FREE)
     for a in range(m):
-        slip = velocity_after(problem.delassus, least, pushes, a, 1)
-        sliding = slip != 0.0
-        if pushes[a, 0] > 0.0:
-            sliding = is_sliding(problem, least, pushes, a)
-        elif velocity_after(problem.delassus, least, pushes, a, 0) != 0.0:
-            continue
-        directed = scene.slips[problem.which[a]] == 2
-        modes[a] = mode_of_impulse(pushes[a], slip, sliding, problem.cones[a], directed)
-    return shared_forces(modes, problem.cones, problem.jacobians, pushes)[1]
+        if m < 2 or _is_finite(scene, island.members[a]):
+            return
+        slip, directed = island.after[a, 1], scene.slips[island.members[a]] == 2
+        if pushes[a, 0] > 0.0 or island.after[a, 0] == 0.0:
+            sliding = slip != 0.0 and (pushes[a, 0] <= 0.0 or is_sliding(cones[a], pushes[a], slip))
+            modes[a] = mode_of_impulse(pushes[a], slip, sliding, cones[a], directed)
+    put_rows(shared_forces(modes, cones, contacts.rows, pushes)[1], pushes)
 
 
 @kernel
 def share_forces(
-    memory: ContactHistory, problem: ContactProblem, modes: Ints, steady: Array, k: int,
-    chunk: Chunk,
+    scene: StepConstants, memory: ContactHistory, island: Island, contacts: ContactRows,
+    modes: Ints, steady: Array, k: int, chunk: Chunk,
 ) -> Array:  # fmt: skip
     """Write whose forces the motion does not determine; return them shared out."""
-    m, struck = len(problem.which), problem.sudden.any()
-    # Compliant contacts share a load by their depths.
-    if m < 2 or problem.yields.any():
-        return steady
-    alike, result = shared_forces(modes, problem.cones, problem.jacobians, steady)
+    m, struck = len(steady), island.hit.any()
+    for i in island.members:
+        # Compliant contacts share a load by their depths.
+        if m < 2 or scene.soft[i, 0] > 0.0:
+            return steady
+    alike, result = shared_forces(modes, contacts.cones, contacts.rows, steady)
     for a in range(m):
-        i = problem.which[a]
+        i = island.members[a]
         chunk.shared[k, i] = alike[a]
         if result[a, 0] > 0.0 and not memory.closed[i] and not struck:
             # Others bore its share.

@@ -331,8 +331,9 @@ def _split(atom: Atom) -> Any:
     expression, strict = atom.expression, atom.strict
     corners = expression.atoms(sympy.Max, sympy.Min, sympy.Abs)
     corners = {corner for corner in corners if corner.free_symbols}
-    if not corners:
-        return atom
+    bare = _without_root(atom)
+    if bare is not None or not corners:
+        return bare or atom
     # An outer one first: those inside it come to stand alone.
     corner = min(
         (c for c in corners if not any(c is not o and o.has(c) for o in corners)),
@@ -369,3 +370,24 @@ def _split(atom: Atom) -> Any:
             Every((Atom(factor, False), each(falling, expression))),
         )
     )
+
+
+def _without_root(atom: Atom) -> Any:
+    """Return an atom without its root of what is never negative; None where it has none.
+
+    Roots have no derivative where they are zero: ``sqrt(abs(x)) <= r`` is ``abs(x) <= r**2``.
+    """
+    import sympy
+
+    for term in sympy.Add.make_args(atom.expression):
+        factor, root = term.as_coeff_Mul()
+        base, exponent = root.as_base_exp()
+        if exponent.is_integer or not (exponent.is_positive and base.is_nonnegative):
+            continue
+        bound = (term - atom.expression) / factor
+        order = 1 / exponent if bound != 0 else sympy.S.One
+        if order.is_integer and (bound == 0 or base.has(sympy.Max, sympy.Min, sympy.Abs)):
+            side = 1 if factor.is_positive else -1
+            sizes = -side * bound, side * (base - bound**order)
+            return (Every if side > 0 else Some)(tuple(Atom(size, atom.strict) for size in sizes))
+    return None

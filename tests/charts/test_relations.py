@@ -52,6 +52,12 @@ FIRST = {
     "k*max(x, n) >= 0": 1.0,
     "2 - 3*max(-x, n) <= 0.5": 1.5,
     "exp(max(x, n)) <= 1": 1.0,
+    # Roots, which have no derivative where they are zero.
+    "sqrt(abs(x)) <= 0": 1.0,
+    "sqrt(max(x, 0)) <= 0": 1.0,
+    "2*sqrt(abs(x)) - 1 <= 0": 0.75,
+    "abs(x + 1)**(1/3) <= time": 1.0,
+    "sqrt(abs(x)) >= 1.5 and x < 0": 3.25,
     # Parts that hold at different times, one after another.
     "x <= 0 and c <= 0": PI / 2,
     "x <= 0 and c >= 0 and s <= 0": 3 * PI / 2,

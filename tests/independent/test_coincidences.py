@@ -133,3 +133,58 @@ def test_a_rod_on_two_rollers_swings_by_friction(engine: str) -> None:
     found = outputs(_ROLLERS, engine)
     assert found["x"] == pytest.approx(0.1 * math.cos(3 * math.sqrt(0.2 * 10 / 0.5)), abs=1e-9)
     assert found["changes"] == 0
+
+
+def test_a_ball_that_leaves_a_loop_lands_where_it_meets_the_floor(engine: str) -> None:
+    """v^2 = 3.5 g R: it lets go at 120 degrees and comes down at the lowest point."""
+    for shift, x0, y0 in ((0.0, 0.0, 0.0), (1e-9, 1.3, -2.7), (-1e-9, 100.0, 3000.0)):
+        join = x0 + shift
+        scene = f"""
+kind: scene
+name: line_loop
+gravity: 9.81
+bodies: {{b: {{mass: 2, start: {{x: {x0 - 2!r}, y: {y0 - 1!r}, dx: sqrt(3.5*9.81)}}}}}}
+surfaces:
+  loop: {{circle: [{x0!r}, {y0!r}], radius: 1, hollow: true}}
+  floor: {{edge: [[{x0 - 5!r}, {y0 - 1!r}], [{join!r}, {y0 - 1!r}]]}}
+contacts:
+  l: {{point: {{body: b}}, surface: loop, friction: 0, restitution: 0,
+      enabled: "b.x >= {join!r} or b.y > {y0 - 0.9!r}"}}
+  f: {{point: {{body: b}}, surface: floor, friction: 0, restitution: 0}}
+stop: {{time: 1.8}}
+outputs: {{off: {{value: time, at: first l.liftoff}}, y: {{value: b.y}}}}
+"""
+        result = statechart.run(interpret(read_text(scene, "scene.yaml")), engine=engine)
+        assert result.trace.jumps[-1].t == pytest.approx(
+            result.outputs["off"] + math.sqrt(6 / 9.81), abs=2e-9
+        )
+        assert result.trace.jumps[-1].cause == "touchdown"
+        assert result.outputs["y"] == pytest.approx(y0 - 1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("relation", "causes"),
+    [
+        ("sqrt(abs(b.x)) <= 0", []),
+        ("sqrt(abs(b.x)) > 0", ["touchdown"]),
+        ("sqrt(abs(b.x - 0.3)) <= 0.1", ["enable", "disable"]),
+    ],
+)
+def test_a_root_keeps_a_contact_on_as_its_square_does(
+    engine: str, relation: str, causes: list[str]
+) -> None:
+    scene = f"""
+kind: scene
+name: root
+gravity: 9.81
+bodies: {{b: {{mass: 1, start: {{x: 0, y: 1, dx: 1}}}}}}
+surfaces: {{f: {{height: 0}}}}
+contacts:
+  c: {{point: {{body: b}}, surface: f, friction: 0, restitution: 0, enabled: "{relation}"}}
+stop: {{time: 0.5}}
+"""
+    jumps = statechart.run(interpret(read_text(scene, "scene.yaml")), engine=engine).trace.jumps
+    assert [jump.cause for jump in jumps] == causes
+    assert [jump.t for jump in jumps if jump.cause != "touchdown"] == pytest.approx(
+        [0.29, 0.31] if "disable" in causes else []
+    )
