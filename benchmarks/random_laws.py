@@ -14,6 +14,8 @@ import sys
 import time
 from collections.abc import Callable
 
+from random_moves import events
+
 from statechart import Runner
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import StatechartError
@@ -126,7 +128,7 @@ def wheels(draw: Draw) -> Scene:
         a = draw.randrange(count)
         others = [f"w{i}" for i in range(count) if i != a]
         bodies = ", ".join([f"w{a}", *draw.sample(others, min(len(others), draw.randint(0, 1)))])
-        gate = draw.enabled(f"abs(dp{a}) <= {draw.number(0.5, 3)}")
+        gate = draw.enabled(f"p{a} <= {draw.number(0.1, 2)}")
         scene["couplings"] += [f"c{k}: {{bodies: [{bodies}], limit: {draw.limit(3)}{gate}}}"]
     return scene
 
@@ -165,7 +167,7 @@ def box(draw: Draw) -> Scene:
     feet = [same, same if draw.random() < 0.6 else (draw.friction(), draw.closing())]
     place = draw.choice(["{y: 0.4}", "{x: 0.3}", "{body: b, at: [0, 0.1]}", "[0.2, 0.4]"])
     held = draw.choice(["", ", angle: held"])
-    gate = draw.enabled("abs(load.dx) <= 1.5")
+    gate = draw.enabled("abs(load.x) <= 0.5")
     start_load = "y: 0.4, x: 0.2"
     if "body" in place or "0.3" in place or place.startswith("["):
         gate = ", rest: captured" + (gate or f", enabled: time >= {draw.number(0.2, 0.8)}")
@@ -327,11 +329,6 @@ def distance(one: Result, other: Result) -> float:
     """Return by how much two final states differ, relative to their size."""
     pairs = zip(one.trace.final, other.trace.final, strict=True)
     return max(abs(x - y) / max(1.0, abs(x)) for x, y in pairs)
-
-
-def events(result: Result) -> list[tuple[str, str]]:
-    """Return regions and causes of jumps."""
-    return [(jump.region, jump.cause) for jump in result.trace.jumps]
 
 
 def judge(family: str, text: str) -> str:

@@ -32,18 +32,18 @@ class Table:
     headed: bool = False  # Whether the first row is the head.
 
 
-Block = str | Table
+TextBlock = str | Table
 """A part of a text: lines, or a table."""
 
 
-def plain(blocks: Iterable[Block]) -> str:
+def plain(blocks: Iterable[TextBlock]) -> str:
     """Return a text as it is written to a file."""
     return "".join(block if isinstance(block, str) else table(block.rows) for block in blocks)
 
 
-def join_blocks(parts: Iterable[Sequence[Block]]) -> list[Block]:
+def join_blocks(parts: Iterable[Sequence[TextBlock]]) -> list[TextBlock]:
     """Return parts of a text as one, an empty line between them."""
-    result: list[Block] = []
+    result: list[TextBlock] = []
     for part in parts:
         if part:
             result += [*(["\n"] if result else []), *part]

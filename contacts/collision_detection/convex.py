@@ -27,9 +27,11 @@ class ConvexShape(NamedTuple):
 FOUND = 5
 """Of a point of contact: normal (2), point (2), gap; the normal points to the first body."""
 
-# The second body's edge is taken where it is farther by more than this part of the smaller one's
-# size, so that faces that lie on each other do not take turns.
+# Faces that are equally far but for this part of the smaller body's size lie on each other: the
+# longer one's normal is taken, so that they do not take turns, in whatever order bodies stand.
 _PREFERRED = 1e-3
+# Lengths that differ by less than this part of them are equal: those of congruent bodies.
+_SAME_LENGTH = 1e-9
 # Points this close, relative to the length of the shorter edge, are one.
 _SAME_DIRECTION = 1e-3
 # An edge whose normal leans from the one opposite by more than this cosine is met at its ends only.
@@ -246,6 +248,12 @@ def _reach(corners: Array, middle: Array) -> float:
 
 
 @kernel
+def _edge_length(corners: Array, edge: int) -> float:
+    j = (edge + 1) % len(corners)
+    return norm(corners[j, 0] - corners[edge, 0], corners[j, 1] - corners[edge, 1])
+
+
+@kernel
 def _polygons(
     shape: ConvexShape, beside: ConvexShape, within: float, found: Array, features: Ints
 ) -> int:
@@ -258,7 +266,11 @@ def _polygons(
     if second > within:
         return 0
     width = min(_reach(one, shape.centre), _reach(other, beside.centre))
-    if second > first + _PREFERRED * width:
+    farther = second > first
+    if abs(second - first) <= _PREFERRED * width:
+        length = _edge_length(one, edge)
+        farther = _edge_length(other, edge_of_other) > (1.0 + _SAME_LENGTH) * length
+    if farther:
         count = _clipped(other, edge_of_other, one, within, True, found, features)
     else:
         count = _clipped(one, edge, other, within, False, found, features)

@@ -315,6 +315,21 @@ def _write_velocity_bounds(
 
 
 @kernel
+def _move_between(radii: Array, pair: CandidatePair, point: Array, feature: int) -> None:
+    """Move a point of contact of two pieces from the surface of one to the middle of their gap.
+
+    So the arms do not depend on which body is the first. The point of a disc and a polygon is on
+    the polygon, that of two discs on the second; see `contacts.collision_detection.convex`.
+    """
+    on_first = feature >= 0 and feature % 2 == 1
+    if radii[pair.q] > 0.0:
+        on_first = radii[pair.p] == 0.0
+    half = -0.5 * point[4] if on_first else 0.5 * point[4]
+    point[2] += half * point[0]
+    point[3] += half * point[1]
+
+
+@kernel
 def _takes_part(
     numbers: BodyNumbers, ground: Ground, warm: WarmStart, mid: Midpoint, pair: CandidatePair,
     times: _Times, at: int, at_old: int, m: int, points: _Points, active: ActiveContacts,
@@ -325,6 +340,8 @@ def _takes_part(
     """
     h, point, feature = times.h, points.found[at], points.features[at]
     gap = point[4]
+    if pair.whole:
+        _move_between(numbers.pieces.radii, pair, point, feature)
     known = at_old < warm.n_contacts[0] and warm.keys[at_old, 0] == pair.key
     level, lasting, place = restore_impulses(warm, at_old, pair.key, feature, h, m, active)
     prescribed = pair.other >= len(numbers.inverse)

@@ -6,7 +6,7 @@ parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence, Set
 from dataclasses import replace
 from functools import partial
 
@@ -117,6 +117,18 @@ def controller_rates_in(
     """Return the rates of the controllers' variables, with the values of `values_in`."""
     rates = mechanics.controller_rates
     return {mechanics.controller_state[name]: rate.xreplace(known) for name, rate in rates.items()}
+
+
+def opening_first(
+    due: Set[tuple[int, int]], regions: Sequence[str], states: Key, joints: Collection[str]
+) -> Set[tuple[int, int]]:
+    """Return the due guards, by region and trigger; where joints close, first those that open one.
+
+    A joint that closes stops a body against the joints that still hold it.
+    """
+    of_joints = {one for one in due if regions[one[0]] in joints}
+    opening = {one for one in of_joints if states[one[0]] == CLOSED}
+    return opening if opening and opening != of_joints else due
 
 
 class Controllers:

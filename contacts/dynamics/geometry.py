@@ -196,10 +196,6 @@ class Geometry:
         return Rim(radius, turn, ((cx, cy), self._formula(surface.radius) + side * radius), side)
 
     def _in_frame(self, surface: Surface, point: Vector) -> Vector:
-        """Return a point in the frame of a surface.
-
-        Rates of these coordinates are velocities relative to the material of the surface: slip.
-        """
         (x0, y0), angle = self._frame(surface)
         c, s = sp.cos(angle), sp.sin(angle)
         dx, dy = point[0] - x0, point[1] - y0

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from contacts.dynamics.conditions import Conditions
-from contacts.dynamics.controllers import Controllers, ControllerState
+from contacts.dynamics.controllers import Controllers, ControllerState, opening_first
 from contacts.dynamics.held_forces import HeldForces
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
@@ -113,7 +113,8 @@ class ControlledLaws:
             flow = flow._replace(pending=self._listening.pending_after(flow.pending, jump))
             return jump, self._joined(setup, clock, following, controllers, after, flow)
         judged, rows = self._judged(setup, clock, flow, state, fired)
-        guarded = set() if judged is None else judged.due()
+        true = set() if judged is None else judged.due()
+        guarded = opening_first(true, self._names, controllers, self._joints)
         firing = self._listening.first(
             self._controllers,
             controllers,

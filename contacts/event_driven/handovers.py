@@ -1,8 +1,9 @@
-"""Warnings about gated contacts that stay off because their points are inside the surface."""
+"""Warnings about gated contacts that points pass through, in runs with events."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import sympy as sp
@@ -10,7 +11,7 @@ import sympy as sp
 from contacts.dynamics.controllers import values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.scene.lint import NEARLY_MEETING, stays_off
+from contacts.scene.lint import NEARLY_MEETING, goes_off, stays_off
 from contacts.states import OFF
 from statechart.arrays import Array
 from statechart.automaton.laws import Setup
@@ -41,6 +42,7 @@ class Handovers:
         if not self._gated:
             return ()
         arcs, gap_tolerance = list(arcs), setup.tolerances["gap"]
+        early = self._let_through(setup, arcs, gap_tolerance)
         tables = self._tables(setup, arcs, gap_tolerance)
         shallow = NEARLY_MEETING * setup.scales.length
         missed: dict[str, float] = {}
@@ -70,7 +72,28 @@ class Handovers:
                         if -gap_at_begin > gap_tolerance:
                             depths += (-gap_at_begin, -gap)
             end()
-        return tuple(stays_off(self._mechanics.scene, name, d) for name, d in missed.items())
+        late = (stays_off(self._mechanics.scene, name, d) for name, d in missed.items())
+        return (*early, *late)
+
+    def _let_through(
+        self, setup: SceneSetup, arcs: Sequence[Arc], gap_tolerance: float
+    ) -> list[str]:
+        """Return a warning for each contact that goes off at the instant at which it touches."""
+        found: dict[str, str] = {}
+        for before, after in pairwise(arcs):
+            for place, (contact, name) in enumerate(self._gated.items()):
+                if (before.mode[contact], after.mode[contact]) != ("free", OFF):
+                    continue
+                tape = self._tape(after.mode[len(self._mechanics.scene.frictional) :])
+                gap, later = (
+                    tape.values(
+                        after.states(np.array([t]))[0], setup.values, after.start.high + t
+                    ).item(2 * place + 1)
+                    for t in after.times[:2].tolist()
+                )
+                if abs(gap) <= gap_tolerance and later < -gap_tolerance:
+                    found.setdefault(name, goes_off(name, after.start.high))
+        return [*found.values()]
 
     def _tables(
         self, setup: SceneSetup, arcs: Sequence[Arc], gap_tolerance: float

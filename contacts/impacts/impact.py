@@ -84,7 +84,6 @@ def _unit_impulse(
 
 @kernel
 def _guided(jacobian: Array) -> bool:
-    """Return whether the point can move along its normal only."""
     for i in range(jacobian.shape[1]):
         if abs(jacobian[1, i]) > _PATH_ROUND_OFF * abs(jacobian[0, i]):
             return False

@@ -255,7 +255,6 @@ def _explain(
 
 
 def _within(code: Ints, other: Ints) -> bool:
-    """Return whether all forces of mode `code` are allowed in mode `other`."""
     return bool(((code == other) | (code == FREE) | (other == PIN) | (other == LOCKED)).all())
 
 

@@ -140,7 +140,7 @@ def _mode_verdicts(
                 conflicts.add(frozenset(conflict))
     # Report the shortest conflict of a mode.
     refusals = [
-        (frozenset(conflict), _words(conflict, names), _formulas(conflict))
+        (frozenset(conflict), _sentence(conflict, names), _formulas(conflict))
         for conflict in sorted(
             map(sorted, conflicts), key=lambda conflict: (len(conflict), conflict)
         )
@@ -260,7 +260,7 @@ def _formulas(conflict: Sequence[Condition]) -> tuple[tuple[int, str], ...]:
     return tuple((c, f"v_{'nt'[row]} {'=><'[sign]} 0") for c, row, sign in conflict)
 
 
-def _words(conflict: Sequence[Condition], names: Sequence[str]) -> str:
+def _sentence(conflict: Sequence[Condition], names: Sequence[str]) -> str:
     zero: dict[int, set[int]] = {}
     for c, row, sign in conflict:
         if sign == 0:

@@ -114,9 +114,8 @@ def share(
     cones[couplings] = 0.0, 1.0
     jacobians = snapshot.jacobians
     flat, owners = mode_columns(code, cones, jacobians, -1)
-    count, _, _ = independent(flat)
-    least, order, _ = independent(flat[owners < len(code) - signs])
-    if least < count:
+    count, order, _ = independent(flat[owners < len(code) - signs])
+    if signs and count < independent(flat)[0]:
         return None
     shared = np.flatnonzero(sharing(code, cones, jacobians, count, len(flat)))
     load = np.einsum("gdn,gd->n", jacobians[shared], forces[shared])

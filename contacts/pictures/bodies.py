@@ -288,7 +288,6 @@ def _hull(points: Array) -> Array:
 
 
 def _encloses(hull: Array) -> bool:
-    """Return whether the origin is well inside a polygon, counter-clockwise."""
     (x, y), (u, v) = hull.T, np.roll(hull, -1, axis=0).T
     size = float(np.abs(hull).max())
     return len(hull) > 2 and bool((x * v - y * u > SAME * size**2).all())

@@ -154,7 +154,6 @@ class Links:
             yield x, y
 
     def _between(self, one: Force, other: Force) -> tuple[sp.Expr, sp.Expr]:
-        """Return the way from where one force acts to where another does."""
         here, there = (self._mechanics.point(Point(body=f.body, at=f.at)) for f in (one, other))
         return there[0] - here[0], there[1] - here[1]
 

@@ -40,6 +40,9 @@ from statechart.formulas.tree import names_in
 _OF_CONTACTS = ("gap", "slip", "V", "H")
 
 # Advice on formulas that must not change along a run.
+_NEVER_SLIPS = (
+    "a large number never slips; what never turns is a joint with angle: held, or one coordinate"
+)
 _MOVED = "a surface that moves has a displacement, or a turn; a hill is a height, a formula of x"
 _SWITCHED = (
     "write a control, which the states of a region set, and transitions where it changes "
@@ -220,7 +223,6 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
 
 
 def _changing(scene: SceneFields) -> Collection[str]:
-    """Return what changes along a run."""
     names = {f"{contact}.{quantity}" for contact in scene.contacts for quantity in _OF_CONTACTS}
     names |= {f"{name}.{force}" for name, joint in scene.joints.items() for force in joint.forces}
     names |= {f"{name}.{quantity}" for name in scene.couplings for quantity in ("M", "slip")}
@@ -452,6 +454,8 @@ def check_kinks(scene: SceneFields) -> None:
     for loc, text in texts:
         # Guards of controllers are derived along the motion, twice.
         check_derived(parse(text).root, changing, loc, order=1)
+        if loc[0] == "couplings":
+            check_named_infinity(text, *loc, advice=_NEVER_SLIPS)
         check_named_infinity(text, *loc)
         if scene.collisions and switching(text, changing, ("sign",)):
             raise DeclarationProblem(
@@ -716,7 +720,9 @@ def check_collisions(scene: SceneFields) -> None:
         if declared:
             raise DeclarationProblem(
                 f"a scene with collisions has no {section} yet",
-                advice="bodies touch by their shapes: list them, and surfaces, in collisions",
+                advice="brake by a moment among the forces: -c*NAME.dangle"
+                if section == "couplings"
+                else "bodies touch by their shapes: list them, and surfaces, in collisions",
                 loc=(section,),
                 key=True,
             )

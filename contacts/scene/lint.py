@@ -194,6 +194,14 @@ def stays_off(scene: SceneFields, contact: str, depth: float) -> str:
     )
 
 
+def goes_off(contact: str, time: float) -> str:
+    """Return a warning: the conditions of a contact end on its own surface."""
+    return (
+        f"{contact} goes off at t = {time:.7g}, as its point touches: its conditions fail there; "
+        "let them hold on the surface and a little below it"
+    )
+
+
 def nearly_meeting_ends(scene: SceneFields) -> Iterator[str]:
     """Yield a warning for each two edges whose ends nearly meet."""
     values = scene.values()

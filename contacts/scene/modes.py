@@ -85,13 +85,13 @@ class Free(Part):
         if contact.compliance is not None:
             # A compliant contact may open while it is inside, and press again there.
             relation = f"{contact.name}.free"
-            distance = sp.Max(contact.gap, -contact.compliance, evaluate=False)
+            whole_margin = sp.Max(contact.gap, -contact.compliance, evaluate=False)
             margins = [
-                Margin(margins[0].name, gap, "gap", relation, distance),
+                Margin(margins[0].name, gap, "gap", relation, whole_margin),
                 Margin(
-                    f"{contact.name}.{INSIDE}", -contact.compliance, "force", relation, distance
+                    f"{contact.name}.{INSIDE}", -contact.compliance, "force", relation, whole_margin
                 ),
-                Margin(f"{contact.name}.{OUTSIDE}", -contact.gap, "plain", relation, distance),
+                Margin(f"{contact.name}.{OUTSIDE}", -contact.gap, "plain", relation, whole_margin),
             ]
         values = contact.friction.used.get(0, {})
         return State((contact.V, contact.H), tuple(margins), values=values)

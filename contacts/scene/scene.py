@@ -384,6 +384,5 @@ def _twice(name: str, loc: Loc, before: Loc, of: str = "") -> DeclarationProblem
 
 
 def _active(states: Iterable[str]) -> dict[str, None]:
-    """Return states of a contact and what they are in, in their order."""
     names = dict.fromkeys(states)
     return names | dict.fromkeys(superstates_of(names).values())

@@ -62,7 +62,7 @@ def assert_depths(
         states = np.concatenate([states, poses, fixed], axis=1)
     outlines = [_placed(pieces, states[:, b], p) for p, b in enumerate(pieces.bodies.tolist())]
     allowed = trace.tolerances["gap"] * (1.0 + ROUND_OFF)
-    for p, q in _meeting(numbers):
+    for p, q in _contact_candidates(numbers):
         b = int(pieces.bodies[p])
         if b >= count:
             continue
@@ -94,7 +94,7 @@ def assert_depths(
             )
 
 
-def _meeting(numbers: BodyNumbers) -> Iterator[tuple[int, int]]:
+def _contact_candidates(numbers: BodyNumbers) -> Iterator[tuple[int, int]]:
     """Yield pieces, each with others, and with surfaces behind them, that they touch by a law.
 
     What joints hold together does not touch.
@@ -282,7 +282,6 @@ def _impulses(subject: Subject, trace: Trace) -> None:
 
 
 def _pushed(subject: Subject) -> bool:
-    """Return whether more than gravity and contacts acts on bodies."""
     scene = _scene(subject)
     return bool(scene.forces or scene.joints)
 

@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from contacts.dynamics.contact_law import cones
-from contacts.dynamics.controllers import Controllers, ControllerState
+from contacts.dynamics.controllers import Controllers, ControllerState, opening_first
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.projection import on_constraints
 from contacts.dynamics.setup import SceneSetup
@@ -112,11 +112,12 @@ class StepControl:
             watched = self._states.guards(self.states).watch.guards
             at_end = time, state[None], solved[None]
             due = self._due(*at_end, h, recorder.row[None])[0]
+            true = {(g.place, g.trigger) for g, now in zip(watched, due, strict=True) if now}
             firing = self._listening.first(
                 self._controllers,
                 self.states,
                 pending,
-                {(g.place, g.trigger) for g, now in zip(watched, due, strict=True) if now},
+                opening_first(true, self._names, self.states, self._joints),
                 partial(self._holding, *at_end, recorder.row[None]),
             )
             if firing is None:

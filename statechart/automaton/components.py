@@ -76,12 +76,14 @@ def split(
         return []
     groups[0] = groups[0].union(*idle, (e for e in static if e[0] == "stop"))
     return [
-        _part(data, group.union(*(mentions[e] & static for e in group)), static, words)
+        _component_declaration(
+            data, group.union(*(mentions[e] & static for e in group)), static, words
+        )
         for group in groups
     ]
 
 
-def _part(
+def _component_declaration(
     data: Data, group: set[Entity], static: set[Entity], words: set[str]
 ) -> tuple[Data, dict[str, str]]:
     entities = [
@@ -161,15 +163,15 @@ def _declared_events(value: Any, shared_zeno: bool) -> Iterator[str]:
 
 def _words_of_regions(data: Data, regions: Collection[str]) -> set[str]:
     """Return the names of states and transitions."""
-    names_found: set[str] = set()
+    names: set[str] = set()
 
     def walk(value: Any) -> None:
         if isinstance(value, Mapping):
             for key, entry in value.items():
                 if key in ("states", "regions") and isinstance(entry, Mapping):
-                    names_found.update(map(str, entry))
+                    names.update(map(str, entry))
                 if key in ("initial", "from", "to", "name"):
-                    names_found.update(_texts(entry))
+                    names.update(_texts(entry))
                 walk(entry)
         elif isinstance(value, list | tuple):
             for entry in value:
@@ -178,7 +180,7 @@ def _words_of_regions(data: Data, regions: Collection[str]) -> set[str]:
     for section in regions:
         for content in data.get(section, {}).values():
             walk(content)
-    return names_found
+    return names
 
 
 @cache

@@ -63,8 +63,8 @@ class MarginDerivatives:
         ]
         parameters = setup.values.tolist()
         for order in range(_MAX_ORDER + 1):
-            *rates, sequence = expand(tape, series, parameters, time)
-            value, size = sequence.values[order], sequence.sizes[order]
+            *rates, derivative = expand(tape, series, parameters, time)
+            value, size = derivative.values[order], derivative.sizes[order]
             if order > 0 and not abs(value) <= relative * size:
                 return math.copysign(1.0, value) if math.isfinite(value) else math.nan
             rests = not timed
@@ -178,7 +178,5 @@ def derivative(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
     if isinstance(expression, sp.Abs):
         return sp.sign(first) * derivative(first, symbol)
     remainder = expression.func(*other_factors)
-    chain = sp.sign(first - remainder if isinstance(expression, sp.Max) else remainder - first)
-    return (
-        (1 + chain) * derivative(first, symbol) + (1 - chain) * derivative(remainder, symbol)
-    ) / 2
+    side = sp.sign(first - remainder if isinstance(expression, sp.Max) else remainder - first)
+    return ((1 + side) * derivative(first, symbol) + (1 - side) * derivative(remainder, symbol)) / 2

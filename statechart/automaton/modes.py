@@ -187,9 +187,9 @@ def captured(automaton: Automaton, mode: Mode, roles: Roles) -> Mode:
     }
     margins: list[Margin] = []
     for region, role in pairs:
-        hidden_forces = region.build(role).margins
-        captured_values = mode.margins[len(margins) : len(margins) + len(hidden_forces)]
-        margins += captured_values if role.captured else _without(captured_values, hidden)
+        region_margins = region.build(role).margins
+        region_part = mode.margins[len(margins) : len(margins) + len(region_margins)]
+        margins += region_part if role.captured else _without(region_part, hidden)
     margins += _without(mode.margins[len(margins) :], hidden)
     return replace(mode, margins=tuple(margins), hidden=hidden)
 

@@ -43,8 +43,8 @@ class Margin:
 
     def replaced(self, values: Mapping[sp.Symbol, sp.Expr]) -> Margin:
         """Return the margin with values in the place of symbols."""
-        distance = None if self.whole is None else self.whole.xreplace(values)
-        return replace(self, expression=self.expression.xreplace(values), whole=distance)
+        whole_margin = None if self.whole is None else self.whole.xreplace(values)
+        return replace(self, expression=self.expression.xreplace(values), whole=whole_margin)
 
 
 def whole_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
@@ -118,8 +118,8 @@ class Invariant:
         """Return what is >= 0 while it holds in a mode: infinite where `in` alone decides."""
         members = self.relation.members
         key = tuple(active(member.region, member.state) for member in members)
-        condition = self._margins.get(key)
-        if condition is None:
+        cached = self._margins.get(key)
+        if cached is None:
             import sympy
 
             states = {
@@ -127,8 +127,8 @@ class Invariant:
                 for member, one in zip(members, key, strict=True)
             }
             expression = -self.relation.margin(self.known, states)
-            condition = self._margins[key] = Margin(self.name, expression)
-        return condition
+            cached = self._margins[key] = Margin(self.name, expression)
+        return cached
 
 
 DONE = "done"

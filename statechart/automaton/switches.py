@@ -63,15 +63,15 @@ class Switches:
             for s, n in zip(self.signs, signs, strict=True)
             if n != SLIDES
         }
-        definitions, fixed = self._sliding(sliding, known)
-        known |= {self.signs[i]: share for i, share in zip(sliding, fixed, strict=True)}
+        definitions, sliding_shares = self._sliding(sliding, known)
+        known |= {self.signs[i]: share for i, share in zip(sliding, sliding_shares, strict=True)}
         names = set[str]()
         margins = []
         for i, (function, sign) in enumerate(zip(self.functions, signs, strict=True)):
             sign_expression = function.xreplace(known)
             if abs(sign) == 1 and self._moves(sign_expression):
                 margins.append(_margin(SIGN_OF + self.texts[i], sign * sign_expression, names))
-        for i, share in zip(sliding, fixed, strict=True):
+        for i, share in zip(sliding, sliding_shares, strict=True):
             margins += [
                 _margin(f"{SLIDE_ON}{self.texts[i]}, {side}", 1 + sign * share, names)
                 for sign, side in ((-1, "above"), (1, "below"))

@@ -36,14 +36,14 @@ def lowest(tape: Tape, flows: Sequence[Flow], parameters: ArrayLike, per_step: i
     s = np.arange(per_step + 1) / per_step
     parameters, result = contiguous(parameters), np.full(len(tape.outputs), np.inf)
     for first in range(0, len(flows), _MAX_FLOWS):
-        states_of_value = flows[first : first + _MAX_FLOWS]
-        chunks = [checked_arc(tape, *flow[1:], parameters)[:2] for flow in states_of_value]
-        begin = np.concatenate([times[:-1] for times, _ in chunks])[:, None]
-        end = np.concatenate([times[1:] for times, _ in chunks])[:, None]
+        flow_batch = flows[first : first + _MAX_FLOWS]
+        checked = [checked_arc(tape, *flow[1:], parameters)[:2] for flow in flow_batch]
+        begin = np.concatenate([times[:-1] for times, _ in checked])[:, None]
+        end = np.concatenate([times[1:] for times, _ in checked])[:, None]
         start = np.repeat(
-            [flow[0] for flow in states_of_value], [len(times) - 1 for times, _ in chunks]
+            [flow[0] for flow in flow_batch], [len(times) - 1 for times, _ in checked]
         )
-        coeffs = np.concatenate([coeffs for _, coeffs in chunks])
+        coeffs = np.concatenate([coeffs for _, coeffs in checked])
         local = np.where(s < 1.0, begin + s * (end - begin), end)
         states = np.swapaxes(coeffs @ s ** np.arange(coeffs.shape[2])[:, None], 1, 2)
         times = (start[:, None] + local).ravel()

@@ -172,7 +172,6 @@ class ChartLaws:
 
     @cached_property
     def _zeno(self) -> tuple[Mapping[str, FlatTransition], ...]:
-        """Per region: state -> its transition on: zeno; the first of several."""
         return tuple(
             {t.source: t for t in reversed(region.transitions) if t.on_zeno}
             for region in self._flat.values()
@@ -403,7 +402,6 @@ def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Com
 
 
 def _chart_form(part: Data) -> Data:
-    """Return a declaration without the values that its variables start from."""
     return {**part, "variables": list(part.get("variables", ()))}
 
 

@@ -199,7 +199,6 @@ def _sort(holder: Holder) -> Sort:
 
 
 def _check_none(keys: Sequence[str], at: Loc, reason: str, advice: str) -> None:
-    """Refuse the first of the keys that a state has and may not have."""
     if keys:
         raise DeclarationProblem(
             f"{reason}: it has no {keys[0]!r}", advice=advice, loc=(*at, keys[0]), key=True

@@ -126,7 +126,6 @@ def _factor(text: str) -> str:
 
 
 def _at_start(text: str) -> str:
-    """Return a formula with 0 in the place of the time."""
     for name in reversed([*names_in(parse(text).root)]):
         if name.name == TIME:
             text = text[: name.offset] + "0" + text[name.offset + len(TIME) :]

@@ -31,7 +31,7 @@ from statechart.cli.places import (
 )
 from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.reporting.partial_report import PartialReport
-from statechart.tabular import Block, Table, plain, table
+from statechart.tabular import Table, TextBlock, plain, table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -525,7 +525,7 @@ def _print_left_out(pieces: PartialReport) -> None:
         print(f"left out: {pieces.text()}", file=sys.stderr)
 
 
-def show(blocks: Iterable[Block]) -> None:
+def show(blocks: Iterable[TextBlock]) -> None:
     """Print a text."""
     if not sys.stdout.isatty():
         print(plain(blocks), end="")

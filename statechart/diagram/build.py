@@ -196,7 +196,7 @@ def _run(automaton: Automaton, trace: Trace, modes: Product) -> tuple[Chart, tup
         path = modes_on_path(automaton, trace)
         links = _taken(automaton, modes)
     else:
-        path, links = _stepped(automaton, trace)
+        path, links = _stepped_links(automaton, trace)
     drawn_path = path if len(set(path)) <= _MAX_VISITED else path[:MAX_STEPS]
     shown = list(dict.fromkeys(drawn_path))
     visits = Counter(path)
@@ -228,7 +228,7 @@ def _run(automaton: Automaton, trace: Trace, modes: Product) -> tuple[Chart, tup
     )
 
 
-def _stepped(automaton: Automaton, trace: Trace) -> tuple[tuple[Key, ...], list[Link]]:
+def _stepped_links(automaton: Automaton, trace: Trace) -> tuple[tuple[Key, ...], list[Link]]:
     """Return the modes that steps led to, and the links between them.
 
     All changes of a step happen at once: the order in which its jumps are written means nothing.
@@ -381,7 +381,6 @@ def _initial_states(region: Region, name: str) -> set[str]:
 
 
 def _around(region: Region, name: str) -> list[str]:
-    """Return the states that enclose one, inner first."""
     found: list[str] = []
     while (name := region.superstates.get(name, "")) and name not in found:
         found.append(name)
@@ -431,7 +430,6 @@ def abbreviate(names: list[str]) -> list[str]:
 
 
 def _superstates(region: Region) -> Iterator[str]:
-    """Return what holds other states, outer first."""
     found = dict.fromkeys(region.superstates.values())
     return iter(sorted(found, key=lambda name: len(region.active(name))))
 

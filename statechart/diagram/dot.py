@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Sequence
 
-from statechart.diagram.layout.block import Block, side_by_side, stacked, written
+from statechart.diagram.layout.block import LayoutBlock, side_by_side, stacked, written
 from statechart.diagram.layout.flow import flow
 from statechart.diagram.layout.graphviz_program import FONT, INCH
 from statechart.diagram.layout.grid import grid
@@ -44,13 +44,13 @@ def dot(diagram: Diagram, guards: Guards = "legend") -> str:
     return _source(stacked(rows, _GAP), diagram.title)
 
 
-def _laid(chart: Chart, style: Style, prefix: str) -> Block:
+def _laid(chart: Chart, style: Style, prefix: str) -> LayoutBlock:
     if chart.axes is not None:
         return grid(chart, style, prefix)
     return ring(chart, style, prefix) or flow(chart, style, prefix)
 
 
-def _heading(diagram: Diagram) -> Block:
+def _heading(diagram: Diagram) -> LayoutBlock:
     rows = [text(diagram.title, size=TITLE, bold=True)]
     rows += [
         text(line, colour=FRAME)
@@ -61,14 +61,14 @@ def _heading(diagram: Diagram) -> Block:
     return written("_title", table(rows))
 
 
-def _titled(block: Block, title: str, name: str) -> Block:
+def _titled(block: LayoutBlock, title: str, name: str) -> LayoutBlock:
     if not title:
         return block
     above = written(name, table([text(title, bold=True, colour=FRAME)]))
     return stacked([above, block], _TITLE_GAP)
 
 
-def _tables(below: Legend) -> list[Block]:
+def _tables(below: Legend) -> list[LayoutBlock]:
     """Return the legend: events, and beside them states and reasons."""
     events = _table("_events", ("event", "from → to", "when", "does"), below.events)
     reasons = [(f"{superscript(k)} {reason}",) for k, reason in enumerate(below.reasons, 1)]
@@ -79,7 +79,7 @@ def _tables(below: Legend) -> list[Block]:
     return [*events, *([stacked(others, _GAP, centred=False)] if others else [])]
 
 
-def _table(name: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[Block]:
+def _table(name: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[LayoutBlock]:
     """Return a table without its empty columns, if it has any rows."""
     kept = [column for column in range(len(heads)) if any(row[column] for row in rows)]
     if not kept:
@@ -98,9 +98,9 @@ def _wrapped(words: str) -> str:
     return "\n".join(line for part in lines for line in part)
 
 
-def _legend_rows(blocks: Iterable[Block], wide: float) -> list[Block]:
+def _legend_rows(blocks: Iterable[LayoutBlock], wide: float) -> list[LayoutBlock]:
     """Put blocks beside each other, as many as a page is wide; return the rows."""
-    rows: list[list[Block]] = []
+    rows: list[list[LayoutBlock]] = []
     for block in blocks:
         width = block.size[0] + sum(b.size[0] + _GAP for b in rows[-1]) if rows else 0.0
         if not rows or width > wide:
@@ -109,7 +109,7 @@ def _legend_rows(blocks: Iterable[Block], wide: float) -> list[Block]:
     return [side_by_side(row, _GAP) for row in rows]
 
 
-def _source(page: Block, title: str) -> str:
+def _source(page: LayoutBlock, title: str) -> str:
     import graphviz
 
     graph = graphviz.Digraph(

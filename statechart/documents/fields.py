@@ -79,13 +79,15 @@ def _check_jumps(*formulas: Formula) -> None:
                 )
 
 
-def check_named_infinity(text: str | int | float, *loc: str | int) -> None:
+def check_named_infinity(
+    text: str | int | float, *loc: str | int, advice: str = "only a friction may be inf"
+) -> None:
     """Raise `DeclarationProblem` at `loc` where a formula names infinity."""
     formula = parse(text)
     if formula.names_infinity:
         raise DeclarationProblem(
             f"formula {formula.text!r}: must be finite",
-            advice="only a friction may be inf",
+            advice=advice,
             loc=loc,
         )
 

@@ -240,7 +240,6 @@ def _of_turn(node: Node) -> bool:
 
 
 def _common(parts: Iterable[Node], known: Mapping[str, Powers]) -> Powers | None:
-    """Return the common dimension of parts; numbers among them do not count."""
     several = tuple(parts)
     speaking = [part for part in several if not is_constant(part)] or several
     return next((p for part in speaking if (p := measured(part, known)) is not None), None)

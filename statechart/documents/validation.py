@@ -76,7 +76,6 @@ def declaration_error(
 
 
 def _combined(found: list[DeclarationError]) -> DeclarationError:
-    """Return errors as one, in the order of their places."""
     found.sort(key=lambda one: (one.line or 0, one.column or 0))
     found[0].others = tuple(found[1:])
     return found[0]

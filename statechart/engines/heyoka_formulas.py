@@ -63,8 +63,8 @@ class Converter:
         """Return an expression of heyoka's."""
         found = self.known.get(expression)
         if found is None:
-            converter = self._convert if self._moves(expression) else self._constant
-            found = self.known[expression] = converter(expression)
+            convert = self._convert if self._moves(expression) else self._constant
+            found = self.known[expression] = convert(expression)
         return found
 
     def rate(self, expression: sp.Expr) -> Any:

@@ -202,10 +202,10 @@ def _stepping(
             of_file,
         )
     if steps_only:
-        messages = model.settings
+        declared = model.settings
         try:
             Setting(
-                "impulse", messages.method, messages.tolerance, max_step=messages.max_step
+                "impulse", declared.method, declared.tolerance, max_step=declared.max_step
             ).check()
         except DeclarationProblem as problem:
             problem.loc = ("settings", *problem.loc)

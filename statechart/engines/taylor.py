@@ -131,8 +131,8 @@ class Taylor(Engine):
         # cancel); the first is the start of the arc.
         fixed = automaton.tape(convert.constants[: max(len(integrator.pars) - 1, 0)], mode)
         symbols = (*automaton.variables, *automaton.parameters)
-        message = (*automaton.names, *automaton.parameter_names)
-        names = dict(zip(symbols, map(sp.Symbol, message), strict=True))
+        symbol_names = (*automaton.names, *automaton.parameter_names)
+        names = dict(zip(symbols, map(sp.Symbol, symbol_names), strict=True))
         return _Stepper(
             integrator,
             compiled,

@@ -182,7 +182,6 @@ class MergedRun:
         )
 
     def _after(self, run: _ComponentRun, time: Clock) -> Array:
-        """Return the state of a component at a time, after its own jumps there."""
         count = len(run.numbers)
         if count and run.times[count - 1] >= time.high:
             return run.trace.jumps[count - 1].after

@@ -221,7 +221,6 @@ class Advance:
                 return step, at
 
     def _check_method(self, time: float, step: int) -> None:
-        """Raise `Unsupported` if the method cannot continue from a step."""
         watch, state = self.watch, self.path.coefficients[step, :, 0]
         self.engine.check(self.compiled.stepper, state, watch.parameters, watch.start + time)
 
@@ -268,7 +267,6 @@ class Advance:
         return margin > relative_error(self.engine) * terms
 
     def _cut(self, at: float, ended: Array) -> None:
-        """Cut the steps at a local time, and write the state to `ended`."""
         path = self.path
         self._proved = cut_steps(path.times, path.coefficients, path.count, at, ended)
         self.state = ended if self._proved > 0 else self.initial

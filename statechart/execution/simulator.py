@@ -120,7 +120,6 @@ class Simulator:
         max_jumps: int,
         warnings: Sequence[str] | None = None,
     ) -> Trace:
-        """Return the trace of a run that a loop has made, or take it on from where that came."""
         if batch is None or batch.result.ends.item(runs.HOW) == runs.HANDED:
             return self._execution(setup(), until, max_jumps, batch).run()
         return self._trace_of(batch, setup, warnings)

@@ -268,7 +268,7 @@ def condition_of(tree: Any, source: Source) -> Condition:
     import sympy
 
     places: dict[Atom, int] = {}
-    literals: dict[Atom, Any] = {}
+    leaves: dict[Atom, Any] = {}
 
     def check(count: int, most: int) -> None:
         if count > most:
@@ -287,11 +287,11 @@ def condition_of(tree: Any, source: Source) -> Condition:
             return _flattened(type(tree), tuple(split(part) for part in tree.parts))
         if isinstance(tree, Within):
             return tree
-        if tree not in literals:
-            check(len(literals), MAX_SPLITS)
+        if tree not in leaves:
+            check(len(leaves), MAX_SPLITS)
             smooth = _split(tree)
-            literals[tree] = leaf(tree) if smooth is tree else split(smooth)
-        return literals[tree]
+            leaves[tree] = leaf(tree) if smooth is tree else split(smooth)
+        return leaves[tree]
 
     def leaf(tree: Atom) -> Any:
         if tree.expression.is_number:
@@ -302,8 +302,8 @@ def condition_of(tree: Any, source: Source) -> Condition:
     root = split(tree)
     if isinstance(root, bool):
         # A comparison of numbers is a margin as any other.
-        simple = isinstance(tree, Atom) and tree.expression.is_number
-        return Condition((tree if simple else Atom(sympy.Integer(1 - 2 * root), False),), 0)
+        is_constant = isinstance(tree, Atom) and tree.expression.is_number
+        return Condition((tree if is_constant else Atom(sympy.Integer(1 - 2 * root), False),), 0)
     atoms = tuple(places)
     used: dict[int, int] = {}
     replaced(root, lambda place: used.setdefault(place, len(used)))

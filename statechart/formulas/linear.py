@@ -96,7 +96,7 @@ def _solved(
 ) -> tuple[Definition, ...]:
     """Solve the equations of one component, the same in all modes in which it stands."""
     place = {unknown: i for i, unknown in enumerate(unknowns)}
-    given: list[Equation] = [(*_row(e, place), i) for i, e in enumerate(equations)]
+    given: list[Equation] = [(*_linear_row(e, place), i) for i, e in enumerate(equations)]
     first, rows, last = _reduced(given, unknowns, before, paired)
     if paired and _largest(rows) > 2 * _MAX_PAIRED:
         first, rows, last = _reduced(given, unknowns, before)
@@ -174,7 +174,7 @@ def _mirrors(rows: list[Equation], unknowns: Sequence[sp.Symbol], paired: int) -
     return mirrors
 
 
-def _row(equation: sp.Expr, unknowns: Mapping[sp.Symbol, int]) -> tuple[Row, sp.Expr]:
+def _linear_row(equation: sp.Expr, unknowns: Mapping[sp.Symbol, int]) -> tuple[Row, sp.Expr]:
     """Return the coefficients of the unknowns in a linear equation, and its right-hand side.
 
     Term by term: most are a coefficient times an unknown, or the long ones without any, which

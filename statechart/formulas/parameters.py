@@ -77,10 +77,10 @@ class Parameters:
 
         Behind those parameters it takes an infinity.
         """
-        inputs_given = overridden.difference(self.literals)
-        if inputs_given not in self._tapes:
-            self._tapes[inputs_given] = self._tape(inputs_given)
-        return self._tapes[inputs_given]
+        overridden_symbols = overridden.difference(self.literals)
+        if overridden_symbols not in self._tapes:
+            self._tapes[overridden_symbols] = self._tape(overridden_symbols)
+        return self._tapes[overridden_symbols]
 
     def _tape(self, given: frozenset[str]) -> tuple[Tape, tuple[str, ...]]:
         inputs = tuple(n for n in self._declared if n in self.literals or n in given)

@@ -252,14 +252,12 @@ class Reader:
             "number": "write a product as a*b",
             "end": "write what follows the last sign",
         }
-        token_text = (
-            "the formula ends early" if token.kind == "end" else f"unexpected {token.text!r}"
-        )
+        message = "the formula ends early" if token.kind == "end" else f"unexpected {token.text!r}"
         key = "<" if token.text in RELATIONS else token.text
         if key == "=" and self.source.text[token.offset + 1 : token.offset + 2] in ("<", ">"):
             key = "=>"
         otherwise = advice.get(key) or advice.get(token.kind, "")
-        self.source.fail(token_text, token.offset, program(self.source.text) or otherwise)
+        self.source.fail(message, token.offset, program(self.source.text) or otherwise)
 
 
 def _literal(text: str) -> int | float | None:

@@ -1,9 +1,9 @@
 """Grazing guards: they touch their boundary, or pass it by less than the error of a run.
 
-A guard that only touches fires nothing. Whether one does is open where its least value, or how far
-it would have passed before it turned back, is no more than what the guard changes by when every
-variable is moved by what the run may be off by. A guard that passes further, but by less than its
-tolerance where the flow began, is a missed event, and is reported, too.
+A guard that only touches its boundary does not fire. Whether it touches or passes is uncertain if
+its least value, or its overshoot before it turns back, is within the change of the guard by the
+errors of all variables. A guard that passes by more, but by less than its tolerance at the start of
+the flow, is a missed event, and is reported, too.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ from statechart.formulas.tape import contiguous
 from statechart.kernels.polynomials import sample_states
 from statechart.observation.observer import Observer
 
-# Places in a step that are looked at, and arcs at once.
-_GRID, _ARCS = 16, 1024
-# Of a step: how near to the end of an arc there is a place more.
+# Samples per step, and arcs per batch.
+_GRID, _MAX_ARCS = 16, 1024
+# Distance of an additional sample from the end of an arc, relative to the step.
 _EDGE = 1.0 / 4096.0
-# Each round divides what a least value lies in by 8; after 18 it is round-off of that.
-_ROUNDS = 18
-# The last part of a step, which tells how a guard would have gone on.
-_LAST = 1.0 / 64.0
-# Jumps that are no later than this part of the time are of one instant.
-_SAME = 1e-12
+# Refinements of a minimum, each of which divides its bracket by 8; 18 reach round-off.
+_REFINEMENTS = 18
+# Last part of a step from which a guard is extrapolated.
+_EXTRAPOLATED = 1.0 / 64.0
+# Relative time difference of simultaneous jumps.
+_SAME_INSTANT = 1e-12
 
 
 class Graze(NamedTuple):
     """Approach of a guard to its boundary, and the uncertainty of its margin there."""
 
-    guard: str  # Its name.
-    t: float  # When.
-    least: float  # Its least value there; where it has fired, what it would have been.
-    uncertainty: float  # What it may be off by.
-    fired: bool  # Whether it has.
-    turned: bool = False  # Whether an event of another region turned it back.
+    guard: str  # Name of the guard.
+    t: float  # Time.
+    least: float  # Least value; of a guard that has fired, the extrapolated one.
+    uncertainty: float  # Error of the least value.
+    fired: bool
+    turned: bool = False  # An event of another region turned it back.
 
 
 def graze_warnings(found: Sequence[Graze]) -> tuple[str, ...]:
@@ -79,10 +79,10 @@ def _sentence(several: Sequence[Graze]) -> str:
 
 
 def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
-    """Return the instants where errors of a run may decide whether a guard passes its boundary.
+    """Return the instants at which errors of a run may decide whether a guard passes its boundary.
 
-    In the order of time, the closest of every flow; none of a run by steps. Least values are looked
-    for between 16 places of every step.
+    One per guard and flow, in order of time; none for runs by steps. Minima are bracketed by 16
+    samples of every step.
     """
     simulator = observer.simulator
     if not isinstance(simulator, Simulator):
@@ -90,24 +90,26 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
     groups: dict[tuple[Roles, int], list[Arc]] = {}
     for arc in trace.arcs:
         groups.setdefault((arc.roles, arc.coefficients.shape[2]), []).append(arc)
-    last = {arc.j: arc for arc in trace.arcs}
-    ended = {id(last[jump.j]): jump for jump in trace.jumps if jump.fired and jump.j in last}
+    last_arcs = {arc.j: arc for arc in trace.arcs}
+    ended = {
+        id(last_arcs[jump.j]): jump for jump in trace.jumps if jump.fired and jump.j in last_arcs
+    }
     times = [jump.t for jump in trace.jumps]
-    found: list[Graze] = []
+    approaches: list[Graze] = []
     for (roles, _), arcs in groups.items():
-        look = _GuardScan(trace, simulator.compiled(roles, trace.zeros))
-        for first in range(0, len(arcs), _ARCS):
-            some = arcs[first : first + _ARCS]
-            found += look.between(some)
-            ends = [(arc, ended[id(arc)]) for arc in some if id(arc) in ended]
-            found += look.beyond(ends)
-            for graze in look.turned_back(ends):
-                same = _SAME * max(graze.t, 1.0)
-                begin = bisect_left(times, graze.t - same)
-                now = trace.jumps[begin : bisect_right(times, graze.t + same)]
-                if graze.guard.split(".")[0] not in {jump.region for jump in now}:
-                    found.append(graze)
-    return tuple(sorted(found, key=lambda one: one.t))
+        scan = _GuardScan(trace, simulator.compiled(roles, trace.zeros))
+        for first in range(0, len(arcs), _MAX_ARCS):
+            batch = arcs[first : first + _MAX_ARCS]
+            approaches += scan.between(batch)
+            ends = [(arc, ended[id(arc)]) for arc in batch if id(arc) in ended]
+            approaches += scan.beyond(ends)
+            for graze in scan.turned_back(ends):
+                tolerance = _SAME_INSTANT * max(graze.t, 1.0)
+                begin = bisect_left(times, graze.t - tolerance)
+                simultaneous = trace.jumps[begin : bisect_right(times, graze.t + tolerance)]
+                if graze.guard.split(".")[0] not in {jump.region for jump in simultaneous}:
+                    approaches.append(graze)
+    return tuple(sorted(approaches, key=lambda one: one.t))
 
 
 class _GuardScan:
@@ -122,10 +124,10 @@ class _GuardScan:
         self._named |= {m.name: m.relation for m in compiled.mode.margins if m.whole is not None}
         self._values = contiguous(trace.values)
         self._kinds = trace.tolerances
-        chunk = max(STATE_TOLERANCES * trace.tolerance, STATE_ROUND_OFF)
-        self._errors = chunk * sizes(trace)
+        relative_error = max(STATE_TOLERANCES * trace.tolerance, STATE_ROUND_OFF)
+        self._errors = relative_error * sizes(trace)
         # What is farther off, in parts of what a guard is in its flows, is not looked at closely.
-        self._near = float(np.sqrt(chunk))
+        self._near = float(np.sqrt(relative_error))
 
     def _table(self, states: Array, times: Array) -> Array:
         with np.errstate(all="ignore"):
@@ -141,8 +143,8 @@ class _GuardScan:
             # Steps of unlike lengths meet where the places are not evenly spaced.
             spans = np.diff(tau)[:, None]
             drops = np.fmax(before / spans[:-1] * spans[1:], after / spans[1:] * spans[:-1])
-            candidates_mask = self._near * np.fmax.reduce(np.abs(rows), initial=0.0)
-            low &= margins <= np.fmax(before + after, drops) + candidates_mask
+            threshold = self._near * np.fmax.reduce(np.abs(rows), initial=0.0)
+            low &= margins <= np.fmax(before + after, drops) + threshold
         lowest: dict[tuple[int, int], int] = {}
         for i, k in np.argwhere(low).tolist():
             place = lowest.setdefault((int(of[i]), k), i + 1)
@@ -187,7 +189,7 @@ class _GuardScan:
 
     def _least(self, arc: Arc, k: int, left: float, right: float) -> float:
         """Return the local time of the least value of a guard, between two."""
-        for _ in range(_ROUNDS):
+        for _ in range(_REFINEMENTS):
             tau = np.linspace(left, right, _GRID + 1)
             states = sample_states(arc.coefficients, arc.times, tau)
             values = self._table(states, arc.start.high + tau)[:, k]
@@ -237,7 +239,7 @@ class _GuardScan:
 
     def _last(self, arcs: Sequence[Arc]) -> Array:
         """Return the guards at the end of flows and shortly before, (m, 3, k)."""
-        s = 1.0 - _LAST * np.arange(3)
+        s = 1.0 - _EXTRAPOLATED * np.arange(3)
         terms = np.array([arc.coefficients[-1] for arc in arcs])
         spans = np.array([arc.times[-1] - arc.times[-2] for arc in arcs])
         states = np.swapaxes(terms @ s ** np.arange(terms.shape[2])[:, None], 1, 2)
@@ -251,9 +253,9 @@ class _GuardScan:
         t = arc.start.high + tau
         name, kind = self._watched[k]
         lowest = self._table(state[None], np.array([t])).item(k) + further
-        capacity = margin_errors(self._guards, k, state, self._errors, self._values, t)
-        capacity += self._kinds.get(kind, 0.0)
+        uncertainty = margin_errors(self._guards, k, state, self._errors, self._values, t)
+        uncertainty += self._kinds.get(kind, 0.0)
         missed = kind == "plain" and not fired and lowest < 0.0
-        return (
-            Graze(name, t, lowest, capacity, fired) if missed or abs(lowest) <= capacity else None
-        )
+        if missed or abs(lowest) <= uncertainty:
+            return Graze(name, t, lowest, uncertainty, fired)
+        return None

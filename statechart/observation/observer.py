@@ -98,12 +98,12 @@ class Observer:
         if arcs:
             points = along(arcs, local)
             counts = [len(tau) for tau in local]
-            constant_columns, jumped = [arc.mode for arc in arcs], [arc.j for arc in arcs]
+            modes_shown, jumped = [arc.mode for arc in arcs], [arc.j for arc in arcs]
         else:  # nothing flowed: the run is its last state
             rows = 1 if times is None else np.size(times)
             points = self._instants(trace, [end_of(trace)] * rows)
-            counts, constant_columns, jumped = [rows], [trace.final_mode], [len(trace.jumps)]
-        modes = tuple(dict.fromkeys(constant_columns))
+            counts, modes_shown, jumped = [rows], [trace.final_mode], [len(trace.jumps)]
+        modes = tuple(dict.fromkeys(modes_shown))
         places = {key: place for place, key in enumerate(modes)}
         table = self._table(trace, expressions, points)
         shown = points.times
@@ -112,7 +112,7 @@ class Observer:
         return Samples(
             shown,
             np.repeat(np.array(jumped, dtype=np.int64), counts),
-            np.repeat(np.array([places[key] for key in constant_columns], dtype=np.intp), counts),
+            np.repeat(np.array([places[key] for key in modes_shown], dtype=np.intp), counts),
             modes,
             {name: table[:, k] for k, name in enumerate(formulas)},
         )
@@ -243,8 +243,8 @@ class Programs:
         self._automaton = automaton
         self._expressions: dict[str | int | float, sp.Expr] = {}
         self.solved = (*automaton.unknowns, *automaton.controls)
-        definitions = (*automaton.variables, *automaton.parameters, automaton.time)
-        self._given: frozenset[sp.Basic] = frozenset(definitions)
+        given_symbols = (*automaton.variables, *automaton.parameters, automaton.time)
+        self._given: frozenset[sp.Basic] = frozenset(given_symbols)
         self._needs: dict[tuple[sp.Expr, ...], bool] = {}
         self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None, bool], Tape] = {}
         self._actives: dict[tuple[Key, tuple[Where, ...], tuple[sp.Expr, ...]], Active] = {}

@@ -219,7 +219,7 @@ class Outputs:
         """Return the outputs, by name a list of the runs each."""
         found: dict[str, list[OutputValue]] = {}
         for (name, _, moment), runs in zip(self.at, listed, strict=True):
-            chosen = [run[_part(moment)] for run in runs]
+            chosen = [run[_selected_events(moment)] for run in runs]
             found[name] = (
                 [*chosen] if moment.several else [run[0] if run else None for run in chosen]
             )
@@ -405,7 +405,7 @@ class Outputs:
             for jump in trace.jumps
             if any(happened(regions, jump, event) for event in moment.events)
         ]
-        return jumps[_part(moment)]
+        return jumps[_selected_events(moment)]
 
 
 class OutputAccumulator:
@@ -488,7 +488,7 @@ class OutputAccumulator:
         outputs.compute(*packed, marks, values)
         listed, _ = outputs.split(values, marks, [len(marks)])
         for place, ((new,), (_, _, moment)) in enumerate(zip(listed, outputs.at, strict=True)):
-            self._listed[place] = (self._listed[place] + new)[_part(moment)]
+            self._listed[place] = (self._listed[place] + new)[_selected_events(moment)]
         self.values = values._replace(start=before.start) if self.started else values
         self.started = True
 
@@ -555,7 +555,7 @@ class OutputAccumulator:
         return lambda _: None
 
 
-def _part(moment: Moment) -> slice:
+def _selected_events(moment: Moment) -> slice:
     """Return which of the events of a moment are chosen."""
     if moment.when == "each":
         return slice(None)

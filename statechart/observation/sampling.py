@@ -58,11 +58,11 @@ class Endpoint(NamedTuple):
 def subdivided(arcs: Sequence[Arc], per_step: float) -> list[Array]:
     """Return local times: `per_step` intervals in every step, both ends of each arc included."""
     every, count = max(1, math.ceil(1.0 / per_step)), math.ceil(per_step)
-    uniform: dict[int, list[int]] = {}
+    arcs_by_length: dict[int, list[int]] = {}
     for place, arc in enumerate(arcs):
-        uniform.setdefault(len(arc.times), []).append(place)
+        arcs_by_length.setdefault(len(arc.times), []).append(place)
     samples: dict[int, Array] = {}
-    for places in uniform.values():
+    for places in arcs_by_length.values():
         times = np.array([arcs[place].times for place in places])
         ends = np.concatenate([times[:, :-1:every], times[:, -1:]], axis=1)
         inner = ends[:, :-1, None] + np.diff(ends)[..., None] * (np.arange(count) / count)
@@ -149,8 +149,8 @@ def places_in(regions: Sequence[Region], key: Key, where: Sequence[Where]) -> li
     states = {region.name: region.active(state) for region, state in zip(regions, key, strict=True)}
     return [
         place
-        for place, requested in enumerate(where)
-        if all(state in states[region] for region, state in requested)
+        for place, required_states in enumerate(where)
+        if all(state in states[region] for region, state in required_states)
     ]
 
 

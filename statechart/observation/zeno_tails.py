@@ -71,7 +71,7 @@ def without_summed(runs: Sequence[Sequence[Jumping]]) -> list[list[tuple[Jumping
         )
         for same_series in zip(*sums, strict=True)
     ]
-    return [_left(run, own_jumps, windows) for run, own_jumps in zip(runs, sums, strict=True)]
+    return [_left(run, run_sums, windows) for run, run_sums in zip(runs, sums, strict=True)]
 
 
 def _left(

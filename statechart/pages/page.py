@@ -32,7 +32,7 @@ from statechart.observation.sampling import Samples
 from statechart.palette import GRID, LINES
 from statechart.pictures.film import LONGEST, Film, Shape, strokes
 from statechart.reporting.curves import (
-    Line,
+    DrawnCurve,
     Panel,
     busy_until,
     curves,
@@ -196,7 +196,7 @@ def _until(observer: Observer, trace: Trace, samples: Samples, end: float) -> Sa
 def _panels(trace: Trace, samples: Samples, found: Sequence[Panel]) -> list[dict[str, Any]]:
     end = float(samples.t[-1])
     chosen = _sample_rows(samples, end)
-    line = Line.of(replace(samples, t=samples.t[chosen], j=samples.j[chosen]))
+    line = DrawnCurve.of(replace(samples, t=samples.t[chosen], j=samples.j[chosen]))
 
     def drawn(values: Array) -> str:
         return _packed(line.values(values[chosen]), np.float32)

@@ -182,7 +182,9 @@ def _chosen(title: str, names: Sequence[str], unit: str, samples: Samples) -> Pa
     moves = {name: float(np.ptp(column)) for name, column in columns.items()}
     most = max(moves, key=moves.__getitem__)
     # What bodies have in common, such as their heights.
-    kept = _spread({n: m for n, m in moves.items() if _part(n) == _part(most)}, nothing)
+    kept = _spread(
+        {n: m for n, m in moves.items() if _quantity_of(n) == _quantity_of(most)}, nothing
+    )
     if not kept:
         # Of those that stand still the ones that are far off zero.
         order = {n: (-m if m > nothing else 0.0, -largest(columns[n])) for n, m in moves.items()}
@@ -191,7 +193,7 @@ def _chosen(title: str, names: Sequence[str], unit: str, samples: Samples) -> Pa
     return Panel(title, drawn, unit, tuple(name for name in names if name not in kept))
 
 
-def _part(name: str) -> str:
+def _quantity_of(name: str) -> str:
     """Return what a column is of its owner: the ``y`` of ``disc7.y``."""
     owner, _, part = name.rpartition(".")
     return part if owner else name
@@ -326,7 +328,7 @@ def _controls(automaton: Automaton, samples: Samples) -> list[Panel]:
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class DrawnCurve:
     """Polyline by which columns of samples are drawn: broken at jumps, which take no time."""
 
     times: Array  # (m,): of the points drawn, not a number at breaks.
@@ -334,7 +336,7 @@ class Line:
     _breaks: NDArray[np.intp]
 
     @classmethod
-    def of(cls, samples: Samples) -> Line:
+    def of(cls, samples: Samples) -> DrawnCurve:
         """Return how samples are drawn; many by the least and the greatest in every column."""
         t, jumped = samples.t, np.flatnonzero(np.diff(samples.j)) + 1
         if len(t) <= _DENSE * COLUMNS:

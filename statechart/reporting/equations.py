@@ -266,7 +266,6 @@ def _force_equations(rows: _Equations, automaton: Automaton) -> tuple[Equation, 
 
 
 def _vanishes(row: sp.Expr, forces: Sequence[sp.Symbol]) -> bool:
-    """Return whether an equation is an identity without forces."""
     return bool(sp.expand(row.xreplace(dict.fromkeys(forces, sp.S.Zero))) == 0)
 
 

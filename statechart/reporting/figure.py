@@ -27,7 +27,7 @@ from statechart.pictures.drawing import strip_height
 from statechart.pictures.film import Film
 from statechart.reporting.curves import (
     COLUMNS,
-    Line,
+    DrawnCurve,
     Panel,
     busy_until,
     curves,
@@ -166,7 +166,7 @@ def entitle(drawing: Figure, title: str) -> Figure:
 
 def _draw_panel(ax: Axes, panel: Panel, samples: Samples, trace: Trace) -> None:
     # Broken at jumps, which take no time: a vertical line would be no part of the motion.
-    line = Line.of(samples)
+    line = DrawnCurve.of(samples)
     ax.axhline(0.0, color=INK, linewidth=0.6, zorder=1)
     values = [samples.columns[name] for name in panel.names]
     for name, column, colour in zip(panel.names, values, LINES, strict=False):

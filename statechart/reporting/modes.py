@@ -12,8 +12,8 @@ from statechart.automaton.regions import HierarchicalEdge, Region, hierarchical_
 from statechart.errors import DeclarationError, close_matches
 from statechart.tabular import (
     DIGITS,
-    Block,
     Table,
+    TextBlock,
     ends,
     grouped,
     join_blocks,
@@ -63,12 +63,12 @@ def text(listed: Mapping[str, Any]) -> str:
     return plain(format_listing(listed))
 
 
-def format_listing(listed: Mapping[str, Any], digits: int = DIGITS) -> list[Block]:
+def format_listing(listed: Mapping[str, Any], digits: int = DIGITS) -> list[TextBlock]:
     """Return the blocks of `text`: lines and tables."""
     count = format_count(listed["modes_declared"], listed["modes_total"])
     built = listed["modes_built"]
     head = f"{listed['model']}: {count}; {built or 'none'} built, each when a run enters it\n"
-    parts: list[list[Block]] = [[head]]
+    parts: list[list[TextBlock]] = [[head]]
     if not listed["enumerated"]:
         counts = [
             (f"  ... {r} more: --json has all", "")
@@ -145,7 +145,7 @@ def _feasibility(automaton: Automaton, found: Feasibility) -> dict[str, Any]:
     }
 
 
-def _possible(listed: Mapping[str, Any], digits: int) -> list[Block]:
+def _possible(listed: Mapping[str, Any], digits: int) -> list[TextBlock]:
     found = listed["feasibility"]
     plain, directed = found["without_direction"], found["with_direction"]
     counts = f"{len(plain['feasible'])} of {plain['declared']}"
@@ -164,18 +164,18 @@ def _possible(listed: Mapping[str, Any], digits: int) -> list[Block]:
         return ["".join(lines)]
     rows = [(f"  {names[0]}", *names[1:], "")]
     for mode in plain["feasible"]:
-        rows.append(_row(mode, "possible"))
+        rows.append(_mode_row(mode, "possible"))
     for refused in plain["infeasible"]:
-        rows.append(_row(refused["mode"], f"not: {refused['reason']}"))
+        rows.append(_mode_row(refused["mode"], f"not: {refused['reason']}"))
     return ["".join(lines), Table(rows, headed=True)]
 
 
-def _row(mode: Mapping[str, str], verdict: str) -> tuple[str, ...]:
+def _mode_row(mode: Mapping[str, str], verdict: str) -> tuple[str, ...]:
     first, *others = mode.values()
     return (f"  {first}", *others, verdict)
 
 
-def _edges(region: Mapping[str, Any]) -> list[Block]:
+def _edges(region: Mapping[str, Any]) -> list[TextBlock]:
     rows = [
         (
             f"  {edge['from']} -> {edge['to']}",

@@ -11,8 +11,8 @@ from statechart.documents.quantities import unit_suffix
 from statechart.tabular import (
     DIGITS,
     FEW,
-    Block,
     Table,
+    TextBlock,
     aligned,
     ends,
     join_blocks,
@@ -43,9 +43,9 @@ def summary(report: Mapping[str, Any], digits: int = DIGITS) -> str:
     return plain(describe_run(report, digits))
 
 
-def describe_run(report: Mapping[str, Any], digits: int = DIGITS) -> list[Block]:
+def describe_run(report: Mapping[str, Any], digits: int = DIGITS) -> list[TextBlock]:
     """Return the blocks of `summary`: texts and tables."""
-    parts: list[list[Block]] = [[_head(report)], _event_blocks(report, digits)]
+    parts: list[list[TextBlock]] = [[_head(report)], _event_blocks(report, digits)]
     units = report.get("units", {})
     parts += [
         _values(title, values, units, digits)
@@ -110,7 +110,6 @@ def _evident(names: Sequence[str]) -> str:
 
 
 def _cut(names: Sequence[str], most: int | None = _NAMES) -> str:
-    """Return names with commas between; of more than `most` the first, and how many more."""
     if most is None or len(names) <= most:
         return ", ".join(names)
     return f"{', '.join(names[: most - 1])}, {len(names) - most + 1} more"
@@ -122,7 +121,7 @@ def _how(report: Mapping[str, Any]) -> str:
     return f"tolerance {report['tolerance']:.3g}"
 
 
-def _event_blocks(report: Mapping[str, Any], digits: int) -> list[Block]:
+def _event_blocks(report: Mapping[str, Any], digits: int) -> list[TextBlock]:
     events = report["events"]
     if not events:
         if report["record"] != "modes":
@@ -168,7 +167,7 @@ def change(event: Mapping[str, Any], most: int | None = None) -> str:
     return "; ".join(f"{_cut(names, most)}: {what}" for what, names in changes.items())
 
 
-def _alternatives(rows: Sequence[Mapping[str, Any]], digits: int) -> list[Block]:
+def _alternatives(rows: Sequence[Mapping[str, Any]], digits: int) -> list[TextBlock]:
     if not rows:
         return ["alternatives: none, no two contacts can be hit together\n"]
     lines = [
@@ -202,7 +201,7 @@ def _values(
     values: Sequence[tuple[str, Any] | int],
     units: Mapping[str, str],
     digits: int = DIGITS,
-) -> list[Block]:
+) -> list[TextBlock]:
     """Return values under a title, their units in a column that no list of values pushes away.
 
     A number stands for as many that are left out.
@@ -226,7 +225,7 @@ def explanation(report: Mapping[str, Any], digits: int = DIGITS) -> str:
     return plain(explain_events(report, digits))
 
 
-def explain_events(report: Mapping[str, Any], digits: int = DIGITS) -> list[Block]:
+def explain_events(report: Mapping[str, Any], digits: int = DIGITS) -> list[TextBlock]:
     """Return the blocks of `explanation`: titles and tables."""
     return join_blocks(
         [f"... {event} more: --json --explain or --output has all\n"]
@@ -236,7 +235,7 @@ def explain_events(report: Mapping[str, Any], digits: int = DIGITS) -> list[Bloc
     )
 
 
-def _event(event: Mapping[str, Any], digits: int, unguarded: str) -> list[Block]:
+def _event(event: Mapping[str, Any], digits: int, unguarded: str) -> list[TextBlock]:
     def columns(values: Mapping[str, Any]) -> list[tuple[str, ...]]:
         texts = aligned([number(value, digits) for value in values.values()])
         return list(zip(values, texts, strict=True))

@@ -261,7 +261,6 @@ class References:
 
 
 def _kind(setting: Setting) -> str | None:
-    """Return the family of methods: runs of one family share their errors."""
     return setting.method if setting.engine == "scipy" else setting.engine
 
 

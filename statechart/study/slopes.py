@@ -113,7 +113,6 @@ def unfitted(study: Measurements) -> dict[str, str]:
 
 
 def _theories(study: Measurements) -> dict[str, Mapping[Quantity, float]]:
-    """Return the families of a study that have a theory -> it."""
     families = dict.fromkeys(point.setting.family for point in study.points)
     names = {family: family.split()[0] for family in families}
     return {family: SLOPES[name] for family, name in names.items() if name in SLOPES}

@@ -9,7 +9,7 @@ from typing import Any
 from statechart.automaton.trace import Outcome
 from statechart.study.measurements import Measurements, Point, Third
 from statechart.study.slopes import Note, beyond, notes, reasons, slopes, unfitted
-from statechart.tabular import Block, Table, aligned, plain, several
+from statechart.tabular import Table, TextBlock, aligned, plain, several
 
 # Errors of an odd run are listed that are so much of its largest.
 _MUCH = 0.5
@@ -33,7 +33,7 @@ def format_text(study: Measurements) -> str:
     return plain(describe_study(study))
 
 
-def describe_study(study: Measurements) -> list[Block]:
+def describe_study(study: Measurements) -> list[TextBlock]:
     """Return the blocks of `format_text`: what is above the table, the table, what is below."""
     kinds = list(dict.fromkeys(name for p in study.points for name in p.errors.violations))
     front, cold = study.front(), study.front(once=True)

@@ -135,7 +135,6 @@ def _version() -> str:
 
 @lru_cache(maxsize=2)
 def _cells(task: Task) -> _Cells:
-    """Return the runner of the cells of a task: compiled once in a process, for all its blocks."""
     return _Cells(task)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from statechart.automaton.trace import Outcome
 from statechart.documents.quantities import unit_suffix
 from statechart.sweeps.plan import Plan
-from statechart.tabular import DIGITS, Block, Table, aligned, join_blocks, number, several
+from statechart.tabular import DIGITS, Table, TextBlock, aligned, join_blocks, number, several
 
 if TYPE_CHECKING:  # imported where a sweep is made: it takes half a second
     import xarray as xr
@@ -86,7 +86,7 @@ def succeeded(report: dict[str, Any]) -> bool:
     return report["done"] == report["cells"] and any(o["succeeded"] for o in report["outcomes"])
 
 
-def format_text(report: dict[str, Any], digits: int = DIGITS) -> list[Block]:
+def format_text(report: dict[str, Any], digits: int = DIGITS) -> list[TextBlock]:
     """Return the report of a sweep in words and tables."""
     units = report["units"]
 
@@ -137,7 +137,7 @@ def format_text(report: dict[str, Any], digits: int = DIGITS) -> list[Block]:
     )
 
 
-def _without_empty_columns(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[Block]:
+def _without_empty_columns(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[TextBlock]:
     """Return a table without the columns that say nothing."""
     said = [k for k in range(len(head)) if any(row[k] for row in rows)]
     columns = [[head[k], *aligned([row[k] for row in rows])] for k in said]
@@ -145,5 +145,4 @@ def _without_empty_columns(head: Sequence[str], rows: Sequence[Sequence[str]]) -
 
 
 def _plain(value: float) -> float | str:
-    """Return a number that JSON has, else its name."""
     return float(value) if math.isfinite(value) else str(float(value))

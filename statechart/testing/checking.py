@@ -14,7 +14,7 @@ from statechart.documents.yaml_writer import dump
 from statechart.errors import DeclarationError, DeclarationProblem, StatechartError
 from statechart.loading.kind import offered
 from statechart.loading.load import resolved
-from statechart.tabular import Block, Table, join_blocks, plain
+from statechart.tabular import Table, TextBlock, join_blocks, plain
 from statechart.testing.agreement import Undecidable
 from statechart.testing.properties import Property, generic
 from statechart.testing.subject import Case, Subject, parameters, ranges
@@ -113,7 +113,7 @@ class CheckReport:
 
     __repr__ = __str__ = text
 
-    def blocks(self) -> list[Block]:
+    def blocks(self) -> list[TextBlock]:
         """Return the report as `text` does, its table as such."""
         varied = ", ".join(f"{n} {a:g} to {b:g}" for n, (a, b) in self.ranges.items())
         head = (
@@ -124,7 +124,7 @@ class CheckReport:
         rows += [
             (r.name, "" if r.skipped else str(r.examples), _verdict(r)) for r in self.properties
         ]
-        parts: list[list[Block]] = [[head], [Table(rows, headed=True)]]
+        parts: list[list[TextBlock]] = [[head], [Table(rows, headed=True)]]
         failed = [(r.name, r.failure) for r in self.properties if r.failure is not None]
         for name, failure in failed:
             values = ", ".join(f"{n} = {v!r}" for n, v in failure.parameters.items())

@@ -202,7 +202,6 @@ class Case:
         self._runs: dict[str, Trace | None] = {}
 
     def _run_by(self, name: str) -> Trace | None:
-        """Return the run of an engine, made once; None if it cannot run the model."""
         if name not in self._runs:
             self._runs[name] = self._run(name, self.parameters)
         return self._runs[name]

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.special import ellipk
 
 import statechart
 from statechart.documents.yaml_reader import read_text
@@ -233,6 +234,69 @@ def test_a_mistake_in_a_joint_is_reported(old: str, new: str, told: str) -> None
     assert old in _ROPE
     with pytest.raises(DeclarationError, match=re.escape(told)):
         statechart.run(interpret(read_text(_ROPE.replace(old, new), "joint.yaml")))
+
+
+_SWAP = """
+kind: scene
+name: swap
+bodies: {bob: {mass: 1, start: {x: 1, dy: 1}}}
+joints:
+  second: {point: {body: bob}, to: [2, 2], rod: "hypot(2 - cos(T), 2 - sin(T))", enabled: SECOND}
+  first: {point: {body: bob}, to: [0, 0], rod: 1, enabled: FIRST}
+parameters: {T: 0.5}
+regions:
+  hand:
+    initial: one
+    states: {one: {}, two: {}}
+    transitions: [{name: swaps, from: one, to: two, after: T}]
+stop: {time: 0.6}
+outputs: {v: {value: "hypot(bob.dx, bob.dy)"}}
+"""
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy", "impulse"])
+@pytest.mark.parametrize(
+    ("first", "second"), [("time < T", "time >= T"), ("in(hand.one)", "in(hand.two)")]
+)
+def test_a_joint_that_closes_does_not_stop_at_one_that_lets_go(
+    engine: str, first: str, second: str
+) -> None:
+    text = _SWAP.replace("FIRST", first).replace("SECOND", second)
+    setting = {"engine": engine} | ({"step": 1e-3} if engine == "impulse" else {})
+    way = math.atan2(2.0 - math.sin(0.5), 2.0 - math.cos(0.5))
+    # The velocity along the second rod is lost.
+    expected = abs(math.sin(0.5 + math.pi / 2.0 - way))
+    error = 1e-5 if engine == "impulse" else 1e-9
+    assert _outputs(text, **setting)["v"] == pytest.approx(expected, rel=error)
+
+
+_PEG = """
+kind: scene
+name: peg
+gravity: 9.81
+parameters: {L: 1, d: 0.5, tilt: 0.5}
+bodies: {bob: {mass: 1, start: {x: L*sin(tilt), y: -L*cos(tilt)}}}
+joints:
+  long: {point: {body: bob}, to: [0, 0], rod: L, enabled: bob.x >= 0}
+  short: {point: {body: bob}, to: [0, -d], rod: L - d, enabled: bob.x < 0}
+stop: {time: 4}
+outputs: {swaps: {value: time, at: each long.disable or long.enable}, low: {minimum: bob.x}}
+"""
+
+
+@pytest.mark.parametrize("step", [None, 2e-3, 1e-3, 5e-4])
+def test_galileos_pendulum_swings_on_about_its_peg(step: float | None) -> None:
+    setting = {"engine": "scipy"} if step is None else {"engine": "impulse", "step": step}
+    found = _outputs(_PEG, **setting)
+    fall = 1.0 - math.cos(0.5)
+    tilt = math.acos(1.0 - fall / 0.5)
+    long, short = (
+        math.sqrt(length / 9.81) * float(ellipk(math.sin(0.5 * angle) ** 2))
+        for length, angle in ((1.0, 0.5), (0.5, tilt))
+    )
+    times = [long, long + 2 * short, 3 * long + 2 * short, 3 * long + 4 * short]
+    assert found["swaps"] == pytest.approx(times, abs=1e-9 if step is None else 2.0 * step)
+    assert found["low"] == pytest.approx(-0.5 * math.sin(tilt), abs=1e-9 if step is None else 1e-4)
 
 
 _ENGINES = [

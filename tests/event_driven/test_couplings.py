@@ -756,3 +756,33 @@ outputs: {locks: {value: time, at: first brake.lock}, angle: {value: phi}}
     outputs = run(text).outputs
     assert outputs["locks"] == pytest.approx(math.pi / 2 / math.sqrt(3), abs=EXACT)
     assert outputs["angle"] == pytest.approx(2 / math.sqrt(3), abs=EXACT)
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+@pytest.mark.parametrize("force", ["-sat(dp1, -0.2, 0.2)", "-0.2*sign(dp1)", "-max(dp1/9, 0.2)"])
+def test_a_second_brake_closes_beside_a_force_that_switches(engine: str, force: str) -> None:
+    """Both wheels turn as one of inertia 2: the rate falls by 0.1 a second."""
+    text = f"""
+kind: scene
+name: second
+coordinates: {{p0: {{rate: 1}}, p1: {{rate: 1}}}}
+bodies:
+  w0: {{mass: 1, inertia: 1, position: [0, 0], angle: p0}}
+  w1: {{mass: 1, inertia: 1, position: [1, 0], angle: p1}}
+couplings:
+  c0: {{bodies: [w0, w1], limit: 3}}
+  c1: {{bodies: [w1, w0], limit: 3, enabled: time >= 0.5}}
+forces: {{f1: {{body: w1, moment: "{force}"}}}}
+stop: {{time: 1}}
+outputs: {{w: {{value: dp0}}, closes: {{value: time, at: first c1.close}}}}
+"""
+    result = statechart.run(interpret(read_text(text)), engine=engine)
+    assert result.outputs == pytest.approx({"w": 0.9, "closes": 0.5}, abs=1e-12)
+    assert [jump.cause for jump in result.trace.jumps] == ["close"]
+
+
+def test_a_limit_without_end_is_told_what_to_write() -> None:
+    text = ROTOR.replace("limit: T", "limit: inf")
+    assert text != ROTOR
+    with pytest.raises(statechart.DeclarationError, match="a joint with angle: held"):
+        run(text)

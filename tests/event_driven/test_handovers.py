@@ -116,3 +116,36 @@ def test_validation_says_where_ends_of_edges_nearly_meet(begin, rise, meets):
     assert all("surfaces.b.edge: its first point is" in one for one in told)
     runner = Runner(scene)
     assert bool([w for w in runner.start()[1] if "nearly" in w or ".edge:" in w]) != meets
+
+
+ONE_WAY = """
+kind: scene
+name: one_way
+gravity: 9.81
+bodies: {hero: {mass: 60, start: {dy: 6}}}
+surfaces: {ground: {height: 0}, platform: {height: 1}}
+contacts:
+  feet: {point: {body: hero}, surface: ground, friction: 0.5, restitution: 0}
+  soles: {point: {body: hero}, surface: platform, friction: 0.5, restitution: 0, enabled: WHEN}
+stop: {time: 1.1}
+"""
+
+
+@pytest.mark.parametrize(
+    ("when", "count"),
+    [
+        ("hero.dy <= 0 and hero.y >= 1", 1),
+        ("hero.dy <= 0 and hero.y >= 0.9", 0),
+        ("hero.dy <= 0", 0),
+        ("hero.dy <= 0 and time < 1.024", 0),
+    ],
+)
+def test_a_contact_that_goes_off_as_it_touches_is_warned_of(when, count):
+    result = Runner(interpret(read_text(ONE_WAY.replace("WHEN", when)))).run()
+    warned = [w for w in result.warnings if "soles goes off at t = 1.024182" in w]
+    assert len(warned) == count
+    # It falls through the platform, or stands on it.
+    landed = any(
+        jump.region == "soles" and jump.cause == "touchdown" for jump in result.trace.jumps
+    )
+    assert landed == ("0.9" in when or when == "hero.dy <= 0")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from statechart.observation.sampling import Samples
-from statechart.reporting.curves import COLUMNS, Line, strongest
+from statechart.reporting.curves import COLUMNS, DrawnCurve, strongest
 from statechart.reporting.figure import _visible
 from statechart.running.runner import Runner
 
@@ -17,7 +17,7 @@ def samples(t, j) -> Samples:
 
 def test_few_points_are_drawn_as_they_are_and_broken_at_jumps() -> None:
     t = np.array([0.0, 1.0, 1.0, 2.0])
-    line = Line.of(samples(t, np.array([0, 0, 1, 1])))
+    line = DrawnCurve.of(samples(t, np.array([0, 0, 1, 1])))
     np.testing.assert_array_equal(line.times, [0.0, 1.0, np.nan, 1.0, 2.0])
     np.testing.assert_array_equal(line.values(t + 5.0), [5.0, 6.0, np.nan, 6.0, 7.0])
 
@@ -27,7 +27,7 @@ def test_thinning_keeps_outlying_points() -> None:
     values = np.sin(40_000.0 * t)
     values[[777, 123_456]] = 9.0, -8.0
     values[5000:5003] = np.nan
-    line = Line.of(samples(t, np.arange(len(t)) // 1000))
+    line = DrawnCurve.of(samples(t, np.arange(len(t)) // 1000))
     drawn = line.values(values)
     assert len(drawn) == len(line.times) <= 4 * COLUMNS
     for place in (777, 123_456):
@@ -42,7 +42,7 @@ def test_thinning_keeps_jumps_between_two_columns() -> None:
     half = np.linspace(0.0, 1.0, 15_000)
     t = np.concatenate([half, 1.0 + half])
     j = np.repeat([0, 1], 15_000)
-    line = Line.of(samples(t, j))
+    line = DrawnCurve.of(samples(t, j))
     broken = line.times[:-1][np.isnan(line.times[1:])]
     assert broken == pytest.approx([1.0], abs=2.0 / COLUMNS)
 

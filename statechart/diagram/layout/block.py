@@ -51,43 +51,43 @@ class Arrow:
 
 
 @dataclass(frozen=True)
-class Block:
+class LayoutBlock:
     """Boxes, those that enclose others first, and arrows, in a rectangle from (0, 0)."""
 
     size: Point
     boxes: tuple[Box, ...] = ()
     arrows: tuple[Arrow, ...] = ()
 
-    def moved(self, x: float, y: float) -> Block:
+    def moved(self, x: float, y: float) -> LayoutBlock:
         """Return the same elsewhere."""
-        return Block(
+        return LayoutBlock(
             self.size,
             tuple(replace(b, centre=(b.centre[0] + x, b.centre[1] + y)) for b in self.boxes),
             tuple(replace(a, curve=_translated(a.curve, x, y)) for a in self.arrows),
         )
 
 
-def bounded(boxes: Sequence[Box], arrows: Sequence[Arrow]) -> Block:
+def bounded(boxes: Sequence[Box], arrows: Sequence[Arrow]) -> LayoutBlock:
     """Return a block just as large as its boxes and arrows."""
     centres, sizes = np.array([box.centre for box in boxes]), np.array([box.size for box in boxes])
     corners = [centres - sizes / 2, centres + sizes / 2]
     places = np.concatenate([*corners, *(samples(one.curve) for one in arrows)])
     (left, low), (right, high) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
-    return Block((right - left, high - low), (*boxes,), (*arrows,)).moved(-left, -low)
+    return LayoutBlock((right - left, high - low), (*boxes,), (*arrows,)).moved(-left, -low)
 
 
 def _translated(course: str, x: float, y: float) -> str:
     return _POINT.sub(lambda m: f"{float(m[1]) + x:.2f},{float(m[2]) + y:.2f}", course)
 
 
-def written(name: str, label: str) -> Block:
+def written(name: str, label: str) -> LayoutBlock:
     """Return a text as a block of its own."""
     look = {"shape": "plain", "label": label}
     size = measured({name: look})[name]
-    return Block(size, (Box(name, (size[0] / 2, size[1] / 2), size, look),))
+    return LayoutBlock(size, (Box(name, (size[0] / 2, size[1] / 2), size, look),))
 
 
-def side_by_side(blocks: Sequence[Block], gap: float) -> Block:
+def side_by_side(blocks: Sequence[LayoutBlock], gap: float) -> LayoutBlock:
     """Put blocks side by side, their tops at one height."""
     height = max(block.size[1] for block in blocks)
     placed, x = [], 0.0
@@ -97,7 +97,7 @@ def side_by_side(blocks: Sequence[Block], gap: float) -> Block:
     return _merged((x - gap, height), placed)
 
 
-def stacked(blocks: Sequence[Block], gap: float, *, centred: bool = True) -> Block:
+def stacked(blocks: Sequence[LayoutBlock], gap: float, *, centred: bool = True) -> LayoutBlock:
     """Put blocks below each other."""
     width = max(block.size[0] for block in blocks)
     placed, y = [], 0.0
@@ -107,16 +107,16 @@ def stacked(blocks: Sequence[Block], gap: float, *, centred: bool = True) -> Blo
     return _merged((width, y - gap), placed[::-1])
 
 
-def _merged(size: Point, blocks: Sequence[Block]) -> Block:
+def _merged(size: Point, blocks: Sequence[LayoutBlock]) -> LayoutBlock:
     boxes = (box for block in blocks for box in block.boxes)
-    return Block(size, (*boxes,), tuple(a for block in blocks for a in block.arrows))
+    return LayoutBlock(size, (*boxes,), tuple(a for block in blocks for a in block.arrows))
 
 
-def with_start(block: Block, state: str, name: str) -> Block:
+def with_start(block: LayoutBlock, state: str, name: str) -> LayoutBlock:
     """Return a block with a start at the corner of a state where it is least in the way."""
     (box,) = (box for box in block.boxes if box.name == state)
 
-    def at(across: int, up: int) -> Block:
+    def at(across: int, up: int) -> LayoutBlock:
         tip = (
             box.centre[0] + across * (box.size[0] / 2 - _ROUND),
             box.centre[1] + up * (box.size[1] / 2 - _ROUND),
@@ -144,7 +144,7 @@ def polyline(points: Iterable[Point], *, head: bool = True) -> str:
     return start + " ".join(f"{x:.2f},{y:.2f}" for x, y in curve)
 
 
-def covered(block: Block) -> int:
+def covered(block: LayoutBlock) -> int:
     """Return how often an arrow runs through text, a dot or a state that is not at its ends."""
     solid = [
         box for box in block.boxes if box.attributes["label"] or box.attributes["shape"] == "circle"

@@ -15,8 +15,8 @@ import numpy as np
 from statechart.diagram.layout.block import (
     Arrow,
     Attributes,
-    Block,
     Box,
+    LayoutBlock,
     bounded,
     covered,
     polyline,
@@ -46,7 +46,7 @@ _REGION = {"shape": "box", "style": "invis", "label": ""}
 _DIVIDER = {"style": "dashed", "arrowhead": "none", "color": FRAME, "tooltip": " "}
 
 
-def flow(chart: Chart, style: Style, prefix: str) -> Block:
+def flow(chart: Chart, style: Style, prefix: str) -> LayoutBlock:
     """Lay a chart out, the way that fits a slide best of those that lead no line through text."""
     drawn = _Flow(chart, style, prefix)
     found = [drawn.block(way, gap, "l") for way, gap in _WAYS]
@@ -56,7 +56,7 @@ def flow(chart: Chart, style: Style, prefix: str) -> Block:
     return min(found, key=_badness)
 
 
-def _badness(block: Block) -> tuple[float, ...]:
+def _badness(block: LayoutBlock) -> tuple[float, ...]:
     """Return lines through text, by how much a block must shrink to fit, and its height."""
     width, height = block.size
     shrink = max(width / _SLIDE[0], height / _SLIDE[1], 1.0)
@@ -144,7 +144,7 @@ class _Flow:
             found[f"l{end}"] = f"cluster_{self.names[name]}"
         return found
 
-    def block(self, way: str, gap: str, side: str) -> Block:
+    def block(self, way: str, gap: str, side: str) -> LayoutBlock:
         """Return the chart as dot lays it out, names of frames on a side (l, r)."""
         laid = laid_out(self.source(way, gap, side))
         items = {item["name"].removeprefix("cluster_"): item for item in laid["objects"]}

@@ -18,8 +18,8 @@ from typing import NamedTuple
 from statechart.diagram.layout.block import (
     Arrow,
     Attributes,
-    Block,
     Box,
+    LayoutBlock,
     Point,
     bounded,
     polyline,
@@ -123,7 +123,7 @@ def _spans(chart: Chart, order: tuple[Node, ...]) -> dict[str, Span]:
     return spans
 
 
-def grid(chart: Chart, style: Style, prefix: str) -> Block:
+def grid(chart: Chart, style: Style, prefix: str) -> LayoutBlock:
     """Lay out the product of two regions; see `Chart.axes`."""
     drawn = _Grid(chart, style, prefix)
     axes = (0, 1)
@@ -242,7 +242,6 @@ class _Grid:
         return tracks, total
 
     def _side(self, axis: int, place: int, side: int, deep: int) -> float:
-        """Return where a state, or a frame around it, ends on one side (-1, 1)."""
         half = self.sides[axis][side > 0] + _MARGIN * deep if deep else self.cell[axis] / 2
         return self.places[axis][place] + side * half
 

@@ -133,14 +133,13 @@ def arrow(links: Sequence[Link]) -> dict[str, str]:
 
 
 def _details(node: Node, chart: Chart, style: Style, ink: str) -> list[str]:
-    """Return conditions, actions and loops of a state as small lines."""
     inline = style.guards == "inline"
     small = [*(node.invariants if inline else ()), *(node.actions if inline or fits(node) else ())]
-    loops = (text(line, colour=ink) for line in _loops(node, chart, style))
+    loops = (text(line, colour=ink) for line in _self_links(node, chart, style))
     return [*(text(line, size=SMALL, colour=ink) for line in small), *loops]
 
 
-def _loops(node: Node, chart: Chart, style: Style) -> list[str]:
+def _self_links(node: Node, chart: Chart, style: Style) -> list[str]:
     """Return lines on links from a state to itself, or to a state around it or in it.
 
     A sign stands before those that leave the state.

@@ -15,8 +15,8 @@ from typing import NamedTuple
 from statechart.diagram.layout.block import (
     Arrow,
     Attributes,
-    Block,
     Box,
+    LayoutBlock,
     Point,
     bounded,
     polyline,
@@ -79,7 +79,7 @@ def find_rounds(path: Sequence[str]) -> Round | None:
     return min(found, key=lambda one: len(one.order), default=None)
 
 
-def ring(chart: Chart, style: Style, prefix: str) -> Block | None:
+def ring(chart: Chart, style: Style, prefix: str) -> LayoutBlock | None:
     """Lay out the path of a run; None where it has more steps than can be seen, or next to none."""
     found = find_rounds(chart.path) or Round(chart.path, None, 1)
     order, back = found.order, found.back
