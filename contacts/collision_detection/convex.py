@@ -34,6 +34,8 @@ _PREFERRED = 1e-3
 _SAME_LENGTH = 1e-9
 # Points this close, relative to the length of the shorter edge, are one.
 _SAME_DIRECTION = 1e-3
+# An edge whose normal leans from the one opposite by more than this cosine is met at its ends only.
+_FACING = 0.1
 # Difference of their gaps, relative to that distance: far above the round-off of gaps.
 _EVEN = 1e-6
 
@@ -126,6 +128,8 @@ def _clipped(
             part = (kept - s) / (t - s)
             x, y = x + part * (u - x), y + part * (v - y)
         gap = nx * (x - one[edge, 0]) + ny * (y - one[edge, 1])
+        if kept != s and gap > 0.0 and least > -_FACING:
+            continue
         # Two points that are one but for rounding would share their impulse as they please: the
         # deeper one is taken, or their middle, which are the same in a mirror.
         which = end

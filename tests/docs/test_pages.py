@@ -206,8 +206,12 @@ def test_links_to_other_sites_are_well_formed_and_stand_once_on_a_page() -> None
 
 
 def test_each_outcome_has_its_entry_with_a_model_that_ends_so() -> None:
-    page = DOCS / "how-to" / "outcomes.md"
-    entries = re.split(r"^## ", page.read_text(encoding="utf-8"), flags=re.M)[1:]
+    pages = [DOCS / "how-to" / f"outcomes{part}.md" for part in ("", "-numerics")]
+    entries = [
+        entry
+        for page in pages
+        for entry in re.split(r"^## ", page.read_text(encoding="utf-8"), flags=re.M)[1:]
+    ]
     assert [entry.splitlines()[0] for entry in entries] == [o.name for o in Outcome]
     # A reader sees these end in every run, or does it with a key.
     unshown = {"HORIZON", "STOPPED", "INTERRUPTED"}
