@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.dynamics.conditions import hidden
-from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.contact_law import ContactLaw, sliding_edge
 from contacts.dynamics.projection import landed
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import Snapshot, SnapshotTape, answer
+from contacts.dynamics.snapshot import Snapshot, SnapshotTape, answer, solve_kkt
 from contacts.event_driven.decision import check_listed, decide, explained
 from contacts.impacts.bounces import corrected, rests_of_bounces, stands_for_bounces
 from contacts.impacts.jamming import Jam, listed, struck, without_collision
@@ -275,15 +275,17 @@ def resisted(
 
     The angular impulse is at most a length times the normal impulse, opposes the rotation after the
     impact and does not reverse it. A contact that sticks after the impact still sticks if friction
-    suffices, and one that does not rebound remains closed.
+    suffices, kinetic friction where it slipped before; else the slip goes on, and friction is on
+    the edge of its cone. One that does not rebound remains closed.
     """
     for place, law in enumerate(laws):
         if law.carrier < 0 or not result.impulses[law.carrier, 0] > 0.0:
             continue
-        _, bound = (snapshot.limits[place - len(laws)] * result.impulses[law.carrier, 0]).tolist()
+        limit = float(snapshot.limits[place - len(laws)][1])
+        bound = limit * float(result.impulses[law.carrier, 0])
         touching, cone = snapshot.contacts[law.carrier], laws[law.carrier]
-        change = result.velocity - snapshot.velocity
-        slip = snapshot.contacts[place].slip + float(snapshot.jacobians[place, 1] @ change)
+        change, couple = result.velocity - snapshot.velocity, snapshot.jacobians[place, 1]
+        slip = snapshot.contacts[place].slip + float(couple @ change)
         if not abs(slip) > slip_tolerance or bound == 0.0:
             continue
         after = [
@@ -291,21 +293,55 @@ def resisted(
             for rate, row in zip((touching.gap_rate, touching.slip), touching.jacobian, strict=True)
         ]
         sticking = [d for d in range(2) if abs(after[d]) <= slip_tolerance]
-        # The second attempt drops the tangent, if friction cannot hold the point.
-        for constrained in (sticking, [d for d in sticking if d == 0]):
-            rows = np.array(
-                [snapshot.jacobians[place, 1], *(touching.jacobian[d] for d in constrained)]
-            )
-            solved = answer(snapshot, rows, rows, np.array([-slip, *(0.0 for _ in constrained)]))
-            if solved is None:
-                continue
-            share = min(1.0, bound / abs(solved[1][0])) if solved[1][0] != 0.0 else 1.0
-            impulses = result.impulses.copy()
-            for d, impulse in zip(constrained, solved[1][1:].tolist(), strict=True):
-                impulses[law.carrier, d] += share * impulse
-            normal, tangential = impulses[law.carrier].tolist()
-            if 1 not in constrained or cone.cone_n * abs(tangential) <= cone.cone_t * normal:
-                velocity = result.velocity + share * solved[0]
-                result = replace(result, velocity=velocity, impulses=impulses)
-                break
+        rows = np.array([couple, *(touching.jacobian[d] for d in sticking)])
+        solved = answer(snapshot, rows, rows, np.array([-slip, *(0.0 for _ in sticking)]))
+        if solved is None:
+            continue
+        share = min(1.0, bound / abs(solved[1][0])) if solved[1][0] != 0.0 else 1.0
+        impulses = result.impulses.copy()
+        for d, impulse in zip(sticking, solved[1][1:].tolist(), strict=True):
+            impulses[law.carrier, d] += share * impulse
+        normal, tangential = impulses[law.carrier].tolist()
+        slipped = abs(touching.slip) > slip_tolerance
+        edge = sliding_edge(cone, touching) if slipped else (cone.cone_n, cone.cone_t)
+        if 1 not in sticking or edge[0] * abs(tangential) <= edge[1] * normal:
+            velocity = result.velocity + share * solved[0]
+            result = replace(result, velocity=velocity, impulses=impulses)
+            continue
+        edge = edge[0], math.copysign(edge[1], tangential)
+        result = _slipping_on(snapshot, result, law.carrier, couple, slip, limit, edge)
     return result
+
+
+def _slipping_on(
+    snapshot: Snapshot,
+    result: Impacts,
+    place: int,
+    couple: Array,
+    slip: float,
+    limit: float,
+    edge: tuple[float, float],
+) -> Impacts:
+    """Return the impacts of an instant where a contact that rolling resists goes on to slip.
+
+    Its impulse along the `edge` of its cone leaves its gap rate as it is; the angular impulse along
+    `couple` stops the rotation `slip`, or is `limit` times the normal impulse.
+    """
+    jacobian, none = snapshot.jacobians[place], np.zeros((0, len(result.velocity)))
+    bare = solve_kkt(snapshot.mass, -jacobian.T @ result.impulses[place], none, none, np.zeros(0))
+    assert bare is not None
+    rows, push = np.array([couple, jacobian[0]]), np.array(edge) @ jacobian
+    velocity, rates = result.velocity + bare[0], np.array([-slip, 0.0]) - rows @ bare[0]
+    solved = answer(snapshot, rows, np.array([couple, push]), rates)
+    if solved is None:
+        return result
+    stop, size = solved[1].tolist()
+    if abs(stop) > limit * edge[0] * size:
+        push = push + math.copysign(limit * edge[0], stop) * couple
+        solved = answer(snapshot, rows[1:], push[None], rates[1:])
+        if solved is None:
+            return result
+        size = float(solved[1][0])
+    impulses = result.impulses.copy()
+    impulses[place] = size * np.array(edge)
+    return replace(result, velocity=velocity + solved[0], impulses=impulses)

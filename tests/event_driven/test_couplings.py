@@ -494,6 +494,20 @@ def test_rolling_resistance_is_free_in_flight_and_acts_in_impacts(engine: str, e
     assert trace.jumps[-1].t == pytest.approx(spin / (0.002 * 9.81), rel=1e-7)
 
 
+@ENGINES
+@pytest.mark.parametrize("friction", ["0.35", "{static: 0.6, kinetic: 0.35}"])
+def test_a_slip_that_rolling_resistance_keeps_up_does_not_end_in_an_impact(
+    engine: str, friction: str
+) -> None:
+    text = ROLLING.replace("y: r, dx: v0, dangle: -v0/r", "y: 0.3, dx: 2")
+    text = text.replace("rolling_resistance: L", "rolling_resistance: 0.02")
+    text = text.replace("friction: 0.5", f"friction: {friction}")
+    landing = run(text, engine).trace.jumps[0]
+    # Without the couple an impulse of 2/3.5 would end the slip; with it friction is on its edge.
+    normal = math.sqrt(2 * 9.81 * 0.2)
+    assert landing.after[3] == pytest.approx(2 - 0.35 * normal, abs=EXACT)
+
+
 def test_rolling_resistance_is_of_a_disc() -> None:
     with pytest.raises(statechart.DeclarationError, match="rolling resistance is of a disc"):
         run(ROLLING.replace("    radius: r\n", "").replace("y: r", "y: 0"))
