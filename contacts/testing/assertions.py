@@ -15,7 +15,13 @@ from statechart.testing.subject import Subject
 
 
 def largest_of(impulses: Iterable[Mapping[str, tuple[float, float]]]) -> float:
-    """Return the size of the largest impulse of a run."""
+    """Return the size of the largest impulse of a run.
+
+    Parameters
+    ----------
+    impulses : iterable of mapping
+        Of every jump: contact -> normal and tangential impulse.
+    """
     return max((math.hypot(*impulse) for some in impulses for impulse in some.values()), default=0)
 
 
@@ -35,6 +41,11 @@ def assert_in_cone(
         The size of the largest impulse of the run.
     where : str
         What messages call the place.
+
+    Raises
+    ------
+    AssertionError
+        If it does not.
     """
     normal, tangential = impulse
     allowed = 100.0 * ROUND_OFF * math.hypot(normal, tangential) + 4.0 * EPS * largest
@@ -49,6 +60,13 @@ def step_ends(trace: Trace, arc: Arc) -> slice:
     """Return the places among an arc's times that a scheme answers for: all where it is exact.
 
     A time step with an impact is drawn in two halves; the scheme knows its ends alone.
+
+    Parameters
+    ----------
+    trace : Trace
+        A run.
+    arc : Arc
+        One of its arcs.
     """
     if trace.step is None:
         return slice(None)
@@ -66,6 +84,11 @@ def no_growth(points: Sequence[tuple[float, float, str]], allowed: float, rate: 
         Time, energy less work, and where that is.
     allowed, rate : float
         What errors explain at an instant, and in the time since the energy was least.
+
+    Raises
+    ------
+    AssertionError
+        Where it grows by more.
     """
     least = math.inf
     for t, value, where in points:

@@ -48,6 +48,11 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
     Compliant contacts are, by their depth. What is closed is held at the ends of steps. In between
     dense output, which may be of a lower order than a step, leaves the surface by no more than what
     its slopes miss of the rates.
+
+    Parameters
+    ----------
+    scene, subject, trace : Scene, Subject, Trace
+        What was declared, the same compiled, and a run of it.
     """
     gaps = [subject.automaton.observables[f"{name}.gap"] for name in scene.contacts]
     rigid = [contact.stiffness is None for contact in scene.contacts.values()]
@@ -75,7 +80,13 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
 
 
 def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that ``V >= 0`` and ``|H| <= mu V`` wherever a contact is closed."""
+    """Check that ``V >= 0`` and ``|H| <= mu V`` wherever a contact is closed.
+
+    Parameters
+    ----------
+    scene, subject, trace : Scene, Subject, Trace
+        What was declared, the same compiled, and a run of it.
+    """
     for arc, name, state, times, V, H, slips, used in _sampled_forces(scene, subject, trace):
         if state in OPEN:
             continue
@@ -128,14 +139,26 @@ def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None
 
 
 def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that a contact that is free has no force."""
+    """Check that a contact that is free has no force.
+
+    Parameters
+    ----------
+    scene, subject, trace : Scene, Subject, Trace
+        What was declared, the same compiled, and a run of it.
+    """
     for _, name, state, times, V, H, *_ in _sampled_forces(scene, subject, trace):
         if state in OPEN and ((V != 0.0) | (H != 0.0)).any():
             raise AssertionError(f"{name} is {state} at t = {times[0]:.6g} and has a force")
 
 
 def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that impulses push, and stay in the cone of friction."""
+    """Check that impulses push, and stay in the cone of friction.
+
+    Parameters
+    ----------
+    scene, subject, trace : Scene, Subject, Trace
+        What was declared, the same compiled, and a run of it.
+    """
     largest = largest_of(jump.impulse for jump in trace.jumps)
     for jump in trace.jumps:
         for name, impulse in jump.impulse.items():
@@ -154,7 +177,17 @@ def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
 
 
 def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
-    """Check that energy, less the work of forces and drives, never grows; impacts included."""
+    """Check that energy, less the work of forces and drives, never grows; impacts included.
+
+    Parameters
+    ----------
+    mechanics : Mechanics
+        Of the scene: `contacts.testing.Mechanics(scene)`.
+    subject : Subject
+        The same, compiled.
+    trace : Trace
+        A run of it.
+    """
     energy = mechanics.energy
     rates = {name: mechanics.surface_rate(name) for name in mechanics.scene.contacts}
     controllers = mechanics.scene.controlled.flat
@@ -312,7 +345,13 @@ def _step_growth(mechanics: Mechanics, subject: Subject, trace: Trace) -> float:
 
 
 def properties(declared: Scene) -> tuple[Property, ...]:
-    """Return what holds for every scene, besides what holds for every automaton."""
+    """Return what holds for every scene, besides what holds for every automaton.
+
+    Parameters
+    ----------
+    declared : Scene
+        What was declared.
+    """
     if declared.collisions:
         from contacts.testing.body_properties import body_properties
 

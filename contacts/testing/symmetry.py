@@ -50,6 +50,11 @@ _OUTLINES = ("polygon", "line", "edge")
 def mirrored(scene: Scene) -> tuple[Scene, Reading]:
     """Return the scene seen in a mirror, x -> -x, and how to read its runs.
 
+    Parameters
+    ----------
+    scene : Scene
+        What was declared.
+
     Raises
     ------
     DeclarationError
@@ -65,6 +70,11 @@ def rescaled(scene: Scene) -> tuple[Scene, Reading]:
     """Return the scene in units `LENGTH`, `TIMES` and `MASS` smaller, and how to read its runs.
 
     Coordinates that the scene names keep their values: what their unit is only positions say.
+
+    Parameters
+    ----------
+    scene : Scene
+        What was declared.
 
     Raises
     ------

@@ -165,6 +165,10 @@ def check(
     progress : callable, optional
         Called with the name of every property before it is tested.
 
+    Returns
+    -------
+    CheckReport
+
     Raises
     ------
     DeclarationError

@@ -46,6 +46,16 @@ def dense(trace: Trace) -> Iterator[tuple[Arc, Array]]:
     """Yield every arc with local times that no integrator used.
 
     The places in the steps are multiples of the golden ratio: never an end, never the same ones.
+
+    Parameters
+    ----------
+    trace : Trace
+        A run.
+
+    Yields
+    ------
+    (Arc, (m,) array)
+        Times are since the start of the arc, in the model's unit of time.
     """
     for arc in trace.arcs:
         steps = np.diff(arc.times)
@@ -55,7 +65,13 @@ def dense(trace: Trace) -> Iterator[tuple[Arc, Array]]:
 
 
 def assert_margins(subject: Subject, trace: Trace) -> None:
-    """Check that no guard's margin is negative between events, on a grid of its own."""
+    """Check that no guard's margin is negative between events, on a grid of its own.
+
+    Parameters
+    ----------
+    subject, trace : Subject, Trace
+        The model, and a run of it.
+    """
     moved = _variation(trace)
     for arc, tau in dense(trace):
         mode = subject.mode(trace, arc)
@@ -67,6 +83,11 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
     """Check that declared invariants hold, of states in these: everywhere, peaks included.
 
     Of a run by steps they hold to what a variable changes by in a step.
+
+    Parameters
+    ----------
+    subject, trace : Subject, Trace
+        The model, and a run of it.
     """
     observer = subject.observers[trace.engine.split()[0]]
     moved = _variation(trace)
@@ -205,7 +226,13 @@ def truth(term: Term, sides: Iterator[tuple[Array, Array]], active: Active, coun
 
 
 def assert_relations(subject: Subject, trace: Trace) -> None:
-    """Check that guards and stop conditions are false between events, and conditions true."""
+    """Check that guards and stop conditions are false between events, and conditions true.
+
+    Parameters
+    ----------
+    subject, trace : Subject, Trace
+        The model, and a run of it.
+    """
     _assert_claims(subject, trace, _claims)
 
 

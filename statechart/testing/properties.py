@@ -55,7 +55,13 @@ class Property:
 
 
 def assert_ended(case: Case) -> None:
-    """Check that every run comes to an end that the model declares."""
+    """Check that every run comes to an end that the model declares.
+
+    Parameters
+    ----------
+    case : Case
+        A choice of parameters and its runs.
+    """
     for trace in case.traces.values():
         if not trace.outcome.succeeded:
             raise AssertionError(
@@ -64,7 +70,13 @@ def assert_ended(case: Case) -> None:
 
 
 def assert_start(case: Case) -> None:
-    """Check that runs start in the declared state, but for rounding on constraints."""
+    """Check that runs start in the declared state, but for rounding on constraints.
+
+    Parameters
+    ----------
+    case : Case
+        A choice of parameters and its runs.
+    """
     for trace in case.traces.values():
         declared = case.subject.automaton.setup(case.parameters, trace.tolerance).initial
         moved = projected(trace)
@@ -79,7 +91,13 @@ def assert_start(case: Case) -> None:
 
 
 def assert_engines_agree(case: Case) -> None:
-    """Check that all engines take the same modes at the same times through the same states."""
+    """Check that all engines take the same modes at the same times through the same states.
+
+    Parameters
+    ----------
+    case : Case
+        A choice of parameters and its runs.
+    """
     first, *others = case.sound
     for other in others:
         loosened = partial(case.loosened, other.tolerance)
@@ -87,7 +105,13 @@ def assert_engines_agree(case: Case) -> None:
 
 
 def assert_prefix(case: Case) -> None:
-    """Check that a shorter run is the beginning of the run: the future changes nothing."""
+    """Check that a shorter run is the beginning of the run: the future changes nothing.
+
+    Parameters
+    ----------
+    case : Case
+        A choice of parameters and its runs.
+    """
     trace = case.sound[0]
     if not trace.arcs:
         raise Undecidable("nothing flows")
@@ -129,7 +153,13 @@ def each(check: Callable[[Subject, Trace], None]) -> Callable[[Case], None]:
 
 
 def generic(subject: Subject) -> tuple[Property, ...]:
-    """Return what holds for every automaton."""
+    """Return what holds for every automaton.
+
+    Parameters
+    ----------
+    subject : Subject
+        The model.
+    """
     states = [(region, state) for region in subject.automaton.regions for state in region.states]
     of_states = any(region.build(Role(state)).invariants for region, state in states)
     no_invariants = not (of_states or subject.automaton.invariants)
@@ -163,7 +193,13 @@ _CONTINUOUS = 100.0
 
 
 def assert_ordered(trace: Trace) -> None:
-    """Check that arcs and jumps follow one another on hybrid time (t, j)."""
+    """Check that arcs and jumps follow one another on hybrid time (t, j).
+
+    Parameters
+    ----------
+    trace : Trace
+        A run.
+    """
     t, j = 0.0, 0
     # Steps of one length add up to it with their roundings.
     allowed = ROUND_OFF * trace.t_end if trace.step is not None else 0.0
@@ -185,7 +221,15 @@ def assert_ordered(trace: Trace) -> None:
 
 
 def assert_edges(automaton: Automaton, trace: Trace) -> None:
-    """Check that every jump is an edge of the automaton, region by region."""
+    """Check that every jump is an edge of the automaton, region by region.
+
+    Parameters
+    ----------
+    automaton : Automaton
+        That of the model.
+    trace : Trace
+        A run of it.
+    """
     mode = trace.start_mode
     for jump in trace.jumps:
         place = f"jump {jump.j} at t = {shortest(jump.t)} ({jump.region} {jump.cause})"
@@ -207,7 +251,13 @@ def assert_edges(automaton: Automaton, trace: Trace) -> None:
 
 
 def assert_continuous(trace: Trace) -> None:
-    """Check that states change only by jumps, and that steps of an arc join."""
+    """Check that states change only by jumps, and that steps of an arc join.
+
+    Parameters
+    ----------
+    trace : Trace
+        A run.
+    """
     visited = [arc.coefficients[:, :, 0] for arc in trace.arcs]
     sizes = np.abs(np.concatenate([*visited, trace.initial[None], trace.final[None]])).max(axis=0)
     error = ROUND_OFF if trace.step is not None else max(trace.tolerance, ROUND_OFF)

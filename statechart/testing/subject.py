@@ -150,6 +150,10 @@ class Subject:
         """Evaluate expressions that may use unknowns at local times (m,) of an arc.
 
         With `states` (m, n) as if these were those of the arc.
+
+        Returns
+        -------
+        (m, f) array
         """
         times = arc.start.high + (arc.start.low + tau)
         states = arc.states(tau) if states is None else states
@@ -180,6 +184,10 @@ class Subject:
             Absolute.
         mode : Mode, optional
             What solves for the unknowns.
+
+        Returns
+        -------
+        (m, f) array
         """
         tape = self._programs.tape(tuple(expressions), mode)
         return tape.table(states, trace.values, times)
@@ -317,6 +325,11 @@ def ranges(model: Declaration) -> dict[str, tuple[float, float]]:
     Those that the model declares; if it declares none, from half to twice the value of every
     parameter that is a number other than 0 and inf, less far where the model would be wrong
     there (a restitution of 0.9 cannot be 1.8).
+
+    Parameters
+    ----------
+    model : Declaration
+        A chart, a scene.
     """
     if model.ranges:
         return dict(model.ranges)
@@ -350,6 +363,16 @@ def parameters(model: Declaration) -> SearchStrategy[dict[str, float]]:
 
     Shrinking leads to the declared values: what differs from them in a failing example matters.
     Ends of ranges are drawn often: what grows with a parameter is largest there.
+
+    Parameters
+    ----------
+    model : Declaration
+        A chart, a scene.
+
+    Returns
+    -------
+    SearchStrategy
+        Of parameter -> value, as runs take them.
     """
     from hypothesis import strategies as st
 

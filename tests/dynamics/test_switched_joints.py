@@ -332,6 +332,7 @@ kind: scene
 name: hauled
 gravity: 9.81
 parameters: {L: 2, v: 0.3, phi: 0.1}
+ranges: {L: [1.5, 4], v: [0.1, 0.4]}  # no rope ends at length 0
 bodies:
   load: {mass: 2, start: {x: L*sin(phi), y: -L*cos(phi), dx: -v*sin(phi), dy: v*cos(phi)}}
 joints: {line: {point: {body: load}, to: [0, 0], KIND: L - v*time}}
