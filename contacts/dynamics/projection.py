@@ -124,7 +124,7 @@ class Projection:
                 ):
                     return state
                 if residual > 1.0:
-                    rows = joints.jacobian * scales.sizes[: len(state) // 2]
+                    rows = joints.jacobian[:, : len(state) // 2] * scales.sizes[: len(state) // 2]
                     independent = np.flatnonzero(~joints.redundant).tolist()
                     reason = dependent([(self._joints[i], rows[i]) for i in independent])
                     if reason:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.joints import JointNumbers
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
@@ -167,9 +168,7 @@ def check_joints(
         return
     scales, tolerances = setup.scales, setup.tolerances
     names = [row.joint for row in mechanics.joint_rows]
-    reduction = snapshots.at(setup.values, setup.initial, 0.0).reduction
-    assert reduction is not None
-    joints = reduction.joints
+    joints = _joints_at(snapshots, setup, setup.initial)
     if not joints.on.any():
         return
     names = [name for name, on in zip(names, joints.on.tolist(), strict=True) if on]
@@ -268,15 +267,21 @@ def _contradiction(names: Sequence[str], residual: Array, quantity: str) -> Decl
     )
 
 
+def _joints_at(snapshots: SnapshotTape, setup: SceneSetup, state: Array) -> JointNumbers:
+    """Return the joints as rows of coordinates, without the pads of compliant contacts."""
+    reduction = snapshots.at(setup.values, state, 0.0).reduction
+    assert reduction is not None
+    joints = reduction.joints
+    return joints._replace(jacobian=joints.jacobian[:, : snapshots.size])
+
+
 def _nearest(mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup) -> str:
     size = len(setup.initial) // 2
     state = setup.initial.copy()
     closest = np.inf
     for _ in range(_MAX_ITERATIONS):
-        reduction = snapshots.at(setup.values, state, 0.0).reduction
-        assert reduction is not None
-        on = reduction.joints.on
-        gaps = reduction.joints.gaps[on]
+        joints = _joints_at(snapshots, setup, state).closed()
+        gaps = joints.gaps
         if not np.isfinite(gaps).all():
             break
         closest = min(closest, float(np.abs(gaps).max()))
@@ -285,7 +290,7 @@ def _nearest(mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup) -
             return "a position that closes all: " + _format_values(
                 mechanics.names, state[:size], shift
             )
-        state[:size] += least(reduction.joints.jacobian[on], -gaps)[0]
+        state[:size] += least(joints.jacobian, -gaps)[0]
     return (
         f"no position near the start closes all joints (least distance found: {closest:.6g}); "
         "compare lengths and places"

@@ -232,3 +232,28 @@ def test_a_landing_damper_moves_a_braked_body(engine: str, step: float | None, l
     gap = settled + math.exp(-0.3) * wave
     assert result.trace.jumps[0].t == pytest.approx(0.1, abs=1e-9 if step is None else step)
     assert result.outputs["gap"] == pytest.approx(gap, abs=1e-11 if step is None else 5 * step)
+
+
+@pytest.mark.parametrize(
+    ("start", "told"),
+    [
+        ("{y: 0.4, x: 0.2}", "0.04 apart; a position that closes all: load.y = 0.36"),
+        ("{y: 0.36, x: 0.2, dy: 1}", "apart at 1; velocities that it allows: load.dy = 0"),
+    ],
+)
+def test_joints_beside_compliant_contacts_say_what_would_hold(start: str, told: str) -> None:
+    text = f"""
+kind: scene
+name: cart
+gravity: 9.81
+bodies:
+  b: {{mass: 1, start: {{y: 0.26}}}}
+  load: {{mass: 0.4, start: {start}}}
+surfaces: {{floor: {{height: 0}}}}
+contacts: {{foot: {{point: {{body: b}}, surface: floor, friction: 0, stiffness: 1000}}}}
+joints: {{peg: {{point: {{body: load}}, to: [0.2, 0.36]}}}}
+stop: {{time: 1}}
+"""
+    with pytest.raises(DeclarationError) as caught:
+        statechart.run(interpret(read_text(text)))
+    assert told in str(caught.value)
