@@ -327,21 +327,19 @@ def _slipping_on(
     Its impulse along the `edge` of its cone leaves its gap rate as it is; the angular impulse along
     `couple` stops the rotation `slip`, or is `limit` times the normal impulse.
     """
-    jacobian, none = snapshot.jacobians[place], np.zeros((0, len(result.velocity)))
-    bare = solve_kkt(snapshot.mass, -jacobian.T @ result.impulses[place], none, none, np.zeros(0))
-    assert bare is not None
-    rows, push = np.array([couple, jacobian[0]]), np.array(edge) @ jacobian
-    velocity, rates = result.velocity + bare[0], np.array([-slip, 0.0]) - rows @ bare[0]
-    solved = answer(snapshot, rows, np.array([couple, push]), rates)
+    jacobian, rates = snapshot.jacobians[place], np.array([-slip, 0.0])
+    push, rows = np.array(edge) @ jacobian, np.array([couple, jacobian[0]])
+    solve = partial(solve_kkt, snapshot.mass, -jacobian.T @ result.impulses[place])
+    solved = solve(rows, np.array([couple, push]), rates)
     if solved is None:
         return result
     stop, size = solved[1].tolist()
     if abs(stop) > limit * edge[0] * size:
         push = push + math.copysign(limit * edge[0], stop) * couple
-        solved = answer(snapshot, rows[1:], push[None], rates[1:])
+        solved = solve(rows[1:], push[None], rates[1:])
         if solved is None:
             return result
         size = float(solved[1][0])
     impulses = result.impulses.copy()
     impulses[place] = size * np.array(edge)
-    return replace(result, velocity=velocity + solved[0], impulses=impulses)
+    return replace(result, velocity=result.velocity + solved[0], impulses=impulses)

@@ -9,6 +9,6 @@ residual and sweeps; `proximal_points`: Newton's method, on `sparse_blocks`; `le
 `contact_solver`: the ladder of these, which returns the best impulses with their residual.
 `island_impulses` adds restitution and bounds of work, `impact_sequence` impacts in turn, and
 `step_impulses` the island of a step: rows of coordinates, friction that changes, what is force.
-Of the event engine: `mode_solver` (all modes), `saddle_point` (one), `smallest_forces` and
-`redundancy` (load sharing), `dependence` (rank), `impulse_coupling` (groups).
+The event engine uses `mode_solver` (all modes), `saddle_point` (one), `smallest_forces` and
+`redundancy` (load sharing), `dependence` (rank) and `impulse_coupling` (groups).
 """

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from PIL import Image, ImageFont
 
 SUFFIXES = (".gif", ".mp4")
-"""What `write_animation` can write."""
+"""File formats of `write_animation`."""
 
 # Pictures a second; a GIF counts hundredths of a second, of which this is a whole number.
 _RATE = 25

@@ -1,4 +1,4 @@
-"""The order in which bodies are declared decides nothing."""
+"""Piles that are declared in another order move alike."""
 
 from __future__ import annotations
 
