@@ -21,7 +21,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot, SnapshotTape
 from contacts.dynamics.starting import jumped_in, torn
 from contacts.event_driven.laws import SceneLaws
-from contacts.modes.classification import Case, candidates
+from contacts.modes.candidates import Case, candidates
 from contacts.scene.scene import Scene
 from contacts.states import CLOSED, OFF, OPEN
 from statechart.arrays import Array
