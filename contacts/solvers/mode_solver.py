@@ -1,4 +1,4 @@
-"""Every combination of contact modes solved and judged, in one compiled call."""
+"""Solves every combination of contact modes and tests its inequalities, in one compiled call."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import kernel
 
 INTO, PULLS, OUTSIDE, AGAINST, BEYOND, NEGATIVE = range(6)
-# Constraints that others imply are contradicted when the accelerations miss them by this.
+# Relative acceleration error at which a dependent constraint is contradicted.
 _CONTRADICTED = 1e-9
 
 
 @kernel
 def dot(a: Array, b: Array) -> float:
-    """Return the sum of the products of two rows."""
+    """Return the scalar product."""
     total = 0.0
     for i in range(len(a)):
         total += a[i] * b[i]
@@ -54,7 +54,7 @@ def _direction(code: int) -> float:
 
 @kernel
 def is_coupling(code: int) -> bool:
-    """Return whether a code is that of a coupling that is not open."""
+    """Return whether a mode is that of a coupling that is not open."""
     return code in (LOCKED, SLIP_PLUS, SLIP_MINUS)
 
 
@@ -83,7 +83,6 @@ def _judge(
     still: Bools,
     scale: float,
 ) -> None:
-    """Judge the motion of a combination."""
     for c in range(len(code)):
         sign = _direction(code[c])
         if code[c] == FREE and closed[c]:
@@ -96,7 +95,7 @@ def _judge(
 
 @kernel
 def judge_forces(verdict: Array, forces: Array, cones: Array, code: Ints, scale: float) -> None:
-    """Judge the forces of a combination; see `solve_modes`."""
+    """Find the most violated force inequality of a combination; see `solve_modes`."""
     for c in range(len(code)):
         V, H = forces[c, 0], forces[c, 1]
         cone_n, cone_t = cones[c, 0], cones[c, 1]
@@ -115,7 +114,7 @@ def judge_forces(verdict: Array, forces: Array, cones: Array, code: Ints, scale:
 
 @kernel
 def write_limits(forces: Array, cones: Array, carriers: Ints, code: Ints) -> None:
-    """Write the limits of couplings, and the couples of those that slip (see `solve_modes`)."""
+    """Write the limits of couplings, and the torques of those that slip (see `solve_modes`)."""
     for c in range(len(code)):
         if is_coupling(code[c]):
             limit = cones[c, 0] if code[c] == LOCKED else cones[c, 1]
@@ -147,12 +146,12 @@ def _write_rows(
 
 @kernel
 def _contradicts(row: Array, constant: float, accelerations: Array, scale: float) -> bool:
-    """Return whether accelerations contradict a constraint that others imply."""
-    terms, missed = scale, -constant
+    """Return whether accelerations contradict a dependent constraint."""
+    terms, error = scale, -constant
     for i in range(len(row)):
         terms += abs(row[i] * accelerations[i])
-        missed += row[i] * accelerations[i]
-    return abs(missed) > _CONTRADICTED * terms
+        error += row[i] * accelerations[i]
+    return abs(error) > _CONTRADICTED * terms
 
 
 class ModeEquations(NamedTuple):
@@ -196,7 +195,7 @@ def solve_modes(
     tie: float,
     solutions: ModeSolutions,
 ) -> tuple[int, int]:
-    """Solve every combination of contact modes, and judge it by its own inequalities.
+    """Solve every combination of contact modes, and test its inequalities.
 
     Parameters
     ----------
@@ -219,7 +218,7 @@ def solve_modes(
     """
     mass, right, jacobians, biases, cones, carriers, closed, at_rest = equations
     status, accelerations, forces, verdicts = solutions
-    redundant, agreeing, found = 0, -1, 0
+    redundant, agreeing, consistent = 0, -1, 0
     count, contacts = codes.shape
     n = len(right)
     rows, columns = np.empty((2 * contacts, n)), np.empty((2 * contacts, n))
@@ -267,9 +266,9 @@ def solve_modes(
         rank, first, bearing = m, in_order, in_order
         if m > 1:
             rank, row_order, _ = independent(rows[:m])
-            reach, order, _ = independent(columns[:m])
-            if rank != reach:
-                status[k] = UNDETERMINED if reach > rank else SINGULAR
+            force_rank, order, _ = independent(columns[:m])
+            if rank != force_rank:
+                status[k] = UNDETERMINED if force_rank > rank else SINGULAR
                 continue
             if rank < m:
                 first, bearing = row_order, order
@@ -308,6 +307,6 @@ def solve_modes(
             status[k] = REDUNDANT
             redundant += 1
         if verdict[0] <= tie:
-            found += 1
-            agreeing = k if found == 1 else -1
+            consistent += 1
+            agreeing = k if consistent == 1 else -1
     return redundant, agreeing
