@@ -1,8 +1,8 @@
-"""Collision detection at the middle of a step: which bodies touch, and where.
+"""Collision detection at the middle of a step: contact pairs, points and normals.
 
 Bodies are moved to their `midpoint` configuration, those of mechanisms by their coordinates;
 `body_numbers` describe them. The `broad_phase` lists candidate pairs, `convex` finds contact points
-of convex pieces, `surfaces` and `ground` those on surfaces, and `time_of_impact` the fast ones.
-`find_contacts` chooses the `active_contacts`; `internal_edges` removes contacts that obstacles
-cover. `joints` are rows behind these.
+of convex pieces, `surfaces` and `ground` those on surfaces, and `time_of_impact` those of fast
+bodies. `find_contacts` selects the `active_contacts`; `internal_edges` removes ghost collisions.
+`joints` appends the joint rows.
 """

@@ -1,4 +1,4 @@
-"""The contacts that take part in a step, as arrays of it."""
+"""The active contacts of a step, as arrays of it."""
 
 from __future__ import annotations
 
@@ -20,40 +20,38 @@ from contacts.solvers.contact_rows import ON_TRIAL
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel
 
-# The cosine of the angle by which the normal of a contact that lasts turns in a step at most.
+# Cosine of the largest turn of a lasting contact's normal in a step.
 _LASTS = 0.95
 ROLLS, RESISTS = 1, 2
-"""A disc rolls on two rows that share its load in halves: friction of the one is that of the
-contact, of the other the couple of rolling resistance. Twice the coefficients are of half a load.
-"""
+"""A disc with rolling resistance has two rows that share its load in halves: one with the contact's
+friction, one with the resisting torque. Twice the coefficients apply to half the load."""
 
 
 class ActiveContacts(NamedTuple):
-    """Contacts that take part in a step."""
+    """Contacts that act in a step."""
 
-    bodies: Ints  # (c, 2): which touch; -1: a surface, or a body that moves as prescribed.
-    rows: Array  # (c, 2, 6): velocities, normal and tangential, per unit rates of the two.
+    bodies: Ints  # (c, 2): the two bodies; -1: a surface, or a body in prescribed motion.
+    rows: Array  # (c, 2, 6): Jacobian rows, normal and tangential, on the rates of the two.
     keys: Ints  # (c, 2): see `WarmStart`.
-    # (c, 4): the level at which each is kept; how far above that it is, or, where it is struck,
-    # above the other; slip that the impulses of the step before may have missed; how far it is
-    # above the level at which it was kept.
+    # (c, 4): target gap; excess of the gap over it or, in an impact, over the other; slip error of
+    # the previous impulses; excess over the previous target gap.
     levels: Array
-    laws: Ints  # (c,): which of `BodyNumbers.materials`; -1: a joint.
-    materials: Array  # (c, 3): edge of the cone that holds now (2), restitution.
-    # (c,): slip before, 1 or -1, where kinetic friction holds; `BEGINS` or `ON_TRIAL`.
+    laws: Ints  # (c,): row of `BodyNumbers.materials`; -1: a joint.
+    materials: Array  # (c, 3): current cone edge (2), restitution.
+    # (c,): slip direction, 1 or -1, of kinetic friction; 0, `BEGINS` or `ON_TRIAL`.
     ways: Ints
-    # (c, 2): velocities before the step, and after it without impulses; what these may not fall
-    # below, negated.
+    # (c, 2): velocities before the step, and after it without impulses; bias (required velocities,
+    # negated).
     before: Array
     free: Array
     wanted: Array
-    pushes: Array  # (c, 2): impulses of the step before.
-    hit: Bools  # (c,): who is struck.
-    # (c,): velocity per impulse of a compliant contact in a step; 0 of a rigid one.
+    pushes: Array  # (c, 2): impulses of the previous step.
+    hit: Bools  # (c,): whether there is an impact.
+    # (c,): compliance of a compliant contact in a step; 0 if rigid.
     yields: Array
-    # (c,): `ROLLS` of a contact with rolling resistance, `RESISTS` of the row of that behind it.
+    # (c,): `ROLLS` for a contact with rolling resistance, `RESISTS` for the row after it.
     twins: Ints
-    # (c, 2, 2): how far joints are left open in both directions, and by how much less with time.
+    # (c, 2, 2): remaining error of joints in both directions, and its decrease per time.
     closing: Array
 
     @classmethod
@@ -93,11 +91,11 @@ def velocity(bodies: Ints, rows: Array, rates: Array, i: int, d: int) -> float:
 
 @kernel
 def write_contact(
-    mid: Midpoint, b: int, c: int, found: Array, m: int, active: ActiveContacts
+    mid: Midpoint, b: int, c: int, point: Array, m: int, active: ActiveContacts
 ) -> None:
-    """Write the rows of a point of contact, and its velocities."""
+    """Write the Jacobian rows of a contact point, and its velocities."""
     bodies, rows, centres = active.bodies, active.rows, mid.places
-    nx, ny, x, y = found[0], found[1], found[2], found[3]
+    nx, ny, x, y = point[0], point[1], point[2], point[3]
     bodies[m, 0], bodies[m, 1] = b, c
     for d in range(2):
         ux, uy = (nx, ny) if d == 0 else (ny, -nx)
@@ -112,10 +110,10 @@ def write_contact(
 
 @kernel
 def remove_body_motion(
-    mid: Midpoint, c: int, found: Array, m: int, active: ActiveContacts
+    mid: Midpoint, c: int, point: Array, m: int, active: ActiveContacts
 ) -> float:
-    """Take the motion of a prescribed body from the velocities of a contact; return its pull."""
-    nx, ny, x, y = found[0], found[1], found[2] - mid.places[c, 0], found[3] - mid.places[c, 1]
+    """Subtract a prescribed body's motion from a contact's velocities; return its speed change."""
+    nx, ny, x, y = point[0], point[1], point[2] - mid.places[c, 0], point[3] - mid.places[c, 1]
     for rates, velocities in ((mid.old, active.before), (mid.loose, active.free)):
         u, v = rates[c, 0] - rates[c, 2] * y, rates[c, 1] + rates[c, 2] * x
         velocities[m, 0] -= nx * u + ny * v
@@ -128,13 +126,13 @@ def remove_body_motion(
 def restore_impulses(
     warm: WarmStart, first: int, pair: int, feature: int, h: float, m: int, active: ActiveContacts
 ) -> tuple[float, bool, int]:
-    """Write the impulses that a contact had in a step; return its level, if it lasts, its place.
+    """Write the warm-start impulses of a contact; return target gap, whether it lasts, its place.
 
-    The place is that in the memory, -1 where it is new.
+    The place is its index in the warm start, -1 for a new contact.
     """
     active.pushes[m, 0] = active.pushes[m, 1] = active.levels[m, 2] = 0.0
     level, lasting, at, place = 0.0, False, first, -1
-    # Forces last, so that impulses go with the length of a step.
+    # Forces persist: impulses scale with the step size.
     longer = h / warm.past[0] if warm.past[0] > 0.0 else 1.0
     while at < warm.n_contacts[0] and warm.keys[at, 0] == pair:
         if warm.keys[at, 1] == feature:
@@ -148,19 +146,19 @@ def restore_impulses(
 
 @kernel
 def has_two_coefficients(law: Array) -> bool:
-    """Return whether friction is larger at rest than in motion."""
+    """Return whether static and kinetic friction differ."""
     return law[0] != law[KINETIC] or law[1] != law[KINETIC + 1]
 
 
 @kernel
 def rolling_share(active: ActiveContacts, i: int) -> float:
-    """Return the load of a contact, in parts of that of its row."""
+    """Return the load of a contact relative to that of its row."""
     return 2.0 if active.twins[i] == ROLLS else 1.0
 
 
 @kernel
 def write_friction(numbers: BodyNumbers, i: int, way: int, active: ActiveContacts) -> None:
-    """Write the cone of a contact that rests (0) or slips this `way`."""
+    """Write the cone of a contact at rest (0) or slipping this `way`."""
     law, at = numbers.materials[active.laws[i]], 0 if way in (0, ON_TRIAL) else KINETIC
     active.ways[i] = way
     active.materials[i, 0] = law[at]
@@ -171,11 +169,12 @@ def write_friction(numbers: BodyNumbers, i: int, way: int, active: ActiveContact
 def write_compliance(
     law: Array, gap: float, h: float, shift: float, m: int, active: ActiveContacts
 ) -> bool:
-    """Write the compliance of contact m in a step; return whether it takes part.
+    """Write the compliance of contact m in a step; return whether it is active.
 
     Implicit Euler: the impulse is h times the force at the gap at the start plus h times the
-    velocity at the end, never below 0. It takes energy from steps longer than a contact lasts.
-    What would end inside takes part, too: a stiff spring would throw it out in the next step.
+    velocity at the end, never below 0. It dissipates in steps longer than a contact lasts. A
+    contact that would end closed is active, too: a stiff spring would throw it out in the next
+    step.
     """
     start = gap - 0.5 * h * active.before[m, 0]
     softness = h * law[STIFFNESS] + law[DAMPING]
@@ -189,9 +188,9 @@ def write_resistance(
     numbers: BodyNumbers, warm: WarmStart, at_old: int, turns: tuple[float, float], h: float,
     m: int, active: ActiveContacts,
 ) -> None:  # fmt: skip
-    """Write the row of the rolling resistance of the contact before m as contact m.
+    """Write the rolling resistance of contact m - 1 as contact m.
 
-    `turns`: rate at which what the body touches turns as prescribed, before and after the step.
+    `turns`: prescribed angular velocity of the other side, before and after the step.
     """
     i, length = m - 1, numbers.materials[active.laws[m - 1], ROLLING]
     pair, feature = active.keys[i, 0], -1 - active.keys[i, 1]
@@ -212,7 +211,7 @@ def write_resistance(
     active.before[m, 1], active.free[m, 1] = -length * turns[0], -length * turns[1]
     active.hit[m], active.yields[m], active.twins[m] = active.hit[i], active.yields[i], RESISTS
     active.laws[m], active.ways[m] = -1, 0
-    # The couple is at most `length` times the whole load, which is twice that of this row.
+    # The torque is at most `length` times the whole load, which is twice that of this row.
     active.materials[m, 0], active.materials[m, 1] = 1.0, 2.0
     active.materials[m, 2] = active.materials[i, 2]
 
@@ -221,10 +220,9 @@ def write_resistance(
 def turning_change(
     warm: WarmStart, place: int, m: int, active: ActiveContacts
 ) -> tuple[float, float]:
-    """Return by how much the turning of bodies has changed the velocities of a contact.
+    """Return the change of a contact's velocities by rotation since the last detection.
 
-    Since the last detection nothing acts on them. Contacts of other features with the same key are
-    not compared: their normals differ.
+    No force acts in between. Features that share a key but not the normal are not compared.
     """
     last, rows, before = warm.contacts[place], active.rows, active.before
     if last[6] * rows[m, 0, 0] + last[7] * rows[m, 0, 1] < _LASTS:

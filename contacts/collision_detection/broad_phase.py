@@ -1,8 +1,8 @@
-"""Broad phase: pairs of near bodies by a hashed grid, in time linear in the bodies.
+"""Broad phase: pairs of near bodies by spatial hashing, linear in the number of bodies.
 
-Bodies lie in cells as large as the largest of them; what is much larger than most is looked at
-beside all others. Pairs come in order, so that contacts find theirs of the step before. Pairs of
-wider circles are listed, and the list is good until a body leaves its own (Verlet 1967).
+Cells are as large as the largest ordinary body; much larger bodies are tested against all. Pairs
+are sorted, so that warm starts are found. Pairs of enlarged circles are listed, and reused until a
+body leaves its circle (neighbour list: Verlet 1967).
 """
 
 from __future__ import annotations
@@ -15,29 +15,29 @@ import numpy as np
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
-# Bodies that reach farther than so many times the mean have no cell.
+# Size, relative to the mean, above which a body has no cell.
 _LARGE = 4.0
-# Cells for each body.
+# Cells per body.
 _CELLS = 2
-# How much wider the circles of listed pairs are: by this part of a body's size, and by so many
-# times how far it may go until the next detection, which is its size at most.
+# Enlargement of circles: relative to the body's size, and to its reach until the next detection (at
+# most its size).
 _WIDER, _FARTHER = 0.1, 4.0
-# Multiplier of a cell's column (Teschner and others, Optimized spatial hashing, 2003).
+# Hash multiplier of columns (Teschner and others, Optimized spatial hashing, 2003).
 _ACROSS = 73856093
 
 
 class Grid(NamedTuple):
     """Workspace of the broad phase."""
 
-    cells: Ints  # (b, 2): cell of every body; of a large one none.
+    cells: Ints  # (b, 2): cell of each body.
     large: Ints  # shape (b,)
     # (c + 1,): bodies by the hash of their cells.
     heads: Ints
     order: Ints
-    pairs: Ints  # (p, 2): those found, in order.
-    circles: Array  # (b, 3): middles and radii of the circles that the listed pairs are of.
-    listed: Ints  # (p, 2): pairs of these, in order.
-    n_listed: Ints  # (1,): how many; -1: none are listed.
+    pairs: Ints  # (p, 2): near pairs, sorted.
+    circles: Array  # (b, 3): centres and radii of the enlarged circles.
+    listed: Ints  # (p, 2): pairs of these, sorted.
+    n_listed: Ints  # (1,): their number; -1: not listed yet.
 
     @classmethod
     def allocate(cls, count: int, most: int) -> Grid:
@@ -57,13 +57,13 @@ class Grid(NamedTuple):
 
 @kernel
 def _bucket(across: int, up: int, most: int) -> int:
-    # Cells above each other have buckets beside each other: three are looked through at once.
+    # Vertically adjacent cells have adjacent buckets: three are scanned at once.
     return (across * _ACROSS + up) & (most - 1)
 
 
 @kernel
 def _sorted_in(grid: Grid) -> int:
-    """Put bodies into cells by a counting sort; return how many are large."""
+    """Sort bodies into cells (counting sort); return the number of large bodies."""
     cells, large, circles = grid.cells, grid.large, grid.circles
     heads, order = grid.heads, grid.order
     count, most = len(circles), len(heads) - 1
@@ -83,7 +83,7 @@ def _sorted_in(grid: Grid) -> int:
     for b in range(count):
         cells[b, 0] = cells[b, 1] = 0
         if circles[b, 2] <= _LARGE * mean:
-            # Bodies beyond the range of cell numbers share the outermost cells.
+            # Bodies beyond the integer range share the outermost cells.
             cells[b, 0] = int(min(max(math.floor(circles[b, 0] / cell), -(2.0**30)), 2.0**30))
             cells[b, 1] = int(min(max(math.floor(circles[b, 1] / cell), -(2.0**30)), 2.0**30))
             heads[_bucket(cells[b, 0], cells[b, 1], most) + 1] += 1
@@ -102,72 +102,72 @@ def _sorted_in(grid: Grid) -> int:
 
 @kernel
 def _list_pairs(grid: Grid) -> int:
-    """List the pairs (one < other) whose circles meet; return how many, or -1: place is short."""
+    """List pairs (one < other) of overlapping enlarged circles; return their number, -1: full."""
     count, most = len(grid.circles), len(grid.heads) - 1
     many = _sorted_in(grid)
     cells, large, heads, order, pairs = grid.cells, grid.large, grid.heads, grid.order, grid.listed
-    found, next_large = 0, 0
+    n_pairs, next_large = 0, 0
     for b in range(count):
-        begin = found
+        begin = n_pairs
         is_large = next_large < many and large[next_large] == b
         if is_large:
             next_large += 1
             for c in range(b + 1, count):
-                if found == len(pairs):
+                if n_pairs == len(pairs):
                     return -1
-                found = _if_near(grid.circles, b, c, found, pairs)
+                n_pairs = _if_near(grid.circles, b, c, n_pairs, pairs)
             continue
         for i in range(next_large, many):
-            if found == len(pairs):
+            if n_pairs == len(pairs):
                 return -1
-            found = _if_near(grid.circles, b, large[i], found, pairs)
+            n_pairs = _if_near(grid.circles, b, large[i], n_pairs, pairs)
         for across in range(cells[b, 0] - 1, cells[b, 0] + 2):
             first = _bucket(across, cells[b, 1] - 1, most)
-            # Beyond the last bucket comes the first.
-            left = min(3, most - first)
-            for turn in range(1 if left == 3 else 2):
-                begin_at, end_at = (first, first + left) if turn == 0 else (0, 3 - left)
+            # Buckets wrap around.
+            run = min(3, most - first)
+            for turn in range(1 if run == 3 else 2):
+                begin_at, end_at = (first, first + run) if turn == 0 else (0, 3 - run)
                 for i in range(heads[begin_at], heads[end_at]):
                     c = order[i]
                     if c > b and cells[c, 0] == across and abs(cells[c, 1] - cells[b, 1]) <= 1:
-                        if found == len(pairs):
+                        if n_pairs == len(pairs):
                             return -1
-                        found = _if_near(grid.circles, b, c, found, pairs)
-        for i in range(begin + 1, found):
+                        n_pairs = _if_near(grid.circles, b, c, n_pairs, pairs)
+        for i in range(begin + 1, n_pairs):
             c, k = pairs[i, 1], i
             while k > begin and pairs[k - 1, 1] > c:
                 pairs[k, 1] = pairs[k - 1, 1]
                 k -= 1
             pairs[k, 1] = c
-    return found
+    return n_pairs
 
 
 @kernel
-def _if_near(circles: Array, b: int, c: int, found: int, pairs: Ints) -> int:
-    """Write a pair if its circles meet; return how many there are then."""
+def _if_near(circles: Array, b: int, c: int, n_pairs: int, pairs: Ints) -> int:
+    """Append a pair if its circles overlap; return the number of pairs."""
     x, y = circles[b, 0] - circles[c, 0], circles[b, 1] - circles[c, 1]
     both = circles[b, 2] + circles[c, 2]
     if x * x + y * y > both * both:
-        return found
-    pairs[found, 0], pairs[found, 1] = b, c
-    return found + 1
+        return n_pairs
+    pairs[n_pairs, 0], pairs[n_pairs, 1] = b, c
+    return n_pairs + 1
 
 
 @kernel
 def _all_within(centres: Array, sizes: Array, reach: Array, circles: Array) -> bool:
-    """Return whether the reach of every body lies within the circles of the listed pairs."""
+    """Return whether all bodies with their reach are within their enlarged circles."""
     for b in range(len(sizes)):
         x, y = centres[b, 0] - circles[b, 0], centres[b, 1] - circles[b, 1]
-        left = circles[b, 2] - sizes[b] - reach[b]
-        if not (left >= 0.0 and x * x + y * y <= left * left):
+        slack = circles[b, 2] - sizes[b] - reach[b]
+        if not (slack >= 0.0 and x * x + y * y <= slack * slack):
             return False
     return True
 
 
 @kernel
 def near_pairs(centres: Array, sizes: Array, reach: Array, grid: Grid) -> int:
-    """Find pairs (one < other) whose circles meet; return how many, or -1 where place is short."""
-    circles, listed, pairs, found = grid.circles, grid.listed, grid.pairs, 0
+    """Find pairs (one < other) of overlapping circles; return their number, -1: full."""
+    circles, listed, pairs, n_pairs = grid.circles, grid.listed, grid.pairs, 0
     if grid.n_listed[0] < 0 or not _all_within(centres, sizes, reach, circles):
         for b in range(len(sizes)):
             circles[b, 0], circles[b, 1] = centres[b]
@@ -178,7 +178,7 @@ def near_pairs(centres: Array, sizes: Array, reach: Array, grid: Grid) -> int:
         b, c = listed[i, 0], listed[i, 1]
         x, y = centres[b, 0] - centres[c, 0], centres[b, 1] - centres[c, 1]
         both = sizes[b] + reach[b] + (sizes[c] + reach[c])
-        # Written whether or not: to guess which takes longer.
-        pairs[found, 0], pairs[found, 1] = b, c
-        found += 0 if x * x + y * y > both * both else 1
-    return found if grid.n_listed[0] >= 0 else -1
+        # Written unconditionally: a mispredicted branch takes longer.
+        pairs[n_pairs, 0], pairs[n_pairs, 1] = b, c
+        n_pairs += 0 if x * x + y * y > both * both else 1
+    return n_pairs if grid.n_listed[0] >= 0 else -1

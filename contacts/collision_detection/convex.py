@@ -1,8 +1,8 @@
-"""Contact manifolds of convex bodies: discs and polygons in the plane.
+"""Contact manifolds of convex shapes: discs and polygons in the plane.
 
-Two polygons are told apart by the edge normal along which they are farthest from each other (the
-separating axis theorem); the edge that faces it is cut to the width of the first, and its ends
-are the points of contact (Gottschalk, Lin and Manocha 1996; Catto, Contact manifolds, 2007).
+Separating axis theorem: the edge normal of largest separation is the contact normal; the facing
+edge, clipped to the width of the reference edge, gives the contact points (Gottschalk, Lin and
+Manocha 1996; Catto, Contact manifolds, 2007).
 """
 
 from __future__ import annotations
@@ -19,46 +19,42 @@ from statechart.kernels.jit import kernel
 class ConvexShape(NamedTuple):
     """A convex polygon or a disc in the world."""
 
-    corners: Array  # (k, 2): counter-clockwise; none of a disc.
+    corners: Array  # (k, 2): counter-clockwise; empty for a disc.
     centre: Array  # shape (2,)
-    radius: float  # Of a disc; else 0.
+    radius: float  # 0 for a polygon.
 
 
 FOUND = 5
-"""Of a point of contact: normal (2), point (2), gap; the normal points to the first body."""
+"""Columns of a contact point: normal towards the first body (2), point (2), gap."""
 
-# Faces that are equally far but for this part of the smaller body's size lie on each other: the
-# longer one's normal is taken, so that they do not take turns, in whatever order bodies stand.
+# Relative difference of separations that are equal: then the normal of the longer face is taken, in
+# any order of the bodies, so that the faces do not alternate.
 _PREFERRED = 1e-3
-# Lengths that differ by less than this part of them are equal: those of congruent bodies.
+# Relative difference of lengths that are equal, as those of congruent bodies.
 _SAME_LENGTH = 1e-9
-# Points this close, relative to the length of the shorter edge, are one.
+# Distance of coincident points, relative to the shorter edge.
 _SAME_DIRECTION = 1e-3
-# An edge whose normal leans from the one opposite by more than this cosine is met at its ends only.
+# Cosine between opposite normals above which only the ends of an edge touch.
 _FACING = 0.1
-# Difference of their gaps, relative to that distance: far above the round-off of gaps.
+# Difference of equal gaps, relative to that distance: far above round-off.
 _EVEN = 1e-6
 
 
 @kernel
 def norm(x: float, y: float) -> float:
-    """Return a length.
-
-    The C library's `hypot` takes ten times as long; what is a scene here is neither so large nor so
-    small that a square is none.
-    """
+    """Return the length of a vector: `hypot` of the C library takes ten times as long."""
     return math.sqrt(x * x + y * y)
 
 
 @kernel
-def write_contact(found: Array, nx: float, ny: float, x: float, y: float, gap: float) -> None:
-    """Write a point of contact; see `FOUND`."""
-    found[0], found[1], found[2], found[3], found[4] = nx, ny, x, y, gap
+def write_contact(point: Array, nx: float, ny: float, x: float, y: float, gap: float) -> None:
+    """Write a contact point; see `FOUND`."""
+    point[0], point[1], point[2], point[3], point[4] = nx, ny, x, y, gap
 
 
 @kernel
 def place(vertices: Array, x: float, y: float, angle: float) -> Array:
-    """Return vertices (k, 2) of a body's frame in the world."""
+    """Return vertices (k, 2) of a body frame in the world."""
     world = np.empty_like(vertices)
     placed(vertices, 0, len(vertices), x, y, math.cos(angle), math.sin(angle), world)
     return world
@@ -68,7 +64,7 @@ def place(vertices: Array, x: float, y: float, angle: float) -> Array:
 def placed(
     vertices: Array, first: int, end: int, x: float, y: float, c: float, s: float, world: Array
 ) -> None:
-    """Write some of the vertices (k, 2) of bodies' frames, turned, as they are in the world."""
+    """Write some of the vertices (k, 2) of body frames in the world."""
     for i in range(first, end):
         world[i, 0] = x + c * vertices[i, 0] - s * vertices[i, 1]
         world[i, 1] = y + s * vertices[i, 0] + c * vertices[i, 1]
@@ -93,7 +89,7 @@ def _farthest(one: Array, other: Array) -> tuple[float, int]:
 
 @kernel
 def _clipped(
-    one: Array, edge: int, other: Array, within: float, flip: bool, found: Array, features: Ints
+    one: Array, edge: int, other: Array, within: float, flip: bool, manifold: Array, features: Ints
 ) -> int:
     j = (edge + 1) % len(one)
     ex, ey = one[j, 0] - one[edge, 0], one[j, 1] - one[edge, 1]
@@ -116,40 +112,40 @@ def _clipped(
     for end in range(2):
         s, x, y = (sa, ax, ay) if end == 0 else (sb, bx, by)
         t, u, v = (sb, bx, by) if end == 0 else (sa, ax, ay)
-        kept = s
+        clipped = s
         if s < 0.0:
-            kept = 0.0
+            clipped = 0.0
         elif s > length:
-            kept = length
-        if kept != s:
+            clipped = length
+        if clipped != s:
             # The other end of the facing edge must lie beyond the cut.
-            if (kept - s) * (t - kept) <= 0.0:
+            if (clipped - s) * (t - clipped) <= 0.0:
                 continue
-            part = (kept - s) / (t - s)
+            part = (clipped - s) / (t - s)
             x, y = x + part * (u - x), y + part * (v - y)
         gap = nx * (x - one[edge, 0]) + ny * (y - one[edge, 1])
-        if kept != s and gap > 0.0 and least > -_FACING:
+        if clipped != s and gap > 0.0 and least > -_FACING:
             continue
-        # Two points that are one but for rounding would share their impulse as they please: the
-        # deeper one is taken, or their middle, which are the same in a mirror.
+        # Coincident points would share their impulse arbitrarily: take the deeper one, or their
+        # middle, which is independent of reflection.
         which = end
-        if count == 1 and norm(x - found[0, 2], y - found[0, 3]) <= same:
-            if abs(gap - found[0, 4]) <= _EVEN * same:
-                x, y, which = 0.5 * (x + found[0, 2]), 0.5 * (y + found[0, 3]), 2
-            elif gap > found[0, 4]:
+        if count == 1 and norm(x - manifold[0, 2], y - manifold[0, 3]) <= same:
+            if abs(gap - manifold[0, 4]) <= _EVEN * same:
+                x, y, which = 0.5 * (x + manifold[0, 2]), 0.5 * (y + manifold[0, 3]), 2
+            elif gap > manifold[0, 4]:
                 continue
             count = 0
         if gap <= within:
             sign = -1.0 if flip else 1.0
-            write_contact(found[count], -sign * nx, -sign * ny, x, y, gap)
+            write_contact(manifold[count], -sign * nx, -sign * ny, x, y, gap)
             features[count] = 6 * (64 * edge + facing) + 2 * which + (1 if flip else 0)
             count += 1
     return count
 
 
 @kernel
-def _corner(one: Array, other: Array, within: float, found: Array, features: Ints) -> int:
-    """Take the nearest corners of polygons whose facing edges do not overlap."""
+def _corner(one: Array, other: Array, within: float, manifold: Array, features: Ints) -> int:
+    """Write the nearest corners of polygons whose facing edges do not overlap."""
     best, a, b = math.inf, 0, 0
     for i in range(len(one)):
         for k in range(len(other)):
@@ -159,14 +155,14 @@ def _corner(one: Array, other: Array, within: float, found: Array, features: Int
     if best > within or best == 0.0:
         return 0
     nx, ny = (one[a, 0] - other[b, 0]) / best, (one[a, 1] - other[b, 1]) / best
-    write_contact(found[0], nx, ny, other[b, 0], other[b, 1], best)
+    write_contact(manifold[0], nx, ny, other[b, 0], other[b, 1], best)
     features[0] = -1 - (64 * a + b)
     return 1
 
 
 @kernel
 def _disc_and_polygon(
-    disc: ConvexShape, polygon: Array, flip: bool, within: float, found: Array
+    disc: ConvexShape, polygon: Array, flip: bool, within: float, manifold: Array
 ) -> int:
     _, centre, radius = disc
     best, edge = -math.inf, 0
@@ -188,32 +184,32 @@ def _disc_and_polygon(
     # The centre may lie on the line of a body without thickness.
     if best >= 0.0 and (s < 0.0 or s > length):
         away = norm(centre[0] - x, centre[1] - y)
-        # A centre on the corner may have any normal there.
+        # A centre on the corner has any normal.
         if away > 0.0:
             nx, ny, gap = (centre[0] - x) / away, (centre[1] - y) / away, away - radius
     if gap > within:
         return 0
     sign = -1.0 if flip else 1.0
-    write_contact(found[0], sign * nx, sign * ny, x, y, gap)
+    write_contact(manifold[0], sign * nx, sign * ny, x, y, gap)
     return 1
 
 
 @kernel
 def between(
-    one: ConvexShape, other: ConvexShape, within: float, found: Array, features: Ints
+    one: ConvexShape, other: ConvexShape, within: float, manifold: Array, features: Ints
 ) -> int:
-    """Find the points where two bodies are near each other; return their number.
+    """Find the contact points of two shapes up to a gap `within`; return their number.
 
-    Gaps up to `within` are found; `found` (m, FOUND) and `features` (m,) are filled.
+    `manifold` (m, FOUND) and `features` (m,) are written.
     """
     # A disc has one point.
     features[0] = 0
     if len(one.corners) > 0 and len(other.corners) > 0:
-        return _polygons(one, other, within, found, features)
+        return _polygons(one, other, within, manifold, features)
     if len(other.corners) > 0:
-        return _disc_and_polygon(one, other.corners, False, within, found)
+        return _disc_and_polygon(one, other.corners, False, within, manifold)
     if len(one.corners) > 0:
-        return _disc_and_polygon(other, one.corners, True, within, found)
+        return _disc_and_polygon(other, one.corners, True, within, manifold)
     dx, dy = one.centre[0] - other.centre[0], one.centre[1] - other.centre[1]
     away = norm(dx, dy)
     gap = away - one.radius - other.radius
@@ -221,26 +217,25 @@ def between(
         return 0
     nx, ny = (dx / away, dy / away) if away > 0.0 else (0.0, 1.0)
     x, y = other.centre[0] + other.radius * nx, other.centre[1] + other.radius * ny
-    write_contact(found[0], nx, ny, x, y, gap)
+    write_contact(manifold[0], nx, ny, x, y, gap)
     return 1
 
 
 @kernel
 def against_faces(
-    one: Array, other: Array, within: float, flip: bool, found: Array, features: Ints
+    one: Array, other: Array, within: float, flip: bool, manifold: Array, features: Ints
 ) -> int:
-    """Find the points where a polygon is near the faces of another; see `between`.
+    """Find contact points with the faces of `one` only, not its corners; see `between`.
 
-    Corners of the first are not touched. Polygons are (k, 2); `flip` says that the first is the
-    second body. Fills `found` (m, FOUND) and `features` (m,).
+    Polygons are (k, 2); `flip`: the first is the second body.
     """
     _, edge = _farthest(one, other)
-    return _clipped(one, edge, other, within, flip, found, features)
+    return _clipped(one, edge, other, within, flip, manifold, features)
 
 
 @kernel
 def _reach(corners: Array, middle: Array) -> float:
-    """Return how far a polygon reaches from its middle, whichever corner is its first."""
+    """Return the largest distance of a corner from the middle."""
     most = 0.0
     for i in range(len(corners)):
         most = max(most, norm(corners[i, 0] - middle[0], corners[i, 1] - middle[1]))
@@ -255,25 +250,25 @@ def _edge_length(corners: Array, edge: int) -> float:
 
 @kernel
 def _polygons(
-    shape: ConvexShape, beside: ConvexShape, within: float, found: Array, features: Ints
+    shape: ConvexShape, other_shape: ConvexShape, within: float, manifold: Array, features: Ints
 ) -> int:
-    """Find the points where two polygons are near each other; see `between`."""
-    one, other = shape.corners, beside.corners
+    """Find the contact points of two polygons; see `between`."""
+    one, other = shape.corners, other_shape.corners
     first, edge = _farthest(one, other)
     if first > within:
         return 0
     second, edge_of_other = _farthest(other, one)
     if second > within:
         return 0
-    width = min(_reach(one, shape.centre), _reach(other, beside.centre))
+    width = min(_reach(one, shape.centre), _reach(other, other_shape.centre))
     farther = second > first
     if abs(second - first) <= _PREFERRED * width:
         length = _edge_length(one, edge)
         farther = _edge_length(other, edge_of_other) > (1.0 + _SAME_LENGTH) * length
     if farther:
-        count = _clipped(other, edge_of_other, one, within, True, found, features)
+        count = _clipped(other, edge_of_other, one, within, True, manifold, features)
     else:
-        count = _clipped(one, edge, other, within, False, found, features)
+        count = _clipped(one, edge, other, within, False, manifold, features)
     if count == 0 and max(first, second) > 0.0:
-        return _corner(one, other, within, found, features)
+        return _corner(one, other, within, manifold, features)
     return count

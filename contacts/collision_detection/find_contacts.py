@@ -1,4 +1,4 @@
-"""Contact detection at the middle of a step, and the choice of active contacts."""
+"""Contact detection at the middle of a step, and the selection of active contacts."""
 
 from __future__ import annotations
 
@@ -63,38 +63,37 @@ from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
 CROSSED = 0.5
-"""Bodies that cross less than this part of their size in a step are looked at once."""
+"""Relative motion in a step, in sizes, below which a pair needs no continuous detection."""
 
 
 class CandidatePair(NamedTuple):
     """A piece of a body, and another piece or a surface that it may touch."""
 
-    # The piece; another, or a surface, which stand behind all pieces.
+    # The piece; another, or a surface (indices behind the pieces).
     p: int
     q: int
-    # The piece's body, which moves by itself; the other body, also one that carries a surface, or
-    # -1.
+    # The piece's body, which moves freely; the other body or the surface's carrier, or -1.
     body: int
     other: int
     key: int  # See `WarmStart`.
-    material: int  # Which law they touch by; -1: they do not.
-    # Whether both are pieces; both discs; one a surface that moves, and no body.
+    material: int  # Row of the contact law; -1: no contact.
+    # Whether both are pieces; both discs; the surface moves on a path.
     whole: bool
     discs: bool
     moves: bool
-    # Whether the step is short beside how fast pieces move: all that looks closer at what is fast
-    # is within its error; whether they turn much in it.
+    # Whether pieces move little in the step, so that continuous detection is within its error;
+    # whether they turn much.
     slowly: bool
     turns: bool
-    rolls: bool  # Whether one is a disc.
-    size: float  # Of the smaller one.
+    rolls: bool  # One is a disc.
+    size: float  # Smaller one's.
 
 
 @kernel
 def candidate_pair(
     numbers: BodyNumbers, mid: Midpoint, p: int, q: int, since: float
 ) -> CandidatePair:
-    """Return a piece and what it may touch."""
+    """Return the data of a piece and what it may touch."""
     pieces, surfaces = numbers.pieces, numbers.surfaces
     count, b = len(pieces.sizes), pieces.bodies[p]
     s, key = q - count, p * (count + len(surfaces.kinds)) + q
@@ -120,63 +119,59 @@ def candidate_pair(
     )
 
 
-# Part of the radii within which a piece that has passed another since the last detection has missed
-# it; and the same of pieces that cross much of their size in a step, which farther out approach at
-# a tenth of their speed.
+# Part of the radii within which a piece that has passed another since the last detection missed it;
+# for fast pieces, which graze at a tenth of their speed farther out.
 _CORE, _WHOLE = 0.9, 0.995
-# Depth of an impact, relative to the smaller piece, from which the step is taken in parts.
+# Depth of an impact, relative to the smaller piece, above which the step is split.
 _SUNK = 0.25
-# Penetration, relative to that size, that the first detection may find beyond the checked start.
+# Penetration, relative to that size, that the first detection may add to the checked initial one.
 _STARTED = 1e-5
-# A new contact slips where that is faster than this part of what forces change in a step.
+# Slip of a new contact, relative to the velocity change of a step, above which friction is kinetic.
 _STUCK = 1e-6
 LANDED = 0.5
-"""Largest depth of an impact in the step nearest to its arrival, in steps at fastest approach."""
+"""Largest depth of an impact in its nearest step, in steps at fastest approach."""
 
 
 APPROACH, CLOSING, PASSED, SUNK, TURNED = range(5)
-"""Places of the largest values of a detection; see `DetectionResult`."""
+"""Indices of `_Points.worst`; see `DetectionResult`."""
 
 
 class DetectionResult(NamedTuple):
     """Result of contact detection."""
 
-    contacts: int  # That take part; -1: more than there is place for.
-    # The fastest approach of what touches; the deepest that an impact is.
+    contacts: int  # Number of active contacts; -1: capacity exceeded.
+    # Fastest approach of touching contacts; largest depth of an impact.
     approach: float
     closing: float
     passed: float  # See `contacts.time_stepping.chunk.Chunk`.
-    # By how much the deepest that was not known yet is deeper than two detections explain; or how
-    # deep is what is hit, where that is much beside its size, or what approaches, where that is
-    # more than a step at the fastest approach.
+    # Largest unexplained depth: of a new contact, beyond two detections' motion; of an impact, if
+    # large relative to the piece; of an approaching contact, if more than a step at the fastest
+    # approach.
     sunk: float
-    # Twice what turning has changed the normal velocity of what lasts by, at most: in a step this
-    # makes how deep it may get.
+    # Twice the largest change of a lasting contact's normal velocity by rotation: over a step, the
+    # allowed depth.
     turned: float
 
 
 class _Times(NamedTuple):
     """Times of contact detection."""
 
-    # Length of the step; since the last detection. Between detections bodies move in straight
-    # lines.
+    # Step size; time since the last detection, of straight motion.
     h: float
     since: float
     fall: float  # Speed that gravity gives in a step.
-    first: bool  # Whether there was no detection before.
-    lowest: float  # A contact is kept no deeper; where the run starts it may be.
+    first: bool  # This is the first detection.
+    lowest: float  # Largest allowed target depth; infinite at the start.
 
 
 class _Points(NamedTuple):
     """Contact points of a pair, and the workspace of their search."""
 
-    # (m, FOUND): see `contacts.collision_detection.convex.between`.
-    found: Array
+    # See `contacts.collision_detection.convex.between`.
+    manifold: Array
     features: Ints
-    aside: Array  # (m, FOUND): of the same pair at another time.
-    # (5,): what a detection has found so far of `APPROACH`, `CLOSING`, `PASSED`, `SUNK` and
-    # `TURNED`.
-    worst: Array
+    buffer: Array  # (m, FOUND): buffer for other times.
+    worst: Array  # (5,): see `APPROACH`.
 
 
 @kernel
@@ -189,10 +184,9 @@ def _note(points: _Points, what: int, value: float) -> None:
 def _piece_points(
     numbers: BodyNumbers, mid: Midpoint, pair: CandidatePair, times: _Times, points: _Points
 ) -> int:
-    """Find the points where two pieces are near each other, and whether they have passed."""
+    """Find the contact points of two pieces, and whether they have passed each other."""
     pieces, p, q, since = numbers.pieces, pair.p, pair.q, times.since
     radii, cores, firsts, centres = pieces.radii, pieces.cores, pieces.firsts, mid.centres
-    # A grazing piece approaches slowly.
     core = _CORE if pair.slowly else _WHOLE
     if not pair.turns and (pair.discs or nearby(mid.drifts, cores, p, q, CROSSED / since)):
         begin, end = overlap(centres, mid.drifts, p, q, core * (cores[p] + cores[q]))
@@ -200,12 +194,12 @@ def _piece_points(
             _note(points, PASSED, (end - begin) / times.h)
     else:
         deep = (1.0 - core) * (cores[p] + cores[q])
-        past = passing_time(numbers, mid, (p, q), min(since, times.h), deep, points.aside)
+        past = passing_time(numbers, mid, (p, q), min(since, times.h), deep, points.buffer)
         _note(points, PASSED, past / times.h)
     return between(
         ConvexShape(mid.world[firsts[p] : firsts[p + 1]], centres[p], radii[p]),
         ConvexShape(mid.world[firsts[q] : firsts[q + 1]], centres[q], radii[q]),
-        mid.reach[p] + mid.reach[q], points.found, points.features,
+        mid.reach[p] + mid.reach[q], points.manifold, points.features,
     )  # fmt: skip
 
 
@@ -214,23 +208,23 @@ def _pair_points(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, times: _Times,
     points: _Points, near: Neighbours,
 ) -> int:  # fmt: skip
-    """Find the points where a pair is near each other; return their number."""
-    pieces, (found, features) = numbers.pieces, points[:2]
+    """Find the contact points of a pair; return their number."""
+    pieces, (manifold, features) = numbers.pieces, points[:2]
     if pair.whole:
         count = _piece_points(numbers, mid, pair, times, points)
     else:
         s = pair.q - len(pieces.sizes)
-        count, crosses = on_surface(numbers, ground, mid, pair.p, s, times.h, found, features)
+        count, crosses = on_surface(numbers, ground, mid, pair.p, s, times.h, manifold, features)
         _note(points, PASSED, crosses)
-    # How deep a piece is counts where no face of it is left to touch, too; not what may yield.
+    # The depth counts even if internal edges remove all contacts, but not that of compliant ones.
     rigid = numbers.materials[pair.material, STIFFNESS] == 0.0
     for at in range(count if rigid else 0):
-        mid.gaps[pair.body] = min(mid.gaps[pair.body], found[at, 4])
+        mid.gaps[pair.body] = min(mid.gaps[pair.body], manifold[at, 4])
         if pair.other >= 0:
-            mid.gaps[pair.other] = min(mid.gaps[pair.other], found[at, 4])
+            mid.gaps[pair.other] = min(mid.gaps[pair.other], manifold[at, 4])
     for turn in range(2 if count > 0 else 0):
         several = turn == 0 and pieces.begins[pair.body + 1] - pieces.begins[pair.body] > 1
-        # A half-plane has one normal: others beside what touches it take none away.
+        # A half-plane has one normal, which others do not take away.
         if pair.whole or several or numbers.surfaces.kinds[s] in (PLATE, ROUND):
             count = _drop_covered(numbers, ground, mid, pair, turn, times.h, points, near, count)
     return count
@@ -241,33 +235,33 @@ def _drop_covered(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, turn: int, h: float,
     points: _Points, near: Neighbours, count: int,
 ) -> int:  # fmt: skip
-    """Leave out contacts with internal edges of the first of a pair, or of the second.
+    """Remove ghost contacts at the first or second of a pair.
 
-    Where none is left of an overlap, its faces are touched: a sharp corner that is in the angle of
-    two of them is less deep along its own normals.
+    If none remains of an overlap, its faces touch: a sharp corner in the angle of two faces is less
+    deep along its own normals.
     """
-    found, features = points.found, points.features
+    manifold, features = points.manifold, points.features
     sides = (pair.p, pair.q) if turn == 0 else (pair.q, pair.p)
-    many = near_obstacles(numbers, ground, mid, sides, near, h, found, count)
+    many = near_obstacles(numbers, ground, mid, sides, near, h, manifold, count)
     if many <= 1:
         return count
     touched = Touched(sides[0], sides[1], 2.0 * turn - 1.0, near.covering[:many])
-    count, barred = drop_internal_edges(numbers, ground, mid, touched, found, features, count)
+    count, barred = drop_internal_edges(numbers, ground, mid, touched, manifold, features, count)
     if count == 0 and barred:
-        count = find_face_contacts(numbers, ground, mid, touched, pair.whole, found, features)
+        count = find_face_contacts(numbers, ground, mid, touched, pair.whole, manifold, features)
         if count > 0:
-            count, _ = drop_internal_edges(numbers, ground, mid, touched, found, features, count)
+            count, _ = drop_internal_edges(numbers, ground, mid, touched, manifold, features, count)
     return count
 
 
 @kernel
 def _strikes(
     numbers: BodyNumbers, mid: Midpoint, pair: CandidatePair, times: _Times, point: Array,
-    nearing: float, alike: bool, points: _Points,
+    nearing: float, certain: bool, points: _Points,
 ) -> bool:  # fmt: skip
-    """Return whether a fast pair that is near collides; it may pass the other body.
+    """Return whether a fast, near pair collides; it may pass the other body.
 
-    A pair that is `alike` was known at the last detection, or is slow: it collides where near.
+    A `certain` pair was near at the last detection, or is slow.
     """
     h, nx, ny, gap = times.h, point[0], point[1], point[4]
     if gap > 0.0 and pair.discs:
@@ -276,13 +270,13 @@ def _strikes(
         touch, _ = overlap(mid.centres, mid.drifts, pair.p, pair.q, apart)
         if touch > h:
             return False
-    if alike:
+    if certain:
         return True
     if pair.turns and gap > 0.0:
         until = (0.5 + TIME_MARGIN) * h
-        return will_collide_turning(numbers, mid, (pair.p, pair.q), gap, until, points.aside)
+        return will_collide_turning(numbers, mid, (pair.p, pair.q), gap, until, points.buffer)
     meets, crossed = will_collide(
-        numbers, mid, (pair.p, pair.q), (nx, ny), gap, nearing, h, points.aside
+        numbers, mid, (pair.p, pair.q), (nx, ny), gap, nearing, h, points.buffer
     )
     _note(points, PASSED, crossed)
     return meets
@@ -293,13 +287,13 @@ def _write_velocity_bounds(
     warm: WarmStart, place: int, lasting: bool, m: int, times: _Times, gained: float,
     above: float, active: ActiveContacts,
 ) -> float:  # fmt: skip
-    """Write what a contact's velocities may not fall below; return how turning changed the normal.
+    """Write the bias of a lasting contact; return the change of its normal velocity by rotation.
 
-    On the way to the next detection it is to be where it is kept, and the velocities of what sticks
-    to be none on average. What is deeper than turning takes it was moved there by a change of
-    features: it goes back no faster than forces take it, or than it came. So is what bears nothing
-    any more and is not out yet: nothing kicks it. What leaves as its force falls to zero turns no
-    faster than forces move it.
+    At the next detection the gap shall be the target gap, and a sticking contact shall have no mean
+    slip. If the penetration exceeds what rotation explains, the contact feature changed: the
+    correction velocity is then limited to the larger of the approach velocity and the velocity that
+    forces give in a step, so that no energy is added. The same holds for unloaded contacts that are
+    not out yet, and for the rotation of a contact whose force falls to zero.
     """
     h, since, turn, shift = times.h, times.since, 0.0, 0.0
     if place >= 0 and warm.contacts[place, 1] != 0.0:
@@ -316,9 +310,9 @@ def _write_velocity_bounds(
 
 @kernel
 def _move_between(radii: Array, pair: CandidatePair, point: Array, feature: int) -> None:
-    """Move a point of contact of two pieces from the surface of one to the middle of their gap.
+    """Move a contact point of two pieces from one surface to the middle of the gap.
 
-    So the arms do not depend on which body is the first. The point of a disc and a polygon is on
+    Lever arms then do not depend on the order of bodies. The point of a disc and a polygon is on
     the polygon, that of two discs on the second; see `contacts.collision_detection.convex`.
     """
     on_first = feature >= 0 and feature % 2 == 1
@@ -334,11 +328,11 @@ def _takes_part(
     numbers: BodyNumbers, ground: Ground, warm: WarmStart, mid: Midpoint, pair: CandidatePair,
     times: _Times, at: int, at_old: int, m: int, points: _Points, active: ActiveContacts,
 ) -> bool:  # fmt: skip
-    """Return whether a pair touches at a point in this step; write it as contact m.
+    """Return whether a contact point is active in this step; write it as contact m.
 
-    The values of the pair from the last step begin at `at_old`.
+    The pair's entries of the warm start begin at `at_old`.
     """
-    h, point, feature = times.h, points.found[at], points.features[at]
+    h, point, feature = times.h, points.manifold[at], points.features[at]
     gap = point[4]
     if pair.whole:
         _move_between(numbers.pieces.radii, pair, point, feature)
@@ -368,7 +362,7 @@ def _takes_part(
         return write_compliance(law, gap, h, 0.5 * h / times.since * shift, m, active)
     turned = 0.0
     if place >= 0 and warm.contacts[place, 1] == 0.0:
-        # What has just rebounded comes back by turning as well: else it would at every step.
+        # A contact that has rebounded can return by rotation alone: no impact in every step.
         turned = h / times.since * turning_change(warm, place, m, active)[0]
     forced = abs(active.free[m, 0] - active.before[m, 0] + turned)
     slow = SLOW * max(gained, forced, TOUCH_TOLERANCE * pair.size / h)
@@ -377,17 +371,17 @@ def _takes_part(
         if times.first:
             explained += _STARTED * pair.size + LANDED * warm.past[2]
         _note(points, SUNK, -gap - explained)
-    # Struck in the step whose middle is nearest to the instant of touching.
+    # The impact is in the step whose middle is nearest to the touch.
     closing, reached = h * (slow - active.free[m, 0]), (0.5 + TIME_MARGIN) * h * nearing
     role, level, above = arriving(gap, level, lasting, nearing, slow, closing, reached, 0.0)
-    alike = known or pair.slowly
-    if role == HIT and not _strikes(numbers, mid, pair, times, point, nearing, alike, points):
+    certain = known or pair.slowly
+    if role == HIT and not _strikes(numbers, mid, pair, times, point, nearing, certain, points):
         role = SEPARATED
-    if gap < 0.0 and -nearing > slow and not alike:
-        # It leaves: if it was not in it before, it came by another side. What was before a step
-        # that is shorter than the last one, the look at the end of that has told.
-        where, since = ((pair.p, pair.q), (point[0], point[1])), min(times.since, h)
-        _note(points, PASSED, entered_other_side(numbers, mid, *where, since, points.aside))
+    if gap < 0.0 and -nearing > slow and not certain:
+        # It leaves: if it was outside before, it entered by another side. A shorter step than the
+        # last one was checked at its end.
+        which_normal, since = ((pair.p, pair.q), (point[0], point[1])), min(times.since, h)
+        _note(points, PASSED, entered_other_side(numbers, mid, *which_normal, since, points.buffer))
     if role == SEPARATED:
         return False
     active.levels[m, 3] = above
@@ -401,13 +395,13 @@ def _takes_part(
         if -gap > _SUNK * pair.size:
             _note(points, SUNK, -gap)
     else:
-        # No deeper than an impact leaves a contact does it stay.
+        # The target is no deeper than impacts leave a contact.
         above, level = min(above, gap + times.lowest), max(level, -times.lowest)
         turn = _write_velocity_bounds(warm, place, lasting, m, times, gained, above, active)
-        # Half of it is let be, half is in the way to the next detection.
+        # Half remains, half is corrected by the next detection.
         _note(points, TURNED, 2.0 * abs(turn))
     if not lasting:
-        # An impact's impulses say nothing of the next.
+        # Impulses of an impact are no warm start.
         active.pushes[m, 0] = active.pushes[m, 1] = 0.0
     active.hit[m] = role == HIT
     active.keys[m, 0], active.keys[m, 1] = pair.key, feature
@@ -423,7 +417,7 @@ def _write_way(
     numbers: BodyNumbers, warm: WarmStart, place: int, lasting: bool, gained: float, m: int,
     active: ActiveContacts,
 ) -> None:  # fmt: skip
-    """Write the friction of contact m: kinetic where it slipped, or comes with a slip."""
+    """Write the friction of contact m: kinetic if it slipped, or is new with a slip."""
     slip = active.before[m, 1]
     one = not has_two_coefficients(numbers.materials[active.laws[m]])
     stuck = lasting and place >= 0 and warm.contacts[place, 9] == 0.0
@@ -438,7 +432,7 @@ def _add_resistance(
     numbers: BodyNumbers, ground: Ground, warm: WarmStart, mid: Midpoint, pair: CandidatePair,
     times: _Times, at_old: int, m: int, active: ActiveContacts,
 ) -> None:  # fmt: skip
-    """Write the rolling resistance of the contact before m as contact m."""
+    """Write the rolling resistance of contact m - 1 as contact m."""
     before = after = 0.0
     if pair.other >= len(numbers.inverse):
         before, after = mid.old[pair.other, 2], mid.loose[pair.other, 2]
@@ -456,32 +450,32 @@ def find_contacts(
     numbers: BodyNumbers, ground: Ground, warm: WarmStart, mid: Midpoint, grid: Grid, h: float,
     active: ActiveContacts,
 ) -> DetectionResult:  # fmt: skip
-    """Find the contacts that take part in a step.
+    """Find the active contacts of a step.
 
     Parameters
     ----------
     warm : WarmStart
-        Of the step before.
+        Of the previous step.
     mid : Midpoint
         Its gaps and pulls are written.
     grid : Grid
-        Is overwritten.
+        Workspace.
     h : float
-        Length of the step.
+        Step size.
     active : ActiveContacts
-        To be filled.
+        Output.
     """
     sizes, pairs, keys = numbers.pieces.sizes, grid.pairs, warm.keys
     count, others = len(sizes), len(sizes) + len(numbers.surfaces.kinds)
-    found, aside, worst = np.empty((POINTS, FOUND)), np.empty((POINTS, FOUND)), np.zeros(5)
-    points = _Points(found, np.empty(POINTS, np.int64), aside, worst)
+    manifold, buffer, worst = np.empty((POINTS, FOUND)), np.empty((POINTS, FOUND)), np.zeros(5)
+    points = _Points(manifold, np.empty(POINTS, np.int64), buffer, worst)
     first = not warm.past[0] > 0.0
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     lowest = math.inf if first else LANDED * warm.past[2]
     times = _Times(h, 0.5 * (h + (h if first else warm.past[0])), fall, first, lowest)
     m, at_old, end = 0, 0, 0
     many = near_pairs(mid.centres, sizes, mid.reach, grid)
-    # Discs cover no feature of each other.
+    # Discs have no internal edges.
     corners = len(numbers.pieces.vertices) > 0
     near = Neighbours(
         np.zeros(count + 1, np.int64), np.empty(max(many, 0) if corners else 0, np.int64),
@@ -489,7 +483,7 @@ def find_contacts(
     )  # fmt: skip
     if corners:
         sort_pairs(pairs, max(many, 0), count, near)
-    # Bodies that move as prescribed stand behind those that do not, and touch none of their own.
+    # Bodies in prescribed motion come last, and do not collide with each other.
     moving = numbers.pieces.begins[len(numbers.inverse)]
     for p in range(moving if many >= 0 else 0):
         begin = end

@@ -1,4 +1,4 @@
-"""Surfaces at the midpoint of a step, which may move, and contact points of bodies near them."""
+"""Surfaces at the midpoint of a step, which may move, and contact points of bodies on them."""
 
 from __future__ import annotations
 
@@ -26,30 +26,29 @@ from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
 POINTS = 16
-"""Points of contact that a pair can have: a polygon on a surface has as many as corners."""
+"""Capacity of contact points per pair: a polygon on a surface has one per corner."""
 
-# Stride of the samples on the way of a piece, relative to its inner circle, and their number at
-# most: a shorter way passes nothing.
+# Sampling of a piece's path: stride relative to the inscribed circle, and largest number of
+# samples; a shorter path passes nothing.
 _STRIDE, _MAX_SAMPLES = 0.5, 64
-# Depth on the way, relative to that circle, up to which a piece grazes.
+# Depth, relative to that circle, up to which a pass only grazes.
 _GRAZED = 0.1
 
 
 class Ground(NamedTuple):
-    """The surfaces in the middle of a step."""
+    """The surfaces at the midpoint of a step."""
 
-    # (3, s, 3): their frames at the look before, at this one and at the next; of no use where none
-    # moves.
+    # (3, s, 3): frames at the previous detection, this one and the next; unused if none moves.
     paths: Array
-    # (int, array): of the program of heights; see `statechart.kernels.tapes.filled`.
+    # Registers of the height tape (see `statechart.kernels.tapes.filled`).
     registers: tuple[int, Array]
-    frames: Array  # (3, 3): is overwritten.
+    frames: Array  # (3, 3): buffer.
     still: Array  # (3, 3): zero.
 
 
 @kernel
 def _write_frames(ground: Ground, s: int, carrier: int, mid: Midpoint, h: float) -> None:
-    """Write the frames (3, 3) of a surface that moves."""
+    """Write the frames (3, 3) of a moving surface."""
     for at in range(3):
         for d in range(3):
             if carrier >= 0:
@@ -69,7 +68,7 @@ def pose_of(numbers: BodyNumbers, ground: Ground, mid: Midpoint, s: int) -> Arra
 
 @kernel
 def _in_frame(frames: Array, x: float, y: float, mid: int) -> tuple[float, float]:
-    """Return where the point of a surface that now is at x, y is at a detection."""
+    """Return where a surface point, now at x, y, is at detection `mid` (0, 1, 2)."""
     u, v = to_frame(frames[1], x, y)
     return to_world(frames[mid], u, v)
 
@@ -78,7 +77,7 @@ def _in_frame(frames: Array, x: float, y: float, mid: int) -> tuple[float, float
 def is_far(
     surfaces: SurfaceNumbers, ground: Ground, mid: Midpoint, p: int, s: int, size: float
 ) -> bool:
-    """Return whether a convex shape is out of reach of a surface at rest."""
+    """Return whether a piece is out of reach of a fixed surface."""
     if surfaces.carriers[s] >= 0 or surfaces.moves[s]:
         return False
     x, y = mid.centres[p, 0], mid.centres[p, 1]
@@ -87,7 +86,7 @@ def is_far(
 
 @kernel
 def on_surface(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, p: int, s: int, h: float, found: Array,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, p: int, s: int, h: float, manifold: Array,
     features: Ints,
 ) -> tuple[int, float]:  # fmt: skip
     """Find the points of a piece near a surface; return their number, and `crossing_time`."""
@@ -107,17 +106,18 @@ def on_surface(
     first, end = pieces.firsts[p], pieces.firsts[p + 1]
     points = against_surface(
         surfaces, s, frames[1], ground.registers,
-        ConvexShape(mid.world[first:end], mid.centres[p], pieces.radii[p]), within, found, features,
+        ConvexShape(mid.world[first:end], mid.centres[p], pieces.radii[p]), within, manifold,
+        features,
     )  # fmt: skip
     turned = h * mid.old[pieces.bodies[p], 2] - (frames[1, 2] - frames[0, 2])
     way = norm(after[0] - before[0], after[1] - before[1]) + pieces.spans[p] * abs(turned)
     if passed == 0.0 and way > _STRIDE * pieces.cores[p]:
         clear = True
         for at in range(points):
-            clear = clear and found[at, 4] >= 0.0
+            clear = clear and manifold[at, 4] >= 0.0
         if clear:
-            looks = math.ceil(min(way / (_STRIDE * pieces.cores[p]), 1.0 * _MAX_SAMPLES))
-            passed = _passed_over(numbers, ground, mid, (p, s), h, frames, looks)
+            samples = math.ceil(min(way / (_STRIDE * pieces.cores[p]), 1.0 * _MAX_SAMPLES))
+            passed = _passed_over(numbers, ground, mid, (p, s), h, frames, samples)
     return points, passed
 
 
@@ -126,14 +126,14 @@ def _passed_over(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], h: float,
     frames: Array, samples: int,
 ) -> float:  # fmt: skip
-    """Return the part of a step for which a piece was in a surface that it is clear of now.
+    """Return the part of a step for which a piece, clear now, was inside a surface.
 
-    Its corners and rims, not its middle alone, on the way from the look before: it and the surface
-    move straight and turn evenly. What was in the surface where the way begins leaves it.
+    Samples its corners and rim on the path since the last detection, in straight motion and uniform
+    rotation. A piece that starts inside is leaving, and does not count.
     """
     (p, s), pieces = pair, numbers.pieces
     b = pieces.bodies[p]
-    found, features = np.empty((POINTS, FOUND)), np.empty(POINTS, np.int64)
+    manifold, features = np.empty((POINTS, FOUND)), np.empty(POINTS, np.int64)
     frame, within, was_clear, inside = np.empty(3), 0.0, False, 0
     for i in range(samples):
         back = 1.0 - i / samples
@@ -141,11 +141,11 @@ def _passed_over(
         for d in range(3):
             frame[d] = frames[1, d] + back * (frames[0, d] - frames[1, d])
         points = against_surface(
-            numbers.surfaces, s, frame, ground.registers, shape, within, found, features
+            numbers.surfaces, s, frame, ground.registers, shape, within, manifold, features
         )
         deepest = 0.0
         for at in range(points):
-            deepest = min(deepest, found[at, 4])
+            deepest = min(deepest, manifold[at, 4])
         was_clear = was_clear or deepest == 0.0
         if was_clear and deepest < -_GRAZED * pieces.cores[p]:
             inside += 1
@@ -154,15 +154,15 @@ def _passed_over(
 
 @kernel
 def remove_surface_motion(
-    ground: Ground, surfaces: SurfaceNumbers, s: int, found: Array, h: float, m: int,
+    ground: Ground, surfaces: SurfaceNumbers, s: int, point: Array, h: float, m: int,
     active: ActiveContacts,
 ) -> float:  # fmt: skip
-    """Take the motion of a surface from a contact's velocities; return its pull.
+    """Subtract a surface's motion from a contact's velocities; return its speed change.
 
-    It moves from midpoint to midpoint, as the bodies do. A circle nears only as its centre does,
-    and slips along its rim.
+    The surface moves from midpoint to midpoint, as bodies do. A circle approaches as its centre
+    does, and slips along its rim.
     """
-    nx, ny, x, y = found[0], found[1], found[2], found[3]
+    nx, ny, x, y = point[0], point[1], point[2], point[3]
     before, free, frames = active.before, active.free, ground.frames
     a, b = x, y
     if surfaces.kinds[s] == ROUND or surfaces.kinds[s] == HOLLOW:

@@ -1,16 +1,15 @@
-"""Internal edges: contacts that adjacent obstacles cover (ghost collisions).
+"""Internal edges: removal of ghost collisions.
 
-Two edges that end in each other, two tiles side by side and two pieces of one body make one
-boundary. Against each of them alone, a body that slides along it meets the end of the next. Box2D
-leaves such contacts out by the ghost vertices of its chains (Catto 2020), Bullet by the Voronoi
-regions of the edges of a mesh. Here they follow from all obstacles that touch the feature of a
-contact and do not move against it:
+Two edges that share an end, adjacent tiles and adjacent pieces of one body form one boundary.
+Tested separately, the end of the next edge stops a body that slides along it. Box2D uses the ghost
+vertices of its chains (Catto 2020), Bullet the Voronoi regions of mesh edges. Here all obstacles
+that touch the feature of a contact, at relative rest, decide:
 
-- a corner has the normals that are in the normal cones of all obstacles at it;
-- a face has none where obstacles cover it all along, or stand between its end and the body.
+- a corner admits the normals in the normal cones of all obstacles at it;
+- a face admits none where obstacles cover it entirely, or stand between its end and the body.
 
-An obstacle is a piece or a surface as a convex set in the world: a polygon, a disc, a half-plane or
-a sheet (an edge without thickness). A curve that is neither is its tangent half-plane.
+An obstacle is a piece or a surface as a convex set in the world: polygon, disc, half-plane or sheet
+(an edge without thickness). Other curves are replaced by their tangent half-plane.
 """
 
 from __future__ import annotations
@@ -37,33 +36,31 @@ from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
 POLYGON, DISC, HALF, SHEET = range(4)
-"""Sorts of obstacles."""
 
 FLUSH = 1e-6
-"""Obstacles this close, relative to the smaller one, are flush; normals of less than this angle are
-one."""
+"""Relative distance of flush obstacles, and angle of equal normals."""
 
 RAYS = 32
-"""Boundary rays that a point can have."""
+"""Capacity of boundary rays at a point."""
 
 
 class Obstacle(NamedTuple):
     """A convex set."""
 
     sort: int
-    # (k, 2): of a polygon, counter-clockwise; two on the boundary of a half-plane, which has its
-    # solid on the left; the ends of a sheet.
+    # (k, 2): of a polygon, counter-clockwise; two boundary points of a half-plane with its solid
+    # on the left; the ends of a sheet.
     corners: Array
     centre: Array  # shape (2,)
-    radius: float  # Of a disc.
-    size: float  # How far it reaches from its middle; infinite of a half-plane.
+    radius: float
+    size: float  # Circumscribed radius; infinite for a half-plane.
 
 
 @kernel
 def obstacle(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, q: int, x: float, y: float
 ) -> Obstacle:
-    """Return a piece, or a surface (these stand behind all pieces), as an obstacle near a point."""
+    """Return a piece, or a surface (indices behind the pieces), as an obstacle near a point."""
     pieces, surfaces = numbers.pieces, numbers.surfaces
     if q < len(pieces.sizes):
         corners = mid.world[pieces.firsts[q] : pieces.firsts[q + 1]]
@@ -87,13 +84,13 @@ def obstacle(
 
 @kernel
 def edges(one: Obstacle) -> int:
-    """Return how many edges an obstacle has: a sheet has one on each side."""
+    """Return the number of edges; a sheet has one on each side."""
     return 1 if one.sort == HALF else len(one.corners)
 
 
 @kernel
 def edge_of(one: Obstacle, i: int) -> tuple[float, float, float, float, float]:
-    """Return the begin of an edge, its direction, and its length."""
+    """Return the start of an edge, its direction, and its length."""
     j = i + 1 if i + 1 < len(one.corners) else 0
     x, y = one.corners[i, 0], one.corners[i, 1]
     ex, ey = one.corners[j, 0] - x, one.corners[j, 1] - y
@@ -103,7 +100,7 @@ def edge_of(one: Obstacle, i: int) -> tuple[float, float, float, float, float]:
 
 @kernel
 def distance_to(one: Obstacle, x: float, y: float) -> float:
-    """Return how far a point is outside of an obstacle, along its normals; below zero in it."""
+    """Return the distance of a point from an obstacle along its normals; < 0 inside."""
     if one.sort == DISC:
         return norm(x - one.centre[0], y - one.centre[1]) - one.radius
     most = -math.inf
@@ -119,10 +116,7 @@ def distance_to(one: Obstacle, x: float, y: float) -> float:
 
 @kernel
 def add_rays(one: Obstacle, x: float, y: float, near: float, rays: Array, count: int) -> int:
-    """Append the rays of an obstacle's boundary from a point on it; return how many there are.
-
-    A ray is a direction and how far the boundary goes on in it.
-    """
+    """Append the boundary rays (direction, length) from a boundary point; return their number."""
     if one.sort == DISC:
         ux, uy = (x - one.centre[0]) / one.radius, (y - one.centre[1]) / one.radius
         for way in (-1.0, 1.0):
@@ -151,7 +145,7 @@ def add_rays(one: Obstacle, x: float, y: float, near: float, rays: Array, count:
 def between_normals(
     one: Obstacle, place: tuple[float, float], outward: tuple[float, float]
 ) -> bool:
-    """Return whether a direction is in the normal cone of a piece at a point of its boundary."""
+    """Return whether a direction is in the normal cone of a piece at a boundary point."""
     (x, y), (nx, ny) = place, outward
     if one.sort == DISC:
         ux, uy = x - one.centre[0], y - one.centre[1]
@@ -165,7 +159,7 @@ def between_normals(
                 ax, ay = ey, -ex
             bx, by = ey, -ex
             many += 1
-    # The first of the two in a counter-clockwise sense; they turn by less than a half.
+    # Counter-clockwise order; the normals differ by less than a half turn.
     if ax * by - ay * bx < 0.0:
         ax, ay, bx, by = bx, by, ax, ay
     ahead = (ax + bx) * nx + (ay + by) * ny > 0.0
@@ -176,7 +170,7 @@ def between_normals(
 def chord(
     one: Obstacle, x: float, y: float, ux: float, uy: float, near: float
 ) -> tuple[float, float]:
-    """Return between which lengths a line from x, y along a unit vector is in a solid obstacle."""
+    """Return the interval of a line from x, y along a unit vector inside a solid obstacle."""
     low, high = -math.inf, math.inf
     if one.sort == SHEET:
         return high, low
@@ -201,10 +195,7 @@ def chord(
 
 @kernel
 def continues_face(one: Obstacle, x: float, y: float, ux: float, uy: float, near: float) -> bool:
-    """Return whether an obstacle has a face on the same line that faces the same way.
-
-    It covers nothing of what it makes one face with.
-    """
+    """Return whether an obstacle has a collinear face in the same direction: it covers nothing."""
     for i in range(edges(one) if one.sort != DISC else 0):
         ax, ay, ex, ey, _ = edge_of(one, i)
         beside = abs(uy * (ax - x) - ux * (ay - y))
@@ -215,7 +206,7 @@ def continues_face(one: Obstacle, x: float, y: float, ux: float, uy: float, near
 
 @kernel
 def collide(numbers: BodyNumbers, one: int, other: int) -> bool:
-    """Return whether two pieces, or a piece and a surface, touch each other by a law."""
+    """Return whether two pieces, or a piece and a surface, have a contact law."""
     count = len(numbers.pieces.sizes)
     if one >= count:
         one, other = other, one
@@ -234,7 +225,7 @@ def collide(numbers: BodyNumbers, one: int, other: int) -> bool:
 def _velocity(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, q: int, x: float, y: float, h: float
 ) -> tuple[float, float, float]:
-    """Return the velocity of the point of a piece or surface that is at x, y, and its turning."""
+    """Return the velocity of a piece's or surface's point at x, y, and its angular velocity."""
     count, surfaces = len(numbers.pieces.sizes), numbers.surfaces
     b = numbers.pieces.bodies[q] if q < count else surfaces.carriers[q - count]
     if b >= 0:
@@ -263,38 +254,37 @@ def is_relatively_still(
 
 
 COVERING = 64
-"""Obstacles at a contact that are looked at."""
+"""Capacity of obstacles at a contact."""
 
-# Obstacles this near to a point of contact, relative to what is touched, are looked at: points of
-# contact nearer than half of that are one.
+# Search distance of obstacles, relative to the touched one: contact points nearer than half of it
+# are one.
 _AROUND = 2e-3
 
 
 class Touched(NamedTuple):
-    """One of a pair, as it is touched by the other."""
+    """One side of a pair, as touched by the other."""
 
-    which: int  # A piece, or a plate; surfaces stand behind all pieces.
-    by: int  # What touches it.
-    side: float  # Whether normals point away from it (1) or into it (-1).
-    covering: Ints  # (c,): it, and the obstacles around; see `near_obstacles`.
+    which: int  # A piece, or a plate (indices behind the pieces).
+    by: int  # The touching one.
+    side: float  # Normals point away from it (1) or into it (-1).
+    covering: Ints  # (c,): itself, and the obstacles around; see `near_obstacles`.
 
 
 class Neighbours(NamedTuple):
     """The pieces near each piece."""
 
-    # (p + 1,): of every piece those near it that stand before it: where they begin, and which they
-    # are.
+    # (p + 1,): start of each piece's list of near pieces with lower index, and those.
     heads: Ints
     lower: Ints
-    # (p,): those near one piece, and how many they are.
+    # (p,): the pieces near one piece, and their number.
     others: Ints
     n_others: Ints
-    covering: Ints  # (c,): is overwritten; see `near_obstacles`.
+    covering: Ints  # (c,): buffer; see `near_obstacles`.
 
 
 @kernel
 def sort_pairs(pairs: Ints, many: int, count: int, near: Neighbours) -> None:
-    """Sort pairs by their second piece, by counting."""
+    """Sort pairs by their second piece (counting sort)."""
     heads = near.heads
     for p in range(count + 1):
         heads[p] = 0
@@ -310,7 +300,7 @@ def sort_pairs(pairs: Ints, many: int, count: int, near: Neighbours) -> None:
 
 @kernel
 def list_neighbours(pairs: Ints, begin: int, end: int, p: int, near: Neighbours) -> None:
-    """List the pieces near one, whose pairs with those behind it are from `begin` to `end`."""
+    """List the pieces near p, whose pairs with later pieces are from `begin` to `end`."""
     many = 0
     for i in range(near.heads[p], near.heads[p + 1]):
         near.others[many] = near.lower[i]
@@ -324,13 +314,13 @@ def list_neighbours(pairs: Ints, begin: int, end: int, p: int, near: Neighbours)
 @kernel
 def near_obstacles(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int],
-    near_pieces: Neighbours, h: float, found: Array, count: int,
+    near_pieces: Neighbours, h: float, manifold: Array, count: int,
 ) -> int:  # fmt: skip
-    """List the obstacles at points of contact of one of a pair; return how many there are.
+    """List the obstacles at the contact points of one side of a pair; return their number.
 
-    The first of the `pair` is touched by the second. The `covering` of `near_pieces` is filled with
-    the first, and with pieces and surfaces that do not move against it and touch the second;
-    `found` (m, FOUND) has `count` points of contact.
+    The first of the `pair` is touched by the second. `near_pieces.covering` receives the first, and
+    the pieces and surfaces at rest relative to it that the second can touch; `manifold` (m, FOUND)
+    has `count` contact points.
     """
     pieces, surfaces, (one, touched_by) = numbers.pieces, numbers.surfaces, pair
     all_pieces, many = len(pieces.sizes), 1
@@ -342,11 +332,13 @@ def near_obstacles(
     size = _half_length(numbers, one - all_pieces) if plate else pieces.sizes[one]
     if not plate:
         first, end = pieces.begins[body], pieces.begins[body + 1]
-        beside = False
+        is_compound = False
         for q in range(first, end):
-            beside = beside or (q != one and _near_circle(mid, pieces, q, found, count, size) >= 0)
-        # A face may be covered by several.
-        for q in range(first, end if beside else first):
+            is_compound = is_compound or (
+                q != one and _near_circle(mid, pieces, q, manifold, count, size) >= 0
+            )
+        # Several pieces may cover a face.
+        for q in range(first, end if is_compound else first):
             if q != one and many < len(covering):
                 covering[many] = q
                 many += 1
@@ -355,7 +347,7 @@ def near_obstacles(
         ROUND,
     )
     if solid or (not plate and pieces.radii[one] > 0.0):
-        # A half-plane has one normal, and so has a rim: others beside it take none away.
+        # Half-planes and rims have one normal, which others do not take away.
         return many
     for k in range(count_others + len(surfaces.kinds)):
         is_piece = k < count_others
@@ -363,19 +355,19 @@ def near_obstacles(
         if q in (one, touched_by) or (is_piece and pieces.bodies[q] == body):
             continue
         if is_piece:
-            at = _near_circle(mid, pieces, q, found, count, size)
+            at = _near_circle(mid, pieces, q, manifold, count, size)
         else:
-            at = _near_obstacle(numbers, ground, mid, q, found, count, size)
+            at = _near_obstacle(numbers, ground, mid, q, manifold, count, size)
         near = FLUSH * (min(size, pieces.sizes[q]) if is_piece else size)
         if (
             at < 0
             or many == len(covering)
             or not is_relatively_still(
-                numbers, ground, mid, (one, q), found[at, 2], found[at, 3], h, near
+                numbers, ground, mid, (one, q), manifold[at, 2], manifold[at, 3], h, near
             )
         ):
             continue
-        if is_piece and _near_obstacle(numbers, ground, mid, q, found, count, size) < 0:
+        if is_piece and _near_obstacle(numbers, ground, mid, q, manifold, count, size) < 0:
             continue
         if collide(numbers, touched_by, q):
             covering[many] = q
@@ -385,12 +377,12 @@ def near_obstacles(
 
 @kernel
 def _near_circle(
-    mid: Midpoint, pieces: PieceNumbers, q: int, found: Array, count: int, size: float
+    mid: Midpoint, pieces: PieceNumbers, q: int, manifold: Array, count: int, size: float
 ) -> int:
-    """Return the first point of contact that is near the circle around a piece; -1: none."""
+    """Return the first contact point near the circumscribed circle of a piece; -1: none."""
     for i in range(count):
-        x, y = found[i, 2] - mid.centres[q, 0], found[i, 3] - mid.centres[q, 1]
-        reach = pieces.sizes[q] + _AROUND * size + 2.0 * abs(found[i, 4])
+        x, y = manifold[i, 2] - mid.centres[q, 0], manifold[i, 3] - mid.centres[q, 1]
+        reach = pieces.sizes[q] + _AROUND * size + 2.0 * abs(manifold[i, 4])
         if x * x + y * y <= reach * reach:
             return i
     return -1
@@ -402,20 +394,20 @@ def _near_obstacle(
     ground: Ground,
     mid: Midpoint,
     q: int,
-    found: Array,
+    manifold: Array,
     count: int,
     size: float,
 ) -> int:
-    """Return the first point of contact that is near a piece or surface; -1: none."""
+    """Return the first contact point near a piece or surface; -1: none."""
     s = q - len(numbers.pieces.sizes)
     still = s >= 0 and not (numbers.surfaces.moves[s] or numbers.surfaces.carriers[s] >= 0)
     for i in range(count):
-        x, y = found[i, 2], found[i, 3]
+        x, y = manifold[i, 2], manifold[i, 3]
         if still:
             away = distance(numbers.surfaces, s, ground.still[1], x, y)
         else:
             away = distance_to(obstacle(numbers, ground, mid, q, x, y), x, y)
-        if away <= _AROUND * size + 2.0 * abs(found[i, 4]):
+        if away <= _AROUND * size + 2.0 * abs(manifold[i, 4]):
             return i
     return -1
 
@@ -426,12 +418,11 @@ def _half_length(numbers: BodyNumbers, s: int) -> float:
     return 0.5 * norm(c - a, d - b)
 
 
-# The normal of a contact is that of a face where it leans by less than this, and the point is
-# between the ends of that.
+# Largest angle between a contact normal and that of a face it belongs to, inside the face.
 _LEANS = 0.1
 
-# A contact with a face, or with a corner or a rim, that is bare; one that is covered; one whose
-# normal the corner does not have, nor has a contact along it that is less deep.
+# Bare face contact; bare corner or rim contact; covered contact; contact whose normal the corner
+# does not admit, as any deeper one along it.
 _OF_FACE, _OF_CORNER, _COVERED, _BARRED = range(4)
 
 
@@ -439,7 +430,7 @@ _OF_FACE, _OF_CORNER, _COVERED, _BARRED = range(4)
 def _beyond(
     one: Obstacle, place: tuple[float, float], outward: tuple[float, float], far: float
 ) -> tuple[float, float]:
-    """Return a point of what touches a face: its middle, or one far out where it is a surface."""
+    """Return an interior point of the touching obstacle, or one far out for a surface."""
     x, y = place[0] + far * outward[0], place[1] + far * outward[1]
     if one.sort == DISC:
         x, y = one.centre[0], one.centre[1]
@@ -455,9 +446,9 @@ def _beyond(
 def _face(
     one: Obstacle, place: tuple[float, float], outward: tuple[float, float], leans: float
 ) -> int:
-    """Return on which face with this normal a point is; -1: on a corner or a rim.
+    """Return the face with this normal at a point; -1: a corner or a rim.
 
-    What may lean by more than rounding is between the ends of the face.
+    With a tolerance `leans` above round-off, the point must be between the ends.
     """
     near, inset = FLUSH * one.size, FLUSH * one.size if leans > FLUSH else -math.inf
     for i in range(edges(one) if one.sort != DISC else 0):
@@ -476,15 +467,15 @@ def _covered_to(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched,
     start: tuple[float, float], way: tuple[float, float], along_face: float, length: float,
 ) -> float:  # fmt: skip
-    """Return how far solid obstacles cover a face from its end on.
+    """Return how far solid obstacles cover a face from its end.
 
-    `start`, `way`: the end of the face, and the direction from there along it; `along_face`: 1
-    where that is the direction of the face, in which its solid is on the left; else -1.
+    `start`, `way`: end of the face, and direction from there along it; `along_face`: 1 if that is
+    the direction with the solid on the left, else -1.
     """
-    (x, y), (ux, uy), covered, gained = start, way, 0.0, True
+    (x, y), (ux, uy), covered, grows = start, way, 0.0, True
     size = obstacle(numbers, ground, mid, touched.which, x, y).size
-    while gained and covered < length - FLUSH * size:
-        gained = False
+    while grows and covered < length - FLUSH * size:
+        grows = False
         for q in touched.covering:
             at = x + covered * ux, y + covered * uy
             other = obstacle(numbers, ground, mid, q, at[0], at[1])
@@ -495,7 +486,7 @@ def _covered_to(
                 continue
             low, high = chord(other, x, y, ux, uy, near)
             if low <= covered + near and high > covered + near:
-                covered, gained = high, True
+                covered, grows = high, True
     return covered
 
 
@@ -504,7 +495,7 @@ def _is_covered(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched,
     place: tuple[float, float], outward: tuple[float, float],
 ) -> bool:  # fmt: skip
-    """Return whether a point is on a face that solid obstacles cover all along."""
+    """Return whether a point is on a face that solid obstacles cover entirely."""
     one = obstacle(numbers, ground, mid, touched.which, place[0], place[1])
     i = _face(one, place, outward, FLUSH)
     if i < 0:
@@ -521,9 +512,9 @@ def _stands_between(
 ) -> bool:  # fmt: skip
     """Return whether an obstacle at an end of a face stands between the face and a body.
 
-    From where the face is bare, it is the first that the way out of the face turns to. The body's
-    middle is beyond it, and the segment from there to the point of contact crosses it, or the face,
-    or what goes on behind that.
+    It is the first obstacle counter to the face's outward direction from the end of its bare part;
+    the body's middle is beyond it, and the segment from there to the contact point crosses it, or
+    the face, or its continuation.
     """
     one = obstacle(numbers, ground, mid, touched.which, place[0], place[1])
     ax, ay, ex, ey, length = edge_of(one, i)
@@ -536,7 +527,7 @@ def _stands_between(
         for q in touched.covering:
             other = obstacle(numbers, ground, mid, q, x, y)
             near = FLUSH * min(one.size, other.size)
-            # A disc curves away from its rays: what is beyond them may see the face.
+            # A disc curves away from its rays, and may leave the face visible.
             if q != touched.which and other.sort != DISC and distance_to(other, x, y) <= near:
                 many = add_rays(other, x, y, near, rays, many)
         turned = math.atan2((cx - x) * nx + (cy - y) * ny, (cx - x) * tx + (cy - y) * ty)
@@ -562,7 +553,7 @@ def _crosses(
 ) -> bool:  # fmt: skip
     """Return whether the segment from a place to a middle crosses a ray or passes its start."""
     (u, v), (cx, cy), (x, y), (dx, dy) = place, middle, start, ray
-    # On which sides of the ray both are, and where on it the segment is.
+    # Side of the ray of both ends, and the crossing along it.
     here, there = dx * (v - y) - dy * (u - x), dx * (cy - y) - dy * (cx - x)
     if here * there > 0.0 and abs(here) > near:
         return False
@@ -573,27 +564,27 @@ def _crosses(
 
 @kernel
 def drop_internal_edges(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched, found: Array,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched, manifold: Array,
     features: Ints, count: int,
 ) -> tuple[int, bool]:  # fmt: skip
-    """Leave out contacts with internal edges; return how many are left.
+    """Remove contacts with internal edges, in place; return the number of remaining ones.
 
-    And whether a corner does not have the normal by which it is least deep. Of the `count` points
-    of contact in `found` (m, FOUND), with their `features` (m,), those left come first.
+    And whether a corner does not admit its normal of least depth. The `count` contact points are in
+    `manifold` (m, FOUND), with `features` (m,).
     """
-    kept, rays, how = 0, np.empty((RAYS, 3)), np.empty(count, np.int64)
+    remaining, rays, classes = 0, np.empty((RAYS, 3)), np.empty(count, np.int64)
     barred = math.inf
     for i in range(count):
-        how[i] = _classify_point(numbers, ground, mid, touched, found[i], rays)
-        if how[i] == _BARRED:
-            barred = min(barred, found[i, 4])
+        classes[i] = _classify_point(numbers, ground, mid, touched, manifold[i], rays)
+        if classes[i] == _BARRED:
+            barred = min(barred, manifold[i, 4])
     for i in range(count):
-        if how[i] == _OF_FACE or (how[i] == _OF_CORNER and found[i, 4] < barred):
-            (nx, ny, x, y, gap), feature = found[i], features[i]
-            write_contact(found[kept], nx, ny, x, y, gap)
-            features[kept] = feature
-            kept += 1
-    return kept, barred < 0.0
+        if classes[i] == _OF_FACE or (classes[i] == _OF_CORNER and manifold[i, 4] < barred):
+            (nx, ny, x, y, gap), feature = manifold[i], features[i]
+            write_contact(manifold[remaining], nx, ny, x, y, gap)
+            features[remaining] = feature
+            remaining += 1
+    return remaining, barred < 0.0
 
 
 @kernel
@@ -607,10 +598,11 @@ def _classify_point(
     nx, ny, x, y, gap = point
     out = side * nx, side * ny
     one = obstacle(numbers, ground, mid, which, x, y)
-    # The point is on the one or on the other.
+    # The point is on either body.
     u, v = x - gap * out[0], y - gap * out[1]
     here, there, face = abs(distance_to(one, x, y)), abs(distance_to(one, u, v)), -1
-    # Beside the end of a face both are on it, but for rounding: that on the face is it.
+    # Beside the end of a face both projections are on it, up to round-off: take the one on the
+    # face.
     if max(here, there) <= FLUSH * one.size:
         face = _face(one, (u, v), out, FLUSH)
     if face < 0:
@@ -629,20 +621,20 @@ def _classify_point(
         beside = True
         same = q < all_pieces and numbers.pieces.bodies[q] == body
         if same and away >= -near and between_normals(other, (u, v), out):
-            # A contact of both pieces is that of the first, where no other covers it.
+            # Two pieces share a contact: the first has it, unless another piece covers it there.
             first = Touched(q, by, side, covering)
             if q < which and not _is_covered(numbers, ground, mid, first, (u, v), out):
                 return _COVERED
         elif face < 0 and one.sort == DISC:
-            # A contact of a rim beside another obstacle is as deep in that as its point is.
+            # A rim contact beside another obstacle is as deep in that as its point.
             deep = -distance_to(other, u + gap * out[0], v + gap * out[1])
             if away < -(near + 2.0 * max(deep, 0.0)):
                 return _COVERED
         elif face < 0 and (away < -near or not _in_cone(other, (u, v), out, near, rays)):
-            # Another piece of the body may be far from the other points of contact.
+            # Another piece of the body may be far from the other contact points.
             return _COVERED if same else _BARRED
     if face < 0:
-        # Two faces that lie on each other share the normal of one.
+        # Two faces in contact share a normal.
         return _OF_CORNER if _face(one, (u, v), out, _LEANS) < 0 else _OF_FACE
     if beside and _is_covered(numbers, ground, mid, touched, (u, v), out):
         return _COVERED
@@ -659,7 +651,7 @@ def _in_cone(
 ) -> bool:  # fmt: skip
     """Return whether a direction is inside the normal cone of an obstacle at a boundary point.
 
-    On the boundary of the cone it is the normal of a face, which has this contact itself.
+    On the cone's boundary it is a face normal, and the face has this contact itself.
     """
     for k in range(add_rays(other, place[0], place[1], near, rays, 0)):
         if outward[0] * rays[k, 0] + outward[1] * rays[k, 1] > -FLUSH:
@@ -670,19 +662,19 @@ def _in_cone(
 @kernel
 def find_face_contacts(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched, whole: bool,
-    found: Array, features: Ints,
+    manifold: Array, features: Ints,
 ) -> int:  # fmt: skip
-    """Find where one of a pair is overlapped through its faces; return how many points there are.
+    """Find contact points of a face overlap; return their number.
 
-    `whole`: whether both are pieces; `found` (m, FOUND) and `features` (m,) are filled.
+    `whole`: whether both are pieces; `manifold` (m, FOUND) and `features` (m,) are written.
     """
     one = obstacle(numbers, ground, mid, touched.which, 0.0, 0.0)
     other = obstacle(numbers, ground, mid, touched.by, 0.0, 0.0)
     if len(one.corners) == 0 or len(other.corners) == 0 or HALF in (one.sort, other.sort):
         return 0
-    # Plates are the first, where they are met by others (`contacts.collision_detection.surfaces`).
+    # Plates come first in a pair (see `contacts.collision_detection.surfaces`).
     flip = touched.side > 0.0 if whole else touched.side < 0.0
-    count = against_faces(one.corners, other.corners, 0.0, flip, found, features)
+    count = against_faces(one.corners, other.corners, 0.0, flip, manifold, features)
     for i in range(count if not whole else 0):
-        found[i, 0], found[i, 1] = -found[i, 0], -found[i, 1]
+        manifold[i, 0], manifold[i, 1] = -manifold[i, 0], -manifold[i, 1]
     return count

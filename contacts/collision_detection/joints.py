@@ -1,9 +1,8 @@
-"""Joints of bodies with shapes, to each other and to places in the world, as rows of a step.
+"""Joints of bodies with shapes, to each other and to the world, as rows of a step.
 
-A joint holds at the midpoints of steps: the velocities after a step take its two points onto each
-other at the next detection, their turning counted in. Nothing is pushed back afterwards, so that
-nothing drifts; what is held so is Verlet's scheme with constraints (Ryckaert, Ciccotti and
-Berendsen 1977).
+A joint holds at the midpoints of steps: the velocities after a step close the joint at the next
+detection, rotation included. No stabilisation follows, so nothing drifts: Verlet's scheme with
+constraints (RATTLE's predecessor: Ryckaert, Ciccotti and Berendsen 1977).
 """
 
 from __future__ import annotations
@@ -32,35 +31,35 @@ from contacts.time_stepping.chunk import HIT, LASTING, SLOW, TIME_MARGIN, arrivi
 from statechart.arrays import Array
 from statechart.kernels.jit import kernel
 
-# Round-off of the ends of a joint.
+# Round-off of joint points.
 _ANGLE_ROUND_OFF = 2.0**-50
-# A step is shorter than the one before where it is so beyond rounding.
+# Ratio of step sizes below which a step is shorter than the previous one.
 _SHORTER = 1.0 - 1e-9
 
 
-# A velocity at which a row that is off, or far from its bound, never presses.
+# Bias with which a row that is off, or far from its bound, never presses.
 _OFF = 1e300
 
 
 @kernel
 def is_bound(holds: int) -> bool:
-    """Return whether a row bounds a distance or an angle from one side."""
+    """Return whether a row is a one-sided bound."""
     return holds in (ROPE, LEAST, GREATEST)
 
 
 @kernel
 def _bent(x: float, y: float, across: bool, turn: float) -> float:
-    """Return how far the end of an arm goes in a step beyond what the rate of its turning says."""
+    """Return the displacement of an arm's end in a turn beyond the linear term."""
     c, s = math.cos(turn) - 1.0, math.sin(turn) - turn
     return s * x + c * y if across else c * x - s * y
 
 
 @kernel
 def _leave_open(apart: float, d: int, h: float, past: float, closing: Array) -> None:
-    """Write how far a joint is left open along d in a step of length h after one of length past.
+    """Write the remaining error of a joint along d in a step of size h after one of size past.
 
-    Between detections arms are open by what they bend, as they are where a step is taken in parts:
-    closed in the first of these, that would throw what they bear.
+    Between detections arms curve, so that joints are open when a step is split: closed in its first
+    part, that error would throw the bodies.
     """
     if h < _SHORTER * past:
         closing[0, d], closing[1, d] = apart, apart / past
@@ -73,11 +72,10 @@ def _joint_rows(
     joints: JointNumbers, j: int, mid: Midpoint, paths: Array, h: float, past: float, m: int,
     active: ActiveContacts,
 ) -> float:  # fmt: skip
-    """Write the rows of a joint as contact m; return by how much its place's path bends in a step.
+    """Write the rows of a joint as contact m; return the second difference of its anchor over h.
 
-    Velocities are relative to the path. `paths` (3, j, 2) is where the places of all joints in the
-    world were at the last detection, are, and are next; `h` and `past` are the lengths of this step
-    and of the one before.
+    Velocities are relative to the path. `paths` (3, j, 2): the world anchors of all joints at the
+    last detection, this one and the next; `h`, `past`: size of this step and the previous one.
     """
     places, old, loose = mid.places, mid.old, mid.loose
     rows, before, free = active.rows[m], active.before[m], active.free[m]
@@ -111,7 +109,7 @@ def _joint_rows(
             wanted[d] += sign * _bent(rx, ry, across, h * old[b, 2]) / h
             apart += sign * (ux * x + uy * y)
             size += abs(ux * x + uy * y) + abs(rx) + abs(ry)
-        # Joints that others imply cannot close what rounding opens.
+        # Redundant joints cannot close round-off.
         if not abs(apart) > _ANGLE_ROUND_OFF * size:
             closing[0, d] = 0.0
             continue
@@ -122,7 +120,7 @@ def _joint_rows(
 
 @kernel
 def _path_bend(paths: Array, j: int) -> float:
-    """Return by how much the path of the place of joint j bends in a step."""
+    """Return the second difference of the path of joint j's anchor."""
     bend_x = paths[2, j, 0] - 2.0 * paths[1, j, 0] + paths[0, j, 0]
     bend_y = paths[2, j, 1] - 2.0 * paths[1, j, 1] + paths[0, j, 1]
     return math.hypot(bend_x, bend_y)
@@ -133,10 +131,9 @@ def _distance_row(
     joints: JointNumbers, j: int, mid: Midpoint, paths: Array, h: float, m: int,
     active: ActiveContacts,
 ) -> tuple[float, float]:  # fmt: skip
-    """Write how fast the distance of a joint's ends falls as contact m; return what is left of it.
+    """Write the closing speed of a joint's ends as contact m; return the remaining distance.
 
-    And by how much less is left in a step than its rate says, as the ends go round and their arms
-    turn, as a velocity.
+    And the velocity by which it falls faster than linearly, as the ends circle and arms turn.
     """
     ends, rates, bent, owner = np.zeros((2, 2)), np.zeros((3, 2)), np.zeros(2), joints.owners[j]
     arms = np.zeros((2, 2))
@@ -178,10 +175,7 @@ def _distance_row(
 def _angle_row(
     joints: JointNumbers, j: int, mid: Midpoint, m: int, active: ActiveContacts
 ) -> float:
-    """Write how fast a relative angle grows, or falls to its greatest, as contact m.
-
-    Return how far it is from its bound, or above what holds it.
-    """
+    """Write the rate of a relative angle as contact m; return the angle minus its bound."""
     sign, angle = -1.0 if joints.holds[j] == GREATEST else 1.0, 0.0
     for side in range(2):
         b, way = joints.bodies[j, side], sign * (1.0 - 2.0 * side)
@@ -198,9 +192,9 @@ def _bounded(
     gap: float, bend: float, lasting: bool, level: float, h: float, e: float, fall: float, m: int,
     active: ActiveContacts,
 ) -> None:  # fmt: skip
-    """Write what a row that bounds a distance or an angle is to do: it is struck as contacts are.
+    """Write the bias of a one-sided row: it is struck as contacts are.
 
-    `e`: restitution; `fall`: what gravity changes velocities by in a step.
+    `e`: restitution; `fall`: velocity change by gravity in a step.
     """
     nearing = -active.before[m, 0]
     slow = SLOW * max(abs(active.free[m, 0] - active.before[m, 0]), fall)
@@ -223,7 +217,7 @@ def _other_row(
     joints: JointNumbers, j: int, mid: Midpoint, paths: Array, warm: WarmStart, place: int,
     h: float, fall: float, m: int, active: ActiveContacts,
 ) -> float:  # fmt: skip
-    """Write the row of a distance or an angle as contact m; see `_joint_rows`."""
+    """Write a distance or angle row as contact m; see `_joint_rows`."""
     holds, bend = joints.holds[j], 0.0
     for d in range(2):
         active.before[m, d] = active.free[m, d] = active.wanted[m, d] = 0.0
@@ -254,16 +248,10 @@ def add_joints(
     numbers: BodyNumbers, places: Array, warm: WarmStart, mid: Midpoint, h: float, count: int,
     active: ActiveContacts,
 ) -> int:  # fmt: skip
-    """Append the joints to the contacts of a step; return how many there are in all.
+    """Append the joints to the contacts of a step; return the number of rows.
 
-    Parameters
-    ----------
-    numbers, memory, mid, h, active
-        See `contacts.collision_detection.find_contacts`.
-    places : (3, j, 2)
-        Where what they hold points to is at this midpoint, the one before and the next.
-    count : int
-        Contacts.
+    `places` (3, j, 2): world anchors at the previous midpoint, this one and the next; the other
+    parameters are those of `contacts.collision_detection.find_contacts`.
     """
     joints, pieces = numbers.joints, len(numbers.pieces.sizes)
     first, at_old, m = pieces * (pieces + len(numbers.surfaces.kinds)), 0, count
@@ -283,7 +271,7 @@ def add_joints(
             at_old += 1
         _, _, place = restore_impulses(warm, at_old, first + j, 0, h, m, active)
         if place >= 0 and warm.contacts[place, 9] == 0.0:
-            # It was off.
+            # It was off then.
             place = -1
         for d in range(2):
             active.closing[m, 0, d] = warm.contacts[place, 4 + d] if place >= 0 else 0.0
@@ -315,10 +303,9 @@ def add_joints(
 def bent_on(
     joints: JointNumbers, j: int, d: int, places: Array, side: int, turn: float, than: float
 ) -> tuple[float, float]:
-    """Return how much farther the end of a joint's arm goes along its row d in a step.
+    """Return how much farther a joint arm's end goes along row d if its body turns by `turn`.
 
-    Where its body turns by `turn` in that and not by `than`, beyond what the rate says; as the row
-    counts it. And how far it goes round.
+    Relative to a turn `than`, beyond the linear term, with the row's sign; and its arc length.
     """
     if joints.holds[j] >= ROD:
         return 0.0, 0.0
@@ -332,7 +319,7 @@ def bent_on(
 
 @kernel
 def is_joined(joints: JointNumbers, one: int, other: int) -> bool:
-    """Return whether a joint holds two bodies together, which then do not touch."""
+    """Return whether a joint connects two bodies, which then do not collide."""
     for j in range(len(joints.holds)):
         a, b = joints.bodies[j]
         if joints.passes[joints.owners[j]] and not joints.on[joints.owners[j]]:

@@ -1,8 +1,7 @@
-"""Midpoint configuration of a step: positions, forces and reach of bodies.
+"""Midpoint configuration of a step: poses, forces and reach of bodies.
 
-Bodies that coordinates q place have poses p(q) and rates G q' with G = dp/dq; forces F on them give
-M(q) q'' = f(q, q') + G^T F. In rates (b + k, 3) of all bodies those of the coordinates stand in the
-last k rows, three in each.
+Linked bodies have poses p(q) and rates G q' with G = dp/dq; forces F on them give M(q) q'' = f(q,
+q') + G^T F. In arrays of rates (b + k, 3) the coordinates' rates fill the last k rows.
 """
 
 from __future__ import annotations
@@ -23,9 +22,8 @@ from statechart.kernels.tapes import run_tape
 class ForceProgram(NamedTuple):
     """Forces and moments on some bodies."""
 
-    bodies: Ints  # (f,): which.
-    # The program (see `statechart.formulas.tape.Tape`) over the state of a run, and the parameters:
-    # two components and a moment for each.
+    bodies: Ints  # shape (f,)
+    # Tape (`statechart.formulas.tape.Tape`) over state and parameters: force (2) and moment each.
     code: Ints32
     constants: Array
     outputs: Ints32
@@ -33,14 +31,14 @@ class ForceProgram(NamedTuple):
 
 
 class Prescribed(NamedTuple):
-    """Prescribed motion and forces in the next steps."""
+    """Prescribed motion and forces of the next steps."""
 
-    # Frames of surfaces, and points that joints hold to in the world, at the midpoints of the
-    # steps, of the step before and of the one after.
+    # At the midpoints of the previous step, these steps and the one after: frames of surfaces,
+    # world anchors of joints, poses of led bodies, controller variables.
     frames: Array  # shape (k + 2, s, 3)
     places: Array  # shape (k + 2, j, 2)
-    poses: Array  # (k + 2, l, 3): led bodies, then.
-    controller_states: Array  # (k + 2, w): variables of controllers then.
+    poses: Array  # shape (k + 2, l, 3)
+    controller_states: Array  # shape (k + 2, w)
     forces: ForceProgram
 
     def after(self, count: int) -> Prescribed:
@@ -54,14 +52,14 @@ class Prescribed(NamedTuple):
 
 
 TOUCH_TOLERANCE = 1e-12
-"""Bodies this near, in parts of the size of the smaller one, touch: where they are is rounded."""
+"""Round-off of positions, relative to the smaller body: bodies this near touch."""
 
 
 class LinkMotion(NamedTuple):
     """Gradients and compliance of linked bodies at a midpoint."""
 
-    gradients: Array  # (l, 3, c): derivatives of the poses by the coordinates.
-    # (c, c): inverse of M - h/2 df/dq': forces of inertia are those at the mean of the rates.
+    gradients: Array  # (l, 3, c): Jacobian of the poses.
+    # (c, c): inverse of M - h/2 df/dq', for inertial forces at the mean of the rates.
     compliance: Array
 
     @classmethod
@@ -73,26 +71,25 @@ class LinkMotion(NamedTuple):
 class Midpoint(NamedTuple):
     """Bodies in the middle of a step."""
 
-    # (b, 3): where they are; (b + k, 3): rates before the step, and after it without contacts.
-    # Rates of led bodies take them from midpoint to midpoint.
+    # (b, 3): poses; (b + k, 3): rates before the step, and after it without contacts. Rates of led
+    # bodies are differences between midpoints.
     places: Array
     old: Array
     loose: Array
-    # Middles of pieces in the world and their velocities before the step; corners of polygons.
+    # In the world: centres of pieces, their velocities before the step, polygon corners.
     centres: Array  # shape (p, 2)
     drifts: Array  # shape (p, 2)
     world: Array  # shape (v, 2)
-    # (p,): how far a piece moves within two steps, and since the last detection, and is taken to
-    # touch.
+    # (p,): largest motion of a piece within two steps and since the last detection, plus tolerance.
     reach: Array
-    gaps: Array  # (b,): to what is nearest, where that is found.
-    # (b,): how much faster gravity, or what moves as prescribed, makes a body within the step.
+    gaps: Array  # (b,): smallest gap found.
+    # (b,): speed that gravity, forces or prescribed motion give in the step.
     pull: Array
     links: LinkMotion
 
     @classmethod
     def allocate(cls, numbers: BodyNumbers) -> Midpoint:
-        """Return place for it."""
+        """Allocate its arrays."""
         count, pieces = len(numbers.sizes), len(numbers.pieces.sizes)
         return cls(
             np.empty((count, 3)),
@@ -125,7 +122,7 @@ def carry(numbers: BodyNumbers, mid: Midpoint, rates: Array) -> None:
 def push_link(
     numbers: BodyNumbers, mid: Midpoint, b: int, x: float, y: float, turn: float, rates: Array
 ) -> None:
-    """Apply an impulse along x and y and about linked body b to the rates of the coordinates."""
+    """Apply an impulse (x, y, moment) on linked body b to the rates of the coordinates."""
     size, whole = numbers.links.size, len(numbers.sizes)
     gradients = mid.links.gradients[b - len(numbers.inverse) + numbers.links.bodies]
     for j in range(size):
@@ -138,9 +135,9 @@ def push_link(
 def place_links(
     numbers: BodyNumbers, state: Array, h: float, registers: tuple[int, Array], mid: Midpoint
 ) -> bool:
-    """Move the coordinates to the middle of a step, in place, and place the linked bodies there.
+    """Move the coordinates to the middle of a step, in place, and place the linked bodies.
 
-    Return whether the mass matrix is regular. `registers` are those of `LinkNumbers`.
+    Returns whether the mass matrix is regular. `registers` are those of `LinkNumbers`.
     """
     links, whole, (base, values) = numbers.links, len(numbers.sizes), registers
     count, size, free = links.bodies, links.size, len(numbers.inverse) - links.bodies
@@ -191,7 +188,7 @@ def place_links(
 
 @kernel
 def _pull(numbers: BodyNumbers, mid: Midpoint, b: int) -> float:
-    """Return the speed of a body that has the energy of its change of rates and does not turn."""
+    """Return the translational speed with the energy of a body's change of rates."""
     sped = norm(mid.loose[b, 0] - mid.old[b, 0], mid.loose[b, 1] - mid.old[b, 1])
     turned, inverse = mid.loose[b, 2] - mid.old[b, 2], numbers.inverse[b]
     return math.sqrt(sped**2 + turned**2 * inverse[0] / inverse[2])
@@ -201,11 +198,11 @@ def _pull(numbers: BodyNumbers, mid: Midpoint, b: int) -> float:
 def move_to_midpoint(
     numbers: BodyNumbers, state: Array, poses: Array, h: float, past: float, mid: Midpoint
 ) -> None:
-    """Move bodies to the middle of a step, in place, and write what they are there.
+    """Move bodies to the middle of a step, in place, and write the midpoint.
 
-    The step before was `past` long: what they have passed since its middle is within their reach.
-    `poses` (3, l, 3) are those of led bodies at the midpoint before, at this one and at the next.
-    Linked bodies are there already: see `place_links`.
+    `past` is the previous step size: motion since its midpoint is within the reach. `poses` (3, l,
+    3) are those of led bodies at the previous midpoint, this one and the next. Linked bodies are
+    placed before (see `place_links`).
     """
     places, old, loose, centres, drifts, world, reach, gaps, pull, _ = mid
     count, pieces = len(numbers.inverse), numbers.pieces
@@ -233,7 +230,7 @@ def move_to_midpoint(
         x, y, angle = places[b]
         first, end = pieces.begins[b], pieces.begins[b + 1]
         c, s = 1.0, 0.0
-        # A disc about its body's centre looks the same however it turns.
+        # A centred disc needs no rotation.
         if end - first != 1 or pieces.spans[first] != pieces.radii[first]:
             c, s = math.cos(angle), math.sin(angle)
         placed(pieces.middles, first, end, x, y, c, s, centres)
@@ -260,10 +257,10 @@ def apply_forces(
     numbers: BodyNumbers, forces: ForceProgram, registers: tuple[int, Array], memory: Array,
     state: Array, time: float, h: float, mid: Midpoint,
 ) -> None:  # fmt: skip
-    """Let forces act on bodies in a step, and extend what these reach.
+    """Apply forces on bodies in a step, and extend their reach.
 
-    `registers` are those of the forces (see `statechart.kernels.tapes.filled`), `memory` (w,) is
-    what controllers remember in the middle of the step, where the coordinates of `state` are.
+    `registers` are those of the forces (see `statechart.kernels.tapes.filled`), `memory` (w,) the
+    controller variables at the midpoint.
     """
     free = len(numbers.inverse) - numbers.links.bodies
     (base, values), at = registers, 2 * (3 * free + numbers.links.size)
@@ -303,7 +300,7 @@ def _extend_reach(numbers: BodyNumbers, mid: Midpoint, b: int, h: float) -> None
 
 @kernel
 def fastest_turn(rates: Array) -> float:
-    """Return the largest angular velocity, of either sense."""
+    """Return the largest absolute angular velocity."""
     most = 0.0
     for b in range(len(rates)):
         most = max(most, abs(rates[b, 2]))

@@ -1,6 +1,6 @@
 """Contact manifolds of shapes on lines, plates, circles from both sides and graphs.
 
-A surface is looked at in its own frame, which its path or the body that carries it moves.
+A surface is evaluated in its own frame, which its path or its carrier moves.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import run_tape
 
 LINE, PLATE, ROUND, HOLLOW, GRAPH = range(5)
-"""Kinds of surfaces: the edge of a half-plane, a straight piece without thickness, a disc, what is
-around a disc, what is below a function."""
+"""Kinds of surfaces: half-plane, straight sheet without thickness, disc, outside of a disc, region
+below a function graph."""
 
-# Pieces in which the nearest points of a graph are looked for, and steps to each.
+# Search intervals for the nearest points of a graph, and Newton iterations for each.
 _INTERVALS, _STEPS = 16, 40
-# A crest this close to the end of an edge, relative to its length, is the corner there.
+# Distance of a crest from the end of an edge, relative to its length, at which it is the corner.
 _SAME_NORMAL = 1e-3
 
 
@@ -29,14 +29,12 @@ class SurfaceNumbers(NamedTuple):
     """The surfaces that bodies collide with."""
 
     kinds: Ints  # shape (s,)
-    # (s, 4): A point and the unit normal out of the solid of lines, the ends of plates, centre and
-    # radius of circles.
+    # (s, 4): lines: point and outward unit normal; plates: ends; circles: centre and radius.
     numbers: Array
     carriers: Ints  # (s,): bodies that carry them; -1: none.
-    moves: Bools  # (s,): which of them have paths.
-    # (s,): where a height, its slope and its curvature are among the outputs of the program.
-    graphs: Ints
-    # The program (see `statechart.formulas.tape.Tape`), and the parameters that it reads.
+    moves: Bools  # (s,): whether they have paths.
+    graphs: Ints  # (s,): place of height, slope and curvature in the outputs of the tape.
+    # Tape (`statechart.formulas.tape.Tape`) of the graphs, and its parameters.
     code: Ints32
     constants: Array
     outputs: Ints32
@@ -45,7 +43,7 @@ class SurfaceNumbers(NamedTuple):
 
 @kernel
 def distance(surfaces: SurfaceNumbers, s: int, pose: Array, x: float, y: float) -> float:
-    """Return how far a point is from a surface at least: below zero in the solid."""
+    """Return a lower bound of the distance of a point from a surface; < 0 in the solid."""
     kind = surfaces.kinds[s]
     if kind == GRAPH:
         return -math.inf
@@ -63,7 +61,7 @@ def distance(surfaces: SurfaceNumbers, s: int, pose: Array, x: float, y: float) 
 
 @kernel
 def to_frame(pose: Array, x: float, y: float) -> tuple[float, float]:
-    """Return a point of the world in a frame (x, y, angle)."""
+    """Return a world point in a frame (x, y, angle)."""
     dx, dy = x - pose[0], y - pose[1]
     if pose[2] == 0.0:
         return dx, dy
@@ -85,8 +83,8 @@ def crossing_time(
 ) -> float:  # fmt: skip
     """Return the part of a step for which a body was in a surface that it has passed; else 0.
 
-    `before`, `after`: its centre in the surface's frame, a step ago and now; `core`: how far it
-    reaches at least.
+    `before`, `after`: its centre in the surface's frame, a step ago and now; `core`: radius of its
+    inscribed circle.
     """
     kind = surfaces.kinds[s]
     a, b, c, d = surfaces.numbers[s]
@@ -122,14 +120,13 @@ def against_surface(
     registers: tuple[int, Array],
     shape: ConvexShape,
     within: float,
-    found: Array,
+    manifold: Array,
     features: Ints,
 ) -> int:
-    """Find the points of a body near a surface; return their number.
+    """Find the contact points of a piece with a surface, up to a gap; return their number.
 
-    `pose` (3,) is the frame of surface `s`, `registers` are those of the program
-    (`statechart.kernels.tapes.filled`). Gaps up to `within` are found; fills `found` (m, FOUND) and
-    `features` (m,).
+    `pose` (3,): frame of the surface; `registers`: of the height tape
+    (`statechart.kernels.tapes.filled`); outputs: `manifold` (m, FOUND), `features` (m,).
     """
     body, centre, radius = shape
     moved = pose[0] != 0.0 or pose[1] != 0.0 or pose[2] != 0.0
@@ -142,27 +139,27 @@ def against_surface(
     kind = surfaces.kinds[s]
     a, b, c, d = surfaces.numbers[s]
     if kind in (PLATE, ROUND):
-        ends, mine = np.empty((2, 2)), ConvexShape(corners, middle, radius)
+        ends, piece = np.empty((2, 2)), ConvexShape(corners, middle, radius)
         ends[0, 0], ends[0, 1], ends[1, 0], ends[1, 1] = a, b, c, d
-        about = np.empty(2)
-        about[0], about[1] = (a, b) if kind == ROUND else (0.5 * (a + c), 0.5 * (b + d))
+        origin = np.empty(2)
+        origin[0], origin[1] = (a, b) if kind == ROUND else (0.5 * (a + c), 0.5 * (b + d))
         if kind == ROUND:
-            disc = ConvexShape(np.empty((0, 2)), about, c)
-            count = between(mine, disc, within, found, features)
+            disc = ConvexShape(np.empty((0, 2)), origin, c)
+            count = between(piece, disc, within, manifold, features)
         else:
-            # The plate is first: where a body's corner is beside a plate's end, in a valley, its
-            # face is as near to that end as the plate's to the corner, which is what touches.
-            plate = ConvexShape(ends, about, 0.0)
-            count = between(plate, mine, within, found, features)
+            # The plate comes first: if a body's corner is beside the plate's end, in a valley, the
+            # body's face is as near to that end as the plate is to the corner, which touches.
+            plate = ConvexShape(ends, origin, 0.0)
+            count = between(plate, piece, within, manifold, features)
             for i in range(count):
-                found[i, 0], found[i, 1] = -found[i, 0], -found[i, 1]
+                manifold[i, 0], manifold[i, 1] = -manifold[i, 0], -manifold[i, 1]
     elif kind == GRAPH:
         if len(body) == 0:
-            count = _disc_on_graph(surfaces, s, registers, middle, radius, within, found)
+            count = _disc_on_graph(surfaces, s, registers, middle, radius, within, manifold)
             for i in range(count):
                 features[i] = i
         else:
-            count = _polygon_on_graph(surfaces, s, registers, corners, within, found, features)
+            count = _polygon_on_graph(surfaces, s, registers, corners, within, manifold, features)
     else:
         count = 0
         for i in range(max(len(body), 1)):
@@ -174,16 +171,17 @@ def against_surface(
                 if far == 0.0:
                     continue
                 nx, ny, away = (a - x) / far, (b - y) / far, c - far
-            if away - radius <= within and count < len(found):
-                # The point is on the rim of a disc, or the corner itself.
-                write_contact(found[count], nx, ny, x - radius * nx, y - radius * ny, away - radius)
+            if away - radius <= within and count < len(manifold):
+                write_contact(
+                    manifold[count], nx, ny, x - radius * nx, y - radius * ny, away - radius
+                )
                 features[count] = i
                 count += 1
     if moved:
         for i in range(count):
-            x, y = to_world(pose, found[i, 2], found[i, 3])
-            nx, ny = to_world(pose, found[i, 0], found[i, 1])
-            write_contact(found[i], nx - pose[0], ny - pose[1], x, y, found[i, 4])
+            x, y = to_world(pose, manifold[i, 2], manifold[i, 3])
+            nx, ny = to_world(pose, manifold[i, 0], manifold[i, 1])
+            write_contact(manifold[i], nx - pose[0], ny - pose[1], x, y, manifold[i, 4])
     return count
 
 
@@ -199,7 +197,7 @@ def _at(surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], count: i
 def tangent_at(
     surfaces: SurfaceNumbers, s: int, pose: Array, registers: tuple[int, Array], x: float, y: float
 ) -> tuple[float, float, float, float]:
-    """Return a point of the boundary of a surface that is no plate, near x, y, and its normal."""
+    """Return the boundary point of a surface (no plate) near x, y, and its normal."""
     u, v = to_frame(pose, x, y)
     a, b, c, d = surfaces.numbers[s]
     kind = surfaces.kinds[s]
@@ -223,7 +221,7 @@ def tangent_at(
 def _distance_to_disc(
     surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], x: float, middle: Array
 ) -> tuple[float, float, float, float]:
-    """Return height and slope at x, half the rate of the squared distance, and its rate."""
+    """Return height and slope at x, and two derivatives of half the squared distance."""
     numbers, outputs = registers[1], surfaces.outputs
     numbers[0, 0] = x
     at = _at(surfaces, s, registers, 1)
@@ -234,7 +232,7 @@ def _distance_to_disc(
 
 @kernel
 def _newton_step(low: float, high: float, x: float, rate: float, steeper: float) -> float:
-    """Return Newton's next x, or the middle of a bracket where that leaves it."""
+    """Return Newton's next x, or the middle of the bracket if it leaves that."""
     following = x - rate / steeper if steeper > 0.0 else math.inf
     return following if low < following < high else 0.5 * (low + high)
 
@@ -242,9 +240,9 @@ def _newton_step(low: float, high: float, x: float, rate: float, steeper: float)
 @kernel
 def _disc_on_graph(
     surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], middle: Array, radius: float,
-    within: float, found: Array,
+    within: float, manifold: Array,
 ) -> int:  # fmt: skip
-    """Find the points of a graph that are nearest to a disc: local minima of the distance."""
+    """Find the points of a graph nearest to a disc: local minima of the distance."""
     numbers = registers[1]
     reach, away = radius + within, np.empty(_INTERVALS + 1)
     for j in range(_INTERVALS + 1):
@@ -255,7 +253,7 @@ def _disc_on_graph(
         away[j] = x * x + y * y
     count = 0
     for j in range(1, _INTERVALS):
-        if not (away[j] <= away[j - 1] and away[j] < away[j + 1]) or count == len(found):
+        if not (away[j] <= away[j - 1] and away[j] < away[j + 1]) or count == len(manifold):
             continue
         low = middle[0] + reach * (2.0 * (j - 1) / _INTERVALS - 1.0)
         high = middle[0] + reach * (2.0 * (j + 1) / _INTERVALS - 1.0)
@@ -275,7 +273,7 @@ def _disc_on_graph(
         unit = 1.0 / math.sqrt(1.0 + slope * slope)
         gap = unit * (middle[1] - height - slope * (middle[0] - x)) - radius
         if gap <= within:
-            write_contact(found[count], -slope * unit, unit, x, height, gap)
+            write_contact(manifold[count], -slope * unit, unit, x, height, gap)
             count += 1
     return count
 
@@ -283,9 +281,9 @@ def _disc_on_graph(
 @kernel
 def _polygon_on_graph(
     surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], corners: Array, within: float,
-    found: Array, features: Ints,
+    manifold: Array, features: Ints,
 ) -> int:  # fmt: skip
-    """Find the corners that are near a graph, and its crests that are near edges."""
+    """Find corners near a graph, and its crests near edges."""
     numbers, outputs = registers[1], surfaces.outputs
     for i in range(len(corners)):
         numbers[0, i] = corners[i, 0]
@@ -295,14 +293,14 @@ def _polygon_on_graph(
         slope = numbers[outputs[at + 1], i]
         unit = 1.0 / math.sqrt(1.0 + slope * slope)
         gap = unit * (corners[i, 1] - numbers[outputs[at], i])
-        if gap <= within and count < len(found):
-            write_contact(found[count], -slope * unit, unit, corners[i, 0], corners[i, 1], gap)
+        if gap <= within and count < len(manifold):
+            write_contact(manifold[count], -slope * unit, unit, corners[i, 0], corners[i, 1], gap)
             features[count] = i
             count += 1
     for i in range(len(corners)):
         x, y = corners[i]
         ex, ey = corners[(i + 1) % len(corners), 0] - x, corners[(i + 1) % len(corners), 1] - y
-        # Lower edges of counter-clockwise polygons go to the right.
+        # Lower edges of counter-clockwise polygons point right.
         if not ex > 0.0:
             continue
         length = norm(ex, ey)
@@ -315,7 +313,7 @@ def _polygon_on_graph(
             away[j] = nx * (ex * j / _INTERVALS) + ny * (numbers[outputs[at], j] - y)
         crests = 0
         for j in range(1, _INTERVALS):
-            if not (away[j] <= away[j - 1] and away[j] < away[j + 1]) or count == len(found):
+            if not (away[j] <= away[j - 1] and away[j] < away[j + 1]) or count == len(manifold):
                 continue
             low, high = x + ex * (j - 1) / _INTERVALS, x + ex * (j + 1) / _INTERVALS
             place = 0.5 * (low + high)
@@ -338,7 +336,7 @@ def _polygon_on_graph(
             gap = nx * (place - x) + ny * (height - y)
             beside = min(place - x, x + ex - place)
             if gap <= within and beside > _SAME_NORMAL * length:
-                write_contact(found[count], -nx, -ny, place, height, gap)
+                write_contact(manifold[count], -nx, -ny, place, height, gap)
                 features[count] = len(corners) + _INTERVALS * i + crests
                 count += 1
                 crests += 1

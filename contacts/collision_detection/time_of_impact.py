@@ -1,4 +1,4 @@
-"""Time of impact of two bodies that move in straight lines between two steps."""
+"""Time of impact of two bodies in straight motion and uniform rotation between two steps."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from contacts.collision_detection.midpoint import Midpoint
 from statechart.arrays import Array
 from statechart.kernels.jit import kernel
 
-# Remaining gap at the predicted arrival, relative to the gap now, that counts as a touch.
+# Gap at the predicted arrival, relative to the present one, that counts as touching.
 _ARRIVED = 0.01
-# The cosine of the angle by which the normal of a hit may turn from its detection to the touch.
+# Cosine of the largest turn of the normal between detection and touch.
 _ALIKE = 0.8
-# Resolution of the time of impact of turning pieces: the interval is divided by this.
+# Resolution of the time of impact of rotating pieces: parts of the interval.
 _DIVISIONS = 256
-# Part of a step for which a piece that leaves by another side than it entered has crossed.
+# Part of a step that counts as crossed if a piece leaves by another side than it entered.
 _CROSSED_PART = 0.5
 
 
 @kernel
 def overlap(centres: Array, velocities: Array, b: int, c: int, apart: float) -> tuple[float, float]:
-    """Return the interval in which two pieces on straight lines are nearer than `apart`.
+    """Return the interval in which two pieces in straight motion are nearer than `apart`.
 
-    The pieces are at `centres` at time zero. It is (inf, inf) if they never are.
+    The pieces are at `centres` at time zero; (inf, inf) if they never are.
     """
     x, y = centres[b, 0] - centres[c, 0], centres[b, 1] - centres[c, 1]
     u, v = velocities[b, 0] - velocities[c, 0], velocities[b, 1] - velocities[c, 1]
@@ -41,7 +41,7 @@ def overlap(centres: Array, velocities: Array, b: int, c: int, apart: float) -> 
 
 @kernel
 def nearby(velocities: Array, sizes: Array, one: int, other: int, rate: float) -> bool:
-    """Return whether the relative speed is below `rate` times the size of the smaller piece."""
+    """Return whether the relative speed is below `rate` times the smaller size."""
     x = velocities[one, 0] - velocities[other, 0]
     y = velocities[one, 1] - velocities[other, 1]
     least = rate * min(sizes[one], sizes[other])
@@ -50,10 +50,7 @@ def nearby(velocities: Array, sizes: Array, one: int, other: int, rate: float) -
 
 @kernel
 def turning_speed(numbers: BodyNumbers, mid: Midpoint, one: int, other: int) -> float:
-    """Return how fast turning brings parts of two pieces nearer, beside their motion.
-
-    What is round turns nothing.
-    """
+    """Return the approach speed by rotation of two pieces; discs add none."""
     pieces, total = numbers.pieces, 0.0
     for p in (one, other):
         total += abs(mid.old[pieces.bodies[p], 2]) * (pieces.spans[p] - pieces.cores[p])
@@ -62,7 +59,7 @@ def turning_speed(numbers: BodyNumbers, mid: Midpoint, one: int, other: int) -> 
 
 @kernel
 def shape_at(pieces: PieceNumbers, p: int, pose: Array) -> ConvexShape:
-    """Return a piece of a body that is there."""
+    """Return a piece of a body in a pose."""
     x, y, angle = pose
     corners = place(pieces.vertices[pieces.firsts[p] : pieces.firsts[p + 1]], x, y, angle)
     middle = place(pieces.middles[p : p + 1], x, y, angle)[0]
@@ -72,47 +69,45 @@ def shape_at(pieces: PieceNumbers, p: int, pose: Array) -> ConvexShape:
 @kernel
 def _points(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], later: float, within: float,
-    found: Array,
+    manifold: Array,
 ) -> int:  # fmt: skip
-    """Find the points where two pieces are this near that have moved on as they do."""
+    """Find the points where two pieces are within a distance at a later time."""
     pieces, (p, q) = numbers.pieces, pair
     b, c = pieces.bodies[p], pieces.bodies[q]
     one = shape_at(pieces, p, mid.places[b] + later * mid.old[b])
     other = shape_at(pieces, q, mid.places[c] + later * mid.old[c])
-    return between(one, other, within, found, np.empty(len(found), np.int64))
+    return between(one, other, within, manifold, np.empty(len(manifold), np.int64))
 
 
 @kernel
 def _gap_and_cosine(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], later: float,
-    normal: tuple[float, float], found: Array,
+    normal: tuple[float, float], buffer: Array,
 ) -> tuple[float, float]:  # fmt: skip
-    """Return how two pieces touch that have moved on as they do: gap, cosine to a normal.
+    """Return the smallest gap of two pieces at a later time, and its best cosine to a normal.
 
-    The gap is inf, and the cosine 1, where they are far apart. Bodies are at `mid` at the time
-    zero, and move on for `later`; of the normals then the one nearest to `normal` counts. `found`
-    (p, FOUND) is overwritten.
+    (inf, 1) if they are far apart. Bodies are at `mid` at time zero; `buffer` (p, FOUND) is
+    overwritten.
     """
     one, other = numbers.pieces.bodies[pair[0]], numbers.pieces.bodies[pair[1]]
     fastest = np.abs(mid.old[one]).max() + np.abs(mid.old[other]).max()
-    count = _points(numbers, mid, pair, later, 2.0 * abs(later) * fastest, found)
+    count = _points(numbers, mid, pair, later, 2.0 * abs(later) * fastest, buffer)
     gap, along = math.inf, 1.0 if count == 0 else -1.0
     for p in range(count):
-        gap = min(gap, found[p, 4])
-        along = max(along, found[p, 0] * normal[0] + found[p, 1] * normal[1])
+        gap = min(gap, buffer[p, 4])
+        along = max(along, buffer[p, 0] * normal[0] + buffer[p, 1] * normal[1])
     return gap, along
 
 
 @kernel
 def _time_of_impact(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], begin: float, end: float,
-    near: float, aside: Array,
+    near: float, buffer: Array,
 ) -> float:  # fmt: skip
-    """Return the first time at which two moving, turning pieces are this near; inf if never.
+    """Return the first time at which two moving, rotating pieces are this near; inf if never.
 
-    Conservative advancement (Mirtich 1996): no point of them is faster than both bodies and what
-    these turn, so that nothing happens in the time that the gap gives. Against the time where it
-    `end`s before it begins.
+    Conservative advancement (Mirtich 1996): no point is faster than both bodies and their rotation,
+    so that the gap bounds the time. Backwards if `end` < `begin`.
     """
     pieces, p, q = numbers.pieces, pair[0], pair[1]
     u, v = mid.old[pieces.bodies[p]], mid.old[pieces.bodies[q]]
@@ -122,8 +117,8 @@ def _time_of_impact(
     least = abs(end - begin) / _DIVISIONS
     while (end - time) * way > 0.0:
         gap = math.inf
-        for k in range(_points(numbers, mid, pair, time, math.inf, aside)):
-            gap = min(gap, aside[k, 4])
+        for k in range(_points(numbers, mid, pair, time, math.inf, buffer)):
+            gap = min(gap, buffer[k, 4])
         if gap <= near:
             return time
         time += way * max((gap - near) / fastest, least)
@@ -133,14 +128,14 @@ def _time_of_impact(
 @kernel
 def will_collide(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], normal: tuple[float, float],
-    gap: float, nearing: float, h: float, aside: Array,
+    gap: float, nearing: float, h: float, buffer: Array,
 ) -> tuple[bool, float]:  # fmt: skip
-    """Return whether bodies that are not beside each other touch, and for how long they did.
+    """Return whether fast bodies touch, and for which part of the step they crossed.
 
-    Ahead of its arrival, or behind, other corners and edges of a fast body are the nearest.
+    At its arrival other corners and edges of a fast body can be the nearest.
     """
     later = max(gap / nearing, -h)
-    arrived, along = _gap_and_cosine(numbers, mid, pair, later, normal, aside)
+    arrived, along = _gap_and_cosine(numbers, mid, pair, later, normal, buffer)
     if gap > 0.0 and not arrived <= _ARRIVED * gap:
         return False, 0.0
     return True, _CROSSED_PART if along < _ALIKE else 0.0
@@ -153,30 +148,30 @@ def will_collide_turning(
     pair: tuple[int, int],
     gap: float,
     until: float,
-    aside: Array,
+    buffer: Array,
 ) -> bool:
-    """Return whether two quickly turning bodies that are apart touch before the given time."""
-    return _time_of_impact(numbers, mid, pair, 0.0, until, _ARRIVED * gap, aside) < math.inf
+    """Return whether two rapidly rotating, separated bodies touch before `until`."""
+    return _time_of_impact(numbers, mid, pair, 0.0, until, _ARRIVED * gap, buffer) < math.inf
 
 
 @kernel
 def passing_time(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], since: float, deep: float,
-    aside: Array,
+    buffer: Array,
 ) -> float:  # fmt: skip
-    """Return for how long pieces were so deep in each other since the last detection."""
-    left = _time_of_impact(numbers, mid, pair, 0.0, -since, -deep, aside)
-    if not -since < left < 0.0:
+    """Return for how long pieces were `deep` in each other since the last detection."""
+    end = _time_of_impact(numbers, mid, pair, 0.0, -since, -deep, buffer)
+    if not -since < end < 0.0:
         return 0.0
-    begin = _time_of_impact(numbers, mid, pair, -since, 0.0, -deep, aside)
-    return left - begin if -since < begin else 0.0
+    begin = _time_of_impact(numbers, mid, pair, -since, 0.0, -deep, buffer)
+    return end - begin if -since < begin else 0.0
 
 
 @kernel
 def entered_other_side(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], normal: tuple[float, float],
-    since: float, aside: Array,
+    since: float, buffer: Array,
 ) -> float:  # fmt: skip
-    """Return for how long a body was in another that it leaves: if it came by another side."""
-    earlier, _ = _gap_and_cosine(numbers, mid, pair, -since, normal, aside)
+    """Return `_CROSSED_PART` if a body leaves another by another side than it entered, else 0."""
+    earlier, _ = _gap_and_cosine(numbers, mid, pair, -since, normal, buffer)
     return _CROSSED_PART if earlier > 0.0 else 0.0

@@ -20,7 +20,7 @@ from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.regions import Edge, Region, State
-from statechart.automaton.trace import Key, Role
+from statechart.automaton.trace import Key, Role, Roles
 from statechart.charts.flatten import FlatRegion, FlatTransition, Updates
 from statechart.charts.guard_watch import (
     Guard,
@@ -175,17 +175,18 @@ class ControlGuards:
         names = set().union(*(guard.relation.names for guard in watched))
         forces = [force for pair in mechanics.forces.values() for force in pair]
         forces += [*mechanics.couples.values(), *(row.force for row in mechanics.joint_rows)]
-        unknown = sp.Symbol("unknown", real=True)
+        # A symbol for each force: the unknown rates of two do not cancel.
+        unknown = sp.symbols(f"unknown:{len(forces)}", real=True)
         self.watch = GuardWatch(
             watched,
             {n: e for n, e in mechanics.observables.items() if n in names},
             {
                 **dict(zip(mechanics.q, mechanics.v, strict=True)),
                 **dict(zip(mechanics.v, mechanics.a, strict=True)),
-                **dict.fromkeys(forces, unknown),
+                **dict(zip(forces, unknown, strict=True)),
                 **memory,
             },
-            inputs=(*mechanics.variables, *memory, *mechanics.a, *forces, unknown),
+            inputs=(*mechanics.variables, *memory, *mechanics.a, *forces, *unknown),
             parameters=mechanics.parameters.ordered,
             time=mechanics.time,
             timers=[
@@ -194,6 +195,7 @@ class ControlGuards:
             given=known,
         )
         self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)
+        self._unknown = np.full(len(forces), np.nan)
 
     def typical(self, setup: SceneSetup) -> Array:
         """Return the typical sizes of accelerations and forces."""
@@ -222,15 +224,15 @@ class ControlGuards:
         rates: bool = False,
     ) -> Array:
         """Return `GuardWatch.table` for instants (m,), states (m, 2 n) and unknowns (m, u)."""
-        inputs = np.hstack([states, solved, np.full((len(states), 1), np.nan)])
+        inputs = np.hstack([states, solved, np.tile(self._unknown, (len(states), 1))])
         return self.watch.table(setup, inputs, self._sizes(setup), times, rates=rates)
 
     def _inputs(self, state: Array, solved: Array | None) -> Array:
-        return np.concatenate([state, self._unsolved if solved is None else solved, [np.nan]])
+        return np.concatenate([state, self._unsolved if solved is None else solved, self._unknown])
 
     def _sizes(self, setup: SceneSetup) -> Array:
         assert setup.sizes is not None
-        return np.concatenate([setup.sizes, self.typical(setup), [0.0]])
+        return np.concatenate([setup.sizes, self.typical(setup), np.zeros_like(self._unknown)])
 
 
 class ControllerState:
@@ -266,7 +268,11 @@ class ControllerState:
             projected = of_motion.project(motion, time, self.within(setup, state).values)
             return state if projected is motion else self.joined(projected, state)
 
-        return of_motion._replace(project=project)
+        def fixed(state: Array, time: float, own: Roles) -> Roles:
+            assert of_motion.fixed is not None
+            return of_motion.fixed(self.parted(state), time, own)
+
+        return of_motion._replace(project=project, fixed=None if of_motion.fixed is None else fixed)
 
     def updated(
         self, setup: SceneSetup, clock: Clock, cause: str, blocks: tuple[Updates, ...], state: Array

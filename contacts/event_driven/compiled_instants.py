@@ -26,7 +26,7 @@ from contacts.dynamics.gates import (
 from contacts.dynamics.snapshot import SCALARS
 from contacts.impacts.impact import ENDED, MEANINGS, RAISES, strike
 from contacts.impacts.impulses import strike_group
-from contacts.modes.classification import ModeRules, classify, write_edges
+from contacts.modes.compiled_classification import ModeRules, classify, write_edges
 from contacts.scene.parts import MOREAU
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints

@@ -11,7 +11,8 @@ from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.impacts.jamming import Jam, jammed, paradoxes
-from contacts.modes.classification import ENDLESS, Before, Choice, ForceUncertainty, choose
+from contacts.modes.classification import Before, Choice, ForceUncertainty, choose
+from contacts.modes.compiled_classification import ENDLESS
 from contacts.scene.parts import Resolution
 from contacts.states import INACTIVE, OFF, cause_of, superstates_of
 from statechart.automaton.trace import Key

@@ -43,7 +43,7 @@ from contacts.event_driven.compiled_instants import (
     rules_of,
     switched,
 )
-from contacts.modes.classification import allowed, classify
+from contacts.modes.compiled_classification import allowed, classify
 from contacts.states import CODES, FREE, OFF, OFF_CODE, PIN, superstates_of
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.laws import Setup

@@ -19,7 +19,7 @@ import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.snapshot import SCALARS, Snapshot
-from contacts.modes.classification import ModeRules, write_edges
+from contacts.modes.compiled_classification import ModeRules, write_edges
 from contacts.solvers.contact_rows import STEEPEST
 from contacts.solvers.dependence import independent
 from contacts.solvers.lemke import delassus_matrix, forces_by_lemke

@@ -13,549 +13,49 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
-from contacts.dynamics.contact_law import ContactLaw, bounds, carriers, cones
+from contacts.dynamics.contact_law import ContactLaw, bounds, cones
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import EDGES, SCALARS, PerContact, Snapshot
-from contacts.modes.load_sharing import Share, bearing, prestressed_contacts, rank, share
+from contacts.dynamics.snapshot import PerContact, Snapshot
+from contacts.modes.candidates import (
+    OPEN_LOAD,
+    SINGULAR,
+    Candidate,
+    Case,
+    by_lemke,
+    candidates,
+    consistent,
+    openness,
+    resistance_pairs,
+    same_motion,
+)
+from contacts.modes.load_sharing import Share, bearing, prestressed_contacts, rank
 from contacts.modes.signs_at_rest import laws_of, signs_at_rest, with_signs
-from contacts.scene.modes import OWN, SignFriction
-from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
+from contacts.scene.modes import OWN
 from contacts.solvers.mode_solver import (
-    AGAINST,
-    BEYOND,
-    INTO,
-    NEGATIVE,
-    OUTSIDE,
-    PULLS,
     choose_edges,
     judge_forces,
-    solve_modes,
 )
-from contacts.solvers.saddle_point import CONTRADICTORY, REDUNDANT, SOLVED, UNDETERMINED
 from contacts.states import (
     CODES,
     DISENGAGED,
-    FREE,
     INACTIVE,
-    LOCKED,
     OFF,
-    OFF_CODE,
     OPEN,
-    PIN,
-    SLIDE,
-    SLIDE_MINUS,
-    SLIDE_PLUS,
     SLIDING,
     SLIPPING,
     STICKING,
     declared_state,
     undetermined,
 )
-from statechart.arrays import Array, Bools, Ints
-from statechart.automaton.laws import roles_in
+from statechart.arrays import Array
 from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Key, Roles
 from statechart.errors import AmbiguousMode, NoConsistentMode, NonFinite
-from statechart.kernels.jit import kernel
-
-_REASONS = {
-    INTO: "it would accelerate at {:.3g} into the surface",
-    PULLS: "V = {:.3g} < 0",
-    OUTSIDE: "|H| = {:.6g} > mu V",
-    AGAINST: "slip would accelerate at {:.3g} against it",
-    BEYOND: "|M| = {:.6g} > its limit",
-    NEGATIVE: "its limit is {:.6g} < 0",
-}
-SINGULAR = "its equations do not determine the motion"
-"""Reason of a mode in which a body without mass or inertia is free."""
-OPEN_LOAD = "how the contacts share the load changes the motion"
-"""Reason of a mode whose motion depends on the load sharing (feet of different friction)."""
-_UNSOLVED = {
-    CONTRADICTORY: "its contacts cannot move together like that",
-    UNDETERMINED: OPEN_LOAD,
-}
-_DETERMINED = (SOLVED, REDUNDANT)
-_UNEXPLAINED = "no forces within the cones explain its motion"
-_DUPLICATE = "moves like a mode that keeps more contacts closed or pinned"
-# Kind of violation: forces outside all cones; the other kinds are those of `mode_solver`.
-_OUTSIDE_ALL = -1
-# Relative difference of accelerations up to which two motions are equal.
-_SAME_MOTION = 1e-9
-# Forces below this part of the scene's force are round-off.
-_EXACT = 1e-13
-
-
-class Case(NamedTuple):
-    """State to be classified."""
-
-    snapshot: Snapshot
-    laws: Sequence[ContactLaw]  # One per contact
-    # `closed`, `at_rest`: Masks of contacts whose gap is closed, and whose slip is zero
-    closed: Sequence[bool]
-    at_rest: Sequence[bool]
-    scales: Scales  # For judging inequalities
-    tie: float = 0.0  # Relative violations up to this are boundary cases
-    signs: int = 0  # How many of the laws, the last, are signs (`contacts.modes.signs_at_rest`)
-
-
-class Candidate(NamedTuple):
-    """Assignment of modes to the contacts, with its solution."""
-
-    states: tuple[str, ...]  # Per contact
-    accelerations: Array  # (n,)
-    forces: Array  # (c, 2): V and H per contact
-    # Largest violation of an inequality, in the scales; inf if no motion is determined, or no
-    # forces explain it
-    violation: float
-    # The violated inequality: contact, kind (`contacts.solvers.mode_solver`), value
-    broken: tuple[str, int, float]
-    share: Share | None = None  # Smallest forces, if the motion does not determine them
-    undetermined: str = ""  # Reason why it determines no motion
-
-    def of_contacts(self, count: int, frictions: Sequence[SignFriction]) -> Candidate:
-        """Return the mode of the first contacts, those behind them being signs."""
-        share = None if self.share is None else self.share.of_contacts(count, frictions)
-        return self._replace(states=self.states[:count], forces=self.forces[:count], share=share)
-
-    @property
-    def roles(self) -> Roles:
-        """The states with the load sharing, which determine the equations of a flow."""
-        return roles_in(self.states) if self.share is None else self.share.roles(self.states)
-
-    @property
-    def reason(self) -> str:
-        """Text of the violated inequality."""
-        contact, kind, number = self.broken
-        if self.undetermined:
-            return self.undetermined
-        if kind == _OUTSIDE_ALL:
-            return _UNEXPLAINED
-        return f"{contact}: " + _REASONS[kind].format(number)
-
-
-def consistent(tried: Iterable[Candidate], tie: float) -> list[Candidate]:
-    """Return the candidates that violate no inequality by more than `tie`."""
-    return [c for c in tried if c.violation <= tie]
-
-
-def candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
-    """Solve every combination of `options` (states per contact).
-
-    If constraints are dependent, a combination is consistent if some forces in the cones explain
-    its motion; of the combinations with the same motion only the one with most closed, then most
-    pinned contacts is kept.
-    """
-    return _solved_combinations(case, *_combinations(tuple(options), _loads(tuple(case.laws))))
-
-
-def _solved_combinations(
-    case: Case, combinations: Sequence[tuple[str, ...]], codes: Ints
-) -> list[Candidate]:
-    snapshot, laws, closed, at_rest, scales, tie, _ = case
-    edges = bounds(laws, snapshot)
-    count, contacts = codes.shape
-    status, verdicts = np.empty(count, np.int64), np.empty((count, 4))
-    accelerations = np.empty((count, len(snapshot.forces)))
-    forces = np.empty((count, contacts, 2))
-    redundant, _ = solve_modes(
-        snapshot.mass,
-        snapshot.forces,
-        snapshot.jacobians,
-        snapshot.biases,
-        edges,
-        carriers(tuple(laws)),
-        codes,
-        _flags(
-            tuple(
-                is_closed and not law.coupling for is_closed, law in zip(closed, laws, strict=True)
-            )
-        ),
-        _flags(tuple(at_rest)),
-        scales.force,
-        scales.acceleration,
-        status,
-        accelerations,
-        forces,
-        verdicts,
-        tie,
-    )
-    solved: list[Candidate] = []
-    judged = zip(combinations, status.tolist(), verdicts.tolist(), strict=True)
-    for k, (states, outcome, (violation, contact, kind, number)) in enumerate(judged):
-        undetermined = "" if outcome in _DETERMINED else _UNSOLVED.get(outcome, SINGULAR)
-        broken = (laws[int(contact)].name if laws else "", int(kind), number)
-        violation = math.inf if undetermined else violation
-        solved.append(
-            Candidate(states, accelerations[k], forces[k], violation, broken, None, undetermined)
-        )
-    if redundant:
-        _explain(case, edges, codes, solved, np.flatnonzero(status == REDUNDANT).tolist())
-    return solved
-
-
-def _refused(candidate: Candidate, why: str) -> Candidate:
-    return candidate._replace(violation=math.inf, undetermined=why)
-
-
-def _explain(
-    case: Case,
-    edges: Array,
-    codes: Ints,
-    solved: list[Candidate],
-    redundant: Sequence[int],
-) -> None:
-    """Check whether forces in the cones explain the motion of candidates with dependent rows."""
-    snapshot, scales, tie = case.snapshot, case.scales, case.tie
-    inward = 0.25 * max(tie, _EXACT) * scales.force
-    bound = max(tie, _SAME_MOTION)
-    moving = [(k, solved[k]) for k in redundant if solved[k].violation <= bound]
-    if not moving:
-        return
-    moving.sort(key=lambda item: openness(item[1]))
-    motions = np.array([rejected.accelerations for _, rejected in moving]).reshape(len(moving), -1)
-    largest = _SAME_MOTION * np.maximum(scales.acceleration, np.abs(motions).max(1, initial=0.0))
-    represented = np.zeros(len(moving), np.bool_)
-    failed: list[tuple[Candidate, Ints]] = []
-    for place, (k, candidate) in enumerate(moving):
-        if represented[place]:
-            solved[k] = _refused(candidate, _DUPLICATE)
-            continue
-        shared_forces = None
-        if not any(
-            _within(codes[k], code) and same_motion(rejected, candidate, scales, _EXACT)
-            for rejected, code in failed
-        ):
-            chosen = np.empty((len(codes[k]), 2))
-            choose_edges(edges, codes[k], chosen)
-            shared_forces = share(
-                codes[k],
-                snapshot,
-                chosen,
-                carriers(tuple(case.laws)),
-                candidate.forces,
-                inward,
-                case.signs,
-            )
-        if shared_forces is None or shared_forces.violation > tie * scales.force:
-            failed.append((candidate, codes[k]))
-            solved[k] = _refused(candidate, _UNEXPLAINED)
-            continue
-        excess = shared_forces.violation / scales.force
-        shared = candidate._replace(forces=shared_forces.forces, share=shared_forces)
-        if excess > shared.violation:
-            shared = shared._replace(violation=excess, broken=("", _OUTSIDE_ALL, excess))
-        solved[k] = shared
-        represented |= np.abs(motions - motions[place]).max(1, initial=0.0) <= largest
-
-
-def _within(code: Ints, other: Ints) -> bool:
-    return bool(((code == other) | (code == FREE) | (other == PIN) | (other == LOCKED)).all())
-
-
-@lru_cache(maxsize=1024)
-def _flags(marks: tuple[bool, ...]) -> Bools:
-    return np.array(marks, dtype=np.bool_)
-
-
-@lru_cache(maxsize=1024)
-def _loads(laws: tuple[ContactLaw, ...]) -> tuple[tuple[int, int], ...]:
-    return tuple((i, law.carrier) for i, law in enumerate(laws) if law.carrier >= 0)
-
-
-@lru_cache(maxsize=1024)
-def _combinations(
-    options: tuple[Sequence[str], ...], loads: tuple[tuple[int, int], ...]
-) -> tuple[tuple[tuple[str, ...], ...], Ints]:
-    """Return every combination of states, as names and as codes.
-
-    `loads` are rolling resistances and their contacts, which open together.
-    """
-    combinations = tuple(
-        states
-        for states in product(*options)
-        if all((states[i] in OPEN) == (states[carrier] in OPEN) for i, carrier in loads)
-    )
-    return combinations, np.array([[CODES[state] for state in s] for s in combinations], np.int64)
-
-
-def same_motion(
-    first: Candidate, second: Candidate, scales: Scales, tolerance: float = _SAME_MOTION
-) -> bool:
-    """Return whether two candidate modes give the same accelerations."""
-    size = max(scales.acceleration, float(np.abs(second.accelerations).max()))
-    difference = np.abs(first.accelerations - second.accelerations).max()
-    return bool(difference <= tolerance * size)
-
-
-def openness(candidate: Candidate) -> tuple[int, int, str]:
-    """Sort key: most contacts closed, then most of them pinned, then names."""
-    states = candidate.states
-    return (
-        sum(state == "free" for state in states),
-        sum(state not in STICKING for state in states),
-        " ".join(states),
-    )
-
-
-def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
-    """Solve the modes that Lemke's algorithm ends in (see `candidates`).
-
-    The complementarity problem is in accelerations and forces of the contacts (Stewart and
-    Trinkle's form; the force of a slipping contact is along the edge that opposes the slip). It
-    only proposes modes; these are solved and checked as all others. Empty without a solution.
-    """
-    snapshot, laws, closed, at_rest, scales, *_ = case
-    group = [i for i, is_closed in enumerate(closed) if is_closed]
-    slides = np.array([0.0 if at_rest[i] else np.sign(snapshot.contacts[i].slip) for i in group])
-    # Contacts at rest have their static friction.
-    edges = np.empty((len(group), 2))
-    sliding = np.where(slides > 0.0, SLIDE_PLUS, np.where(slides < 0.0, SLIDE_MINUS, PIN))
-    choose_edges(cones(laws, snapshot.contacts)[group], sliding, edges)
-    contacts, unconstrained = delassus_matrix(
-        snapshot.mass, snapshot.jacobians[group], snapshot.forces
-    )
-    free_accelerations = snapshot.biases[group] + unconstrained
-    for k, i in enumerate(group):
-        if laws[i].coupling:
-            # The limit of a coupling acts as a constant normal force.
-            static, kinetic = snapshot.limits[i - len(laws)].tolist()
-            limit, edges[k] = static if at_rest[i] else kinetic, math.sqrt(0.5)
-            contacts[2 * k, 2 * k] = 1.0
-            if laws[i].carrier < 0:
-                free_accelerations[k, 0] = -limit
-            elif laws[i].carrier in group:
-                contacts[2 * k, 2 * group.index(laws[i].carrier)] = -limit
-    solved, forces = forces_by_lemke(contacts, free_accelerations, edges, slides)
-    if not solved:
-        return []
-    after = free_accelerations + (contacts @ forces.ravel()).reshape(-1, 2)
-    not_accelerating = np.abs(after) <= _SAME_MOTION * max(
-        scales.acceleration, float(np.abs(after).max())
-    )
-    negligible = _SAME_MOTION * float(np.abs(forces).max())
-    assignments = []
-    # An unloaded contact may be closed or open, one at the edge of its cone pinned or sliding.
-    for close_unloaded, pin_at_edge in product((True, False), repeat=2):
-        states = [
-            allowed_states[0] if len(allowed_states) == 1 or law.coupling else "free"
-            for allowed_states, law in zip(options, laws, strict=True)
-        ]
-        for k, i in enumerate(group):
-            V, H = forces[k].tolist()
-            bears = max(V, abs(H)) > negligible
-            if not not_accelerating[k, 0] or not (bears or close_unloaded):
-                continue
-            is_inside = edges[k, 1] * V - edges[k, 0] * abs(H) > negligible
-            slip_direction = slides[k] or (-H if bears and not_accelerating[k, 1] else after[k, 1])
-            sticking = next((state for state in options[i] if state in STICKING), "")
-            if at_rest[i] and not_accelerating[k, 1] and (pin_at_edge or is_inside) and sticking:
-                states[i] = sticking
-            elif laws[i].coupling:
-                states[i] = "slip+" if slip_direction > 0.0 else "slip-"
-            elif edges[k, 1] == 0.0:
-                states[i] = "slide"
-            else:
-                states[i] = "slide+" if slip_direction > 0.0 else "slide-"
-        for i, carrier in _loads(tuple(laws)):
-            if states[carrier] in OPEN:
-                states[i] = "free"
-        if all(
-            state in allowed_states for state, allowed_states in zip(states, options, strict=True)
-        ):
-            assignments.append(tuple(states))
-    combinations = tuple(dict.fromkeys(assignments))
-    if not combinations:
-        return []
-    codes = np.array([[CODES[state] for state in states] for states in combinations])
-    return _solved_combinations(case, combinations, codes)
-
-
-class ModeRules(NamedTuple):
-    """Constants of the classification of contacts."""
-
-    allowed: Bools  # (c, 5): Mask of the state codes that a contact may take
-    cones: Array  # (c, 2): cone_n, cone_t at rest
-    # `gap_drift`, `speed_drift`: Errors of a closed contact's gap and velocities that need no
-    # projection; `gap`, `speed`: Tolerances
-    gap_drift: float
-    speed_drift: float
-    gap: float
-    speed: float
-    tie: float  # See `contacts.solvers.mode_solver.solve_modes`
-    # Minimal distance of forces from their bounds when a contact comes to rest (`ForceUncertainty`)
-    force_uncertainty: float
-    # `force`, `acceleration`: The scales
-    force: float
-    acceleration: float
-
-
-@lru_cache(maxsize=1024)
-def allowed(states: tuple[tuple[str, ...], ...]) -> Bools:
-    """Return the mask (c, 5) of the state codes of every contact's region."""
-    allowed = np.zeros((len(states), len({*CODES.values()})), np.bool_)
-    for i, several in enumerate(states):
-        for name in several:
-            if name not in INACTIVE:
-                allowed[i, CODES[name]] = True
-    return allowed
-
-
-# Forces beyond this multiple of the scene's force are infinite up to round-off (Painleve).
-ENDLESS = 1e13
-# Python solves more combinations of states.
-_MAX_COMBINATIONS = 64
-
-
-@kernel
-def _is_near_bound(
-    codes: Ints,
-    states_before: Ints,
-    closed: Bools,
-    at_rest: Bools,
-    verdicts: Array,
-    uncertainty: float,
-) -> bool:
-    """Return whether a contact comes to rest in a mode whose forces are near their bounds."""
-    for k in range(codes.shape[0]):
-        if abs(verdicts[k, 0]) <= uncertainty:
-            for c in range(codes.shape[1]):
-                if codes[k, c] == PIN and states_before[c] != PIN and closed[c] and at_rest[c]:
-                    return True
-    return False
-
-
-@kernel
-def write_edges(cones: Array, numbers: Array, scalars: int, edges: Array) -> None:
-    """Write the edges (c, 6) of friction cones from those at rest and from the snapshot."""
-    for c in range(len(edges)):
-        place = scalars + SCALARS * c + EDGES
-        edges[c, 0], edges[c, 1] = cones[c, 0], cones[c, 1]
-        for k in range(4):
-            edges[c, 2 + k] = numbers[place + k]
-
-
-@kernel
-def classify(
-    rules: ModeRules,
-    numbers: Array,
-    n: int,
-    after_flow: bool,
-    states_before: Ints,
-    lowest: Array,
-    states: Ints,
-) -> bool:
-    """Classify every contact; False if the mode is ambiguous.
-
-    Parameters
-    ----------
-    rules : ModeRules
-    numbers : (o,) array
-        Snapshot of the scene.
-    n : int
-        Number of coordinates.
-    after_flow, states_before
-        Whether a flow ends here, and the states (c,) of the contacts; those that are off stay off.
-    lowest : (c,) array
-        Lower bounds of the gaps.
-    states : (c,) array
-        Filled with the state of every contact.
-    """
-    allowed, gap_drift, speed_drift, speed_tolerance, tie = (
-        rules.allowed, rules.gap_drift, rules.speed_drift, rules.speed, rules.tie,
-    )  # fmt: skip
-    contacts = states.shape[0]
-    at = n * n + n + 1
-    biases_at = at + 2 * n * contacts
-    scalars = biases_at + 2 * contacts
-    closed, at_rest = np.empty(contacts, np.bool_), np.empty(contacts, np.bool_)
-    options, counts = np.empty((contacts, 5), np.int64), np.empty(contacts, np.int64)
-    total = 1
-    for c in range(contacts):
-        if states_before[c] == OFF_CODE:
-            closed[c] = at_rest[c] = False
-            options[c, 0], counts[c] = FREE, 1
-            continue
-        place = scalars + SCALARS * c
-        gap, rate, slip = numbers[place], numbers[place + 1], numbers[place + 2]
-        gap_closed = gap <= rules.gap
-        if not gap >= lowest[c] or (gap_closed and rate < -speed_tolerance):
-            return False
-        lasting = states_before[c] != FREE
-        drifted = gap > gap_drift or abs(rate) > speed_drift
-        if lasting and (drifted or (states_before[c] == PIN and abs(slip) > speed_drift)):
-            return False
-        closed[c], at_rest[c] = (
-            gap_closed and rate <= speed_tolerance,
-            abs(slip) <= 2.0 * speed_tolerance,
-        )
-        if not closed[c] and not allowed[c, FREE]:
-            return False
-        if closed[c] and drifted and not after_flow:
-            return False
-        counts[c] = 0
-        for s in range(5):
-            if not closed[c]:
-                is_allowed = s == FREE
-            elif s in (FREE, SLIDE) or at_rest[c]:
-                is_allowed = allowed[c, s]
-            else:
-                is_allowed = allowed[c, s] and s == (SLIDE_PLUS if slip > 0.0 else SLIDE_MINUS)
-            if is_allowed:
-                options[c, counts[c]] = s
-                counts[c] += 1
-        total *= counts[c]
-    if total == 0 or total > _MAX_COMBINATIONS:
-        return False
-    codes = np.empty((total, contacts), np.int64)
-    for k in range(total):
-        remainder = k
-        for c in range(contacts):
-            codes[k, c] = options[c, remainder % counts[c]]
-            remainder //= counts[c]
-    status, verdicts = np.empty(total, np.int64), np.empty((total, 4))
-    forces = np.empty((total, contacts, 2))
-    edges = np.empty((contacts, 6))
-    write_edges(rules.cones, numbers, scalars, edges)
-    redundant, agreeing = solve_modes(
-        numbers[: n * n].reshape((n, n)),
-        numbers[n * n : n * n + n],
-        numbers[at:biases_at].reshape((contacts, 2, n)),
-        numbers[biases_at:scalars].reshape((contacts, 2)),
-        edges,
-        np.full(contacts, -1),
-        codes,
-        closed,
-        at_rest,
-        rules.force,
-        rules.acceleration,
-        status,
-        np.empty((total, n)),
-        forces,
-        verdicts,
-        tie,
-    )
-    if redundant > 0 or agreeing < 0 or not verdicts[agreeing, 0] < -tie:
-        return False
-    if _is_near_bound(codes, states_before, closed, at_rest, verdicts, rules.force_uncertainty):
-        return False
-    for c in range(contacts):
-        for force in forces[agreeing, c]:
-            if abs(force) > ENDLESS * rules.force:
-                return False
-        place = scalars + SCALARS * c
-        states[c] = OFF_CODE if states_before[c] == OFF_CODE else codes[agreeing, c]
-        if states[c] != FREE and states[c] != OFF_CODE:
-            if abs(numbers[place]) > gap_drift or abs(numbers[place + 1]) > speed_drift:
-                return False
-            if states[c] == PIN and abs(numbers[place + 2]) > speed_drift:
-                return False
-    return True
 
 
 class ForceUncertainty(NamedTuple):
@@ -757,7 +257,7 @@ def choose(
         uncertainty = None if uncertainty is None else uncertainty.with_signs(resting)
     at_rest = [abs(contact.slip) <= slip_tolerance for contact in snapshot.contacts]
     options = [*map(_options, snapshot.contacts, laws, closed, at_rest)]
-    for i, carrier in _loads(tuple(laws)):
+    for i, carrier in resistance_pairs(tuple(laws)):
         options[i] = options[i] if closed[carrier] else ("free",)
     case = Case(snapshot, laws, closed, at_rest, scales, tie, len(resting))
     tried: list[Candidate] = []

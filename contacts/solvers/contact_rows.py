@@ -1,8 +1,8 @@
-"""Contacts of bodies by the rows that they are felt in: impulses one contact at a time.
+"""Contacts as rows on rigid bodies, and Gauss-Seidel sweeps over them.
 
-Nonsmooth Gauss-Seidel (Moreau 1988; Jean 1999): contact by contact the two impulses that solve its
-law exactly, accelerated as a nonlinear conjugate gradient method (Silcowitz, Niebel and Erleben
-2010). Nothing is assembled: a sweep costs the same for every contact.
+Nonsmooth Gauss-Seidel (Moreau 1988; Jean 1999) solves the law of each contact exactly in turn,
+accelerated as a nonlinear conjugate gradient method (Silcowitz, Niebel and Erleben 2010). The
+Delassus matrix W is never assembled: a sweep costs the same for every contact.
 """
 
 from __future__ import annotations
@@ -18,60 +18,59 @@ from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import kernel
 
 HELD, GUIDED = -1.0, -2.0
-"""In the place of the first number of a cone: both directions of a row are held, whatever it takes;
-its first one is."""
+"""Markers in place of the first cone entry: both rows are bilateral (`HELD`), or the first one is
+(`GUIDED`)."""
 
 STEEPEST = 2.0**-12
-"""No cone's edge is steeper: its normal part, of 1, counts as at least this."""
+"""Smallest normal component of a unit cone edge: it bounds the friction coefficient."""
 
 LAW = 9
-"""Numbers that `law_of` writes."""
+"""Numbers per contact that `law_of` writes."""
 
 BEST, NOW, CHANGE, ALONG, LEAST, TRIAL, SAVED = range(7)
-"""What solvers have in `ContactRows.spare`: the best impulses, those of a sweep or a step, by how
-much they change, and how they went on; what is asked; impulses that are tried, and kept."""
+"""Slots of `ContactRows.spare`: best impulses, current ones, their change, search direction, right
+side q, trial impulses, saved impulses."""
 
 PAIR = 2
-"""Bodies that a contact of bodies moves. The block behind them is its pad, if there are pads."""
+"""Bodies per contact. The third block is the contact's pad, if there are pads."""
 
-# What a contact's own impulses do to its velocity is known to this part.
+# Relative round-off of a contact's velocity under its own impulses.
 _ROW_ROUND_OFF = 1e-13
-# Of the fastest slip: an approach below this is what rounding leaves of rest, and what impulses are
-# for is friction. Bodies of grams that walls press on fall past these by 1.6e-3 m/s in a step, and
-# approach them at 4e-19: missing a thousandth of that is nothing.
+# Relative to the fastest slip: a slower approach is round-off of rest, and only friction is to be
+# found. Bodies of grams that walls press on fall past these by 1.6e-3 m/s in a step, and approach
+# them at 4e-19: a relative error of a thousandth of that is irrelevant.
 _RESTING = 1e-7
-# Changes that are the same in every sweep, as where bodies wedge, are so but for rounding.
+# Round-off margin for "changes grow": wedged bodies change equally in every sweep.
 _GROWN = 1.001
 
 
 class ContactRows(NamedTuple):
-    """Rows of contacts that are coupled through the bodies that they move."""
+    """Contact rows, coupled through the bodies that they move."""
 
-    # (m, s): which bodies a contact moves, of three rates each, that stand side by side.
+    # (m, s): bodies that a contact moves, three rates each, stored side by side.
     bodies: Ints
-    moving: int  # How many bodies there are; what nothing moves has this number.
-    # (m, 2, 3 s): its velocity, normal and tangential, per unit of these rates; and their change
-    # per unit impulse along each.
+    moving: int  # Number of bodies, and index of the fixed world.
+    # (m, 2, 3 s): J, normal and tangential row, and M^-1 J^T, on these rates.
     rows: Array
     columns: Array
-    own: Array  # (m, 3): its compliances: normal, tangential, between the two.
-    # (m, 2): ``(cone_n, cone_t)``, with ``mu = cone_t / cone_n``; of joints see `HELD`.
+    own: Array  # (m, 3): its diagonal block of W: W_nn, W_tt, W_nt.
+    # (m, 2): ``(cone_n, cone_t)``, with ``mu = cone_t / cone_n``; joints: see `HELD`.
     cones: Array
     laws: Array  # (m, LAW): see `law_of`.
-    # Where solvers work, who need arrays for every island: rates of what moves, and of what nothing
-    # moves, how they went on, and before; see `BEST`.
+    # Solver workspace. Rates of the bodies and the world: current, search direction, previous.
+    # Impulses: slots `BEST` to `SAVED`.
     rates: Array  # shape (3, 3 b + 3)
     spare: Array  # shape (7, m, 2)
-    # 1 where all contacts move the same blocks, of coordinates; 0 where each moves bodies of its
-    # own. 1 where contacts of bodies may have pads.
+    # 1 if all contacts move the same coordinate blocks; 0 if each moves bodies of its own. 1 if
+    # contacts of bodies may have pads.
     shared: int
     padded: int
 
     @classmethod
     def allocate(cls, most: int, bodies: int, padded: int = 0, shared: int = 0) -> ContactRows:
-        """Return place for so many contacts of so many bodies, with pads if they are `padded`.
+        """Allocate rows for so many contacts of so many bodies, with pads if they are `padded`.
 
-        Behind these all may move `shared` blocks of coordinates.
+        Then follow `shared` coordinate blocks that all contacts may move.
         """
         blocks, sides = bodies + padded * most + shared, PAIR + padded + shared
         return cls(
@@ -90,13 +89,13 @@ class ContactRows(NamedTuple):
 
 
 BEGINS, ON_TRIAL = 2, 3
-"""Ways of slips beside 1, -1 and 0, at rest: kinetic friction begins in the step (2 or -2); static
-friction is asked to hold the slip as it was before the step."""
+"""Friction directions besides 1, -1 and 0 (rest): kinetic friction begins in the step (2 or -2);
+static friction tries to keep the slip of the step's start."""
 
 
 @kernel
 def complete(contacts: ContactRows) -> None:
-    """Write what a contact's own impulses do to its velocity, and how it is solved alone."""
+    """Write the diagonal blocks of W, and the constants of the one-contact solution."""
     rows, columns, own = contacts.rows, contacts.columns, contacts.own
     for i in range(len(rows)):
         own[i, 0] = own[i, 1] = own[i, 2] = 0.0
@@ -109,7 +108,7 @@ def complete(contacts: ContactRows) -> None:
 
 @kernel
 def rows_of(contacts: ContactRows, chosen: Ints) -> ContactRows:
-    """Return some of the contacts."""
+    """Return the rows of the `chosen` contacts."""
     return ContactRows(
         contacts.bodies[chosen], contacts.moving, contacts.rows[chosen], contacts.columns[chosen],
         contacts.own[chosen], contacts.cones[chosen], contacts.laws[chosen], contacts.rates,
@@ -119,7 +118,7 @@ def rows_of(contacts: ContactRows, chosen: Ints) -> ContactRows:
 
 @kernel
 def slope(cone: Array) -> float:
-    """Return the coefficient of friction, which `STEEPEST` bounds; or `HELD`, or `GUIDED`."""
+    """Return the coefficient of friction, bounded by `STEEPEST`; or `HELD`, or `GUIDED`."""
     if cone[0] < 0.0:
         return cone[0]
     return cone[1] / max(cone[0], STEEPEST)
@@ -127,14 +126,14 @@ def slope(cone: Array) -> float:
 
 @kernel
 def overload(slip: float, own: float, normal: float, cone: Array) -> float:
-    """Return the impulse that ends a slip, over the largest one of friction."""
+    """Return the impulse that ends a slip, relative to the largest friction impulse."""
     most = own * normal * cone[1]
     return abs(slip) * cone[0] / most if most > 0.0 else math.inf
 
 
 @kernel
 def rates_of(contacts: ContactRows, which: int) -> Array:
-    """Return rates of all bodies, and of what nothing moves, of those to work with: none."""
+    """Return a buffer of rates of all bodies and the world, set to zero."""
     rates = contacts.rates[which, : 3 * contacts.moving + 3]
     for k in range(len(rates)):
         rates[k] = 0.0
@@ -143,7 +142,7 @@ def rates_of(contacts: ContactRows, which: int) -> Array:
 
 @kernel
 def add(contacts: ContactRows, i: int, normal: float, tangential: float, rates: Array) -> None:
-    """Add to the rates what an impulse of contact i does to them."""
+    """Add M^-1 J^T p of contact i to the rates."""
     bodies, columns = contacts.bodies, contacts.columns
     for side in range(bodies.shape[1]):
         at, k = 3 * bodies[i, side], 3 * side
@@ -154,7 +153,7 @@ def add(contacts: ContactRows, i: int, normal: float, tangential: float, rates: 
 
 @kernel
 def without(contacts: ContactRows, i: int, rates: Array) -> None:
-    """Write that what contact i moves is at rest."""
+    """Set the rates of the bodies of contact i to zero."""
     for side in range(contacts.bodies.shape[1]):
         for k in range(3):
             rates[3 * contacts.bodies[i, side] + k] = 0.0
@@ -162,7 +161,7 @@ def without(contacts: ContactRows, i: int, rates: Array) -> None:
 
 @kernel
 def along(contacts: ContactRows, i: int, d: int, rates: Array) -> float:
-    """Return what rates are as a velocity of contact i, normal (0) or tangential (1)."""
+    """Return the velocity J v of contact i, normal (d = 0) or tangential (d = 1)."""
     bodies, rows, total = contacts.bodies, contacts.rows, 0.0
     for side in range(bodies.shape[1]):
         at, k = 3 * bodies[i, side], 3 * side
@@ -204,9 +203,9 @@ def yields(contacts: ContactRows, i: int) -> bool:
 
 @kernel
 def joint_work(contacts: ContactRows, impulses: Array, before: Array, free: Array) -> float:
-    """Return the work of joints and compliant contacts in a step, if they do any.
+    """Return the positive part of the work of joints and compliant contacts in a step.
 
-    Joints give what they took, as their arms turn; a spring gives back what it stored.
+    A joint returns work as its lever arm turns; a spring returns stored energy.
     """
     rates, work = rates_of(contacts, 0), 0.0
     moved(contacts, impulses, rates)
@@ -220,10 +219,10 @@ def joint_work(contacts: ContactRows, impulses: Array, before: Array, free: Arra
 
 @kernel
 def law_of(own: Array, mu: float, law: Array) -> None:
-    """Write what `one_contact` needs to solve a contact's law, whatever its velocity."""
+    """Write the constants with which `one_contact` solves a contact's law for any velocity."""
     wn, wt, wx = own
     det = wn * wt - wx * wx
-    # Where both directions are one, nothing sticks.
+    # If W is singular, both rows are one direction, and nothing sticks.
     law[0] = mu if det > 0.0 or mu < 0.0 else 0.0
     law[1], law[2], law[3], law[4] = wt / det, wn / det, wx / det, wx / wn
     for at, edge in ((5, max(mu, 0.0)), (7, -max(mu, 0.0))):
@@ -233,15 +232,15 @@ def law_of(own: Array, mu: float, law: Array) -> None:
 
 @kernel
 def one_contact(law: Array, normal: float, slip: float) -> tuple[float, float]:
-    """Return the impulses of a single contact whose velocities are these without any."""
+    """Return the impulses of a single contact with these velocities at zero impulse."""
     mu = law[0]
     if not (normal < 0.0 or mu < 0.0):
         return 0.0, 0.0
     pn, pt = law[3] * slip - law[1] * normal, law[3] * normal - law[2] * slip
     if mu == HELD or (pn > 0.0 and abs(pt) <= mu * pn):
         return pn, pt
-    # Friction is against the slip that there would be without it (as mu grows from zero that
-    # slows down, and comes to rest before the normal impulse that it makes is without bound).
+    # Friction opposes the slip of the frictionless solution: as mu grows from zero the slip slows
+    # down, and stops before the normal impulse becomes unbounded.
     at = 7 if slip - law[4] * normal > 0.0 else 5
     pn = -normal * law[at]
     return pn, law[at + 1] * pn
@@ -249,7 +248,7 @@ def one_contact(law: Array, normal: float, slip: float) -> tuple[float, float]:
 
 @kernel
 def _to_stop(cone: Array, normal: float, slip: float) -> float:
-    """Return what impulses of a contact are for: its approach, or a part of its slip."""
+    """Return the velocity that impulses must stop: the approach, or a small part of the slip."""
     mu = slope(cone)
     if mu < 0.0:
         return max(abs(normal), abs(slip))
@@ -257,20 +256,20 @@ def _to_stop(cone: Array, normal: float, slip: float) -> float:
 
 
 @kernel
-def scale(contacts: ContactRows, least: Array) -> float:
-    """Return what residuals are parts of: the fastest approach without impulses (m, 2).
+def scale(contacts: ContactRows, q: Array) -> float:
+    """Return the velocity that residuals are relative to: the fastest approach at zero impulses.
 
-    Or a ten-millionth of the fastest slip; of what is held what it moves at.
+    At least 1e-7 of the fastest slip; for joints their largest velocity.
     """
     size = 0.0
-    for i in range(len(least)):
-        size = max(size, _to_stop(contacts.cones[i], least[i, 0], least[i, 1]))
+    for i in range(len(q)):
+        size = max(size, _to_stop(contacts.cones[i], q[i, 0], q[i, 1]))
     return size
 
 
 @kernel
 def scale_of_sum(contacts: ContactRows, free: Array, wanted: Array) -> float:
-    """Return the `scale` of the sum of both."""
+    """Return the `scale` of ``free + wanted``."""
     size = 0.0
     for i in range(len(free)):
         normal, slip = free[i, 0] + wanted[i, 0], free[i, 1] + wanted[i, 1]
@@ -279,62 +278,57 @@ def scale_of_sum(contacts: ContactRows, free: Array, wanted: Array) -> float:
 
 
 @kernel
-def residual(
-    contacts: ContactRows, least: Array, size: float, impulses: Array, rates: Array
-) -> float:
-    """Return how far impulses are from those of the contact laws, in parts of their `scale`.
+def residual(contacts: ContactRows, q: Array, size: float, impulses: Array, rates: Array) -> float:
+    """Return the natural-map residual of the contact laws, relative to `size`.
 
-    That is the natural map of each contact (complementarity, cone, maximal dissipation), as a
-    velocity: how far ``P - u / w`` projected into the cone is from P.
+    The largest ``w |p - proj(p - u / w)|`` over contacts (complementarity, cone, maximal
+    dissipation).
     """
-    missed, own, cones = 0.0, contacts.own, contacts.cones
+    error, own, cones = 0.0, contacts.own, contacts.cones
     for i in range(len(impulses)):
-        normal, slip = contact_velocity(contacts, i, least, rates)
+        normal, slip = contact_velocity(contacts, i, q, rates)
         if not math.isfinite(normal + slip):
             return math.inf
         pn, pt = impulses[i]
         wn, wt = own[i, 0], own[i, 1]
         mu = slope(cones[i])
         if mu < 0.0:
-            missed = max(missed, abs(normal), abs(slip) if mu == HELD else 0.0)
+            error = max(error, abs(normal), abs(slip) if mu == HELD else 0.0)
             size = max(size, _ROW_ROUND_OFF * wn * abs(pn), _ROW_ROUND_OFF * wt * abs(pt))
             continue
-        missed = max(missed, abs(wn * pn - max(wn * pn - normal, 0.0)))
+        error = max(error, abs(wn * pn - max(wn * pn - normal, 0.0)))
         edge = wt * mu * pn
-        missed = max(missed, abs(wt * pt - min(max(wt * pt - slip, -edge), edge)))
+        error = max(error, abs(wt * pt - min(max(wt * pt - slip, -edge), edge)))
         size = max(size, _ROW_ROUND_OFF * wn * pn)
-    # Below it nothing has digits: bodies beside each other approach at 1e-320 m/s.
-    if missed < SMALLEST:
+    # Denormal numbers have no digits: adjacent bodies can approach at 1e-320 m/s.
+    if error < SMALLEST:
         return 0.0
-    return missed / size if size > 0.0 else math.inf
+    return error / size if size > 0.0 else math.inf
 
 
 @kernel
-def measured(contacts: ContactRows, least: Array, size: float, impulses: Array) -> float:
-    """Return the `residual` of impulses, whose rates the first of `ContactRows.rates` then are."""
+def measured(contacts: ContactRows, q: Array, size: float, impulses: Array) -> float:
+    """Return the `residual` of impulses; `ContactRows.rates` are then theirs."""
     rates = rates_of(contacts, 0)
     moved(contacts, impulses, rates)
-    return residual(contacts, least, size, impulses, rates)
+    return residual(contacts, q, size, impulses, rates)
 
 
 @kernel
 def _sweep(
-    contacts: ContactRows, least: Array, impulses: Array, rates: Array, change: Array
+    contacts: ContactRows, q: Array, impulses: Array, rates: Array, change: Array
 ) -> tuple[float, float]:
-    """Solve contact by contact; write the changes, and return their square as an energy.
-
-    And the largest change, as a velocity: that is what contacts missed when it was their turn.
-    """
+    """Solve contact by contact, writing the changes; return ``sum w dp^2`` and ``max w |dp|``."""
     total = most = 0.0
     own, laws = contacts.own, contacts.laws
     for i in range(len(impulses)):
-        normal, slip = contact_velocity(contacts, i, least, rates)
-        before, beside = impulses[i, 0], impulses[i, 1]
+        normal, slip = contact_velocity(contacts, i, q, rates)
+        before, tangential = impulses[i, 0], impulses[i, 1]
         wn, wt, wx = own[i, 0], own[i, 1], own[i, 2]
         pn, pt = one_contact(
-            laws[i], normal - wn * before - wx * beside, slip - wx * before - wt * beside
+            laws[i], normal - wn * before - wx * tangential, slip - wx * before - wt * tangential
         )
-        dn, dt = pn - before, pt - beside
+        dn, dt = pn - before, pt - tangential
         impulses[i, 0], impulses[i, 1] = pn, pt
         change[i, 0], change[i, 1] = dn, dt
         if dn != 0.0 or dt != 0.0:
@@ -346,23 +340,22 @@ def _sweep(
 
 @kernel
 def swept(
-    contacts: ContactRows, least: Array, size: float, lowest: float, impulses: Array,
-    allowed: float, most: int,
+    contacts: ContactRows, q: Array, size: float, lowest: float, impulses: Array,
+    tolerance: float, most: int,
 ) -> tuple[float, int]:  # fmt: skip
-    """Sweep until the residual is as allowed; return that of the best impulses, and the sweeps.
+    """Sweep until the residual is within the tolerance; return the best residual, and sweeps.
 
     Parameters
     ----------
     contacts : ContactRows
-        Its rates are those of the impulses (see `measured`).
-    least : (m, 2)
-        Velocities without impulses, which these must make no less than zero.
+        Its first rates belong to the impulses (see `measured`).
+    q : (m, 2)
+        Velocities without impulses, minus the required ones.
     size, lowest : float
         Their `scale`, and the residual of the impulses.
     impulses : (m, 2)
-        Where to start; the best ones, in place.
-    allowed : float
-        Residual.
+        Warm start; overwritten by the best.
+    tolerance : float
     most : int
         Sweeps.
     """
@@ -373,19 +366,19 @@ def swept(
     along[:] = 0.0
     rates, carried = contacts.rates[0, : 3 * contacts.moving + 3], rates_of(contacts, 1)
     earlier, before, count = contacts.rates[2, : len(rates)], 0.0, 0
-    while count < most and lowest > allowed:
+    while count < most and lowest > tolerance:
         put(rates, earlier)
-        energy, missed = _sweep(contacts, least, now, rates, change)
+        energy, largest = _sweep(contacts, q, now, rates, change)
         count += 1
-        # The residual takes half a sweep: it is looked at where it may do.
-        if energy == 0.0 or missed <= allowed * size or count == most:
-            left = residual(contacts, least, size, now, rates)
-            if left < lowest:
-                lowest = left
+        # The residual costs half a sweep: evaluate it only when the tolerance may be met.
+        if energy == 0.0 or largest <= tolerance * size or count == most:
+            error = residual(contacts, q, size, now, rates)
+            if error < lowest:
+                lowest = error
                 put_rows(now, best)
             if energy == 0.0:
                 break
-        # Fletcher and Reeves, started anew where the changes grow.
+        # Fletcher-Reeves, restarted where the changes grow.
         beta = min(energy / before, 1.0) if energy <= _GROWN * before else 0.0
         before = energy
         for k in range(len(rates)):

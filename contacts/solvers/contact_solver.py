@@ -1,12 +1,12 @@
 """The contact solver: one ladder for every contact problem.
 
-1. Gauss-Seidel sweeps (`contacts.solvers.contact_rows.swept`), from the last impulses;
-2. proximal points by Newton's method (`contacts.solvers.proximal_points`), from where these end;
-   both anew from nothing where they miss, since the last impulses mislead where much changes;
-3. Lemke's algorithm (`contacts.solvers.lemke`), from nothing, made exact by proximal points.
+1. Gauss-Seidel sweeps (`contacts.solvers.contact_rows.swept`), warm-started;
+2. proximal points by Newton's method (`contacts.solvers.proximal_points`), from their result; both
+   again from zero if they fail, since a warm start misleads after large changes;
+3. Lemke's algorithm (`contacts.solvers.lemke`), from zero, polished by proximal points.
 
-The best impulses that were found are returned with their residual. `benchmarks/contact_problems.py`
-replays every method on recorded problems.
+The best impulses are returned with their residual. `benchmarks/contact_problems.py` replays every
+method on recorded problems.
 """
 
 from __future__ import annotations
@@ -33,139 +33,140 @@ from statechart.arrays import Array
 from statechart.kernels.copies import put_rows
 from statechart.kernels.jit import kernel
 
-# Residual of the last impulses that are taken again where nothing moves: what they miss adds up
-# over the steps to come, until it is as large as `VERIFIED`.
+# Residual up to which a body at rest keeps its warm start: the error accumulates over the steps to
+# come, until it reaches `VERIFIED`.
 _AT_REST = 1e-13
-# Residual of a status that is solved to round-off: what is open then approaches by the round-off of
-# gaps over a step, and what would press against it has no cause.
+# Residual of a status solved to round-off: an open contact then approaches at most by the round-off
+# of its gap over a step, and need not press.
 _OPENS = 1e-8
-# Contacts up to which all problems are solved to `VERIFIED`, which costs no more there.
+# Contacts up to which all problems are solved to `VERIFIED`, at no extra cost.
 _SMALL = 8
 # Sweeps before Newton's method: they find the status of most contacts.
 _SWEEPS = 64
-# Contacts up to which Lemke's algorithm is tried: its time grows with their third power, or more.
+# Contacts up to which Lemke's algorithm is tried: its time grows at least with the cube.
 _LEMKE = 64
 
 
 @kernel
 def solve_rows(
-    contacts: ContactRows, least: Array, impulses: Array, allowed: float, rests: bool, last: bool
-) -> tuple[float, int]:
-    """Solve contacts from the impulses given; return the residual of the best, and iterations.
+    contacts: ContactRows, q: Array, impulses: Array, tolerance: float, at_rest: bool,
+    use_lemke: bool,
+) -> tuple[float, int]:  # fmt: skip
+    """Solve contacts, warm-started; return the residual of the best impulses, and iterations.
 
     Parameters
     ----------
     contacts : ContactRows
-    least : (m, 2)
-        Velocities without impulses, plus what may be missing of them.
+    q : (m, 2)
+        Velocities without impulses, minus the required ones.
     impulses : (m, 2)
-        Of the step before; the best that are found, in place.
-    allowed : float
-        Residual (see `contacts.solvers.contact_rows.residual`) at which they are good enough;
-        infinite: nobody asks for any, as where it is only looked who touches.
-    rests : bool
-        Whether nothing moves: then they are found as exactly as can be, for the steps to come.
-    last : bool
-        Whether nobody asks for less where they are not found: then Lemke's algorithm is tried, too.
+        Warm start; overwritten by the best impulses.
+    tolerance : float
+        Residual (see `contacts.solvers.contact_rows.residual`) at which iterations stop; infinite:
+        impulses are zero, as for contact detection alone.
+    at_rest : bool
+        Nothing moves: solve to round-off, because errors accumulate over later steps.
+    use_lemke : bool
+        Try Lemke's algorithm if the others miss the tolerance.
     """
-    count, idle, joined = len(impulses), True, False
+    count, idle, has_joints = len(impulses), True, False
     for i in range(count):
-        held = slope(contacts.cones[i]) < 0.0
-        idle, joined = idle and least[i, 0] >= 0.0 and not held, joined or held
-    if idle or not allowed < math.inf:
+        joint = slope(contacts.cones[i]) < 0.0
+        idle, has_joints = idle and q[i, 0] >= 0.0 and not joint, has_joints or joint
+    if idle or not tolerance < math.inf:
         impulses[:] = 0.0
         return 0.0, 0
-    size = scale(contacts, least)
-    left = measured(contacts, least, size, impulses)
-    # All contacts of coordinates move the same, so that Newton's equations are as small as that.
-    same = contacts.shared == 1
-    # Of coordinates they are solved anew at each step: what rests has no velocity at all.
-    if not same and left <= (_AT_REST if rests else VERIFIED):
-        return left, 0
-    other, done, pivots = contacts.spare[TRIAL, :count], 0, count <= _LEMKE and not joined
-    goal = min(allowed, VERIFIED) if rests or same or count <= _SMALL else allowed
-    if same:
-        missed, found = math.inf, max(goal, min(allowed, _OPENS))
+    size = scale(contacts, q)
+    best = measured(contacts, q, size, impulses)
+    # Rows in coordinates all share the same blocks: Newton's equations are that small.
+    dense = contacts.shared == 1
+    # Rows in coordinates are solved in each step: a body at rest then has exactly zero velocity.
+    if not dense and best <= (_AT_REST if at_rest else VERIFIED):
+        return best, 0
+    trial, iterations, pivots = contacts.spare[TRIAL, :count], 0, count <= _LEMKE and not has_joints
+    goal = min(tolerance, VERIFIED) if at_rest or dense or count <= _SMALL else tolerance
+    if dense:
+        error, enough = math.inf, max(goal, min(tolerance, _OPENS))
         if count == 1:
-            other[:] = 0.0
-            measured(contacts, least, size, other)
-            missed, done = swept(contacts, least, size, math.inf, other, goal, 1)
+            trial[:] = 0.0
+            measured(contacts, q, size, trial)
+            error, iterations = swept(contacts, q, size, math.inf, trial, goal, 1)
         elif impulses[:, 0].max() > 0.0:
-            put_rows(impulses, other)
-            missed, done = by_last_status(contacts, least, other)
-        if missed > found and count > 1 and pivots:
-            missed, steps = _by_lemke(contacts, least, found, other)
-            done, pivots = done + steps, False
-        if missed <= found or missed < left:
-            left = missed
-            put_rows(other, impulses)
-        if missed <= found:
-            return missed, done
+            put_rows(impulses, trial)
+            error, iterations = by_last_status(contacts, q, trial)
+        if error > enough and count > 1 and pivots:
+            error, steps = _by_lemke(contacts, q, enough, trial)
+            iterations, pivots = iterations + steps, False
+        if error <= enough or error < best:
+            best = error
+            put_rows(trial, impulses)
+        if error <= enough:
+            return error, iterations
     for anew in (False, True):
         if anew:
-            other[:] = 0.0
+            trial[:] = 0.0
         else:
-            put_rows(impulses, other)
-        missed = measured(contacts, least, size, other)
-        # A small problem costs Newton's method no more than sweeps, and what rests has its status.
-        # The first sweep solves a contact alone.
+            put_rows(impulses, trial)
+        error = measured(contacts, q, size, trial)
+        # Newton costs no more than sweeps in a small problem; at rest the status is known. The
+        # first sweep solves a single contact exactly.
         if anew or goal > VERIFIED or count == 1:
-            missed, steps = swept(contacts, least, size, missed, other, goal, _SWEEPS)
-            done += steps
-        if missed > goal or rests:
-            missed, steps = by_proximal_points(contacts, least, other, goal)
-            done += steps
-        if missed < left:
-            left = missed
-            put_rows(other, impulses)
-        if left <= allowed:
-            return left, done
-    if last and pivots:
-        missed, steps = _by_lemke(contacts, least, allowed, other)
-        done += steps
-        if missed < left:
-            left = missed
-            put_rows(other, impulses)
-    return left, done
+            error, steps = swept(contacts, q, size, error, trial, goal, _SWEEPS)
+            iterations += steps
+        if error > goal or at_rest:
+            error, steps = by_proximal_points(contacts, q, trial, goal)
+            iterations += steps
+        if error < best:
+            best = error
+            put_rows(trial, impulses)
+        if best <= tolerance:
+            return best, iterations
+    if use_lemke and pivots:
+        error, steps = _by_lemke(contacts, q, tolerance, trial)
+        iterations += steps
+        if error < best:
+            best = error
+            put_rows(trial, impulses)
+    return best, iterations
 
 
 @kernel
 def _by_lemke(
-    contacts: ContactRows, least: Array, allowed: float, impulses: Array
+    contacts: ContactRows, q: Array, tolerance: float, impulses: Array
 ) -> tuple[float, int]:
-    """Improve impulses from those of the dense problem; return the residual, and iterations.
+    """Improve impulses by Lemke's algorithm on the dense problem; return residual and iterations.
 
-    Lemke's algorithm finds the status where masses differ by decades and no path from impulses
-    nearby does; to rounding it is solved by that status. Where one cover ends in a ray by rounding,
-    the other seldom does.
+    It finds the status where masses differ by decades and iterations from a warm start do not; that
+    status is then solved to round-off. Two covering vectors are tried: if round-off ends one path
+    in a ray, the other rarely ends so.
     """
-    count = len(least)
-    delassus, felt = np.empty((2 * count, 2 * count)), rates_of(contacts, 0)
+    count = len(q)
+    delassus, rates = np.empty((2 * count, 2 * count)), rates_of(contacts, 0)
     for b in range(2 * count):
         j = b // 2
-        add(contacts, j, 1.0 - b % 2, 1.0 * (b % 2), felt)
+        add(contacts, j, 1.0 - b % 2, 1.0 * (b % 2), rates)
         for a in range(2 * count):
-            delassus[a, b] = along(contacts, a // 2, a % 2, felt)
-        without(contacts, j, felt)
-    left, done = math.inf, 0
+            delassus[a, b] = along(contacts, a // 2, a % 2, rates)
+        without(contacts, j, rates)
+    best, iterations = math.inf, 0
     for by_sizes in range(2):
-        if left <= allowed:
+        if best <= tolerance:
             break
-        good, found = impulses_by_lemke(
-            delassus, least, contacts.cones, np.zeros(len(least)), by_sizes == 1
+        good, candidate = impulses_by_lemke(
+            delassus, q, contacts.cones, np.zeros(len(q)), by_sizes == 1
         )
         if not good:
             continue
-        exact, missed, steps = found.copy(), math.inf, 0
+        exact, error, steps = candidate.copy(), math.inf, 0
         if contacts.shared == 1:
-            missed, steps = by_last_status(contacts, least, exact)
-        if missed <= allowed:
-            put_rows(exact, found)
+            error, steps = by_last_status(contacts, q, exact)
+        if error <= tolerance:
+            put_rows(exact, candidate)
         else:
-            missed, more = by_proximal_points(contacts, least, found, allowed)
+            error, more = by_proximal_points(contacts, q, candidate, tolerance)
             steps += more
-        done += steps
-        if missed < left:
-            left = missed
-            put_rows(found, impulses)
-    return left, done
+        iterations += steps
+        if error < best:
+            best = error
+            put_rows(candidate, impulses)
+    return best, iterations

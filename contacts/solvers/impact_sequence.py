@@ -1,7 +1,7 @@
-"""Impacts at one instant, carried out one after another (Han and Gilmore 1993).
+"""Sequential impacts at one instant (Han and Gilmore 1993).
 
-An impact is that of two bodies, or of a body and a surface, at all points where they touch: by
-Moreau's law, with joints held. The one that approaches fastest is first.
+An impact acts between two bodies, or a body and a surface, at all their common contacts: by
+Moreau's law, with joints held. The fastest approach is first.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel
 
 LONGEST_SEQUENCE = 10_000
-"""So many impacts follow each other at an instant: a ball between the floor and one a thousand
-times as heavy is hit so often."""
+"""Limit of rounds at an instant: a ball between the floor and one a thousand times as heavy needs
+that many."""
 
-# Impacts that approach as fast but for this part of it are one: nothing says which of them is
-# first, and the order of bodies is to decide nothing.
+# Relative difference of approach velocities that are equal: such impacts are simultaneous, so that
+# the order of bodies decides nothing.
 _ALIKE = 1e-9
-# What velocities are known to, in parts of the fastest.
+# Relative round-off of velocities, to the fastest.
 _IMPULSE_ROUND_OFF = 64.0 * 2.0**-52
-# Impulses that leave more of an approach than this part stop none.
+# Remaining part of an approach above which impulses failed to stop it.
 _STOPPED = 0.5
 
 
@@ -40,7 +40,6 @@ def _participants(contacts: ContactRows, pairs: Ints, next_ones: Bools, first: i
             shared = False
             for side in range(contacts.bodies.shape[1]):
                 b, others = contacts.bodies[i, side], contacts.bodies[k]
-                # Pads are no bodies.
                 if b < contacts.moving and not (contacts.padded == 1 and side == PAIR):
                     for beside in range(len(others)):
                         shared = shared or others[beside] == b
@@ -54,9 +53,9 @@ def _participants(contacts: ContactRows, pairs: Ints, next_ones: Bools, first: i
 @kernel
 def _hit(
     contacts: ContactRows, chosen: Ints, now: Array, restitution: Array, slow: Array,
-    allowed: float, impulses: Array, rates: Array,
+    tolerance: float, impulses: Array, rates: Array,
 ) -> tuple[int, float]:  # fmt: skip
-    """Carry out an impact, in place, but for `now`; return its iterations and its residual."""
+    """Carry out an impact (but for `now`), in place; return its iterations and its residual."""
     size = len(chosen)
     before, wanted = np.empty((size, 2)), np.zeros((size, 2))
     rebounds, pushes = np.zeros(size, np.bool_), np.zeros((size, 2))
@@ -66,14 +65,14 @@ def _hit(
         joint = slope(contacts.cones[i]) < 0.0
         if not joint and -now[i, 0] > slow[i] and restitution[i] > 0.0:
             wanted[a, 0], rebounds[a] = restitution[i] * now[i, 0], True
-    left, done, _ = island_impulses(
+    error, iterations, _ = island_impulses(
         rows_of(contacts, chosen),
         before,
         before,
         wanted,
         rebounds,
         pushes,
-        allowed,
+        tolerance,
         0.0,
         False,
     )
@@ -82,50 +81,50 @@ def _hit(
         impulses[i, 0] += pushes[a, 0]
         impulses[i, 1] += pushes[a, 1]
         add(contacts, i, pushes[a, 0], pushes[a, 1], rates)
-    return done, left
+    return iterations, error
 
 
 @kernel
 def in_turn(
     contacts: ContactRows, pairs: Ints, now: Array, restitution: Array, slow: Array,
-    allowed: float, impulses: Array,
+    tolerance: float, impulses: Array,
 ) -> tuple[int, float, float]:  # fmt: skip
-    """Carry impacts out until nothing approaches; return iterations, residual, what still does.
+    """Carry out impacts until nothing approaches; return iterations, residual, remaining approach.
 
-    What approaches alike is next together, and is one impact where it shares bodies. No impact adds
+    Equal approaches are next together, and are one impact if they share bodies. No impact adds
     energy.
 
     Parameters
     ----------
     contacts : ContactRows
-        Joints among them.
+        Including joints.
     pairs : (m,) array of int
-        What is alike touches by the same two things.
+        Contacts of the same two bodies have the same number.
     now : (m, 2)
-        Velocities of the contacts; those after the impacts, in place.
+        Contact velocities; overwritten by those after the impacts.
     restitution : (m,)
     slow : (m,)
-        What approaches no faster is not hit.
-    allowed : float
-        Residual of impulses that are good enough.
+        Approach velocities up to these are no impacts.
+    tolerance : float
+        Residual of impulses.
     impulses : (m, 2)
-        Of all impacts, to be written.
+        Output: sums over all impacts.
 
     Returns
     -------
     iterations : int
     residual : float
-        The largest of an impact's.
-    left : float
-        The fastest approach left after `LONGEST_SEQUENCE` rounds of impacts, or by one without
-        impulses that stop it; zero where the impacts end.
+        Largest of all impacts.
+    remaining : float
+        Fastest approach after `LONGEST_SEQUENCE` rounds, or after impulses that failed to stop it;
+        zero if the impacts end.
     """
     count, iterations, worst = len(pairs), 0, 0.0
     rates, start, largest = np.zeros(3 * contacts.moving + 3), now.copy(), 0.0
     next_ones, done = np.empty(count, np.bool_), np.empty(count, np.bool_)
     impulses[:] = 0.0
     for turn in range(LONGEST_SEQUENCE + 1):
-        fastest = still = 0.0
+        fastest = remaining = 0.0
         for i in range(count):
             largest = max(largest, abs(now[i, 0]), abs(now[i, 1]))
         for i in range(count):
@@ -146,11 +145,13 @@ def in_turn(
             chosen = _participants(contacts, pairs, next_ones, first)
             for i in chosen:
                 done[i] = True
-            steps, left = _hit(contacts, chosen, now, restitution, slow, allowed, impulses, rates)
-            iterations, worst = iterations + steps, max(worst, left)
+            steps, error = _hit(
+                contacts, chosen, now, restitution, slow, tolerance, impulses, rates
+            )
+            iterations, worst = iterations + steps, max(worst, error)
         for i in range(count):
             now[i, 0], now[i, 1] = contact_velocity(contacts, i, start, rates)
-            still = max(still, -now[i, 0] if next_ones[i] else 0.0)
-        if still > _STOPPED * fastest:
-            return iterations, worst, still
+            remaining = max(remaining, -now[i, 0] if next_ones[i] else 0.0)
+        if remaining > _STOPPED * fastest:
+            return iterations, worst, remaining
     return iterations, worst, 0.0

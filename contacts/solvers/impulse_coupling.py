@@ -1,7 +1,7 @@
-"""Groups of contacts that feel each other's impulses at an instant.
+"""Groups of contacts that are coupled by impulses at an instant.
 
-An impulse passes through the mass matrix, through joints, and through contacts. Forces pass none,
-however stiff they are or however much they damp: at an instant they do nothing.
+Impulses act through the mass matrix, joints and contacts. Springs and dampers, however stiff,
+transmit none.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from statechart.kernels.jit import kernel
 
 @kernel
 def root(parents: Ints, node: int) -> int:
-    """Return the node that stands for a connected component (union-find, paths halved in place)."""
+    """Return the representative of a connected component (union-find with path halving)."""
     while parents[node] != node:
         parents[node] = parents[parents[node]]
         node = parents[node]
@@ -23,7 +23,7 @@ def root(parents: Ints, node: int) -> int:
 
 @kernel
 def _unite(parents: Ints, one: int, other: int) -> None:
-    """Join two components; the smallest node stands for them."""
+    """Join two components; the smallest node represents them."""
     one, other = root(parents, one), root(parents, other)
     parents[max(one, other)] = min(one, other)
 
@@ -42,18 +42,16 @@ def _unite_row(parents: Ints, row: Array, count: int) -> int:
 
 @kernel
 def coupled_contacts(
-    mass: Array, held: Array, jacobians: Array, which: Ints, constraints: Ints
+    mass: Array, joint_rows: Array, jacobians: Array, which: Ints, constraints: Ints
 ) -> Ints:
-    """Label the contacts `which` (m,): those with one label feel each other's impulses.
+    """Label the contacts `which` (m,) so that coupled contacts share a label.
 
-    A label is the place in `which` of the first contact of its group. Rows may be longer than
-    said: what follows in them is not read.
+    A label is the place in `which` of the group's first contact. Rows may be longer than used.
 
     Parameters
     ----------
     mass : (n, n) array
-    held : (r, n) array
-        Rows of joints.
+    joint_rows : (r, n) array
     jacobians : (c, 2 n) array
         Normal and tangential rows of all contacts.
     which : (m,) array of int
@@ -71,8 +69,8 @@ def coupled_contacts(
         for k in range(j):
             if mass[j, k] != 0.0:
                 _unite(parents, j, k)
-    for i in range(len(held)):
-        _unite_row(parents, held[i], n)
+    for i in range(len(joint_rows)):
+        _unite_row(parents, joint_rows[i], n)
     for i in range(len(constraints)):
         if constraints[i] > 0:
             _unite_row(parents, jacobians[i], 2 * n)

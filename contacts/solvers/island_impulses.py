@@ -1,8 +1,7 @@
-"""Impulses of a step of an island: with restitution and pushing out that add no energy.
+"""Impulses of an island in a time step, with restitution and stabilisation that add no energy.
 
-They are those of the contact solver, asked for less where there are none, or where their work is
-more than the scheme's. There always are impulses: where they miss the contact laws their residual
-tells by how much.
+The contact solver is called again with weaker requirements if it finds no impulses, or if their
+work exceeds that of the scheme. Impulses are always returned, with their residual.
 """
 
 from __future__ import annotations
@@ -28,19 +27,19 @@ from statechart.arrays import Array, Bools
 from statechart.kernels.copies import put_rows
 from statechart.kernels.jit import kernel
 
-# How often the part of a push-out is looked for whose work is within the bound; what it then is
-# above that, in parts of the impulses, is rounding, and taken from them.
+# Iterations for the largest stabilisation whose work is within the bound; and the relative excess
+# that then counts as round-off.
 _NEARER, _AT_BOUND = 3, 1e-12
-# A residual that is rounding, where less is asked for: impulses with it are those of the laws.
+# A residual of round-off, where the tolerance is smaller: these impulses satisfy the laws.
 _GOOD = 1e-8
-# Work is known to this part of its terms.
+# Relative round-off of work, per sum of its terms.
 _WORK_ROUNDING = 64.0 * 2.0**-52
 
 
 @kernel
 def _work_at(before: Array, free: Array, impulses: Array, moved: Array) -> float:
-    """Return the work of impulses that change the velocities of the contacts by `moved`."""
-    # In the place of sums and products of whole arrays, which take seconds to compile.
+    """Return ``p . (u- + u+) / 2``, the work of impulses that change the velocities by `moved`."""
+    # Sums and products of whole arrays take seconds to compile.
     work = 0.0
     for i in range(len(impulses)):
         for d in range(2):
@@ -50,7 +49,7 @@ def _work_at(before: Array, free: Array, impulses: Array, moved: Array) -> float
 
 @kernel
 def _velocity_scale(before: Array, free: Array, impulses: Array) -> float:
-    """Return the sizes of what the work of impulses is summed from."""
+    """Return the sum of the absolute terms of the work."""
     begin = end = 0.0
     for i in range(len(impulses)):
         for d in range(2):
@@ -61,9 +60,9 @@ def _velocity_scale(before: Array, free: Array, impulses: Array) -> float:
 
 @kernel
 def shares(begin: float, end: float, curvature: float) -> tuple[float, float]:
-    """Return (1 - s, s) for the largest s, up to 1, at which a work is not above zero.
+    """Return (1 - s, s) for the largest s in [0, 1] at which a parabola is not above zero.
 
-    Both are computed from the end they are near: impulses may differ by decades.
+    Each is computed from its nearer end: impulses may differ by decades.
     """
     slope = end - begin - curvature
     root = math.sqrt(max(slope * slope - 4.0 * curvature * begin, 0.0))
@@ -74,16 +73,7 @@ def shares(begin: float, end: float, curvature: float) -> tuple[float, float]:
 
 @kernel
 def part_within(impulses: Array, before: Array, free: Array, moved: Array, bound: float) -> float:
-    """Return the largest part of impulses (m, 2), up to 1, whose work is within a bound.
-
-    Parameters
-    ----------
-    impulses : (m, 2)
-    before, free, moved : (m, 2)
-        See `capped`.
-    bound : float
-        Not below zero.
-    """
+    """Return the largest factor s <= 1 for which the work of s p is within a bound >= 0."""
     curvature = 0.0
     for i in range(len(impulses)):
         for d in range(2):
@@ -104,17 +94,17 @@ def capped(
     moved_elastic: Array,
     bound: float,
 ) -> tuple[Array, float]:
-    """Return impulses between plastic and elastic, and the share of the way, that add no energy.
+    """Return p = plastic + s (elastic - plastic) that adds no energy, and the largest such s <= 1.
 
-    The work of impulses on the bodies in a step is ``P (U+ + U-) / 2``, a convex function of the
-    share; the largest share is taken at which it is not above that of the plastic ones, or a bound.
+    The work ``p . (u- + u+) / 2`` of a step is a convex function of s; it must not exceed that of
+    the plastic impulses, or a bound.
 
     Parameters
     ----------
     before, free : (m, 2)
-        Velocities of the contacts before the step, and after it without impulses.
+        Contact velocities before the step, and after it without impulses.
     plastic, elastic, moved_plastic, moved_elastic : (m, 2)
-        Impulses, and how they change these velocities.
+        Impulses, and the velocity changes W p.
     bound : float
         Not below zero.
     """
@@ -137,7 +127,7 @@ def capped(
 
 @kernel
 def _changed(contacts: ContactRows, impulses: Array, changes: Array) -> Array:
-    """Write, and return, how impulses change the velocities (m, 2) of the contacts."""
+    """Write, and return, the velocity changes W p (m, 2)."""
     rates = rates_of(contacts, 0)
     moved(contacts, impulses, rates)
     for i in range(len(impulses)):
@@ -148,7 +138,7 @@ def _changed(contacts: ContactRows, impulses: Array, changes: Array) -> Array:
 
 @kernel
 def _velocities(contacts: ContactRows, impulses: Array) -> Array:
-    """Return how impulses change the velocities (m, 2) of the contacts."""
+    # A new array: others stand in the workspace.
     return _changed(contacts, impulses, np.empty((len(impulses), 2)))
 
 
@@ -156,7 +146,7 @@ def _velocities(contacts: ContactRows, impulses: Array) -> Array:
 def work_share(
     contacts: ContactRows, impulses: Array, before: Array, free: Array, bound: float
 ) -> float:
-    """Return the part of impulses whose work is within a bound; see `part_within`."""
+    """Return the factor of impulses whose work is within a bound; see `part_within`."""
     changes = _changed(contacts, impulses, contacts.spare[CHANGE, : len(impulses)])
     return part_within(impulses, before, free, changes, bound)
 
@@ -164,51 +154,51 @@ def work_share(
 @kernel
 def _rebounding(
     contacts: ContactRows, before: Array, free: Array, wanted: Array, rebounds: Bools,
-    impulses: Array, allowed: float, rests: bool, last: bool,
+    impulses: Array, tolerance: float, at_rest: bool, use_lemke: bool,
 ) -> tuple[float, int, bool]:  # fmt: skip
-    """Find impulses with restitution that adds no energy; see `island_impulses`."""
-    least, some = contacts.spare[LEAST, : len(impulses)], False
+    """Solve for impulses with restitution that adds no energy; see `island_impulses`."""
+    q, any_rebound = contacts.spare[LEAST, : len(impulses)], False
     for i in range(len(impulses)):
-        least[i, 0], least[i, 1] = free[i, 0] + wanted[i, 0], free[i, 1] + wanted[i, 1]
-        some = some or rebounds[i]
-    if not some:
-        left, done = solve_rows(contacts, least, impulses, allowed, rests, last)
-        return left, done, False
-    good, plastic = max(allowed, _GOOD), impulses.copy()
-    left, done = solve_rows(contacts, least, impulses, allowed, rests, False)
+        q[i, 0], q[i, 1] = free[i, 0] + wanted[i, 0], free[i, 1] + wanted[i, 1]
+        any_rebound = any_rebound or rebounds[i]
+    if not any_rebound:
+        error, iterations = solve_rows(contacts, q, impulses, tolerance, at_rest, use_lemke)
+        return error, iterations, False
+    enough, plastic = max(tolerance, _GOOD), impulses.copy()
+    error, iterations = solve_rows(contacts, q, impulses, tolerance, at_rest, False)
     for i in range(len(impulses)):
         if rebounds[i]:
-            least[i, 0] = free[i, 0]
+            q[i, 0] = free[i, 0]
     changes = _velocities(contacts, impulses)
-    if left <= good and part_within(impulses, before, free, changes, 0.0) >= 1.0:
-        return left, done, False
-    # Without it nobody knows how much energy restitution may give back.
-    calm, further = solve_rows(contacts, least, plastic, allowed, False, last)
-    if left > good and calm < left:
+    if error <= enough and part_within(impulses, before, free, changes, 0.0) >= 1.0:
+        return error, iterations, False
+    # Plastic impulses bound the energy that restitution may return.
+    plastic_error, further = solve_rows(contacts, q, plastic, tolerance, False, use_lemke)
+    if error > enough and plastic_error < error:
         put_rows(plastic, impulses)
-        return calm, done + further, True
+        return plastic_error, iterations + further, True
     chosen, share = capped(
         before, free, plastic, impulses, _velocities(contacts, plastic), changes, 0.0
     )
     put_rows(chosen, impulses)
-    return left if share == 1.0 else max(left, calm), done + further, False
+    return error if share == 1.0 else max(error, plastic_error), iterations + further, False
 
 
 @kernel
 def _pushed(contacts: ContactRows, wanted: Array, rebounds: Bools, i: int) -> bool:
-    """Return whether a contact needs a correction out of penetration or along its surface."""
-    asked = wanted[i, 0] < 0.0 or wanted[i, 1] != 0.0
-    return asked and not rebounds[i] and not slope(contacts.cones[i]) < 0.0
+    """Return whether a contact asks for stabilisation, out of penetration or along its surface."""
+    biased = wanted[i, 0] < 0.0 or wanted[i, 1] != 0.0
+    return biased and not rebounds[i] and not slope(contacts.cones[i]) < 0.0
 
 
 @kernel
 def _calmer(contacts: ContactRows, wanted: Array, rebounds: Bools, joints: bool) -> Array:
-    """Return what is wanted without pushing out, or without bringing `joints` back either."""
+    """Return the bias without contact stabilisation, or without that of `joints` too."""
     result = wanted.copy()
     for i in range(len(wanted)):
-        held = slope(contacts.cones[i]) < 0.0
-        if (joints and held) or _pushed(contacts, wanted, rebounds, i):
-            result[i, 0] = 0.0 if held else max(wanted[i, 0], 0.0)
+        joint = slope(contacts.cones[i]) < 0.0
+        if (joints and joint) or _pushed(contacts, wanted, rebounds, i):
+            result[i, 0] = 0.0 if joint else max(wanted[i, 0], 0.0)
             result[i, 1] = 0.0
     return result
 
@@ -216,40 +206,40 @@ def _calmer(contacts: ContactRows, wanted: Array, rebounds: Bools, joints: bool)
 @kernel
 def _pushed_in_part(
     contacts: ContactRows, before: Array, free: Array, calmer: Array, wanted: Array,
-    rebounds: Bools, full: Array, impulses: Array, allowed: float, bound: float, left: float,
+    rebounds: Bools, full: Array, impulses: Array, tolerance: float, bound: float, error: float,
     softened: bool,
 ) -> tuple[float, int, bool]:  # fmt: skip
-    """Push out as far as the work of impulses is within the bound; see `island_impulses`.
+    """Stabilise as far as the work of impulses is within the bound; see `island_impulses`.
 
     Parameters
     ----------
     full : (m, 2)
-        Impulses that do what is `wanted`, and too much work; is overwritten.
+        Impulses of the whole bias, with too much work; overwritten.
     impulses : (m, 2)
-        Those that do what is `calmer`; what is found, in place.
-    left, softened
-        Of these; of what is found they are returned, and iterations between them.
+        Those of `calmer`; overwritten by the result.
+    error, softened
+        Of these. The result's are returned, with iterations between them.
     """
-    asked, done = wanted, 0
+    bias, iterations = wanted, 0
     for _ in range(_NEARER):
         chosen, share = capped(
             before, free, impulses, full, _velocities(contacts, impulses),
             _velocities(contacts, full), bound,
         )  # fmt: skip
-        asked = calmer + share * (asked - calmer)
-        missed, further, soft = _rebounding(
-            contacts, before, free, asked, rebounds, chosen, allowed, False, False
+        bias = calmer + share * (bias - calmer)
+        new_error, further, soft = _rebounding(
+            contacts, before, free, bias, rebounds, chosen, tolerance, False, False
         )
-        done += further
-        if missed > allowed:
+        iterations += further
+        if new_error > tolerance:
             break
         within = work_share(contacts, chosen, before, free, bound)
         if within >= 1.0 - _AT_BOUND:
             put_rows(chosen, impulses)
-            return missed, done, soft
-        # With another status the work is not the same parabola.
+            return new_error, iterations, soft
+        # If the status changes, the work follows another parabola.
         put_rows(chosen, full)
-    return left, done, softened
+    return error, iterations, softened
 
 
 @kernel
@@ -260,15 +250,15 @@ def island_impulses(
     wanted: Array,
     rebounds: Bools,
     impulses: Array,
-    allowed: float,
+    tolerance: float,
     bound: float,
     arms: bool,
 ) -> tuple[float, int, bool]:
-    """Find the impulses of a step; return their residual, iterations, and whether none rebounds.
+    """Solve an island's step; return residual, iterations, and whether restitution was dropped.
 
-    Restitution that would add energy is reduced. Where contacts oppose each other there need be no
-    impulses that make all of them part as they should: then none is asked to part, for which there
-    are some (Anitescu and Potra 1997).
+    Restitution that would add energy is reduced. Opposed contacts can have no impulses that satisfy
+    the restitution of all: then all are plastic, for which impulses exist (Anitescu and Potra
+    1997).
 
     Parameters
     ----------
@@ -276,17 +266,17 @@ def island_impulses(
     before, free : (m, 2)
         Velocities before the step, and after it without impulses.
     wanted : (m, 2)
-        What these may not fall below, negated.
+        Bias: the lower bound of the velocities after the step, negated.
     rebounds : (m,) array of bool
-        Whose `wanted` is that of restitution.
+        Whether that bias is restitution.
     impulses : (m, 2)
-        Of the step before; what is found, in place.
-    allowed : float
+        Warm start; overwritten by the result.
+    tolerance : float
         Residual.
     bound : float
-        The work that impulses may do on bodies in a step: ``h^2/8 f^T M^-1 f``.
+        Allowed work of impulses in a step: ``h^2/8 f^T M^-1 f``.
     arms : bool
-        Whether joints may do more, as their arms turn.
+        Whether joints may do more work, because their lever arms turn.
     """
     count, pushed, joined, stores = len(impulses), False, False, False
     fastest = slowest = 0.0
@@ -296,47 +286,55 @@ def island_impulses(
         pushed = pushed or _pushed(contacts, wanted, rebounds, i)
         joined = joined or slope(contacts.cones[i]) < 0.0
         stores = stores or yields(contacts, i)
-    other = contacts.spare[SAVED, :count]
-    put_rows(impulses, other)
-    left, done, softened = _rebounding(
-        contacts, before, free, wanted, rebounds, impulses, allowed, fastest <= slowest, not pushed
+    trial = contacts.spare[SAVED, :count]
+    put_rows(impulses, trial)
+    error, iterations, softened = _rebounding(
+        contacts,
+        before,
+        free,
+        wanted,
+        rebounds,
+        impulses,
+        tolerance,
+        fastest <= slowest,
+        not pushed,
     )
-    if (stores or (joined and arms)) and left <= allowed:
+    if (stores or (joined and arms)) and error <= tolerance:
         bound += joint_work(contacts, impulses, before, free)
     share = work_share(contacts, impulses, before, free, bound)
-    if pushed and (left > allowed or share < 1.0):
-        # What is pushed out may be pushed against others, and gains energy; or wedges, for which
-        # there are no impulses: those that were tried press without bound, and are no start.
+    if pushed and (error > tolerance or share < 1.0):
+        # Stabilisation may push bodies against others and gain energy, or wedge them: then no
+        # impulses exist, and the tried ones diverge and are no warm start.
         calmer = _calmer(contacts, wanted, rebounds, False)
-        calm, further, soft = _rebounding(
-            contacts, before, free, calmer, rebounds, other, allowed, False, True
+        calm_error, further, soft = _rebounding(
+            contacts, before, free, calmer, rebounds, trial, tolerance, False, True
         )
-        done += further
-        if calm <= max(left, allowed):
-            if max(left, calm) <= allowed:
-                calm, further, soft = _pushed_in_part(
-                    contacts, before, free, calmer, wanted, rebounds, impulses, other, allowed,
-                    bound, calm, soft,
+        iterations += further
+        if calm_error <= max(error, tolerance):
+            if max(error, calm_error) <= tolerance:
+                calm_error, further, soft = _pushed_in_part(
+                    contacts, before, free, calmer, wanted, rebounds, impulses, trial, tolerance,
+                    bound, calm_error, soft,
                 )  # fmt: skip
-                done += further
-            left, softened = calm, soft
-            put_rows(other, impulses)
+                iterations += further
+            error, softened = calm_error, soft
+            put_rows(trial, impulses)
             share = work_share(contacts, impulses, before, free, bound)
-    if joined and left > allowed:
-        # What sticks or is stuck between joints and others can do nothing but rest: no joint is
-        # brought back there, or follows its arm as that turns.
+    if joined and error > tolerance:
+        # Bodies stuck between joints and contacts can only rest: joints get no stabilisation, and
+        # do not follow their turning arms.
         calmer = _calmer(contacts, wanted, rebounds, True)
-        other[:] = 0.0
-        calm, further, soft = _rebounding(
-            contacts, before, free, calmer, rebounds, other, allowed, False, True
+        trial[:] = 0.0
+        calm_error, further, soft = _rebounding(
+            contacts, before, free, calmer, rebounds, trial, tolerance, False, True
         )
-        done += further
-        if calm < left:
-            left, softened = calm, soft
-            put_rows(other, impulses)
+        iterations += further
+        if calm_error < error:
+            error, softened = calm_error, soft
+            put_rows(trial, impulses)
             share = work_share(contacts, impulses, before, free, bound)
     if share < 1.0:
         for i in range(count):
             impulses[i, 0] *= share
             impulses[i, 1] *= share
-    return left, done, softened
+    return error, iterations, softened

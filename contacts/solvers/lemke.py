@@ -1,9 +1,9 @@
-"""Friction contacts as a linear complementarity problem, and Lemke's algorithm for it.
+"""Friction contacts as a linear complementarity problem, and Lemke's algorithm.
 
 Planar contacts in the form of Stewart and Trinkle (1996), whose matrix is copositive: Lemke's path
-ends in a solution wherever contacts at rest could hold. The algorithm works on a condensed tableau;
-ties are broken lexicographically (Cottle, Pang and Stone, The Linear Complementarity Problem, 4.4
-and 4.9), so that it cannot cycle on redundant contacts.
+ends in a solution wherever contacts at rest could hold. The algorithm pivots a condensed tableau;
+lexicographic ties (Cottle, Pang and Stone, The Linear Complementarity Problem, 4.4 and 4.9) prevent
+cycles on redundant contacts.
 """
 
 from __future__ import annotations
@@ -20,19 +20,21 @@ from statechart.kernels.jit import kernel
 FOUND, RAY, SPENT = range(3)
 
 UNKNOWNS = 4
-"""Unknowns of a contact: normal impulse, tangential one to either side, slip speed."""
+"""Unknowns of a contact: normal impulse, tangential impulse to either side, slip speed."""
 
-# Of a pivot relative to the largest entry of its column: smaller ones are round-off.
+# Smallest pivot relative to the largest entry of its column.
 _SMALLEST_PIVOT = 1e-11
-# Ratios closer than this tie; the artificial variable leaves in ties that round-off has spread.
+# Relative distance of tied ratios; larger for the artificial variable, whose ties round-off has
+# spread.
 _TIE, _TIE_LAST = 1e-10, 1e-5
 _CANCELLED = 1e-14
-# Pivots after which the tableau is made anew, since they add up their round-off: of 98 problems of
-# heaps that other methods left two covers solve 98, and 71 without that. Pivots allowed.
+# Pivots after which the tableau is refactorised, since they accumulate round-off: of 98 problems of
+# heaps that other methods did not solve, two covers solve 98, and 71 without refactorisation.
+# Pivots allowed.
 _ANEW, _PIVOTS, _PIVOTS_EACH = 2, 50, 20
-# The cover of rows that miss nothing.
+# Cover of feasible rows.
 _COVERED = 2.0**-10
-# Unknowns below this part of the largest of their kind are round-off.
+# Round-off of unknowns, relative to the largest of their kind.
 _NEGLIGIBLE = 1e-13
 
 
@@ -42,10 +44,9 @@ def complementarity_problem(
 ) -> tuple[Array, Array]:
     """Return (M, q) of planar contacts with friction (Stewart and Trinkle 1996).
 
-    Friction enters by the unit edge of its cone, so that mu = 0 and large mu are ordinary numbers;
-    at mu = inf a tangential impulse without a normal one would hold no contact closed, so that
-    cones end at `STEEPEST`. A contact without friction, and one that slips, keeps its four
-    unknowns, with rows that hold by themselves.
+    Friction enters by the unit cone edge, so that mu = 0 and large mu are ordinary numbers; at mu =
+    inf a tangential impulse without a normal one would be feasible, so that cones end at
+    `STEEPEST`. A frictionless or slipping contact keeps its four unknowns, with trivial rows.
     """
     count = len(cones)
     matrix = np.zeros((UNKNOWNS * count, UNKNOWNS * count))
@@ -81,9 +82,9 @@ def complementarity_problem(
 
 @kernel
 def _scales(matrix: Array) -> Array:
-    """Return powers of two that make what depends on units near 1: impulses, and slip speeds.
+    """Return powers of two that scale impulses and slip speeds to about 1.
 
-    The same factor on row and column keeps copositivity, on which Lemke's guarantee rests.
+    The same factor on row and column preserves copositivity, on which Lemke's guarantee rests.
     """
     scales = np.ones(len(matrix))
     for i in range(len(matrix)):
@@ -98,7 +99,7 @@ def _scales(matrix: Array) -> Array:
 def _pivot(table: Array, right: Array, r: int, c: int, feasible: bool) -> None:
     """Exchange the basic variable of row r with the nonbasic one of column c.
 
-    Where what is basic is `feasible`, before and after, what is below zero is rounding.
+    If the basis is `feasible` before and after, negative values are round-off.
     """
     width = table.shape[1]
     inverse = 1.0 / table[r, c]
@@ -118,14 +119,14 @@ def _pivot(table: Array, right: Array, r: int, c: int, feasible: bool) -> None:
         change = factor * right[r]
         terms = abs(right[i]) + abs(change)
         right[i] += change
-        # Below zero is rounding, and so is what remains of two equal terms.
+        # Negative values, and the remainder of two equal terms, are round-off.
         if feasible and right[i] < _CANCELLED * terms:
             right[i] = 0.0
 
 
 @kernel
 def _exchanged(basic: Ints, nonbasic: Ints, column_of: Ints, r: int, c: int) -> int:
-    """Note that row and column have exchanged their variables; return the one that left."""
+    """Exchange the variables of row and column; return the leaving one."""
     leaving, entering = basic[r], nonbasic[c]
     basic[r], nonbasic[c] = entering, leaving
     column_of[entering], column_of[leaving] = -1, c
@@ -137,7 +138,7 @@ def _begin(
     matrix: Array, vector: Array, cover: Array, basic: Ints, nonbasic: Ints, column_of: Ints,
     table: Array, right: Array,
 ) -> None:  # fmt: skip
-    """Write the tableau of no pivot."""
+    """Write the initial tableau."""
     size = len(vector)
     put_rows(matrix, table)
     for i in range(size):
@@ -151,19 +152,19 @@ def _refactorised(
     matrix: Array, vector: Array, cover: Array, basic: Ints, nonbasic: Ints, column_of: Ints,
     table: Array, right: Array,
 ) -> None:  # fmt: skip
-    """Write the tableau of a basis by the largest pivots, without the rounding of its path."""
+    """Write the tableau of a basis by largest pivots, without the round-off of its path."""
     size = len(vector)
-    into = np.zeros(2 * size + 1, np.bool_)
+    in_basis = np.zeros(2 * size + 1, np.bool_)
     for i in range(size):
-        into[basic[i]] = True
+        in_basis[basic[i]] = True
     _begin(matrix, vector, cover, basic, nonbasic, column_of, table, right)
     while True:
         r = c = -1
         for i in range(size):
-            if into[basic[i]]:
+            if in_basis[basic[i]]:
                 continue
             for j in range(size + 1):
-                if into[nonbasic[j]] and (r < 0 or abs(table[i, j]) > abs(table[r, c])):
+                if in_basis[nonbasic[j]] and (r < 0 or abs(table[i, j]) > abs(table[r, c])):
                     r, c = i, j
         if r < 0 or table[r, c] == 0.0:
             break
@@ -193,9 +194,9 @@ def _lexicographic(
 
 @kernel
 def lemke(matrix: Array, vector: Array, cover: Array) -> tuple[int, Array]:
-    """Return the outcome and z, with ``0 <= z, w = M z + q >= 0, z w = 0`` where it is `FOUND`.
+    """Return the outcome and z, with ``0 <= z, w = M z + q >= 0, z w = 0`` if it is `FOUND`.
 
-    Variables are numbered w: 0 to n - 1, z: n to 2 n - 1, the artificial one: 2 n.
+    Variables: w: 0 to n - 1, z: n to 2 n - 1, the artificial one: 2 n.
     """
     size = len(vector)
     z = np.zeros(size)
@@ -222,22 +223,22 @@ def lemke(matrix: Array, vector: Array, cover: Array) -> tuple[int, Array]:
             _refactorised(matrix, vector, cover, basic, nonbasic, column_of, table, right)
         c = column_of[leaving - size if leaving >= size else leaving + size]
         smallest = -_SMALLEST_PIVOT * np.abs(table[:, c]).max()
-        least = math.inf
+        smallest_ratio = math.inf
         for i in range(size):
             if table[i, c] < smallest:
-                least = min(least, -right[i] / table[i, c])
-        if least == math.inf:
+                smallest_ratio = min(smallest_ratio, -right[i] / table[i, c])
+        if smallest_ratio == math.inf:
             return RAY, z
         r = -1
         for i in range(size):
             if table[i, c] >= smallest:
                 continue
             step = -right[i] / table[i, c]
-            # The artificial variable leaves wherever it may: the residual says whether it might.
-            if basic[i] == 2 * size and step <= least * (1.0 + _TIE_LAST):
+            # The artificial variable leaves at near ties: the residual verifies the result.
+            if basic[i] == 2 * size and step <= smallest_ratio * (1.0 + _TIE_LAST):
                 r = i
                 break
-            if step <= least * (1.0 + _TIE) and (
+            if step <= smallest_ratio * (1.0 + _TIE) and (
                 r < 0 or _lexicographic(table, basic, column_of, c, i, r)
             ):
                 r = i
@@ -246,26 +247,25 @@ def lemke(matrix: Array, vector: Array, cover: Array) -> tuple[int, Array]:
 
 @kernel
 def impulses_by_lemke(
-    delassus: Array, least: Array, cones: Array, slides: Array, by_scales: bool
+    delassus: Array, free: Array, cones: Array, slides: Array, by_scales: bool
 ) -> tuple[bool, Array]:
     """Return whether Lemke's algorithm finds impulses, and these (m, 2).
 
     Parameters
     ----------
     delassus : (2 m, 2 m)
-    least : (m, 2)
-        Velocities without impulses; or accelerations without forces, where impulses are forces.
+    free : (m, 2)
+        Velocities without impulses; or accelerations without forces, for forces.
     cones : (m, 2)
     slides : (m,)
-        The sign of a slip that lasts, whose force is along the edge of the cone that opposes it;
-        0: none.
+        Sign of a persisting slip, whose force is on the opposing cone edge; 0: none.
     by_scales : bool
-        Whether the path covers with the scales of rows, in the place of what they miss: where one
-        cover ends in a ray by round-off, the other seldom does.
+        Cover with row scales instead of infeasibilities: if round-off ends one path in a ray, the
+        other rarely ends so.
     """
-    matrix, vector = complementarity_problem(delassus, least, cones, slides)
+    matrix, vector = complementarity_problem(delassus, free, cones, slides)
     scales, size, count = _scales(matrix), len(vector), len(cones)
-    cover, most, largest, kinds = np.empty(size), 1e-300, 0.0, np.zeros(2)
+    cover, most, largest, largest_of_kind = np.empty(size), 1e-300, 0.0, np.zeros(2)
     for i in range(size):
         vector[i] *= scales[i]
         most, largest = max(most, abs(vector[i])), max(largest, scales[i])
@@ -277,9 +277,9 @@ def impulses_by_lemke(
     outcome, z = lemke(matrix, vector, cover)
     for i in range(size):
         kind = 1 if i % UNKNOWNS == UNKNOWNS - 1 else 0
-        kinds[kind] = max(kinds[kind], z[i])
+        largest_of_kind[kind] = max(largest_of_kind[kind], z[i])
     for i in range(size):
-        if z[i] <= _NEGLIGIBLE * kinds[1 if i % UNKNOWNS == UNKNOWNS - 1 else 0]:
+        if z[i] <= _NEGLIGIBLE * largest_of_kind[1 if i % UNKNOWNS == UNKNOWNS - 1 else 0]:
             z[i] = 0.0
     impulses = np.empty((count, 2))
     for i in range(count):
@@ -294,22 +294,19 @@ def impulses_by_lemke(
 
 @kernel
 def forces_by_lemke(
-    delassus: Array, least: Array, cones: Array, slides: Array
+    delassus: Array, free: Array, cones: Array, slides: Array
 ) -> tuple[bool, Array]:
-    """Return whether Lemke's algorithm finds forces by one of two covers, and these (m, 2).
-
-    The parameters are those of `impulses_by_lemke`.
-    """
-    found, forces = impulses_by_lemke(delassus, least, cones, slides, False)
+    """Return whether Lemke's algorithm finds forces (m, 2) by either cover, and these."""
+    found, forces = impulses_by_lemke(delassus, free, cones, slides, False)
     if not found:
-        found, forces = impulses_by_lemke(delassus, least, cones, slides, True)
+        found, forces = impulses_by_lemke(delassus, free, cones, slides, True)
     return found, forces
 
 
 def delassus_matrix(mass: Array, jacobians: Array, forces: Array) -> tuple[Array, Array]:
-    """Return the matrix ``J M^-1 J^T`` (2 c, 2 c) and ``J M^-1 forces`` (c, 2).
+    """Return ``J M^-1 J^T`` (2 c, 2 c) and ``J M^-1 forces`` (c, 2).
 
-    Where inertias vanish they are filled up: good enough to find modes, not to solve them.
+    Vanishing inertias are regularised: good enough to find modes, not to solve them.
     """
     rows = jacobians.reshape(-1, len(mass))
     reach = np.abs(rows).max(axis=0)

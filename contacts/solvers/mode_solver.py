@@ -1,4 +1,4 @@
-"""Every combination of contact modes solved and judged, in one compiled call."""
+"""Solves every combination of contact modes and tests its inequalities, in one compiled call."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import kernel
 
 INTO, PULLS, OUTSIDE, AGAINST, BEYOND, NEGATIVE = range(6)
-# Constraints that others imply are contradicted when the accelerations miss them by this.
+# Relative acceleration error at which a dependent constraint is contradicted.
 _CONTRADICTED = 1e-9
 
 
 @kernel
 def dot(a: Array, b: Array) -> float:
-    """Return the sum of the products of two rows."""
+    """Return the scalar product."""
     total = 0.0
     for i in range(len(a)):
         total += a[i] * b[i]
@@ -53,7 +53,7 @@ def _direction(code: int) -> float:
 
 @kernel
 def is_coupling(code: int) -> bool:
-    """Return whether a code is that of a coupling that is not open."""
+    """Return whether a mode is that of a coupling that is not open."""
     return code in (LOCKED, SLIP_PLUS, SLIP_MINUS)
 
 
@@ -82,7 +82,6 @@ def _judge(
     still: Bools,
     scale: float,
 ) -> None:
-    """Judge the motion of a combination."""
     for c in range(len(code)):
         sign = _direction(code[c])
         if code[c] == FREE and closed[c]:
@@ -95,7 +94,7 @@ def _judge(
 
 @kernel
 def judge_forces(verdict: Array, forces: Array, cones: Array, code: Ints, scale: float) -> None:
-    """Judge the forces of a combination; see `solve_modes`."""
+    """Find the most violated force inequality of a combination; see `solve_modes`."""
     for c in range(len(code)):
         V, H = forces[c, 0], forces[c, 1]
         cone_n, cone_t = cones[c, 0], cones[c, 1]
@@ -114,7 +113,7 @@ def judge_forces(verdict: Array, forces: Array, cones: Array, code: Ints, scale:
 
 @kernel
 def write_limits(forces: Array, cones: Array, carriers: Ints, code: Ints) -> None:
-    """Write the limits of couplings, and the couples of those that slip (see `solve_modes`)."""
+    """Write the limits of couplings, and the torques of those that slip (see `solve_modes`)."""
     for c in range(len(code)):
         if is_coupling(code[c]):
             limit = cones[c, 0] if code[c] == LOCKED else cones[c, 1]
@@ -146,12 +145,12 @@ def _write_rows(
 
 @kernel
 def _contradicts(row: Array, constant: float, accelerations: Array, scale: float) -> bool:
-    """Return whether accelerations contradict a constraint that others imply."""
-    terms, missed = scale, -constant
+    """Return whether accelerations contradict a dependent constraint."""
+    terms, error = scale, -constant
     for i in range(len(row)):
         terms += abs(row[i] * accelerations[i])
-        missed += row[i] * accelerations[i]
-    return abs(missed) > _CONTRADICTED * terms
+        error += row[i] * accelerations[i]
+    return abs(error) > _CONTRADICTED * terms
 
 
 @kernel
@@ -173,7 +172,7 @@ def solve_modes(
     verdicts: Array,
     tie: float,
 ) -> tuple[int, int]:
-    """Solve every combination of contact modes, and judge it by its own inequalities.
+    """Solve every combination of contact modes, and test its inequalities.
 
     Parameters
     ----------
@@ -182,36 +181,34 @@ def solve_modes(
         Rows: normal, tangential.
     biases : (c, 2)
     cones : (c, 6)
-        Unit edges of the cones at rest, in slide+ and in slide-; of a coupling first its static
-        and its kinetic limit, which stand in the place of its normal force.
+        Unit cone edges at rest, in slide+ and in slide-. Of a coupling: its static and its kinetic
+        limit, in place of the normal force.
     carriers : (c,) of int
-        The contact whose normal force the limits of a coupling are multiples of; below 0: none.
+        The contact whose normal force scales the limits of a coupling; below 0: none.
     codes : (k, c) of int
-        FREE, PIN, SLIDE (its force along the normal), SLIDE_PLUS, SLIDE_MINUS; LOCKED, SLIP_PLUS,
-        SLIP_MINUS of a coupling.
+        FREE, PIN, SLIDE (frictionless), SLIDE_PLUS, SLIDE_MINUS; LOCKED, SLIP_PLUS, SLIP_MINUS of a
+        coupling.
     closed, still : (c,) of bool
         Whether the gap is closed; whether the slip is zero.
     force_scale, acceleration_scale : float
-        For comparing violations.
+        Scales of violations.
     status : (k,), accelerations : (k, n), forces : (k, c, 2)
-        To be filled, as are the verdicts: a kernel that makes the arrays it returns takes 3 us
-        for each of them. Where the forces are not determined but the accelerations are
-        (REDUNDANT), the forces are one choice of those that explain the motion, and need not be
-        in their cones.
+        Outputs, as are the verdicts: a kernel that returns new arrays takes 3 us for each. If
+        accelerations are determined but forces are not (REDUNDANT), the forces are one choice that
+        need not be in the cones.
     verdicts : (k, 4)
-        Of the inequality broken most: by how much in the scales (<= 0: not at all), contact,
-        which inequality (INTO, PULLS, OUTSIDE, ...), its number. REDUNDANT ones are judged
-        by their motion alone.
+        Most violated inequality: amount in the scales (<= 0: none), contact, kind (INTO, PULLS,
+        OUTSIDE, ...), value. REDUNDANT ones are tested by their motion alone.
     tie : float
-        Up to here a violation is none.
+        Largest amount that is no violation.
 
     Returns
     -------
     redundant, agreeing : int
-        How many combinations are REDUNDANT; the place of the only one that is solved and not
-        violated, -1 where there is none or several.
+        Number of REDUNDANT combinations; index of the only solved one without violation, -1 if
+        there is none or several.
     """
-    redundant, agreeing, found = 0, -1, 0
+    redundant, agreeing, consistent = 0, -1, 0
     count, contacts = codes.shape
     n = len(right)
     rows, columns = np.empty((2 * contacts, n)), np.empty((2 * contacts, n))
@@ -259,9 +256,9 @@ def solve_modes(
         rank, first, bearing = m, in_order, in_order
         if m > 1:
             rank, row_order, _ = independent(rows[:m])
-            reach, order, _ = independent(columns[:m])
-            if rank != reach:
-                status[k] = UNDETERMINED if reach > rank else SINGULAR
+            force_rank, order, _ = independent(columns[:m])
+            if rank != force_rank:
+                status[k] = UNDETERMINED if force_rank > rank else SINGULAR
                 continue
             if rank < m:
                 first, bearing = row_order, order
@@ -300,6 +297,6 @@ def solve_modes(
             status[k] = REDUNDANT
             redundant += 1
         if verdict[0] <= tie:
-            found += 1
-            agreeing = k if found == 1 else -1
+            consistent += 1
+            agreeing = k if consistent == 1 else -1
     return redundant, agreeing

@@ -1,12 +1,11 @@
-"""The proximal point method for contact impulses (Rockafellar 1976), by semismooth Newton steps.
+"""Proximal point method for contact impulses (Rockafellar 1976), by semismooth Newton steps.
 
-Each problem is solved with impulses held to a centre by a compliance, which makes it well
-conditioned: nearly half of the impulses in a heap are not determined by the motion, and where
-bodies wedge the equations of a status (open, sticks, slides) have no solution at all. Newton's
-steps give every contact its new status at once (Alart and Curnier 1991) and settle in a few. Then
-the centre moves to the solution, and the compliance falls. Unknowns of the linear equations are
-the rates of the bodies, of which there are fewer than contacts: impulses follow from the velocity
-that a contact misses, over its compliance.
+A compliance ties the impulses of each subproblem to a centre, which makes it well conditioned:
+motion does not determine nearly half of the impulses in a heap, and where bodies wedge the
+equations of a status (open, sticks, slides) have no solution. A Newton step updates the status of
+all contacts at once (Alart and Curnier 1991); a few suffice. Then the centre moves to the solution,
+and the compliance falls. The unknowns of the linear equations are body rates, fewer than contacts:
+the impulse of a contact is its velocity error over its compliance.
 """
 
 from __future__ import annotations
@@ -31,28 +30,28 @@ from statechart.kernels.copies import put_rows
 from statechart.kernels.jit import kernel
 
 OPEN, STICKS, SLIDES = range(3)
-"""The status of a contact."""
+"""Contact status."""
 
 VERIFIED = 1e-10
-"""Residual of impulses that are taken as they are. What is to be solved to it is solved until
-round-off ends the fall of the residual: what rests does not creep."""
+"""Residual of solved impulses. At this tolerance iterations go on until round-off ends the fall of
+the residual: bodies at rest do not creep."""
 
-# The compliance, of a contact's own: at first, at least, at most; by how much it falls where steps
-# settle, and grows where they do not.
+# Compliance relative to the diagonal of W: initial, smallest, largest; its factors after
+# convergence and after failure.
 _FIRST, _LEAST, _LARGEST = 1e-2, 1e-8, 1.0
 _FALLS, _GROWS = 0.5, 4.0
-# A centre that misses less than this part of what the one before did is worth another one; at the
-# least compliance, which impulses begin at that nearly solve the problem, the first is the last.
+# Residual ratio of successive centres below which another one pays; at the smallest compliance,
+# where a good warm start begins, the first is the last.
 _FURTHER = 0.9
-# Compliance of a status that is refined, and how often at most: each leaves the larger of it, by
-# how much own compliances are above those of all together, and of round-off over its square.
+# Compliance and iteration limit of the refinement of a status. An iteration leaves the larger of
+# compliance times own over joint compliances, and round-off over its square.
 _REFINING, _REFINEMENTS = 1e-5, 32
-# Newton's steps to a centre; centres at the least compliance that are no better, but for rounding;
-# eliminations in all, and times contacts: half a second.
+# Newton steps per centre; centres without progress at the smallest compliance; eliminations in all,
+# and times contacts (half a second).
 _SETTLING, _IDLE, _MOST, _MOST_TIMES = 10, 4, 3000, 2_000_000
-# Changes of status, and how many of them the shift may grow after.
+# Status changes along a path, and how many of them may increase the shift.
 _CHANGES, _TURNS = 160, 40
-# What of a contact is about to end.
+# The two bounds of a status; see `_status_margin`.
 _ONE, _OTHER = 0, 1
 
 
@@ -61,7 +60,7 @@ def _add(
     contacts: ContactRows, i: int, d: int, share: float, edge: float, one: int, other: int,
     block: Array,
 ) -> None:  # fmt: skip
-    """Add to a block what the rates of one body do to another's through an impulse of a contact."""
+    """Add a contact's term of J M^-1 J^T / compliance between two of its bodies to a block."""
     columns, rows = contacts.columns[i], contacts.rows[i, d]
     for r in range(3):
         column = share * (columns[d, 3 * one + r] + edge * columns[1, 3 * one + r])
@@ -73,16 +72,14 @@ def _add(
 def eliminated(
     contacts: ContactRows, equations: Equations, compliance: float, status: Ints, edges: Array
 ) -> bool:
-    """Eliminate the equations of a status; False where a pivot fails.
+    """Assemble and factor the Newton equations of a status; False where a pivot fails.
 
     Parameters
     ----------
-    contacts : ContactRows
-    equations : Equations
     compliance : float
-        Of each contact, in parts of its own.
-    status : (m,) array of int, edges : (m,)
-        Of what slides, tangential by normal impulse.
+        Relative to each contact's own.
+    edges : (m,)
+        Of sliding contacts: tangential over normal impulse.
     """
     diagonal, after, before = equations.diagonal, equations.after, equations.before
     for p in range(len(diagonal)):
@@ -120,15 +117,9 @@ def step(
     contacts: ContactRows, equations: Equations, compliance: float, status: Ints, edges: Array,
     impulses: Array,
 ) -> None:  # fmt: skip
-    """Add to impulses (m, 2) what changes the velocities as `Equations.right` asks.
+    """Add to impulses (m, 2) the change that causes the velocity changes `Equations.right`.
 
-    Parameters
-    ----------
-    contacts, compliance, status, edges
-        Those of what was eliminated.
-    equations : Equations
-    impulses : (m, 2)
-        Changed in place.
+    The equations are factored with the same compliance, status and edges (see `eliminated`).
     """
     ends, rates, right = equations.ends, equations.rates, equations.right
     own, rows, columns = contacts.own, contacts.rows, contacts.columns
@@ -168,21 +159,21 @@ def step(
 
 @kernel
 def _find_status(
-    contacts: ContactRows, least: Array, begins: float, now: Array, centre: Array,
+    contacts: ContactRows, q: Array, begins: float, now: Array, centre: Array,
     compliance: float, rates: Array, status: Ints, edges: Array,
 ) -> bool:  # fmt: skip
-    """Write the status of contacts by the natural map; False where it is as before.
+    """Write the status of contacts by the natural map; return whether any changed.
 
-    One without an impulse begins to press above a velocity `begins`.
+    A contact without impulse begins to press above a velocity `begins`.
     """
     different = False
     for i in range(len(now)):
         mu = slope(contacts.cones[i])
         if mu < 0.0:
-            # What is guided slides without friction.
+            # A `GUIDED` joint slides without friction.
             status[i], edges[i] = STICKS if mu == HELD else SLIDES, 0.0
             continue
-        normal, slip = contact_velocity(contacts, i, least, rates)
+        normal, slip = contact_velocity(contacts, i, q, rates)
         wn, wt = contacts.own[i, 0], contacts.own[i, 1]
         press = wn * now[i, 0] - normal - compliance * wn * (now[i, 0] - centre[i, 0])
         shear = wt * now[i, 1] - slip - compliance * wt * (now[i, 1] - centre[i, 1])
@@ -198,12 +189,12 @@ def _find_status(
 
 @kernel
 def _take_step(
-    contacts: ContactRows, equations: Equations, least: Array, now: Array, centre: Array,
+    contacts: ContactRows, equations: Equations, q: Array, now: Array, centre: Array,
     compliance: float, rates: Array, status: Ints, edges: Array,
 ) -> None:  # fmt: skip
-    """Bring impulses to where their status is exact, and their rates, in place."""
+    """Take a Newton step of a status, in place; update the rates."""
     for i in range(len(now)):
-        normal, slip = contact_velocity(contacts, i, least, rates)
+        normal, slip = contact_velocity(contacts, i, q, rates)
         away, aside = now[i, 0] - centre[i, 0], now[i, 1] - centre[i, 1]
         equations.right[i, 0] = -normal - compliance * contacts.own[i, 0] * away
         equations.right[i, 1] = -slip - compliance * contacts.own[i, 1] * aside
@@ -213,17 +204,15 @@ def _take_step(
 
 @kernel
 def _settled(
-    contacts: ContactRows, equations: Equations, least: Array, begins: float, now: Array,
+    contacts: ContactRows, equations: Equations, q: Array, begins: float, now: Array,
     centre: Array, compliance: float, rates: Array, status: Ints, edges: Array,
 ) -> tuple[bool, int]:  # fmt: skip
-    """Take Newton's steps to a proximal point, in place; return if they settle, and how many."""
+    """Take Newton steps to a proximal point, in place; return convergence, and iterations."""
     for taken in range(_SETTLING + 1):
-        changed = _find_status(
-            contacts, least, begins, now, centre, compliance, rates, status, edges
-        )
+        changed = _find_status(contacts, q, begins, now, centre, compliance, rates, status, edges)
         if taken > 0 and not changed:
-            # A small compliance costs digits, which a second step gives back.
-            _take_step(contacts, equations, least, now, centre, compliance, rates, status, edges)
+            # A small compliance costs digits, which a second step recovers.
+            _take_step(contacts, equations, q, now, centre, compliance, rates, status, edges)
             return True, taken
         if taken == _SETTLING or not eliminated(contacts, equations, compliance, status, edges):
             return False, taken + 1
@@ -233,7 +222,7 @@ def _settled(
             elif status[i] == SLIDES:
                 now[i, 1] = edges[i] * now[i, 0]
         moved(contacts, now, rates)
-        _take_step(contacts, equations, least, now, centre, compliance, rates, status, edges)
+        _take_step(contacts, equations, q, now, centre, compliance, rates, status, edges)
     return False, _SETTLING
 
 
@@ -243,8 +232,8 @@ def _status_margin(
 ) -> float:
     """Return the margin that stays >= 0 while a contact keeps its status.
 
-    Linear in impulse and velocity: of what is open the velocity; of what slides the normal impulse
-    and the slip against friction; of what sticks how far it is from both edges.
+    Linear in impulse and velocity. Open: normal velocity; sliding: normal impulse, and slip against
+    friction; sticking: distances to both cone edges.
     """
     if status == OPEN:
         return normal
@@ -257,7 +246,7 @@ def _status_margin(
 
 @kernel
 def _change(mu: float, status: Ints, edges: Array, i: int, which: int, slip: float) -> int:
-    """Give a contact its next status, in place; return which of its bounds it then begins at."""
+    """Write a contact's next status; return at which of its bounds it enters."""
     if status[i] == OPEN:
         status[i], edges[i] = SLIDES, -mu if slip > 0.0 else mu
         return _ONE
@@ -273,49 +262,47 @@ def _change(mu: float, status: Ints, edges: Array, i: int, which: int, slip: flo
 
 @kernel
 def follow_point(
-    contacts: ContactRows, equations: Equations, least: Array, now: Array, centre: Array,
+    contacts: ContactRows, equations: Equations, q: Array, now: Array, centre: Array,
     shift: Array, compliance: float, rates: Array, status: Ints, edges: Array,
 ) -> tuple[bool, int]:  # fmt: skip
-    """Follow a proximal point from the one before; return if it is reached, and eliminations.
+    """Follow a proximal point by homotopy in `shift`; return whether it is reached, and pivots.
 
     Parameters
     ----------
-    contacts, equations, least
     now : (m, 2)
-        Impulses, equal to the centre; those that are reached, in place.
-    centre : (m, 2)
+        Impulses at the centre; overwritten by the proximal point.
     shift : (m, 2)
-        With it these solve the contact laws.
+        Velocities with which the centre solves the contact laws.
     compliance : float
-        That holds to the centre.
+        Of the proximal point.
     rates : (n,)
-        Is overwritten.
+        Workspace.
     status, edges : (m,)
-        Of these impulses; those of what is reached, in place.
+        Of the centre; overwritten by those of the point.
     """
     count, own = len(now), contacts.own
-    along, felt = np.empty((count, 2)), np.empty_like(rates)
-    left, way, turns, entered, begins = 1.0, -1.0, 0, -1, _ONE
+    along, along_rates = np.empty((count, 2)), np.empty_like(rates)
+    fraction, way, turns, entered, begins = 1.0, -1.0, 0, -1, _ONE
     for change in range(_CHANGES):
         if not eliminated(contacts, equations, compliance, status, edges):
             return False, change
         moved(contacts, now, rates)
         for i in range(count):
-            normal, slip = contact_velocity(contacts, i, least, rates)
+            normal, slip = contact_velocity(contacts, i, q, rates)
             away, aside = now[i, 0] - centre[i, 0], now[i, 1] - centre[i, 1]
-            equations.right[i, 0] = -normal - left * shift[i, 0] - compliance * own[i, 0] * away
-            equations.right[i, 1] = -slip - left * shift[i, 1] - compliance * own[i, 1] * aside
-        # Against rounding.
+            equations.right[i, 0] = -normal - fraction * shift[i, 0] - compliance * own[i, 0] * away
+            equations.right[i, 1] = -slip - fraction * shift[i, 1] - compliance * own[i, 1] * aside
+        # Correct round-off.
         step(contacts, equations, compliance, status, edges, now)
         moved(contacts, now, rates)
         for i in range(count):
             along[i, 0] = along[i, 1] = 0.0
             equations.right[i, 0], equations.right[i, 1] = -shift[i, 0], -shift[i, 1]
         step(contacts, equations, compliance, status, edges, along)
-        moved(contacts, along, felt)
+        moved(contacts, along, along_rates)
         if entered >= 0:
             i = entered
-            normal, slip = contact_velocity(contacts, i, shift, felt)
+            normal, slip = contact_velocity(contacts, i, shift, along_rates)
             normal += compliance * own[i, 0] * along[i, 0]
             slip += compliance * own[i, 1] * along[i, 1]
             mu = slope(contacts.cones[i])
@@ -327,10 +314,10 @@ def follow_point(
             mu = slope(contacts.cones[i])
             if mu < 0.0:
                 continue
-            normal, slip = contact_velocity(contacts, i, least, rates)
-            normal += left * shift[i, 0] + compliance * own[i, 0] * (now[i, 0] - centre[i, 0])
-            slip += left * shift[i, 1] + compliance * own[i, 1] * (now[i, 1] - centre[i, 1])
-            to_normal, to_slip = contact_velocity(contacts, i, shift, felt)
+            normal, slip = contact_velocity(contacts, i, q, rates)
+            normal += fraction * shift[i, 0] + compliance * own[i, 0] * (now[i, 0] - centre[i, 0])
+            slip += fraction * shift[i, 1] + compliance * own[i, 1] * (now[i, 1] - centre[i, 1])
+            to_normal, to_slip = contact_velocity(contacts, i, shift, along_rates)
             to_normal += compliance * own[i, 0] * along[i, 0]
             to_slip += compliance * own[i, 1] * along[i, 1]
             for k in range(1 if status[i] == OPEN or mu == 0.0 else 2):
@@ -343,19 +330,19 @@ def follow_point(
                     here = _status_margin(mu, status[i], edges[i], k, now[i], normal, slip)
                     if max(here, 0.0) < nearest * falls:
                         first, which, nearest = i, k, max(here, 0.0) / falls
-        reached = way < 0.0 and nearest >= left
+        reached = way < 0.0 and nearest >= fraction
         if not reached and (first < 0 or turns > _TURNS):
             return False, change + 1
-        far = left if reached else nearest
+        length = fraction if reached else nearest
         for i in range(count):
             for d in range(2):
-                now[i, d] += way * far * along[i, d]
+                now[i, d] += way * length * along[i, d]
         if reached:
             return True, change + 1
-        left += way * far
+        fraction += way * length
         moved(contacts, now, rates)
-        _, slip = contact_velocity(contacts, first, least, rates)
-        slip += left * shift[first, 1]
+        _, slip = contact_velocity(contacts, first, q, rates)
+        slip += fraction * shift[first, 1]
         slip += compliance * own[first, 1] * (now[first, 1] - centre[first, 1])
         mu = slope(contacts.cones[first])
         begins, entered = _change(mu, status, edges, first, which, slip), first
@@ -363,93 +350,91 @@ def follow_point(
 
 
 @kernel
-def by_last_status(contacts: ContactRows, least: Array, impulses: Array) -> tuple[float, int]:
+def by_last_status(contacts: ContactRows, q: Array, impulses: Array) -> tuple[float, int]:
     """Solve contacts with open ones kept open; return the residual, and eliminations.
 
-    Impulses are found from nothing, in place: of those with the same motion the smallest. What is
-    open stays so as long as that solves the problem: a box that just fits under a lid is else stuck
-    between that and the floor, in impulses without cause.
+    Impulses start from zero, in place: the smallest of those with the same motion. Open contacts
+    stay open if that solves the problem: otherwise a box that just fits under a lid would be wedged
+    between lid and floor by impulses without cause.
     """
     count, rates, equations = len(impulses), rates_of(contacts, 0), equations_of(contacts)
     status, edges, taken = np.full(count, -1), np.zeros(count), 0
     moved(contacts, impulses, rates)
     while taken < _SETTLING and _find_status(
-        contacts, least, math.inf, impulses, impulses, _REFINING, rates, status, edges
+        contacts, q, math.inf, impulses, impulses, _REFINING, rates, status, edges
     ):
         if not eliminated(contacts, equations, _REFINING, status, edges):
             return math.inf, taken + 1
         impulses[:] = 0.0
         rates[:] = 0.0
-        left = math.inf
+        lowest = math.inf
         for _ in range(_REFINEMENTS):
-            missed = 0.0
+            error = 0.0
             for i in range(count):
-                normal, slip = contact_velocity(contacts, i, least, rates)
+                normal, slip = contact_velocity(contacts, i, q, rates)
                 if status[i] != OPEN:
-                    missed = max(missed, abs(normal), abs(slip) if status[i] == STICKS else 0.0)
-            if not missed < _FALLS * left:
+                    error = max(error, abs(normal), abs(slip) if status[i] == STICKS else 0.0)
+            if not error < _FALLS * lowest:
                 break
-            left = missed
-            _take_step(
-                contacts, equations, least, impulses, impulses, _REFINING, rates, status, edges
-            )
+            lowest = error
+            _take_step(contacts, equations, q, impulses, impulses, _REFINING, rates, status, edges)
         taken += 1
-    return residual(contacts, least, scale(contacts, least), impulses, rates), taken
+    return residual(contacts, q, scale(contacts, q), impulses, rates), taken
 
 
 @kernel
 def by_proximal_points(
-    contacts: ContactRows, least: Array, impulses: Array, allowed: float
+    contacts: ContactRows, q: Array, impulses: Array, tolerance: float
 ) -> tuple[float, int]:
-    """Improve impulses of contacts of bodies; return the residual of the best, and eliminations.
+    """Improve impulses by proximal points; return the residual of the best, and eliminations.
 
-    Where no more than `VERIFIED` is allowed, centres follow as long as each halves what is missed.
+    At a tolerance of `VERIFIED` or less, centres go on as long as the residual falls.
     """
     count = len(impulses)
     rates = rates_of(contacts, 0)
     moved(contacts, impulses, rates)
-    size = scale(contacts, least)
-    lowest = residual(contacts, least, size, impulses, rates)
+    size = scale(contacts, q)
+    lowest = residual(contacts, q, size, impulses, rates)
     equations = equations_of(contacts)
     now, centre, shift = impulses.copy(), impulses.copy(), np.zeros((count, 2))
     status, edges = np.full(count, -1), np.zeros(count)
-    # Of the last centre that was found.
-    known, known_edges, is_known = status.copy(), edges.copy(), False
-    exact = falls = allowed <= VERIFIED
-    # Near a solution the status is known, which a small compliance solves at once.
-    compliance, done, idle = min(max(lowest, _LEAST), _FIRST) if exact else _FIRST, 0, 0
+    # Status of the last centre.
+    last_status, last_edges, has_last = status.copy(), edges.copy(), False
+    exact = falls = tolerance <= VERIFIED
+    # Near a solution the status is known: a small compliance solves it in one step.
+    compliance, iterations, idle = min(max(lowest, _LEAST), _FIRST) if exact else _FIRST, 0, 0
     most = min(_MOST, _MOST_TIMES // count)
-    while done < most and idle < _IDLE and (lowest > allowed or falls):
-        good, taken = _settled(
-            contacts, equations, least, 0.0, now, centre, compliance, rates, status, edges
+    while iterations < most and idle < _IDLE and (lowest > tolerance or falls):
+        converged, taken = _settled(
+            contacts, equations, q, 0.0, now, centre, compliance, rates, status, edges
         )
-        done += taken
-        if not good and is_known:
+        iterations += taken
+        if not converged and has_last:
             put_rows(centre, now)
-            status[:], edges[:] = known, known_edges
-            good, taken = follow_point(
-                contacts, equations, least, now, centre, shift, compliance, rates, status, edges
+            status[:], edges[:] = last_status, last_edges
+            converged, taken = follow_point(
+                contacts, equations, q, now, centre, shift, compliance, rates, status, edges
             )
-            done += taken
-        if good:
+            iterations += taken
+        if converged:
             moved(contacts, now, rates)
-            left = residual(contacts, least, size, now, rates)
+            error = residual(contacts, q, size, now, rates)
             idle += 1 if compliance == _LEAST else 0
-            falls = exact and compliance > _LEAST and left < _FURTHER * lowest
-            if left < lowest:
-                lowest, idle = left, 0
+            falls = exact and compliance > _LEAST and error < _FURTHER * lowest
+            if error < lowest:
+                lowest, idle = error, 0
                 put_rows(now, impulses)
             for i in range(count):
                 for d in range(2):
                     away = now[i, d] - centre[i, d]
                     shift[i, d] = compliance * contacts.own[i, d] * away
             put_rows(now, centre)
-            known[:], known_edges[:], is_known = status, edges, True
+            last_status[:], last_edges[:], has_last = status, edges, True
             compliance = max(_FALLS * compliance, _LEAST)
-        elif compliance >= _LARGEST or lowest <= allowed:
+        elif compliance >= _LARGEST or lowest <= tolerance:
             break
         else:
             compliance = min(_GROWS * compliance, _LARGEST)
             put_rows(centre, now)
             moved(contacts, now, rates)
-    return lowest, done
+    return lowest, iterations

@@ -1,7 +1,7 @@
-"""Contacts that can stand in for each other: the smallest forces with the same effect.
+"""Load sharing of redundant contacts: the smallest forces with the same resultant.
 
-A bar that lies on two points, a table with four legs: the motion is determined, how the contacts
-share the load is not. The least forces within the cones are taken, and flagged.
+For a bar on two points or a table with four legs the motion is determined, the load sharing is not.
+The smallest forces within the cones are taken, and flagged.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from statechart.kernels.jit import kernel
 
 @kernel
 def mode_columns(codes: Ints, cones: Array, jacobians: Array, left_out: int) -> tuple[Array, Ints]:
-    """Return what contacts' forces do to the coordinates (m, n), and whose they are (m,)."""
+    """Return the generalised force directions of contacts (m, n), and their owners (m,)."""
     rows = np.empty((2 * len(codes), jacobians.shape[2]))
     owners = np.empty(2 * len(codes), np.int64)
     m = 0
@@ -46,30 +46,25 @@ def mode_columns(codes: Ints, cones: Array, jacobians: Array, left_out: int) -> 
 
 @kernel
 def sharing(codes: Ints, cones: Array, jacobians: Array, rank: int, count: int) -> Bools:
-    """Return which contacts can stand in for others: without them there is still what they do.
+    """Return the redundant contacts: those whose directions the other contacts span.
 
-    Parameters
-    ----------
-    codes, cones, jacobians
-        See `mode_columns`.
-    rank, count : int
-        Of the columns of all contacts.
+    `rank` and `count` are those of the columns of all contacts; see `mode_columns`.
     """
-    found = np.zeros(len(codes), np.bool_)
+    redundant = np.zeros(len(codes), np.bool_)
     for i in range(len(codes)):
         if codes[i] != FREE:
             without, _ = mode_columns(codes, cones, jacobians, i)
-            found[i] = independent(without)[0] > rank - (count - len(without))
-    return found
+            redundant[i] = independent(without)[0] > rank - (count - len(without))
+    return redundant
 
 
 @kernel
 def shared_forces(
     codes: Ints, cones: Array, jacobians: Array, forces: Array
 ) -> tuple[Bools, Array]:
-    """Return which contacts can stand in for others, and the smallest forces that act alike.
+    """Return the redundant contacts, and the smallest equivalent forces.
 
-    In the place of the normal force of a locked coupling is its limit.
+    A locked coupling has its limit in place of the normal force.
     """
     rows, _ = mode_columns(codes, cones, jacobians, -1)
     rank, _, coordinates = independent(rows)
@@ -109,31 +104,35 @@ def shared_forces(
 def smallest(
     codes: Ints, jacobians: Array, cones: Array, impulses: Array
 ) -> tuple[Array, list[bool]]:
-    """Return the smallest impulses in the cones with the same effect, and whether others have it.
+    """Return the smallest equivalent impulses in the cones, and which contacts are redundant.
 
-    Contacts that can stand in for each other are taken together, and no others: impulses may
-    differ by decades.
+    Redundant contacts are solved without the others: impulses may differ by decades.
     """
     shared, _ = shared_forces(codes, cones, jacobians, impulses)
     if not shared.any():
         return impulses, shared.tolist()
-    given = impulses.copy()
-    alike = codes[shared], cones[shared], np.ascontiguousarray(jacobians[shared]), impulses[shared]
-    given[shared] = shared_forces(*alike)[1]
-    return given, shared.tolist()
+    result = impulses.copy()
+    redundant = (
+        codes[shared],
+        cones[shared],
+        np.ascontiguousarray(jacobians[shared]),
+        impulses[shared],
+    )
+    result[shared] = shared_forces(*redundant)[1]
+    return result, shared.tolist()
 
 
 @kernel
 def connected(linked: Bools) -> Ints:
-    """Label the connected parts of a symmetric relation (n, n)."""
+    """Label the connected components of a symmetric relation (n, n)."""
     labels = np.full(len(linked), -1)
     for first in range(len(linked)):
-        left = [first]
-        while len(left) > 0:
-            k = left.pop()
+        stack = [first]
+        while len(stack) > 0:
+            k = stack.pop()
             if labels[k] < 0:
                 labels[k] = first
                 for other in range(len(linked)):
                     if linked[k, other] and labels[other] < 0:
-                        left.append(other)
+                        stack.append(other)
     return labels

@@ -1,4 +1,4 @@
-"""Small dense linear systems, compiled once: saddle points of a mass matrix and contact rows."""
+"""Small dense linear systems: saddle points of a mass matrix and contact rows."""
 
 from __future__ import annotations
 
@@ -12,17 +12,16 @@ from statechart.kernels.jit import kernel
 
 SOLVED, SINGULAR, INEXACT, REDUNDANT, CONTRADICTORY, UNDETERMINED = range(6)
 
-# A solution whose residual stays above this, relative to its terms, is refused.
+# Largest accepted residual, relative to its terms.
 _RESIDUAL = 1e-8
-# Below it numbers lose digits, and the power of two that would bring them to size 1 overflows.
+# Smallest normal number: below it digits are lost, and the scaling power of two overflows.
 SMALLEST = 2.0**-1022
-# Of a number: what it is known to.
 _UNIT_ROUND_OFF = 2.0**-52
 
 
 @kernel
 def power_of_two(size: float) -> float:
-    """Return the power of two (exact) whose product with a size is in [1, 2); 1 where none is."""
+    """Return the power of two that scales a size into [1, 2); 1 for zero and non-finite sizes."""
     if size >= SMALLEST and math.isfinite(size):
         return math.ldexp(1.0, 1 - math.frexp(size)[1])
     return 1.0
@@ -61,7 +60,7 @@ class SaddleWorkspace(NamedTuple):
 
 @kernel
 def saddle_workspace(size: int) -> SaddleWorkspace:
-    """Allocate the workspace of systems of up to so many unknowns."""
+    """Allocate the workspace of systems of up to `size` unknowns."""
     return SaddleWorkspace(
         np.empty((size, size)),
         np.empty((size, size)),
@@ -74,7 +73,7 @@ def saddle_workspace(size: int) -> SaddleWorkspace:
 
 @kernel
 def _equilibrate(scaled: Array, b: Array, size: int, column_scale: Array) -> None:
-    """Bring rows and columns to size 1, in place, by powers of two; write those of the columns."""
+    """Scale rows and columns to size 1, in place, by powers of two; write the column scales."""
     # Columns first: masses may span many decades.
     for k in range(size):
         largest = 0.0
@@ -96,10 +95,10 @@ def _equilibrate(scaled: Array, b: Array, size: int, column_scale: Array) -> Non
 
 @kernel
 def factorise(factors: Array, order: Ints, errors: Array) -> bool:
-    """Eliminate with partial pivoting, in place; False where no pivot is left.
+    """LU with partial pivoting, in place; False where no pivot is left.
 
-    A pivot that its own rounding could have made of zero is none: running error analysis
-    (Wilkinson 1963), to the first order, of entries that are known to a rounding each.
+    A pivot that round-off could have produced from zero counts as zero: first-order running error
+    analysis (Wilkinson 1963), with entries known to a unit round-off.
     """
     size = len(order)
     for i in range(size):
@@ -133,7 +132,7 @@ def factorise(factors: Array, order: Ints, errors: Array) -> bool:
 
 @kernel
 def eliminated(factors: Array, order: Ints) -> bool:
-    """Eliminate with partial pivoting, in place, what is regular as it was made."""
+    """LU with partial pivoting, in place, of a matrix that is regular by construction."""
     size = len(order)
     for k in range(size):
         best = k
@@ -176,14 +175,14 @@ def substitute(factors: Array, order: Ints, right: Array, y: Array) -> None:
 def solve_refined(scaled: Array, b: Array, x: Array) -> int:
     """Solve ``scaled x = b`` with partial pivoting and two refinements.
 
-    Matrix and right side are equilibrated in place, by powers of two (exact).
+    Matrix and right side are equilibrated in place.
     """
     return solve_in(saddle_workspace(len(b)), scaled, b, x, len(b))
 
 
 @kernel
 def solve_in(memory: SaddleWorkspace, scaled: Array, b: Array, x: Array, size: int) -> int:
-    """Do what `solve_refined` does, of the first unknowns of larger arrays."""
+    """Solve the leading `size` unknowns of larger arrays; see `solve_refined`."""
     factors, errors, column_scale, y, residual, orders = memory
     order = orders[:size]
     _equilibrate(scaled, b, size, column_scale)
@@ -210,7 +209,7 @@ def solve_in(memory: SaddleWorkspace, scaled: Array, b: Array, x: Array, size: i
         for c in range(size):
             terms[i] += abs(scaled[i, c] * x[c])
         largest = max(largest, terms[i])
-    # A row whose own terms all vanish (V = 0 at mu = inf) is compared with the rounding of others.
+    # A row whose own terms vanish (V = 0 at mu = inf) is compared with the round-off of others.
     rounding = 1e-14 * largest + SMALLEST
     for i in range(size):
         if abs(residual[i]) > _RESIDUAL * terms[i] + rounding:

@@ -1,9 +1,9 @@
-"""The smallest forces in cones with a given effect: those of equal springs, found by Newton.
+"""Smallest forces in cones with a given resultant (equal springs), by Newton's method on the dual.
 
 The dual problem, ``min w P(w) - |P(w)|^2 / 2 - load y`` over displacements y, with ``w = J y`` and
 P the projection on the cones, is convex and piecewise quadratic: Newton's method with line search
-ends in finitely many steps where such forces exist, and leaves all bounds where none do. A locked
-coupling has no normal force, and an interval instead of a cone: ``|H| <= limit``.
+ends in finitely many steps if such forces exist, and diverges if not. A locked coupling has no
+normal force, and an interval instead of a cone: ``|H| <= limit``.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
 INSIDE, UPPER, LOWER, APEX = range(4)
-"""Zone of ``w = J y``: inside the cone or the interval; off it, nearest to its edge or end with
-H > 0, with H < 0; off it, nearest to its tip."""
+"""Zone of ``w = J y``: inside the cone or the interval; nearest to its edge or end with H > 0, with
+H < 0; nearest to its tip."""
 
 
-# Where zones do not determine the displacement, it is moved by what is missing over this; where
-# that never explains the load, it ends beyond all bounds.
+# Regularisation where zones do not determine the displacement; a displacement beyond this multiple
+# of the load shows that no forces carry it.
 _DAMPING, _BEYOND = 1e-12, 1e9
 _STEPS, _HALVINGS = 200, 120
-# A slope along a step, in parts of that at its start, that counts as none.
+# Slope along a step, relative to its start, that counts as zero.
 _LEVEL = 1e-3
 _FORCE_ROUND_OFF = 64 * 2.0**-52
 
@@ -35,10 +35,10 @@ def _zone(w: Array, cone: Array, sliding: float) -> int:
     if cone[2] < np.inf:
         return side if abs(w[1]) > cone[2] else INSIDE
     if sliding != 0.0:
-        # A slide bears along one edge: against its direction.
+        # Sliding friction acts along one edge, against the slip.
         side = LOWER if sliding > 0.0 else UPPER
     elif cone[0] * abs(w[1]) <= cone[1] * w[0] and w[0] >= 0.0:
-        # The second is no matter of the first without friction.
+        # Without friction the first condition does not bound w_n.
         return INSIDE
     sign = 1.0 if side == UPPER else -1.0
     return side if cone[0] * w[0] + sign * cone[1] * w[1] >= 0.0 else APEX
@@ -46,7 +46,7 @@ def _zone(w: Array, cone: Array, sliding: float) -> int:
 
 @kernel
 def _force(zone: int, w: Array, cone: Array, force: Array) -> None:
-    """Project `w` as its zone says."""
+    """Project `w` in its zone."""
     if zone == INSIDE:
         force[0], force[1] = w[0], w[1]
     elif cone[2] < np.inf:
@@ -70,12 +70,12 @@ def _displaced(reach: Array, y: Array, w: Array) -> None:
 
 @kernel
 def _missing(reach: Array, forces: Array, load: Array) -> Array:
-    left = load.copy()
+    residual = load.copy()
     for g in range(len(reach)):
         for d in range(2):
             for i in range(len(load)):
-                left[i] -= reach[g, d, i] * forces[g, d]
-    return left
+                residual[i] -= reach[g, d, i] * forces[g, d]
+    return residual
 
 
 @kernel
@@ -98,21 +98,21 @@ def _stiffness(reach: Array, zones: Ints, cones: Array) -> Array:
 def _solved(
     stiffness: Array, zones: Ints, cones: Array, reach: Array, load: Array, w: Array, forces: Array
 ) -> bool:
-    """Solve for the forces in given zones, refined on the factors: the stiffness squares them."""
+    """Solve for the forces in given zones, with refinement: the stiffness squares the condition."""
     size = len(load)
     y, step = np.zeros(size), np.empty(size)
     w[:] = 0.0
     for g in range(len(reach)):
         _force(zones[g], w[g], cones[g], forces[g])
-    left = _missing(reach, forces, load)
+    residual = _missing(reach, forces, load)
     for _ in range(3):
-        if solve_refined(stiffness.copy(), left.copy(), step) != SOLVED:
+        if solve_refined(stiffness.copy(), residual.copy(), step) != SOLVED:
             return False
         y += step
         _displaced(reach, y, w)
         for g in range(len(reach)):
             _force(zones[g], w[g], cones[g], forces[g])
-        left = _missing(reach, forces, load)
+        residual = _missing(reach, forces, load)
     return True
 
 
@@ -120,7 +120,7 @@ def _solved(
 def _borne(
     reach: Array, cones: Array, sliding: Array, load: Array, y: Array, w: Array, forces: Array
 ) -> Array:
-    """Set `w` and `forces` to those of a displacement; return what they miss of the load."""
+    """Set `w` and `forces` to those of a displacement; return the residual of the load."""
     _displaced(reach, y, w)
     for g in range(len(reach)):
         _force(_zone(w[g], cones[g], sliding[g]), w[g], cones[g], forces[g])
@@ -146,18 +146,18 @@ def _length(
     w: Array,
     forces: Array,
 ) -> float:
-    """Return how much of a step to take: to where the dual function is least along it, or all.
+    """Return the step length, up to 1, that minimises the dual function.
 
-    It is searched by its slope, what the forces miss of the load, which does not rise along the
-    step. Where the slope jumps over zero (zones are flat where they leave a displacement open, and
-    end in a kink) the answer is beyond the kink, in the zones that follow.
+    Bisection of its slope, the residual of the load along the step, which falls monotonically.
+    Where the slope jumps over zero (a kink at the end of a flat zone) the length is just beyond the
+    kink, in the zones that follow.
     """
-    begun = _along(_borne(reach, cones, sliding, load, y, w, forces), step)
+    initial_slope = _along(_borne(reach, cones, sliding, load, y, w, forces), step)
     short, long = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = long if short == 0.0 else 0.5 * (short + long)
         slope = _along(_borne(reach, cones, sliding, load, y + middle * step, w, forces), step)
-        if abs(slope) <= _LEVEL * begun:
+        if abs(slope) <= _LEVEL * initial_slope:
             return middle
         if slope > 0.0:
             if middle == 1.0:
@@ -177,7 +177,7 @@ def _length(
 
 @kernel
 def _violation(zones: Ints, w: Array, cones: Array, sliding: Array) -> float:
-    """Return how far the worst `w` is outside its zone."""
+    """Return the distance of the worst `w` outside its zone."""
     worst = -np.inf
     for g in range(len(zones)):
         n, t = cones[g, 0], cones[g, 1]
@@ -210,22 +210,21 @@ def springs(
     Parameters
     ----------
     cones : (g, 3) array
-        Their unit edges; infinity, or the limit of a locked coupling.
+        Unit edges, and infinity or the limit of a locked coupling.
     sliding : (g,) array
-        0 where all of the cone may be used; +1 or -1 where it is the edge that opposes this slip.
+        0: the whole cone; +1 or -1: the edge that opposes this slip.
     reach : (g, 2, r) array
     load : (r,) array
     inward : float
-        Forces that sum to this are added inside the cones when zones are looked for, and limits
-        are as much larger.
+        Sum of forces added inside the cones, and to the limits, while zones are identified.
 
     Returns
     -------
-    found : bool
+    exists : bool
         Whether there are such forces.
     forces : (g, 2), zones : (g,)
     violation : float
-        How far the worst contact is outside its zone; <= 0: not at all.
+        Distance of the worst contact outside its zone; <= 0: none.
     """
     count, size = len(cones), len(load)
     scaled = reach.copy()
@@ -260,24 +259,24 @@ def springs(
         stiffness = _stiffness(scaled, zones, cones)
         determined = independent(stiffness)[0] == size
         if determined and _solved(stiffness, zones, wider, scaled, pushed, w, forces):
-            # Whether the zones that the displacement is in give the same forces.
-            missed, largest = 0.0, size_of_load
+            # Accept if the zones of the displacement give the same forces.
+            error, largest = 0.0, size_of_load
             for g in range(count):
                 _force(_zone(w[g], wider[g], sliding[g]), w[g], wider[g], own)
                 for d in range(2):
-                    missed = max(missed, abs(own[d] - forces[g, d]))
+                    error = max(error, abs(own[d] - forces[g, d]))
                     largest = max(largest, abs(w[g, d]))
-            if missed <= _FORCE_ROUND_OFF * largest:
+            if error <= _FORCE_ROUND_OFF * largest:
                 if not _solved(stiffness, zones, cones, scaled, right, w, forces):
                     return False, forces, zones, np.inf
                 violation = _violation(zones, w, cones, sliding)
                 if abs(violation) <= _FORCE_ROUND_OFF * largest:
                     violation = 0.0
                 return True, forces, zones, violation
-        left = _borne(scaled, wider, sliding, pushed, y, w, forces)
+        residual = _borne(scaled, wider, sliding, pushed, y, w, forces)
         for i in range(size):
             stiffness[i, i] += _DAMPING
-        if solve_refined(stiffness, left.copy(), step) != SOLVED:
+        if solve_refined(stiffness, residual.copy(), step) != SOLVED:
             return False, forces, zones, np.inf
         length = _length(scaled, wider, sliding, pushed, y, step, w, forces)
         y += length * step

@@ -1,11 +1,9 @@
-"""Equations of bodies that share contacts, eliminated block by block where they are not zero.
+"""Sparse block elimination of equations in body rates.
 
-Bodies are neighbours that touch; in the plane those of a heap are eliminated with few new entries
-in order of their number of neighbours (minimum degree: Tinney and Walker 1967). The pattern of the
-entries is that of all contacts, whatever their status, so that it is found once for a problem.
-Contacts of a dense problem all share the same blocks, which are as many as their velocities need.
-There is no pivoting between blocks: what is symmetric and positive but for friction needs none,
-and a pivot that fails is returned as such.
+Bodies that touch are neighbours; minimum-degree order (Tinney and Walker 1967) gives few new
+entries in planar heaps. The pattern covers all contacts whatever their status, so that it is
+computed once per problem. Contacts of a dense problem share the same blocks. Blocks are not
+pivoted: the matrix is symmetric positive definite but for friction; a failed pivot is reported.
 """
 
 from __future__ import annotations
@@ -19,38 +17,38 @@ from contacts.solvers.contact_rows import ContactRows
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
-# Entries of the elimination that there is place for at first, for each body.
+# Initial capacity of off-diagonal entries per body.
 _ENTRIES = 16
 
 
 class Equations(NamedTuple):
-    """Equations in the rates of the bodies of a problem, by their order of elimination."""
+    """Block equations in body rates, by elimination order."""
 
-    ends: Ints  # (m, s): places of the bodies of each contact; -1 for what nothing moves.
-    entries: Ints  # (m, s, s): which entry two of its bodies share; -1 for none.
-    # Entries ``begins[p] : begins[p + 1]`` are the blocks beside the diagonal of the body at place
-    # p, with those at the places `others`, later ones in their order.
+    ends: Ints  # (m, s): places of the bodies of each contact; -1 for the fixed world.
+    entries: Ints  # (m, s, s): entry that two of its bodies share; -1 for none.
+    # Entries ``begins[p] : begins[p + 1]`` are the off-diagonal blocks of the body at place p, with
+    # those at the later places `others`.
     begins: Ints  # shape (b + 1,)
     others: Ints  # shape (e,)
-    # (t,): which entry each pair of entries of a body changes, in the order of elimination.
+    # (t,): entry that each pair of entries of a body updates, in elimination order.
     targets: Ints
     diagonal: Array  # (b, 9): blocks of the bodies; once factored, inverses of the pivots.
     after: Array  # (e, 9): blocks above the diagonal.
     before: Array  # (e, 9): below it.
-    rates: Array  # (b, 3): of the bodies.
-    right: Array  # (m, 2): changes of the velocities of contacts that are asked for.
+    rates: Array  # (b, 3)
+    right: Array  # (m, 2): required changes of the contact velocities.
 
 
 @kernel
 def _body(contacts: ContactRows, i: int, side: int) -> int:
-    """Return a body of a contact by its number; -1 where nothing moves."""
+    """Return the index of a body of a contact; -1 for the fixed world."""
     body = contacts.bodies[i, side]
     return body if body < contacts.moving else -1
 
 
 @kernel
 def _neighbours(contacts: ContactRows, first: Ints, sizes: Ints, mark: Ints) -> Ints:
-    """Return the neighbours of the bodies one after the other, and write where each one's begin."""
+    """Return the concatenated neighbour lists of the bodies; write where each begins."""
     count, sides = contacts.bodies.shape
     bodies, total = len(sizes), 0
     for b in range(bodies):
@@ -64,31 +62,31 @@ def _neighbours(contacts: ContactRows, first: Ints, sizes: Ints, mark: Ints) -> 
         first[b] = total
         total += sizes[b]
         sizes[b] = 0
-    found = np.empty(total + _ENTRIES * bodies, np.int64)
+    neighbours = np.empty(total + _ENTRIES * bodies, np.int64)
     for i in range(count):
         for one in range(sides):
             for other in range(sides):
                 b, beside = _body(contacts, i, one), _body(contacts, i, other)
                 if one != other and min(b, beside) >= 0:
-                    found[first[b] + sizes[b]] = beside
+                    neighbours[first[b] + sizes[b]] = beside
                     sizes[b] += 1
     first[bodies] = total
     # Two bodies may touch more than once.
     for b in range(bodies):
-        kept = first[b]
+        end = first[b]
         for k in range(first[b], first[b] + sizes[b]):
-            other = found[k]
+            other = neighbours[k]
             if mark[other] != b:
                 mark[other] = b
-                found[kept] = other
-                kept += 1
-        sizes[b] = kept - first[b]
-    return found
+                neighbours[end] = other
+                end += 1
+        sizes[b] = end - first[b]
+    return neighbours
 
 
 @kernel
 def equations_of(contacts: ContactRows) -> Equations:
-    """Return place for the equations of contacts, whatever their status."""
+    """Allocate the equations of contacts and find their elimination order and pattern."""
     bodies = contacts.moving
     first, sizes = np.empty(bodies + 1, np.int64), np.empty(bodies, np.int64)
     mark = np.full(bodies, -1)
@@ -146,7 +144,7 @@ def equations_of(contacts: ContactRows) -> Equations:
 
 @kernel
 def _targets(begins: Ints, others: Ints) -> Ints:
-    """Put the entries of each body in order; return `Equations.targets`."""
+    """Sort the entries of each body; return `Equations.targets`."""
     bodies, pairs = len(begins) - 1, 0
     for p in range(bodies):
         begin, end = begins[p], begins[p + 1]
@@ -191,7 +189,6 @@ def _shared(contacts: ContactRows, places: Ints, begins: Ints, others: Ints) -> 
 
 @kernel
 def _longer(array: Ints, needed: int) -> Ints:
-    """Return a copy with place for twice as much as is needed."""
     result = np.empty(2 * needed, np.int64)
     for k in range(len(array)):
         result[k] = array[k]
@@ -200,7 +197,7 @@ def _longer(array: Ints, needed: int) -> Ints:
 
 @kernel
 def _inverted(block: Array) -> bool:
-    """Invert a block in place (Gauss and Jordan); False where a pivot fails."""
+    """Invert a block in place (Gauss-Jordan); False where a pivot fails."""
     for k in range(3):
         pivot = block[4 * k]
         if pivot == 0.0 or not math.isfinite(pivot):
@@ -219,7 +216,7 @@ def _inverted(block: Array) -> bool:
 
 @kernel
 def _less(block: Array, left: Array, right: Array) -> None:
-    """Take a product of two blocks from one."""
+    """Subtract the product of two blocks from a block."""
     for r in range(3):
         a, b, c = left[3 * r], left[3 * r + 1], left[3 * r + 2]
         for k in range(3):
@@ -228,7 +225,7 @@ def _less(block: Array, left: Array, right: Array) -> None:
 
 @kernel
 def factored(equations: Equations) -> bool:
-    """Eliminate blocks in place: inverses of the pivots, and the factors; False if one fails."""
+    """Factor the blocks in place (LDU, inverted pivots); False where a pivot fails."""
     begins, others, targets = equations.begins, equations.others, equations.targets
     diagonal, after, before = equations.diagonal, equations.after, equations.before
     last, factor = 0, np.empty(9)
@@ -254,7 +251,7 @@ def factored(equations: Equations) -> bool:
 
 @kernel
 def solved(equations: Equations) -> None:
-    """Solve factored equations; `Equations.rates` are the right side, and become the solution."""
+    """Solve factored equations for the right side in `Equations.rates`, in place."""
     begins, others, right = equations.begins, equations.others, equations.rates
     diagonal, after, before = equations.diagonal, equations.after, equations.before
     for p in range(len(diagonal)):

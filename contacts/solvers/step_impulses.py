@@ -1,7 +1,7 @@
-"""Impulses of an island in a step: friction that changes, impacts whose order decides, forces.
+"""Impulses of an island in a step: changes of friction, sequential impacts, forces.
 
-An island is a group of contacts that feel each other's impulses: through bodies of three rates
-each, or through coordinates that all of them move.
+An island is a group of contacts coupled through bodies of three rates each, or through shared
+coordinates.
 """
 
 from __future__ import annotations
@@ -34,47 +34,46 @@ from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import kernel
 
-# Velocities and impulses below this part of the largest are round-off; and velocities that are
-# sums, below this part of their terms.
+# Relative round-off: of velocities and impulses to the largest, of sums to their terms.
 _ROUNDING, SUM_ROUNDING = 1e-13, 1e-9
-# Another impact that changes a velocity by less than this part of its own change is not felt: a
-# body turns within a step.
+# Change of a velocity by another impact, relative to its own change, that is no coupling: a body
+# turns within a step.
 _NEGLIGIBLE_CHANGE = 1e-3
-# Forces beside impacts are found to this part of what falls in a step at least.
+# Smallest tolerance of forces during impacts, relative to the approach in the step.
 _NEAR = 1e-2
 
 ONE, TWO, LIMIT = range(3)
-"""Kinds of friction: one coefficient; one at rest and another in motion; two limits of a force,
-which bears nothing at an instant."""
+"""Friction laws: one coefficient; static and kinetic; two limits of a force, which bears nothing at
+an instant."""
 
 
 class Island(NamedTuple):
-    """Contacts that feel each other's impulses, in the order of their rows."""
+    """Coupled contacts, in the order of their rows."""
 
-    members: Ints  # (m,): their numbers.
-    # (m, 2): velocities before the step, and without impulses; what these may not fall below,
-    # negated; the sum of both.
+    members: Ints  # (m,): contact indices.
+    # (m, 2): velocities before the step, and without impulses; bias (required velocities,
+    # negated); the sum of the last two.
     start: Array
     unforced: Array
     wanted: Array
     least: Array
-    # (m, 2): impulses; velocities under them, 0 for round-off; impulses of impacts in turn.
+    # (m, 2): impulses; velocities under them, without round-off; impulses of sequential impacts.
     chosen: Array
     after: Array
     sudden: Array
-    # (m,): who asks for restitution; who is struck.
+    # (m,): contacts with restitution; contacts that are struck.
     rebounds: Bools
     hit: Bools
-    # (m,): kind of the friction; way of the slip whose friction holds: 0 at rest, 1 or -1 as it was
-    # before the step, `BEGINS` or -`BEGINS`, or `ON_TRIAL`.
+    # (m,): friction law; slip direction of the friction that acts: 0 at rest, 1 or -1 as before the
+    # step, `BEGINS` or -`BEGINS`, or `ON_TRIAL`.
     kinds: Ints
     ways: Ints
-    frictions: Array  # (m, 3, 2): edges of the cone at rest, in slip+ and in slip-.
+    frictions: Array  # (m, 3, 2): cone edges at rest, in slip+ and in slip-.
 
 
 @kernel
 def _write_friction(contacts: ContactRows, island: Island, a: int, way: int) -> None:
-    """Write the friction of contact a that rests or slips this `way`."""
+    """Write the friction of contact a for a slip direction."""
     island.ways[a], at = way, 0
     if way not in (0, ON_TRIAL):
         at = 1 if way > 0 else 2
@@ -84,25 +83,25 @@ def _write_friction(contacts: ContactRows, island: Island, a: int, way: int) -> 
 
 @kernel
 def change_friction(contacts: ContactRows, island: Island, resting: float, struck: bool) -> bool:
-    """Change the friction of contacts whose slip begins or turns; return whether there are.
+    """Switch the friction of contacts whose slip begins or reverses; return whether any switched.
 
-    A slip that would turn in the step stops if static friction bears what would hold it over the
-    whole step; in an impact kinetic friction stops or turns it. What static friction does not hold
-    slips under kinetic friction: what slipped before the step first, then one by one the most
-    overloaded, as each relieves the others. Each contact changes three times at most.
+    A slip that would reverse in the step stops if static friction can hold it over the whole step;
+    in an impact kinetic friction stops or reverses it. A contact that static friction does not hold
+    slips under kinetic friction: contacts that slipped before the step first, then one at a time
+    the most overloaded, because each relieves the others. A contact switches three times at most.
 
     Parameters
     ----------
     resting : float
-        What slipped no faster before the step was at rest.
+        Slip speed before the step that counts as rest.
     struck : bool
-        Whether a contact of the island is struck.
+        Whether the island has an impact.
     """
     ways, first, most, way, changes = island.ways, -1, 0.0, 0, False
     for a in range(len(ways)):
         old, slip, normal = ways[a], island.after[a, 1], island.chosen[a, 0]
-        judged = island.kinds[a] != ONE and abs(old) != BEGINS and normal > 0.0
-        if not judged or slip == 0.0 or (abs(old) == 1 and slip * old > 0.0):
+        may_switch = island.kinds[a] != ONE and abs(old) != BEGINS and normal > 0.0
+        if not may_switch or slip == 0.0 or (abs(old) == 1 and slip * old > 0.0):
             continue
         turned = BEGINS if slip > 0.0 else -BEGINS
         if abs(old) == 1:
@@ -131,7 +130,7 @@ def change_friction(contacts: ContactRows, island: Island, resting: float, struc
 
 @kernel
 def new_island(members: Ints, start: Array, unforced: Array, wanted: Array) -> Island:
-    """Return an island that is solved from nothing, with one friction that holds everywhere."""
+    """Return an island with zero velocities and one coefficient of friction everywhere."""
     m = len(members)
     return Island(
         members, start, unforced, wanted, np.empty((m, 2)), np.zeros((m, 2)), np.empty((m, 2)),
@@ -142,7 +141,7 @@ def new_island(members: Ints, start: Array, unforced: Array, wanted: Array) -> I
 
 @kernel
 def order_matters(contacts: ContactRows, pairs: Ints, lively: Bools, impulses: Array) -> bool:
-    """Return whether lively impacts of different pairs of bodies (m,) change each other."""
+    """Return whether elastic impacts of different body pairs (m,) change each other."""
     rates = rates_of(contacts, 0)
     for a in range(len(pairs)):
         if not lively[a]:
@@ -160,38 +159,33 @@ def order_matters(contacts: ContactRows, pairs: Ints, lively: Bools, impulses: A
 
 
 @kernel
-def allowed_beside(allowed: float, slow: float, fast: float) -> float:
-    """Return a residual for what approaches slower than others in a step.
-
-    It is found no nearer, as velocities, than the impulses of the step are.
-    """
-    return min(allowed * fast / slow, max(allowed, _NEAR)) if slow > 0.0 else allowed
+def allowed_beside(tolerance: float, slow: float, fast: float) -> float:
+    """Return a residual relative to a slow approach that equals `tolerance` of a fast one."""
+    return min(tolerance * fast / slow, max(tolerance, _NEAR)) if slow > 0.0 else tolerance
 
 
 @kernel
 def forces_beside_impacts(
-    contacts: ContactRows, hit: Bools, least: Array, impulses: Array, allowed: float, fast: float
+    contacts: ContactRows, hit: Bools, q: Array, impulses: Array, tolerance: float, fast: float
 ) -> Array:
-    """Return what of impulses is force: those without what is struck.
+    """Return the force part of the impulses (m, 2): a solution without the struck contacts.
 
     Parameters
     ----------
-    contacts : ContactRows
-    hit : (m,) array of bool
-    least : (m, 2)
-        Velocities without impulses, plus what is missing of them.
+    q : (m, 2)
+        Velocities without impulses, minus the required ones.
     impulses : (m, 2)
-        Where to start.
-    allowed : float
+        Warm start.
+    tolerance : float
         Residual.
     fast : float
         The `scale` of all contacts.
     """
     forces, others = np.zeros((len(hit), 2)), indices(~hit)
     if len(others) > 0:
-        quiet, alone, left = rows_of(contacts, others), impulses[others], least[others]
-        near = allowed_beside(allowed, scale(quiet, left), fast)
-        solve_rows(quiet, left, alone, near, False, True)
+        quiet, alone, quiet_q = rows_of(contacts, others), impulses[others], q[others]
+        near = allowed_beside(tolerance, scale(quiet, quiet_q), fast)
+        solve_rows(quiet, quiet_q, alone, near, False, True)
         for a in range(len(others)):
             put(alone[a], forces[others[a]])
     return forces
@@ -199,17 +193,16 @@ def forces_beside_impacts(
 
 @kernel
 def coordinate_rows(jacobians: Array, columns: Array, pads: Array, cones: Array) -> ContactRows:
-    """Return contacts that move the same coordinates as rows.
+    """Return contacts that act on the same coordinates as rows.
 
     Parameters
     ----------
     jacobians : (m, 2, n)
         Normal and tangential.
     columns : (2 m, s)
-        Changes of all rates by unit impulses: of the coordinates the first n.
+        M^-1 J^T; the first n entries are those of the coordinates.
     pads : (m,)
-        Compliance of what the normal row of a compliant contact or a coupling moves besides; 0:
-        nothing.
+        Compliance of the pad of a compliant contact or coupling (normal row); 0: none.
     cones : (m, 2)
     """
     count, n = len(jacobians), jacobians.shape[2]
@@ -237,12 +230,12 @@ def coordinate_rows(jacobians: Array, columns: Array, pads: Array, cones: Array)
 
 
 @kernel
-def write_velocities(contacts: ContactRows, least: Array, impulses: Array, after: Array) -> None:
-    """Write the velocities (m, 2) in coordinates under impulses, 0 for round-off of their terms."""
-    for a in range(len(least)):
+def write_velocities(contacts: ContactRows, q: Array, impulses: Array, after: Array) -> None:
+    """Write the contact velocities (m, 2) in coordinates under impulses, without round-off."""
+    for a in range(len(q)):
         for d in range(2):
-            after[a, d], terms = least[a, d], abs(least[a, d])
-            for b in range(len(least)):
+            after[a, d], terms = q[a, d], abs(q[a, d])
+            for b in range(len(q)):
                 for e in range(2):
                     term = 0.0
                     for k in range(contacts.rows.shape[2]):
@@ -256,39 +249,39 @@ def write_velocities(contacts: ContactRows, least: Array, impulses: Array, after
 
 @kernel
 def coordinate_impulses(
-    contacts: ContactRows, island: Island, allowed: float
+    contacts: ContactRows, island: Island, tolerance: float
 ) -> tuple[float, bool]:
-    """Find impulses in coordinates, in place; return their residual, and whether none rebounds.
+    """Solve for impulses in coordinates; return their residual, and whether restitution dropped.
 
-    Impulses that miss more than is allowed are reduced until they add no energy.
+    Inexact impulses are scaled down until they add no energy.
     """
-    before, free, impulses, least = island.start, island.unforced, island.chosen, island.least
+    before, free, impulses, q = island.start, island.unforced, island.chosen, island.least
     size = 0.0
     for a in range(len(free)):
         size = max(size, largest_size(free[a]), largest_size(before[a]))
     for a in range(len(free)):
         for d in range(2):
-            least[a, d] = free[a, d] + island.wanted[a, d]
-            if abs(least[a, d]) <= _ROUNDING * size:
-                least[a, d] = 0.0
-    missed, _, softened = island_impulses(
-        contacts, before, free, least - free, island.rebounds, impulses, allowed, math.inf, False
+            q[a, d] = free[a, d] + island.wanted[a, d]
+            if abs(q[a, d]) <= _ROUNDING * size:
+                q[a, d] = 0.0
+    error, _, softened = island_impulses(
+        contacts, before, free, q - free, island.rebounds, impulses, tolerance, math.inf, False
     )
-    share = 1.0 if missed <= allowed else work_share(contacts, impulses, before, free, 0.0)
+    share = 1.0 if error <= tolerance else work_share(contacts, impulses, before, free, 0.0)
     for a in range(len(free)):
-        # An impulse that changes a velocity by round-off is none.
+        # An impulse whose velocity change is round-off is zero.
         normal, tangential = share * impulses[a, 0], share * impulses[a, 1]
         normal = normal if contacts.own[a, 0] * normal > _ROUNDING * size else 0.0
         shears = contacts.own[a, 1] * abs(tangential) > _ROUNDING * size
         edge = slope(contacts.cones[a]) * normal
         impulses[a, 0] = normal
         impulses[a, 1] = min(max(tangential, -edge), edge) if shears else 0.0
-    write_velocities(contacts, least, impulses, island.after)
-    return missed, softened
+    write_velocities(contacts, q, impulses, island.after)
+    return error, softened
 
 
 def smoothed(cones: Array) -> Array:
-    """Return edges of cones (m, 2), without friction that is rounding of the normal impulses."""
+    """Return cone edges (m, 2) without friction that is round-off of the normal impulse."""
     result = cones.copy()
     result[cones[:, 1] <= _ROUNDING * cones[:, 0], 1] = 0.0
     return result
@@ -296,16 +289,16 @@ def smoothed(cones: Array) -> Array:
 
 @kernel
 def part_left(push: Array, force: Array, cone: Array) -> float:
-    """Return the largest part of `force`, up to 1, without which `push` is still in its cone."""
+    """Return the largest part s <= 1 of `force` for which ``push - s force`` stays in its cone."""
     part = 1.0
-    # Of what slides both are on the edge, but for rounding.
+    # In sliding both are on the edge, up to round-off.
     rounding = _ROUNDING * (abs(push[0]) + abs(push[1]) + (abs(force[0]) + abs(force[1])))
     for side in (-1.0, 1.0):
         whole = max(cone[1] * push[0] + side * cone[0] * push[1], 0.0)
-        taken = cone[1] * force[0] + side * cone[0] * force[1]
-        if taken > whole + rounding:
-            part = min(part, whole / taken)
-    # Without friction both edges are one, and say nothing.
+        removed = cone[1] * force[0] + side * cone[0] * force[1]
+        if removed > whole + rounding:
+            part = min(part, whole / removed)
+    # Without friction both edges coincide and do not bound the normal impulse.
     whole = max(push[0], 0.0)
     if force[0] > whole + rounding:
         part = min(part, whole / force[0])
@@ -314,7 +307,7 @@ def part_left(push: Array, force: Array, cone: Array) -> float:
 
 @kernel
 def into_cone(impulse: Array, cone: Array) -> Array:
-    """Return an impulse that is in its cone but for rounding, without that."""
+    """Return an impulse projected into its cone, which it misses by round-off."""
     result = impulse.copy()
     result[0] = max(impulse[0], 0.0)
     if cone[0] > 0.0:
@@ -325,8 +318,8 @@ def into_cone(impulse: Array, cone: Array) -> Array:
 
 @kernel
 def is_sliding(cone: Array, impulse: Array, slip: float) -> bool:
-    """Return whether a contact slips, and its impulse is on the edge of its cone.
+    """Return whether a contact slips with its impulse on the cone edge.
 
-    What rolls without a load slips by round-off of nothing.
+    An unloaded rolling contact slips by round-off.
     """
     return slip != 0.0 and abs(impulse[1]) >= (1.0 - SUM_ROUNDING) * slope(cone) * impulse[0]

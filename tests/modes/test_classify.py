@@ -11,7 +11,8 @@ from runs import automaton, golden, number
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot
 from contacts.event_driven.laws import SceneLaws
-from contacts.modes.classification import Case, candidates, choose
+from contacts.modes.candidates import Case, candidates
+from contacts.modes.classification import choose
 from statechart.errors import NoConsistentMode
 
 PAINLEVE = golden("painleve")

@@ -16,7 +16,8 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot
 from contacts.event_driven.laws import SceneLaws
 from contacts.kind import automaton
-from contacts.modes.classification import Case, by_lemke, candidates, choose
+from contacts.modes.candidates import Case, by_lemke, candidates
+from contacts.modes.classification import choose
 from contacts.scene.joints import Force, Joint
 from contacts.scene.modes import Free, Slide
 from contacts.scene.parts import Body, Contact, Point, Surface

@@ -1,0 +1,211 @@
+"""Compiled classification of contact modes, by enumeration, for states with one clear mode.
+
+Everything else (dependent constraints, forces near their bounds, several consistent modes, drift
+that needs a projection) is left to `contacts.modes.classification`.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from contacts.dynamics.snapshot import EDGES, SCALARS
+from contacts.solvers.mode_solver import (
+    solve_modes,
+)
+from contacts.states import (
+    CODES,
+    FREE,
+    INACTIVE,
+    OFF_CODE,
+    PIN,
+    SLIDE,
+    SLIDE_MINUS,
+    SLIDE_PLUS,
+)
+from statechart.arrays import Array, Bools, Ints
+from statechart.kernels.jit import kernel
+
+
+class ModeRules(NamedTuple):
+    """Constants of the classification of contacts."""
+
+    allowed: Bools  # (c, 5): Mask of the state codes that a contact may take
+    cones: Array  # (c, 2): cone_n, cone_t at rest
+    # `gap_drift`, `speed_drift`: Errors of a closed contact's gap and velocities that need no
+    # projection; `gap`, `speed`: Tolerances
+    gap_drift: float
+    speed_drift: float
+    gap: float
+    speed: float
+    tie: float  # See `contacts.solvers.mode_solver.solve_modes`
+    # Minimal distance of forces from their bounds when a contact comes to rest (`ForceUncertainty`)
+    force_uncertainty: float
+    # `force`, `acceleration`: The scales
+    force: float
+    acceleration: float
+
+
+@lru_cache(maxsize=1024)
+def allowed(states: tuple[tuple[str, ...], ...]) -> Bools:
+    """Return the mask (c, 5) of the state codes of every contact's region."""
+    allowed = np.zeros((len(states), len({*CODES.values()})), np.bool_)
+    for i, several in enumerate(states):
+        for name in several:
+            if name not in INACTIVE:
+                allowed[i, CODES[name]] = True
+    return allowed
+
+
+# Forces beyond this multiple of the scene's force are infinite up to round-off (Painleve).
+ENDLESS = 1e13
+# Python solves more combinations of states.
+_MAX_COMBINATIONS = 64
+
+
+@kernel
+def _is_near_bound(
+    codes: Ints,
+    states_before: Ints,
+    closed: Bools,
+    at_rest: Bools,
+    verdicts: Array,
+    uncertainty: float,
+) -> bool:
+    """Return whether a contact comes to rest in a mode whose forces are near their bounds."""
+    for k in range(codes.shape[0]):
+        if abs(verdicts[k, 0]) <= uncertainty:
+            for c in range(codes.shape[1]):
+                if codes[k, c] == PIN and states_before[c] != PIN and closed[c] and at_rest[c]:
+                    return True
+    return False
+
+
+@kernel
+def write_edges(cones: Array, numbers: Array, scalars: int, edges: Array) -> None:
+    """Write the edges (c, 6) of friction cones from those at rest and from the snapshot."""
+    for c in range(len(edges)):
+        place = scalars + SCALARS * c + EDGES
+        edges[c, 0], edges[c, 1] = cones[c, 0], cones[c, 1]
+        for k in range(4):
+            edges[c, 2 + k] = numbers[place + k]
+
+
+@kernel
+def classify(
+    rules: ModeRules,
+    numbers: Array,
+    n: int,
+    after_flow: bool,
+    states_before: Ints,
+    lowest: Array,
+    states: Ints,
+) -> bool:
+    """Classify every contact; False if the mode is ambiguous.
+
+    Parameters
+    ----------
+    rules : ModeRules
+    numbers : (o,) array
+        Snapshot of the scene.
+    n : int
+        Number of coordinates.
+    after_flow, states_before
+        Whether a flow ends here, and the states (c,) of the contacts; those that are off stay off.
+    lowest : (c,) array
+        Lower bounds of the gaps.
+    states : (c,) array
+        Filled with the state of every contact.
+    """
+    allowed, gap_drift, speed_drift, speed_tolerance, tie = (
+        rules.allowed, rules.gap_drift, rules.speed_drift, rules.speed, rules.tie,
+    )  # fmt: skip
+    contacts = states.shape[0]
+    at = n * n + n + 1
+    biases_at = at + 2 * n * contacts
+    scalars = biases_at + 2 * contacts
+    closed, at_rest = np.empty(contacts, np.bool_), np.empty(contacts, np.bool_)
+    options, counts = np.empty((contacts, 5), np.int64), np.empty(contacts, np.int64)
+    total = 1
+    for c in range(contacts):
+        if states_before[c] == OFF_CODE:
+            closed[c] = at_rest[c] = False
+            options[c, 0], counts[c] = FREE, 1
+            continue
+        place = scalars + SCALARS * c
+        gap, rate, slip = numbers[place], numbers[place + 1], numbers[place + 2]
+        gap_closed = gap <= rules.gap
+        if not gap >= lowest[c] or (gap_closed and rate < -speed_tolerance):
+            return False
+        lasting = states_before[c] != FREE
+        drifted = gap > gap_drift or abs(rate) > speed_drift
+        if lasting and (drifted or (states_before[c] == PIN and abs(slip) > speed_drift)):
+            return False
+        closed[c], at_rest[c] = (
+            gap_closed and rate <= speed_tolerance,
+            abs(slip) <= 2.0 * speed_tolerance,
+        )
+        if not closed[c] and not allowed[c, FREE]:
+            return False
+        if closed[c] and drifted and not after_flow:
+            return False
+        counts[c] = 0
+        for s in range(5):
+            if not closed[c]:
+                is_allowed = s == FREE
+            elif s in (FREE, SLIDE) or at_rest[c]:
+                is_allowed = allowed[c, s]
+            else:
+                is_allowed = allowed[c, s] and s == (SLIDE_PLUS if slip > 0.0 else SLIDE_MINUS)
+            if is_allowed:
+                options[c, counts[c]] = s
+                counts[c] += 1
+        total *= counts[c]
+    if total == 0 or total > _MAX_COMBINATIONS:
+        return False
+    codes = np.empty((total, contacts), np.int64)
+    for k in range(total):
+        remainder = k
+        for c in range(contacts):
+            codes[k, c] = options[c, remainder % counts[c]]
+            remainder //= counts[c]
+    status, verdicts = np.empty(total, np.int64), np.empty((total, 4))
+    forces = np.empty((total, contacts, 2))
+    edges = np.empty((contacts, 6))
+    write_edges(rules.cones, numbers, scalars, edges)
+    redundant, agreeing = solve_modes(
+        numbers[: n * n].reshape((n, n)),
+        numbers[n * n : n * n + n],
+        numbers[at:biases_at].reshape((contacts, 2, n)),
+        numbers[biases_at:scalars].reshape((contacts, 2)),
+        edges,
+        np.full(contacts, -1),
+        codes,
+        closed,
+        at_rest,
+        rules.force,
+        rules.acceleration,
+        status,
+        np.empty((total, n)),
+        forces,
+        verdicts,
+        tie,
+    )
+    if redundant > 0 or agreeing < 0 or not verdicts[agreeing, 0] < -tie:
+        return False
+    if _is_near_bound(codes, states_before, closed, at_rest, verdicts, rules.force_uncertainty):
+        return False
+    for c in range(contacts):
+        for force in forces[agreeing, c]:
+            if abs(force) > ENDLESS * rules.force:
+                return False
+        place = scalars + SCALARS * c
+        states[c] = OFF_CODE if states_before[c] == OFF_CODE else codes[agreeing, c]
+        if states[c] != FREE and states[c] != OFF_CODE:
+            if abs(numbers[place]) > gap_drift or abs(numbers[place + 1]) > speed_drift:
+                return False
+            if states[c] == PIN and abs(numbers[place + 2]) > speed_drift:
+                return False
+    return True
