@@ -103,18 +103,20 @@ class GuardWatch:
             tape_values(*atom.margin.program, state, setup.values, time, row)
         return found
 
-    def rates_of(self, k: int, setup: Setup, inputs: Array, sizes: Array, time: float) -> Array:
-        """Return (4,): first and second time derivative of a margin, and sizes of their terms."""
-        return self.atoms[k].rates.values(np.concatenate([inputs, sizes]), setup.values, time)
+    def rate(
+        self, k: int, order: int, setup: Setup, inputs: Array, sizes: Array, time: float
+    ) -> Array:
+        """Return (2,): the first or second time derivative of a margin, and its terms' size."""
+        tape = self.atoms[k].tape(order)
+        return tape.values(np.concatenate([inputs, sizes]), setup.values, time)
 
     def table(
-        self, setup: Setup, inputs: Array, sizes: Array, times: Array, *, rates: bool = False
+        self, setup: Setup, inputs: Array, sizes: Array, times: Array, *, order: int = 0
     ) -> Array:
-        """Return `at` (m, a, 2) or `rates_of` (m, a, 4) of all atoms for inputs (m, n)."""
+        """Return `at` (order 0) or `rate` (m, a, 2) of all atoms for inputs (m, n)."""
         rows = np.hstack([inputs, np.broadcast_to(sizes, (len(inputs), len(sizes)))])
-        tapes = [atom.rates if rates else atom.margin for atom in self.atoms]
-        found = [tape.table(rows, setup.values, times) for tape in tapes]
-        return np.stack(found, axis=1) if found else np.zeros((len(inputs), 0, 4 if rates else 2))
+        tables = [atom.tape(order).table(rows, setup.values, times) for atom in self.atoms]
+        return np.stack(tables, axis=1) if tables else np.zeros((len(inputs), 0, 2))
 
     def tolerances(self, rows: Array, relative: float) -> dict[str, float]:
         """Return margin -> its tolerance: `relative` times its terms, round-off for time alone."""
@@ -195,8 +197,15 @@ class _AtomTapes:
         return self._tape(self.expression)
 
     @cached_property
-    def rates(self) -> Tape:
-        return self._tape(self._first, time_derivative(self._first, dict(self.flow), self.time))
+    def first(self) -> Tape:
+        return self._tape(self._first)
+
+    @cached_property
+    def second(self) -> Tape:
+        return self._tape(time_derivative(self._first, dict(self.flow), self.time))
+
+    def tape(self, order: int) -> Tape:
+        return self.margin if order == 0 else self.first if order == 1 else self.second
 
     @cached_property
     def rests(self) -> bool:
@@ -206,10 +215,10 @@ class _AtomTapes:
     def _first(self) -> sp.Expr:
         return time_derivative(self.expression, dict(self.flow), self.time)
 
-    def _tape(self, *found: sp.Expr) -> Tape:
+    def _tape(self, expression: sp.Expr) -> Tape:
         sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in self.inputs}
         return compile_tape(
-            [*found, *(rounding_scale(expression, sizes) for expression in found)],
+            [expression, rounding_scale(expression, sizes)],
             variables=(*self.inputs, *sizes.values()),
             parameters=self.parameters,
             time=self.time,
@@ -222,17 +231,17 @@ _atom_tapes = lru_cache(4096)(_AtomTapes)
 class GuardTruths:
     """Truth of the guards of a mode at an instant, and the atoms that certify it.
 
-    `rows` (a, 2) are from `GuardWatch.at`, `rates` returns `GuardWatch.rates_of` an atom. An atom
-    with a NaN rate fires on its boundary only when its margin falls. `tolerances` are infinite for
-    margins that the flow did not watch; the margins `fired` fell. Rates below `relative` times
-    their terms are zero. `later` returns the sign of the first nonzero derivative from the third.
+    `rows` (a, 2) are from `GuardWatch.at`, `rate` is `GuardWatch.rate` of an atom and an order. An
+    atom with a NaN rate fires on its boundary only when its margin falls. `tolerances` are infinite
+    for margins that the flow did not watch; the margins `fired` fell. Rates below `relative` times
+    their terms are zero; `later` returns the sign of the first nonzero derivative.
     """
 
     def __init__(
         self,
         watch: GuardWatch,
         rows: Array,
-        rates: Callable[[int], Array],
+        rate: Callable[[int, int], Array],
         tolerances: Mapping[str, float],
         fired: Collection[str],
         relative: float,
@@ -246,11 +255,10 @@ class GuardTruths:
             own = [one if one < math.inf else new for one, new in zip(own, fresh, strict=True)]
 
         def direction(k: int) -> float:
-            first, second, slow, slower = rates(k).tolist()
-            if not abs(first) <= relative * slow:
-                return float(first)
-            if not abs(second) <= relative * slower:
-                return float(second)
+            for order in (1, 2):
+                value, size = rate(k, order).tolist()
+                if not abs(value) <= relative * size:
+                    return float(value)
             return 0.0 if watch.atoms[k].rests else later(watch.margins[k])
 
         self._fell = [k for k, margin in enumerate(watch.margins) if margin in fired]

@@ -206,8 +206,8 @@ class ChartLaws:
                 found = conditions.at(setup, state, sizes, clock.high)
                 return conditions.holding(found, setup.precision, active)
 
-            def rates(k: int) -> Array:
-                return watch.rates_of(k, setup, state, sizes, clock.high)
+            def rate(k: int, order: int) -> Array:
+                return watch.rate(k, order, setup, state, sizes, clock.high)
 
             def later(margin: str) -> float:
                 return self._derivatives.sign(
@@ -216,7 +216,7 @@ class ChartLaws:
 
             rows = watch.at(setup, state, sizes, clock.high)
             truths = GuardTruths(
-                watch, rows, rates, flow.tolerances, fired, setup.precision, later, active
+                watch, rows, rate, flow.tolerances, fired, setup.precision, later, active
             )
             firing = self._queues.first(self._flat, flow.mode, pending, truths.due(), holding)
             if firing is None:
