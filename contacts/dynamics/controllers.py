@@ -20,7 +20,7 @@ from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.regions import Edge, Region, State
-from statechart.automaton.trace import Key, Role
+from statechart.automaton.trace import Key, Role, Roles
 from statechart.charts.flatten import FlatRegion, FlatTransition, Updates
 from statechart.charts.guard_watch import (
     Guard,
@@ -266,7 +266,11 @@ class ControllerState:
             projected = of_motion.project(motion, time, self.within(setup, state).values)
             return state if projected is motion else self.joined(projected, state)
 
-        return of_motion._replace(project=project)
+        def fixed(state: Array, time: float, own: Roles) -> Roles:
+            assert of_motion.fixed is not None
+            return of_motion.fixed(self.parted(state), time, own)
+
+        return of_motion._replace(project=project, fixed=None if of_motion.fixed is None else fixed)
 
     def updated(
         self, setup: SceneSetup, clock: Clock, cause: str, blocks: tuple[Updates, ...], state: Array

@@ -9,13 +9,16 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.solvers.dependence import CANCELLING, DEAD_POINT, column_scales
+from contacts.solvers.dependence import CANCELLING, DEAD_POINT, column_scales, independent
 from contacts.solvers.redundancy import connected
+from contacts.solvers.saddle_point import SMALLEST
 from statechart.arrays import Array, Bools
 from statechart.automaton.regions import Hold
 
 OFF_ROW = 2.0
 """Status of a row of a joint that is off; see `JointRow.status`."""
+# See `redundant_rows`. Steps are short in comparison, so that none meets the singular place.
+DECAYED = 0.2
 # Rows with a smaller coefficient in a unit null vector are not named as dependent.
 _MIN_COEFFICIENT = 1e-3
 
@@ -136,6 +139,30 @@ def motions(numbers: JointNumbers, velocity: Array, groups: Sequence[JointGroup]
         left.append(np.zeros((len(null_space), size)))
         left[-1][:, columns] = null_space / scale
     return Motions(np.hstack(basis), np.vstack(left), particular[0], particular[1])
+
+
+def redundant_rows(jacobian: Array, redundant: Bools) -> Bools:
+    """Return which rows (m, n) the others imply: `redundant`, or as many where these decay.
+
+    The rows that are kept may become dependent while the mechanism moves and others would not: of
+    three parallel cranks, the two whose pivots are in line with them. They decay where the smallest
+    singular value of the unit rows kept falls below `DECAYED` of that of all rows.
+    """
+    count = int(np.count_nonzero(~redundant))
+    # Scales of columns would enlarge what is round-off in all rows, as of cos(pi/2).
+    noise = CANCELLING * np.abs(jacobian).max(axis=1, keepdims=True, initial=0.0)
+    jacobian = np.where(np.abs(jacobian) > noise, jacobian, 0.0)
+    scaled = jacobian * column_scales(jacobian)
+    scaled /= np.maximum(np.linalg.norm(scaled, axis=1, keepdims=True), SMALLEST)
+    kept, every = (
+        np.linalg.svd(rows, compute_uv=False)[:count] for rows in (scaled[~redundant], scaled)
+    )
+    if count == 0 or kept[-1] >= DECAYED * every[-1]:
+        return redundant
+    _, order, _ = independent(scaled)
+    result = np.ones(len(redundant), np.bool_)
+    result[order[:count]] = False
+    return result
 
 
 def dependent(rows: Sequence[tuple[str, Array]]) -> str:

@@ -10,7 +10,14 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.joints import OFF_ROW, JointGroup, JointNumbers, joint_groups, motions
+from contacts.dynamics.joints import (
+    OFF_ROW,
+    JointGroup,
+    JointNumbers,
+    joint_groups,
+    motions,
+    redundant_rows,
+)
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.sign_friction import sign_frictions
 from contacts.scene.modes import SignFriction
@@ -231,7 +238,10 @@ class SnapshotTape:
         behind = last + 4 * self.joints
         rows = numbers[behind : behind + self.joints * n].reshape(self.joints, n)
         rows = np.pad(rows, ((0, 0), (0, len(self._pads))))
-        return whole, JointNumbers(gaps, rates, bias, rows, status != 0.0, status < OFF_ROW)
+        redundant, on = status != 0.0, status < OFF_ROW
+        if (redundant & on).any():
+            redundant[on] = redundant_rows(rows[on], redundant[on])
+        return whole, JointNumbers(gaps, rates, bias, rows, redundant, on)
 
     def _padded(self, whole: Snapshot, numbers: Array) -> Snapshot:
         """Return the numbers with the pads of compliant contacts (`Mechanics.pads`).

@@ -101,7 +101,12 @@ class ControlledLaws:
                 following = following._replace(start=start)
             if jump is None:
                 flow_on = self._joined(setup, clock, following, controllers, state, flow)
-                return None, flow_on._replace(settled=following.settled)
+                # The contacts' laws have decided which conditions of contacts are watched.
+                of = laws.conditions
+                watched = {name for name in (*of.names, *of.back, *of.gaps) if name}
+                own = {name: following.tolerances[name] for name in watched}
+                own = {**flow_on.tolerances, **own}
+                return None, flow_on._replace(settled=following.settled, tolerances=own)
             after = self._memory.joined(jump.after, state)
             jump = replace(
                 jump,

@@ -9,6 +9,7 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import Array
+from statechart.automaton.trace import Roles
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 from statechart.kernels.tapes import largest_deviation
@@ -28,6 +29,9 @@ class Constraints(NamedTuple):
     # the flow (a narrow bump under a sliding point); None where that cannot be.
     within: Tape | None = None
     max_depth: float = 0.0
+    # From a state, the absolute time and the parameters of a flow as a role (none: those of the
+    # run) to those that the flow needs from there; None where they never change.
+    fixed: Callable[[Array, float, Roles], Roles] | None = None
 
     def off(self, state: Array, parameters: Array, time: float) -> float:
         """Return how far a state is off, in tolerances."""

@@ -30,6 +30,13 @@ SWITCHES = "switches"
 """In a role behind those of the regions: its share are the signs of the switches of a flow (see
 `statechart.automaton.switches`)."""
 
+PARAMETERS = "parameters"
+"""In a role behind those of the regions: its share are the places and values of parameters that
+differ in a flow from those of the run (which constraint of a linkage the others imply)."""
+
+OTHER_PARAMETERS = "other parameters"
+"""End of a flow whose equations need other values of these parameters; no margin fell."""
+
 UNBOUNDED = "unbounded"
 """End of a flow that cannot be continued, though no margin fell; the laws may know the jump that
 follows (a force that has grown without bound)."""
@@ -44,8 +51,10 @@ def roles_in(mode: Key) -> Roles:
 
 
 def of_regions(roles: Roles) -> Roles:
-    """Return roles without the signs of switches, which may stand behind them."""
-    return roles[:-1] if roles and roles[-1].state == SWITCHES else roles
+    """Return roles without those of parameters and switches, which may stand behind them."""
+    while roles and roles[-1].state in (PARAMETERS, SWITCHES):
+        roles = roles[:-1]
+    return roles
 
 
 @lru_cache(maxsize=1024)
@@ -121,11 +130,13 @@ class Flow(NamedTuple):
     near_bound: bool = False
     # The signs of its switches as a role; none where it has no switches. Kept by the executor.
     signs: Roles = ()
+    # Its own parameters as a role; none where they are those of the run. Kept by the executor.
+    fixed: Roles = ()
 
     @property
     def moving(self) -> Roles:
-        """The roles with the signs of switches: what the equations follow from."""
-        return (*self.roles, *self.signs) if self.signs else self.roles
+        """The roles with parameters and the signs of switches: what the equations follow from."""
+        return (*self.roles, *self.fixed, *self.signs) if self.fixed or self.signs else self.roles
 
     @property
     def sizes(self) -> Array | None:

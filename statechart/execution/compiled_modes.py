@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import sympy as sp
 
 from statechart.arrays import Bools
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import HELD, moving_mode, of_regions, uncaptured
+from statechart.automaton.laws import HELD, SWITCHES, moving_mode, of_regions, uncaptured
 from statechart.automaton.modes import ModeReconstruction, build_mode, captured, mode_reconstruction
 from statechart.automaton.regions import Mode, whole_margins
 from statechart.automaton.switches import Switches, switches_of
@@ -98,21 +99,24 @@ class SolvedModes:
     def mode(self, roles: Roles, zeros: frozenset[int]) -> Mode:
         """Return the mode of `roles`, solved for zero parameters at the places `zeros`."""
         mode = self._modes.get((roles, zeros))
-        if mode is None and (regions := of_regions(roles)) != roles:
-            switches = self.switches(regions, zeros)
+        if mode is None and roles and roles[-1].state == SWITCHES:
+            switches = self.switches(roles[:-1], zeros)
             assert switches is not None
             mode = self._modes[roles, zeros] = switches.mode_with_signs(roles[-1].share)
         elif mode is None:
             # Zeros that its equations do not mention call for no mode of its own.
-            mentioned = zeros & self._used(roles)
+            regions = of_regions(roles)
+            mentioned = zeros & self._used(regions)
             mode = self._modes.get((roles, mentioned))
             if mode is None:
                 symbols, plain_roles = self.automaton.parameters, uncaptured(roles)
                 if plain_roles != roles:
-                    mode = captured(self.automaton, self.mode(plain_roles, zeros), roles)
+                    mode = captured(self.automaton, self.mode(plain_roles, zeros), regions)
                 else:
                     vanishing = frozenset(symbols[i] for i in mentioned)
-                    mode = build_mode(self.automaton, roles, vanishing)
+                    share: Any = roles[-1].share if regions != roles else ()
+                    fixed = {symbols[i]: value for i, value in share}
+                    mode = build_mode(self.automaton, regions, vanishing, fixed)
                 self._modes[roles, mentioned] = mode
             self._modes[roles, zeros] = mode
         return mode

@@ -12,15 +12,16 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton, Component, Places
 from statechart.automaton.clock import Clock, between
-from statechart.automaton.laws import Setup
+from statechart.automaton.laws import PARAMETERS, Setup, of_regions
 from statechart.automaton.lazy import LazyMapping, LazySequence
-from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace
+from statechart.automaton.trace import Arc, Jump, Key, Outcome, Role, Roles, Trace
 from statechart.automaton.trace_store import jump_times
 from statechart.formulas.tape import Tape
 from statechart.tabular import several
@@ -285,9 +286,16 @@ class MergedRun:
             cut = _restricted_steps(arc, begins, np.diff(times))
             coefficients[:, run.places.variables, : cut.shape[2]] = cut
         merged_roles = [roles[0][0]] * len(self._automaton.regions)
+        fixed: list[Any] = []
         for run, roles_of_run in zip(self._parts, roles, strict=True):
-            for region, role in zip(run.places.regions.tolist(), roles_of_run, strict=True):
+            own = of_regions(roles_of_run)
+            for region, role in zip(run.places.regions.tolist(), own, strict=True):
                 merged_roles[region] = run.component.shown(role, run.places)
+            for role in roles_of_run[len(own) :]:
+                share: Any = role.share
+                fixed += [(run.places.parameters.item(i), value) for i, value in share]
+        if fixed:
+            merged_roles.append(Role(PARAMETERS, share=tuple(fixed)))
         return Arc(self._key(keys), tuple(merged_roles), start, number, times, coefficients)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from statechart import interrupts
 from statechart.automaton.clock import Clock, between
-from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup, flow_sizes
+from statechart.automaton.laws import OTHER_PARAMETERS, UNBOUNDED, Flow, Instant, Setup, flow_sizes
 from statechart.automaton.switches import is_of_switch, slides
 from statechart.automaton.time_stepper import Sample, Sampling, in_order
 from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace, check_size
@@ -41,6 +41,7 @@ from statechart.kernels.polynomials import summands
 from statechart.tabular import several
 
 if TYPE_CHECKING:
+    from statechart.automaton.constraints import Constraints
     from statechart.execution.certificate import Certificate
 
 # Change of a variable over a step, relative to its size, above which its rate is unbounded.
@@ -271,19 +272,25 @@ class Execution:
         duration = min(self.clock.until(self.until), remaining)
         if duration <= 0.0:
             return ("zeno",) if remaining <= 0.0 else ()
+        laws, start = self.automaton.laws_of_events, self.clock.high
+        constraints = laws.constraints(self.setup, flow.roles, start, self.state)
+        if constraints.fixed is not None:
+            fixed = constraints.fixed(self.state, start, ())
+            flow = self.flow = flow._replace(fixed=fixed)
         compiled = self._enter(flow.moving)
         if self.loop is not None:
             self.loop.add(flow.mode, flow.roles, compiled)
         if flow.near_bound:
             flow = self.flow = from_here(compiled, flow, self.setup, self.state, self.clock.high)
-        watch = self._watch(flow, compiled)
+        watch = self._watch(flow, compiled, constraints)
         initial, on_steps = (
             watch.reconstruction.onto(self.state, watch.start),
             self.show if self.progress else None,
         )
         reached = Advance(
-            self.engine, compiled, self.path, watch, initial, duration, self.horizon, on_steps
-        ).run()
+            self.engine, compiled, self.path, watch, initial, duration, self.horizon, on_steps,
+            flow.fixed,
+        ).run()  # fmt: skip
         self._keep(flow, reached)
         if isinstance(reached.failure, StepFailure | NonFinite | TooLong):
             self.failure = reached.failure
@@ -291,6 +298,8 @@ class Execution:
         if reached.failure is not None:
             raise reached.failure
         check_size(0, len(self.record.made), self.clock.high)
+        if reached.crossing is None and reached.duration < duration:
+            return (OTHER_PARAMETERS,)
         if reached.crossing is None:
             return ("zeno",) if duration == remaining else ()
         return self.fell(compiled, reached.crossing.guard, graze=reached.graze)
@@ -341,12 +350,10 @@ class Execution:
             self.entered[roles] = compiled
         return compiled
 
-    def _watch(self, flow: Flow, compiled: CompiledMode) -> FlowWatch:
+    def _watch(self, flow: Flow, compiled: CompiledMode, constraints: Constraints) -> FlowWatch:
         setup, start, special = self.setup, self.clock.high, flow.tolerances
         special = {**special, **self._switch_tolerances} if self._switch_tolerances else special
         allowed = [special.get(name, setup.tolerances[kind]) for name, kind in compiled.watched]
-        laws = self.automaton.laws_of_events
-        constraints = laws.constraints(setup, flow.roles, start, self.state)
         reconstruction = compiled.reconstruction.start(self.state, setup.values, start)
         values = setup.values if flow.values is None else flow.values
         return FlowWatch(
@@ -380,7 +387,7 @@ class Execution:
         )
         self.flow = following._replace(
             held=flow.held, tolerances=flow.tolerances, terms=terms, values=flow.values,
-            signs=flow.signs,
+            signs=flow.signs, fixed=flow.fixed,
         )  # fmt: skip
 
     def fell(self, compiled: CompiledMode, guard: int, *, graze: bool = False) -> tuple[str, ...]:

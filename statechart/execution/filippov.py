@@ -56,7 +56,7 @@ class Filippov:
 
         None where a jump has come between.
         """
-        switches = self._modes.switches(at.flow.roles, zeros)
+        switches = self._modes.switches((*at.flow.roles, *at.flow.fixed), zeros)
         if switches is None:
             return Resolved((), at.state, {}, ())
         surface = _Surface(switches, at, before)
@@ -83,7 +83,10 @@ class Filippov:
         at = at._replace(state=state)
         roles = (Role(SWITCHES, share=tuple(signs)),)
         return Resolved(
-            roles, state, self._tolerances(at, (*at.flow.roles, *roles), zeros), tuple(notes)
+            roles,
+            state,
+            self._tolerances(at, (*at.flow.roles, *at.flow.fixed, *roles), zeros),
+            tuple(notes),
         )
 
     def _chosen(
@@ -124,7 +127,7 @@ class Filippov:
     def _holds(self, signs: Sequence[int], at: Instant) -> bool:
         """Return whether no margin of the switches falls at once, by higher derivatives."""
         setup, clock, _, flow, state, _ = at
-        roles = (*flow.roles, Role(SWITCHES, share=tuple(signs)))
+        roles = (*flow.roles, *flow.fixed, Role(SWITCHES, share=tuple(signs)))
         assert setup.modes is not None
         sizes = flow_sizes(setup, flow, state)
         for margin in setup.modes(roles).margins:
