@@ -390,14 +390,9 @@ def _near_circle(
 
 @kernel
 def _near_obstacle(
-    numbers: BodyNumbers,
-    ground: Ground,
-    mid: Midpoint,
-    q: int,
-    manifold: Array,
-    count: int,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, q: int, manifold: Array, count: int,
     size: float,
-) -> int:
+) -> int:  # fmt: skip
     """Return the first contact point near a piece or surface; -1: none."""
     s = q - len(numbers.pieces.sizes)
     still = s >= 0 and not (numbers.surfaces.moves[s] or numbers.surfaces.carriers[s] >= 0)

@@ -112,14 +112,9 @@ def _write_accelerations(
 
 @kernel
 def _remember_landing(
-    numbers: BodyNumbers,
-    warm: WarmStart,
-    space: Workspace,
-    rates: Array,
-    i: int,
-    size: float,
+    numbers: BodyNumbers, warm: WarmStart, space: Workspace, rates: Array, i: int, size: float,
     h: float,
-) -> None:
+) -> None:  # fmt: skip
     """Remember the largest gap at which contact i lands."""
     active, b = space.active, space.active.bodies[i, 0]
     above = active.levels[i, 3]

@@ -27,7 +27,7 @@ from contacts.solvers.contact_rows import (
     complete,
     joint_work,
     moved,
-    scale_of_sum,
+    scale,
     slope,
 )
 from contacts.solvers.impact_sequence import in_turn
@@ -510,7 +510,7 @@ def close_joints(
         if impulse_work > bound + _MOST_WORK * moving:
             # Wedged joints close with unbounded work.
             work = max(work, impulse_work)
-        elif error <= step_tolerance * max(fast, scale_of_sum(contacts, unforced, bias)):
+        elif error <= step_tolerance * max(fast, scale(contacts, unforced + bias)):
             return residual, iterations, softened
         idle += 1
         if work < least_work:
@@ -640,12 +640,12 @@ def solve_islands(
         sequential = law == SEQUENTIAL and size > 1 and not quiet
         island_tolerance, impacts, remaining = tolerance, 0, 0.0
         impact_residual, share = 0.0, 1.0
-        fast = scale_of_sum(contacts, unforced, bias)
+        fast = scale(contacts, unforced + bias)
         if sequential:
             impacts, impact_residual, remaining = impacts_in_turn(
                 numbers, active, contacts, together, h, tolerance
             )
-            slow = scale_of_sum(contacts, unforced, bias)
+            slow = scale(contacts, unforced + bias)
             sequential, share = remaining == 0.0, slow / fast
             island_tolerance = allowed_beside(tolerance, slow, fast)
         residual, iterations, softened = island_impulses(

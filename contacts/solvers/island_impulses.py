@@ -86,14 +86,9 @@ def part_within(impulses: Array, before: Array, free: Array, moved: Array, bound
 
 @kernel
 def capped(
-    before: Array,
-    free: Array,
-    plastic: Array,
-    elastic: Array,
-    moved_plastic: Array,
-    moved_elastic: Array,
-    bound: float,
-) -> tuple[Array, float]:
+    before: Array, free: Array, plastic: Array, elastic: Array, moved_plastic: Array,
+    moved_elastic: Array, bound: float,
+) -> tuple[Array, float]:  # fmt: skip
     """Return p = plastic + s (elastic - plastic) that adds no energy, and the largest such s <= 1.
 
     The work ``p . (u- + u+) / 2`` of a step is a convex function of s; it must not exceed that of
@@ -244,16 +239,9 @@ def _pushed_in_part(
 
 @kernel
 def island_impulses(
-    contacts: ContactRows,
-    before: Array,
-    free: Array,
-    wanted: Array,
-    rebounds: Bools,
-    impulses: Array,
-    tolerance: float,
-    bound: float,
-    arms: bool,
-) -> tuple[float, int, bool]:
+    contacts: ContactRows, before: Array, free: Array, wanted: Array, rebounds: Bools,
+    impulses: Array, tolerance: float, bound: float, arms: bool,
+) -> tuple[float, int, bool]:  # fmt: skip
     """Solve an island's step; return residual, iterations, and whether restitution was dropped.
 
     Restitution that would add energy is reduced. Opposed contacts can have no impulses that satisfy

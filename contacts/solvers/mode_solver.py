@@ -73,15 +73,9 @@ def _worse(verdict: Array, amount: float, contact: int, which: int, number: floa
 
 @kernel
 def _judge(
-    verdict: Array,
-    accelerations: Array,
-    jacobians: Array,
-    biases: Array,
-    code: Ints,
-    closed: Bools,
-    still: Bools,
-    scale: float,
-) -> None:
+    verdict: Array, accelerations: Array, jacobians: Array, biases: Array, code: Ints,
+    closed: Bools, still: Bools, scale: float,
+) -> None:  # fmt: skip
     for c in range(len(code)):
         sign = _direction(code[c])
         if code[c] == FREE and closed[c]:
@@ -126,13 +120,8 @@ def write_limits(forces: Array, cones: Array, carriers: Ints, code: Ints) -> Non
 
 @kernel
 def _write_rows(
-    rows: Array,
-    columns: Array,
-    first: Ints,
-    bearing: Ints,
-    rank: int,
-    matrix: Array,
-) -> None:
+    rows: Array, columns: Array, first: Ints, bearing: Ints, rank: int, matrix: Array,
+) -> None:  # fmt: skip
     """Write the leading rows and columns of a saddle point, by their orders, beside the mass."""
     n = rows.shape[1]
     for k in range(rank):
@@ -155,23 +144,10 @@ def _contradicts(row: Array, constant: float, accelerations: Array, scale: float
 
 @kernel
 def solve_modes(
-    mass: Array,
-    right: Array,
-    jacobians: Array,
-    biases: Array,
-    cones: Array,
-    carriers: Ints,
-    codes: Ints,
-    closed: Bools,
-    still: Bools,
-    force_scale: float,
-    acceleration_scale: float,
-    status: Ints,
-    accelerations: Array,
-    forces: Array,
-    verdicts: Array,
-    tie: float,
-) -> tuple[int, int]:
+    mass: Array, right: Array, jacobians: Array, biases: Array, cones: Array, carriers: Ints,
+    codes: Ints, closed: Bools, still: Bools, force_scale: float, acceleration_scale: float,
+    status: Ints, accelerations: Array, forces: Array, verdicts: Array, tie: float,
+) -> tuple[int, int]:  # fmt: skip
     """Solve every combination of contact modes, and test its inequalities.
 
     Parameters

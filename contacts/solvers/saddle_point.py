@@ -62,13 +62,9 @@ class SaddleWorkspace(NamedTuple):
 def saddle_workspace(size: int) -> SaddleWorkspace:
     """Allocate the workspace of systems of up to `size` unknowns."""
     return SaddleWorkspace(
-        np.empty((size, size)),
-        np.empty((size, size)),
-        np.empty(size),
-        np.empty(size),
-        np.empty(size),
-        np.empty(size, np.int64),
-    )
+        np.empty((size, size)), np.empty((size, size)), np.empty(size), np.empty(size),
+        np.empty(size), np.empty(size, np.int64),
+    )  # fmt: skip
 
 
 @kernel

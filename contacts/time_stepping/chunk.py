@@ -66,22 +66,12 @@ class Chunk(NamedTuple):
         states = np.empty((count + 1, len(state)))
         states[0] = state
         return cls(
-            h,
-            states,
-            np.zeros((count, unknowns)),
-            np.zeros((count, regions), dtype=np.int64),
-            np.zeros((count, regions), dtype=np.int64),
-            np.zeros((count, regions), dtype=np.bool_),
-            np.zeros((count, regions), dtype=np.bool_),
-            np.zeros((count, regions, 2)),
-            np.full((count, regions), np.inf),
-            np.zeros(count),
-            np.zeros(count),
-            np.zeros(count),
-            np.zeros(count),
-            np.zeros(count),
-            np.zeros((count, _COLUMNS)),
-        )
+            h, states, np.zeros((count, unknowns)), np.zeros((count, regions), dtype=np.int64),
+            np.zeros((count, regions), dtype=np.int64), np.zeros((count, regions), dtype=np.bool_),
+            np.zeros((count, regions), dtype=np.bool_), np.zeros((count, regions, 2)),
+            np.full((count, regions), np.inf), np.zeros(count), np.zeros(count), np.zeros(count),
+            np.zeros(count), np.zeros(count), np.zeros((count, _COLUMNS)),
+        )  # fmt: skip
 
     def first(self, count: int) -> Chunk:
         """Return the first `count` steps."""

@@ -95,20 +95,12 @@ class ContactHistory(NamedTuple):
         """Return the history of contacts that have not touched yet."""
         count = len(off)
         return cls(
-            np.zeros(count),
-            np.zeros(count, dtype=np.bool_),
-            np.zeros(count, dtype=np.bool_),
-            np.zeros(count, dtype=np.int64),
-            np.zeros(count, dtype=np.int64),
-            np.full(count, FREE),
-            off.copy(),
-            np.zeros(count, dtype=np.bool_),
-            np.full((count, 3), np.nan),
-            np.tile([0.0, 0.0, np.inf], (count, 1)),
-            np.zeros(1, dtype=np.bool_),
-            np.zeros((count, 2)),
-            np.zeros(size),
-        )
+            np.zeros(count), np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_),
+            np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64), np.full(count, FREE),
+            off.copy(), np.zeros(count, dtype=np.bool_), np.full((count, 3), np.nan),
+            np.tile([0.0, 0.0, np.inf], (count, 1)), np.zeros(1, dtype=np.bool_),
+            np.zeros((count, 2)), np.zeros(size),
+        )  # fmt: skip
 
     def copy(self) -> ContactHistory:
         """Return a copy."""

@@ -376,13 +376,9 @@ def _flow_controllers(
 
 @kernel
 def _follow(
-    scene: StepConstants,
-    memory: ContactHistory,
-    tape: TapeValues,
-    there: Array,
-    met: ContactRoles,
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, there: Array, met: ContactRoles,
     near: float,
-) -> None:
+) -> None:  # fmt: skip
     """Enable contacts on the continuation of a surface that a point leaves.
 
     `there`: tape at the point moved out of that surface by its landing depth. A deep point between
