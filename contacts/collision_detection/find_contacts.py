@@ -452,20 +452,9 @@ def find_contacts(
     numbers: BodyNumbers, ground: Ground, warm: WarmStart, mid: Midpoint, grid: Grid, h: float,
     active: ActiveContacts,
 ) -> DetectionResult:  # fmt: skip
-    """Find the active contacts of a step.
+    """Find the active contacts of a step of size h.
 
-    Parameters
-    ----------
-    warm : WarmStart
-        Of the previous step.
-    mid : Midpoint
-        Its gaps and pulls are written.
-    grid : Grid
-        Workspace.
-    h : float
-        Step size.
-    active : ActiveContacts
-        Output.
+    Writes the `active` contacts, and gaps and pulls of the midpoint; `grid` is workspace.
     """
     sizes, pairs, keys = numbers.pieces.sizes, grid.pairs, warm.keys
     count, others = len(sizes), len(sizes) + len(numbers.surfaces.kinds)

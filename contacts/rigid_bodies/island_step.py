@@ -72,18 +72,9 @@ def find_islands(
 ) -> None:
     """Find the islands of coupled contacts (union-find and counting sort).
 
-    Parameters
-    ----------
-    bodies : (m, 2) array of int
-        Bodies of each contact, -1 for a surface.
-    count : int
-        Number of contacts.
-    free : int, firsts : (l,) array of int
-        Number of free bodies; see `LinkNumbers`.
-    parents : (b,) array of int
-        Buffer.
-    begins : (b + 1,), order : (m,)
-        Output: island i has the contacts ``order[begins[i] : begins[i + 1]]``.
+    Contacts `bodies` (m, 2; -1: a surface), of which `count` are used; `free` bodies, and `firsts`
+    (l,) of linked ones (see `LinkNumbers`). Island i has the contacts ``order[begins[i] : begins[i
+    + 1]]``; `parents` (b,) is a buffer.
     """
     for b in range(len(parents)):
         parents[b] = b
@@ -272,17 +263,8 @@ _HOLDS_NOTHING = 0.1
 def note_worst(inverse: Array, bodies: Ints, members: Ints, residual: float, worst: Array) -> None:
     """Note an island if its mass ratio exceeds that of islands noted before.
 
-    Parameters
-    ----------
-    inverse : (b, 3)
-        See `contacts.collision_detection.body_numbers.BodyNumbers`.
-    bodies : (c, 2) array of int
-        Bodies of each contact, -1 for a surface.
-    members : (m,) array of int
-        The island's contacts.
-    residual : float
-    worst : (4,)
-        Mass ratio, lightest body, heaviest body, residual; in place.
+    `bodies` (c, 2) are those of all contacts, -1 for a surface, `members` (m,) the island's
+    contacts; `worst` (4,) has mass ratio, lightest body, heaviest body and residual.
     """
     light = heavy = -1
     for i in members:
@@ -571,20 +553,10 @@ def solve_islands(
     numbers: BodyNumbers, law: int, forces: bool, h: float, space: Workspace, count: int,
     tolerance: float, effort: Array,
 ) -> None:  # fmt: skip
-    """Solve the impulses of a step, island by island.
+    """Solve the impulses of a step with `count` contacts, island by island.
 
-    Parameters
-    ----------
-    numbers, law, forces, tolerance
-        See `contacts.rigid_bodies.body_step.step_bodies`.
-    h : float
-        Step size.
-    space : Workspace
-        Output: impulses, and the warm start of the next step.
-    count : int
-        Number of contacts.
-    effort : (e,)
-        See `Chunk.stats`.
+    Writes impulses and the next warm start to `space`, and statistics `effort` (see `Chunk.stats`).
+    For `law`, `forces` and `tolerance` see `contacts.rigid_bodies.body_step.StepOptions`.
     """
     active, inverse, local, order = space.active, numbers.inverse, space.local, space.order
     free = len(inverse) - numbers.links.bodies

@@ -141,17 +141,17 @@ class MissingGround:
             frame = np.concatenate([places, poses[looks], fixed], axis=1)[:, carrier]
         u, v, angle = (frame[:, d, None] for d in range(3))
         x = np.cos(angle) * (places[:, bodies, 0] - u) + np.sin(angle) * (places[:, bodies, 1] - v)
-        asked = x[:, :, None] + numbers.sizes[bodies, None] * np.array([0.0, -1.0, 1.0])
+        points = x[:, :, None] + numbers.sizes[bodies, None] * np.array([0.0, -1.0, 1.0])
         at = int(ground.graphs[s])
         heights = tape_table(
             ground.code, ground.constants, ground.outputs[at : at + 1], 0,
-            np.ascontiguousarray(asked.reshape(-1, 1)), ground.values, np.zeros(asked.size),
+            np.ascontiguousarray(points.reshape(-1, 1)), ground.values, np.zeros(points.size),
         )  # fmt: skip
-        lost = ~np.isfinite(heights.reshape(asked.shape))
+        lost = ~np.isfinite(heights.reshape(points.shape))
         if not lost.any():
             return None
         step, body, end = np.unravel_index(int(np.argmax(lost)), lost.shape)
-        return int(step), int(bodies[body]), float(asked[step, body, end])
+        return int(step), int(bodies[body]), float(points[step, body, end])
 
 
 # Radians that a struck body turns in a step: warning, and recommended limit.

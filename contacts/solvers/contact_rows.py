@@ -322,19 +322,8 @@ def swept(
 ) -> tuple[float, int]:  # fmt: skip
     """Sweep until the residual is within the tolerance; return the best residual, and sweeps.
 
-    Parameters
-    ----------
-    contacts : ContactRows
-        Its first rates belong to the impulses (see `measured`).
-    q : (m, 2)
-        Velocities without impulses, minus the required ones.
-    size, lowest : float
-        Their `scale`, and the residual of the impulses.
-    impulses : (m, 2)
-        Warm start; overwritten by the best.
-    tolerance : float
-    most : int
-        Sweeps.
+    `ContactRows.rates` belong to the impulses (see `measured`), whose `scale` and residual are
+    `size` and `lowest`; `q` (m, 2) are velocities without impulses, minus the required ones.
     """
     m, spare = len(impulses), contacts.spare
     best, now, change, along = spare[BEST, :m], spare[NOW, :m], spare[CHANGE, :m], spare[ALONG, :m]

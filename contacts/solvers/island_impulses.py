@@ -92,16 +92,8 @@ def capped(
     """Return p = plastic + s (elastic - plastic) that adds no energy, and the largest such s <= 1.
 
     The work ``p . (u- + u+) / 2`` of a step is a convex function of s; it must not exceed that of
-    the plastic impulses, or a bound.
-
-    Parameters
-    ----------
-    before, free : (m, 2)
-        Contact velocities before the step, and after it without impulses.
-    plastic, elastic, moved_plastic, moved_elastic : (m, 2)
-        Impulses, and the velocity changes W p.
-    bound : float
-        Not below zero.
+    the plastic impulses, or a bound >= 0. `before`, `free`: contact velocities before the step, and
+    after it without impulses; `moved_plastic`, `moved_elastic`: velocity changes W p; all (m, 2).
     """
     begin = _work_at(before, free, plastic, moved_plastic)
     end = _work_at(before, free, elastic, moved_elastic)
@@ -206,14 +198,9 @@ def _pushed_in_part(
 ) -> tuple[float, int, bool]:  # fmt: skip
     """Stabilise as far as the work of impulses is within the bound; see `island_impulses`.
 
-    Parameters
-    ----------
-    full : (m, 2)
-        Impulses of the whole bias, with too much work; overwritten.
-    impulses : (m, 2)
-        Those of `calmer`; overwritten by the result.
-    error, softened
-        Of these. The result's are returned, with iterations between them.
+    `full` (m, 2): impulses of the whole bias, with too much work; overwritten. `impulses` (m, 2):
+    those of `calmer`, with `error` and `softened`; overwritten by the result, whose values are
+    returned, with iterations between them.
     """
     bias, iterations = wanted, 0
     for _ in range(_NEARER):

@@ -74,12 +74,8 @@ def eliminated(
 ) -> bool:
     """Assemble and factor the Newton equations of a status; False where a pivot fails.
 
-    Parameters
-    ----------
-    compliance : float
-        Relative to each contact's own.
-    edges : (m,)
-        Of sliding contacts: tangential over normal impulse.
+    The compliance is relative to each contact's own; `edges` (m,): tangential over normal impulse
+    of sliding contacts.
     """
     diagonal, after, before = equations.diagonal, equations.after, equations.before
     for p in range(len(diagonal)):
@@ -267,18 +263,9 @@ def follow_point(
 ) -> tuple[bool, int]:  # fmt: skip
     """Follow a proximal point by homotopy in `shift`; return whether it is reached, and pivots.
 
-    Parameters
-    ----------
-    now : (m, 2)
-        Impulses at the centre; overwritten by the proximal point.
-    shift : (m, 2)
-        Velocities with which the centre solves the contact laws.
-    compliance : float
-        Of the proximal point.
-    rates : (n,)
-        Workspace.
-    status, edges : (m,)
-        Of the centre; overwritten by those of the point.
+    Impulses `now` (m, 2), `status` and `edges` (m,) start at the centre, and are overwritten by the
+    point's; with the velocities `shift` (m, 2) the centre solves the contact laws. `rates` is
+    workspace.
     """
     count, own = len(now), contacts.own
     along, along_rates = np.empty((count, 2)), np.empty_like(rates)

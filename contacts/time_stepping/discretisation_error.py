@@ -91,7 +91,7 @@ class DiscretisationError:
         self._velocity, self._phase, self._stopped = np.zeros(n), np.zeros(n), np.zeros(n)
 
     def copy(self) -> DiscretisationError:
-        """Return what is known so far."""
+        """Return a copy."""
         result = DiscretisationError.__new__(DiscretisationError)
         result.__dict__.update(self.__dict__)  # no array is changed in place
         return result

@@ -42,25 +42,25 @@ def struck(
 
     `acceleration` (k, n) is that under finite forces; `lengths` (k, 1) are those of the parts.
     """
-    kept = slice(2 * n, None)
-    middle = 0.5 * (left[:, kept] + right[:, kept])
+    variables = slice(2 * n, None)
+    middle = 0.5 * (left[:, variables] + right[:, variables])
     # Velocities before and after make the ends of the step exact.
     rates, (before, after) = right[:, n : 2 * n], lengths
     second = np.empty_like(right)
     second[:, :n] = right[:, :n] - after * (rates - 0.5 * after * acceleration)
     second[:, n : 2 * n] = rates - after * acceleration
-    second[:, kept] = middle
+    second[:, variables] = middle
     parts = []
     for begin, change, length in (
-        (left, middle - left[:, kept], before),
-        (second, -(middle - right[:, kept]), after),
+        (left, middle - left[:, variables], before),
+        (second, -(middle - right[:, variables]), after),
     ):
         terms = np.zeros((*left.shape, TERMS))
         terms[:, :, 0] = begin
         terms[:, :n, 1] = length * begin[:, n : 2 * n]
         terms[:, :n, 2] = 0.5 * length**2 * acceleration
         terms[:, n : 2 * n, 1] = length * acceleration
-        terms[:, kept, 1] = change
+        terms[:, variables, 1] = change
         parts.append(terms)
     return parts[0], parts[1]
 
@@ -291,22 +291,22 @@ class ArcMaker:
             np.concatenate(terms), defined(np.concatenate(unknowns)),
         )  # fmt: skip
 
-    def jump(self, kept: LazyJump | Jump) -> Jump:
+    def jump(self, lazy: LazyJump | Jump) -> Jump:
         """Return a jump, computed from a step unless it is one."""
-        if isinstance(kept, Jump):
-            return kept
-        whole, steps = self._of(kept.steps), kept.steps
-        first = int(steps.places[kept.step])
-        felt = steps.impulses[kept.step]
+        if isinstance(lazy, Jump):
+            return lazy
+        whole, steps = self._of(lazy.steps), lazy.steps
+        first = int(steps.places[lazy.step])
+        felt = steps.impulses[lazy.step]
         places = np.flatnonzero(felt.any(axis=1))
         impulses = {
             self._regions[i]: (normal, tangential)
             for i, (normal, tangential) in zip(places.tolist(), felt[places].tolist(), strict=True)
         }
         return Jump(
-            kept.t, kept.j, kept.region, kept.cause, kept.source, kept.target,
+            lazy.t, lazy.j, lazy.region, lazy.cause, lazy.source, lazy.target,
             whole.terms[first].sum(axis=1), whole.terms[first + 1, :, 0].copy(),
-            impulse=impulses, energy=whole.energies[kept.step],
+            impulse=impulses, energy=whole.energies[lazy.step],
         )  # fmt: skip
 
     def _of(self, steps: Steps) -> _Polynomials:

@@ -22,25 +22,11 @@ _BOXES, _NARROW = 256, 2.0**-32
 
 @kernel
 def passed(tape: TapeCode, lines: Steps, seen: Bools, near: float) -> tuple[int, int, float]:
-    """Return the first line on which an initially open gap is smaller than at the end.
+    """Return (line, contact, part) of the first line whose open gap at the start is below its end.
 
-    Parameters
-    ----------
-    tape : TapeCode
-        The gaps (c,).
-    lines : Steps
-        The lines (m) as steps.
-    seen : (m, c) array of bool
-        Contacts that are active at the start of a line.
-    near : float
-        Depth of a mere touch.
-
-    Returns
-    -------
-    line, contact : int
-        -1 if there is none.
-    part : float
-        Lower bound of the closed part of the line.
+    The tape has the gaps (c,), `lines` are m steps; contacts `seen` (m, c) are active at the start
+    of a line; a depth up to `near` only touches. `part` is a lower bound of the closed part of the
+    line; line and contact are -1 if there is none.
     """
     outputs, reads, coeffs = tape.outputs, tape.reads, lines.coeffs
     along, regs = along_steps(tape, lines, 1)

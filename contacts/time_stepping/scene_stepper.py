@@ -207,18 +207,18 @@ class SteppedScene(SteppedSystem):
     @property
     def margins(self) -> dict[str, float]:
         """The smallest margins, at the midpoints of steps."""
-        margins_found: dict[str, float] = {}
+        result: dict[str, float] = {}
         rigid = len(self._source.names) - self._source.couplings
         for i, name in enumerate(self._source.names):
             if i >= rigid and np.isfinite(self._step_state.least_gap[i]):
-                margins_found[f"{name}.limit"] = float(self._step_state.least_gap[i])
+                result[f"{name}.limit"] = float(self._step_state.least_gap[i])
             if i >= rigid:
                 continue
             values = (self._step_state.least_gap[i], *self._step_state.least[i])
-            for what, value in zip(("gap", "V", "mu V - |H|"), values, strict=True):
+            for kind, value in zip(("gap", "V", "mu V - |H|"), values, strict=True):
                 if np.isfinite(value):
-                    margins_found[f"{name}.{what}"] = float(value)
-        return margins_found
+                    result[f"{name}.{kind}"] = float(value)
+        return result
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -434,7 +434,7 @@ class SteppedScene(SteppedSystem):
             "among its modes; add it, or end the run before"
         )
 
-    def _note(self, gaps: Array, forces: Array, codes: Ints, given: Array) -> None:
+    def _note(self, gaps: Array, forces: Array, codes: Ints, controlled: Array) -> None:
         if not len(gaps):
             return
         memory = self._step_state
@@ -444,7 +444,7 @@ class SteppedScene(SteppedSystem):
         with np.errstate(divide="ignore", invalid="ignore"):
             mu = np.tile(cone_t / cone_n, (len(gaps), 1))
             split = self._source.used >= 0
-            mu[:, split] = given[:, self._source.used[split]]
+            mu[:, split] = controlled[:, self._source.used[split]]
             inside = np.where(np.isfinite(mu), mu * normal - tangential, np.inf)
         for k, values in enumerate((normal, inside)):
             borne = (codes != FREE) & (codes != OFF_CODE) & ~np.isnan(values)

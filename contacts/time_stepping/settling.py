@@ -145,16 +145,10 @@ def solve_accelerations(
     delassus: Array, free: Array, cones: Array, slides: Array, sizes: Array, accelerations: Array,
     sums: Array,
 ) -> tuple[bool, Array]:  # fmt: skip
-    """Write the accelerations of contacts; return whether the problem was solved, and forces.
+    """Write the accelerations (m, 2) of contacts; return whether they are solved for, and forces.
 
-    Parameters
-    ----------
-    delassus, free, cones, slides
-        See `contacts.solvers.lemke.impulses_by_lemke`.
-    sizes : (m, 2)
-        Sums of the absolute terms of `free`.
-    accelerations, sums : (m, 2)
-        Outputs; sums of their absolute terms.
+    For `delassus`, `free`, `cones`, `slides` see `contacts.solvers.lemke.impulses_by_lemke`;
+    `sizes` and `sums` (m, 2) are sums of absolute terms, of `free` and of the accelerations.
     """
     solved, forces = forces_by_lemke(delassus, free, cones, slides)
     for a in range(len(accelerations)):

@@ -44,10 +44,10 @@ _ITERATIONS = 60
 _AT_ONCE = 64
 
 
-def unstable(what: str, radians: float, h: float, finest: float) -> StepTooLarge:
+def unstable(motion: str, radians: float, h: float, finest: float) -> StepTooLarge:
     """Return the error of an unstable step size."""
     return StepTooLarge(
-        f"{what} by {radians:.3g} radians in one step of {h:g}, which is unstable from 2 on; "
+        f"{motion} by {radians:.3g} radians in one step of {h:g}, which is unstable from 2 on; "
         f"take {finest:.1g} or less"
     )
 
@@ -249,7 +249,7 @@ class Held(NamedTuple):
         return csr_array((values.ravel(), places), (len(values), root.size))
 
 
-def check_stiffness(found: Stiffness, held: csr_array | Array, h: float) -> None:
+def check_stiffness(entries: Stiffness, held: csr_array | Array, h: float) -> None:
     """Raise `StepTooLarge` if forces are unstable at this step size.
 
     `held` (r, n) are rows that contacts and joints hold.
@@ -257,7 +257,7 @@ def check_stiffness(found: Stiffness, held: csr_array | Array, h: float) -> None
     from scipy.sparse import csr_array, diags_array, identity
     from scipy.sparse.linalg import splu
 
-    n, rows = found.size, csr_array(held)
+    n, rows = entries.size, csr_array(held)
     sizes = np.sqrt(np.asarray((rows * rows).sum(axis=1))).ravel()
     rows = diags_array(1.0 / sizes[sizes > 0.0]) @ rows[np.flatnonzero(sizes > 0.0)]
     gram = (rows @ rows.T + _DEPENDENT_SQUARES * identity(rows.shape[0])).tocsc()
@@ -270,13 +270,13 @@ def check_stiffness(found: Stiffness, held: csr_array | Array, h: float) -> None
         return x
 
     def largest(values: Array) -> float:
-        matrix = csr_array((values, (found.rows, found.columns)), (n, n))
+        matrix = csr_array((values, (entries.rows, entries.columns)), (n, n))
         return _largest(lambda x: free(matrix @ x), free(np.random.default_rng(0).normal(size=n)))
 
-    most = largest(found.places + found.rates)
+    most = largest(entries.places + entries.rates)
     if not most > UNSTABLE:
         return
-    spring, damper = math.sqrt(max(largest(found.places), 0.0)), 0.5 * largest(found.rates)
+    spring, damper = math.sqrt(max(largest(entries.places), 0.0)), 0.5 * largest(entries.rates)
     what = "position- or velocity-dependent forces oscillate"
     raise unstable(what, math.sqrt(most), h, _FINE * h / max(spring, damper, _FINE))
 
