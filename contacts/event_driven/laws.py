@@ -463,25 +463,11 @@ class SceneLaws:
         return jump, flow, in_corner
 
     def _closed_at_once(
-        self,
-        setup: SceneSetup,
-        clock: Clock,
-        flow: Flow,
-        jump: Jump,
-        took_part: Sequence[bool],
-        period: float,
-        rest: float,
-    ) -> tuple[Jump, Flow] | None:
-        return closed_at_once(
-            setup,
-            lambda state: self.tape.at(setup.values, state, clock.high),
-            flow,
-            jump,
-            took_part,
-            period,
-            rest,
-            self._paradox,
-        )
+        self, setup: SceneSetup, clock: Clock, flow: Flow, jump: Jump, took_part: Sequence[bool],
+        period: float, rest: float,
+    ) -> tuple[Jump, Flow] | None:  # fmt: skip
+        at = partial(self.tape.at, setup.values, time=clock.high)
+        return closed_at_once(setup, at, flow, jump, took_part, period, rest, self._paradox)
 
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
         """Return the constraints of the closed contacts of `roles`, and of pinned points."""

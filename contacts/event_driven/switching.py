@@ -35,7 +35,7 @@ class Switching:
 
     def __init__(self, names: Sequence[str], conditions: Conditions, paradox: Resolution) -> None:
         self._names, self._conditions, self._paradox = names, conditions, paradox
-        self._verdicts: list[int] = []  # of the instant that `switched` was asked about last
+        self._verdicts: list[int] = []  # Of the last instant in `switched`.
 
     def failing(
         self, setup: SceneSetup, snapshot: Snapshot, state: Array, time: float

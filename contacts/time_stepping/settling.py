@@ -3,7 +3,7 @@
 In the steps after an impact impulses compensate the landing: motion turns a contact off its landing
 gap by ``h^2 b/2`` and its normal velocity by ``h b``, where b is the bias of its normal
 acceleration. These impulses are wrong by the order of the forces. Velocities of order ``h a``
-remain likewise where a slip ends or a contact opens. Therefore, from an impact or a mode change on,
+also remain where a slip ends or a contact opens. Therefore, from an impact or a mode change on,
 the modes are those of the event-driven engines::
 
     0 <= V,  0 <= a_n,  V a_n = 0,  a = J M^-1 f + b + W F,  F in the cone of friction
