@@ -669,7 +669,7 @@ def find_face_contacts(
         return 0
     # Plates come first in a pair (see `contacts.collision_detection.surfaces`).
     flip = touched.side > 0.0 if whole else touched.side < 0.0
-    count = against_faces(one.corners, other.corners, 0.0, flip, manifold, features)
+    count = against_faces(one.corners, other.corners, flip, manifold, features)
     for i in range(count if not whole else 0):
         manifold[i, 0], manifold[i, 1] = -manifold[i, 0], -manifold[i, 1]
     return count

@@ -127,31 +127,6 @@ def factorise(factors: Array, order: Ints, errors: Array) -> bool:
 
 
 @kernel
-def eliminated(factors: Array, order: Ints) -> bool:
-    """LU with partial pivoting, in place, of a matrix that is regular by construction."""
-    size = len(order)
-    for k in range(size):
-        best = k
-        for i in range(k + 1, size):
-            if abs(factors[i, k]) > abs(factors[best, k]):
-                best = i
-        pivot = factors[best, k]
-        if pivot == 0.0 or not math.isfinite(pivot):
-            return False
-        if best != k:
-            for c in range(size):
-                factors[k, c], factors[best, c] = factors[best, c], factors[k, c]
-            order[k], order[best] = order[best], order[k]
-        for i in range(k + 1, size):
-            if factors[i, k] != 0.0:
-                factor = factors[i, k] / pivot
-                factors[i, k] = factor
-                for c in range(k + 1, size):
-                    factors[i, c] -= factor * factors[k, c]
-    return True
-
-
-@kernel
 def substitute(factors: Array, order: Ints, right: Array, y: Array) -> None:
     """Solve with the factors, forwards and backwards."""
     size = len(order)
