@@ -303,15 +303,15 @@ def _hurry(numbers: BodyNumbers, state: Array, poses: Array, mid: Midpoint, h: f
 
 @kernel
 def step_bodies(
-    numbers: BodyNumbers, around: Prescribed, options: StepOptions, start: float, done: int,
+    numbers: BodyNumbers, prescribed: Prescribed, options: StepOptions, start: float, done: int,
     warm: WarmStart, space: Workspace, chunk: Chunk,
 ) -> tuple[int, int]:  # fmt: skip
     """Take the steps of a chunk; return (steps, status).
 
     Parameters
     ----------
-    around : Prescribed
-        Prescribed motion and forces.
+    prescribed : Prescribed
+        Motion and forces.
     start, done : float, int
         Time of the first step, and number of steps taken before these.
     warm : WarmStart
@@ -327,24 +327,24 @@ def step_bodies(
     surfaces = numbers.surfaces
     registers = filled(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
     registers[1][1] = 0.0
-    frames, still, applied = np.zeros((3, 3)), np.zeros((3, 3)), around.forces
-    width = 2 * n + around.controller_states.shape[1]
+    frames, still, applied = np.zeros((3, 3)), np.zeros((3, 3)), prescribed.forces
+    width = 2 * n + prescribed.controller_states.shape[1]
     acting = filled(applied.code, applied.constants, applied.values, width, 1)
     linking = filled(links.code, links.constants, links.values, 2 * links.size, 1)
     steps, rates, forced = len(chunk.codes), np.empty_like(loose), np.empty_like(loose)
     early, fall = np.empty_like(loose), math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     # The detection after the last step decides on its acceptance.
     for k in range(steps + 1):
-        poses = around.poses[k : k + 3]
+        poses = prescribed.poses[k : k + 3]
         if k == steps and not (deepest < math.inf and _hurry(numbers, state, poses, space.mid, h)):
             break
-        ground = Ground(around.frames[k : k + 3], registers, frames, still)
+        ground = Ground(prescribed.frames[k : k + 3], registers, frames, still)
         if links.bodies > 0 and not place_links(numbers, state, h, linking, space.mid):
             return k, BAD_INERTIA if k < steps else DONE
         move_to_midpoint(numbers, state, poses, h, warm.past[0], space.mid)
         if len(applied.bodies) > 0:
             time = start + (done + k + 0.5) * h
-            memories = around.controller_states[k + 1]
+            memories = prescribed.controller_states[k + 1]
             apply_forces(numbers, applied, acting, memories, state, time, h, space.mid)
             for b in applied.bodies:
                 if not math.isfinite(loose[b, 0] + loose[b, 1] + loose[b, 2]):
@@ -366,7 +366,7 @@ def step_bodies(
         _remember(warm, space.earlier)
         count, joins = detected.contacts, len(numbers.joints.holds) > 0
         if joins:
-            places = around.places[k : k + 3]
+            places = prescribed.places[k : k + 3]
             count = add_joints(numbers, places, warm, space.mid, h, count, active)
         lands = _may_land(active, law, detected.contacts)
         if lands:

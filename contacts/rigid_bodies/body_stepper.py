@@ -191,9 +191,9 @@ class BodyStepper(Stepper):
         def run_of(
             bodies: BodyNumbers, options: StepOptions = defaults, start_depth: float = 0.0
         ) -> RigidBodyRun:
-            around = PrescribedMotion(self._bodies, self._paths, known, values)
+            prescribed = PrescribedMotion(self._bodies, self._paths, known, values)
             names, surfaces = self._names, self._surfaces
-            return RigidBodyRun(names, surfaces, bodies, around, options, start_depth)
+            return RigidBodyRun(names, surfaces, bodies, prescribed, options, start_depth)
 
         bodies, depth, remarks = self._started(setup, bodies, known, run_of)
         setup = replace(setup, start_depth=depth, warnings=(*setup.warnings, *remarks))

@@ -233,8 +233,7 @@ class DetectedContacts(NamedTuple):
 class RigidBodyRun(SteppedSystem):
     """One run of colliding bodies.
 
-    Bodies start up to `start_depth` deep in each other, and stay no deeper. `least` (b,) is the
-    smallest gap of every body; inf if it was near nothing.
+    Bodies start up to `start_depth` deep in each other, and stay no deeper.
     """
 
     def __init__(
@@ -242,18 +241,18 @@ class RigidBodyRun(SteppedSystem):
         names: Sequence[str],
         surfaces: Sequence[str],
         numbers: BodyNumbers,
-        around: PrescribedMotion,
+        prescribed: PrescribedMotion,
         options: StepOptions,
         start_depth: float = 0.0,
     ) -> None:
         self.surfaces, self._options = surfaces, options
-        self.numbers, self._names, self._around = numbers, names, around
+        self.numbers, self._names, self._prescribed = numbers, names, prescribed
         count = self._moving = len(numbers.inverse)
         self._warm = self._saved = WarmStart.allocate(numbers)
         # As after an impact.
         self._warm.past[2] = start_depth / LANDED
         self._workspace = Workspace.of(self.numbers, self._warm)
-        self.least = np.full(count, np.inf)
+        self._min_gaps = np.full(count, np.inf)
         self._turned = self._length = 0.0
         self._parted, self._most_parts = 0, 1
         # Energy added by joints, and largest kinetic energy so far.
@@ -272,9 +271,9 @@ class RigidBodyRun(SteppedSystem):
         self, states: Mapping[str, str], at: tuple[Array, Array, float]
     ) -> tuple[dict[int, int], bool]:
         """Change the states of controllers; see `SteppedSystem`."""
-        self._around.switch(states)
+        self._prescribed.switch(states)
         on = self.numbers.joints.on
-        for j, joint in enumerate(self._around.joints):
+        for j, joint in enumerate(self._prescribed.joints):
             if joint in states:
                 if states[joint] == CLOSED and not on[j]:
                     self._close(j, joint, at[1], at[2])
@@ -290,14 +289,14 @@ class RigidBodyRun(SteppedSystem):
             If it captures no place, and its points are apart by more than a step moves them.
         """
         joints, remembered = self.numbers.joints, state[2 * self.numbers.size :]
-        pose = self._around.captured(joint, remembered)
+        pose = self._prescribed.captured(joint, remembered)
         joints.sizes[(joints.owners == j) & (joints.holds == TURN), 0] = pose.get("turn", 0.0)
         if "x" in pose or "y" in pose:
             if joints.bodies[j, 1] >= 0:
                 joints.at[j, 1] = pose["x"], pose["y"]
             return
         poses, rates = (part[0] for part in self.numbers.motion(state[None]))
-        ends = [self._around.place_of(j, time, remembered)] * 2
+        ends = [self._prescribed.place_of(j, time, remembered)] * 2
         speed = 0.0
         for side, b in enumerate(joints.bodies[j].tolist()):
             if b >= 0:
@@ -324,13 +323,13 @@ class RigidBodyRun(SteppedSystem):
         self._warm = self._saved.copy()
         self._added, self._moved = self._before
         self._gain_error = None
-        self._around.forget()
+        self._prescribed.forget()
 
     @property
     def margins(self) -> dict[str, float]:
         """The smallest gap of every body, at the midpoints of steps."""
-        least = zip(self._names[: self._moving], self.least.tolist(), strict=True)
-        return {f"{name}.gap": gap for name, gap in least if math.isfinite(gap)}
+        gaps = zip(self._names[: self._moving], self._min_gaps.tolist(), strict=True)
+        return {f"{name}.gap": gap for name, gap in gaps if math.isfinite(gap)}
 
     def depth_left(self, state: Array, time: float) -> float:
         """Return the penetration that no motion removes; see `SteppedSystem`.
@@ -360,13 +359,13 @@ class RigidBodyRun(SteppedSystem):
 
     def detect(self, state: Array, time: float, h: float) -> DetectedContacts:
         """Return the contacts of a step of `h` from a state; the run itself does not change."""
-        before, around = self._warm, self._around
-        self._warm, self._around = WarmStart.allocate(self.numbers), copy(around)
+        before, prescribed = self._warm, self._prescribed
+        self._warm, self._prescribed = WarmStart.allocate(self.numbers), copy(prescribed)
         chunk, status = self._taken(time, h, state, 1, math.inf)
         self._check_finite(chunk, status)
         holds, gaps = self.numbers.joints.holds, self._workspace.mid.gaps.copy()
         detected = DetectedContacts.of(gaps, self._workspace.active, self._warm, holds)
-        self._warm, self._around = before.enlarged_to(self._warm), around
+        self._warm, self._prescribed = before.enlarged_to(self._warm), prescribed
         return detected
 
     def _deepest_at(self, body: int, state: Array, time: float) -> str:
@@ -409,7 +408,7 @@ class RigidBodyRun(SteppedSystem):
 
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
         """Take steps; see `SteppedSystem.steps`. A rejected step is split."""
-        if self._around.controlled:
+        if self._prescribed.controlled:
             # Steps beyond a transition of a controller are reverted.
             self._saved, self._before = self._warm.copy(), (self._added, self._moved)
         if self._gain_error is not None:
@@ -432,9 +431,9 @@ class RigidBodyRun(SteppedSystem):
             chunk = self._without_gain(chunk)
             if not len(chunk.codes) and self._gain_error is not None:
                 raise self._gain_error
-        self.least = np.minimum(self.least, chunk.gaps.min(axis=0, initial=np.inf))
+        self._min_gaps = np.minimum(self._min_gaps, chunk.gaps.min(axis=0, initial=np.inf))
         self._penetration.add(start, chunk)
-        self._around.passed(len(chunk.codes))
+        self._prescribed.passed(len(chunk.codes))
         turns = chunk.h * np.abs(self.numbers.motion(chunk.states[1:])[1][:, self._angular, 2])
         struck = chunk.struck[:, self._angular]
         self._turned = max(self._turned, float(np.max(turns, where=struck, initial=0.0)))
@@ -468,7 +467,7 @@ class RigidBodyRun(SteppedSystem):
 
     def _check_jumps(self, start: float, state: Array) -> None:
         """Raise `NoConsistentMode` if a path has jumped into a body."""
-        jumped = self._around.jumped(start, state[2 * self.numbers.size :])
+        jumped = self._prescribed.jumped(start, state[2 * self.numbers.size :])
         if not jumped:
             return
         met = self.detect(state, start, _INSTANT * self._length)
@@ -485,7 +484,7 @@ class RigidBodyRun(SteppedSystem):
 
     def _check_forces(self, start: float, h: float, state: Array) -> None:
         """Raise `StepTooLarge` if forces are too stiff for these steps."""
-        stiff = self._around.forces.stiffness(self.numbers, h, state, start)
+        stiff = self._prescribed.forces.stiffness(self.numbers, h, state, start)
         if not stiff.most() > UNSTABLE:
             return
         met = self.detect(state, start, _INSTANT * h)
@@ -506,10 +505,10 @@ class RigidBodyRun(SteppedSystem):
         joint_forces = int((1 + np.isin(holds, (BOTH, ROPE)) - (holds == GREATEST)).sum())
         solved = n + joint_forces
         # One more, for the last detection.
-        ahead, remembered, known = self._around.prescribe(start, h, state[2 * n :], count + 1)
+        ahead, remembered, known = self._prescribed.prescribe(start, h, state[2 * n :], count + 1)
         count = min(count, known)
         remembered = remembered[: count + 1]
-        chunk = Chunk.allocate(h, state, solved + self._around.count, bodies, count)
+        chunk = Chunk.allocate(h, state, solved + self._prescribed.count, bodies, count)
         done, status = 0, DONE
         while status == FULL or (status == DONE and done < count):
             if done and interrupts.arrived():
@@ -529,6 +528,6 @@ class RigidBodyRun(SteppedSystem):
         if done:
             at = slice(1, done + 1)
             self._no_ground.add(start, h, chunk.states, ahead.frames[at], ahead.poses[at])
-        if self._around.count:
-            chunk.solved[:, solved:] = self._around.control_values(start, h, chunk.states)
+        if self._prescribed.count:
+            chunk.solved[:, solved:] = self._prescribed.control_values(start, h, chunk.states)
         return chunk, status
