@@ -101,7 +101,12 @@ class ControlledLaws:
                 following = following._replace(start=start)
             if jump is None:
                 flow_on = self._joined(setup, clock, following, controllers, state, flow)
-                return None, flow_on._replace(settled=following.settled)
+                # The contacts' laws have decided which conditions of contacts are watched.
+                of = laws.conditions
+                watched = {name for name in (*of.names, *of.back, *of.gaps) if name}
+                own = {name: following.tolerances[name] for name in watched}
+                own = {**flow_on.tolerances, **own}
+                return None, flow_on._replace(settled=following.settled, tolerances=own)
             after = self._memory.joined(jump.after, state)
             jump = replace(
                 jump,
@@ -263,8 +268,8 @@ class ControlledLaws:
         assert setup.sizes is not None
         sizes = setup.sizes
 
-        def rates(k: int) -> Array:
-            return guarded.rates_of(k, setup, clock.high, state, solved)
+        def rate(k: int, order: int) -> Array:
+            return guarded.rate(k, order, setup, clock.high, state, solved)
 
         def later(margin: str) -> float:
             return self._derivatives.sign(
@@ -273,7 +278,7 @@ class ControlledLaws:
 
         active = active_in(self._regions, flow.mode)
         judged = Judgement(
-            guarded.watch, rows, rates, flow.tolerances, fired, relative, later, active
+            guarded.watch, rows, rate, flow.tolerances, fired, relative, later, active
         )
         return judged, rows
 

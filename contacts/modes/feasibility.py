@@ -35,7 +35,7 @@ from statechart.tabular import several
 Condition = tuple[int, int, int]
 """Contact, row (0: normal, 1: tangential), sign of the velocity."""
 
-DRIVEN = "what is driven"
+DRIVEN = "the prescribed motion"
 """Name of the coordinate of prescribed surfaces and joints in reasons."""
 
 _CONDITIONS: Mapping[str, tuple[tuple[int, int], ...]] = {
@@ -95,7 +95,7 @@ def feasible_modes(
     free | pin | feasible
     free | slide+ | feasible
     pin | pin | feasible
-    pin | slide+ | A without slip leaves B no slip
+    pin | slide+ | B cannot slip with A without slip
     """
     total = math.prod(len(states) for states in options)
     if total > _MAX_MODES:
@@ -268,11 +268,9 @@ def _sentence(conflict: Sequence[Condition], names: Sequence[str]) -> str:
     strict = [condition for condition in conflict if condition[2] != 0]
     if len(strict) == 1:
         c, row, _ = strict[0]
-        excluded = "motion" if names[c] == DRIVEN else ("separation", "slip")[row]
-        if not zero:
-            return f"no motion gives {names[c]} any {excluded}"
-        verb = "leaves" if len(zero) == 1 else "leave"
-        return f"{_held(zero, names)} {verb} {names[c]} no {excluded}"
+        excluded = "go on" if names[c] == DRIVEN else ("separate", "slip")[row]
+        premise = f"with {_held(zero, names)}" if zero else "in any motion"
+        return f"{names[c]} cannot {excluded} {premise}"
     moving = []
     for c, row, sign in strict:
         if names[c] == DRIVEN:

@@ -136,7 +136,7 @@ def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Ed
         for state in sliding:
             for target in present:
                 if target != state:
-                    guard = "into the surface whatever V >= 0"
+                    guard = "no V >= 0 prevents penetration"
                     result.append(Edge("jam", state, target, guard, "impact without collision"))
     if len(sliding) == 2:
         result.append(Edge("reverse", "slide+", "slide-", f"slip = 0, H > {mu} V"))

@@ -103,10 +103,22 @@ def _charts(automaton: Automaton, mode: Key | None) -> tuple[Chart, ...]:
         if any(other.edges != region.edges for other in regions):
             title += f"; numbers of {region.name}"
         prefix = "" if len(moving) == 1 else f"{region.name}:"
-        starts = {states.get(each.name) for each in regions}
-        start = starts.pop() if len(starts) == 1 else None
-        charts.append(region_chart(automaton, region, prefix=prefix, title=title, start=start))
+        starts: dict[str | None, list[str]] = {}
+        for each in regions:
+            starts.setdefault(states.get(each.name), []).append(each.name)
+        start = None if len(starts) > 1 else next(iter(starts))
+        chart = region_chart(automaton, region, prefix=prefix, title=title, start=start)
+        charts.append(_starting(chart, prefix, starts) if len(starts) > 1 else chart)
     return tuple(charts)
+
+
+def _starting(chart: Chart, prefix: str, starts: Mapping[str | None, list[str]]) -> Chart:
+    """Return a chart of regions with the names of those that start in a state beside it."""
+    names = {f"{prefix}{state}": ", ".join(abbreviate(own)) for state, own in starts.items()}
+    nodes = (
+        replace(node, initial=False, starting=names.get(node.name, "")) for node in chart.nodes
+    )
+    return replace(chart, nodes=tuple(nodes))
 
 
 def active_states(automaton: Automaton) -> Callable[[Key], tuple[str, ...]]:

@@ -48,12 +48,21 @@ def legend(diagram: Diagram, guards: Guards = "legend") -> Legend:
     pieces = diagram.explained or diagram.pieces
     labels = {node.name: _flat(node.label) for piece in pieces for node in piece.nodes}
     shown = {link.cause for piece in diagram.pieces for link in piece.links}
+    links = [
+        (link, f"{labels[link.source]} → {labels[link.target]}", piece.title)
+        for piece in pieces
+        for link in piece.links
+        if (link.guard or link.reset) and link.cause in shown
+    ]
+    meanings: dict[tuple[str, str], set[tuple[str, str]]] = {}
+    for link, ends, _ in links:
+        meanings.setdefault((link.cause, ends), set()).add((link.guard, link.reset))
     routes: dict[tuple[str, str, str], list[str]] = {}
-    for piece in pieces:
-        for link in piece.links:
-            if (link.guard or link.reset) and link.cause in shown:
-                ends = f"{labels[link.source]} → {labels[link.target]}"
-                routes.setdefault((link.cause, link.guard, link.reset), []).append(ends)
+    # Meanings of one event stand together; the regions tell those between the same states apart.
+    order = {link.cause: k for k, (link, _, _) in reversed([*enumerate(links)])}
+    for link, ends, title in sorted(links, key=lambda one: order[one[0].cause]):
+        whose = f"{title}: " if title and len(meanings[link.cause, ends]) > 1 else ""
+        routes.setdefault((link.cause, link.guard, link.reset), []).append(whose + ends)
     causes = [cause for cause, _, _ in routes]
     # Labels of regions' own charts; the name of a mode is the states of its regions.
     states = {word for node in diagram.nodes for word in (node.label, *node.name.split())}

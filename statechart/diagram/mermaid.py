@@ -91,10 +91,14 @@ def _substates(
         lines = [line for node, part in both if node.history for line in part]
         regions = [part for node, part in both if not node.history]
         return lines + [line for part in regions for line in ("--", *part)][1:]
-    first = () if chart.initial is None else (chart.initial.name, *chart.around(chart.initial.name))
+    entered = [node.name for node in chart.nodes if node.initial or node.starting]
+    first = {name for start in entered for name in (start, *chart.around(start))}
     starts = [n for n in inner if n.name in first] or [n for n in inner if n.default]
     lines = [line for part in parts for line in part]
-    lines += [f"[*] --> {states[node.name]}" for node in starts]
+    lines += [
+        f"[*] --> {states[node.name]}" + (f" : {_escape(node.starting)}" if node.starting else "")
+        for node in starts
+    ]
     return [*lines, *(f"{states[node.name]} --> [*]" for node in inner if node.final)]
 
 

@@ -33,7 +33,8 @@ class Node:
     `invariants` hold while the state is active; `actions` are its ``entry /``, ``exit /`` and
     rates. `visits` counts how often a run entered it (None: no run is shown), `infeasible` is why
     no motion can be in it. With a `final` state the enclosing one is done; a `history` is only a
-    target. `colours` belong to the lines of the label, a single one to the box.
+    target. Where the regions of a chart start in different states, `starting` names those that
+    start here. `colours` belong to the lines of the label, a single one to the box.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Node:
     parallel: bool = False
     actions: tuple[str, ...] = ()
     history: bool = False
+    starting: str = ""
 
 
 @dataclass(frozen=True, slots=True)

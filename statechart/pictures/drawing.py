@@ -26,7 +26,7 @@ FORCE, TRAIL = LINES[1], LINES[0]
 CLOSED = ("pin", "slide", "slide+", "slide-")
 """States of a contact in which it has a force."""
 
-_RIM = 13  # points on the rim of a cone
+_RIM = 37  # points on the rim of a cone
 _TOUCH, _LEAST = 0.014, 3.0
 # The head of an arrow, of its width; a width, at most of its length.
 _HEAD, _SHAFT = 5.0, 0.2
@@ -138,6 +138,8 @@ _OUTSIDE, _TEXT, _MARK, _LINE, _FARTHER = 1000.0, 500.0, 30.0, 4.0, 0.4
 _ROUND, _DISTANCES = 12, (3.0, 8.0, 16.0, 28.0)
 # Kept free around it, in points.
 _CLEAR = 1.5
+# Bodies with a mode are named if they are at most so many.
+_MAX_NAMED = 12
 # Between two names, along and across lines of text.
 _APART = np.array([5.0, 0.0])
 _CORNERS = np.linspace(0.0, 2.0 * np.pi, 25)
@@ -181,14 +183,15 @@ def _names(ax: Axes, film: Film, radius: float) -> Iterator[_Name]:
     """Return names with their places, those with the fewest of these first."""
     scale = ax.figure.dpi / 72.0
     named = set()
+    many = len({shape.name for shape in film.shapes if shape.region >= 0}) > _MAX_NAMED
     for touch in film.touches:
         place, size = ax.transData.transform(touch.places[0]), _size(ax, touch.name)
         yield _Name(touch.name, {"color": LINES[0]}, size, _around(place, size, radius, scale))
     for shape in film.shapes:
-        # What is one of many is coloured by what it does, and has no name.
         if shape.name in named or shape.kind in (*BETWEEN, "joint", "pivot"):
             continue
-        if shape.region >= 0 or not shape.name:
+        # One of many bodies is coloured by its mode, and has no name.
+        if not shape.name or (many and shape.region >= 0):
             continue
         named.add(shape.name)
         if shape.kind == "ground":
@@ -298,6 +301,9 @@ def _lines(film: Film) -> Array:
         points = placed(shape.points, poses[shape.frame])
         if shape.kind == "disc":
             rim = np.column_stack([np.cos(_CORNERS), np.sin(_CORNERS)])
+            if shape.region >= 0:
+                spoke = shape.points + np.array([[0.0, 0.0], [shape.radius, 0.0]])
+                found.append(placed(spoke, poses[shape.frame])[None])
             points = points + shape.radius * rim
         elif shape.kind == "outline":
             points = np.concatenate([points, points[:1]])

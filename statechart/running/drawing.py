@@ -153,7 +153,7 @@ def graph(
     --------
     >>> modes = graph("double_contact_bar", directions=False)
     >>> len(modes), modes.nodes["slide", "pin"]["reason"]
-    (9, 'A closed and B pin leave A no slip')
+    (9, 'A cannot slip with A closed and B pin')
     """
     if trace is not None and not isinstance(trace, Trace):
         raise DeclarationError(

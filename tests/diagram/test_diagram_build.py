@@ -219,7 +219,7 @@ def test_modes_that_are_not_possible_say_why_unless_the_run_went_there() -> None
     diagram = build(runner.automaton, start, None, found)
     refused = {node.name: node.infeasible for node in diagram.nodes if node.infeasible}
     assert set(refused) == {"slide pin", "pin slide"}
-    assert refused["slide pin"] == "B without slip leaves A no slip"
+    assert refused["slide pin"] == "A cannot slip with B without slip"
     drawn = dot(diagram)
     for reason in legend(diagram).reasons:
         assert f"{reason}<" in drawn
@@ -237,6 +237,30 @@ def test_regions_that_differ_by_a_number_share_one_chart():
         "s0, s1, s2, s3",
         "s4, s5, s6, ... s15 (12 in all); numbers of s4",
     ]
+    # Every region has a start, though those of a chart start in different states.
+    starts = [{n.label: n.starting for n in c.nodes if n.starting} for c in diagram.charts[1:]]
+    assert starts == [
+        {"free": "s1, s2, s3", "pin": "s0"},
+        {"free": "s4, s5, s6, s7", "off": "s8, s9, s10, s11, s12, s13, s14, s15"},
+    ]
+    drawn = mermaid(diagram).splitlines()
+    assert [line.strip() for line in drawn if line.endswith((" : s0", " : s1, s2, s3"))] == [
+        "[*] --> s0_free : s1, s2, s3",
+        "[*] --> s0_pin : s0",
+    ]
+
+
+def test_the_legend_tells_regions_apart_whose_event_does_different_things() -> None:
+    runner = Runner("woodpecker")
+    trace = runner.run(until=0.1).trace
+    rows = legend(build(runner.automaton, trace.start_mode, trace)).events
+    touchdowns = [(m.route, m.reset) for m in rows if m.event == "touchdown"]
+    assert touchdowns[1:] == [
+        ("beak_tip: free → free", "impact: rebound by restitution"),
+        ("lower, upper: free → free", "impact; dgap := 0"),
+    ]
+    names = [m.event for m in rows]
+    assert names == sorted(names, key=names.index)
 
 
 RESUMED = """

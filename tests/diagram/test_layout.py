@@ -158,6 +158,18 @@ stop: {time: 1}
 """
 
 
+@pytest.mark.parametrize("name", ["sliding_ladder", "compass_walker", "double_contact_bar"])
+def test_the_dot_of_a_start_lies_on_no_frame_of_a_grid(name: str) -> None:
+    laid = json.loads(render(dot(drawn(Runner(name))[0]), "json"))
+    dots = [border(item) for item in laid["objects"] if item.get("shape") == "circle"]
+    frames = [border(item) for item in laid["objects"] if "dashed" in item.get("style", "")]
+    assert len(dots) == 1
+    assert frames
+    for frame in frames:
+        corners = [(x, y) for x in dots[0][1::2] for y in dots[0][2::2]]
+        assert len({frame.holds(*corner) for corner in corners}) == 1
+
+
 def test_no_arrow_leaves_the_area_of_its_chart() -> None:
     laid = json.loads(render(dot(drawn(Runner(read_text(LOOPS)))[0]), "json"))
     heading, table = (

@@ -138,3 +138,30 @@ def test_enabled_asks_for_states_of_controllers_only():
     assert "in(b.free) asks for a state of a contact" in error_of("in(b.free)")
     assert "no state 'stanec'" in error_of("in(leg.stanec)")
     assert "no region 'lag'" in error_of("in(lag.stance)")
+
+
+BESIDE = """
+kind: scene
+name: beside
+coordinates: {q: {start: 1}, z: {start: 2}}
+bodies:
+  a: {mass: 1, position: [q, 0]}
+  d: {mass: 1, position: [0, z]}
+forces: {f: {body: a, force: [-q, 0]}}
+surfaces: {floor: {height: 0}}
+contacts: {c: {point: {body: d}, surface: floor, friction: 0, restitution: 0, enabled: "ENABLED"}}
+regions: {idle: {initial: w, states: {w: {}}}}
+stop: {time: 3}
+"""
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+@pytest.mark.parametrize("enabled", ["-dq > 0.6", "max(-dq, dz) >= 0.6"])
+def test_a_gate_opens_by_a_rate_beside_a_controller(enabled: str, engine: str) -> None:
+    text = BESIDE.replace("ENABLED", enabled)
+    trace = statechart.run(interpret(read_text(text)), engine=engine).trace
+    # -dq = sin(t) passes 0.6 upwards and downwards.
+    assert [(jump.cause, jump.t) for jump in trace.jumps] == [
+        ("enable", pytest.approx(math.asin(0.6), abs=1e-9)),
+        ("disable", pytest.approx(math.pi - math.asin(0.6), abs=1e-9)),
+    ]

@@ -157,7 +157,7 @@ def test_a_joint_is_a_contact_that_is_always_pinned() -> None:
     found = feasible_modes(pinned, [("pin",), ALL], ["hinge", "foot"])
     # The foot is below the hinge: its normal passes through it, turning cannot lift it.
     assert {mode.states: mode.reason for mode in found} == {
-        ("pin", "free"): "hinge closed leaves foot no separation",
+        ("pin", "free"): "foot cannot separate with hinge closed",
         ("pin", "pin"): "",
         ("pin", "slide+"): "",
         ("pin", "slide-"): "",
@@ -172,7 +172,7 @@ def test_belts_that_run_apart_cannot_both_hold_a_body() -> None:
     belts[2, 0, 3] = 1.0
     options = [("pin", "slide+", "slide-"), ("pin", "slide+", "slide-"), ("free",)]
     found = without_direction(feasible_modes(belts, options, ["left", "right", DRIVEN]))
-    reason = f"left without slip and right without slip leave {DRIVEN} no motion"
+    reason = f"{DRIVEN} cannot go on with left without slip and right without slip"
     assert found["pin", "pin", "free"] == reason
     assert found["pin", "slide", "free"] == ""
     belts[1, 1, 3] = 0.0
@@ -195,8 +195,8 @@ def test_a_contact_without_motion_is_pinned() -> None:
         ("slide+", False),
         ("slide-", False),
     ]
-    assert found[0].reason == "no motion gives A any separation"
-    assert found[2].reason == "no motion gives A any slip"
+    assert found[0].reason == "A cannot separate in any motion"
+    assert found[2].reason == "A cannot slip in any motion"
     assert found[2].conflict == ((0, "v_t > 0"),)
     assert verdicts(np.zeros((1, 2, 0))) == verdicts(np.zeros((1, 2, 3)))
 
@@ -209,7 +209,7 @@ def test_reasons_name_the_contacts_and_their_conditions() -> None:
     ladder = planar([(-1, 1), (1, -1)], [(1, 0), (0, 1)])
     refused = {m.states: m for m in feasible_modes(ladder, [ALL, ALL], ["wall", "floor"])}
     pinned = refused["pin", "slide+"]
-    assert pinned.reason == "wall pin and floor closed leave floor no slip"
+    assert pinned.reason == "floor cannot slip with wall pin and floor closed"
     assert pinned.conflict == ((0, "v_n = 0"), (0, "v_t = 0"), (1, "v_n = 0"), (1, "v_t > 0"))
     assert refused["slide+", "slide-"].reason == (
         "wall slide+ and floor slide- exclude one another"
@@ -218,7 +218,7 @@ def test_reasons_name_the_contacts_and_their_conditions() -> None:
     (seesaw,) = feasible_modes(table, [["free"], ["slide+"], ["free"]], ["A", "B", "C"])
     assert seesaw.reason == "A free and C free exclude one another with B closed"
     (unnamed,) = feasible_modes(ladder, [["pin"], ["slide-"]])
-    assert unnamed.reason == "contact 1 pin and contact 2 closed leave contact 2 no slip"
+    assert unnamed.reason == "contact 2 cannot slip with contact 1 pin and contact 2 closed"
 
 
 def test_a_mode_without_direction_carries_the_reasons_of_its_directions() -> None:
@@ -226,10 +226,10 @@ def test_a_mode_without_direction_carries_the_reasons_of_its_directions() -> Non
     refused = undirected(corner)
     reasons = {mode: reason.split("; ") for mode, reason in refused.items() if reason}
     directed = {m.states: m.reason for m in feasible_modes(corner, [ALL] * 3, names(3))}
-    assert reasons["slide", "pin", "free"] == ["B without slip leaves A no slip"]
+    assert reasons["slide", "pin", "free"] == ["A cannot slip with B without slip"]
     # A reason that holds for both directions stands alone, although slide+ has a shorter one.
     assert directed["free", "pin", "slide+"] == "A free and C slip+ exclude one another"
-    assert reasons["free", "pin", "slide"] == ["B pin and C closed leave A no separation"]
+    assert reasons["free", "pin", "slide"] == ["A cannot separate with B pin and C closed"]
     for mode, found in reasons.items():
         variants = {
             reason

@@ -277,6 +277,15 @@ def test_names_are_whole_and_apart(name):
         assert not any(box.overlaps(other) for other in boxes[:k])
 
 
+@pytest.mark.parametrize(
+    ("name", "bodies"),
+    [("four_bar_gripper", {"box", "carriage", "left", "right"}), ("granular_column", set())],
+)
+def test_a_few_bodies_with_shapes_are_named_and_many_are_not(name, bodies):
+    (ax,) = picture(film_of(name, [0.0], until=0.0)).axes
+    assert {t.get_text() for t in ax.texts} - {"floor", "ground", "wall"} == bodies
+
+
 def test_a_line_crosses_a_box_or_passes_it():
     low, high = np.array([[0.0, 0.0], [2.0, 0.0]]), np.array([[1.0, 1.0], [3.0, 1.0]])
     crossed = [

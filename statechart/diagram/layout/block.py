@@ -113,7 +113,10 @@ def _merged(size: Point, blocks: Sequence[LayoutBlock]) -> LayoutBlock:
 
 
 def with_start(block: LayoutBlock, state: str, name: str) -> LayoutBlock:
-    """Return a block with a start at the corner of a state where it is least in the way."""
+    """Return a block with a start at the corner of a state where it is least in the way.
+
+    Corners where its dot would lie on the line of a frame come last.
+    """
     (box,) = (box for box in block.boxes if box.name == state)
 
     def at(across: int, up: int) -> LayoutBlock:
@@ -126,7 +129,18 @@ def with_start(block: LayoutBlock, state: str, name: str) -> LayoutBlock:
         return bounded((*block.boxes, Box(name, dot, (_DOT, _DOT), START)), (*block.arrows, begin))
 
     corners = (at(across, up) for across, up in ((-1, 1), (1, 1), (-1, -1), (1, -1)))
-    return min(corners, key=covered)
+    return min(corners, key=lambda one: (covered(one), _on_frame(one, name)))
+
+
+def _on_frame(block: LayoutBlock, dot: str) -> bool:
+    """Return whether a dot lies on the line of a box without a label."""
+    (x, y) = next(box.centre for box in block.boxes if box.name == dot)
+    frames = (box for box in block.boxes if not box.attributes["label"] and box.name != dot)
+    off = (
+        max(abs(x - f.centre[0]) - f.size[0] / 2, abs(y - f.centre[1]) - f.size[1] / 2)
+        for f in frames
+    )
+    return any(abs(distance) < _DOT for distance in off)
 
 
 def polyline(points: Iterable[Point], *, head: bool = True) -> str:

@@ -24,11 +24,14 @@ from statechart.diagram.layout.block import (
 from statechart.diagram.layout.graphviz_program import FONT, laid_out, size_of
 from statechart.diagram.layout.markup import (
     FRAMES,
+    SMALL,
     START,
     Style,
     arrow,
     arrow_attributes,
     state_attributes,
+    table,
+    text,
     title_attributes,
 )
 from statechart.diagram.model import Chart, Node
@@ -76,8 +79,11 @@ class _Flow:
                 self.looks[self.names[node.name]] = state_attributes(node, chart, style)
             else:
                 self.looks[self.title(node)] = title_attributes(node, chart, style)
-            if node.initial or node.default:
+            if node.initial or node.default or node.starting:
                 self.starts[f"{prefix}start{k}"] = node
+            if node.starting:
+                words = table([text(node.starting, size=SMALL, colour=FRAME)])
+                self.looks[f"{prefix}start{k}_of"] = {"shape": "plain", "label": words}
         self.words: dict[str | None, list[str]] = {}
         self.edges: dict[str, tuple[str, str, Attributes]] = {}
         for k, ((source, target), links) in enumerate(chart.arrows.items()):
@@ -114,7 +120,11 @@ class _Flow:
             else:
                 graph.edge(id=f"{k} to", **tail, **head)
         for name, node in self.starts.items():
-            graph.edge(name, id=f"{name} to", weight="4", **self._end(node.name, "head"))
+            first = {"tail_name": name, "weight": "4", "id": f"{name} to"}
+            if (words := f"{name}_of") in self.looks:
+                graph.edge(head_name=words, arrowhead="none", **first)
+                first = {"tail_name": words, "weight": "4", "id": f"{name} on"}
+            graph.edge(**first, **self._end(node.name, "head"))
         return str(graph.source)
 
     def _fill(self, part: graphviz.Digraph, inside: str | None, side: str) -> None:
@@ -122,6 +132,8 @@ class _Flow:
             begins = any(n.default for n in self.chart.within(node.inside))
             if inside == (None if node.initial and begins else node.inside):
                 part.node(name, **START)
+                if (words := f"{name}_of") in self.looks:
+                    part.node(words, **self.looks[words])
         for node in self.chart.within(inside):
             name = self.names[node.name]
             if name in self.looks:
@@ -161,18 +173,16 @@ class _Flow:
             item, name = items[self.names[node.name]], self.title(node)
             boxes.append(Box(name, _point(item["lp"]), size_of(item, "l"), self.looks[name]))
         courses = {edge["id"]: edge["pos"] for edge in laid.get("edges", [])}
+        ends = {k: (self.names[s], self.names[t], look) for k, (s, t, look) in self.edges.items()}
+        ends |= {k: (k, self.names[node.name], arrow(())) for k, node in self.starts.items()}
         arrows = [
             Arrow(
-                self.names[source],
-                self.names[target],
+                source,
+                target,
                 ";".join(courses[half] for half in (f"{k} to", f"{k} on") if half in courses),
                 look,
             )
-            for k, (source, target, look) in self.edges.items()
-        ]
-        arrows += [
-            Arrow(name, self.names[node.name], courses[f"{name} to"], arrow(()))
-            for name, node in self.starts.items()
+            for k, (source, target, look) in ends.items()
         ]
         places = {box.name: box for box in frames}
         for node in self.chart.frames:
