@@ -83,8 +83,9 @@ class ContactHistory(NamedTuple):
     off: Bools  # (c,): whether its condition disables it.
     behind: Bools  # (c,): whether it was closed when disabled, and has not left its surface yet.
     past: Array  # (c, 3): condition, gap and gap rate at the last midpoint.
-    # (c, 3): depths of contacts off although their conditions hold: when these began to hold, now,
-    # and the least that ended with failing conditions.
+    # (c, 4): depths of contacts off although their conditions hold: when these began to hold, now,
+    # and the least that ended with failing conditions; when a contact was first disabled as its
+    # point touched.
     missed: Array
     light: Bools  # (1,): whether coordinates without inertia received one.
     pushes: Array  # (c, 2): impulses of the last problem.
@@ -98,7 +99,7 @@ class ContactHistory(NamedTuple):
             np.zeros(count), np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_),
             np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64), np.full(count, FREE),
             off.copy(), np.zeros(count, dtype=np.bool_), np.full((count, 3), np.nan),
-            np.tile([0.0, 0.0, np.inf], (count, 1)), np.zeros(1, dtype=np.bool_),
+            np.tile([0.0, 0.0, np.inf, np.inf], (count, 1)), np.zeros(1, dtype=np.bool_),
             np.zeros((count, 2)), np.zeros(size),
         )  # fmt: skip
 
