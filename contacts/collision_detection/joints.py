@@ -2,7 +2,7 @@
 
 A joint holds at the midpoints of steps: the velocities after a step close the joint at the next
 detection, rotation included. No stabilisation follows, so nothing drifts: Verlet's scheme with
-constraints (RATTLE's predecessor: Ryckaert, Ciccotti and Berendsen 1977).
+constraints, SHAKE (Ryckaert, Ciccotti and Berendsen 1977).
 """
 
 from __future__ import annotations

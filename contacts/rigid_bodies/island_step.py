@@ -72,9 +72,9 @@ def find_islands(
 ) -> None:
     """Find the islands of coupled contacts (union-find and counting sort).
 
-    Contacts `bodies` (m, 2; -1: a surface), of which `count` are used; `free` bodies, and `firsts`
-    (l,) of linked ones (see `LinkNumbers`). Island i has the contacts ``order[begins[i] : begins[i
-    + 1]]``; `parents` (b,) is a buffer.
+    Island i has the contacts ``order[begins[i] : begins[i + 1]]``. Of the contacts `bodies` (m, 2;
+    -1: a surface) `count` are used; there are `free` bodies, then linked ones with `firsts` (l,)
+    (see `LinkNumbers`); `parents` (b,) is a buffer.
     """
     for b in range(len(parents)):
         parents[b] = b

@@ -173,7 +173,7 @@ def _rebounding(
 
 @kernel
 def _pushed(contacts: ContactRows, wanted: Array, rebounds: Bools, i: int) -> bool:
-    """Return whether a contact asks for stabilisation, out of penetration or along its surface."""
+    """Return whether a contact needs stabilisation, out of penetration or along its surface."""
     biased = wanted[i, 0] < 0.0 or wanted[i, 1] != 0.0
     return biased and not rebounds[i] and not slope(contacts.cones[i]) < 0.0
 

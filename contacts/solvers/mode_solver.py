@@ -1,4 +1,4 @@
-"""Solves every combination of contact modes and tests its inequalities, in one compiled call."""
+"""Mode enumeration: solves every combination of contact modes and tests its inequalities."""
 
 from __future__ import annotations
 

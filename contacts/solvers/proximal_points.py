@@ -60,7 +60,7 @@ def _add(
     contacts: ContactRows, i: int, d: int, share: float, edge: float, one: int, other: int,
     block: Array,
 ) -> None:  # fmt: skip
-    """Add a contact's term of J M^-1 J^T / compliance between two of its bodies to a block."""
+    """Add a contact's term of M^-1 J^T J / compliance between two of its bodies to a block."""
     columns, rows = contacts.columns[i], contacts.rows[i, d]
     for r in range(3):
         column = share * (columns[d, 3 * one + r] + edge * columns[1, 3 * one + r])

@@ -152,8 +152,8 @@ def squeezed(name: str, depth: float, size: float) -> UnsolvedImpulses | None:
 def depth_left(gaps: Array, rows: Array, held: Array) -> tuple[float, Array]:
     """Return the depth that no displacement removes, and the best displacement.
 
-    Below 0 if all can be apart. Linear program: min over u with ``held u = 0`` of max ``-gaps -
-    rows u``, with gaps linear in u.
+    A linear program: the minimum over u, with ``held u = 0``, of the largest ``-gaps - rows u``
+    (gaps linear in u). Below 0 if all can be apart.
     """
     from scipy.optimize import linprog
 

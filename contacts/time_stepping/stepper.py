@@ -7,11 +7,11 @@ free motion under constant forces)::
     M(q_m) (v+ - v) = h f(q_m, v, t_m) + J(q_m)^T P
     q+ = q_m + h/2 v+
 
-with impulses P in the friction cones. A closed, approaching contact obeys Moreau's law, ``0 <=
-P_n``, ``v_n+ + e v_n >= 0``. A lasting contact, or one that approaches no faster than two steps of
-free fall, keeps its landing gap: ``v_n+ + gap/h + h/2 b >= 0``, where b is the bias of the gap
-acceleration, so that it neither sinks nor chatters as its body turns. Friction opposes the slip at
-the end of the step and never moves a contact at rest.
+with impulses P in the friction cones. A closed, approaching contact obeys Moreau's impact law,
+``0 <= P_n``, ``v_n+ + e v_n >= 0``. A lasting contact, or one that approaches no faster than two
+steps of free fall, keeps its landing gap: ``v_n+ + gap/h + h/2 b >= 0``, where b is the bias of the
+gap acceleration, so that it neither sinks nor chatters as its body turns. Friction opposes the slip
+at the end of the step and never moves a contact at rest.
 
 The energy grows by at most ``h^2/8 f^T M^-1 f`` in a step: if impulses P add no energy to the
 velocities they act on, ``P (U+ + U-)/2 <= -P (h J M^-1 f)/2 - P W P/2``, whose maximum that is.
