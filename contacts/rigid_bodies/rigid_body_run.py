@@ -165,6 +165,8 @@ _PARTS = (4, 16, 64, 256)
 _JUMPED_INTO = 1e-6
 # Moves out of overlaps that are tried; the part of a step that a detection takes.
 _MOVES, _INSTANT = 20, 1e-6
+# Contacts of the warm start with this feature are found anew.
+_NO_FEATURE = np.iinfo(np.int64).min
 
 
 class DetectedContacts(NamedTuple):
@@ -273,14 +275,24 @@ class RigidBodyRun(SteppedSystem):
         self, states: Mapping[str, str], at: tuple[Array, Array, float]
     ) -> tuple[dict[int, int], bool]:
         """Go on with controllers in other states; see `SteppedSystem`."""
+        _, after, time = at
         self._around.switch(states)
         on = self.numbers.joints.on
         for j, joint in enumerate(self._around.joints):
             if joint in states:
                 if states[joint] == CLOSED and not on[j]:
-                    self._close(j, joint, at[1], at[2])
+                    self._close(j, joint, after, time)
                 on[j] = states[joint] == CLOSED
-        return {}, False
+        if not self._around.leads:
+            return {}, False
+        found = self.detect(after, time, _INSTANT * self._length)
+        struck = found.keys[self._workspace.active.hit[: len(found.keys)]]
+        if len(struck):
+            # As if all had moved so before: between two midpoints there would be half of it.
+            self._around.restart()
+            met = int(self._warm.n_contacts[0])
+            self._warm.keys[:met, 1][np.isin(self._warm.keys[:met, 0], struck)] = _NO_FEATURE
+        return {}, bool(len(struck))
 
     def _close(self, j: int, joint: str, state: Array, time: float) -> None:
         """Let a joint hold the pose that it has captured.
