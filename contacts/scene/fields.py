@@ -68,7 +68,10 @@ class SceneFields(Declaration):
 
     OTHER_WORDS: ClassVar = {
         "g": "gravity",
-        "body": "bodies",
+        **dict.fromkeys(("body", "links", "worldbody", "objects"), "bodies"),
+        **dict.fromkeys(("simulation", "option", "solver"), "settings"),
+        **dict.fromkeys(("ground", "floor", "plane"), "surfaces: {floor: {height: 0}}"),
+        **dict.fromkeys(("actuator", "actuators"), "forces: {motor: {body: arm, moment: M}}"),
         **dict.fromkeys(
             ("spring", "springs"), "forces: {spring: {body: rod, force: [-k*rod.x, 0]}}"
         ),
