@@ -272,6 +272,8 @@ class SceneFields(Declaration):
             return Quantity(description, dimensions[quantity])
         if owner in self.joints and quantity in self.joints[owner].forces:
             return Quantity(description, "moment" if quantity == "M" else "force")
+        if owner in self.joints and quantity == "gap":
+            return Quantity(f"slack of {owner}", "length")
         if owner in self.joints and quantity in _CAPTURED:
             return Quantity(description, _CAPTURED[quantity])
         if quantity in _OF_BODIES and owner and owner not in self.contacts:

@@ -255,10 +255,13 @@ def modes(arguments: argparse.Namespace) -> int:
     automaton = runner.automaton
     if arguments.equations is not None:
         from statechart.reporting import equations
+        from statechart.tabular import ALL_DIGITS
 
         form = "latex" if arguments.latex else "json" if arguments.json else "text"
         setup = runner.setup(parameters)
-        print(equations.format_equations(automaton, setup, arguments.equations, form), end="")
+        digits = ALL_DIGITS if form == "json" else arguments.digits
+        text = equations.format_equations(automaton, setup, arguments.equations, form, digits)
+        print(text, end="")
         return 0
     at = _assigned("--at", arguments.at)
     check_variables(automaton, at)
