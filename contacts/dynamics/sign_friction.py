@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def sign_frictions(
     mechanics: Mechanics, controlled: Iterable[Definition]
 ) -> tuple[SignFriction, ...]:
-    """Return the signs in the forces of a scene, where all are dry friction; else none.
+    """Return the signs of speeds in the forces of a scene, where all are dry friction; else none.
 
     `controlled` are the values of what states of controllers set, in order.
     """
@@ -35,6 +35,8 @@ def sign_frictions(
     found = []
     for sign in sorted(set().union(*(f.atoms(sp.sign) for f in forces)), key=sp.default_sort_key):
         (slip,) = sign.args
+        if not slip.has(*mechanics.v):
+            continue  # A switch of places or of time.
         size = sp.Dummy("sign", real=True)
         effects = [sp.diff(force.xreplace({sign: size}), size) for force in forces]
         row = tuple(sp.diff(slip, v) for v in mechanics.v)

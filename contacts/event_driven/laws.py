@@ -369,7 +369,8 @@ class SceneLaws:
         if target == moving and not (skipping and fired == ("zeno",)):
             goes_on = shown_roles(flow.mode, choice.taken.roles)
             if goes_on != flow.roles:
-                return None, flow._replace(roles=goes_on, warning=choice.warning, settled=True)
+                flow = flow._replace(warning=choice.warning, notes=choice.notes)
+                return None, flow._replace(roles=goes_on, settled=True)
             if not fired or flow.settled:
                 return None
             # The force fell off the constraints, by however little: on them it may not have fallen.

@@ -162,8 +162,9 @@ class Switching:
     ) -> tuple[str, ...]:
         """Return the conditions that fail if an impact does not throw the bodies back.
 
-        In a narrow valley an impact on one side sends the point to the other, whose contact is
-        closed as well: both take part.
+        A contact that is on, and would be again after the impact, has not changed. In a narrow
+        valley an impact on one side sends the point to the other, whose contact is closed as well:
+        both take part.
         """
         slow = setup.tolerances["speed"]
         mode = tuple(
@@ -182,8 +183,13 @@ class Switching:
         state, after = found
         then = self.failing(setup, after, state, at.clock.high)
         return tuple(
-            "" if not later and abs(contact.gap) <= close and contact.gap_rate < -slow else why
-            for why, later, contact, close in zip(failing, then, after.contacts, near, strict=True)
+            ""
+            if not later
+            and (state not in INACTIVE or (abs(contact.gap) <= close and contact.gap_rate < -slow))
+            else why
+            for why, later, state, contact, close in zip(
+                failing, then, at.flow.mode, after.contacts, near, strict=True
+            )
         )
 
     def corner_contacts(

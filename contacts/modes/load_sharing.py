@@ -106,7 +106,7 @@ def share(
     The modes `code` (c,) are those of `contacts.states`; `forces` explain the motion, inside their
     `cones` or not. A bias `inward` into the cones regularises the search of zones, so that they
     determine the forces also on the boundary of the feasible loads. `loaded_by` are the carriers of
-    `solve_modes`; the last `signs` modes are those of sign functions, which carry nothing in the
+    `ModeEquations`; the last `signs` modes are those of sign functions, which carry nothing in the
     equations of a flow.
     """
     limits, cones = cones, cones.copy()
@@ -114,12 +114,13 @@ def share(
     cones[couplings] = 0.0, 1.0
     jacobians = snapshot.jacobians
     flat, owners = mode_columns(code, cones, jacobians, -1)
-    count, order, _ = independent(flat[owners < len(code) - signs])
-    if signs and count < independent(flat)[0]:
+    shared = np.flatnonzero(sharing(code, cones, jacobians, independent(flat)[0], len(flat)))
+    shares, carrying = np.isin(owners, shared), owners < len(code) - signs
+    if independent(flat[shares & carrying])[0] < independent(flat[shares])[0]:
         return None
-    shared = np.flatnonzero(sharing(code, cones, jacobians, count, len(flat)))
+    count, order, _ = independent(flat[carrying])
     load = np.einsum("gdn,gd->n", jacobians[shared], forces[shared])
-    motion_rank, chosen, _ = independent(np.ascontiguousarray(flat[np.isin(owners, shared)].T))
+    motion_rank, chosen, _ = independent(np.ascontiguousarray(flat[shares].T))
     coordinates = np.sort(chosen[:motion_rank])
     # The edge of a frictionless cone is (1, 0).
     smooth = code[shared] == SLIDE

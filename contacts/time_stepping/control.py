@@ -200,7 +200,7 @@ class StepControl:
         guards = self._states.guards(self.states)
         points = self._setup, times, states, solved[:, self._order]
         margin, size = np.moveaxis(guards.table(*points), -1, 0)
-        rate, second = np.moveaxis(guards.table(*points, rates=True)[..., :2], -1, 0)
+        rate, second = (guards.table(*points, order=order)[..., 0] for order in (1, 2))
         passing = (rate > 0.0) & (margin + h * rate >= 0.0)
         falling = np.minimum(np.nan_to_num(rate, neginf=0.0), 0.0)
         true: Bools = (margin + _AT_END * h * falling < 0.0) & ~passing

@@ -90,9 +90,9 @@ class ContactHistory(NamedTuple):
     # (c,): whether it was closed as it went off, and its point has not left its surface yet.
     behind: Bools
     past: Array  # (c, 3): condition, gap and its rate in the middle of the last step.
-    # (c, 3): depths of contacts that are off though their conditions hold: where these began to
+    # (c, 4): depths of contacts that are off though their conditions hold: where these began to
     # hold, and now; and the least that contacts never came back from, before their conditions
-    # failed.
+    # failed; when a contact first went off as its point touched.
     missed: Array
     light: Bools  # (1,): whether coordinates without an inertia of their own were given one.
     pushes: Array  # (c, 2): impulses of the last problem.
@@ -112,7 +112,7 @@ class ContactHistory(NamedTuple):
             off.copy(),
             np.zeros(count, dtype=np.bool_),
             np.full((count, 3), np.nan),
-            np.tile([0.0, 0.0, np.inf], (count, 1)),
+            np.tile([0.0, 0.0, np.inf, np.inf], (count, 1)),
             np.zeros(1, dtype=np.bool_),
             np.zeros((count, 2)),
             np.zeros(size),

@@ -135,17 +135,45 @@ def _note_missed(missed: Array, off: bool, holds: bool, depth: float) -> None:
 
 
 @kernel
+def _end_of_condition(
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, i: int
+) -> tuple[float, float]:
+    """Return when the condition of a contact ends, in parts of a step, and its gap there.
+
+    The gap is infinite unless the point of a free contact passes the surface in this step. Where it
+    is negative, the point lands first: between two midpoints it may also pass the end of an edge.
+    """
+    at, before = tape.first + tape.per * i + 2 * tape.size + 2, memory.past[i]
+    gap, condition = tape.numbers[at], tape.numbers[at + 3]
+    passes = gap < -scene.near < before[1] and condition < 0.0 < before[0]
+    lasts = memory.off[i] or memory.closed[i] or scene.held[i] > 0 or scene.soft[i, 0] > 0.0
+    if lasts or not passes:
+        return 1.0, math.inf
+    part = before[0] / (before[0] - condition)
+    return part, before[1] + part * (gap - before[1])
+
+
+@kernel
 def switch_contacts(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, change: Array, k: int,
-    met: ContactRoles, chunk: Chunk,
+    met: ContactRoles, chunk: Chunk, time: float,
 ) -> bool:  # fmt: skip
     """Let conditions turn contacts off and on, write gaps; return False where one is nowhere.
 
     Contacts that last are on for now where their conditions cease to hold: see `keep_leaving`. At
-    the kink of a valley both edges hold a point. A step without contacts changes rates by `change`.
+    the kink of a valley both edges hold a point. A step without contacts, whose middle is at
+    `time`, changes rates by `change`.
     """
     numbers, n, off, h, left = tape.numbers, tape.size, memory.off, chunk.h, 1.0
     deepest, at_kink = np.empty(len(off)), np.empty((len(off), 2), np.bool_)
+    landed = np.zeros(len(off), np.bool_)
+    for i in range(len(off)):
+        part, at_end = _end_of_condition(scene, memory, tape, i)
+        landed[i] = at_end < -scene.near
+        if landed[i]:
+            memory.past[i, 1], left = at_end, min(left, part)
+        elif at_end <= scene.near:
+            memory.missed[i, 3] = min(memory.missed[i, 3], time + (part - 1.0) * h)
     for i in range(len(off)):
         deepest[i] = _deepest(memory, tape, i) - scene.near
         lies = min(deepest[i], memory.level[i])
@@ -159,7 +187,7 @@ def switch_contacts(
         if is_coupling(scene, i):
             continue
         if not off[i] and condition < 0.0:
-            if at_kink[i, 1 if memory.closed[i] else 0]:
+            if landed[i] or at_kink[i, 1 if memory.closed[i] else 0]:
                 continue
             inside = memory.closed[i] or memory.level[i] < 0.0
             met.leaving[i] = inside and scene.held[i] == 0
@@ -171,7 +199,7 @@ def switch_contacts(
             memory.behind[i] = away <= (_LEFT_BEHIND - 1.0) * abs(memory.level[i])
         if off[i] and not memory.behind[i]:
             memory.level[i] = 0.0
-    leaves = met.leaving.any()
+    leaves, lands = met.leaving.any(), landed.any()
     for i in range(len(off)):
         row = tape.first + tape.per * i
         gap, condition, before = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5], memory.past[i]
@@ -190,7 +218,11 @@ def switch_contacts(
                 entered = max(gap, _gap_between(before, gap, rate, begins, h))
             met.entered[i] = max(entered, _gap_between(before, gap, rate, left, h))
             holds = condition > 0.0 or (at_kink[i, 1] and rate < 0.0)
+            entered = met.entered[i] if lands else entered
             off[i] = not (holds and entered >= deepest[i])
+            if lands and off[i] and entered >= deepest[i] and gap < 0.0:
+                # It lies below the kink, beyond both edges.
+                memory.behind[i], memory.level[i] = True, gap
             _note_missed(memory.missed[i], off[i], condition > 0.0, -gap)
             if leaves and off[i] and memory.behind[i] and condition < 0.0:
                 # Below a kink a point is beyond both surfaces that end there.
@@ -557,7 +589,7 @@ def step_scene(
             np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.empty(c),
             np.empty(c, np.int64), np.zeros((c, 2)), np.zeros((c, 2)), np.zeros((c, 2)),
         )  # fmt: skip
-        if not switch_contacts(scene, memory, tape, equations.change, k, met, chunk):
+        if not switch_contacts(scene, memory, tape, equations.change, k, met, chunk, time):
             return k, NOT_FINITE
         if met.leaving.any():
             instant = StepInstant(time, state, middle)

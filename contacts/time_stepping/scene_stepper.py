@@ -23,7 +23,7 @@ from contacts.dynamics.starting import (
     jumped_in,
     torn,
 )
-from contacts.scene.lint import NEARLY_MEETING, stays_off
+from contacts.scene.lint import NEARLY_MEETING, goes_off, stays_off
 from contacts.solvers.contact_rows import STEEPEST
 from contacts.solvers.dependence import independent
 from contacts.solvers.redundancy import mode_columns
@@ -232,10 +232,12 @@ class SteppedScene(SteppedSystem):
         )
 
     def _stays_off(self) -> Iterator[str]:
-        """Yield a warning for each contact that has missed its surface by a small depth."""
-        for name, (first, last, past) in zip(
+        """Yield a warning for each contact that has missed its surface, if by a small depth."""
+        for name, (first, last, past, time) in zip(
             self._source.names, self._step_state.contacts.missed.tolist(), strict=True
         ):
+            if time < math.inf:
+                yield goes_off(name, time)
             depth = min(past, first) if last > first else past
             if self._near < depth <= self._nearly:
                 yield stays_off(self._source.scene, name, depth)

@@ -14,7 +14,7 @@ import numpy as np
 from statechart import interrupts
 from statechart.automaton.clock import Clock, between
 from statechart.automaton.laws import OTHER_PARAMETERS, UNBOUNDED, Flow, Instant, Setup, flow_sizes
-from statechart.automaton.switches import is_of_switch, slides
+from statechart.automaton.switches import is_of_switch
 from statechart.automaton.time_stepper import Sample, Sampling, in_order
 from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace, check_size
 from statechart.automaton.trace_store import TraceRecorder
@@ -319,10 +319,10 @@ class Execution:
         try:
             found = self._filippov.resolved(self._instant(*fired), self.zeros, before)
         except SingularMode:
-            # Constraints that have just closed may share loads, which the laws decide next; forces
-            # of a flow that slides are not known without its mode.
-            if flow.settled or any(map(slides, flow.signs)):
+            # Constraints that have just closed may share loads, which the laws decide next.
+            if flow.settled:
                 raise
+            self.flow = flow
             return
         self.flow = flow._replace(signs=found.roles)
         self.state, self._switch_tolerances = found.state, found.tolerances

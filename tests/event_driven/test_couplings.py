@@ -795,6 +795,67 @@ outputs: {{w: {{value: dp0}}, closes: {{value: time, at: first c1.close}}}}
     assert [jump.cause for jump in result.trace.jumps] == ["close"]
 
 
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+@pytest.mark.parametrize("other", ["", " + sign(q - 9)", " + sign(sin(time + 1) - 9)"])
+def test_brakes_share_beside_a_wheel_that_is_held_by_a_sign(engine: str, other: str) -> None:
+    """The wheel w stands under 1.2, of which each brake bears half; u keeps the rate of a belt.
+
+    Signs of places and of time are no friction, and change nothing of that.
+    """
+    text = f"""
+kind: scene
+name: belt
+coordinates: {{p: {{}}, q: {{rate: 1}}}}
+bodies:
+  w: {{mass: 1, inertia: 1, position: [0, 0], angle: p}}
+  u: {{mass: 1, inertia: 1, position: [1, 0], angle: q}}
+couplings:
+  a: {{bodies: [w], limit: 2}}
+  b: {{bodies: [w], limit: 3, enabled: time >= 1}}
+forces:
+  f: {{body: w, moment: 1.2}}
+  g: {{body: u, moment: "-2*sign(dq - 0.3){other}"}}
+stop: {{time: 2}}
+outputs: {{a: {{value: a.M}}, b: {{value: b.M}}, q: {{value: q}}}}
+"""
+    result = statechart.run(interpret(read_text(text)), engine=engine)
+    # u loses its 0.7 at the rate 2, or 3 where the other sign, -1, adds to it.
+    slows = 2.0 if not other else 3.0
+    way = 0.3 * 2 + 0.7**2 / (2 * slows)
+    assert result.outputs == pytest.approx({"a": -0.6, "b": -0.6, "q": way}, abs=1e-12)
+    assert "the forces of a, b are indeterminate: the smallest are shown" in result.warnings
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+def test_a_brake_and_a_sign_bear_beside_a_sign_of_a_place(engine: str) -> None:
+    """At rest each bears a third of 0.9, up to 0.2 for the sign; u swings past its place."""
+    text = """
+kind: scene
+name: place
+coordinates: {p: {}, q: {rate: 1}}
+bodies:
+  w: {mass: 1, inertia: 1, position: [0, 0], angle: p}
+  u: {mass: 1, inertia: 1, position: [1, 0], angle: q}
+couplings:
+  a: {bodies: [w], limit: 2}
+  b: {bodies: [w], limit: 3, enabled: time >= 0.5}
+forces:
+  f: {body: w, moment: "0.9 - 0.2*sign(dp)"}
+  g: {body: u, moment: "-2*sign(q - 0.1)"}
+stop: {time: 1}
+outputs: {a: {value: a.M}, b: {value: b.M}, p: {value: p}, q: {value: q}}
+"""
+    result = statechart.run(interpret(read_text(text)), engine=engine)
+    # u passes 0.1 at rate v after t1, is back there after v, and passes it again.
+    v = math.sqrt(1 + 4 * 0.1)
+    t1 = (v - 1) / 2
+    late = 1 - t1
+    assert late < v
+    q = 0.1 + v * late - late**2
+    expected = {"a": -0.35, "b": -0.35, "p": 0.0, "q": q}
+    assert result.outputs == pytest.approx(expected, abs=1e-12)
+
+
 def test_a_limit_without_end_is_told_what_to_write() -> None:
     text = ROTOR.replace("limit: T", "limit: inf")
     assert text != ROTOR
