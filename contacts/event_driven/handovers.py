@@ -79,7 +79,7 @@ class Handovers:
         self, setup: SceneSetup, arcs: Sequence[Arc], gap_tolerance: float
     ) -> list[str]:
         """Return a warning for each contact that goes off at the instant at which it touches."""
-        found: dict[str, str] = {}
+        warnings: dict[str, str] = {}
         for before, after in pairwise(arcs):
             for place, (contact, name) in enumerate(self._gated.items()):
                 if (before.mode[contact], after.mode[contact]) != ("free", OFF):
@@ -92,8 +92,8 @@ class Handovers:
                     for t in after.times[:2].tolist()
                 )
                 if abs(gap) <= gap_tolerance and later < -gap_tolerance:
-                    found.setdefault(name, goes_off(name, after.start.high))
-        return [*found.values()]
+                    warnings.setdefault(name, goes_off(name, after.start.high))
+        return [*warnings.values()]
 
     def _tables(
         self, setup: SceneSetup, arcs: Sequence[Arc], gap_tolerance: float

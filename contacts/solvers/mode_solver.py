@@ -1,4 +1,4 @@
-"""Solves every combination of contact modes and tests its inequalities, in one compiled call."""
+"""Mode enumeration: solves every combination of contact modes and tests its inequalities."""
 
 from __future__ import annotations
 
@@ -74,15 +74,9 @@ def _worse(verdict: Array, amount: float, contact: int, which: int, number: floa
 
 @kernel
 def _judge(
-    verdict: Array,
-    accelerations: Array,
-    jacobians: Array,
-    biases: Array,
-    code: Ints,
-    closed: Bools,
-    still: Bools,
-    scale: float,
-) -> None:
+    verdict: Array, accelerations: Array, jacobians: Array, biases: Array, code: Ints,
+    closed: Bools, still: Bools, scale: float,
+) -> None:  # fmt: skip
     for c in range(len(code)):
         sign = _direction(code[c])
         if code[c] == FREE and closed[c]:
@@ -127,13 +121,8 @@ def write_limits(forces: Array, cones: Array, carriers: Ints, code: Ints) -> Non
 
 @kernel
 def _write_rows(
-    rows: Array,
-    columns: Array,
-    first: Ints,
-    bearing: Ints,
-    rank: int,
-    matrix: Array,
-) -> None:
+    rows: Array, columns: Array, first: Ints, bearing: Ints, rank: int, matrix: Array,
+) -> None:  # fmt: skip
     """Write the leading rows and columns of a saddle point, by their orders, beside the mass."""
     n = rows.shape[1]
     for k in range(rank):
@@ -188,13 +177,9 @@ class ModeSolutions(NamedTuple):
 
 @kernel
 def solve_modes(
-    equations: ModeEquations,
-    codes: Ints,
-    force_scale: float,
-    acceleration_scale: float,
-    tie: float,
-    solutions: ModeSolutions,
-) -> tuple[int, int]:
+    equations: ModeEquations, codes: Ints, force_scale: float, acceleration_scale: float,
+    tie: float, solutions: ModeSolutions,
+) -> tuple[int, int]:  # fmt: skip
     """Solve every combination of contact modes, and test its inequalities.
 
     Parameters
