@@ -175,17 +175,18 @@ class ControlGuards:
         names = set().union(*(guard.relation.names for guard in watched))
         forces = [force for pair in mechanics.forces.values() for force in pair]
         forces += [*mechanics.couples.values(), *(row.force for row in mechanics.joint_rows)]
-        unknown = sp.Symbol("unknown", real=True)
+        # A symbol for each force: the unknown rates of two do not cancel.
+        unknown = sp.symbols(f"unknown:{len(forces)}", real=True)
         self.watch = GuardWatch(
             watched,
             {n: e for n, e in mechanics.observables.items() if n in names},
             {
                 **dict(zip(mechanics.q, mechanics.v, strict=True)),
                 **dict(zip(mechanics.v, mechanics.a, strict=True)),
-                **dict.fromkeys(forces, unknown),
+                **dict(zip(forces, unknown, strict=True)),
                 **memory,
             },
-            inputs=(*mechanics.variables, *memory, *mechanics.a, *forces, unknown),
+            inputs=(*mechanics.variables, *memory, *mechanics.a, *forces, *unknown),
             parameters=mechanics.parameters.ordered,
             time=mechanics.time,
             timers=[
@@ -194,6 +195,7 @@ class ControlGuards:
             given=known,
         )
         self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)
+        self._unknown = np.full(len(forces), np.nan)
 
     def typical(self, setup: SceneSetup) -> Array:
         """Return the typical sizes of accelerations and forces."""
@@ -205,12 +207,18 @@ class ControlGuards:
         """Evaluate `GuardWatch.at`; `solved` are accelerations and forces."""
         return self.watch.at(setup, self._inputs(state, solved), self._sizes(setup), time)
 
-    def rates_of(
-        self, k: int, setup: SceneSetup, time: float, state: Array, solved: Array | None
+    def rate(
+        self,
+        k: int,
+        order: int,
+        setup: SceneSetup,
+        time: float,
+        state: Array,
+        solved: Array | None,
     ) -> Array:
-        """Evaluate `GuardWatch.rates_of`."""
+        """Evaluate `GuardWatch.rate`."""
         inputs = self._inputs(state, solved)
-        return self.watch.rates_of(k, setup, inputs, self._sizes(setup), time)
+        return self.watch.rate(k, order, setup, inputs, self._sizes(setup), time)
 
     def table(
         self,
@@ -219,18 +227,18 @@ class ControlGuards:
         states: Array,
         solved: Array,
         *,
-        rates: bool = False,
+        order: int = 0,
     ) -> Array:
         """Return `GuardWatch.table` for instants (m,), states (m, 2 n) and unknowns (m, u)."""
-        inputs = np.hstack([states, solved, np.full((len(states), 1), np.nan)])
-        return self.watch.table(setup, inputs, self._sizes(setup), times, rates=rates)
+        inputs = np.hstack([states, solved, np.tile(self._unknown, (len(states), 1))])
+        return self.watch.table(setup, inputs, self._sizes(setup), times, order=order)
 
     def _inputs(self, state: Array, solved: Array | None) -> Array:
-        return np.concatenate([state, self._unsolved if solved is None else solved, [np.nan]])
+        return np.concatenate([state, self._unsolved if solved is None else solved, self._unknown])
 
     def _sizes(self, setup: SceneSetup) -> Array:
         assert setup.sizes is not None
-        return np.concatenate([setup.sizes, self.typical(setup), [0.0]])
+        return np.concatenate([setup.sizes, self.typical(setup), np.zeros_like(self._unknown)])
 
 
 class ControllerState:

@@ -268,8 +268,8 @@ class ControlledLaws:
         assert setup.sizes is not None
         sizes = setup.sizes
 
-        def rates(k: int) -> Array:
-            return guarded.rates_of(k, setup, clock.high, state, solved)
+        def rate(k: int, order: int) -> Array:
+            return guarded.rate(k, order, setup, clock.high, state, solved)
 
         def later(margin: str) -> float:
             return self._derivatives.sign(
@@ -278,7 +278,7 @@ class ControlledLaws:
 
         active = active_in(self._regions, flow.mode)
         judged = Judgement(
-            guarded.watch, rows, rates, flow.tolerances, fired, relative, later, active
+            guarded.watch, rows, rate, flow.tolerances, fired, relative, later, active
         )
         return judged, rows
 

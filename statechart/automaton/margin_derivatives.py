@@ -6,7 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from weakref import WeakKeyDictionary
 
+import numpy as np
 import sympy as sp
+from numpy.polynomial.polynomial import polyval
 
 from statechart.arrays import Array
 from statechart.automaton.laws import Setup
@@ -22,6 +24,9 @@ UNDERFLOW = 1e-290
 starts at zero and rises with slope zero."""
 # Derivatives up to this order are looked at; a margin that has none there stays where it is.
 _MAX_ORDER = 12
+# Where derivatives have no value, as those of sqrt(time) at 0, the sign is that of the margin at
+# both these times after the instant, in parts of the horizon.
+_LATER = (2.0**-20, 2.0**-40)
 
 
 class MarginDerivatives:
@@ -48,8 +53,8 @@ class MarginDerivatives:
 
         `margin` is the name of a margin of the mode of `roles`, or an expression of the variables,
         parameters and time. The mode is entered in `state` (n,), whose terms are of `sizes` (n,).
-        Derivatives as small as `relative` to their terms are zero. Not a number where they have no
-        value.
+        Derivatives as small as `relative` to their terms are zero. Not a number where neither
+        derivatives nor later values tell the sign.
         """
         assert setup.modes is not None
         try:
@@ -61,12 +66,16 @@ class MarginDerivatives:
             Series([x], [max(abs(x), size)])
             for x, size in zip(state.tolist(), sizes.tolist(), strict=True)
         ]
-        parameters = setup.values.tolist()
+        parameters, smooth = setup.values.tolist(), True
         for order in range(_MAX_ORDER + 1):
             *rates, derivative = expand(tape, series, parameters, time)
             value, size = derivative.values[order], derivative.sizes[order]
             if order > 0 and not abs(value) <= relative * size:
-                return math.copysign(1.0, value) if math.isfinite(value) else math.nan
+                if smooth and math.isfinite(value):
+                    return math.copysign(1.0, value)
+                smooth = False
+            if not all(math.isfinite(rate.values[order]) for rate in rates):
+                break
             rests = not timed
             for place, rate in zip(moving, rates, strict=True):
                 value, size = rate.values[order] / (order + 1), rate.sizes[order] / (order + 1)
@@ -79,7 +88,15 @@ class MarginDerivatives:
                 if len(grown.values) < order + 2:
                     series[place].values.append(0.0)
                     series[place].sizes.append(0.0)
-        return 0.0
+        if smooth:
+            return 0.0
+        horizon = setup.horizon if math.isfinite(setup.horizon) else 1.0
+        later = []
+        for part in _LATER:
+            moved = np.array([polyval(part * horizon, grown.values) for grown in series])
+            later.append(tape.at(moved, setup.values, time + part * horizon)[-1].item())
+        signs = {math.copysign(1.0, value) for value in later if abs(value) > 0.0}
+        return signs.pop() if len(signs) == 1 and 0.0 not in later else math.nan
 
     def _tape(self, mode: Mode, margin: str | sp.Expr) -> tuple[list[int], bool, Tape]:
         """Return which variables a margin depends on, whether on time, their rates and it."""

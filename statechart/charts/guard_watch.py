@@ -105,21 +105,23 @@ class GuardWatch:
             tape_values(*atom.margin.program, state, setup.values, time, row)
         return found
 
-    def rates_of(self, k: int, setup: Setup, inputs: Array, sizes: Array, time: float) -> Array:
-        """Return (4,): first and second derivative of a margin, and sizes of their terms."""
-        return self.atoms[k].rates.values(np.concatenate([inputs, sizes]), setup.values, time)
+    def rate(
+        self, k: int, order: int, setup: Setup, inputs: Array, sizes: Array, time: float
+    ) -> Array:
+        """Return (2,): the first or second time derivative of a margin, and its terms' size."""
+        tape = self.atoms[k].tape(order)
+        return tape.values(np.concatenate([inputs, sizes]), setup.values, time)
 
     def table(
-        self, setup: Setup, inputs: Array, sizes: Array, times: Array, *, rates: bool = False
+        self, setup: Setup, inputs: Array, sizes: Array, times: Array, *, order: int = 0
     ) -> Array:
-        """Return `at`, or `rates` of all margins, for many instants.
+        """Return `at` (order 0), or `rate` of all margins, for many instants.
 
-        Inputs (m, n), times (m,) to (m, a, 2) or (m, a, 4).
+        Inputs (m, n), times (m,) to (m, a, 2).
         """
         rows = np.hstack([inputs, np.broadcast_to(sizes, (len(inputs), len(sizes)))])
-        tapes = [atom.rates if rates else atom.margin for atom in self.atoms]
-        found = [tape.table(rows, setup.values, times) for tape in tapes]
-        return np.stack(found, axis=1) if found else np.zeros((len(inputs), 0, 4 if rates else 2))
+        tables = [atom.tape(order).table(rows, setup.values, times) for atom in self.atoms]
+        return np.stack(tables, axis=1) if tables else np.zeros((len(inputs), 0, 2))
 
     def tolerances(self, rows: Array, relative: float) -> dict[str, float]:
         """Return margin -> how near zero it is on its boundary: `relative` to its terms.
@@ -204,9 +206,18 @@ class _AtomTapes:
         return self._tape(self.expression)
 
     @cached_property
-    def rates(self) -> Tape:
-        """Its first and second derivative, and the sizes of their terms."""
-        return self._tape(self._first, time_derivative(self._first, dict(self.flow), self.time))
+    def first(self) -> Tape:
+        """Its first derivative, and the size of the terms."""
+        return self._tape(self._first)
+
+    @cached_property
+    def second(self) -> Tape:
+        """Its second derivative, and the size of the terms."""
+        return self._tape(time_derivative(self._first, dict(self.flow), self.time))
+
+    def tape(self, order: int) -> Tape:
+        """Return the tape of the margin (0), or of a derivative (1, 2)."""
+        return self.margin if order == 0 else self.first if order == 1 else self.second
 
     @cached_property
     def rests(self) -> bool:
@@ -217,10 +228,10 @@ class _AtomTapes:
     def _first(self) -> sp.Expr:
         return time_derivative(self.expression, dict(self.flow), self.time)
 
-    def _tape(self, *found: sp.Expr) -> Tape:
+    def _tape(self, expression: sp.Expr) -> Tape:
         sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in self.inputs}
         return compile_tape(
-            [*found, *(rounding_scale(expression, sizes) for expression in found)],
+            [expression, rounding_scale(expression, sizes)],
             variables=(*self.inputs, *sizes.values()),
             parameters=self.parameters,
             time=self.time,
@@ -233,18 +244,18 @@ _atom_tapes = lru_cache(4096)(_AtomTapes)
 class Judgement:
     """The guards of a mode at an instant: which are true, and what decides that others are not.
 
-    `rows` (a, 2) are from `GuardWatch.at`, `rates` returns `GuardWatch.rates_of` an atom.
-    One whose rate is not a number waits on its boundary until its margin falls. `tolerances` are
-    infinite of margins that the flow did not watch; `fired` were found to fall. Rates as small as
-    `relative` to their terms are zero. `later` returns the sign of a margin's first derivative from
-    the third on that is not zero.
+    `rows` (a, 2) are from `GuardWatch.at`, `rate` is `GuardWatch.rate` of an atom and an order.
+    An atom whose rate is not a number waits on its boundary until its margin falls. `tolerances`
+    are infinite for margins that the flow did not watch; the margins that `fired` fall. Rates as
+    small as `relative` to their terms are zero; if both are, `later` returns the sign of the
+    margin's first derivative that is not zero.
     """
 
     def __init__(
         self,
         watch: GuardWatch,
         rows: Array,
-        rates: Callable[[int], Array],
+        rate: Callable[[int, int], Array],
         tolerances: Mapping[str, float],
         fired: Collection[str],
         relative: float,
@@ -258,11 +269,10 @@ class Judgement:
             own = [one if one < math.inf else new for one, new in zip(own, fresh, strict=True)]
 
         def way(k: int) -> float:
-            first, second, slow, slower = rates(k).tolist()
-            if not abs(first) <= relative * slow:
-                return float(first)
-            if not abs(second) <= relative * slower:
-                return float(second)
+            for order in (1, 2):
+                value, size = rate(k, order).tolist()
+                if not abs(value) <= relative * size:
+                    return float(value)
             return 0.0 if watch.atoms[k].rests else later(watch.margins[k])
 
         self._fell = [k for k, margin in enumerate(watch.margins) if margin in fired]

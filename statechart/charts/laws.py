@@ -207,8 +207,8 @@ class ChartLaws:
                 found = conditions.at(setup, state, sizes, clock.high)
                 return conditions.holding(found, setup.precision, active)
 
-            def rates(k: int) -> Array:
-                return watch.rates_of(k, setup, state, sizes, clock.high)
+            def rate(k: int, order: int) -> Array:
+                return watch.rate(k, order, setup, state, sizes, clock.high)
 
             def later(margin: str) -> float:
                 return self._derivatives.sign(
@@ -217,7 +217,7 @@ class ChartLaws:
 
             rows = watch.at(setup, state, sizes, clock.high)
             judged = Judgement(
-                watch, rows, rates, flow.tolerances, fired, setup.precision, later, active
+                watch, rows, rate, flow.tolerances, fired, setup.precision, later, active
             )
             firing = self._listening.first(self._flat, flow.mode, pending, judged.due(), holding)
             if firing is None:

@@ -404,3 +404,29 @@ def test_a_rope_that_is_hauled_in_to_its_end_ends_the_run(
     assert result.trace.outcome.name == "NO_CONSISTENT_MODE"
     assert "rope 'rope' is hauled in" in result.trace.message
     assert result.trace.t_end == pytest.approx(2 * 0.999 / 0.3, abs=1e-9)
+
+
+SWING = """
+kind: scene
+name: swing
+gravity: 9.81
+bodies: {b: {mass: 2, inertia: 0.5, start: {x: 1}}}
+joints: {j: {point: {body: b, at: [-1, 0]}, to: [0, 0]ENABLED}}
+regions:
+  r: {initial: w, states: {w: {}, d: {}}, transitions: [{name: fire, from: w, to: d, GUARD}]}
+stop: {time: 0.6}
+"""
+
+
+@pytest.mark.parametrize("relation", ["j.Y - j.X > 30 or b.x > 9", "abs(j.X) + abs(j.Y) > 30"])
+@pytest.mark.parametrize("gate", [True, False])
+def test_a_relation_of_several_forces_is_seen_though_it_has_another_part(relation, gate) -> None:
+    enabled = f", enabled: 'not ({relation})'" if gate else ""
+    guard = "after: 9" if gate else f"guard: {relation}"
+    text = SWING.replace("ENABLED", enabled).replace("GUARD", guard)
+    (jump,) = statechart.run(interpret(read_text(text))).trace.jumps
+    # At the angle a below the horizontal, with a'' = k cos a and a'^2 = 2 k sin a.
+    k, a = 2 * 9.81 / 2.5, -jump.before[2]
+    pull, cross = 2 * (9.81 + 2 * k) * math.sin(a), 2 * (9.81 - k) * math.cos(a)
+    x, y = cross * math.sin(a) - pull * math.cos(a), pull * math.sin(a) + cross * math.cos(a)
+    assert y - x == pytest.approx(30, abs=1e-9)
