@@ -195,6 +195,14 @@ def stays_off(scene: SceneFields, contact: str, depth: float) -> str:
     )
 
 
+def passes_end(contact: str) -> str:
+    """Return the warning about a point that passes a surface next to where its conditions hold."""
+    return (
+        f"{contact} stays off: its conditions just fail as its point passes the surface; "
+        "let adjacent surfaces overlap"
+    )
+
+
 def goes_off(contact: str, time: float) -> str:
     """Return a warning: the conditions of a contact end on its own surface."""
     return (

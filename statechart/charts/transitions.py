@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import StrictBool, model_validator
 
@@ -21,6 +21,7 @@ from statechart.documents.outputs import Event, EventText, check_event, parse_ev
 from statechart.errors import DeclarationProblem, Loc, undeclared
 from statechart.formulas.formula import parse
 
+SEVERAL_SOURCES = "write one transition for each, or one from a state that holds them"
 _OUTSIDE = "transitions: [{name: go, from: STATE, to: STATE, on: EVENT}] beside `states`"
 
 
@@ -109,6 +110,23 @@ class Transition(Part):
             return self.guard or ""
         over = f"{'after' if self.every is None else 'every'} {self.period}"
         return over if self.guard is None else f"{over} and {self.guard}"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_source(cls, given: Any) -> Any:
+        """Explain what other programs write: lists of states, and guards that always hold."""
+        if isinstance(given, Mapping):
+            for key in ("from", "to"):
+                if isinstance(given.get(key), list):
+                    advice = SEVERAL_SOURCES if key == "from" else "write the state it enters"
+                    raise DeclarationProblem("is one state, not a list", advice=advice, loc=(key,))
+            if isinstance(given.get("guard"), bool):
+                raise DeclarationProblem(
+                    f"is a relation, not {str(given['guard']).lower()}",
+                    advice="write x <= 0; time >= 0 always holds",
+                    loc=("guard",),
+                )
+        return given
 
     @model_validator(mode="after")
     def _one_trigger(self) -> Self:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from statechart.charts.transitions import (
+    SEVERAL_SOURCES,
     BaseRegion,
     BaseState,
     Holder,
@@ -285,9 +286,9 @@ def _arrow(
     states = [name for name in places if name]
     for name, key in ((declared.source, "from"), (declared.target, "to")):
         if name is not None and name not in states:
-            raise DeclarationProblem(
-                f"no state {name!r}", advice=close_matches(name, states), loc=(*at, key)
-            )
+            several = key == "from" and not name.isidentifier()
+            advice = SEVERAL_SOURCES if several else close_matches(name, states)
+            raise DeclarationProblem(f"no state {name!r}", advice=advice, loc=(*at, key))
     source = places[declared.source]
     if bare.nodes[source].sort in HISTORIES:
         raise DeclarationProblem(
