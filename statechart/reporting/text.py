@@ -23,7 +23,10 @@ from statechart.tabular import (
 )
 
 _SHOWN = 20  # events listed from the start and from the end
-_NAMES = 8  # per line
+# Names per line; characters of the name of a margin, and of a candidate in a table.
+_NAMES, _CHARACTERS, _CANDIDATE = 8, 60, 80
+# Regions with the same change that are named in a list of events.
+ALIKE = 4
 _ALL = "--json or --output has all"
 # Causes of an event at which no guard fired: event-driven, and by time steps.
 _IMMEDIATE = "immediate: the mode just entered was not valid"
@@ -107,10 +110,10 @@ def _evident(names: Sequence[str]) -> str:
     return "motion" if names == ["motion"] else f"events of {_cut(names)}"
 
 
-def _cut(names: Sequence[str], most: int | None = _NAMES) -> str:
-    if most is None or len(names) <= most:
+def _cut(names: Sequence[str]) -> str:
+    if len(names) <= _NAMES:
         return ", ".join(names)
-    return f"{', '.join(names[: most - 1])}, {len(names) - most + 1} more"
+    return f"{', '.join(names[: _NAMES - 1])}, {len(names) - _NAMES + 1} more"
 
 
 def _how(report: Mapping[str, Any]) -> str:
@@ -132,7 +135,7 @@ def _event_blocks(report: Mapping[str, Any], digits: int) -> list[TextBlock]:
             number(event["t"], digits),
             event["contact"] or "",
             event["cause"],
-            change(event, _NAMES),
+            change(event, ALIKE),
         )
         for event in shown(events)
     ]
@@ -149,7 +152,7 @@ def shown(events: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any] | int]:
 def change(event: Mapping[str, Any], most: int | None = None) -> str:
     """Return the change of mode at an event: ``A: free -> pin; B, C: free again``.
 
-    At most `most` names with the same change are listed.
+    The number replaces the names of more than `most` regions with the same change.
     """
     before, after = event["from"], event["to"]
     changes: dict[str, list[str]] = {}
@@ -162,7 +165,11 @@ def change(event: Mapping[str, Any], most: int | None = None) -> str:
             changes.setdefault(f"{after[name]} again", []).append(name)
     if len(before) == 1:
         return "".join(changes)
-    return "; ".join(f"{_cut(names, most)}: {what}" for what, names in changes.items())
+    most = len(before) if most is None else most
+    return "; ".join(
+        f"{', '.join(names) if len(names) <= most else several(len(names), 'region')}: {what}"
+        for what, names in changes.items()
+    )
 
 
 def _alternatives(rows: Sequence[Mapping[str, Any]], digits: int) -> list[TextBlock]:
@@ -209,7 +216,10 @@ def _values(
     rows = [
         (f"  ... {text} more: {_ALL}", "")
         if isinstance(text, int)
-        else (f"  {name}", f"{text.ljust(width)}  {unit_suffix(units.get(name, ''))}".rstrip())
+        else (
+            f"  {name if len(name) <= _CHARACTERS else name[: _CHARACTERS - 3] + '...'}",
+            f"{text.ljust(width)}  {unit_suffix(units.get(name, ''))}".rstrip(),
+        )
         for name, text in lines
     ]
     return [f"{title}\n", Table(rows)]
@@ -270,7 +280,9 @@ def _candidates(event: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return candidates and verdicts, without states common to all candidates."""
     labels = {label: label.split() for label in event["considered"]}
     common = set.intersection(*map(set, labels.values())) if len(labels) > 1 else set()
-    return [
+    found: list[tuple[str, ...]] = [
         (" ".join(part for part in labels[label] if part not in common) or label, verdict)
         for label, verdict in event["considered"].items()
     ]
+    short = all(len(label) <= _CANDIDATE for label, *_ in found)
+    return found if short else [(": ".join(parts),) for parts in found]
