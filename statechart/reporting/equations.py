@@ -14,7 +14,10 @@ from statechart.automaton.modes import build_mode
 from statechart.automaton.reduction import Coordinates, Elimination, eliminated
 from statechart.automaton.trace import Key
 from statechart.errors import DeclarationError, close_matches
+from statechart.tabular import ALL_DIGITS
 
+# Whole numbers below this are written without a decimal point.
+_WHOLE = 1e6
 # Formulas of more operations are not shortened: it takes too long.
 _LONG = 400
 
@@ -29,16 +32,29 @@ class EquationBlock(NamedTuple):
     equations: tuple[Equation, ...]
 
 
-def format_equations(automaton: Automaton, setup: Setup, mode: str, form: str) -> str:
+def format_equations(
+    automaton: Automaton, setup: Setup, mode: str, form: str, digits: int = ALL_DIGITS
+) -> str:
     """Return the equations of a mode as text, JSON or LaTeX; see `blocks`.
 
-    A prime is a derivative with respect to time.
+    A prime is a derivative with respect to time. Numbers have so many significant digits.
     """
     key = mode_named(automaton, mode)
     declared = automaton.declaration.parameters
     zeros = ((automaton.parameter_names[i], automaton.parameters[i]) for i in setup.zeros)
     made = blocks(automaton, key, frozenset(s for name, s in zeros if name not in declared))
+    if digits < ALL_DIGITS:
+        made = [
+            EquationBlock(title, tuple((_rounded(a, digits), _rounded(b, digits)) for a, b in rows))
+            for title, rows in made
+        ]
     return _FORMS[form](automaton, key, made)
+
+
+def _rounded(side: sp.Expr, digits: int) -> sp.Expr:
+    numbers = {x: sp.Float(x, digits) for x in side.atoms(sp.Float)}
+    whole = {x: y for x, y in numbers.items() if float(y).is_integer() and abs(y) < _WHOLE}
+    return side.xreplace({**numbers, **{x: sp.Integer(int(y)) for x, y in whole.items()}})
 
 
 def mode_named(automaton: Automaton, text: object) -> Key:
@@ -72,7 +88,10 @@ def mode_named(automaton: Automaton, text: object) -> Key:
 
 def _lines(automaton: Automaton, block: EquationBlock) -> list[str]:
     names = {symbol: sp.Symbol(name) for symbol, name in _names(automaton).items()}
-    pairs = [[sp.sstr(side.xreplace(names)) for side in sides] for sides in block.equations]
+    pairs = [
+        [sp.sstr(side.xreplace(names), full_prec=False) for side in sides]
+        for sides in block.equations
+    ]
     return [" = ".join(pair) for pair in pairs]
 
 

@@ -24,8 +24,10 @@ from statechart.tabular import (
 
 # Events listed from the start and from the end.
 _SHOWN = 20
-# Names listed in one line.
-_NAMES = 8
+# Names listed in one line; characters of the name of a margin, and of a candidate in a table.
+_NAMES, _CHARACTERS, _CANDIDATE = 8, 60, 80
+# Regions that an event changes alike and that are named in a list of events.
+ALIKE = 4
 _ALL = "--json or --output has all"
 # Causes of an event at which no guard fired: with events, and by steps.
 _IMMEDIATE = "immediate: the mode just entered was not valid"
@@ -109,10 +111,10 @@ def _evident(names: Sequence[str]) -> str:
     return "motion" if names == ["motion"] else f"events of {_cut(names)}"
 
 
-def _cut(names: Sequence[str], most: int | None = _NAMES) -> str:
-    if most is None or len(names) <= most:
+def _cut(names: Sequence[str]) -> str:
+    if len(names) <= _NAMES:
         return ", ".join(names)
-    return f"{', '.join(names[: most - 1])}, {len(names) - most + 1} more"
+    return f"{', '.join(names[: _NAMES - 1])}, {len(names) - _NAMES + 1} more"
 
 
 def _how(report: Mapping[str, Any]) -> str:
@@ -134,7 +136,7 @@ def _event_blocks(report: Mapping[str, Any], digits: int) -> list[TextBlock]:
             number(event["t"], digits),
             event["contact"] or "",
             event["cause"],
-            change(event, _NAMES),
+            change(event, ALIKE),
         )
         for event in shown(events)
     ]
@@ -151,7 +153,7 @@ def shown(events: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any] | int]:
 def change(event: Mapping[str, Any], most: int | None = None) -> str:
     """Return what an event changes, such as ``A: free -> pin; B, C: free again``.
 
-    Of more than `most` names that change alike the first are listed, and how many there are.
+    Of more than `most` regions that change alike the number stands in place of the names.
     """
     before, after = event["from"], event["to"]
     changes: dict[str, list[str]] = {}
@@ -164,7 +166,11 @@ def change(event: Mapping[str, Any], most: int | None = None) -> str:
             changes.setdefault(f"{after[name]} again", []).append(name)
     if len(before) == 1:
         return "".join(changes)
-    return "; ".join(f"{_cut(names, most)}: {what}" for what, names in changes.items())
+    most = len(before) if most is None else most
+    return "; ".join(
+        f"{', '.join(names) if len(names) <= most else several(len(names), 'region')}: {what}"
+        for what, names in changes.items()
+    )
 
 
 def _alternatives(rows: Sequence[Mapping[str, Any]], digits: int) -> list[TextBlock]:
@@ -214,7 +220,10 @@ def _values(
     rows = [
         (f"  ... {text} more: {_ALL}", "")
         if isinstance(text, int)
-        else (f"  {name}", f"{text.ljust(width)}  {unit_suffix(units.get(name, ''))}".rstrip())
+        else (
+            f"  {name if len(name) <= _CHARACTERS else name[: _CHARACTERS - 3] + '...'}",
+            f"{text.ljust(width)}  {unit_suffix(units.get(name, ''))}".rstrip(),
+        )
         for name, text in lines
     ]
     return [f"{title}\n", Table(rows)]
@@ -275,7 +284,9 @@ def _candidates(event: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return candidates and verdicts, without the states that all candidates share."""
     labels = {label: label.split() for label in event["considered"]}
     common = set.intersection(*map(set, labels.values())) if len(labels) > 1 else set()
-    return [
+    found: list[tuple[str, ...]] = [
         (" ".join(part for part in labels[label] if part not in common) or label, verdict)
         for label, verdict in event["considered"].items()
     ]
+    short = all(len(label) <= _CANDIDATE for label, *_ in found)
+    return found if short else [(": ".join(parts),) for parts in found]
