@@ -222,6 +222,11 @@ def test_a_broken_joint_does_not_close_again() -> None:
         ("rope: 1,", "rope: 1, angle: held,", "a rope has no angle"),
         ("rope: 1,", "rope: -1,", "must be positive"),
         ("rope: 1,", "rope: 0.1,", "shorter than the distance of its ends"),
+        (
+            "x: 0.5, dx: 1",
+            "dx: 1",
+            "joints.rope: rope 'rope' has both ends at one place at the start",
+        ),
         ("rope: 1, restitution: 0.5", "restitution: 0.5", "restitution is for a rope"),
         ("rope: 1, restitution: 0.5", "rest: captured", "write enabled"),
         ("rope: 1, restitution: 0.5", "limits: [0, 1]", "a particle, which has no angle"),
