@@ -99,7 +99,7 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
 
     def gates(contact: str) -> tuple[Margin, ...]:
         gate = mechanics.gate(contact)
-        return () if gate is None else gate.margins
+        return (*mechanics.hauled(contact), *(() if gate is None else gate.margins))
 
     def back(contact: str) -> tuple[Margin, ...]:
         gate = mechanics.gate(contact)

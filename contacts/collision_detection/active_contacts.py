@@ -58,22 +58,12 @@ class ActiveContacts(NamedTuple):
     def allocate(cls, most: int) -> ActiveContacts:
         """Allocate arrays for so many contacts."""
         return cls(
-            np.empty((most, 2), np.int64),
-            np.zeros((most, 2, 6)),
-            np.empty((most, 2), np.int64),
-            np.empty((most, 4)),
-            np.empty(most, np.int64),
-            np.empty((most, 3)),
-            np.empty(most, np.int64),
-            np.empty((most, 2)),
-            np.empty((most, 2)),
-            np.empty((most, 2)),
-            np.empty((most, 2)),
-            np.empty(most, np.bool_),
-            np.zeros(most),
-            np.zeros(most, np.int64),
+            np.empty((most, 2), np.int64), np.zeros((most, 2, 6)), np.empty((most, 2), np.int64),
+            np.empty((most, 4)), np.empty(most, np.int64), np.empty((most, 3)),
+            np.empty(most, np.int64), np.empty((most, 2)), np.empty((most, 2)), np.empty((most, 2)),
+            np.empty((most, 2)), np.empty(most, np.bool_), np.zeros(most), np.zeros(most, np.int64),
             np.empty((most, 2, 2)),
-        )
+        )  # fmt: skip
 
 
 @kernel

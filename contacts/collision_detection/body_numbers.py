@@ -195,13 +195,11 @@ class WarmStart(NamedTuple):
         """Return an empty warm start."""
         most = _PER_PIECE * max(len(numbers.pieces.sizes), len(numbers.sizes)) + 1
         return cls(
-            np.zeros((most, 2), dtype=np.int64),
-            np.zeros((most, WARM_START_COLUMNS)),
-            np.zeros(1, dtype=np.int64),
-            np.zeros(3),
+            np.zeros((most, 2), dtype=np.int64), np.zeros((most, WARM_START_COLUMNS)),
+            np.zeros(1, dtype=np.int64), np.zeros(3),
             np.zeros((len(numbers.inverse), 2), dtype=np.int64),
             np.zeros((len(numbers.inverse), 6)),
-        )
+        )  # fmt: skip
 
     def copy(self) -> WarmStart:
         """Return a copy."""

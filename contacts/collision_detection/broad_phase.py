@@ -44,15 +44,10 @@ class Grid(NamedTuple):
         """Allocate arrays for so many bodies and pairs."""
         cells = 1 << (_CELLS * count).bit_length()
         return cls(
-            np.empty((count, 2), np.int64),
-            np.empty(count, np.int64),
-            np.empty(cells + 1, np.int64),
-            np.empty(count, np.int64),
-            np.empty((most, 2), np.int64),
-            np.empty((count, 3)),
-            np.empty((most, 2), np.int64),
-            np.full(1, -1),
-        )
+            np.empty((count, 2), np.int64), np.empty(count, np.int64),
+            np.empty(cells + 1, np.int64), np.empty(count, np.int64), np.empty((most, 2), np.int64),
+            np.empty((count, 3)), np.empty((most, 2), np.int64), np.full(1, -1),
+        )  # fmt: skip
 
 
 @kernel

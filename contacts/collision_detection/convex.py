@@ -222,15 +222,13 @@ def between(
 
 
 @kernel
-def against_faces(
-    one: Array, other: Array, within: float, flip: bool, manifold: Array, features: Ints
-) -> int:
+def against_faces(one: Array, other: Array, flip: bool, manifold: Array, features: Ints) -> int:
     """Find contact points with the faces of `one` only, not its corners; see `between`.
 
     Polygons are (k, 2); `flip`: the first is the second body.
     """
     _, edge = _farthest(one, other)
-    return _clipped(one, edge, other, within, flip, manifold, features)
+    return _clipped(one, edge, other, 0.0, flip, manifold, features)
 
 
 @kernel

@@ -50,13 +50,14 @@ from contacts.collision_detection.joints import is_joined
 from contacts.collision_detection.midpoint import TOUCH_TOLERANCE, Midpoint
 from contacts.collision_detection.surfaces import PLATE, ROUND
 from contacts.collision_detection.time_of_impact import (
+    ARRIVED,
     entered_other_side,
     nearby,
     overlap,
     passing_time,
+    time_of_impact,
     turning_speed,
     will_collide,
-    will_collide_turning,
 )
 from contacts.time_stepping.chunk import HIT, SEPARATED, SLOW, TIME_MARGIN, arriving
 from statechart.arrays import Array, Ints
@@ -274,7 +275,8 @@ def _strikes(
         return True
     if pair.turns and gap > 0.0:
         until = (0.5 + TIME_MARGIN) * h
-        return will_collide_turning(numbers, mid, (pair.p, pair.q), gap, until, points.buffer)
+        pieces, near = (pair.p, pair.q), ARRIVED * gap
+        return time_of_impact(numbers, mid, pieces, 0.0, until, near, points.buffer) < math.inf
     meets, crossed = will_collide(
         numbers, mid, (pair.p, pair.q), (nx, ny), gap, nearing, h, points.buffer
     )
@@ -450,20 +452,9 @@ def find_contacts(
     numbers: BodyNumbers, ground: Ground, warm: WarmStart, mid: Midpoint, grid: Grid, h: float,
     active: ActiveContacts,
 ) -> DetectionResult:  # fmt: skip
-    """Find the active contacts of a step.
+    """Find the active contacts of a step of size h.
 
-    Parameters
-    ----------
-    warm : WarmStart
-        Of the previous step.
-    mid : Midpoint
-        Its gaps and pulls are written.
-    grid : Grid
-        Workspace.
-    h : float
-        Step size.
-    active : ActiveContacts
-        Output.
+    Writes the `active` contacts, and gaps and pulls of the midpoint; `grid` is workspace.
     """
     sizes, pairs, keys = numbers.pieces.sizes, grid.pairs, warm.keys
     count, others = len(sizes), len(sizes) + len(numbers.surfaces.kinds)

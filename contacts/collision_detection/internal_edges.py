@@ -1,9 +1,9 @@
 """Internal edges: removal of ghost collisions.
 
-Two edges that share an end, adjacent tiles and adjacent pieces of one body form one boundary.
-Tested separately, the end of the next edge stops a body that slides along it. Box2D uses the ghost
-vertices of its chains (Catto 2020), Bullet the Voronoi regions of mesh edges. Here all obstacles
-that touch the feature of a contact, at relative rest, decide:
+Two edges that share an end, adjacent tiles and adjacent pieces of one body form one boundary. If
+they are tested separately, a body that slides along it hits the end of the next edge. Box2D uses
+the ghost vertices of its chains (Catto 2020), Bullet the Voronoi regions of mesh edges. Here all
+obstacles at relative rest that touch the feature of a contact decide:
 
 - a corner admits the normals in the normal cones of all obstacles at it;
 - a face admits none where obstacles cover it entirely, or stand between its end and the body.
@@ -390,14 +390,9 @@ def _near_circle(
 
 @kernel
 def _near_obstacle(
-    numbers: BodyNumbers,
-    ground: Ground,
-    mid: Midpoint,
-    q: int,
-    manifold: Array,
-    count: int,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, q: int, manifold: Array, count: int,
     size: float,
-) -> int:
+) -> int:  # fmt: skip
     """Return the first contact point near a piece or surface; -1: none."""
     s = q - len(numbers.pieces.sizes)
     still = s >= 0 and not (numbers.surfaces.moves[s] or numbers.surfaces.carriers[s] >= 0)
@@ -512,9 +507,9 @@ def _stands_between(
 ) -> bool:  # fmt: skip
     """Return whether an obstacle at an end of a face stands between the face and a body.
 
-    It is the first obstacle counter to the face's outward direction from the end of its bare part;
-    the body's middle is beyond it, and the segment from there to the contact point crosses it, or
-    the face, or its continuation.
+    At the end of the face's bare part it is the first obstacle met when the direction along the
+    face turns outward. The body's middle is beyond it, and the segment from there to the contact
+    point crosses it, or the face, or the continuation of the obstacle.
     """
     one = obstacle(numbers, ground, mid, touched.which, place[0], place[1])
     ax, ay, ex, ey, length = edge_of(one, i)
@@ -674,7 +669,7 @@ def find_face_contacts(
         return 0
     # Plates come first in a pair (see `contacts.collision_detection.surfaces`).
     flip = touched.side > 0.0 if whole else touched.side < 0.0
-    count = against_faces(one.corners, other.corners, 0.0, flip, manifold, features)
+    count = against_faces(one.corners, other.corners, flip, manifold, features)
     for i in range(count if not whole else 0):
         manifold[i, 0], manifold[i, 1] = -manifold[i, 0], -manifold[i, 1]
     return count

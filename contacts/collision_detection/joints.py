@@ -2,7 +2,7 @@
 
 A joint holds at the midpoints of steps: the velocities after a step close the joint at the next
 detection, rotation included. No stabilisation follows, so nothing drifts: Verlet's scheme with
-constraints (RATTLE's predecessor: Ryckaert, Ciccotti and Berendsen 1977).
+constraints, SHAKE (Ryckaert, Ciccotti and Berendsen 1977).
 """
 
 from __future__ import annotations
@@ -233,7 +233,7 @@ def _other_row(
     gap -= closing[0, 0]
     if holds in (ROD, TURN):
         if place < 0 and past > 0.0:
-            # A joint that closes keeps what it is open by.
+            # A closing joint keeps its remaining error.
             closing[0, 0], gap = gap, 0.0
         active.wanted[m, 0] = gap / h - bend
     else:
@@ -282,7 +282,7 @@ def add_joints(
         else:
             pull = _joint_rows(joints, j, mid, places, h, past, m, active)
             if place < 0 and past > 0.0:
-                # A joint that closes keeps what it is open by.
+                # A closing joint keeps its remaining error.
                 for d in range(2):
                     open_by = h * active.wanted[m, d]
                     active.closing[m, 0, d] += open_by

@@ -92,17 +92,11 @@ class Midpoint(NamedTuple):
         """Allocate its arrays."""
         count, pieces = len(numbers.sizes), len(numbers.pieces.sizes)
         return cls(
-            np.empty((count, 3)),
-            np.empty((count + numbers.links.rows, 3)),
-            np.empty((count + numbers.links.rows, 3)),
-            np.empty((pieces, 2)),
-            np.empty((pieces, 2)),
-            np.empty_like(numbers.pieces.vertices),
-            np.empty(pieces),
-            np.empty(count),
-            np.empty(count),
-            LinkMotion.allocate(numbers.links),
-        )
+            np.empty((count, 3)), np.empty((count + numbers.links.rows, 3)),
+            np.empty((count + numbers.links.rows, 3)), np.empty((pieces, 2)), np.empty((pieces, 2)),
+            np.empty_like(numbers.pieces.vertices), np.empty(pieces), np.empty(count),
+            np.empty(count), LinkMotion.allocate(numbers.links),
+        )  # fmt: skip
 
 
 @kernel

@@ -114,15 +114,9 @@ def crossing_time(
 
 @kernel
 def against_surface(
-    surfaces: SurfaceNumbers,
-    s: int,
-    pose: Array,
-    registers: tuple[int, Array],
-    shape: ConvexShape,
-    within: float,
-    manifold: Array,
-    features: Ints,
-) -> int:
+    surfaces: SurfaceNumbers, s: int, pose: Array, registers: tuple[int, Array], shape: ConvexShape,
+    within: float, manifold: Array, features: Ints,
+) -> int:  # fmt: skip
     """Find the contact points of a piece with a surface, up to a gap; return their number.
 
     `pose` (3,): frame of the surface; `registers`: of the height tape

@@ -13,7 +13,7 @@ from statechart.arrays import Array
 from statechart.kernels.jit import kernel
 
 # Gap at the predicted arrival, relative to the present one, that counts as touching.
-_ARRIVED = 0.01
+ARRIVED = 0.01
 # Cosine of the largest turn of the normal between detection and touch.
 _ALIKE = 0.8
 # Resolution of the time of impact of rotating pieces: parts of the interval.
@@ -100,7 +100,7 @@ def _gap_and_cosine(
 
 
 @kernel
-def _time_of_impact(
+def time_of_impact(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], begin: float, end: float,
     near: float, buffer: Array,
 ) -> float:  # fmt: skip
@@ -136,22 +136,9 @@ def will_collide(
     """
     later = max(gap / nearing, -h)
     arrived, along = _gap_and_cosine(numbers, mid, pair, later, normal, buffer)
-    if gap > 0.0 and not arrived <= _ARRIVED * gap:
+    if gap > 0.0 and not arrived <= ARRIVED * gap:
         return False, 0.0
     return True, _CROSSED_PART if along < _ALIKE else 0.0
-
-
-@kernel
-def will_collide_turning(
-    numbers: BodyNumbers,
-    mid: Midpoint,
-    pair: tuple[int, int],
-    gap: float,
-    until: float,
-    buffer: Array,
-) -> bool:
-    """Return whether two rapidly rotating, separated bodies touch before `until`."""
-    return _time_of_impact(numbers, mid, pair, 0.0, until, _ARRIVED * gap, buffer) < math.inf
 
 
 @kernel
@@ -160,10 +147,10 @@ def passing_time(
     buffer: Array,
 ) -> float:  # fmt: skip
     """Return for how long pieces were `deep` in each other since the last detection."""
-    end = _time_of_impact(numbers, mid, pair, 0.0, -since, -deep, buffer)
+    end = time_of_impact(numbers, mid, pair, 0.0, -since, -deep, buffer)
     if not -since < end < 0.0:
         return 0.0
-    begin = _time_of_impact(numbers, mid, pair, -since, 0.0, -deep, buffer)
+    begin = time_of_impact(numbers, mid, pair, -since, 0.0, -deep, buffer)
     return end - begin if -since < begin else 0.0
 
 

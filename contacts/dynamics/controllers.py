@@ -207,12 +207,18 @@ class ControlGuards:
         """Evaluate `GuardWatch.at`; `solved` are accelerations and forces."""
         return self.watch.at(setup, self._inputs(state, solved), self._sizes(setup), time)
 
-    def rates_of(
-        self, k: int, setup: SceneSetup, time: float, state: Array, solved: Array | None
+    def rate(
+        self,
+        k: int,
+        order: int,
+        setup: SceneSetup,
+        time: float,
+        state: Array,
+        solved: Array | None,
     ) -> Array:
-        """Evaluate `GuardWatch.rates_of`."""
+        """Evaluate `GuardWatch.rate`."""
         inputs = self._inputs(state, solved)
-        return self.watch.rates_of(k, setup, inputs, self._sizes(setup), time)
+        return self.watch.rate(k, order, setup, inputs, self._sizes(setup), time)
 
     def table(
         self,
@@ -221,11 +227,11 @@ class ControlGuards:
         states: Array,
         solved: Array,
         *,
-        rates: bool = False,
+        order: int = 0,
     ) -> Array:
         """Return `GuardWatch.table` for instants (m,), states (m, 2 n) and unknowns (m, u)."""
         inputs = np.hstack([states, solved, np.tile(self._unknown, (len(states), 1))])
-        return self.watch.table(setup, inputs, self._sizes(setup), times, rates=rates)
+        return self.watch.table(setup, inputs, self._sizes(setup), times, order=order)
 
     def _inputs(self, state: Array, solved: Array | None) -> Array:
         return np.concatenate([state, self._unsolved if solved is None else solved, self._unknown])

@@ -25,17 +25,22 @@ from contacts.dynamics.parameters import (
     scene_parameters,
 )
 from contacts.scene.couplings import CouplingSymbols, Rolling
-from contacts.scene.expansion import Stop, stops, switched
+from contacts.scene.expansion import Reach, Stop, stops, switched
 from contacts.scene.joints import Joint
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
 from contacts.states import CLOSED, DISENGAGED, OFF
-from statechart.automaton.regions import Hold
+from statechart.automaton.regions import Hold, Margin
 from statechart.formulas.linear import Definition
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
+
+HAULED = "length"
+"""Margin of a rope that is hauled in."""
+MIN_LENGTH = 1e-3
+"""Part of its length at the start at which a rope that is hauled in ends the run."""
 
 
 class _SurfaceGeometry(NamedTuple):
@@ -364,6 +369,23 @@ class Mechanics(Geometry):
         pressed = (symbols.V * symbols.gap_rate for symbols in soft)
         led = (row.force * row.path_rate for row in self.joint_rows)
         return sp.Add(*applied, *pushed, *led, *pressed)
+
+    def hauled(self, name: str) -> tuple[Margin, ...]:
+        """Return the margin that falls where a rope is hauled in to next to nothing.
+
+        A point that circles the end of a rope turns ever faster, as the square of its length.
+        """
+        surface = self.scene.surfaces[self.scene.contacts[name].surface]
+        length = self._formula(surface.radius or 0)
+        if not isinstance(surface, Reach) or length.free_symbols <= {*self.parameters.ordered}:
+            return ()
+        controlled = self.scene.controlled
+        texts = {**controlled.controller_state, **controlled.declared}
+        start = {self.known[n]: self._formula(text) for n, text in texts.items()}
+        for _ in texts:
+            start = {symbol: value.xreplace(start) for symbol, value in start.items()}
+        first = length.xreplace(start).xreplace({self.time: sp.S.Zero})
+        return (Margin(f"{name}.{HAULED}", length - MIN_LENGTH * first, "gap"),)
 
     def surface_rate(self, name: str) -> Vector:
         """Return the normal and tangential velocity of a contact's surface that moves in time."""

@@ -60,10 +60,18 @@ def hovering(
     ]
 
 
-def check_places(names: Sequence[str], snapshot: Snapshot) -> None:
+def check_places(mechanics: Mechanics, snapshot: Snapshot) -> None:
     """Refuse an initial state at which the position or velocity of a contact is not finite."""
-    for name, contact in zip(names, snapshot.contacts, strict=True):
+    for name, contact in zip(mechanics.scene.frictional, snapshot.contacts, strict=True):
         if not all(map(math.isfinite, contact[1:5])) or math.isnan(contact.gap):
+            if name in mechanics.scene.contacts and isinstance(
+                mechanics.scene.surface_of(name), Reach
+            ):
+                raise DeclarationProblem(
+                    f"rope {name!r} has both ends at one place at the start, and no direction",
+                    advice="move one of them",
+                    loc=("joints", name),
+                )
             raise DeclarationProblem(
                 "its place at the start is not finite",
                 advice="look for a logarithm, a root or a quotient without a value there",

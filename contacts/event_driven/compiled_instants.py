@@ -173,14 +173,9 @@ def _single_impact(
 
 @kernel
 def hit(
-    program: Program,
-    watch: Watch,
-    scene: SceneWatch,
-    run: RunState,
-    numbers: Array,
-    impulse: Array,
-    target: Ints,
-) -> tuple[int, int, int]:
+    program: Program, watch: Watch, scene: SceneWatch, run: RunState, numbers: Array,
+    impulse: Array, target: Ints,
+) -> tuple[int, int, int]:  # fmt: skip
     """Compute an impact of the closed contacts that approach.
 
     Updates the state of the run and the numbers (o,) of the snapshot; fills the `impulse` (c, 2)
@@ -364,15 +359,9 @@ def _in_turn(block: TraceBuffer, row: int, jumps: int) -> bool:
 
 @kernel
 def instant(
-    program: Program,
-    watch: Watch,
-    scene: SceneWatch,
-    block: TraceBuffer,
-    run: RunState,
-    margin: int,
-    fired: int,
-    flowed: bool,
-) -> tuple[int, int, float]:
+    program: Program, watch: Watch, scene: SceneWatch, block: TraceBuffer, run: RunState,
+    margin: int, fired: int, flowed: bool,
+) -> tuple[int, int, float]:  # fmt: skip
     """Compute the jump of an unambiguous instant, and update the run.
 
     `margin` fell (-1 if the instant continues after a jump), and the condition `fired` (see

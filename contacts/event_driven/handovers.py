@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -11,8 +11,8 @@ import sympy as sp
 from contacts.dynamics.controllers import values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.scene.lint import NEARLY_MEETING, goes_off, stays_off
-from contacts.states import OFF
+from contacts.scene.lint import NEARLY_MEETING, goes_off, passes_end, stays_off
+from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Arc, Key
@@ -20,6 +20,8 @@ from statechart.formulas.tape import Tape
 
 # Samples per step of an arc, and bisections between two of them. Shorter intervals are missed.
 _SAMPLES, _BISECTIONS = 8, 50
+# Part of the scene's length: a point that passes an edge so near to its end hardly was meant to.
+_BESIDE = 1e-6
 _SAMPLE_POINTS = np.linspace(0.0, 1.0, _SAMPLES + 1)
 
 
@@ -43,7 +45,8 @@ class Handovers:
             return ()
         arcs, gap_tolerance = list(arcs), setup.tolerances["gap"]
         early = self._let_through(setup, arcs, gap_tolerance)
-        tables = self._tables(setup, arcs, gap_tolerance)
+        tables, inside = self._tables(setup, arcs, gap_tolerance)
+        beside = self._past_ends(setup, arcs, tables, gap_tolerance)
         shallow = NEARLY_MEETING * setup.scales.length
         missed: dict[str, float] = {}
         for place, (contact, name) in enumerate(self._gated.items()):
@@ -55,7 +58,7 @@ class Handovers:
                     missed.setdefault(name, depths[0])
                 depths.clear()
 
-            for k, arc in enumerate(arcs) if tables else ():
+            for k, arc in enumerate(arcs) if inside else ():
                 if arc.mode[contact] != OFF:
                     depths.clear()
                     continue
@@ -73,13 +76,35 @@ class Handovers:
                             depths += (-gap_at_begin, -gap)
             end()
         late = (stays_off(self._mechanics.scene, name, d) for name, d in missed.items())
-        return (*early, *late)
+        return (*early, *beside, *late)
+
+    def _past_ends(
+        self, setup: SceneSetup, arcs: Sequence[Arc], tables: Mapping[int, Array], near: float
+    ) -> Iterator[str]:
+        """Yield a warning for each contact that is off by next to nothing as its gap closes."""
+        names = [*self._mechanics.scene.contacts]
+        points = [self._mechanics.scene.contacts[name].point for name in names]
+        for place, (contact, name) in enumerate(self._gated.items()):
+            same = [i for i, point in enumerate(points) if point == points[contact]]
+            for k, table in tables.items():
+                arc, gaps = arcs[k], table[:, 2 * place + 1]
+                through = np.flatnonzero((gaps[:-1] > near) & (gaps[1:] < -near))
+                # Another contact of the point that is closed takes its place.
+                if not through.size or any(arc.mode[i] not in OPEN for i in same):
+                    continue
+                if arc.mode[contact] != OFF:
+                    continue
+                sample = int(through[0]) + 1
+                margin = self._begin(setup, arc, place, sample, gap=True)
+                if -_BESIDE * setup.scales.length <= margin <= 0.0:
+                    yield passes_end(name)
+                    break
 
     def _let_through(
         self, setup: SceneSetup, arcs: Sequence[Arc], gap_tolerance: float
     ) -> list[str]:
         """Return a warning for each contact that goes off at the instant at which it touches."""
-        found: dict[str, str] = {}
+        warnings: dict[str, str] = {}
         for before, after in pairwise(arcs):
             for place, (contact, name) in enumerate(self._gated.items()):
                 if (before.mode[contact], after.mode[contact]) != ("free", OFF):
@@ -92,15 +117,15 @@ class Handovers:
                     for t in after.times[:2].tolist()
                 )
                 if abs(gap) <= gap_tolerance and later < -gap_tolerance:
-                    found.setdefault(name, goes_off(name, after.start.high))
-        return [*found.values()]
+                    warnings.setdefault(name, goes_off(name, after.start.high))
+        return [*warnings.values()]
 
     def _tables(
         self, setup: SceneSetup, arcs: Sequence[Arc], gap_tolerance: float
-    ) -> dict[int, Array]:
+    ) -> tuple[dict[int, Array], bool]:
         """Sample `_tape` on the arcs in which a gated contact is off.
 
-        Empty if no point is inside a surface while its conditions hold.
+        Also returns whether a point is inside a surface while its conditions hold.
         """
         count = len(self._mechanics.scene.frictional)
         groups: dict[tuple[Key, int], list[int]] = {}
@@ -122,7 +147,7 @@ class Handovers:
             )
             ends = np.cumsum([len(_SAMPLE_POINTS) * len(arc.coefficients) for arc in group])
             tables |= zip(places, np.split(rows, ends[:-1]), strict=True)
-        return tables if inside else {}
+        return tables, inside
 
     def _tape(self, states: Key) -> Tape:
         if states not in self._tapes:
@@ -137,8 +162,13 @@ class Handovers:
             self._tapes[states] = self._mechanics.whole_tape(outputs)
         return self._tapes[states]
 
-    def _begin(self, setup: SceneSetup, arc: Arc, place: int, sample: int) -> float:
-        """Return the gap when the gate begins to hold before a sample of an arc."""
+    def _begin(
+        self, setup: SceneSetup, arc: Arc, place: int, sample: int, *, gap: bool = False
+    ) -> float:
+        """Return the gap when the gate begins to hold before a sample of an arc.
+
+        With `gap`, the margin of the gate when the gap closes.
+        """
         tape = self._tape(arc.mode[len(self._mechanics.scene.frictional) :])
 
         def at(local: float) -> Array:
@@ -148,11 +178,11 @@ class Handovers:
         before, after = _samples(arc)[sample - 1 : sample + 1].tolist()
         for _ in range(_BISECTIONS):
             middle = 0.5 * (before + after)
-            if at(middle)[2 * place] < 0.0:
+            if (at(middle)[2 * place + gap] < 0.0) != gap:
                 before = middle
             else:
                 after = middle
-        return float(at(after)[2 * place + 1])
+        return float(at(after)[2 * place + (not gap)])
 
 
 def _samples(arc: Arc) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 
 from contacts.dynamics.conditions import Conditions, hidden
 from contacts.dynamics.held_forces import HeldForces
-from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.mechanics import HAULED, MIN_LENGTH, Mechanics
 from contacts.dynamics.projection import Projection, dead_point, in_contact, landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
@@ -58,7 +58,7 @@ from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.errors import NoConsistentMode, SingularMode
 
-# A start may be inside a surface by so much of the scene's length (and is projected out).
+# Largest initial depth, relative to the scene's length; it is projected out.
 _START_DEPTH = 1e-9
 
 
@@ -78,28 +78,30 @@ class SceneLaws:
         self.compliance = Compliance(mechanics, None) if mechanics.pads else None
         self.remarks = Handovers(mechanics).remarks
 
-    # Arrays of all bodies times all coordinates: a scene that runs by components needs none.
+    # Compiled on demand: a scene that runs by components needs no arrays of all bodies times all
+    # coordinates.
 
     @cached_property
-    def _tape(self) -> SnapshotTape:
+    def tape(self) -> SnapshotTape:
+        """The tape of snapshots."""
         return SnapshotTape(self._mechanics)
 
     @cached_property
     def _projection(self) -> Projection:
-        return Projection(self._mechanics, self._tape)
+        return Projection(self._mechanics, self.tape)
 
     @cached_property
     def _rules(self) -> Rules:
-        return Rules(self._tape, self._mechanics.scene.simultaneous, self._paradox)
+        return Rules(self.tape, self._mechanics.scene.simultaneous, self._paradox)
 
     @cached_property
     def compiled_laws(self) -> CompiledLaws | None:
-        """The compiled part of the laws; None with joints, and where stop conditions overlap."""
+        """The compiled part of the laws; None with joints, and if stop conditions overlap."""
         scene = self._mechanics.scene
         slow = self._mechanics.joint_rows or self._mechanics.pads or scene.couplings
         if slow or not self.numbers.disjoint:
             return None
-        return CompiledSceneLaws(self._names, self.numbers, self._tape, self._projection, self.jump)
+        return CompiledSceneLaws(self._names, self.numbers, self.tape, self._projection, self.jump)
 
     def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:
         """Return the laws with the forces of a tape, under other conditions."""
@@ -110,7 +112,7 @@ class SceneLaws:
             laws._projection = Projection(self._mechanics, tape)
         else:
             laws._projection = self._projection
-        laws._tape, laws.conditions = tape, conditions
+        laws.tape, laws.conditions = tape, conditions
         if laws.compliance is not None:
             laws.compliance = Compliance(laws._mechanics, tape.states)
         laws._switching = Switching(self._names, conditions, self._paradox)
@@ -118,14 +120,9 @@ class SceneLaws:
         laws.compiled_laws = None
         return laws
 
-    @property
-    def tape(self) -> SnapshotTape:
-        """The tape of its numbers at a state."""
-        return self._tape
-
     def snapshot(self, setup: Setup, state: Array, time: float) -> Snapshot:
-        """Return the scene's numbers at a state."""
-        return self._tape.at(setup.values, state, time)
+        """Return the snapshot at a state."""
+        return self.tape.at(setup.values, state, time)
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the first mode, checked against the declared one."""
@@ -140,8 +137,8 @@ class SceneLaws:
 
     def _initial_flow(self, setup: SceneSetup, state: Array) -> tuple[Flow, Array]:
         """Return the first flow, and its initial state."""
-        check_joints(self._mechanics, self._tape, setup, _START_DEPTH)
-        snapshot = self._tape.at(setup.values, state, 0.0)
+        check_joints(self._mechanics, self.tape, setup, _START_DEPTH)
+        snapshot = self.tape.at(setup.values, state, 0.0)
         failing = self._switching.failing(setup, snapshot, state, 0.0)
         depth = max(_START_DEPTH * setup.scales.length, setup.tolerances["gap"])
         off = tuple(
@@ -151,7 +148,7 @@ class SceneLaws:
             for law, why, contact in zip(setup.contacts, failing, snapshot.contacts, strict=True)
         )
         snapshot = hidden(snapshot, off)
-        check_places(self._names, snapshot)
+        check_places(self._mechanics, snapshot)
         near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
         touched = self._mechanics.scene.surface_of
         for law, contact in list(zip(setup.contacts, snapshot.contacts, strict=True))[
@@ -174,7 +171,7 @@ class SceneLaws:
         else:
             state = landed(key, snapshot, state, setup.tolerances)
         if state is not setup.initial:
-            snapshot = hidden(self._tape.at(setup.values, state, 0.0), off)
+            snapshot = hidden(self.tape.at(setup.values, state, 0.0), off)
         above = self._hovering(setup, state, off)
         choice = decide(setup, snapshot, touching, self._paradox, Before())
         if isinstance(choice, Jam):
@@ -191,8 +188,8 @@ class SceneLaws:
         return flow_in(setup, starts, taken.roles, None, warning, settled, choice.notes), state
 
     def _hovering(self, setup: SceneSetup, state: Array, mode: Key) -> str:
-        """Return the warnings about contacts that start off their surfaces by next to nothing."""
-        contacts = self._tape.at(setup.values, state, 0.0).contacts
+        """Return warnings about contacts that start just off their surfaces."""
+        contacts = self.tape.at(setup.values, state, 0.0).contacts
         on = [i for i, name in enumerate(mode[: self._count]) if name != OFF]
         return "; ".join(
             hovering(
@@ -202,36 +199,36 @@ class SceneLaws:
         )  # fmt: skip
 
     def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
-        """Classify every contact from the state; see `contacts.modes.classification`."""
+        """Classify every contact; see `contacts.modes.classification`."""
         if at.flow.signs and not self._mechanics.scene.regions:
             assert isinstance(at.setup, SceneSetup)
-            within = self._held.within(at.setup, at.flow, at.state, at.clock.high, self._tape)
+            within = self._held.within(at.setup, at.flow, at.state, at.clock.high, self.tape)
             at = at._replace(setup=within)
-        made = self._with_gap_offsets(at, self._jump(at))
+        result = self._with_gap_offsets(at, self._jump(at))
         if self.conditions.present:
-            made = self._conditional(at, made)
-        return made if self.compliance is None else self.compliance.watched(at, made)
+            result = self._conditional(at, result)
+        return result if self.compliance is None else self.compliance.watched(at, result)
 
     def _conditional(
-        self, at: Instant, made: tuple[Jump | None, Flow] | None
+        self, at: Instant, result: tuple[Jump | None, Flow] | None
     ) -> tuple[Jump | None, Flow] | None:
-        """Give the flow the round-off of the conditions that decide there."""
+        """Set the tolerances of the conditions that decide in the flow."""
         assert isinstance(at.setup, SceneSetup)
-        if made is None:
+        if result is None:
             return self._switching.continued(at, at.setup)
-        jump, flow = made
+        jump, flow = result
         state = flow.start if jump is None else jump.after
         where = at.state if state is None else state
-        return self._switching.watched(at.setup, where, at.clock.high, made)
+        return self._switching.watched(at.setup, where, at.clock.high, result)
 
     def _with_gap_offsets(
-        self, at: Instant, made: tuple[Jump | None, Flow] | None
+        self, at: Instant, result: tuple[Jump | None, Flow] | None
     ) -> tuple[Jump | None, Flow] | None:
-        """Measure the flights that begin with a jump from where round-off has left their gaps."""
-        if made is None or (jump := made[0]) is None:
-            return made
-        flow, setup, offsets = made[1], at.setup, self.numbers.gap_offsets
-        # The memory of controllers stands before the parameters here.
+        """Measure the gaps of starting flights from their round-off."""
+        if result is None or (jump := result[0]) is None:
+            return result
+        flow, setup, offsets = result[1], at.setup, self.numbers.gap_offsets
+        # Controller variables precede the parameters.
         parameters = setup.values[len(setup.values) - len(self.numbers.places) :]
         known = parameters if at.flow.values is None else at.flow.values
         count = self._count
@@ -242,23 +239,23 @@ class SceneLaws:
         ]
         flying = [state == "free" for state in moving]
         if not (any(began) or known[offsets].any()):
-            return made
-        found = np.where(flying, known[offsets], 0.0)
+            return result
+        new_offsets = np.where(flying, known[offsets], 0.0)
         if any(began):
-            contacts = self._tape.at(setup.values, jump.after, at.clock.high).contacts
+            contacts = self.tape.at(setup.values, jump.after, at.clock.high).contacts
             gaps = np.array([contact.gap for contact in contacts[:count]])
             near = np.abs(gaps) <= setup.tolerances["gap"]
-            found = np.where(began, np.where(near, gaps, 0.0), found)
+            new_offsets = np.where(began, np.where(near, gaps, 0.0), new_offsets)
         values = None
-        if found.any():
+        if new_offsets.any():
             values = parameters.copy()
-            values[offsets] = found
+            values[offsets] = new_offsets
         return jump, flow._replace(values=values)
 
     def _jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         setup, clock, _, flow, state, fired = at
         assert isinstance(setup, SceneSetup)
-        snapshot = self._tape.at(setup.values, state, clock.high)
+        snapshot = self.tape.at(setup.values, state, clock.high)
         strike = partial(self._strike, at, setup, snapshot)
         switched = self._switching.switched(at, setup, snapshot, strike)
         if switched:
@@ -267,6 +264,12 @@ class SceneLaws:
         contacts, closed, slow = here.snapshot.contacts, here.closed, here.slow
         if fired == (UNBOUNDED,):
             return self._unbounded(here)
+        for name in self._names:
+            if f"{name}.{HAULED}" in fired:
+                raise NoConsistentMode(
+                    f"rope {name!r} is hauled in to {MIN_LENGTH:g} of its length at the start by "
+                    f"t = {clock.high:.7g}; stop the winch before, or the run by a stop condition"
+                )
         hitting = here.hitting
         if hitting:
             return self._impact(here, hitting)
@@ -276,7 +279,7 @@ class SceneLaws:
         choice = decide(setup, here.snapshot, touching, self._paradox, before, uncertainty)
         if isinstance(choice, Jam):
             if all(choice.sliding[i] == here.moving[i] for i in choice.places):
-                # A contact that slid on to where none can: p fell to zero on the way.
+                # A contact that slid to where sliding ends: p fell to zero on the way.
                 grown = self._grown(here)
                 choice = choice if grown is None else dataclasses.replace(choice, why=grown.why)
             return self._impact(here, [*choice.places], choice)
@@ -289,12 +292,12 @@ class SceneLaws:
         """
         setup = at.setup
         assert isinstance(setup, SceneSetup)
-        snapshot = hidden(self._tape.at(setup.values, at.state, at.clock.high), at.flow.mode)
+        snapshot = hidden(self.tape.at(setup.values, at.state, at.clock.high), at.flow.mode)
         near = setup.tolerances["gap"]
         apart = max(_START_DEPTH * setup.scales.length, near)
         check_closing(self._mechanics, snapshot, joint, apart)
         state = on_constraints(("free",) * len(self._names), snapshot, at.state)
-        after = hidden(self._tape.at(setup.values, state, at.clock.high), at.flow.mode)
+        after = hidden(self.tape.at(setup.values, state, at.clock.high), at.flow.mode)
         plastic = tuple(law._replace(restitution=0.0) for law in setup.contacts)
         here = Landing(
             at._replace(state=state),
@@ -304,26 +307,26 @@ class SceneLaws:
             [c.gap <= near for c in after.contacts],
         )
         jump, flow, _ = impact_jump(self._rules, here, (joint, cause))
-        _, left = jump.energy or (0.0, 0.0)
-        energy = snapshot.energy, left
+        _, energy_after = jump.energy or (0.0, 0.0)
+        energy = snapshot.energy, energy_after
         return dataclasses.replace(jump, before=at.state, energy=energy), flow
 
     def _strike(
         self, at: Instant, setup: SceneSetup, snapshot: Snapshot, mode: Key
     ) -> tuple[Array, Snapshot] | None:
-        """Return the state after an impact of the contacts of a mode, and the numbers there."""
+        """Return the state and snapshot after an impact of the contacts of a mode."""
         at = at._replace(flow=at.flow._replace(mode=mode, roles=roles_in(mode)))
         here = self._landing(at, setup, hidden(snapshot, mode))
         if not here.hitting:
             return None
         after = impact_jump(self._rules, here, self._struck(here.hitting))[0].after
-        return after, self._tape.at(setup.values, after, at.clock.high)
+        return after, self.tape.at(setup.values, after, at.clock.high)
 
     def _landing(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> Landing:
-        """Bring the state back onto the constraints that the flow kept.
+        """Project the state onto the constraints of the flow.
 
-        Between steps a dense output leaves them by its own error: a contact that the flow kept
-        closed is judged as closed.
+        Between steps dense output leaves them by its own error: a contact that was closed counts as
+        closed.
         """
         flow, moving = at.flow, moving_mode(at.flow.roles)
         state = landed(moving, snapshot, at.state, setup.tolerances)
@@ -332,22 +335,22 @@ class SceneLaws:
         if rested != moving:
             state = on_constraints(rested, snapshot, state)
         if state is not at.state:
-            snapshot = hidden(self._tape.at(setup.values, state, at.clock.high), flow.mode)
+            snapshot = hidden(self.tape.at(setup.values, state, at.clock.high), flow.mode)
             state = in_contact(rested, snapshot, brought := state, slow)
             if state is not brought:
-                snapshot = hidden(self._tape.at(setup.values, state, at.clock.high), flow.mode)
+                snapshot = hidden(self.tape.at(setup.values, state, at.clock.high), flow.mode)
         closed = [c.gap <= close for c in snapshot.contacts]
         snapshot = press_closed(snapshot, closed)
         return Landing(at._replace(state=state), setup, snapshot, moving, closed)
 
     def _unbounded(self, here: Landing) -> tuple[Jump, Flow] | None:
-        """Resolve a flow that cannot be continued, where a force has grown without bound."""
+        """Resolve a flow that ends because a force grows without bound."""
         setup, snapshot, moving = here.setup, here.snapshot, here.moving
         jam = self._grown(here)
         if jam is None:
             sizes = setup.scales.sizes[: len(here.at.state) // 2]
             sizes = np.append(sizes, np.ones(snapshot.unreduced.pads))
-            # Contacts that share a load have dependent constraints, and rightly so.
+            # Contacts that share a load have dependent constraints by design.
             why = dead_point(snapshot, setup.contacts, moving, sizes)
             if why and roles_in(moving) == uncaptured(here.at.flow.roles):
                 raise SingularMode(why)
@@ -357,12 +360,12 @@ class SceneLaws:
         return self._impact(here, [*jam.places], jam)
 
     def _grown(self, here: Landing) -> Jam | None:
-        """Return the jam where a force grows without bound, if it does."""
+        """Return the jam if a force grows without bound."""
         shut = [state not in OPEN for state in here.moving]
         return unbounded(here.snapshot, here.setup.contacts, shut, 2.0 * here.slow)
 
     def _enter(self, at: Instant, here: Landing, choice: Choice) -> tuple[Jump | None, Flow] | None:
-        """Return the jump to a mode; None where it is the one that the flow moves in."""
+        """Return the jump to a mode; None if the flow already moves in it."""
         (_, clock, _, flow, state, fired), setup, snapshot, moving, _ = here
         target = choice.taken.states
         skipping = moving != flow.mode
@@ -373,28 +376,30 @@ class SceneLaws:
                 return None, flow._replace(roles=goes_on, settled=True)
             if not fired or flow.settled:
                 return None
-            # The force fell off the constraints, by however little: on them it may not have fallen.
-            # Projected once per instant (`settled`): twice gives other last bits.
+            # The force fell off the constraints by their error: on them it may not have. Projected
+            # once per instant (`settled`): twice changes the last bits.
             if state is at.state and self._of_forces(fired):
                 state = on_constraints(moving, snapshot, state)
             if np.array_equal(state, at.state):
                 return None
             return None, flow._replace(settled=True, start=state)
         after = landed(target, snapshot, state, setup.tolerances)
-        left = snapshot if after is state else self._tape.at(setup.values, after, clock.high)
+        snapshot_after = (
+            snapshot if after is state else self.tape.at(setup.values, after, clock.high)
+        )
         jump = at.jump(
             *cause(self._names, flow.mode, target, skipping),
             target,
             after,
             considered=choice.considered,
-            energy=(snapshot.energy, left.energy),
+            energy=(snapshot.energy, snapshot_after.energy),
         )
         roles, warning, notes = choice.taken.roles, choice.warning, choice.notes
         following = flow_in(setup, target, roles, warning=warning, notes=notes)
         return jump, following._replace(near_bound=choice.near_bound)
 
     def _of_forces(self, fired: tuple[str, ...]) -> bool:
-        """Tell whether margins of contact forces alone fell."""
+        """Return whether only margins of contact forces fell."""
         kinds = (*FORCE_MARGINS, *LIMIT_MARGINS)
         forces = {f"{name}.{force}" for name in self._names for force in kinds}
         return bool(fired) and forces.issuperset(fired)
@@ -402,14 +407,13 @@ class SceneLaws:
     def _rested(
         self, flow: Flow, moving: Key, snapshot: Snapshot, fired: tuple[str, ...], still: float
     ) -> Key:
-        """Return the mode with those contacts pinned whose slip has ended as far as time tells.
+        """Return the mode with contacts pinned whose slip has ended within the resolution of time.
 
-        Under a force that grows without bound slip changes by more than its tolerance in the last
-        bit of the time at which it ends.
+        Under an unbounded force slip changes by more than its tolerance in the last bit of time.
         """
         if flow.sizes is None:
             return moving
-        # Of rates of coordinates; pads of compliant contacts stand behind them.
+        # Of the rates of coordinates, which pads of compliant contacts follow.
         rounding = EPS * flow.sizes[len(flow.sizes) // 2 :]
         n = len(rounding)
         return tuple(
@@ -425,15 +429,15 @@ class SceneLaws:
     def accumulate(
         self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
     ) -> tuple[Jump, Flow] | None:
-        """Close all contacts that took part in impacts whose intervals shrink to nothing.
+        """Close all contacts of impacts whose intervals shrink to zero.
 
-        A block that rocks from corner to corner, a bar that rattles on both ends; the bounces of
-        one contact are summed where they happen (`contacts.impacts.bounces`).
+        For example a block that rocks from corner to corner; bounces of one contact are summed at
+        its impact (`contacts.impacts.bounces`).
         """
         assert isinstance(setup, SceneSetup)
         jump = jumps[-1]
-        alike = jump.region, jump.cause
-        since = [j for j, past in enumerate(jumps[:-1]) if (past.region, past.cause) == alike]
+        same_event = jump.region, jump.cause
+        since = [j for j, past in enumerate(jumps[:-1]) if (past.region, past.cause) == same_event]
         if jump.cause != "touchdown" or not since:
             return None
         took_part = set().union(*(past.impulse for past in jumps[since[-1] :]))
@@ -441,51 +445,39 @@ class SceneLaws:
             return None
         took = [name in took_part for name in self._names]
         period = jump.t - jumps[since[-1]].t
-        jump, flow, beside = self._engage_corner(setup, clock, flow, jump)
-        made = self._closed_at_once(setup, clock, flow, jump, took, period, rest)
-        if made is None or not beside:
-            return made
-        jump, flow = made
-        _, flow = self._switching.watched(setup, jump.after, clock.high, made)
-        return (jump, flow) if all(flow.roles[i].captured for i in beside) else None
+        jump, flow, in_corner = self._engage_corner(setup, clock, flow, jump)
+        result = self._closed_at_once(setup, clock, flow, jump, took, period, rest)
+        if result is None or not in_corner:
+            return result
+        jump, flow = result
+        _, flow = self._switching.watched(setup, jump.after, clock.high, result)
+        return (jump, flow) if all(flow.roles[i].captured for i in in_corner) else None
 
     def _engage_corner(
         self, setup: SceneSetup, clock: Clock, flow: Flow, jump: Jump
     ) -> tuple[Jump, Flow, list[int]]:
-        """Engage the contacts that are off in the corner where an impact has left their point."""
-        snapshot = self._tape.at(setup.values, jump.after, clock.high)
-        beside = self._switching.corner_contacts(setup, snapshot, jump.after, clock.high, flow.mode)
-        if beside:
-            mode = tuple("free" if i in beside else now for i, now in enumerate(flow.mode))
+        """Enable the disabled contacts of the corner at which an impact has left their point."""
+        snapshot = self.tape.at(setup.values, jump.after, clock.high)
+        in_corner = self._switching.corner_contacts(
+            setup, snapshot, jump.after, clock.high, flow.mode
+        )
+        if in_corner:
+            mode = tuple("free" if i in in_corner else now for i, now in enumerate(flow.mode))
             free = roles_in(mode)
-            roles = tuple(free[i] if i in beside else now for i, now in enumerate(flow.roles))
+            roles = tuple(free[i] if i in in_corner else now for i, now in enumerate(flow.roles))
             jump = dataclasses.replace(jump, target=mode)
             flow = flow._replace(mode=mode, roles=roles)
-        return jump, flow, beside
+        return jump, flow, in_corner
 
     def _closed_at_once(
-        self,
-        setup: SceneSetup,
-        clock: Clock,
-        flow: Flow,
-        jump: Jump,
-        took_part: Sequence[bool],
-        period: float,
-        rest: float,
-    ) -> tuple[Jump, Flow] | None:
-        return closed_at_once(
-            setup,
-            lambda state: self._tape.at(setup.values, state, clock.high),
-            flow,
-            jump,
-            took_part,
-            period,
-            rest,
-            self._paradox,
-        )
+        self, setup: SceneSetup, clock: Clock, flow: Flow, jump: Jump, took_part: Sequence[bool],
+        period: float, rest: float,
+    ) -> tuple[Jump, Flow] | None:  # fmt: skip
+        at = partial(self.tape.at, setup.values, time=clock.high)
+        return closed_at_once(setup, at, flow, jump, took_part, period, rest, self._paradox)
 
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
-        """Return what keeps the closed contacts of `roles` closed, and pinned points in place."""
+        """Return the constraints of the closed contacts of `roles`, and of pinned points."""
         assert isinstance(setup, SceneSetup)
         return self._projection.constraints(
             moving_mode(roles), start, anchor, setup.values, setup.tolerances, setup.scales
@@ -494,21 +486,21 @@ class SceneLaws:
     def feasibility(
         self, regions: Sequence[Region], setup: Setup, state: Array, time: float
     ) -> Feasibility:
-        """Judge every product mode by the velocities that it asks for."""
+        """Test every product mode by the velocities that it requires."""
         assert isinstance(setup, SceneSetup)
         failing = self.conditions.at(setup, state, time).failing()
         return scene_feasibility(regions, setup, self.snapshot(setup, state, time), failing)
 
     def _struck(self, hitting: list[int], jam: Jam | None = None) -> tuple[str, str]:
-        """Return the region and the cause of an impact: whichever gap fell a rounding earlier."""
+        """Return region and cause of an impact; which gap fell first is round-off."""
         return self._names[hitting[0]], "touchdown" if jam is None else "jam"
 
     def _impact(
         self, here: Landing, hitting: list[int], jam: Jam | None = None
     ) -> tuple[Jump, Flow]:
         jump, flow, following = impact_jump(self._rules, here, self._struck(hitting, jam), jam)
-        setup, closed, (before, left) = here.setup, here.closed, jump.energy or (0.0, 0.0)
-        idle = jam is None and sum(closed) > 1 and left >= before
+        setup, closed, (before, after) = here.setup, here.closed, jump.energy or (0.0, 0.0)
+        idle = jam is None and sum(closed) > 1 and after >= before
         if idle and opens_in_vain(setup, following, closed):
             at = here.at
             done = self._closed_at_once(setup, at.clock, flow, jump, closed, 0.0, jump.skipped)
@@ -521,17 +513,17 @@ class SceneLaws:
     def _captured_in_corner(
         self, setup: SceneSetup, clock: Clock, jump: Jump, flow: Flow
     ) -> tuple[Jump, Flow] | None:
-        """Stop a point that goes to and fro through a corner so slowly that round-off moves it.
+        """Stop a point that oscillates through a corner so slowly that round-off moves it.
 
-        Where a contact takes over is known to the round-off of its condition: falling so far gives
-        a point the speed that the impact takes.
+        The place of a takeover is known to the round-off of its condition: a fall over that
+        distance gives the speed that the impact takes.
         """
-        engaged, following, beside = self._engage_corner(setup, clock, flow, jump)
+        engaged, following, in_corner = self._engage_corner(setup, clock, flow, jump)
         shut = [i for i, now in enumerate(flow.mode) if now not in OPEN]
-        at = partial(self._tape.at, setup.values, time=clock.high)
-        if len(beside) != 1:
+        at = partial(self.tape.at, setup.values, time=clock.high)
+        if len(in_corner) != 1:
             return None
-        points, other = self.conditions.points, beside[0]
+        points, other = self.conditions.points, in_corner[0]
 
         def strike(snapshot: Snapshot, closed: Sequence[bool]) -> Array:
             closed = struck(setup.contacts, closed)
@@ -542,17 +534,17 @@ class SceneLaws:
             if rest is None:
                 continue
             took = [i == other or i in shut for i in range(len(flow.mode))]
-            made = self._closed_at_once(setup, clock, following, engaged, took, 0.0, rest)
-            if made is not None and made[1].roles[other].captured:
-                return made
+            result = self._closed_at_once(setup, clock, following, engaged, took, 0.0, rest)
+            if result is not None and result[1].roles[other].captured:
+                return result
         return None
 
 
 class Compliance:
-    """The compliant contacts of a scene.
+    """Compliant contacts of a scene.
 
-    A damped contact lifts off while it is inside its surface, where its force vanishes. From there
-    it presses again, or leaves the surface, whichever comes first.
+    A damped contact lifts off inside its surface, where its force vanishes. From there it presses
+    again, or leaves the surface, whichever comes first.
     """
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None) -> None:
@@ -565,8 +557,8 @@ class Compliance:
     def tolerances(
         self, setup: SceneSetup, mode: Key, state: Array, time: float
     ) -> dict[str, float]:
-        """Return margin -> how far below zero a flow from here lets it go; infinity: unwatched."""
-        found: dict[str, float] = {}
+        """Return margin -> tolerance in a flow from here; infinity: unwatched."""
+        own: dict[str, float] = {}
         numbers = self._tape.at(state, setup.values, time).reshape(-1, 2)
         for (name, place), (gap, force) in zip(self._places, numbers.tolist(), strict=True):
             if mode[place] not in OPEN:
@@ -574,23 +566,23 @@ class Compliance:
                 if gap >= 0.0 and force < 0.0:
                     edge = max(setup.contacts[place].cone_n, np.finfo(float).tiny)
                     band = setup.tolerances["force"] - 2.0 * force / edge
-                    found |= {f"{name}.{margin}": band for margin in FORCE_MARGINS}
+                    own |= {f"{name}.{margin}": band for margin in FORCE_MARGINS}
                 continue
             near, press = setup.tolerances["gap"], setup.tolerances["force"]
             bands = (math.inf, press, UNDERFLOW) if gap < -near else (near, math.inf, math.inf)
             margins = (f"{name}.{margin}" for margin in ("gap", INSIDE, OUTSIDE))
-            found |= dict(zip(margins, bands, strict=True))
-        return found
+            own |= dict(zip(margins, bands, strict=True))
+        return own
 
     def watched(
-        self, at: Instant, made: tuple[Jump | None, Flow] | None
+        self, at: Instant, result: tuple[Jump | None, Flow] | None
     ) -> tuple[Jump | None, Flow] | None:
-        """Give a flow the margins that end its flights; also one that goes on."""
-        jump, flow = (None, at.flow) if made is None else made
+        """Set the margins that end the flights of a flow, also of one that continues."""
+        jump, flow = (None, at.flow) if result is None else result
         state = flow.start if jump is None else jump.after
         where = at.state if state is None else state
         assert isinstance(at.setup, SceneSetup)
         own = self.tolerances(at.setup, moving_mode(flow.roles), where, at.clock.high)
-        if made is None and alike(own, flow.tolerances):
+        if result is None and alike(own, flow.tolerances):
             return None
         return jump, flow._replace(tolerances={**flow.tolerances, **own})

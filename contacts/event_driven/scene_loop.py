@@ -156,14 +156,9 @@ def _watches(
 
 @kernel
 def _start(
-    program: Program,
-    scene: SceneBatch,
-    watch: Watch,
-    instants: SceneWatch,
-    scales: Array,
-    state: Array,
-    states: Ints,
-) -> int:
+    program: Program, scene: SceneBatch, watch: Watch, instants: SceneWatch, scales: Array,
+    state: Array, states: Ints,
+) -> int:  # fmt: skip
     """Return the first mode; -1 if it is ambiguous or not compiled."""
     contacts = states.shape[0]
     numbers = np.empty(instants.numbers[5])
@@ -206,7 +201,7 @@ def _end(
         return runs.UNUSUAL
     if not entered[mode]:
         return runs.ENDED
-    margins, judged = np.empty(row[STOPS] if stopped else row[MARGINS]), False
+    margins, certified = np.empty(row[STOPS] if stopped else row[MARGINS]), False
     evaluate(program, row[WATCHED : WATCHED + TAPE], state, watch.parameters, time, margins)
     for i in range(margins.shape[0]):
         kind = program.ints[row[MARGINS_AT] + 2 * i]
@@ -217,10 +212,10 @@ def _end(
             return runs.UNUSUAL
         if kind == SPEED and margins[i] <= watch.kinds[SPEED]:
             return runs.UNUSUAL
-        judged = judged or (kind == PLAIN and band >= 0.0)
+        certified = certified or (kind == PLAIN and band >= 0.0)
     if stopped:
         return runs.STOPPED
-    return runs.CLOSING if judged else runs.ENDED
+    return runs.CLOSING if certified else runs.ENDED
 
 
 @kernel
@@ -234,14 +229,9 @@ def _other(values: Array, zeros: Bools) -> bool:
 
 @kernel
 def _record_arc(
-    block: TraceBuffer,
-    workspace: FlowWorkspace,
-    mode: int,
-    j: int,
-    steps: int,
-    high: float,
+    block: TraceBuffer, workspace: FlowWorkspace, mode: int, j: int, steps: int, high: float,
     low: float,
-) -> None:
+) -> None:  # fmt: skip
     """Append the steps of a flow to the block, without trailing terms that are all zero."""
     coeffs, used = workspace.coefficients, block.used
     n, width = coeffs.shape[1], coeffs.shape[2]
@@ -306,14 +296,9 @@ def _advance(clock: Array, elapsed: float) -> None:
 
 @kernel
 def _run(
-    program: Program,
-    watch: Watch,
-    workspace: FlowWorkspace,
-    scene: SceneWatch,
-    block: TraceBuffer,
-    run: RunState,
-    entered: Bools,
-) -> tuple[int, int, float]:
+    program: Program, watch: Watch, workspace: FlowWorkspace, scene: SceneWatch, block: TraceBuffer,
+    run: RunState, entered: Bools,
+) -> tuple[int, int, float]:  # fmt: skip
     """Flow and jump up to an ambiguous instant or the end.
 
     Updates `run` and `entered`. Returns the reason, the margin that fell or the series that
@@ -413,15 +398,9 @@ def _no_series(series: Array) -> None:
 
 @kernel(interpreted=False)
 def run_batch(
-    program: Program,
-    workspace: FlowWorkspace,
-    scene: SceneBatch,
-    first_watch: Watch,
-    first_instants: SceneWatch,
-    batch: BatchInputs,
-    block: TraceBuffer,
-    result: BatchResult,
-) -> int:
+    program: Program, workspace: FlowWorkspace, scene: SceneBatch, first_watch: Watch,
+    first_instants: SceneWatch, batch: BatchInputs, block: TraceBuffer, result: BatchResult,
+) -> int:  # fmt: skip
     """Start or resume the runs of a batch; return the number of runs that fit into the block.
 
     For program and workspace see `statechart.engines.compiled_flow`. `first_watch` and

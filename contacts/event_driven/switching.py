@@ -1,4 +1,4 @@
-"""Contacts with conditions go off and come back."""
+"""Switching of contacts by their conditions."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from statechart.automaton.laws import Flow, Instant
 from statechart.automaton.trace import Jump, Key, Role, Roles
 from statechart.errors import NonFinite, SimulationError
 
-# Multiple of the round-off of a place: a zero may be on either side.
+# Safety factor of the round-off of a place: a zero may be on either side.
 _MORE = 2.0
 
-# A warning is given where none of the contacts that meet within so many tolerances of gaps is on.
+# Size of a corner, in gap tolerances, at which a warning tells that all its contacts are off.
 _CORNER = 1000.0
 
 Strike = Callable[[Key], tuple[Array, Snapshot] | None]
-"""Mode -> the state after an impact of its contacts, and the numbers there; None without one."""
+"""Mode -> state and snapshot after an impact of its contacts; None without one."""
 
 
 class Switching:
-    """Takes contacts off and back (see `contacts.dynamics.conditions`)."""
+    """Disables and enables contacts (see `contacts.dynamics.conditions`)."""
 
     def __init__(self, names: Sequence[str], conditions: Conditions, paradox: Resolution) -> None:
         self._names, self._conditions, self._paradox = names, conditions, paradox
-        self._verdicts: list[int] = []  # of the instant that `switched` was asked about last
+        self._verdicts: list[int] = []  # Of the last instant in `switched`.
 
     def failing(
         self, setup: SceneSetup, snapshot: Snapshot, state: Array, time: float
     ) -> tuple[str, ...]:
-        """Return, for every contact, a condition that fails; see `ConditionsAt`."""
+        """Return a failing condition of each contact, or ""; see `ConditionsAt`."""
         here = self._conditions.at(setup, state, time)
         near = _closed_below(setup, snapshot, here)
         return self._conditions.first(self._judged(setup, snapshot, here, near))
@@ -54,9 +54,9 @@ class Switching:
         fired: tuple[str, ...] = (),
         on: Sequence[bool] = (),
     ) -> list[int]:
-        """Return the verdicts of the atoms in a state, with contacts closed up to the gaps `near`.
+        """Return the verdicts of the atoms at a state, with contacts closed up to the gaps `near`.
 
-        `on` are the contacts that are, where a flow has come there.
+        `on`: contacts enabled in the flow that ends there.
         """
         slow = setup.tolerances["speed"]
 
@@ -70,7 +70,7 @@ class Switching:
                 )
             )
             shown = hidden(snapshot, off)
-            # A contact that strikes is not held before it has.
+            # A striking contact does not constrain the motion yet.
             touching = [
                 c.gap <= close and abs(c.gap_rate) <= slow
                 for c, close in zip(shown.contacts, near, strict=True)
@@ -82,8 +82,8 @@ class Switching:
             return None if isinstance(choice, Jam) else choice.taken.roles
 
         verdicts = here.verdicts(fired, motion, on)
-        kept = self._held_in_corners(setup, snapshot, here, near, verdicts, fired, on)
-        return here.with_boundary(verdicts, kept, fired)
+        certified = self._held_in_corners(setup, snapshot, here, near, verdicts, fired, on)
+        return here.with_boundary(verdicts, certified, fired)
 
     def _held_in_corners(
         self,
@@ -95,17 +95,16 @@ class Switching:
         fired: Collection[str],
         on: Sequence[bool],
     ) -> set[int]:
-        """Return the contacts whose atoms on their boundary hold, as nothing else takes over.
+        """Return the contacts whose atoms hold on their boundary, as no other contact takes over.
 
-        That is in a corner where contacts of one point meet. Edges at an acute angle have no place
-        of their own behind the corner: a point that slides on one of them strikes the other, and
-        passes the ends of both. Elsewhere a contact that is on waits for the other, of which less
-        round-off tells that it is not there yet.
+        In a corner where contacts of one point meet: edges at an acute angle overlap behind the
+        corner, so that a point sliding on one strikes the other and passes the ends of both.
+        Elsewhere an enabled contact waits for the other, whose condition has less round-off.
         """
         failing = self._conditions.first(verdicts)
-        kept: set[int] = set()
+        certified: set[int] = set()
         if not any(failing):
-            return kept
+            return certified
         contacts, points = snapshot.contacts, self._conditions.points
         slow, every = setup.tolerances["speed"], range(len(points))
         corners: dict[int, list[int]] = {}
@@ -113,20 +112,20 @@ class Switching:
             if abs(contacts[i].gap) <= max(near[j] for j in every if points[j] == point):
                 corners.setdefault(point, []).append(i)
         would = self._conditions.first(here.with_boundary(verdicts, every, fired))
-        doubtful = [bool(why) and not then for why, then in zip(failing, would, strict=True)]
+        on_boundary = [bool(why) and not then for why, then in zip(failing, would, strict=True)]
         for places in corners.values():
             if len(places) < 2 or not all(failing[i] for i in places):
                 continue
-            leaves = [i for i in places if doubtful[i] and contacts[i].gap_rate <= slow]
+            leaves = [i for i in places if on_boundary[i] and contacts[i].gap_rate <= slow]
             if len(leaves) > 1 and any(contacts[i].gap_rate < -slow for i in leaves):
-                kept.update(leaves)
-            kept.update(i for i in places if doubtful[i] and on and on[i])
-        return kept
+                certified.update(leaves)
+            certified.update(i for i in places if on_boundary[i] and on and on[i])
+        return certified
 
     def switched(
         self, at: Instant, setup: SceneSetup, snapshot: Snapshot, strike: Strike
     ) -> dict[int, str]:
-        """Return the contacts that go off, with a condition that fails, or come back, with ""."""
+        """Return the contacts that go off, with a failing condition, or come back, with ""."""
         if not self._conditions.present:
             return {}
         here = self._conditions.at(setup, at.state, at.clock.high)
@@ -160,10 +159,11 @@ class Switching:
         failing: tuple[str, ...],
         strike: Strike,
     ) -> tuple[str, ...]:
-        """Return the conditions that fail if an impact does not throw the bodies back.
+        """Return the conditions that fail unless an impact sends the bodies back.
 
-        In a narrow valley an impact on one side sends the point to the other, whose contact is
-        closed as well: both take part.
+        A contact that is on, and would be again after the impact, has not changed. In a narrow
+        valley an impact on one side sends the point to the other, whose contact is closed as well:
+        both take part.
         """
         slow = setup.tolerances["speed"]
         mode = tuple(
@@ -176,22 +176,27 @@ class Switching:
                 failing, at.flow.mode, snapshot.contacts, near, setup.contacts, strict=True
             )
         )
-        found = strike(mode)
-        if found is None:
+        struck = strike(mode)
+        if struck is None:
             return failing
-        state, after = found
+        state, after = struck
         then = self.failing(setup, after, state, at.clock.high)
         return tuple(
-            "" if not later and abs(contact.gap) <= close and contact.gap_rate < -slow else why
-            for why, later, contact, close in zip(failing, then, after.contacts, near, strict=True)
+            ""
+            if not later
+            and (state not in INACTIVE or (abs(contact.gap) <= close and contact.gap_rate < -slow))
+            else why
+            for why, later, state, contact, close in zip(
+                failing, then, at.flow.mode, after.contacts, near, strict=True
+            )
         )
 
     def corner_contacts(
         self, setup: SceneSetup, snapshot: Snapshot, state: Array, time: float, mode: Key
     ) -> list[int]:
-        """Return the contacts that are off in a corner where one of the same point is closed.
+        """Return the disabled contacts in a corner where one of the same point is closed.
 
-        Round-off alone tells there which of them is on.
+        Only round-off decides there which of them is on.
         """
         if not self._conditions.present:
             return []
@@ -200,15 +205,15 @@ class Switching:
         fails = self._conditions.first(here.with_boundary(here.verdicts(), every, ()))
         gaps = zip(snapshot.contacts, near, strict=True)
         met = [abs(contact.gap) <= close for contact, close in gaps]
-        held = {points[i] for i in every if met[i] and mode[i] not in INACTIVE}
+        occupied = {points[i] for i in every if met[i] and mode[i] not in INACTIVE}
         return [
-            i for i in every if mode[i] == OFF and met[i] and not fails[i] and points[i] in held
+            i for i in every if mode[i] == OFF and met[i] and not fails[i] and points[i] in occupied
         ]
 
     def jump(
         self, at: Instant, setup: SceneSetup, snapshot: Snapshot, switched: Mapping[int, str]
     ) -> tuple[Jump, Flow]:
-        """Take contacts off or back; what the others do then is asked next."""
+        """Disable or enable contacts; the others are classified next."""
         flow = at.flow
         mode, roles = list(flow.mode), list(flow.roles)
         for place, why in switched.items():
@@ -231,37 +236,37 @@ class Switching:
         )
         following = flow._replace(mode=tuple(mode), roles=tuple(roles), warning="", settled=False)
         if not any(role.captured for role in roles):
-            # The bounces that were skipped were those of a contact that is off now.
+            # The skipped bounces belonged to a contact that is off now.
             following = following._replace(remaining=math.inf)
         return jump, following._replace(warning=self._lost(setup, snapshot, flow.mode, tuple(mode)))
 
     def _lost(self, setup: SceneSetup, snapshot: Snapshot, before: Key, after: Key) -> str:
-        """Return a warning where contacts of a point go off in a corner, and none takes over."""
+        """Return a warning if all contacts of a point go off in a corner."""
         points, room = self._conditions.points, _CORNER * setup.tolerances["gap"]
-        beside = [abs(contact.gap) <= room for contact in snapshot.contacts]
+        nearby = [abs(contact.gap) <= room for contact in snapshot.contacts]
         for i, point in enumerate(points):
-            corner = [j for j, other in enumerate(points) if other == point and beside[j]]
-            left = before[i] not in INACTIVE and i in corner
-            if left and len(corner) > 1 and all(after[j] in INACTIVE for j in corner):
+            corner = [j for j, other in enumerate(points) if other == point and nearby[j]]
+            goes_off = before[i] not in INACTIVE and i in corner
+            if goes_off and len(corner) > 1 and all(after[j] in INACTIVE for j in corner):
                 names = ", ".join(self._names[j] for j in corner)
                 return f"{names} meet here, and all are off: the point may fall between them"
         return ""
 
     def watched(
-        self, setup: SceneSetup, state: Array, time: float, made: tuple[Jump | None, Flow]
+        self, setup: SceneSetup, state: Array, time: float, result: tuple[Jump | None, Flow]
     ) -> tuple[Jump | None, Flow]:
-        """Give a flow from a state the round-off of the conditions that decide there.
+        """Set the tolerances of the conditions in a flow from a state.
 
-        What a jump leaves on the boundary of a condition may go another way: it is judged again.
+        A jump that leaves a state on the boundary of a condition is classified again.
         """
-        jump, flow = made
+        jump, flow = result
         here = self._conditions.at(setup, state, time)
         settled = flow.settled and not (jump is not None and here.on_boundary)
         tolerances = {**flow.tolerances, **here.tolerances()}
         return jump, flow._replace(tolerances=tolerances, settled=settled)
 
     def continued(self, at: Instant, setup: SceneSetup) -> tuple[None, Flow] | None:
-        """Let a mode that holds go on, if other conditions decide that it does; else None."""
+        """Continue a mode if other conditions certify it; else None."""
         flow = at.flow
         here = self._conditions.at(setup, at.state, at.clock.high)
         own = here.tolerances(self._verdicts)
@@ -271,10 +276,10 @@ class Switching:
 
 
 def _closed_below(setup: SceneSetup, snapshot: Snapshot, here: ConditionsAt) -> list[float]:
-    """Return up to which gap every contact is closed.
+    """Return the largest gap at which each contact is closed.
 
-    A place at which a gate is zero is known to the round-off of the gate. So is, then, the gap of
-    the contact that takes over there.
+    The zero of a gate is known to its round-off, and so is the gap of the contact that takes over
+    there.
     """
     return [
         setup.tolerances["gap"] + _MORE * blur * float(np.linalg.norm(contact.jacobian[0]))
@@ -285,7 +290,7 @@ def _closed_below(setup: SceneSetup, snapshot: Snapshot, here: ConditionsAt) -> 
 
 
 def alike(own: Mapping[str, float], tolerances: Mapping[str, float]) -> bool:
-    """Return whether the margins of conditions that are watched are those of `tolerances`."""
+    """Return whether the same margins of conditions are watched as in `tolerances`."""
     return all(
         (tolerances.get(name, 0.0) == math.inf) == (tolerance == math.inf)
         for name, tolerance in own.items()

@@ -23,7 +23,7 @@ from contacts.modes.compiled_classification import ModeRules, write_edges
 from contacts.solvers.contact_rows import STEEPEST
 from contacts.solvers.dependence import independent
 from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
-from contacts.solvers.mode_solver import choose_edges, solve_modes
+from contacts.solvers.mode_solver import ModeEquations, ModeSolutions, choose_edges, solve_modes
 from contacts.solvers.redundancy import connected, mode_columns, smallest
 from contacts.solvers.saddle_point import SOLVED
 from contacts.solvers.step_impulses import into_cone
@@ -217,11 +217,12 @@ def solve_impacts(
     total, count = codes.shape
     status, judged = np.empty(total, np.int64), np.zeros(count, np.bool_)
     cones = np.empty((count, 2))
-    solve_modes(
+    equations = ModeEquations(
         problem.mass, np.zeros(problem.mass.shape[0]), problem.jacobians, problem.start,
-        problem.cones, np.full(count, -1), codes, judged, judged, 1.0, 1.0, status, changes,
-        impulses, np.empty((total, 4)), 0.0,
+        problem.cones, np.full(count, -1), judged, judged,
     )  # fmt: skip
+    solutions = ModeSolutions(status, changes, impulses, np.empty((total, 4)))
+    solve_modes(equations, codes, 1.0, 1.0, 0.0, solutions)
     for k in range(total):
         violations[k] = edges[k] = math.inf
         choose_edges(problem.cones, codes[k], cones)

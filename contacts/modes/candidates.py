@@ -30,6 +30,8 @@ from contacts.solvers.mode_solver import (
     NEGATIVE,
     OUTSIDE,
     PULLS,
+    ModeEquations,
+    ModeSolutions,
     choose_edges,
     solve_modes,
 )
@@ -146,31 +148,16 @@ def _solved_combinations(
     snapshot, laws, closed, at_rest, scales, tie, _ = case
     edges = bounds(laws, snapshot)
     count, contacts = codes.shape
-    status, verdicts = np.empty(count, np.int64), np.empty((count, 4))
-    accelerations = np.empty((count, len(snapshot.forces)))
-    forces = np.empty((count, contacts, 2))
-    redundant, _ = solve_modes(
-        snapshot.mass,
-        snapshot.forces,
-        snapshot.jacobians,
-        snapshot.biases,
-        edges,
-        carriers(tuple(laws)),
-        codes,
-        _flags(
-            tuple(
-                is_closed and not law.coupling for is_closed, law in zip(closed, laws, strict=True)
-            )
-        ),
-        _flags(tuple(at_rest)),
-        scales.force,
-        scales.acceleration,
-        status,
-        accelerations,
-        forces,
-        verdicts,
-        tie,
-    )
+    touching = tuple(c and not law.coupling for c, law in zip(closed, laws, strict=True))
+    equations = ModeEquations(
+        snapshot.mass, snapshot.forces, snapshot.jacobians, snapshot.biases, edges,
+        carriers(tuple(laws)), _flags(touching), _flags(tuple(at_rest)),
+    )  # fmt: skip
+    status, accelerations, forces, verdicts = solutions = ModeSolutions(
+        np.empty(count, np.int64), np.empty((count, len(snapshot.forces))),
+        np.empty((count, contacts, 2)), np.empty((count, 4)),
+    )  # fmt: skip
+    redundant, _ = solve_modes(equations, codes, scales.force, scales.acceleration, tie, solutions)
     solved: list[Candidate] = []
     judged = zip(combinations, status.tolist(), verdicts.tolist(), strict=True)
     for k, (states, outcome, (violation, contact, kind, number)) in enumerate(judged):

@@ -381,7 +381,10 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
         )
     ]
     if not opened:
-        raise AmbiguousMode(f"several modes agree with the state and move it differently: {labels}")
+        raise AmbiguousMode(
+            f"nothing declared decides between {labels}; leave one of them out of the modes of "
+            "its contact, or change friction or the start"
+        )
     # Painleve's indeterminate case: a contact could also stay closed with a force without cause.
     # The candidates with the smallest sets of loaded contacts do without.
     bearing = [_bearing(c) for c in opened]

@@ -13,6 +13,8 @@ import numpy as np
 
 from contacts.dynamics.snapshot import EDGES, SCALARS
 from contacts.solvers.mode_solver import (
+    ModeEquations,
+    ModeSolutions,
     solve_modes,
 )
 from contacts.states import (
@@ -171,27 +173,18 @@ def classify(
         for c in range(contacts):
             codes[k, c] = options[c, remainder % counts[c]]
             remainder //= counts[c]
-    status, verdicts = np.empty(total, np.int64), np.empty((total, 4))
-    forces = np.empty((total, contacts, 2))
+    verdicts, forces = np.empty((total, 4)), np.empty((total, contacts, 2))
     edges = np.empty((contacts, 6))
     write_edges(rules.cones, numbers, scalars, edges)
-    redundant, agreeing = solve_modes(
-        numbers[: n * n].reshape((n, n)),
-        numbers[n * n : n * n + n],
+    equations = ModeEquations(
+        numbers[: n * n].reshape((n, n)), numbers[n * n : n * n + n],
         numbers[at:biases_at].reshape((contacts, 2, n)),
         numbers[biases_at:scalars].reshape((contacts, 2)),
-        edges,
-        np.full(contacts, -1),
-        codes,
-        closed,
-        at_rest,
-        rules.force,
-        rules.acceleration,
-        status,
-        np.empty((total, n)),
-        forces,
-        verdicts,
-        tie,
+        edges, np.full(contacts, -1), closed, at_rest,
+    )  # fmt: skip
+    solutions = ModeSolutions(np.empty(total, np.int64), np.empty((total, n)), forces, verdicts)
+    redundant, agreeing = solve_modes(
+        equations, codes, rules.force, rules.acceleration, tie, solutions
     )
     if redundant > 0 or agreeing < 0 or not verdicts[agreeing, 0] < -tie:
         return False

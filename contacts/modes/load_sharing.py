@@ -106,7 +106,7 @@ def share(
     The modes `code` (c,) are those of `contacts.states`; `forces` explain the motion, inside their
     `cones` or not. A bias `inward` into the cones regularises the search of zones, so that they
     determine the forces also on the boundary of the feasible loads. `loaded_by` are the carriers of
-    `solve_modes`; the last `signs` modes are those of sign functions, which carry nothing in the
+    `ModeEquations`; the last `signs` modes are those of sign functions, which carry nothing in the
     equations of a flow.
     """
     limits, cones = cones, cones.copy()

@@ -1,5 +1,5 @@
-"""Pictures of scenes: bodies, surfaces and contacts as plain shapes at instants of a run.
+"""Pictures of scenes: bodies, surfaces and contacts as shapes at instants of a run.
 
 `stage` makes a film of a scene, from the shapes of `bodies`, the `links` between them and the
-surfaces, in the part of the plane that it chooses.
+surfaces, in a window of the plane.
 """

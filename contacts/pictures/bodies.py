@@ -1,4 +1,4 @@
-"""Shapes of bodies: declared ones, else shapes that follow from points and masses."""
+"""Shapes of bodies: declared ones, else inferred from points and masses."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from statechart.documents.declaration import TIME
 from statechart.formulas.formula import parse
 from statechart.pictures.film import WORLD, Shape, ShapeKind
 
-# Of more bodies that are fixed or led none has its name in the picture.
+# Number of fixed or led bodies above which they have no labels.
 _NAMED = 5
 
 
 class BodyShapes:
     """The shapes of a scene's bodies for values of its parameters.
 
-    A body that declares none is drawn by what is known of it: discs that touch with their rims,
-    contact points, joints, edges, and bodies whose places are fixed in its frame. Points on a line
-    make a bar; one known end alone makes one to where a uniform bar of its inertia ends on the
-    other side. Points around make a polygon, with their images in the centre of mass where they do
-    not enclose it. All mass in one point, without an inertia, is drawn as that, with bars to its
-    points. What is fixed to a body that declares a shape is part of that, and not drawn.
+    A body without a declared shape is drawn from what is known: rims of discs, contact points,
+    joints, edges, and bodies fixed in its frame. Collinear points make a bar; a single known end
+    makes one that extends as far on the other side as a uniform bar of its inertia. Other points
+    make their convex hull, with their images in the centre of mass if they do not enclose it. A
+    point mass is drawn as that, with bars to its points. Bodies fixed to a body with a declared
+    shape are part of that shape.
 
     The automaton of the scene may have more variables and parameters than the mechanics; `known`
-    are values of its parameters, in order.
+    are the values of its parameters, in order.
     """
 
     def __init__(
@@ -52,19 +52,19 @@ class BodyShapes:
         """
         bare = [name for name, body in self._scene.bodies.items() if not body.shape]
         fixed = self._fixed(bare) if bare else {}
-        found: list[Shape] = []
+        shapes_found: list[Shape] = []
         regions = {name: k for k, name in enumerate(self._scene.bodies)}
         many = sum(body.prescribed for body in self._scene.bodies.values()) > _NAMED
         for name, body in self._scene.bodies.items():
             if body.shape:
                 region = regions[name] if self._scene.collisions and not body.prescribed else -1
                 shown = "" if many and body.prescribed else name
-                found += [self._shape(name, part, region, shown) for part in body.shape]
+                shapes_found += [self._shape(name, part, region, shown) for part in body.shape]
             elif name in fixed:
                 points = self._points(name, idle) or self._points(name, frozenset())
                 rims = self._rims(name)
-                found += [*rims, *self._inferred(name, body, [*points, *fixed[name]], rims)]
-        return (*self._links.shapes(), *found, *self._joints(), *self._couplings())
+                shapes_found += [*rims, *self._inferred(name, body, [*points, *fixed[name]], rims)]
+        return (*self._links.shapes(), *shapes_found, *self._joints(), *self._couplings())
 
     def _shape(self, name: str, part: declared.Shape, region: int, shown: str) -> Shape:
         frame = self._frames[name]
@@ -80,26 +80,26 @@ class BodyShapes:
         points = [c.point for key, c in touching if key not in idle and c.radius is None]
         points += [joint.point for joint in scene.joints.values()]
         points += [joint.to for joint in scene.joints.values() if isinstance(joint.to, Point)]
-        found = [self._pair(point.at) for point in points if point.body == name]
+        places = [self._pair(point.at) for point in points if point.body == name]
         for surface in scene.surfaces.values():
             if surface.body == name and surface.edge is not None:
-                found += [self._pair(corner) for corner in surface.edge]
-        return found
+                places += [self._pair(corner) for corner in surface.edge]
+        return places
 
     def _rims(self, name: str) -> list[Shape]:
-        """Return the discs of a body that touch with their rims, each once."""
+        """Return the discs of a body whose rims are in contact, each once."""
         frame = self._frames[name]
         discs = {
             (self._pair(contact.point.at), self._number(contact.radius)): None
             for contact in self._scene.contacts.values()
             if contact.point.body == name and contact.radius is not None
         }
-        found = [Shape("disc", np.array([at]), frame, frame, r, name=name) for at, r in discs]
+        rims = [Shape("disc", np.array([at]), frame, frame, r, name=name) for at, r in discs]
         for (x, y), r in discs:
-            # A spoke, an outline of two corners, shows that it turns.
+            # A spoke shows the rotation.
             spoke = np.array([[x, y], [x, y - r]])
-            found.append(Shape("outline", spoke, frame, frame, name=name))
-        return found
+            rims.append(Shape("outline", spoke, frame, frame, name=name))
+        return rims
 
     def _inferred(
         self, name: str, body: Body, points: Sequence[tuple[float, float]], rims: Sequence[Shape]
@@ -135,10 +135,10 @@ class BodyShapes:
         return [shape("outline", hull)]
 
     def _fixed(self, bare: Sequence[str]) -> dict[str, list[tuple[float, float]]]:
-        """Return, of every body that is drawn, the places in its frame of those that move with it.
+        """Return, for every drawn body, the places in its frame of bodies that move with it.
 
-        Drawn are those of `bare` that move with none that declares a shape: they keep their place
-        in its frame, or have its coordinates (and may be placed by formulas for small angles).
+        Drawn are those of `bare` that do not move with a declared shape: with a constant place in
+        its frame, or with its coordinates (formulas may be for small angles).
         """
         moved = {name: self._coordinates(name) for name in self._scene.bodies}
         shapes = {moved[name] for name, body in self._scene.bodies.items() if body.shape}
@@ -154,15 +154,15 @@ class BodyShapes:
             return own[:, 0], (np.ptp(own, axis=1) <= SAME * size).all(axis=-1)
 
         shaped = np.array([bool(body.shape) for body in self._scene.bodies.values()])
-        found: dict[str, list[tuple[float, float]]] = {}
+        attached: dict[str, list[tuple[float, float]]] = {}
         for name in bare:
-            mine = poses[:, [names.index(name)]]
-            if moved[name] not in shapes and not places(poses[:, shaped], mine)[1].any():
-                others, stay = places(mine, poses)
+            own_poses = poses[:, [names.index(name)]]
+            if moved[name] not in shapes and not places(poses[:, shaped], own_poses)[1].any():
+                others, stay = places(own_poses, poses)
                 stay[names.index(name)] = False
-                turns = np.ptp(mine[..., 2]) != 0.0
-                found[name] = [(float(x), float(y)) for x, y in others[stay & turns]]
-        return found
+                turns = np.ptp(own_poses[..., 2]) != 0.0
+                attached[name] = [(float(x), float(y)) for x, y in others[stay & turns]]
+        return attached
 
     def _coordinates(self, name: str) -> frozenset[sp.Symbol]:
         (x, y), angle = self._mechanics.body_frame(name)
@@ -175,7 +175,7 @@ class BodyShapes:
         return tried.reshape(len(tried), -1, 3)
 
     def _joints(self) -> list[Shape]:
-        found = []
+        shapes = []
         for name, joint in self._scene.joints.items():
             frame = self._frames[joint.point.body]
             kind: ShapeKind = "joint"
@@ -184,14 +184,14 @@ class BodyShapes:
                 kind = "joint" if any(TIME in parse(text).names for text in texts) else "pivot"
             at = self._pair(joint.point.at)
             if joint.rod is not None or joint.rope is not None:
-                found += self._line(name, joint, at, frame, kind)
+                shapes += self._line(name, joint, at, frame, kind)
                 kind = "joint"
-            found.append(Shape(kind, np.array([at]), frame, frame, name=name))
-        return found
+            shapes.append(Shape(kind, np.array([at]), frame, frame, name=name))
+        return shapes
 
     def _couplings(self) -> list[Shape]:
-        """Return couplings, at the joint of their bodies where there is one, else between them."""
-        scene, found = self._scene, []
+        """Return couplings, at the joint of their bodies if there is one, else between them."""
+        scene, shapes = self._scene, []
         for region, name in enumerate(scene.couplings, len(scene.contacts)):
             bodies = scene.coupled(name)
             own = scene.couplings[name].joint
@@ -207,13 +207,13 @@ class BodyShapes:
             ends, other = np.zeros((2, 2)), self._frames[bodies[-1]]
             if joint is not None:
                 ends, other = np.array([self._pair(joint.point.at)] * 2), first
-            found.append(Shape("coupling", ends, first, other, region=region, name=name))
-        return found
+            shapes.append(Shape("coupling", ends, first, other, region=region, name=name))
+        return shapes
 
     def _line(
         self, name: str, joint: Joint, at: tuple[float, float], frame: int, kind: ShapeKind
     ) -> list[Shape]:
-        """Return a rod or a rope, up to an end that does not move in time."""
+        """Return a rod or a rope, up to a fixed end."""
         if isinstance(joint.to, Point):
             end, other = self._pair(joint.to.at), self._frames[joint.to.body]
             return [Shape("link", np.array([at, end]), frame, other, name=name)]
@@ -231,10 +231,7 @@ class BodyShapes:
 
 
 def disc_of(scene: Scene, contact: Contact, number: Callable[[str | int | float], float]) -> float:
-    """Return the radius of a disc whose centre is declared to touch, and whose rim is drawn to.
-
-    0 where the point of the contact is no centre of a disc.
-    """
+    """Return the radius of a declared disc centred at a contact point, else 0."""
     if contact.radius is not None:
         return 0.0
     at = tuple(map(number, contact.point.at))
@@ -250,15 +247,15 @@ def _held_by(joint: Joint) -> set[str]:
 
 def _distinct(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     reach = max((np.hypot(*point) for point in points), default=0.0)
-    found: list[tuple[float, float]] = []
+    distinct: list[tuple[float, float]] = []
     for x, y in points:
-        if all(np.hypot(x - u, y - v) > SAME * reach for u, v in found):
-            found.append((x, y))
-    return found
+        if all(np.hypot(x - u, y - v) > SAME * reach for u, v in distinct):
+            distinct.append((x, y))
+    return distinct
 
 
 def _line(points: Array) -> tuple[tuple[Array, Array], bool]:
-    """Return the direction from the centre to the points, their places along it, and if flat."""
+    """Return direction and places of points on a line through the centre; whether they fit it."""
     direction = points[np.argmax(np.hypot(*points.T))]
     direction = direction / np.hypot(*direction)
     across = points @ np.array([-direction[1], direction[0]])
@@ -269,20 +266,20 @@ def _line(points: Array) -> tuple[tuple[Array, Array], bool]:
 def _hull(points: Array) -> Array:
     """Return the corners of the convex hull, counter-clockwise (Andrew 1979).
 
-    Points on a line have one, too, which Qhull refuses.
+    Unlike Qhull it accepts collinear points.
     """
     ordered = sorted({(float(x), float(y)) for x, y in points})
 
     def half(chain: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-        kept: list[tuple[float, float]] = []
+        corners: list[tuple[float, float]] = []
         for x, y in chain:
-            while len(kept) > 1:
-                (a, b), (c, d) = kept[-2:]
+            while len(corners) > 1:
+                (a, b), (c, d) = corners[-2:]
                 if (c - a) * (y - b) - (d - b) * (x - a) > 0.0:
                     break
-                kept.pop()
-            kept.append((x, y))
-        return kept[:-1]
+                corners.pop()
+            corners.append((x, y))
+        return corners[:-1]
 
     return np.array([*half(ordered), *half(ordered[::-1])])
 

@@ -1,4 +1,4 @@
-"""Links that hold bodies together without contact: pendulum rods, springs, dampers, reactions."""
+"""Links between bodies without contact: pendulum rods, springs, dampers, reactions."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from statechart.pictures.film import WORLD, Shape, ShapeKind
 
 SAME = 1e-9
 """A length, relative to the size of its body or scene, that counts as round-off."""
-# Number of configurations at which an identity is tried.
+# Random configurations at which an identity is tested.
 _CONFIGURATIONS = 5
-# Step of the numerical derivatives of forces, and the share of a force that counts as a change.
+# Step of finite differences of forces, and relative change of a force that counts.
 _MOVED, _FOLLOWS = 1e-4, 1e-6
 
 
@@ -48,20 +48,20 @@ class Links:
         return [*self._pendulums(), *self._reactions()]
 
     def sample_values(self, expressions: Sequence[sp.Expr], states: Array | None = None) -> Array:
-        """Return expressions in some states, by default in some that have nothing in common."""
+        """Evaluate expressions in some states, by default in unrelated ones."""
         values = np.fromiter(self._values.values(), float, len(self._values))
         times = np.linspace(0.1, 1.0, _CONFIGURATIONS)
         tape = compiled(self._automaton, expressions)
         return tape.table(self._states() if states is None else states, values, times)
 
     def _states(self) -> Array:
-        # No two alike, as no angle in whole radians is a whole turn: what holds at all holds.
+        # Irrational angles: an identity that holds in them holds generally.
         count = len(self._automaton.variables)
         return np.sin(np.outer(1.0 + np.arange(_CONFIGURATIONS), 1.0 + np.arange(count)))
 
     def _pendulums(self) -> list[Shape]:
-        """Return links from bodies on circular paths to the centres of these."""
-        found = []
+        """Return links from bodies on circular paths to their centres."""
+        shapes_found = []
         mechanics = self._mechanics
         for name, body in self._scene.bodies.items():
             if body.position is None:
@@ -80,24 +80,26 @@ class Links:
             if np.ptp(centre, axis=0).max() > SAME * np.abs(place).max():
                 continue
             pivot, frame = centre[0], self._frames[name]
-            found.append(Shape("link", np.array([[0.0, 0.0], pivot]), frame, WORLD, name=name))
-            found.append(Shape("pivot", pivot[None, :], WORLD, WORLD, name=name))
-        return found
+            shapes_found.append(
+                Shape("link", np.array([[0.0, 0.0], pivot]), frame, WORLD, name=name)
+            )
+            shapes_found.append(Shape("pivot", pivot[None, :], WORLD, WORLD, name=name))
+        return shapes_found
 
     def _reactions(self) -> list[Shape]:
         forces = [f for f in self._scene.forces.values() if f.force != (0, 0)]
-        found = []
+        shapes_found = []
         for one, other in combinations(forces, 2):
             if one.body == other.body or not self._opposite(one, other):
                 continue
             ends = np.array([self._pair(one.at), self._pair(other.at)])
             pair = self._frames[one.body], self._frames[other.body]
             kinds = self._kinds(one, other)
-            found += [Shape(kind, ends, *pair, name=one.body) for kind in kinds]
-        return found
+            shapes_found += [Shape(kind, ends, *pair, name=one.body) for kind in kinds]
+        return shapes_found
 
     def _kinds(self, one: Force, other: Force) -> list[ShapeKind]:
-        """Return what two reactions are: none where they do not act along the line between."""
+        """Return the kinds of two reactions; none if they do not act along their line."""
         stiff = damped = False
         for force in self._alternatives(one):
             terms = [*force, *self._between(one, other)]
@@ -116,7 +118,7 @@ class Links:
         return states
 
     def _stiff(self, terms: Sequence[sp.Expr]) -> bool:
-        """Return whether the static force grows with the length of the line (a spring)."""
+        """Return whether the static force grows with the length (a spring)."""
         pull, length = _line_force(self.sample_values(terms, self._at_rest()))
         rise, square = np.zeros(_CONFIGURATIONS), np.zeros(_CONFIGURATIONS)
         for k in range(len(self._mechanics.q)):
@@ -136,12 +138,12 @@ class Links:
         )
         states[:, :count] += _MOVED * states[:, count : 2 * count]
         apart = self.sample_values(terms, states)[:, 2:] - moving[:, 2:]
-        taken = ((moving - still)[:, :2] * apart).sum(axis=1)
+        power = ((moving - still)[:, :2] * apart).sum(axis=1)
         size = np.hypot(*moving[:, :2].T) * np.hypot(*apart.T)
-        return bool((taken > _FOLLOWS * size).any() and (taken > -_FOLLOWS * size).all())
+        return bool((power > _FOLLOWS * size).any() and (power > -_FOLLOWS * size).all())
 
     def _alternatives(self, force: Force) -> Iterator[tuple[sp.Expr, sp.Expr]]:
-        """Yield the components of a force as each state of a controller makes them."""
+        """Yield the components of a force in each controller state."""
         mechanics = self._mechanics
         usual = dict(mechanics.controlled())
         regions = self._scene.controlled.flat.items()
@@ -170,7 +172,7 @@ class Links:
 
 
 def compiled(automaton: Automaton, expressions: Sequence[sp.Expr]) -> Tape:
-    """Return expressions as a program over the variables and parameters of an automaton."""
+    """Compile expressions over the variables and parameters of an automaton."""
     return compile_tape(
         expressions,
         variables=automaton.variables,
@@ -180,7 +182,7 @@ def compiled(automaton: Automaton, expressions: Sequence[sp.Expr]) -> Tape:
 
 
 def _line_force(values: Array) -> tuple[Array, Array]:
-    """Return the pull along a line, and its length."""
+    """Return the force along a line, and its length."""
     force, way = values[:, :2], values[:, 2:]
     length = np.hypot(*way.T)
     with np.errstate(invalid="ignore"):
@@ -188,7 +190,7 @@ def _line_force(values: Array) -> tuple[Array, Array]:
 
 
 def _off(values: Array) -> bool:
-    """Return whether a force is not along its line; `values` as for `_line_force`."""
+    """Return whether a force deviates from its line; `values` as for `_line_force`."""
     force, way = values[:, :2], values[:, 2:]
     across = force[:, 0] * way[:, 1] - force[:, 1] * way[:, 0]
     return bool((np.abs(across) > SAME * np.hypot(*force.T) * np.hypot(*way.T)).any())

@@ -33,11 +33,11 @@ from statechart.pictures.film import (
 )
 from statechart.pictures.stage import Moments
 
-# Of more bodies none leaves a trail.
+# Number of bodies above which there are no trails.
 _MOST_TRAILS = 5
-# So many times a picture's size away it is looked for where surfaces end.
+# Distance to which surfaces are searched, in picture sizes.
 _FAR = 4.0
-# The arrow of a force that few exceed is a quarter of the picture.
+# Quantile of forces whose arrow is a quarter of the picture.
 _FEW = 0.9
 
 
@@ -60,7 +60,7 @@ class SceneStage:
         return tuple(name for name in names if name in self._automaton.observables)
 
     def film(self, moments: Moments) -> Film:
-        """Return what the scene looks like at instants of a run; see `Stage`."""
+        """Return the film of a scene at instants of a run; see `Stage`."""
         scene, regions = self._scene, self._automaton.regions
         key = moments.keys[0]
         states, unrecorded = tuple(self._automaton.recorded_states(key)), len(regions) - len(key)
@@ -102,16 +102,16 @@ class SceneStage:
         closed: Sequence[NDArray[np.bool_]],
         force: float,
     ) -> tuple[Array, tuple[float, float]]:
-        """Return the window on bodies, contacts, arrows of forces, and what holds the bodies."""
+        """Return the window of bodies, contacts, force arrows and supporting surfaces."""
         below = [self._below(touch, moments) for touch in touches]
         cloud = cloud_of(shapes, poses, [*(touch.places for touch in touches), *below])
         centres, half = window(cloud)
         known = self._scene.surfaces
         around = self._grounds(moments, poses, centres, _FAR * np.array(half))
-        held = [s for s in around if known[s.name].body is None]
-        cloud = include_near_surfaces(cloud, held, poses)
+        supporting = [s for s in around if known[s.name].body is None]
+        cloud = include_near_surfaces(cloud, supporting, poses)
         if len(moments.times) == 1:
-            cloud = include_nearest_points(cloud, held, poses)
+            cloud = include_nearest_points(cloud, supporting, poses)
         _, half = window(cloud)
         tips = [(t.places + arrows(t.forces, half, force))[:, None] for t in touches]
         rims = [
@@ -123,7 +123,7 @@ class SceneStage:
     def _grounds(
         self, moments: Moments, poses: Array, centres: Array, reach: Array
     ) -> tuple[Shape, ...]:
-        """Return the surfaces as far as they are ever seen, for the reach of a picture."""
+        """Return the visible parts of surfaces, for the reach of a picture."""
         shift = np.abs(poses[:, [WORLD, *self._moved.values()], :2]).max(axis=(0, 1))
         box = centres.min(axis=0) - reach - shift, centres.max(axis=0) + reach + shift
         frames = {
@@ -133,7 +133,7 @@ class SceneStage:
         return grounds(self._scene, moments.parameters, frames, box, 2.0 * float(reach.max()))
 
     def _below(self, touch: Touch, moments: Moments) -> Array:
-        """Return where a surface is beside a contact point: straight below it on a graph."""
+        """Return the surface point of a contact: vertically below it on a graph."""
         surface = self._scene.surfaces[self._scene.contacts[touch.name].surface]
         gap = moments.columns[f"{touch.name}.gap"][:, None]
         if surface.height is None or "x" not in parse(surface.height).names or surface.turn != 0:
@@ -176,9 +176,9 @@ class SceneStage:
         return c * x - s * y, s * x + c * y
 
     def _poses(self, moments: Moments) -> Array:
-        found = self._frames.table(moments.states, moments.values, moments.times)
+        moving = self._frames.table(moments.states, moments.values, moments.times)
         still = np.zeros((len(moments.times), 1, 3))
-        return np.concatenate([still, found.reshape(len(moments.times), -1, 3)], axis=1)
+        return np.concatenate([still, moving.reshape(len(moments.times), -1, 3)], axis=1)
 
     def _held(self, poses: Array, moments: Moments, spacing: float) -> Array:
         """Return the poses with straight surfaces moved along themselves by less than a stroke.
@@ -198,56 +198,55 @@ class SceneStage:
 
     def _touch(self, name: str, moments: Moments, poses: Array) -> Touch:
         contact = self._scene.contacts[name]
-        found = self._contact_tapes[name].table(moments.states, moments.values, moments.times)
-        places, normals = found[:, :2], found[:, 2:]
+        values = self._contact_tapes[name].table(moments.states, moments.values, moments.times)
+        places, normals = values[:, :2], values[:, 2:]
         radius = disc_of(self._scene, contact, lambda text: parse(text).value(moments.parameters))
         places = places - radius * normals
         names = [region.name for region in self._automaton.regions]
         region = names.index(name)
-        nothing = np.zeros(len(moments.times))
-        # Contacts whose modes are not recorded show the forces that steps found.
+        zeros = np.zeros(len(moments.times))
+        # Contacts without recorded modes show the forces of steps.
         place = region - len(names)
         open_ = np.array([len(key) >= -place and key[place] in OPEN for key in moments.keys])
         normal, tangential = (
-            np.where(open_, 0.0, np.nan_to_num(moments.columns.get(f"{name}.{force}", nothing)))
+            np.where(open_, 0.0, np.nan_to_num(moments.columns.get(f"{name}.{force}", zeros)))
             for force in ("V", "H")
         )
         tangents = np.column_stack([normals[:, 1], -normals[:, 0]])
         forces = normal[:, None] * normals + tangential[:, None] * tangents
         friction = moments.columns.get(f"{name}.friction")
         if friction is None:
-            held = np.inf if contact.friction is None and "pin" in contact.kinds else 0.0
-            friction = np.full(len(nothing), moments.parameters.get(f"{name}.friction", held))
+            unbounded = np.inf if contact.friction is None and "pin" in contact.kinds else 0.0
+            friction = np.full(len(zeros), moments.parameters.get(f"{name}.friction", unbounded))
         return Touch(name, region, places, normals, forces, friction)
 
 
 def _typical_force(touches: tuple[Touch, ...]) -> float:
     sizes = [np.hypot(*touch.forces.T) for touch in touches]
     sizes = [size[size > 0.0] for size in sizes]
-    found = np.concatenate(sizes) if sizes else np.empty(0)
-    return float(np.quantile(found, _FEW)) if len(found) else 1.0
+    positive = np.concatenate(sizes) if sizes else np.empty(0)
+    return float(np.quantile(positive, _FEW)) if len(positive) else 1.0
 
 
-# Around what is shown, of its own size.
+# Margin around the content, relative to its size.
 _MARGIN = 0.15
-# Of its height a picture is at most so wide, and the other way round; what moves farther than this
-# is followed, and shown by a part of it.
+# Largest aspect ratio; window of a body that moves farther and is followed, in its sizes.
 _LONGEST, _FOLLOWED = 4.0, 3.0
-# A side is at least this part of the other.
+# Smallest aspect ratio.
 _SHORTEST = 0.45
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
-# A surface is shown whole if it is no larger than so many times what moves; one that goes round it
-# may be larger.
+# Size, relative to the moving bodies, up to which a surface is shown whole; the same for one that
+# surrounds them.
 _AROUND, _ROUND_ABOUT = 2.2, 6.0
-# Of an instant it is not known where bodies will go: what goes on is seen up to so many times half
-# the size of what moves away, beyond which bodies would be dots.
+# Distance of surfaces shown in a still picture, in half sizes of the bodies: beyond it bodies would
+# be dots.
 _VISIBLE = 20.0
-# Followed through what a camera would not see: this part of the run.
+# Smoothing window of the camera, relative to the run.
 _SMOOTH = 0.04
 
 
 def cloud_of(shapes: Sequence[Shape], poses: Array, places: Sequence[Array]) -> Array:
-    """Return all that is to be seen at every instant, as points (k, m, 2)."""
+    """Return all visible points at every instant (k, m, 2)."""
     clouds = [at[:, None, :] for at in places if np.isfinite(at).any()]
     for shape in shapes:
         points = shape.points
@@ -262,7 +261,7 @@ def cloud_of(shapes: Sequence[Shape], poses: Array, places: Sequence[Array]) -> 
 
 
 def window(cloud: Array) -> tuple[Array, tuple[float, float]]:
-    """Return the middle (k, 2) of the picture at every instant, and half its width and height."""
+    """Return the centre (k, 2) of the picture at every instant, and half its width and height."""
     low, high = cloud.min(axis=1), cloud.max(axis=1)
     least, most = low.min(axis=0), high.max(axis=0)
     whole, own = most - least, (high - low).max(axis=0)
@@ -280,13 +279,13 @@ def window(cloud: Array) -> tuple[Array, tuple[float, float]]:
 
 
 def include_near_surfaces(cloud: Array, surfaces: Sequence[Shape], poses: Array) -> Array:
-    """Return a cloud with the surfaces that end not far from it.
+    """Return a cloud with the surfaces that end near it.
 
-    A drum around its grains or a floor between walls counts; a surface without ends does not.
+    A drum around its grains or a floor between walls counts; an infinite surface does not.
     """
     low, high = cloud.min(axis=(0, 1)), cloud.max(axis=(0, 1))
     middle, size = (low + high) / 2.0, float((high - low).max()) / 2.0
-    found = [cloud]
+    clouds = [cloud]
     for surface in surfaces:
         line = placed(surface.points, poses[:, surface.frame])
         near = (np.abs(line - middle) <= _AROUND * size).all()
@@ -294,18 +293,18 @@ def include_near_surfaces(cloud: Array, surfaces: Sequence[Shape], poses: Array)
             around = line.min(axis=1) <= low, line.max(axis=1) >= high
             near |= np.all(around) and np.ptp(line, axis=1).max() <= _ROUND_ABOUT * 2.0 * size
         if near:
-            found.append(line)
-    return np.concatenate(found, axis=1)
+            clouds.append(line)
+    return np.concatenate(clouds, axis=1)
 
 
 def include_nearest_points(cloud: Array, surfaces: Sequence[Shape], poses: Array) -> Array:
-    """Return the cloud of one instant with the places of surfaces that are nearest to it.
+    """Return the cloud of one instant with the nearest points of surfaces.
 
-    So the ground is seen that a body is about to fall on.
+    For example the ground on which a body will fall.
     """
     low, high = cloud.min(axis=(0, 1)), cloud.max(axis=(0, 1))
     middle, size = (low + high) / 2.0, float((high - low).max()) / 2.0
-    found = [cloud]
+    clouds = [cloud]
     for surface in surfaces:
         line = placed(surface.points, poses[:, surface.frame])[0]
         along = np.diff(line, axis=0)
@@ -314,23 +313,23 @@ def include_nearest_points(cloud: Array, surfaces: Sequence[Shape], poses: Array
         places = line[:-1] + np.clip(part, 0.0, 1.0)[:, None] * along
         away = np.hypot(*(places - middle).T)
         if len(away) and away.min() <= _VISIBLE * size:
-            found.append(places[None, [int(away.argmin())]])
-    return np.concatenate(found, axis=1)
+            clouds.append(places[None, [int(away.argmin())]])
+    return np.concatenate(clouds, axis=1)
 
 
 def _smooth(values: Array) -> Array:
-    """Return a moving average whose ends are held."""
+    """Return a moving average with constant extrapolation."""
     width = max(1, round(_SMOOTH * len(values)))
-    held = np.concatenate([np.full(width, values[0]), values, np.full(width, values[-1])])
+    padded = np.concatenate([np.full(width, values[0]), values, np.full(width, values[-1])])
     kernel = np.hanning(2 * width + 1) if width > 1 else np.array([0.25, 0.5, 0.25])
-    averaged: Array = np.convolve(held, kernel / kernel.sum(), mode="valid")
+    averaged: Array = np.convolve(padded, kernel / kernel.sum(), mode="valid")
     return averaged
 
 
-_CIRCLE_POINTS = 180  # points of a circle
-_FINE = 320  # points of a curve, in the width of a picture
+_CIRCLE_POINTS = 180
+_FINE = 320  # Points of a curve per picture width.
 _MAX_POINTS = 6000
-# What is carried by a body and has no end is shown so far, of the picture's width.
+# Length of an infinite surface carried by a body, relative to the picture.
 _CARRIED = 0.06
 
 
@@ -343,19 +342,19 @@ def grounds(
 ) -> tuple[Shape, ...]:
     """Return the surfaces of a scene, for values `known` of its parameters.
 
-    `frames` maps each surface to the frame that moves it, `box` are the corners of all that is ever
-    seen, in the world and in the frames of what is displaced, and `unit` is the width of a picture.
+    `frames` maps each surface to its frame, `box` are the corners of all visible points, in the
+    world and in moved frames, `unit` is the width of a picture.
     """
 
     def number(text: str | int | float) -> float:
         return parse(text).value(known)
 
-    found: list[Shape] = []
+    shapes: list[Shape] = []
     straight: list[tuple[int, Array, Array]] = []
     for name, surface in scene.surfaces.items():
         frame = frames[name]
         if surface.body is not None:
-            found += _carried(scene, name, surface, frame, unit, number)
+            shapes += _carried(scene, name, surface, frame, unit, number)
             continue
         lift = _rim_offset(scene, name, number)
         if surface.edge is not None:
@@ -372,11 +371,11 @@ def grounds(
         else:
             start, direction = line_of(surface, number)
             start = start + lift * np.array([direction[1], -direction[0]])
-            straight.append((len(found), start, direction))
-            found.append(_ground(name, _through(start, direction, box), frame))
+            straight.append((len(shapes), start, direction))
+            shapes.append(_ground(name, _through(start, direction, box), frame))
             continue
-        found.append(_ground(name, _shifted(points, lift), frame))
-    return tuple(_cut(found, straight))
+        shapes.append(_ground(name, _shifted(points, lift), frame))
+    return tuple(_cut(shapes, straight))
 
 
 def _ground(name: str, points: Array, frame: int) -> Shape:
@@ -391,7 +390,7 @@ def _carried(
     unit: float,
     number: Callable[[str | int | float], float],
 ) -> list[Shape]:
-    """Return what a body carries, as lines or discs; nothing where its shape is declared."""
+    """Return the surfaces that a body carries, as lines or discs, unless it declares a shape."""
     assert surface.body is not None
     if scene.bodies[surface.body].shape:
         return []
@@ -413,7 +412,7 @@ def _carried(
 
 
 def _rim_offset(scene: Scene, name: str, number: Callable[[str | int | float], float]) -> float:
-    """Return how far below the declared surface it is drawn: discs touch it with their rims."""
+    """Return how far below the declared surface it is drawn, for rims of discs to touch it."""
     contacts = [c for c in scene.contacts.values() if c.surface == name]
     radii = {disc_of(scene, contact, number) for contact in contacts}
     return radii.pop() if len(radii) == 1 else 0.0
@@ -443,7 +442,7 @@ def line_of(surface: Surface, number: Callable[[str | int | float], float]) -> t
 
 
 def _through(start: Array, direction: Array, box: tuple[Array, Array]) -> Array:
-    """Return the part of a line that is as long as a box and beside its middle."""
+    """Return the part of a line next to the middle of a box, as long as the box."""
     middle, reach = (box[0] + box[1]) / 2.0, np.hypot(*(box[1] - box[0])) / 2.0
     nearest = start + ((middle - start) @ direction) * direction
     return np.array([nearest - reach * direction, nearest + reach * direction])
@@ -469,7 +468,7 @@ def _shifted(points: Array, offset: float) -> Array:
 
 
 def _cut(shapes: list[Shape], straight: Sequence[tuple[int, Array, Array]]) -> list[Shape]:
-    """Cut off what of straight surfaces at rest is in the solid of another one."""
+    """Cut off parts of fixed straight surfaces inside the solids of others."""
     result = list(shapes)
     for place, _, _ in straight:
         one, two = result[place].points

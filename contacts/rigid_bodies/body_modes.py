@@ -1,9 +1,9 @@
-"""Modes of bodies with shapes where they change, from the complementarity problem of accelerations.
+"""Modes of bodies with shapes where they change, from the acceleration complementarity problem.
 
-The method is that of `contacts.time_stepping.settling`, for free bodies that touch straight
-surfaces at rest and nothing else. The acceleration of the gap at a corner is
-``J M^-1 f - w^2 r n``, with the arm r from the centre of mass to the corner, or to the centre of
-the disc that rolls. All other bodies have the modes of their impulses.
+The method is that of `contacts.time_stepping.settling`, for free bodies that touch only straight
+surfaces at rest. The gap acceleration at a corner is ``J M^-1 f - w^2 r n``, with the arm r from
+the centre of mass to the corner, or to the centre of a rolling disc. All other bodies have the
+modes of their impulses.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from contacts.time_stepping.settling import (
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
-# A normal this near to that of a plate is that of its face, not of its end.
+# Sine of the angle below which a normal is that of the plate's face, not of its end.
 _PARALLEL = 1e-9
 
 HOVERS = 2
-"""In the place of 1 in `Memory.shown`: the body falls over the gap at which it landed."""
+"""In place of 1 in `WarmStart.shown`: the body falls within the gap at which it landed."""
 
 
 @kernel
 def unsettle_bodies(warm: WarmStart, k: int, chunk: Chunk) -> bool:
-    """Let bodies settle whose mode changes in step k; return whether there are."""
-    found = False
+    """Mark bodies whose mode changes in step k as settling; return whether any settles."""
+    any_settles = False
     for b in range(len(warm.shown)):
         code = chunk.modes[k, b] = chunk.codes[k, b]
         if warm.shown[b, 0] != code or chunk.struck[k, b]:
             warm.shown[b, 1] = 1
-        found = found or warm.shown[b, 1] != 0
-    return found
+        any_settles = any_settles or warm.shown[b, 1] != 0
+    return any_settles
 
 
 @kernel
@@ -58,7 +58,7 @@ def _piece_on_surface(numbers: BodyNumbers, key: int) -> tuple[int, int]:
 
 @kernel
 def _is_straight(numbers: BodyNumbers, key: int, normal: Array) -> bool:
-    """Return whether a contact is that of a corner or a disc on a straight surface at rest."""
+    """Return whether a contact is on a straight surface at rest."""
     _, s = _piece_on_surface(numbers, key)
     surfaces = numbers.surfaces
     if s < 0 or surfaces.carriers[s] >= 0 or surfaces.moves[s]:
@@ -74,7 +74,7 @@ def _is_straight(numbers: BodyNumbers, key: int, normal: Array) -> bool:
 
 @kernel
 def _count_contacts(numbers: BodyNumbers, active: ActiveContacts, count: int, counts: Ints) -> None:
-    """Write how many contacts bodies (b,) have; -1: some that are not read from accelerations."""
+    """Write the numbers of contacts of bodies (b,); -1 if accelerations do not give their mode."""
     for b in range(len(counts)):
         counts[b] = 0
     for j in range(len(numbers.joints.holds)):
@@ -85,7 +85,7 @@ def _count_contacts(numbers: BodyNumbers, active: ActiveContacts, count: int, co
         counts[b] = -1
     for i in range(count):
         b, other = active.bodies[i]
-        # What yields, and what resists rolling, has no such problem.
+        # Compliance and rolling resistance are not part of the problem.
         rigid = active.yields[i] == 0.0 and active.twins[i] == 0
         alone = rigid and other < 0 and _is_straight(numbers, active.keys[i, 0], active.rows[i, 0])
         if other >= 0:
@@ -98,29 +98,24 @@ def _count_contacts(numbers: BodyNumbers, active: ActiveContacts, count: int, co
 
 @kernel
 def _write_accelerations(
-    numbers: BodyNumbers, active: ActiveContacts, i: int, turning: float, h: float, found: Array,
-    sizes: Array,
+    numbers: BodyNumbers, active: ActiveContacts, i: int, turning: float, h: float,
+    accelerations: Array, sizes: Array,
 ) -> None:  # fmt: skip
-    """Write the accelerations (2,) of contact i without forces of contacts, and their sizes."""
+    """Write the accelerations (2,) of contact i without contact forces, and their sizes."""
     p, _ = _piece_on_surface(numbers, active.keys[i, 0])
     rows = active.rows[i]
     for d in range(2):
         arm = numbers.pieces.radii[p] - rows[1, 2] if d == 0 else rows[0, 2]
         forced, bias = (active.free[i, d] - active.before[i, d]) / h, -(turning**2) * arm
-        found[d], sizes[d] = forced + bias, abs(forced) + abs(bias)
+        accelerations[d], sizes[d] = forced + bias, abs(forced) + abs(bias)
 
 
 @kernel
 def _remember_landing(
-    numbers: BodyNumbers,
-    warm: WarmStart,
-    space: Workspace,
-    rates: Array,
-    i: int,
-    size: float,
+    numbers: BodyNumbers, warm: WarmStart, space: Workspace, rates: Array, i: int, size: float,
     h: float,
-) -> None:
-    """Remember how far from a surface contact i lands, where its body has landed no farther off."""
+) -> None:  # fmt: skip
+    """Remember the largest gap at which contact i lands."""
     active, b = space.active, space.active.bodies[i, 0]
     above = active.levels[i, 3]
     stops = velocity(active.bodies, active.rows, rates, i, 0) <= LEFT * h * size
@@ -138,9 +133,9 @@ def _remember_landing(
 
 @kernel
 def _hovers(warm: WarmStart, space: Workspace, rates: Array, b: int, h: float, alone: bool) -> bool:
-    """Return whether a corner falls over no more than the gap at which it landed.
+    """Return whether a corner falls within the gap at which it landed.
 
-    What is not `alone` is pressed elsewhere: there a corner that steps explain is closed.
+    Unless `alone`, the body is pressed elsewhere: a corner that steps explain is then closed.
     """
     above, nx, ny, zero, u, v = warm.landed[b]
     mid, turning = space.mid, rates[b, 2]
@@ -152,10 +147,10 @@ def _hovers(warm: WarmStart, space: Workspace, rates: Array, b: int, h: float, a
     forced = nx * (mid.loose[b, 0] - mid.old[b, 0]) + ny * (mid.loose[b, 1] - mid.old[b, 1])
     forced = (forced + across * (mid.loose[b, 2] - mid.old[b, 2])) / h
     bias = -(turning**2) * along
-    left = LEFT * h * (abs(forced) + abs(bias))
+    speed_error = LEFT * h * (abs(forced) + abs(bias))
     gap = nx * (x + u) + ny * (y + v) - zero
-    falls = above > 0.0 and forced + bias <= 0.0 and rate <= left
-    near = LEFT * h * left
+    falls = above > 0.0 and forced + bias <= 0.0 and rate <= speed_error
+    near = LEFT * h * speed_error
     return falls and gap <= above + near and (alone or gap > near)
 
 
@@ -164,20 +159,9 @@ def settle_bodies(
     numbers: BodyNumbers, warm: WarmStart, space: Workspace, rates: Array, count: int, k: int,
     chunk: Chunk,
 ) -> None:  # fmt: skip
-    """Write the modes of settling bodies in step k.
+    """Write the modes of settling bodies in step k, with `count` contacts, after rates (b, 3).
 
-    Parameters
-    ----------
-    warm : WarmStart
-        Of this step. Changed in place.
-    space : Workspace
-        Its `local` is overwritten.
-    rates : (b, 3)
-        After the step.
-    count : int
-        Contacts.
-    chunk : Chunk
-        Its step k is changed in place.
+    Changes `warm`, `space.local` and step k of the chunk.
     """
     counts = space.local[: len(warm.shown)]
     _count_contacts(numbers, space.active, count, counts)
@@ -211,7 +195,7 @@ def finish_settling(warm: WarmStart, k: int, chunk: Chunk) -> None:
 def _write_cone(
     numbers: BodyNumbers, active: ActiveContacts, i: int, direction: float, cone: Array
 ) -> None:
-    """Write the edge of the friction of contact i that slips, or rests (0)."""
+    """Write the friction cone of contact i that slips, or rests (0)."""
     law, at = numbers.materials[active.laws[i]], 0 if direction == 0.0 else KINETIC
     cone[0], cone[1] = law[at], law[at + 1]
 
@@ -221,20 +205,20 @@ def _body_mode(
     numbers: BodyNumbers, warm: WarmStart, space: Workspace, rates: Array, count: int, b: int,
     k: int, chunk: Chunk,
 ) -> int:  # fmt: skip
-    """Return the mode of body b; the workspace has `local` counts of contacts."""
+    """Return the mode of body b with `space.local` contacts."""
     active, h, shown, m = space.active, chunk.h, warm.shown[b, 0], 0
     most = space.local[b]
     which = np.empty(most, np.int64)
-    free, sizes, found = np.zeros((most, 2)), np.zeros((most, 2)), np.zeros((most, 2))
+    free, sizes, accelerations = np.zeros((most, 2)), np.zeros((most, 2)), np.zeros((most, 2))
     cones, slips, slides = np.zeros((most, 2)), np.zeros(most), np.zeros(most)
     for i in range(count):
         if active.bodies[i, 0] != b:
             continue
         presses = space.pressed[i, 0] > 0.0
         _write_accelerations(numbers, active, i, rates[b, 2], h, free[m], sizes[m])
-        rate, left = velocity(active.bodies, active.rows, rates, i, 0), LEFT * h * sizes[m, 0]
+        rate, rate_error = velocity(active.bodies, active.rows, rates, i, 0), LEFT * h * sizes[m, 0]
         above = 0.0 if active.hit[i] else active.levels[i, 3]
-        near = above <= LEFT * h * left and rate <= left
+        near = above <= LEFT * h * rate_error and rate <= rate_error
         if presses:
             _remember_landing(numbers, warm, space, rates, i, sizes[m, 0], h)
         if not (near and (presses or (shown != FREE and not active.hit[i]))):
@@ -245,11 +229,11 @@ def _body_mode(
         slips[m] = slip
         if abs(slip) > space.known[i] and cones[m, 1] > 0.0:
             mu = cones[m, 1] / cones[m, 0]
-            left = LEFT * h * (sizes[m, 1] + mu * sizes[m, 0])
+            rate_error = LEFT * h * (sizes[m, 1] + mu * sizes[m, 0])
             goes_on = shown == SLIDE and slip * active.before[i, 1] > 0.0
-            # Two coefficients tell at once whether a slip has begun.
+            # With two coefficients the active friction shows whether a slip has begun.
             begins = active.ways[i] != 0
-            if shown == FREE or goes_on or begins or abs(slip) > left:
+            if shown == FREE or goes_on or begins or abs(slip) > rate_error:
                 slides[m] = 1.0 if slip > 0.0 else -1.0
         _write_cone(numbers, active, i, slides[m], cones[m])
         m += 1
@@ -266,7 +250,7 @@ def _body_mode(
     per_speed = ALIKE * h / max(warm.past[1], h * sizes[:m].max())
     sums, against = np.empty((m, 2)), np.zeros(m, np.bool_)
     problem = delassus, free[:m], cones[:m]
-    terms, forced, directions = sizes[:m], found[:m], slides[:m]
+    terms, forced, directions = sizes[:m], accelerations[:m], slides[:m]
     solved, _ = solve_accelerations(*problem, directions, terms, forced, sums)
     if solved and end_slips(slips[:m], forced, against, terms, h, directions):
         for a in range(m):
@@ -277,7 +261,7 @@ def _body_mode(
     mode = FREE
     for a in range(m):
         clear_alike(forced[a], sums[a], per_speed)
-        one = mode_of_acceleration(found[a], slips[a], slides[a] == 0.0, cones[a], False)
+        one = mode_of_acceleration(accelerations[a], slips[a], slides[a] == 0.0, cones[a], False)
         if one == PIN:
             return PIN
         if one != FREE:

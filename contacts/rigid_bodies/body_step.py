@@ -1,8 +1,7 @@
-"""Time steps of many free bodies that collide, compiled once: block by block, island by island.
+"""Compiled time steps of many free bodies that collide.
 
-The scheme is that of `contacts.time_stepping.scene_step`. The mass matrix is diagonal; bodies that
-touch each other form islands, each with a contact problem of its own, whose impulses are the best
-that `contacts.solvers.island_impulses` finds.
+The scheme is that of `contacts.time_stepping.scene_step`. The mass matrix is diagonal; islands of
+bodies in contact have separate contact problems, solved by `contacts.solvers.island_impulses`.
 """
 
 from __future__ import annotations
@@ -44,35 +43,35 @@ from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import BLOCK, filled
 
-# Impacts are no later after the middle of a step than this part of it: something is after them.
+# Latest impact after the middle of the step, relative to the step: some time must follow it.
 _LATEST = 0.5 - TIME_MARGIN
-# In a step in which no body goes so far, in parts of the smallest one's size, none passes another
-# or is deep in it.
+# Displacement in a step, relative to the smallest body, below which no body passes another or is
+# deep in it.
 _FAR = 0.1
 LEAST = 1e-9
-"""Impulses are known to this part of the largest on a body, whatever is allowed."""
+"""Round-off of impulses, relative to the largest on a body, at any tolerance."""
 
 
 class StepOptions(NamedTuple):
-    """Choices of a run: the law of impacts, whether forces are read, and bounds of a step.
+    """Options of a run: impact law, whether forces are recorded, and bounds of a step.
 
-    A step that closes a gap larger than `deepest`, or in which bodies pass or sink into each other
-    or turn by more than half a turn, or which leaves joints open, is not taken: its status is
-    `COARSE`. Nor is the step before it, of whose second half that tells. Infinite: all are taken.
+    A step is rejected with status `COARSE` if it closes a gap larger than `deepest`, if bodies pass
+    or sink into each other or turn by more than half a turn, or if joints stay open; so is the step
+    before it if its second half shows that. Infinite: all steps are accepted.
     """
 
     law: int = PLASTIC  # See `contacts.rigid_bodies.island_step`.
     forces: bool = False
-    allowed: float = math.inf  # Residual of impulses that are good enough.
+    allowed: float = math.inf  # Residual of impulses.
     deepest: float = math.inf
 
 
 @kernel
 def _store(
-    numbers: BodyNumbers, warm: WarmStart, space: Workspace, seen: DetectionResult, allowed: float,
-    rates: Array, k: int, chunk: Chunk,
+    numbers: BodyNumbers, warm: WarmStart, space: Workspace, detected: DetectionResult,
+    allowed: float, rates: Array, k: int, chunk: Chunk,
 ) -> None:  # fmt: skip
-    """Remember a step's contacts, and write how bodies touch."""
+    """Store a step's contacts in the warm start, and write the modes and impulses of bodies."""
     active, pressed = space.active, space.pressed
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * chunk.h
     for b in range(len(numbers.inverse)):
@@ -81,18 +80,18 @@ def _store(
         chunk.codes[k, b] = FREE
         space.borne[b] = 0.0
         chunk.impulses[k, b, 0] = chunk.impulses[k, b, 1] = 0.0
-    chunk.approach[k], chunk.closing[k] = max(seen.approach, seen.turned), seen.closing
-    chunk.passed[k] = seen.passed
-    warm.n_contacts[0] = seen.contacts
-    warm.past[0], warm.past[1] = chunk.h, max(warm.past[1], seen.approach)
-    warm.past[2] = max(warm.past[2], chunk.h * seen.approach)
-    for i in range(seen.contacts):
+    chunk.approach[k], chunk.closing[k] = max(detected.approach, detected.turned), detected.closing
+    chunk.passed[k] = detected.passed
+    warm.n_contacts[0] = detected.contacts
+    warm.past[0], warm.past[1] = chunk.h, max(warm.past[1], detected.approach)
+    warm.past[2] = max(warm.past[2], chunk.h * detected.approach)
+    for i in range(detected.contacts):
         for side in range(2):
             b = active.bodies[i, side]
             if b >= 0 and not space.bounces[i]:
                 space.borne[b] = max(space.borne[b], pressed[i, 0])
-    least = max(allowed, LEAST)
-    for i in range(seen.contacts):
+    threshold = max(allowed, LEAST)
+    for i in range(detected.contacts):
         pn, pt = pressed[i]
         lasts = pn > 0.0 and not space.bounces[i]
         warm.keys[i, 0], warm.keys[i, 1] = active.keys[i]
@@ -122,9 +121,9 @@ def _store(
                 chunk.impulses[k, b, 0] += pn
                 if not resists:
                     chunk.impulses[k, b, 1] += pt if side == 0 else -pt
-            # An impulse below this part of the largest on its body is round-off: no contact.
+            # An impulse below this part of the largest on its body is round-off, no contact.
             pulled = space.mid.pull[b] / numbers.inverse[b, 0]
-            bears = lasts and pn > max(least * space.borne[b], LEAST * pulled)
+            bears = lasts and pn > max(threshold * space.borne[b], LEAST * pulled)
             if bears and sticks:
                 chunk.codes[k, b] = PIN
             elif bears and chunk.codes[k, b] == FREE:
@@ -133,23 +132,23 @@ def _store(
 
 @kernel
 def _may_land(active: ActiveContacts, law: int, count: int) -> bool:
-    """Return whether every contact struck in a step may close after the middle of the step."""
-    found = False
+    """Return whether the impacts of a step can be delayed beyond its middle."""
+    any_hit = False
     for i in range(count):
         if active.hit[i]:
             if active.levels[i, 1] <= 0.0 or (active.materials[i, 2] > 0.0 and law != PLASTIC):
                 return False
-            found = True
-    return found
+            any_hit = True
+    return any_hit
 
 
 @kernel
 def _without_impacts(
     numbers: BodyNumbers, active: ActiveContacts, mid: Midpoint, count: int, early: Array
 ) -> None:
-    """Write rates as forces alone make them, of which those of contacts are as in the step before.
+    """Write rates under forces, with the contact forces of the previous step.
 
-    To solve for them took a quarter of a run whose bodies land all the time.
+    Solving for these would take a quarter of a run with continual landings.
     """
     put_rows(mid.loose, early)
     for i in range(count):
@@ -163,11 +162,11 @@ def _without_impacts(
 def _landing(
     space: Workspace, rates: Array, early: Array, h: float, fall: float, count: int
 ) -> float:
-    """Return how long after the middle of a step the first of what lands in it touches.
+    """Return the delay of the first touch of a landing after mid-step.
 
-    Forces alone would make rates `early`. Impulses that act later keep the bound of the energy
-    (`contacts.time_stepping.stepper`). Earlier ones, of what is inside, do not, and would move what
-    is struck on farther than was looked at.
+    Forces alone give the rates `early`. Delayed impulses keep the energy bound
+    (`contacts.time_stepping.stepper`). Earlier ones, of penetrating contacts, do not, and would
+    move bodies farther than detection covers.
     """
     active, first = space.active, _LATEST * h
     for i in range(count):
@@ -175,7 +174,7 @@ def _landing(
             change = velocity(active.bodies, active.rows, rates, i, d)
             change -= velocity(active.bodies, active.rows, early, i, d)
             if not active.hit[i]:
-                # Lasting contacts go on as they did, but for forces that change.
+                # Lasting contacts continue, up to changes of forces.
                 if abs(change) > fall:
                     return 0.0
             elif space.bounces[i] != 0:
@@ -190,9 +189,9 @@ def _store_joints(
     numbers: BodyNumbers, warm: WarmStart, space: Workspace, first: int, k: int, rates: Array,
     chunk: Chunk,
 ) -> None:  # fmt: skip
-    """Remember the impulses of joints, which stand behind the contacts, and write their forces.
+    """Store the impulses of joints, behind the contacts, in the warm start, and write their forces.
 
-    And what these add to the energy beyond the bound of the scheme; see `RigidBodyRun`.
+    And the energy that they add beyond the bound of the scheme; see `RigidBodyRun`.
     """
     holds, active, mid, links = numbers.joints.holds, space.active, space.mid, numbers.links
     at = 3 * (len(numbers.inverse) - links.bodies) + links.size
@@ -214,7 +213,7 @@ def _store_joints(
             both += velocity(active.bodies, active.rows, rates, i, d)
             both -= velocity(active.bodies, active.rows, mid.loose, i, d)
             chunk.gained[k] += 0.5 * space.pressed[i, d] * both
-        # As of contacts: a level, and whether it lasts; and whether the joint is closed.
+        # As for contacts: target gap, whether it lasts; and whether the joint is closed.
         lasts = space.pressed[i, 0] > 0.0 and not space.bounces[i]
         bounds, closed = is_bound(holds[j]), 0.0 if active.hit[i] else -1.0
         warm.contacts[i, 0] = active.levels[i, 0]
@@ -225,23 +224,23 @@ def _store_joints(
             warm.contacts[i, 4 + d] = active.closing[i, 0, d]
             warm.contacts[i, 6 + d] = active.closing[i, 1, d]
             if holds[j] == GREATEST and d == 0:
-                # The couple of both limits is one force.
+                # Both limits share one torque.
                 chunk.solved[k, at - 1] -= space.steady[i, d] / chunk.h
             elif d == 0 or holds[j] in (BOTH, ROPE):
                 chunk.solved[k, at] = space.steady[i, d] / chunk.h
                 at += 1
     if space.joint_energy[0] > 0.0:
-        # The work of all impulses is within the bound: what wedges takes what joints add.
+        # The work of all impulses is bounded: wedged contacts absorb the energy of joints.
         chunk.gained[k] = 0.0
     warm.n_contacts[0] = first + len(holds)
 
 
 @kernel
 def _shown(rates: Array, old: Array, forced: Array) -> None:
-    """Bound what forces make of rates by what a step makes of them.
+    """Bound the change of rates by forces by the change in the step.
 
-    What an impact takes back at once is shown of no force: it would take bodies deeper into each
-    other than they are where the step looks.
+    Otherwise recorded forces that an impact reverses would move bodies deeper into each other than
+    at the step's detection.
     """
     for b in range(len(old)):
         for d in range(3):
@@ -251,7 +250,7 @@ def _shown(rates: Array, old: Array, forced: Array) -> None:
 
 @kernel
 def _shown_approach(active: ActiveContacts, old: Array, forced: Array, count: int) -> float:
-    """Return how fast what is hit in the middle of a step approaches as it is shown until then."""
+    """Return the fastest approach of struck contacts in the recorded motion until mid-step."""
     fastest = 0.0
     for i in range(count):
         if active.hit[i]:
@@ -262,24 +261,24 @@ def _shown_approach(active: ActiveContacts, old: Array, forced: Array, count: in
 
 
 @kernel
-def _remember(warm: WarmStart, kept: WarmStart) -> None:
-    """Copy what is remembered, in place."""
+def _remember(warm: WarmStart, copy: WarmStart) -> None:
+    """Copy a warm start, in place."""
     count = warm.n_contacts[0]
     for i in range(count):
-        kept.keys[i, 0], kept.keys[i, 1] = warm.keys[i]
-    put_rows(warm.contacts[:count], kept.contacts)
-    kept.n_contacts[0] = count
-    put(warm.past, kept.past)
-    put_rows(warm.landed, kept.landed)
+        copy.keys[i, 0], copy.keys[i, 1] = warm.keys[i]
+    put_rows(warm.contacts[:count], copy.contacts)
+    copy.n_contacts[0] = count
+    put(warm.past, copy.past)
+    put_rows(warm.landed, copy.landed)
     for b in range(len(warm.shown)):
-        kept.shown[b, 0], kept.shown[b, 1] = warm.shown[b]
+        copy.shown[b, 0], copy.shown[b, 1] = warm.shown[b]
 
 
 @kernel
 def _hurry(numbers: BodyNumbers, state: Array, poses: Array, mid: Midpoint, h: float) -> bool:
     """Return whether a body moves in a step by more than `_FAR` sizes of the smallest body.
 
-    Led bodies move between `poses`, linked ones as their coordinates take them at the midpoint.
+    Led bodies move between `poses`, linked ones by their coordinates at the midpoint.
     """
     count, least, most, links = len(numbers.inverse), math.inf, 0.0, numbers.links
     free = count - links.bodies
@@ -304,22 +303,22 @@ def _hurry(numbers: BodyNumbers, state: Array, poses: Array, mid: Midpoint, h: f
 
 @kernel
 def step_bodies(
-    numbers: BodyNumbers, around: Prescribed, options: StepOptions, start: float, done: int,
+    numbers: BodyNumbers, prescribed: Prescribed, options: StepOptions, start: float, done: int,
     warm: WarmStart, space: Workspace, chunk: Chunk,
 ) -> tuple[int, int]:  # fmt: skip
     """Take the steps of a chunk; return (steps, status).
 
     Parameters
     ----------
-    around : Prescribed
-        What acts on the bodies.
+    prescribed : Prescribed
+        Motion and forces.
     start, done : float, int
-        When steps began, and how many were taken before these.
+        Time of the first step, and number of steps taken before these.
     warm : WarmStart
-        Where it has too little place the status is `FULL`. Changed in place.
+        Changed in place; too small: status `FULL`.
     chunk : Chunk
-        To be filled, per body instead of per contact; the unknowns are accelerations, and the
-        forces of joints, and are not written where forces are not read.
+        Output, per body instead of per contact; `solved` are accelerations and joint forces, only
+        written if forces are recorded.
     """
     h, links, (law, forces, allowed, deepest) = chunk.h, numbers.links, options
     first, whole = 3 * (len(numbers.inverse) - links.bodies), len(numbers.sizes)
@@ -328,33 +327,35 @@ def step_bodies(
     surfaces = numbers.surfaces
     registers = filled(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
     registers[1][1] = 0.0
-    frames, still, applied = np.zeros((3, 3)), np.zeros((3, 3)), around.forces
-    width = 2 * n + around.controller_states.shape[1]
+    frames, still, applied = np.zeros((3, 3)), np.zeros((3, 3)), prescribed.forces
+    width = 2 * n + prescribed.controller_states.shape[1]
     acting = filled(applied.code, applied.constants, applied.values, width, 1)
     linking = filled(links.code, links.constants, links.values, 2 * links.size, 1)
     steps, rates, forced = len(chunk.codes), np.empty_like(loose), np.empty_like(loose)
     early, fall = np.empty_like(loose), math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
-    # The detection after the last step decides whether that could be taken.
+    # The detection after the last step decides on its acceptance.
     for k in range(steps + 1):
-        poses = around.poses[k : k + 3]
+        poses = prescribed.poses[k : k + 3]
         if k == steps and not (deepest < math.inf and _hurry(numbers, state, poses, space.mid, h)):
             break
-        ground = Ground(around.frames[k : k + 3], registers, frames, still)
+        ground = Ground(prescribed.frames[k : k + 3], registers, frames, still)
         if links.bodies > 0 and not place_links(numbers, state, h, linking, space.mid):
             return k, BAD_INERTIA if k < steps else DONE
         move_to_midpoint(numbers, state, poses, h, warm.past[0], space.mid)
         if len(applied.bodies) > 0:
             time = start + (done + k + 0.5) * h
-            memories = around.controller_states[k + 1]
+            memories = prescribed.controller_states[k + 1]
             apply_forces(numbers, applied, acting, memories, state, time, h, space.mid)
             for b in applied.bodies:
                 if not math.isfinite(loose[b, 0] + loose[b, 1] + loose[b, 2]):
                     return k, NOT_FINITE if k < steps else DONE
-        seen = find_contacts(numbers, ground, warm, space.mid, space.grid, h, active)
-        full = seen.contacts < 0 or seen.contacts + len(numbers.joints.holds) >= len(active.hit)
+        detected = find_contacts(numbers, ground, warm, space.mid, space.grid, h, active)
+        full = detected.contacts < 0 or detected.contacts + len(numbers.joints.holds) >= len(
+            active.hit
+        )
         if full and k < steps:
             return k, FULL
-        coarse = seen.passed > 0.0 or seen.sunk > 0.0 or seen.closing > deepest
+        coarse = detected.passed > 0.0 or detected.sunk > 0.0 or detected.closing > deepest
         if deepest < math.inf and coarse:
             if k == 0 or not _hurry(numbers, state, poses, space.mid, h):
                 return k, COARSE
@@ -363,11 +364,11 @@ def step_bodies(
         if k == steps:
             break
         _remember(warm, space.earlier)
-        count, joins = seen.contacts, len(numbers.joints.holds) > 0
+        count, joins = detected.contacts, len(numbers.joints.holds) > 0
         if joins:
-            places = around.places[k : k + 3]
+            places = prescribed.places[k : k + 3]
             count = add_joints(numbers, places, warm, space.mid, h, count, active)
-        lands = _may_land(active, law, seen.contacts)
+        lands = _may_land(active, law, detected.contacts)
         if lands:
             _without_impacts(numbers, active, space.mid, count, early)
         space.joint_energy[1] = 1.0 if deepest < math.inf else 0.0
@@ -387,18 +388,18 @@ def step_bodies(
         if forces:
             carry(numbers, space.mid, forced)
             _shown(rates, old, forced)
-        # Landing bodies have gone on as they did until they touched.
+        # Landing bodies move freely until they touch.
         chunk.impact_delay[k] = _landing(space, rates, early, h, fall, count) if lands else 0.0
-        _store(numbers, warm, space, seen, allowed, rates, k, chunk)
+        _store(numbers, warm, space, detected, allowed, rates, k, chunk)
         if unsettle_bodies(warm, k, chunk):
-            settle_bodies(numbers, warm, space, rates, seen.contacts, k, chunk)
+            settle_bodies(numbers, warm, space, rates, detected.contacts, k, chunk)
         finish_settling(warm, k, chunk)
         if forces:
             chunk.approach[k] = max(chunk.approach[k], _shown_approach(active, old, forced, count))
         if joins:
-            _store_joints(numbers, warm, space, seen.contacts, k, rates, chunk)
+            _store_joints(numbers, warm, space, detected.contacts, k, rates, chunk)
         for at in range(n):
-            # Rates of coordinates stand behind those of all bodies.
+            # Rates of coordinates follow those of all bodies.
             b, d = (
                 (at // 3, at % 3) if at < first else (whole + (at - first) // 3, (at - first) % 3)
             )

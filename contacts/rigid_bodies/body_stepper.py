@@ -1,7 +1,7 @@
-"""Many free bodies that collide by their shapes, as the time stepper takes them.
+"""Automaton and time stepper of free bodies that collide by their shapes.
 
-Each body is a region of the trace: it is free, or it slides or is pinned at what it touches. No
-equations are composed: what moves a body are gravity and the impulses of its contacts.
+Each body is a region of the trace: free, sliding or pinned. Equations of motion are not composed:
+gravity, forces and contact impulses move the bodies.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ from statechart.automaton.time_stepper import DEFAULT_IMPULSES
 from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
 from statechart.formulas.formula import parse
 
-# Bodies may overlap at the start by this part of the scene, and nothing is said; joints be open.
+# Overlap at the start, relative to the scene, without a warning; and opening of joints.
 _START_DEPTH = 1e-6
-# Inertia of a motion of coordinates, in parts of their own, that is round-off.
+# Round-off of the inertia of a motion, relative to the diagonal.
 _NO_INERTIA = 1e-13
 
 
 def bodies_automaton(scene: Scene) -> Automaton:
-    """Return the automaton of a scene with collisions: its regions, and what steps it."""
+    """Return the automaton of a scene with collisions: regions and stepper."""
     declared, mechanics = scene, BodyMechanics(scene.expanded)
     scene, superstates = mechanics.scene, superstates_of(BODY_STATES)
     observables = mechanics.observables
@@ -120,14 +120,13 @@ class BodyStepper(Stepper):
         )
         self._declared, self._bodies = declared, mechanics
         self._paths = Paths(mechanics.scene)
-        # Numbers that no parameter changes.
         self._constants = declared.constants()
         self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
         self._names, self._surfaces = list(mechanics.scene.bodies), touched(mechanics.scene)
         self._warnings = lint(declared)
 
     def own_step(self) -> float:
-        """Return a step by the scales: of declared parameters; see `own_step`."""
+        """Return the default step size at the declared parameters; see `own_step`."""
         setup, bodies = self._new_run({}, DEFAULT_IMPULSES.tolerance, False)
         controlled, end = self._scene.controlled, self._scene.stop.time
         each = [controlled.initial]
@@ -147,7 +146,7 @@ class BodyStepper(Stepper):
         return own_step(bodies.numbers, setup.scales, max(forced, led))
 
     def setup(self, overrides: Mapping[str, float]) -> SceneSetup:
-        """Return the numbers of a run.
+        """Return the setup of a run.
 
         Raises
         ------
@@ -157,13 +156,13 @@ class BodyStepper(Stepper):
         return self._new_run(overrides, DEFAULT_IMPULSES.tolerance, False)[0]
 
     def _begin(
-        self, overrides: Mapping[str, float], step: float, allowed: float, forces: bool
+        self, overrides: Mapping[str, float], step: float, tolerance: float, forces: bool
     ) -> RunInputs:
-        setup, bodies = self._new_run(overrides, allowed, forces)
+        setup, bodies = self._new_run(overrides, tolerance, forces)
         size, fall = setup.scales.length, math.hypot(*bodies.numbers.gravity) * step**2
         failure = None
         if fall > DEEPEST * size:
-            # Everything would be about to touch everything.
+            # All bodies would be near all others.
             longest = 0.1 * math.sqrt(DEEPEST * size / fall) * step
             failure = StepTooLarge(
                 f"bodies fall by {fall:.3g} in one step of {step:g}, in a scene of size "
@@ -176,7 +175,7 @@ class BodyStepper(Stepper):
         return RunInputs(setup, bodies, free, self._replaced_laws(setup), control, failure)
 
     def _new_run(
-        self, overrides: Mapping[str, float], allowed: float, forces: bool
+        self, overrides: Mapping[str, float], tolerance: float, forces: bool
     ) -> tuple[SceneSetup, RigidBodyRun]:
         values, remembered = self._mechanics.parameters.values(overrides)
         known = self._constants.values(overrides)
@@ -187,22 +186,22 @@ class BodyStepper(Stepper):
         bodies = body_numbers(self._declared.expanded, known, self._owners, links)
         self._check_inertia(bodies, moved)
         setup = self._setup(values, moved, remembered, bodies)
-        anything = StepOptions(get_args(Simultaneous).index(self._scene.simultaneous))
+        defaults = StepOptions(get_args(Simultaneous).index(self._scene.simultaneous))
 
         def run_of(
-            bodies: BodyNumbers, options: StepOptions = anything, start_depth: float = 0.0
+            bodies: BodyNumbers, options: StepOptions = defaults, start_depth: float = 0.0
         ) -> RigidBodyRun:
-            around = PrescribedMotion(self._bodies, self._paths, known, values)
+            prescribed = PrescribedMotion(self._bodies, self._paths, known, values)
             names, surfaces = self._names, self._surfaces
-            return RigidBodyRun(names, surfaces, bodies, around, options, start_depth)
+            return RigidBodyRun(names, surfaces, bodies, prescribed, options, start_depth)
 
         bodies, depth, remarks = self._started(setup, bodies, known, run_of)
         setup = replace(setup, start_depth=depth, warnings=(*setup.warnings, *remarks))
-        options = StepOptions(anything.law, forces, allowed, DEEPEST * setup.scales.length)
+        options = StepOptions(defaults.law, forces, tolerance, DEEPEST * setup.scales.length)
         return setup, run_of(bodies, options, depth)
 
     def _check_inertia(self, bodies: BodyNumbers, moved: Array) -> None:
-        """Check that every motion of the coordinates has an inertia where a run starts."""
+        """Check that every motion of the coordinates has inertia at the start."""
         if not bodies.links.bodies:
             return
         mass = bodies.inertia(moved[None])[0][0]
@@ -219,7 +218,7 @@ class BodyStepper(Stepper):
     def _setup(
         self, values: Array, moved: Array, remembered: Array, bodies: BodyNumbers
     ) -> SceneSetup:
-        """Return the numbers of a run, in scales by where bodies start and how large they are."""
+        """Return the setup of a run, in scales of the initial positions and sizes."""
         owners = self._bodies.owners
         largest = int(np.argmax(bodies.sizes))
         check_range(float(bodies.sizes[largest]), "its size", ("bodies", owners[largest], "shape"))
@@ -262,36 +261,32 @@ class BodyStepper(Stepper):
         known: Mapping[str, float],
         run_of: Callable[[BodyNumbers], RigidBodyRun],
     ) -> tuple[BodyNumbers, float, tuple[str, ...]]:
-        """Check that bodies start in what is hollow, on their joints, and apart.
+        """Check that bodies start inside hollow circles, with closed joints, and apart.
 
-        Return them with their joints closed to rounding; how deep they start in each other, and
-        what is said of that.
+        Returns the bodies with joints closed to round-off, their largest depth, and a warning of
+        it.
         """
         scene, owners = self._scene, self._bodies.owners
         moved, remembered = np.split(setup.initial, [2 * bodies.size])
         length, speed = setup.scales.length, setup.scales.speed
         soon = 1e-6 * length / speed
-        begun = self._paths.at(known, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
-        for surface, frame in zip(self._surfaces, begun.frames[0], strict=True):
-            if not np.isfinite(frame).all():
-                turns = not np.isfinite(frame[2])
-                raise DeclarationProblem(
-                    "has no value at the start, or an infinite one",
-                    loc=("surfaces", surface, "turn" if turns else "displacement"),
-                )
-        for name, pose in zip(self._paths.led, begun.poses[0], strict=True):
-            if not np.isfinite(pose).all():
-                turns = not np.isfinite(pose[2])
-                owner = owners[self._names.index(name)]
-                raise DeclarationProblem(
-                    "has no value at the start, or an infinite one",
-                    loc=("bodies", owner, "angle" if turns else "position"),
-                )
-        check_containers(scene, owners, bodies, moved, begun)
+        positions = self._paths.at(known, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
+        led = [owners[self._names.index(name)] for name in self._paths.led]
+        for part, names, frames, angle, place in (
+            ("surfaces", self._surfaces, positions.frames[0], "turn", "displacement"),
+            ("bodies", led, positions.poses[0], "angle", "position"),
+        ):
+            for name, frame in zip(names, frames, strict=True):
+                if not np.isfinite(frame).all():
+                    raise DeclarationProblem(
+                        "has no value at the start, or an infinite one",
+                        loc=(part, name, place if np.isfinite(frame[2]) else angle),
+                    )
+        check_containers(scene, owners, bodies, moved, positions)
         # One-sided differences of second order: a path need not exist before the start.
-        rates = np.tensordot([-1.5, 2.0, -0.5], begun.places, axes=1) / soon
+        rates = np.tensordot([-1.5, 2.0, -0.5], positions.places, axes=1) / soon
         joints = closed_joints(
-            scene, bodies.joints, np.concatenate(bodies.motion(moved[None])), begun.places[0],
+            scene, bodies.joints, np.concatenate(bodies.motion(moved[None])), positions.places[0],
             rates, _START_DEPTH * length,
             _START_DEPTH * speed,
         )  # fmt: skip
@@ -302,9 +297,9 @@ class BodyStepper(Stepper):
 
         near = _START_DEPTH * length
         try:
-            found = check_penetration(
+            depth_and_warning = check_penetration(
                 detect, bodies, self._names, self._surfaces, owners, setup.initial, near
             )
         except NonFinite as error:
             raise DeclarationProblem(f"{error.message} at the start", loc=("forces",)) from None
-        return bodies, *found
+        return bodies, *depth_and_warning

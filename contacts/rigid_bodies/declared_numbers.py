@@ -1,4 +1,4 @@
-"""Colliding bodies as numbers: outlines, masses, surfaces, and who touches whom by which law."""
+"""Colliding bodies as arrays: outlines, masses, surfaces, joints, and contact laws."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _Numbers = tuple[float, float, float, float]
 
 
 def touched(scene: Scene) -> list[str]:
-    """Return the names of the surfaces that bodies with shapes touch."""
+    """Return the names of the surfaces that bodies with shapes can touch."""
     used = {name for collision in scene.collisions.values() for name in collision.surfaces}
     return [name for name in scene.surfaces if name in used]
 
@@ -61,19 +61,19 @@ def surface_numbers(
         return parse(text).value(known)
 
     surfaces = [scene.surfaces[name] for name in touched(scene)]
-    found = [_form(surface, number) for surface in surfaces]
+    forms = [_form(surface, number) for surface in surfaces]
     heights = tuple(
         str(surface.height)
-        for (kind, _), surface in zip(found, surfaces, strict=True)
+        for (kind, _), surface in zip(forms, surfaces, strict=True)
         if kind == GRAPH
     )
     program = _program(heights, tuple(known))
-    graphs = np.cumsum([kind == GRAPH for kind, _ in found], dtype=np.int64) - 1
+    graphs = np.cumsum([kind == GRAPH for kind, _ in forms], dtype=np.int64) - 1
     values = np.array([*known.values()], dtype=float)
 
     return SurfaceNumbers(
-        np.array([kind for kind, _ in found], dtype=np.int64),
-        np.array([numbers for _, numbers in found], dtype=float).reshape(-1, 4),
+        np.array([kind for kind, _ in forms], dtype=np.int64),
+        np.array([numbers for _, numbers in forms], dtype=float).reshape(-1, 4),
         np.array([-1 if s.body is None else bodies.index(s.body) for s in surfaces], np.int64),
         np.array([s.moves for s in surfaces], np.bool_),
         3 * graphs,
@@ -109,12 +109,12 @@ def _form(surface: Surface, number: Number) -> tuple[int, _Numbers]:
 def _program(heights: tuple[str, ...], names: tuple[str, ...]) -> Tape:
     """Compile heights, their slopes and curvatures over x and parameters."""
     x, parameters = sp.Symbol("x", real=True), symbols_of(names)
-    found: list[sp.Expr] = []
+    expressions: list[sp.Expr] = []
     for text in heights:
         height = parse(text).to_sympy({**dict(zip(names, parameters, strict=True)), "x": x})
-        found += [height, sp.diff(height, x), sp.diff(height, x, 2)]
+        expressions += [height, sp.diff(height, x), sp.diff(height, x, 2)]
     return compile_tape(
-        found, variables=(x,), parameters=parameters, time=sp.Symbol("t", real=True)
+        expressions, variables=(x,), parameters=parameters, time=sp.Symbol("t", real=True)
     )
 
 
@@ -123,21 +123,21 @@ def symbols_of(names: Sequence[str]) -> tuple[sp.Symbol, ...]:
     return tuple(sp.Symbol(f"p{i}", real=True) for i in range(len(names)))
 
 
-_HOLDS = {
+_KINDS = {
     ("X", "Y"): BOTH, ("X",): ALONG_X, ("Y",): ALONG_Y, ("T",): ROD, ("V", "H"): ROPE,
 }  # fmt: skip
-_HELD = {BOTH: slice(0, 2), ALONG_X: slice(0, 1), ALONG_Y: slice(1, 2)}
+_COMPONENTS = {BOTH: slice(0, 2), ALONG_X: slice(0, 1), ALONG_Y: slice(1, 2)}
 
 
 def joint_numbers(scene: Scene, names: Sequence[str], known: Mapping[str, float]) -> JointNumbers:
-    """Evaluate the joints of a scene whose bodies have these names, copies one by one."""
-    # What joints capture is known when they close.
+    """Evaluate the joints of a scene; `names` are its bodies, copies one by one."""
+    # Captured poses are known when joints close.
     known = {**dict.fromkeys(scene.controlled.controller_state, 0.0), **known}
     bodies, at, rows, angles = [], [], [], []
     for j, joint in enumerate(scene.joints.values()):
         rebound = parse(joint.restitution or 0).value(known)
         length = joint.rope if joint.rod is None else joint.rod
-        kind = _HOLDS[tuple(c for c in joint.components if c != "M")]
+        kind = _KINDS[tuple(c for c in joint.components if c != "M")]
         rows.append((kind, j, parse(length or 0).value(known), rebound))
         if joint.angle is not None:
             angles.append((TURN, j, 0.0, 0.0))
@@ -164,7 +164,7 @@ def joint_numbers(scene: Scene, names: Sequence[str], known: Mapping[str, float]
     )
 
 
-# Angles at the start may be beyond limits by this many radians.
+# Allowed violation of angle limits at the start, radians.
 _ANGLE_NEAR = 1e-9
 
 
@@ -172,10 +172,10 @@ def closed_joints(
     scene: Scene, joints: JointNumbers, moved: Array, places: Array, speeds: Array, near: float,
     slow: float,
 ) -> JointNumbers:  # fmt: skip
-    """Check that joints hold where a run starts; return them closed to rounding there.
+    """Check that joints hold at the start; return them closed to round-off.
 
-    What is declared in eight digits is open by 1e-8, and joints that others imply are so by
-    something else than these: no motion closes them all.
+    Positions declared with eight digits are open by 1e-8, inconsistently in redundant joints: no
+    motion closes them all.
 
     Parameters
     ----------
@@ -184,9 +184,9 @@ def closed_joints(
     moved : (2, b, 3)
         Poses and rates of the bodies.
     places, speeds : (j, 2)
-        Of the places in the world that joints hold points to.
+        Of the world anchors of joints.
     near, slow : float
-        Distances and speeds that are none.
+        Tolerances of distances and speeds.
 
     Raises
     ------
@@ -212,8 +212,8 @@ def closed_joints(
         if joints.holds[j] in (ROD, ROPE):
             _check_distance(joints, j, name, ends, moving, near, slow)
             continue
-        held = _HELD[int(joints.holds[j])]
-        apart = float(np.hypot.reduce((ends[0] - ends[1])[held]))
+        components = _COMPONENTS[int(joints.holds[j])]
+        apart = float(np.hypot.reduce((ends[0] - ends[1])[components]))
         if apart > near:
             u, v = ends[0].tolist()
             x, y = ends[1].tolist()
@@ -223,7 +223,7 @@ def closed_joints(
                 advice=f"move the body by ({x - u:.6g}, {y - v:.6g})",
                 loc=("joints", name),
             )
-        parting = float(np.hypot.reduce((moving[0] - moving[1])[held]))
+        parting = float(np.hypot.reduce((moving[0] - moving[1])[components]))
         if parting > slow:
             u, v = (moving[1] - moving[0]).tolist()
             raise DeclarationProblem(
@@ -232,7 +232,7 @@ def closed_joints(
                 loc=("joints", name),
             )
         missing = np.zeros(2)
-        missing[held] = (ends[1] - ends[0])[held]
+        missing[components] = (ends[1] - ends[0])[components]
         own[j, 0] += _arm(-at[joints.bodies[j, 0], 2], missing)
     return joints._replace(at=own, sizes=sizes)
 
@@ -241,7 +241,7 @@ def _check_distance(
     joints: JointNumbers, j: int, name: str, ends: Sequence[Array], moving: Sequence[Array],
     near: float, slow: float,
 ) -> None:  # fmt: skip
-    """Check that a rod has its length where a run starts, and that a rope is no longer."""
+    """Check the initial length of a rod, or that a rope is not longer."""
     way, length = ends[0] - ends[1], float(joints.sizes[j, 0])
     far, rod = float(np.hypot(*way)), joints.holds[j] == ROD
     if far > length + near or (rod and far < length - near):
@@ -260,7 +260,7 @@ def _check_distance(
 
 
 def _check_angles(joints: JointNumbers, owner: int, name: str, at: Array) -> None:
-    """Check that a relative angle is within its limits where a run starts."""
+    """Check that a relative angle starts within its limits."""
     for j in np.flatnonzero(joints.owners == owner).tolist():
         one, other = joints.bodies[j].tolist()
         angle = float(at[one, 2] - (at[other, 2] if other >= 0 else 0.0))
@@ -275,12 +275,12 @@ def _check_angles(joints: JointNumbers, owner: int, name: str, at: Array) -> Non
 
 
 def implied_remarks(scene: Scene, joints: JointNumbers, at: Array) -> tuple[str, ...]:
-    """Return what is said of joints that others imply where bodies start `at` (b, 3)."""
+    """Return a warning of redundant joints for bodies `at` (b, 3)."""
     rows, names = [], []
     every = [*scene.joints]
     for j, holds in enumerate(joints.holds.tolist()):
         name = every[joints.owners[j]]
-        if not joints.on[joints.owners[j]] or holds not in _HELD:
+        if not joints.on[joints.owners[j]] or holds not in _COMPONENTS:
             continue
         both = np.zeros((2, *at.shape))
         for side in (0, 1):
@@ -288,28 +288,25 @@ def implied_remarks(scene: Scene, joints: JointNumbers, at: Array) -> tuple[str,
             if b >= 0:
                 x, y = _arm(at[b, 2], joints.at[j, side]).tolist()
                 both[:, b] += (1 - 2 * side) * np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])
-        held = both[_HELD[int(joints.holds[j])]]
-        rows.append(held.reshape(len(held), -1))
-        names += [name] * len(held)
+        constrained = both[_COMPONENTS[int(joints.holds[j])]]
+        rows.append(constrained.reshape(len(constrained), -1))
+        names += [name] * len(constrained)
     if not rows:
         return ()
-    known = np.concatenate(rows)
-    known = known[:, known.any(axis=0)]
-    _, sizes, _ = np.linalg.svd(known * column_scales(known), full_matrices=False)
-    if rank(sizes) == len(known):
+    matrix = np.concatenate(rows)
+    matrix = matrix[:, matrix.any(axis=0)]
+    _, sizes, _ = np.linalg.svd(matrix * column_scales(matrix), full_matrices=False)
+    if rank(sizes) == len(matrix):
         return ()
-    found = implied(known)
-    return (implied_joints(n for n, more in zip(names, found.tolist(), strict=True) if more),)
+    dependent = implied(matrix)
+    return (implied_joints(n for n, more in zip(names, dependent.tolist(), strict=True) if more),)
 
 
 def _arm(angle: float, at: Array) -> Array:
-    """Return a place in the frame of a body as it is turned."""
+    """Return a vector of a body frame, rotated."""
     c, s = math.cos(angle), math.sin(angle)
     turned: Array = np.array([[c, -s], [s, c]]) @ at
     return turned
-
-
-_Number = Callable[[str | int | float], float]
 
 
 def body_numbers(
@@ -326,13 +323,13 @@ def body_numbers(
         If a body that collides has no inertia.
     """
 
-    def number(text: str | int | float) -> float:
+    def number(text: FormulaText) -> float:
         return parse(text).value(known)
 
     if owners is None:
         owners = scene.owners()
     kinds, laws, materials = _laws(scene, [*owners.values()], number)
-    # Copies have the numbers of one of them.
+    # Evaluated once per kind.
     outlines = [_outline(body, number) for body in scene.bodies.values()]
     pieces = _pieces(outlines, kinds)
     sizes = [max((piece.span for piece in outline), default=0.0) for outline in outlines]
@@ -341,17 +338,13 @@ def body_numbers(
         for owner, body in scene.bodies.items()
     ]
     prescribed = np.array([body.prescribed for body in scene.bodies.values()])
-    declared = scene.gravity
+    gravity = scene.gravity if isinstance(scene.gravity, tuple) else (0, f"-({scene.gravity})")
     return BodyNumbers(
         pieces,
         np.array(sizes)[kinds],
         np.array(inverse)[kinds[~prescribed[kinds]]],
         _fixed(scene, owners, known),
-        np.array(
-            [number(part) for part in declared]
-            if isinstance(declared, tuple)
-            else [0.0, -number(declared)]
-        ),
+        np.array([number(part) for part in gravity]),
         surface_numbers(scene, [*owners], known),
         kinds,
         laws,
@@ -362,7 +355,7 @@ def body_numbers(
 
 
 class LinkedMechanics(Mechanics):
-    """The equations of the bodies that coordinates place."""
+    """Equations of the linked bodies."""
 
     @cached_property
     def program(self) -> Tape:
@@ -376,19 +369,19 @@ class LinkedMechanics(Mechanics):
 
     @cached_property
     def firsts(self) -> Ints:
-        """For each body, the first of those that share coordinates with it."""
-        found: list[set[sp.Symbol]] = []
+        """For each body, the first that shares coordinates with it."""
+        used: list[set[sp.Symbol]] = []
         for name in self.scene.bodies:
             (x, y), angle = self.body_frame(name)
-            found.append((x.free_symbols | y.free_symbols | angle.free_symbols) & {*self.q})
-        for _ in found:
-            found = [set().union(one, *(other for other in found if one & other)) for one in found]
-        return np.array([next(i for i, o in enumerate(found) if o & one or o is one)
-                         for one in found], dtype=np.int64)  # fmt: skip
+            used.append((x.free_symbols | y.free_symbols | angle.free_symbols) & {*self.q})
+        for _ in used:
+            used = [set().union(one, *(other for other in used if one & other)) for one in used]
+        return np.array([next(i for i, o in enumerate(used) if o & one or o is one)
+                         for one in used], dtype=np.int64)  # fmt: skip
 
 
 def linked_mechanics(scene: Scene) -> LinkedMechanics | None:
-    """Return the equations of the bodies that coordinates place; None where all are free."""
+    """Return the equations of the linked bodies; None if all are free."""
     linked = {name: body for name, body in scene.bodies.items() if body.linked}
     if not linked:
         return None
@@ -399,7 +392,7 @@ def linked_mechanics(scene: Scene) -> LinkedMechanics | None:
 
 
 def link_numbers(mechanics: LinkedMechanics | None, known: Mapping[str, float]) -> LinkNumbers:
-    """Evaluate the bodies that coordinates place."""
+    """Evaluate the linked bodies."""
     if mechanics is None:
         return LinkNumbers.none()
     scene, tape = mechanics.scene, mechanics.program
@@ -421,26 +414,25 @@ class _Piece(NamedTuple):
     span: float
 
 
-def _outline(body: Body, number: _Number) -> list[_Piece]:
-    """Return the pieces that a body is made of."""
-    found = []
+def _outline(body: Body, number: Number) -> list[_Piece]:
+    pieces = []
     for shape in body.shape:
         if shape.disc is not None:
             radius, middle = number(shape.disc), np.array([number(text) for text in shape.at])
             span = radius + float(np.hypot(*middle))
-            found.append(_Piece(np.empty((0, 2)), middle, radius, radius, radius, span))
+            pieces.append(_Piece(np.empty((0, 2)), middle, radius, radius, radius, span))
             continue
         corners = np.array([[number(x), number(y)] for x, y in shape.polygon or ()])
-        # A body of one piece is looked at from its centre of mass.
+        # A single piece is described about the centre of mass.
         middle = np.zeros(2) if len(body.shape) == 1 else corners.mean(axis=0)
         own = corners - middle
         size, span = (float(np.hypot(*c.T).max()) for c in (own, corners))
-        found.append(_Piece(corners, middle, 0.0, size, _core(own.tolist()), span))
-    return found
+        pieces.append(_Piece(corners, middle, 0.0, size, _core(own.tolist()), span))
+    return pieces
 
 
 def _pieces(outlines: Sequence[Sequence[_Piece]], kinds: Ints) -> PieceNumbers:
-    """Return the pieces of all bodies, which have these outlines."""
+    """Return the pieces of all bodies, with the outlines of their kinds."""
     counts = np.array([len(outline) for outline in outlines], dtype=np.int64)
     pieces = [piece for outline in outlines for piece in outline]
     first = np.cumsum(counts) - counts
@@ -461,15 +453,15 @@ def _pieces(outlines: Sequence[Sequence[_Piece]], kinds: Ints) -> PieceNumbers:
 
 
 def _runs(firsts: Ints, counts: Ints) -> Ints:
-    """Return one after another the so many whole numbers from each of these on."""
+    """Return the concatenated ranges of `counts` integers from `firsts` on."""
     ends = np.cumsum(counts)
-    found: Ints = np.arange(counts.sum()) + np.repeat(firsts - ends + counts, counts)
-    return found
+    runs: Ints = np.arange(counts.sum()) + np.repeat(firsts - ends + counts, counts)
+    return runs
 
 
 def _fixed(scene: Scene, owners: Mapping[str, str], known: Mapping[str, float]) -> Array:
-    """Return where fixed bodies are (f, 3), with the numbers of their copies."""
-    found = []
+    """Return the poses of fixed bodies (f, 3), evaluated for each copy."""
+    poses = []
     for name, owner in owners.items():
         if scene.bodies[owner].fixed:
             body = scene.bodies[owner]
@@ -478,14 +470,13 @@ def _fixed(scene: Scene, owners: Mapping[str, str], known: Mapping[str, float]) 
                 numbered = {**known, INDEX: float(name.removeprefix(owner))}
             keys = ("x", "y", "angle")
             at = ("bodies", owner, "start")
-            found.append(
+            poses.append(
                 [value_of(t, numbered, *at, k) for k, t in zip(keys, body.path, strict=True)]
             )
-    return np.array(found, dtype=float).reshape(-1, 3)
+    return np.array(poses, dtype=float).reshape(-1, 3)
 
 
-def _inverse(owner: str, body: Body, number: _Number) -> list[float]:
-    """Return 1/mass, twice, and 1/inertia."""
+def _inverse(owner: str, body: Body, number: Number) -> list[float]:
     mass, inertia = number(body.mass), number(body.inertia or 0)
     if body.linked and inertia == 0.0:
         return [1.0 / mass, 1.0 / mass, math.inf]
@@ -497,14 +488,14 @@ def _inverse(owner: str, body: Body, number: _Number) -> list[float]:
 
 
 def _core(corners: Sequence[Sequence[float]]) -> float:
-    """Return how far a convex polygon reaches around its origin at least; 0 if that is outside."""
+    """Return the inscribed radius of a convex polygon about its origin; 0 if that is outside."""
     ends = zip(corners, [*corners[1:], corners[0]], strict=True)
     cross = [(x * v - y * u) / math.hypot(u - x, v - y) for (x, y), (u, v) in ends]
     return max(0.0, min(cross), min(-turn for turn in cross))
 
 
-def _laws(scene: Scene, owners: Sequence[str], number: _Number) -> tuple[Ints, Ints, Array]:
-    """Return kinds of bodies (b,), which law they touch by (k, k + s), and the laws (m, 3)."""
+def _laws(scene: Scene, owners: Sequence[str], number: Number) -> tuple[Ints, Ints, Array]:
+    """Return kinds of bodies (b,), contact law of each pair (k, k + s), and the laws (m, 8)."""
     kinds = {name: kind for kind, name in enumerate(scene.bodies)}
     surfaces = touched(scene)
     laws = np.full((len(kinds), len(kinds) + len(surfaces)), -1, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Initial penetration of bodies in each other, in surfaces, and beyond hollow circles."""
+"""Initial penetration of bodies in each other and in surfaces; starts outside hollow circles."""
 
 from __future__ import annotations
 
@@ -16,17 +16,16 @@ from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 
-# Allowed penetration, relative to the inner circle: a fast body goes about so far in a step that is
-# chosen by the scales of a scene, and a landed one stays half as deep. A packing at the end of a
-# run can be the start of another.
+# Allowed penetration, relative to the inscribed circle: a fast body moves about so far in a step of
+# default size, and a landed one stays half as deep. The end of one run can be the start of another.
 _LEFT = 0.1
-# Depths that are equal but for rounding.
+# Relative round-off of depths.
 _SAME_GAP = 1e-9
-# Bodies that are tried, and moves of each.
+# Bodies for which a way out is searched, and moves of each.
 _MOVES = 20
-# Number of copies from which the advice is rows.
+# Number of copies above which the advice is a grid.
 _CROWD = 20
-# Two deep bodies may be in each other.
+# Overlapping bodies of a single pair.
 _PAIR = 2
 _STUCK = "no small move frees it: start it elsewhere, or move what it is in"
 
@@ -44,28 +43,28 @@ def check_penetration(
     initial: Array,
     near: float,
 ) -> tuple[float, tuple[str, ...]]:
-    """Check that no body is deeper in another or a surface than steps leave what has landed.
+    """Check that no body is deeper in another or a surface than steps leave a landed one.
 
-    Bodies are declared by their `owners` and start at `initial` (2 n,); up to `near` deep they
-    touch. Return how deep the deepest is, and a warning where that is deeper than `near`.
+    Bodies are declared by `owners` and start at `initial` (2 n,); a depth up to `near` is contact.
+    Returns the largest depth, and a warning if it exceeds `near`.
 
     Raises
     ------
     DeclarationProblem
-        If one is.
+        If one is deeper.
     """
     _check_places(numbers, names, owners, initial)
     _check_crowd(numbers, names, owners, initial)
-    found = detect(numbers, initial)
+    contacts = detect(numbers, initial)
 
     def deepest_of(b: int) -> str:
-        return found.deepest_of(b, numbers.pieces.bodies, names, surfaces)
+        return contacts.deepest_of(b, numbers.pieces.bodies, names, surfaces)
 
     cores = np.full(len(names), np.inf)
     np.minimum.at(cores, numbers.pieces.bodies, numbers.pieces.cores)
-    cores, gaps = cores[: len(numbers.inverse)], found.gaps[: len(numbers.inverse)]
+    cores, gaps = cores[: len(numbers.inverse)], contacts.gaps[: len(numbers.inverse)]
     too_deep = np.flatnonzero(gaps < -np.maximum(near, _LEFT * cores)).tolist()
-    # Placed bodies move with their coordinates.
+    # Linked bodies move with their coordinates.
     too_deep = [b for b in too_deep if b < numbers.free] or too_deep
     deep = {b: float(gaps[b]) for b in too_deep}
     if not deep:
@@ -76,18 +75,17 @@ def check_penetration(
             f"bodies start up to {depth:.3g} deep in others or in surfaces ({names[first]!r} in "
             f"{deepest_of(first)}): the run lets them stay as deep, but no deeper",
         )
-    # The first body that a move frees, or else the first.
+    # Report the first body that a move frees, else the first.
     for b in [b for b in deep if b < numbers.free][:_MOVES]:
-        out = _way_out(detect, numbers, found, initial, b, near)
-        if out and not found.is_covered(b):
+        out = _way_out(detect, numbers, contacts, initial, b, near)
+        if out and not contacts.is_covered(b):
             break
     else:
         b, out = next(iter(deep)), _STUCK
     where = deepest_of(b)
-    if found.is_covered(b):
+    if contacts.is_covered(b):
         b, where, out = _covered(detect, numbers, names, surfaces, initial, b, deep[b])
     if len(deep) > _PAIR:
-        # The number helps a user who moves them one by one.
         out += f"; {len(deep)} bodies overlap, by {-min(deep.values()):.3g} at most"
     key = "start"
     if b >= numbers.free:
@@ -102,7 +100,7 @@ def check_penetration(
 def _check_places(
     numbers: BodyNumbers, names: Sequence[str], owners: Sequence[str], initial: Array
 ) -> None:
-    """Check that no copies that collide with each other start in one place."""
+    """Check that no two colliding copies start at the same place."""
     moving = len(numbers.inverse)
     poses = np.column_stack([numbers.kinds[:moving], numbers.motion(initial[None])[0][0]])
     _, places, which = np.unique(poses, axis=0, return_index=True, return_inverse=True)
@@ -120,10 +118,10 @@ def _check_places(
 def _check_crowd(
     numbers: BodyNumbers, names: Sequence[str], owners: Sequence[str], initial: Array
 ) -> None:
-    """Check that not most bodies are in others of their kind, which no move of one would change.
+    """Check that most copies of a kind do not overlap, where moving a single one would not help.
 
-    To look at all who are near whom, and where they touch, would take many times as long. Two
-    whose inner circles have their centres in one cell of this size are too deep in each other.
+    Full detection would take many times as long. Two bodies whose inscribed circles have their
+    centres in one cell of this size overlap too deeply.
     """
     pieces = numbers.pieces
     members = np.flatnonzero(np.diff(pieces.begins[: len(numbers.inverse) + 1]))
@@ -154,7 +152,7 @@ def _check_crowd(
 
 
 def _in_rows(numbers: BodyNumbers, b: int) -> str:
-    """Return where copies of a body could start, beside each other."""
+    """Return start formulas that separate the copies of a body."""
     count = int(np.count_nonzero(numbers.kinds == numbers.kinds[b]))
     apart = f"{float(f'{2.1 * numbers.sizes[b]:.2g}'):g}"
     if count < _CROWD:
@@ -164,19 +162,19 @@ def _in_rows(numbers: BodyNumbers, b: int) -> str:
 
 
 def _way_out(
-    detect: Detect, numbers: BodyNumbers, found: DetectedContacts, initial: Array, b: int,
+    detect: Detect, numbers: BodyNumbers, contacts: DetectedContacts, initial: Array, b: int,
     near: float,
 ) -> str:  # fmt: skip
-    """Return how a body gets out of all that it is in, and of what it would get into then, or "".
+    """Return the advice that frees a body from all that it penetrates, or "".
 
-    The least move out of all that was met so far (least distance programming, Lawson and Hanson
-    1974), until it meets nothing new.
+    The smallest move out of all contacts met so far (least distance programming, Lawson and Hanson
+    1974), repeated until it meets nothing new.
     """
     from scipy.optimize import nnls
 
     move, ways, far = np.zeros(2), np.zeros((0, 2)), np.zeros(0)
     for _ in range(_MOVES):
-        normals, depths = found.ways_out(b, near)
+        normals, depths = contacts.ways_out(b, near)
         if not len(depths):
             dx, dy = np.where(np.abs(move) < near, 0.0, move).tolist()
             return f"move it by ({dx:.6g}, {dy:.6g}) out"
@@ -186,13 +184,13 @@ def _way_out(
         size = float(far.max())
         least[2] /= size
         weights, _ = nnls(least, np.array([0.0, 0.0, 1.0]))
-        left = least @ weights - np.array([0.0, 0.0, 1.0])
-        if not -left[2] > _SAME_GAP:
+        remainder = least @ weights - np.array([0.0, 0.0, 1.0])
+        if not -remainder[2] > _SAME_GAP:
             break
-        move = -size * left[:2] / left[2]
+        move = -size * remainder[:2] / remainder[2]
         state = initial.copy()
         state[3 * b : 3 * b + 2] += move
-        found = detect(numbers, state)
+        contacts = detect(numbers, state)
     return ""
 
 
@@ -205,10 +203,9 @@ def _covered(
     b: int,
     margin: float,
 ) -> tuple[int, str, str]:
-    """Return who is in the middle of what, where pieces of one cover each other, and advice.
+    """Return the inner body, the outer one, and advice, if pieces of the outer cover each other.
 
-    No face of those is left to touch: of whom the body is as deep in with all others away, that is
-    who it is in, or who is in it.
+    No face is left to touch: the outer one is that with which alone the body is as deep.
     """
 
     def as_deep(numbers: BodyNumbers, state: Array) -> bool:
@@ -221,8 +218,8 @@ def _covered(
     away = np.hypot(*(places - places[b]).T)
     reach = numbers.sizes[b] + numbers.sizes
 
-    def left_with(other: int) -> Array:
-        """Return the state with all away that move but the two."""
+    def isolated(other: int) -> Array:
+        """Return the state with all free bodies but the two moved away."""
         state = initial.copy()
         for i in range(numbers.free):
             if i not in (b, other):
@@ -233,14 +230,14 @@ def _covered(
     for kind in prescribed.tolist():
         laws = numbers.laws.copy()
         laws[:, np.arange(laws.shape[1]) != kind] = -1
-        if as_deep(numbers._replace(laws=laws), left_with(b)):
+        if as_deep(numbers._replace(laws=laws), isolated(b)):
             owner = names[moving + int(np.argmax(numbers.kinds[moving:] == kind))]
             return b, f"body {owner!r} or a copy of it", _STUCK
     laws = numbers.laws.copy()
     laws[:, prescribed] = -1
     numbers = numbers._replace(laws=laws)
     for other in np.flatnonzero(away < reach[:moving]).tolist():
-        state = left_with(other)
+        state = isolated(other)
         if other != b and as_deep(numbers, state):
             one, whole = sorted((b, other), key=lambda i: float(numbers.sizes[i]))
             far = f"start it {reach[other]:.6g} from the centre of {names[whole]!r}, or move it out"
@@ -258,12 +255,12 @@ def _covered(
 
 
 def check_containers(
-    scene: Scene, owners: Sequence[str], numbers: BodyNumbers, initial: Array, begun: Positions
+    scene: Scene, owners: Sequence[str], numbers: BodyNumbers, initial: Array, paths: Positions
 ) -> None:
     """Check that bodies that collide with a hollow circle start in it, at `initial` (2 n,).
 
-    The scene has its bodies one by one, which `owners` declare; what has a path is where that has
-    `begun`.
+    The scene has its bodies one by one, declared by `owners`; `paths` are the positions at the
+    start.
 
     Raises
     ------
@@ -271,9 +268,9 @@ def check_containers(
         If a body is too large, or starts outside.
     """
     names, surfaces = list(scene.bodies), numbers.surfaces
-    moving, frames = len(numbers.inverse), begun.frames[0]
+    moving, frames = len(numbers.inverse), paths.frames[0]
     poses = numbers.motion(initial[None])[0][0]
-    places = np.concatenate([poses, begun.poses[0], numbers.fixed])
+    places = np.concatenate([poses, paths.poses[0], numbers.fixed])
     for s, name in enumerate(touched(scene)):
         if surfaces.kinds[s] != HOLLOW:
             continue
@@ -286,8 +283,8 @@ def check_containers(
         members = [b for b in np.flatnonzero(meets).tolist() if b != carrier]
         outside = []
         for b in members:
-            mine = slice(*numbers.pieces.begins[b : b + 2].tolist())
-            core = float(numbers.pieces.cores[mine].max(initial=0.0))
+            own = slice(*numbers.pieces.begins[b : b + 2].tolist())
+            core = float(numbers.pieces.cores[own].max(initial=0.0))
             if core > radius:
                 raise DeclarationProblem(
                     f"body {names[b]!r} does not fit into {name!r}: it reaches {core:.6g} around "

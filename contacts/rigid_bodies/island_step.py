@@ -1,4 +1,4 @@
-"""The impulses of a step, island by island: impacts at once or in turn, and joints that close."""
+"""Impulses of a step, island by island: simultaneous or sequential impacts, and joint closure."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from contacts.solvers.contact_rows import (
     complete,
     joint_work,
     moved,
-    scale_of_sum,
+    scale,
     slope,
 )
 from contacts.solvers.impact_sequence import in_turn
@@ -61,8 +61,8 @@ PLASTIC, CAPPED, SEQUENTIAL = range(3)
 """Codes of `contacts.scene.parts.Simultaneous`."""
 
 
-# Contacts that are next to each other are of the same body: where they are solved so many apart
-# impulses get through an island in a tenth fewer sweeps, and none waits for the one before.
+# Stride of the solution order: adjacent contacts share a body; spreading them saves a tenth of the
+# sweeps.
 _STRIDE = 5
 
 
@@ -70,20 +70,11 @@ _STRIDE = 5
 def find_islands(
     bodies: Ints, count: int, free: int, firsts: Ints, parents: Ints, begins: Ints, order: Ints
 ) -> None:
-    """Write which contacts belong together, by a counting sort.
+    """Find the islands of coupled contacts (union-find and counting sort).
 
-    Parameters
-    ----------
-    bodies : (m, 2) array of int
-        Which bodies touch, -1 for a surface.
-    count : int
-        Contacts, of those that there is place for.
-    free : int, firsts : (l,) array of int
-        Free bodies, and which of those behind them share coordinates; see `LinkNumbers`.
-    parents : (b,) array of int
-        Is overwritten.
-    begins : (b + 1,), order : (m,)
-        Island i has the contacts ``order[begins[i] : begins[i + 1]]``.
+    Island i has the contacts ``order[begins[i] : begins[i + 1]]``. Of the contacts `bodies` (m, 2;
+    -1: a surface) `count` are used; there are `free` bodies, then linked ones with `firsts` (l,)
+    (see `LinkNumbers`); `parents` (b,) is a buffer.
     """
     for b in range(len(parents)):
         parents[b] = b
@@ -110,7 +101,7 @@ def find_islands(
 
 @kernel
 def spread(members: Ints, spare: Ints) -> None:
-    """Put the contacts of an island in the order in which they are solved, in place."""
+    """Reorder the contacts of an island for the sweeps, in place."""
     count, at = len(members), 0
     if count <= _STRIDE:
         return
@@ -124,10 +115,10 @@ def spread(members: Ints, spare: Ints) -> None:
 
 @kernel
 def island_rows(numbers: BodyNumbers, members: Ints, work: Workspace) -> ContactRows:
-    """Return contacts (m,) as rows of their own, in the rates of the bodies that they move.
+    """Return contacts (m,) as rows on the bodies that they move.
 
-    The `local` numbers of bodies are written, and their `pads` where contacts move these: see
-    `_add_pads`. Linked bodies have one number, that of the first block of their coordinates.
+    Writes the `local` indices of bodies and `pads` (see `_add_pads`). Linked bodies share the index
+    of the first block of their coordinates.
     """
     active, inverse, local, space = work.active, numbers.inverse, work.local, work.contacts
     count, moved, bodies, rows = len(members), 0, active.bodies, active.rows
@@ -179,9 +170,9 @@ def _write_coordinates(
     numbers: BodyNumbers, mid: Midpoint, active: ActiveContacts, i: int, a: int, linked: int,
     space: ContactRows,
 ) -> None:  # fmt: skip
-    """Write the rows and columns of contact i in coordinates as those of contact a of an island.
+    """Write contact i on linked bodies as rows and columns of contact a in coordinates.
 
-    `linked` is the number of the first block of these.
+    `linked` is the index of their first block.
     """
     size, first = numbers.links.size, PAIR + space.padded
     free, touches = len(numbers.inverse) - numbers.links.bodies, False
@@ -211,10 +202,10 @@ def _write_coordinates(
 def _add_pads(
     members: Ints, active: ActiveContacts, moved: int, pads: Ints, space: ContactRows
 ) -> int:
-    """Let contacts move pads, which have no part in the motion of bodies; return what now moves.
+    """Add pads, massless auxiliary bodies of contacts; return the number of moving bodies.
 
-    A compliant contact moves its pad by its compliance. The rows of a disc that rolls move one pad
-    against each other: so both are pressed only where their impulses are equal.
+    A compliant contact moves its pad by its compliance. The two rows of a rolling disc press one
+    pad from opposite sides, so that their normal impulses are equal.
     """
     for i in members:
         if active.twins[i] != RESISTS and (active.yields[i] > 0.0 or active.twins[i] == ROLLS):
@@ -244,9 +235,9 @@ def push(
     numbers: BodyNumbers, active: ActiveContacts, mid: Midpoint, rates: Array, i: int, d: int,
     amount: float,
 ) -> None:  # fmt: skip
-    """Apply an impulse of contact i along d: `rates` (b, 3) are changed in place.
+    """Apply an impulse of contact i along d to the rates (b, 3), in place.
 
-    Of linked bodies those of the coordinates are: see `contacts.collision_detection.midpoint`.
+    For linked bodies, those of the coordinates; see `contacts.collision_detection.midpoint`.
     """
     inverse, rows = numbers.inverse, active.rows
     free = len(inverse) - numbers.links.bodies
@@ -262,28 +253,18 @@ def push(
 
 
 # Relative accuracy of impulses: a stack of twelve under a body of 1e8 times their mass misses 1e-6
-# in half of its steps, two bodies do so from 4e9 on, which is the rounding of one product.
+# in half of its steps, two bodies from 4e9 on, the round-off of one product.
 _VELOCITY_ROUND_OFF = 64.0 * 2.0**-52
-# Impulses that miss by a tenth of the fastest approach hold nothing apart.
+# Residual, relative to the fastest approach, from which impulses hold nothing apart.
 _HOLDS_NOTHING = 0.1
 
 
 @kernel
-def note_worst(inverse: Array, bodies: Ints, members: Ints, missed: float, worst: Array) -> None:
-    """Note an island if its masses differ by more than those of islands noted before.
+def note_worst(inverse: Array, bodies: Ints, members: Ints, residual: float, worst: Array) -> None:
+    """Note an island if its mass ratio exceeds that of islands noted before.
 
-    Parameters
-    ----------
-    inverse : (b, 3)
-        See `contacts.collision_detection.body_numbers.BodyNumbers`.
-    bodies : (c, 2) array of int
-        Which touch, -1 for a surface.
-    members : (m,) array of int
-        The island's contacts.
-    missed : float
-        Residual of their impulses.
-    worst : (4,)
-        Ratio of masses, the lightest body, the heaviest, and the residual; in place.
+    `bodies` (c, 2) are those of all contacts, -1 for a surface, `members` (m,) the island's
+    contacts; `worst` (4,) has mass ratio, lightest body, heaviest body and residual.
     """
     light = heavy = -1
     for i in members:
@@ -295,28 +276,28 @@ def note_worst(inverse: Array, bodies: Ints, members: Ints, missed: float, worst
                 heavy = b
     ratio = inverse[light, 0] / inverse[heavy, 0]
     if ratio > worst[0]:
-        worst[0], worst[1], worst[2], worst[3] = ratio, light, heavy, missed
+        worst[0], worst[1], worst[2], worst[3] = ratio, light, heavy, residual
 
 
-def ratio_remarks(worst: Array, names: Sequence[str], allowed: float) -> tuple[str, ...]:
-    """Return what is said of masses at which a tolerance cannot be met."""
-    ratio, light, heavy, missed = worst.tolist()
-    # Beside bodies of one mass it is the tolerance that is below rounding.
-    if ratio * _VELOCITY_ROUND_OFF <= allowed or allowed < _VELOCITY_ROUND_OFF:
+def ratio_remarks(worst: Array, names: Sequence[str], tolerance: float) -> tuple[str, ...]:
+    """Return a warning of mass ratios at which the tolerance cannot be met."""
+    ratio, light, heavy, residual = worst.tolist()
+    # With equal masses the tolerance itself is below round-off.
+    if ratio * _VELOCITY_ROUND_OFF <= tolerance or tolerance < _VELOCITY_ROUND_OFF:
         return ()
-    reached = max(ratio * _VELOCITY_ROUND_OFF, missed)
+    reached = max(ratio * _VELOCITY_ROUND_OFF, residual)
     looser = f", or an impulse_tolerance of {reached:.0e}" if reached < _HOLDS_NOTHING else ""
     return (
         f"bodies {names[int(light)]!r} and {names[int(heavy)]!r} are pressed together, and their "
-        f"masses are 1 to {ratio:.2g}: round-off leaves a residual of {missed:.2g} of the fastest "
-        f"approach, above impulse_tolerance, {allowed:g}. Take masses within 1 to "
-        f"{allowed / _VELOCITY_ROUND_OFF:.0e}{looser}",
+        f"masses are 1 to {ratio:.2g}: round-off leaves a residual of {residual:.2g} of the "
+        f"fastest approach, above impulse_tolerance, {tolerance:g}. Take masses within 1 to "
+        f"{tolerance / _VELOCITY_ROUND_OFF:.0e}{looser}",
     )
 
 
 @kernel
 def _add_impacts(space: Workspace, island: Island) -> None:
-    """Add the impulses of impacts in turn to those after them."""
+    """Add the impulses of sequential impacts to those after them."""
     sudden, chosen = island.sudden, island.chosen
     for a in range(len(island.members)):
         i = island.members[a]
@@ -329,7 +310,7 @@ def _add_impacts(space: Workspace, island: Island) -> None:
 
 @kernel
 def _pair(numbers: BodyNumbers, active: ActiveContacts, i: int) -> int:
-    """Return a number of the two things that touch at a contact, whichever pieces of them do."""
+    """Return a number of the two objects in contact, whichever of their pieces touch."""
     one, other = active.bodies[i]
     bodies, pieces = len(numbers.sizes), len(numbers.pieces.sizes)
     surfaces = len(numbers.surfaces.kinds)
@@ -344,7 +325,7 @@ def _pair(numbers: BodyNumbers, active: ActiveContacts, i: int) -> int:
 
 @kernel
 def _slow(numbers: BodyNumbers, active: ActiveContacts, i: int, h: float) -> float:
-    """Return the approach velocity up to which a contact lasts, see `SLOW`."""
+    """Return the approach velocity up to which a contact lasts; see `SLOW`."""
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     return SLOW * max(fall, abs(active.free[i, 0] - active.before[i, 0]))
 
@@ -352,15 +333,14 @@ def _slow(numbers: BodyNumbers, active: ActiveContacts, i: int, h: float) -> flo
 @kernel
 def impacts_in_turn(
     numbers: BodyNumbers, active: ActiveContacts, contacts: ContactRows, island: Island, h: float,
-    allowed: float,
+    tolerance: float,
 ) -> tuple[int, float, float]:  # fmt: skip
-    """Carry out the impacts of an island one after another; see `in_turn` for what is returned.
+    """Carry out the impacts of an island sequentially; see `in_turn` for the results.
 
-    They are those of the instant in the middle of the step, at velocities halfway between those
-    before and those that forces alone make: so they do work on the bodies as all impulses of a step
-    do, and none that adds energy. What is hit in turn is struck in this step, also where it rested.
-    The island keeps what is left to be solved by the step; where impacts do not end nothing is
-    changed.
+    They happen at mid-step, at velocities halfway between those before the step and those under
+    forces alone: their work is that of all impulses of a step, and adds no energy. Every contact
+    that is hit counts as struck. The island keeps the remainder for the step; if the impacts do not
+    end nothing changes.
     """
     size = len(island.members)
     pairs, now = np.empty(size, np.int64), np.empty((size, 2))
@@ -373,9 +353,11 @@ def impacts_in_turn(
             slow[a] = math.inf
         for d in range(2):
             now[a, d] = 0.5 * (island.start[a, d] + island.unforced[a, d])
-    done, missed, left = in_turn(contacts, pairs, now, restitution, slow, allowed, island.sudden)
-    if left > 0.0:
-        return done, 0.0, left
+    iterations, residual, remaining = in_turn(
+        contacts, pairs, now, restitution, slow, tolerance, island.sudden
+    )
+    if remaining > 0.0:
+        return iterations, 0.0, remaining
     for a in range(size):
         i = island.members[a]
         for d in range(2):
@@ -389,17 +371,17 @@ def impacts_in_turn(
         if island.hit[a]:
             for d in range(2):
                 island.wanted[a, d] = active.wanted[i, d] = 0.0
-    return done, missed, left
+    return iterations, residual, remaining
 
 
 @kernel
 def _order_decides(
     numbers: BodyNumbers, active: ActiveContacts, contacts: ContactRows, island: Island, h: float
 ) -> bool:
-    """Return whether impacts in turn would do something else than those at once.
+    """Return whether sequential impacts would differ from simultaneous ones.
 
-    They are `LIVELY` contacts that bear more than in the step before, and than what would rest in
-    two steps. `Island.sudden` is overwritten.
+    Considers `LIVELY` contacts whose impulse exceeds that of the previous step, and that of rest
+    over two steps. Overwrites `Island.sudden`.
     """
     pairs, lively = np.empty_like(island.members), np.empty_like(island.hit)
     for a in range(len(pairs)):
@@ -411,11 +393,11 @@ def _order_decides(
     return order_matters(contacts, pairs, lively, island.sudden)
 
 
-# Slips of islands whose impulses are exact are known to this part of the fastest approach.
+# Relative round-off of slips, to the fastest approach.
 _SLIP_ROUND_OFF = 1e-9
-# Fixed-point iterations that close joints; they end when the remaining work has not shrunk by this
-# factor in so many. Joints stay open where that work, or the work of their impulses, is more than
-# these parts of the kinetic energy.
+# Fixed-point iterations that close joints; they stop when the remaining work has not shrunk by this
+# factor in so many. Joints stay open if that work, or that of their impulses, exceeds these parts
+# of the kinetic energy.
 _TRIALS, _SHRINKS, _IDLE, _OPEN, _MOST_WORK = 24, 0.9, 4, 1e-2, 0.1
 
 
@@ -424,21 +406,21 @@ def _follow_arms(
     numbers: BodyNumbers, space: Workspace, contacts: ContactRows, island: Island, h: float,
     with_impacts: bool, turns: Array,
 ) -> tuple[float, float, float, float]:  # fmt: skip
-    """Ask joints of an island to close as their arms turn now; return what would be left of that.
+    """Update the bias of joints for the rotation of their arms; return the remaining error.
 
-    `with_impacts`: whether bodies move by impacts in turn, too; `turns` (2, b): how far bodies turn
-    in the step, as is asked by now, and to work with.
+    `with_impacts`: bodies also move by sequential impacts; `turns` (2, b): rotation in the step
+    that the bias assumes, and a buffer.
 
     Returns
     -------
     (float, float, float, float)
-        How fast joints part at most, and arms go round; the work of joints on what parts, and the
-        energy of motion before the step.
+        Largest joint speed error; largest arm speed; work of joints on the error; kinetic energy
+        before the step.
     """
     members, impulses = island.members, island.chosen
     active, mid, joints = space.active, space.mid, numbers.joints
     pieces, changes = len(numbers.pieces.sizes), contacts.rates[0, : 3 * contacts.moving + 3]
-    first, most, fastest = pieces * (pieces + len(numbers.surfaces.kinds)), 0.0, 0.0
+    first, largest, fastest = pieces * (pieces + len(numbers.surfaces.kinds)), 0.0, 0.0
     work = energy = 0.0
     moved(contacts, impulses, changes)
     for a in range(len(members) if with_impacts else 0):
@@ -471,84 +453,77 @@ def _follow_arms(
                     further, fastest = further + bent, max(fastest, gone / h)
             active.wanted[i, d] += further / h
             island.wanted[a, d] = active.wanted[i, d]
-            most = max(most, abs(further) / h)
+            largest = max(largest, abs(further) / h)
             work += abs(impulses[a, d] * further) / h
     for b in range(len(numbers.sizes)):
         if turns[1, b] < math.inf:
             turns[0, b] = turns[1, b]
-    return most, fastest, work, energy
+    return largest, fastest, work, energy
 
 
 @kernel
 def close_joints(
     numbers: BodyNumbers, space: Workspace, contacts: ContactRows, island: Island, h: float,
-    with_impacts: bool, bounds: tuple[float, float, float], found: tuple[float, int, bool],
+    with_impacts: bool, bounds: tuple[float, float, float], result: tuple[float, int, bool],
 ) -> tuple[float, int, bool]:  # fmt: skip
-    """Find impulses that close the joints of an island at the next detection, by fixed points.
+    """Find impulses that close the joints of an island at the next detection (fixed points).
 
-    How an arm is then turned follows from the impulses: SHAKE (Ryckaert, Ciccotti and Berendsen
-    1977), whose energy stays within a bound, as it does not where arms turn as they did before.
-    Where they go round in circles, as what may stick as well as slip does, those are taken that
-    leave joints the least work.
+    The rotation of an arm depends on the impulses: SHAKE (Ryckaert, Ciccotti and Berendsen 1977),
+    whose energy stays bounded, unlike with arms extrapolated from the start of the step. If
+    iterations cycle, as between stick and slip, those with the least joint work are taken.
 
-    Parameters
-    ----------
-    with_impacts : bool
-        See `_follow_arms`.
-    bounds : (float, float, float)
-        Residual of impulses that are good enough, the bound of their work (see `island_impulses`),
-        and the residual of those of the whole step.
-    found : (float, int, bool)
-        What `island_impulses` returned for the impulses at hand; what is found is returned as that.
-        Of impulses that close none `Workspace.apart` tells, too.
+    `with_impacts`: see `_follow_arms`; `bounds`: residual tolerance, bound of the work (see
+    `island_impulses`), residual tolerance of the whole step; `result`: that of `island_impulses`
+    for the present impulses. Returns the new result, and notes failures in
+    `Workspace.joint_energy`.
     """
-    (near, bound, allowed), (missed, done, softened) = bounds, found
-    least, energy, idle = math.inf, 0.0, 0
-    start, unforced, asked, chosen = island.start, island.unforced, island.wanted, island.chosen
-    turns, best, first = np.empty((2, len(numbers.sizes))), np.empty_like(chosen), asked.copy()
-    good, soft = missed, softened
+    (tolerance, bound, step_tolerance), (residual, iterations, softened) = bounds, result
+    least_work, energy, idle = math.inf, 0.0, 0
+    start, unforced, bias, chosen = island.start, island.unforced, island.wanted, island.chosen
+    turns, best, first = np.empty((2, len(numbers.sizes))), np.empty_like(chosen), bias.copy()
+    best_residual, best_softened = residual, softened
     for b in range(len(numbers.sizes)):
         turns[0, b] = h * space.mid.old[b, 2]
     for _ in range(_TRIALS):
-        left, fast, work, moving = _follow_arms(
+        error, fast, work, moving = _follow_arms(
             numbers, space, contacts, island, h, with_impacts, turns
         )
-        given = joint_work(contacts, chosen, start, unforced)
-        if given > bound + _MOST_WORK * moving:
-            # Wedged joints close, too, with unbounded work.
-            work = max(work, given)
-        elif left <= allowed * max(fast, scale_of_sum(contacts, unforced, asked)):
-            return missed, done, softened
+        impulse_work = joint_work(contacts, chosen, start, unforced)
+        if impulse_work > bound + _MOST_WORK * moving:
+            # Wedged joints close with unbounded work.
+            work = max(work, impulse_work)
+        elif error <= step_tolerance * max(fast, scale(contacts, unforced + bias)):
+            return residual, iterations, softened
         idle += 1
-        if work < least:
-            idle = 0 if work < _SHRINKS * least else idle
-            least, energy, good, soft = work, moving, missed, softened
+        if work < least_work:
+            idle = 0 if work < _SHRINKS * least_work else idle
+            least_work, energy, best_residual, best_softened = work, moving, residual, softened
             put_rows(chosen, best)
-        if missed > near or idle == _IDLE:
+        if residual > tolerance or idle == _IDLE:
             break
-        missed, further, softened = island_impulses(
-            contacts, start, unforced, asked, island.rebounds, chosen, near, bound, True
+        residual, further, softened = island_impulses(
+            contacts, start, unforced, bias, island.rebounds, chosen, tolerance, bound, True
         )
-        done += further
+        iterations += further
     put_rows(best, chosen)
-    if good > near or least <= _OPEN * energy:
-        return good, done, soft
-    space.joint_energy[0] = max(space.joint_energy[0], least / energy)
+    if best_residual > tolerance or least_work <= _OPEN * energy:
+        return best_residual, iterations, best_softened
+    space.joint_energy[0] = max(space.joint_energy[0], least_work / energy)
     if space.joint_energy[1] == 0.0:
-        # Wedged joints press without bound: arms turn as before, which does no work.
-        put_rows(first, asked)
+        # Wedged joints press without bound: extrapolate arms from the step's start, without work.
+        put_rows(first, bias)
         for a in range(len(chosen)):
             put(space.active.pushes[island.members[a]], chosen[a])
-        good, further, soft = island_impulses(
-            contacts, start, unforced, asked, island.rebounds, chosen, near, bound, False
+        best_residual, further, best_softened = island_impulses(
+            contacts, start, unforced, bias, island.rebounds, chosen, tolerance, bound, False
         )
-        done += further
-    return good, done, soft
+        iterations += further
+    return best_residual, iterations, best_softened
 
 
 @kernel
 def _write_frictions(numbers: BodyNumbers, active: ActiveContacts, island: Island) -> bool:
-    """Write the frictions of an island; return whether some differ at rest and in motion."""
+    """Write the frictions of an island; return whether any has two coefficients."""
     splits = False
     for a in range(len(island.members)):
         i = island.members[a]
@@ -565,7 +540,7 @@ def _write_frictions(numbers: BodyNumbers, active: ActiveContacts, island: Islan
 
 @kernel
 def _write_slips(contacts: ContactRows, island: Island, none: float) -> None:
-    """Write the slips after the step; those up to `none` are what the impulses miss."""
+    """Write the slips after the step; those up to `none` are errors of the impulses."""
     rates = contacts.rates[0, : 3 * contacts.moving + 3]
     moved(contacts, island.chosen, rates)
     for a in range(len(island.members)):
@@ -576,22 +551,12 @@ def _write_slips(contacts: ContactRows, island: Island, none: float) -> None:
 @kernel
 def solve_islands(
     numbers: BodyNumbers, law: int, forces: bool, h: float, space: Workspace, count: int,
-    allowed: float, effort: Array,
+    tolerance: float, effort: Array,
 ) -> None:  # fmt: skip
-    """Find the impulses of a step, island by island.
+    """Solve the impulses of a step with `count` contacts, island by island.
 
-    Parameters
-    ----------
-    numbers, law, forces, allowed
-        See `contacts.rigid_bodies.body_step.step_bodies`.
-    h : float
-        Length of the step.
-    space : Workspace
-        Its impulses are written, and where the next step starts to look for its own.
-    count : int
-        Contacts.
-    effort : (e,)
-        See `Chunk.efforts`.
+    Writes impulses and the next warm start to `space`, and statistics `effort` (see `Chunk.stats`).
+    For `law`, `forces` and `tolerance` see `contacts.rigid_bodies.body_step.StepOptions`.
     """
     active, inverse, local, order = space.active, numbers.inverse, space.local, space.order
     free = len(inverse) - numbers.links.bodies
@@ -609,10 +574,10 @@ def solve_islands(
         spread(members, space.spare)
         contacts = island_rows(numbers, members, space)
         start, unforced = space.island[0, :size], space.island[1, :size]
-        asked, chosen = space.island[2, :size], space.island[4, :size]
+        bias, chosen = space.island[2, :size], space.island[4, :size]
         rebounds, hit = space.flags[0, :size], space.flags[1, :size]
         together = Island(
-            members, start, unforced, asked, space.island[3, :size], chosen,
+            members, start, unforced, bias, space.island[3, :size], chosen,
             space.island[5, :size], space.island[6, :size], rebounds, hit, space.kinds[:size],
             space.ways[:size], space.frictions[:size],
         )  # fmt: skip
@@ -628,7 +593,7 @@ def solve_islands(
             rebounds[a] = active.hit[i] and materials[i, 2] > 0.0
             if law == PLASTIC and touching > 1 and rebounds[a]:
                 rebounds[a], active.wanted[i, 0] = False, 0.0
-            put(active.wanted[i], asked[a])
+            put(active.wanted[i], bias[a])
             space.bounces[i] = rebounds[a]
             lively = lively or (rebounds[a] and materials[i, 2] >= LIVELY)
             hit[a] = active.hit[i]
@@ -645,38 +610,38 @@ def solve_islands(
             if root(space.parents, b) == island:
                 bound += 0.125 * space.mid.pull[b] ** 2 / inverse[b, 0]
         sequential = law == SEQUENTIAL and size > 1 and not quiet
-        near, turns, left = allowed, 0, 0.0
-        missed_turn, share = 0.0, 1.0
-        fast = scale_of_sum(contacts, unforced, asked)
+        island_tolerance, impacts, remaining = tolerance, 0, 0.0
+        impact_residual, share = 0.0, 1.0
+        fast = scale(contacts, unforced + bias)
         if sequential:
-            turns, missed_turn, left = impacts_in_turn(
-                numbers, active, contacts, together, h, allowed
+            impacts, impact_residual, remaining = impacts_in_turn(
+                numbers, active, contacts, together, h, tolerance
             )
-            slow = scale_of_sum(contacts, unforced, asked)
-            sequential, share = left == 0.0, slow / fast
-            near = allowed_beside(allowed, slow, fast)
-        missed, done, softened = island_impulses(
-            contacts, start, unforced, asked, rebounds, chosen, near, bound, True
+            slow = scale(contacts, unforced + bias)
+            sequential, share = remaining == 0.0, slow / fast
+            island_tolerance = allowed_beside(tolerance, slow, fast)
+        residual, iterations, softened = island_impulses(
+            contacts, start, unforced, bias, rebounds, chosen, island_tolerance, bound, True
         )
         while splits:
-            none = max(missed, _SLIP_ROUND_OFF) * fast
+            none = max(residual, _SLIP_ROUND_OFF) * fast
             _write_slips(contacts, together, none)
             if not change_friction(contacts, together, none, not quiet):
                 break
-            missed, further, softened = island_impulses(
-                contacts, start, unforced, asked, rebounds, chosen, near, bound, True
+            residual, further, softened = island_impulses(
+                contacts, start, unforced, bias, rebounds, chosen, island_tolerance, bound, True
             )
-            done += further
+            iterations += further
         if touching < size:
-            bounds, found = (near, bound, allowed), (missed, done, softened)
-            missed, done, softened = close_joints(
-                numbers, space, contacts, together, h, sequential, bounds, found
+            bounds, result = (island_tolerance, bound, tolerance), (residual, iterations, softened)
+            residual, iterations, softened = close_joints(
+                numbers, space, contacts, together, h, sequential, bounds, result
             )
         if splits:
-            _write_slips(contacts, together, max(missed, _SLIP_ROUND_OFF) * fast)
-        missed, done = max(share * missed, missed_turn), done + turns
-        if missed > allowed:
-            note_worst(numbers.inverse, active.bodies, members, missed, space.worst)
+            _write_slips(contacts, together, max(residual, _SLIP_ROUND_OFF) * fast)
+        residual, iterations = max(share * residual, impact_residual), iterations + impacts
+        if residual > tolerance:
+            note_worst(numbers.inverse, active.bodies, members, residual, space.worst)
         if sequential:
             _add_impacts(space, together)
             quiet = not hit.any()
@@ -687,26 +652,27 @@ def solve_islands(
             and _order_decides(numbers, active, contacts, together, h)
         ):
             effort[AMBIGUOUS] = 1.0
-        effort[UNENDED] = max(effort[UNENDED], left)
+        effort[UNENDED] = max(effort[UNENDED], remaining)
         for a in range(size):
             i = members[a]
-            space.known[i] = max(missed, allowed) * fast
+            space.known[i] = max(residual, tolerance) * fast
             put(chosen[a], space.pressed[i])
             put(chosen[a], space.steady[i])
             active.hit[i] = hit[a]
             if splits:
-                # Kinetic friction has ended slips of which nothing is left.
+                # A slip without remainder has ended under kinetic friction.
                 active.ways[i] = together.ways[a] if together.after[a, 1] != 0.0 else 0
                 active.materials[i, 0], active.materials[i, 1] = contacts.cones[a]
-            # The last impulse of a lasting contact is a better guess than one beside impacts.
+            # The previous impulse of a lasting contact is a better warm start than one during
+            # impacts.
             if quiet or hit[a]:
                 put(chosen[a], active.pushes[i])
         if forces and not quiet:
             least, pushes = active.free[members] + active.wanted[members], active.pushes[members]
-            pushes = forces_beside_impacts(contacts, hit, least, pushes, allowed, fast)
+            pushes = forces_beside_impacts(contacts, hit, least, pushes, tolerance, fast)
             for a in range(size):
                 put(pushes[a], space.steady[members[a]])
-        effort[RESIDUAL] = max(effort[RESIDUAL], missed)
-        effort[ITERATIONS] += done
+        effort[RESIDUAL] = max(effort[RESIDUAL], residual)
+        effort[ITERATIONS] += iterations
         effort[CALMED] = max(effort[CALMED], 1.0 if softened else 0.0)
-        effort[WORK] += done * size
+        effort[WORK] += iterations * size

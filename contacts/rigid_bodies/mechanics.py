@@ -1,4 +1,4 @@
-"""Names that formulas of colliding bodies may use, and the forces on the bodies."""
+"""Symbols of formulas of colliding bodies, and forces on the bodies."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _KEYS = ("x", "y", "angle", "dx", "dy", "dangle")
 
 
 class Forces(NamedTuple):
-    """Forces on bodies: which bodies (f,), and three formulas for each; values of parameters."""
+    """Forces on bodies (f,): a tape of two components and a moment each, and parameter values."""
 
     bodies: Ints
     tape: Tape
@@ -51,7 +51,7 @@ class Forces(NamedTuple):
     def stiffness(self, numbers: BodyNumbers, h: float, state: Array, time: float) -> Stiffness:
         """Return the stiffness of the forces; see `contacts.time_stepping.stability.stiffness`.
 
-        Where coordinates place bodies, forces are differentiated by each variable that they read.
+        With linked bodies, forces are differentiated by each variable that they read.
         """
         size = float(numbers.sizes[: len(numbers.inverse)].max())
         n, first = numbers.size, 3 * numbers.free
@@ -65,7 +65,7 @@ class Forces(NamedTuple):
         for i, change in zip(variables.tolist(), changes.tolist(), strict=True):
             around = np.tile(state, (2, 1))
             around[:, i] += [change, -change]
-            # Forces of inertia are those at the mean of the rates.
+            # Inertial forces are those at the mean of the rates.
             more, less = self._generalised(numbers, around, time, i < n)
             found[i // n, :, i % n] = (less - more) / (2.0 * change)
         root = energy_root(numbers, state)
@@ -75,7 +75,7 @@ class Forces(NamedTuple):
         return Stiffness(n, rows, columns, h * h * places, 2.0 * h * rates)
 
     def _generalised(self, numbers: BodyNumbers, states: Array, time: float, all_of: bool) -> Array:
-        """Return the forces (k, n) on free bodies and coordinates; `all_of`: of gravity, too."""
+        """Return the generalised forces (k, n); `all_of`: including gravity on linked bodies."""
         links, free, count = numbers.links, numbers.free, len(states)
         result = np.zeros((count, numbers.size))
         if all_of:
@@ -95,7 +95,7 @@ class Forces(NamedTuple):
 
 
 def energy_root(numbers: BodyNumbers, state: Array) -> Array:
-    """Return R (n, n) with ``R R^T = M^-1``: in coordinates R^-1 q squared rates are energies."""
+    """Return R (n, n) with ``R R^T = M^-1``: squared rates in coordinates R^-1 q are energies."""
     root, first = np.zeros((numbers.size, numbers.size)), 3 * numbers.free
     root[:first, :first] = np.diag(np.sqrt(numbers.inverse[: numbers.free]).ravel())
     root[first:, first:] = np.linalg.cholesky(np.linalg.inv(numbers.inertia(state[None])[0][0]))
@@ -103,7 +103,7 @@ def energy_root(numbers: BodyNumbers, state: Array) -> Array:
 
 
 class Starts:
-    """The starts of the bodies of a scene."""
+    """Initial poses and rates of the bodies of a scene."""
 
     def __init__(self, scene: Scene, parameters: Parameters) -> None:
         self._scene = scene
@@ -111,7 +111,7 @@ class Starts:
             0 if scene.bodies[name].coordinates == () else 1 if n is None else n
             for name, n in copies(scene, scene.values()).items()
         ]
-        # The declared body of every body that moves, and its number among the copies.
+        # Declared body of each moving body, and index among its copies.
         self._kinds = np.repeat(np.arange(len(counts)), counts)
         self._numbers = np.concatenate([np.arange(count) for count in counts])
         index = sp.Symbol("index", real=True)
@@ -134,7 +134,7 @@ class Starts:
         Raises
         ------
         DeclarationProblem
-            If one has no value, or none that can be computed with.
+            If one has no value, or one out of range.
         """
         linked = [
             [
@@ -155,7 +155,7 @@ class Starts:
         return np.concatenate([free, np.array(linked)], axis=1).reshape(-1)
 
     def _check(self, b: int, at: int, value: float, known: Mapping[str, float]) -> None:
-        """Check the largest of the numbers of a start, or one that is none."""
+        """Check the largest value of a start, or a non-finite one."""
         owner, key = list(self._scene.bodies)[self._kinds[b]], _KEYS[at]
         loc, copied = ("bodies", owner, "start", key), self._scene.bodies[owner].copies is not None
         which = f" of {owner}{self._numbers[b]}" if copied else ""
@@ -172,10 +172,10 @@ class Starts:
 
 
 class BodyMechanics(Mechanics):
-    """The symbols of free bodies, of which there may be thousands; equations are not composed.
+    """Symbols of possibly thousands of free bodies; equations of motion are not composed.
 
-    The `scene` has its bodies one by one, whose starts are in `starts`; `owners` are what each is a
-    copy of, or itself.
+    The `scene` has its bodies one by one, with starts in `starts`; `owners` are their declared
+    bodies.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -194,21 +194,21 @@ class BodyMechanics(Mechanics):
         parameters = body_parameters(scene)
         super().__init__(scene.model_copy(update={"bodies": single}), parameters)
         self.starts = Starts(scene, parameters)
-        # Tapes by the states of the controllers, as runs enter them.
+        # Tapes per combination of controller states, compiled on demand.
         self._forces: dict[Key, tuple[Ints, Tape]] = {}
         self._given: dict[Key, Tape] = {}
         self._flows: dict[Key, Tape] = {}
 
     @cached_property
     def energy(self) -> sp.Expr:
-        """Kinetic energy plus that of gravity."""
+        """Kinetic and gravitational energy."""
         gx, gy = self.gravity
-        alike: dict[str, list[str]] = {}
+        copies_of: dict[str, list[str]] = {}
         terms = [] if self.linked is None else [self.linked.energy.xreplace(self._own_symbols)]
         for name, owner in zip(self.scene.bodies, self.owners, strict=True):
             if self.scene.bodies[name].coordinates:
-                alike.setdefault(owner, []).append(name)
-        for owner, names in alike.items():
+                copies_of.setdefault(owner, []).append(name)
+        for owner, names in copies_of.items():
             mass = self._formula(self.scene.bodies[names[0]].mass)
             x, y, dx, dy, turn = (
                 [self.known[f"{name}.{c}"] for name in names]
@@ -222,18 +222,18 @@ class BodyMechanics(Mechanics):
 
     @cached_property
     def linked(self) -> LinkedMechanics | None:
-        """The equations of the bodies that coordinates place."""
+        """Equations of the linked bodies."""
         return linked_mechanics(self.scene)
 
     @cached_property
     def _own_symbols(self) -> dict[sp.Expr, sp.Expr]:
-        """Symbols of the linked bodies' equations, and those of these."""
+        """Symbols of the linked bodies' equations -> symbols of these mechanics."""
         assert self.linked is not None
         return {x: self.known[name] for name, x in self.linked.known.items()}
 
     @cached_property
     def joint_rows(self) -> tuple[JointRow, ...]:
-        """Rows of all joints: names and forces; the steps know the rest as numbers."""
+        """Rows of all joints, with names and forces only; the steps have the rest as arrays."""
         nothing, rows = sp.S.Zero, list[JointRow]()
         for turns in (False, True):
             for name, joint in self.scene.joints.items():
@@ -252,7 +252,7 @@ class BodyMechanics(Mechanics):
         return tuple(rows)
 
     def control_values(self, states: Mapping[str, str]) -> Tape:
-        """Return the values of `controlled_symbols` in these states of the controllers."""
+        """Return the tape of `controlled_symbols` in these controller states."""
         key = tuple(states.values())
         if key not in self._given:
             self._given[key] = self.whole_tape(
@@ -261,7 +261,7 @@ class BodyMechanics(Mechanics):
         return self._given[key]
 
     def flows_in(self, states: Mapping[str, str]) -> Tape:
-        """Return the rates of the controllers' variables in these states: over these and time."""
+        """Return the rates of the controller variables in these states, over them and time."""
         key = tuple(states.values())
         if key not in self._flows:
             self._flows[key] = compile_tape(
@@ -274,14 +274,14 @@ class BodyMechanics(Mechanics):
         return self._flows[key]
 
     def forces_at(self, states: Mapping[str, str], values: Array) -> Forces:
-        """Return the forces on bodies while controllers are in these states."""
+        """Return the forces on bodies in these controller states."""
         key = tuple(states.values())
         if key not in self._forces:
             self._forces[key] = self._force_tape(states)
         return Forces(*self._forces[key], values)
 
     def _force_tape(self, states: Mapping[str, str]) -> tuple[Ints, Tape]:
-        """Return which bodies forces act on, and what gives these forces."""
+        """Return the bodies on which forces act, and the tape of the forces."""
         found: dict[int, list[sp.Expr]] = {}
         for force in self.scene.forces.values():
             for place, known in self._each(force.body):
@@ -300,7 +300,7 @@ class BodyMechanics(Mechanics):
         return np.array([*found], dtype=np.int64), tape
 
     def _each(self, body: str) -> Iterator[tuple[int, Mapping[str, sp.Expr]]]:
-        """Yield the places of a body, or of its copies, with what formulas of each may use."""
+        """Yield the places of a body or its copies, with the symbols of their formulas."""
         for place, (name, owner) in enumerate(zip(self.scene.bodies, self.owners, strict=True)):
             if body in (owner, name) and self.scene.bodies[name].linked:
                 yield place, ChainMap(self.known, self.placed)
@@ -313,14 +313,14 @@ class BodyMechanics(Mechanics):
 
 
 def _at_its_place(body: Body, number: str) -> Body:
-    """Return a prescribed body, or its copy of this number, with its place as a position."""
+    """Return a prescribed body, or its copy of this number, with its path as position."""
     one = body if body.copies is None else body.numbered(int(number))
     x, y, angle = one.path
     return one.model_copy(update={"position": (x, y), "angle": angle, "start": {}})
 
 
 def _times(factor: sp.Expr, total: sp.Expr) -> sp.Expr:
-    """Return a product that is not spread over the terms of a sum, where the factor is a number."""
+    """Return an unevaluated product: SymPy would expand a number over a sum."""
     return sp.Mul(factor, total, evaluate=False) if factor != 0 else sp.S.Zero
 
 
@@ -329,5 +329,5 @@ def _squares(*symbols: sp.Symbol) -> sp.Expr:
 
 
 def _sum(terms: Sequence[sp.Expr]) -> sp.Expr:
-    """Return the sum of terms of which no two are alike: to look for these takes most of it."""
+    """Return an unevaluated sum: SymPy would search for equal terms, most of the time in vain."""
     return sp.Add(*terms, evaluate=False)

@@ -1,7 +1,7 @@
-"""The time step of a run that none is given for, by inner radii and by speeds that forces reach.
+"""Default step size, from inscribed circles and the speeds that forces can reach.
 
-In a step nothing moves far beside the largest circle in the smallest convex piece of a body: at the
-scene's speed, falling, or at the speed that its forces may give it.
+A body moves little in a step, relative to the inscribed circle of its smallest convex piece, at the
+speed of the scene, of free fall, or of its forces.
 """
 
 from __future__ import annotations
@@ -18,26 +18,22 @@ from contacts.rigid_bodies.mechanics import Forces
 from contacts.rigid_bodies.prescribed_motion import Paths
 from statechart.arrays import Array
 
-# A step takes bodies this part of the least inner radius at the fastest speed, and lasts this part
-# of the time in which it falls by half of that: 3e-4 s to 2e-3 s for the shipped heaps, which are
-# written for 1e-3 s.
+# Displacement in a step at the fastest speed, relative to the smallest inscribed radius; step
+# relative to the time of free fall by half of that: 3e-4 s to 2e-3 s for the shipped heaps, which
+# are written for 1e-3 s.
 _CROSSED, _FALLEN = 0.1, 0.02
-# Forces are evaluated at so many instants of a run.
+# Instants of a run at which forces are evaluated.
 _INSTANTS = 17
-# Differences of paths are taken over this part of a run.
+# Difference step of paths, relative to the run.
 _SOON = 1e-6
-# A circle is inside of an edge but for this part of its polygon.
+# Round-off of the inscribed circle, relative to the polygon.
 _STEP_ROUND_OFF = 1e-9
 
 
 def inner_radii(numbers: BodyNumbers) -> Array:
-    """Return the radius (b,) of the largest circle in the smallest piece of each body.
-
-    Infinite of bodies without a shape.
-    """
+    """Return the inscribed radius (b,) of the smallest piece of each body; inf without a shape."""
     pieces, kinds = numbers.pieces, numbers.kinds
     found = np.full(int(kinds.max(initial=-1)) + 1, np.inf)
-    # Copies have the pieces of one of them.
     for kind, b in zip(*np.unique(kinds, return_index=True), strict=True):
         for p in range(pieces.begins[b], pieces.begins[b + 1]):
             radius = float(pieces.radii[p])
@@ -50,7 +46,7 @@ def inner_radii(numbers: BodyNumbers) -> Array:
 def inscribed(corners: Array) -> float:
     """Return the radius of the largest circle in a convex polygon (k, 2).
 
-    A linear program: the circle touches three edges.
+    It touches three edges.
     """
     along = np.roll(corners, -1, axis=0) - corners
     normals = np.stack([along[:, 1], -along[:, 0]], 1) / np.hypot(*along.T)[:, None]
@@ -67,21 +63,21 @@ def inscribed(corners: Array) -> float:
 def forced_speed(
     each: Iterable[Forces], numbers: BodyNumbers, state: Array, end: float, length: float
 ) -> float:
-    """Return how fast forces may make a point of a body in a run.
+    """Return the largest speed that forces can give a point of a body in a run.
 
-    An acceleration a gives a speed of ``a end`` at most, of ``a/d`` against a damping d by mass, of
-    ``a/w`` against springs that swing at w, and, as gravity does, of ``sqrt(a length)``. There is
-    `each` set of forces under a state of a controller; the `end` may be infinite.
+    An acceleration a gives at most ``a end``, ``a/d`` against damping d per mass, ``a/w`` against
+    springs of frequency w, and, like gravity, ``sqrt(a length)``. `each` has the forces of every
+    controller state; `end` may be infinite.
     """
     fastest, n = 0.0, numbers.inverse.size
     times = np.linspace(0.0, end, _INSTANTS) if math.isfinite(end) else np.zeros(1)
     for forces in each:
         if not len(forces.bodies):
             continue
-        seen = forces.tape.table(np.tile(state, (len(times), 1)), forces.values, times)
-        most = np.abs(seen).max(axis=0).reshape(-1, 3) * numbers.inverse[forces.bodies]
+        samples = forces.tape.table(np.tile(state, (len(times), 1)), forces.values, times)
+        most = np.abs(samples).max(axis=0).reshape(-1, 3) * numbers.inverse[forces.bodies]
         stiff = forces.stiffness(numbers, 1.0, state, 0.0)
-        # Springs of coordinates are none of bodies.
+        # Springs on coordinates do not bound free bodies.
         own = (stiff.rows == stiff.columns) & (stiff.rows < 3 * numbers.free)
         springs, dampers = (
             np.bincount(stiff.rows[own], np.maximum(part[own], 0.0), minlength=n).reshape(-1, 3)
@@ -100,7 +96,7 @@ def forced_speed(
 def led_speed(
     paths: Paths, numbers: BodyNumbers, known: Mapping[str, float], remembered: Array, end: float
 ) -> float:
-    """Return how fast a point of a led body is at some instants of a run."""
+    """Return the largest speed of a point of a led body at sampled instants of a run."""
     first = len(numbers.inverse)
     sizes = numbers.sizes[first : first + len(paths.led)]
     if not len(sizes):
@@ -115,7 +111,7 @@ def led_speed(
 
 
 def own_step(numbers: BodyNumbers, scales: Scales, forced: float) -> float:
-    """Return a step, rounded to a digit."""
+    """Return the default step size, rounded to a digit."""
     radius = float(inner_radii(numbers)[: len(numbers.inverse)].min())
     step = _CROSSED * radius / max(scales.speed, forced)
     gravity = math.hypot(*numbers.gravity)

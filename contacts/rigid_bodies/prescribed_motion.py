@@ -1,4 +1,4 @@
-"""Prescribed motion of surfaces, led bodies, controllers and forces along the next steps."""
+"""Prescribed motion of surfaces and led bodies, controllers and forces in the next steps."""
 
 from __future__ import annotations
 
@@ -28,15 +28,18 @@ from statechart.formulas.writer import compile_tape
 
 
 class Positions(NamedTuple):
-    """Positions of surfaces, joint places and led bodies at instants."""
+    """Positions of surfaces, world anchors of joints and led bodies at m instants."""
 
-    frames: Array  # (m, s, 3): of all surfaces that bodies touch.
-    places: Array  # (m, j, 2): of all joints; zero where they hold two bodies together.
+    frames: Array  # (m, s, 3): all surfaces that bodies touch.
+    places: Array  # (m, j, 2): all joints; zero between two bodies.
     poses: Array  # (m, l, 3)
 
 
 class Paths:
-    """The paths of a scene; `any` tells whether there are some, `led` whose bodies' they are."""
+    """The paths of a scene; `any`: whether there are some; `led`: names of led bodies.
+
+    `leads`: whether surfaces or bodies have one.
+    """
 
     def __init__(self, scene: Scene) -> None:
         surfaces = [scene.surfaces[name] for name in touched(scene)]
@@ -46,12 +49,13 @@ class Paths:
         self._led = {n: b for n, b in single.items() if b.prescribed and not b.fixed}
         self.led = list(self._led)
         self._scene, self._names = scene, tuple(scene.parameters)
-        self.any = bool(self._moved or self._joints or self.led)
-        # Tapes by the states of the controllers, whose controls paths of bodies may use.
+        self.leads = bool(self._moved or self.led)
+        self.any = bool(self.leads or self._joints)
+        # Tapes per combination of controller states, since paths of bodies may use controls.
         self._tapes: dict[Key, Tape] = {}
 
     def _tape(self, states: Mapping[str, str]) -> Tape:
-        """Return all paths over what controllers remember, parameters and time."""
+        """Return the tape of all paths over controller variables, parameters and time."""
         key = tuple(states.values())
         if key not in self._tapes:
             scene = self._scene
@@ -70,7 +74,7 @@ class Paths:
             for region, state in states.items():
                 sets |= scene.controlled.values(region, state)
             for control in scene.controlled.order:
-                # Those that depend on bodies are in no path.
+                # Controls that depend on bodies occur in no path.
                 if parse(sets[control]).names <= known.keys():
                     known[control] = parse(sets[control]).to_sympy(known)
             for body in self._led.values():
@@ -81,7 +85,7 @@ class Paths:
         return self._tapes[key]
 
     def none(self, count: int) -> Positions:
-        """Return where all is at so many instants when nothing has a path."""
+        """Return the positions of a scene without paths."""
         frames, nowhere = np.zeros((count, self._surfaces, 3)), np.zeros((count, 0, 3))
         return Positions(frames, nowhere[:, :, :2], nowhere)
 
@@ -92,7 +96,7 @@ class Paths:
         memories: Array,
         states: Mapping[str, str] | None = None,
     ) -> Positions:
-        """Return where all is at instants, in these states of the controllers or the first."""
+        """Return the positions at instants, in these controller states or the initial ones."""
         count, moved, joints = len(times), len(self._moved), self._joints
         if not self.any:
             return self.none(count)
@@ -108,9 +112,9 @@ class Paths:
 
 
 def _previous_frames(now: Array, look: Array) -> Array:
-    """Return frames (m, 3) half a step before `now`, as far as they are at the `look` after it.
+    """Return frames (m, 3) half a step before `now` by mirroring `look`, half a step after it.
 
-    What turns about a point continues to do so.
+    Rotation about a point continues uniformly.
     """
     before = 2.0 * now - look
     turned = before[:, 2] - now[:, 2]
@@ -123,18 +127,17 @@ def _previous_frames(now: Array, look: Array) -> Array:
 def integrate(rates: Tape, values: Array, remembered: Array, times: Array) -> Array:
     """Return controller variables (m, w) at instants (m,), from those at the first of them.
 
-    By the rule of Runge and Kutta from each instant to the next: no motion of bodies changes them.
+    Classical Runge-Kutta from each instant to the next: they do not depend on bodies.
     """
     result = np.empty((len(times), len(remembered)))
     result[0] = remembered
     if not len(remembered):
         return result
     if not len(rates.reads):
-        # All of it flows at constant rates, as clocks do.
-        # Added up one by one, so that it does not matter where steps begin.
+        # Constant rates, as of clocks. Summed one by one, so that the chunks do not matter.
         result[1:] = np.outer(np.diff(times), rates.at(remembered, values, 0.0))
-        found: Array = np.cumsum(result, axis=0)
-        return found
+        sums: Array = np.cumsum(result, axis=0)
+        return sums
     for k, h in enumerate(np.diff(times).tolist()):
         t, w = float(times[k]), result[k]
         first = rates.at(w, values, t)
@@ -145,18 +148,18 @@ def integrate(rates: Tape, values: Array, remembered: Array, times: Array) -> Ar
     return result
 
 
-# A start that is a whole number of steps but for this part of one is that.
+# Round-off of a start in whole steps.
 _SAME_MOTION = 1e-6
-# Paths that differ by more than this part of the largest coordinate have jumped: round-off of what
-# is integrated from step to step is less.
+# Difference of paths, relative to the largest coordinate, that is a jump and not round-off of
+# integration.
 _JUMPED = 1e-9
 
 
 class PrescribedMotion:
-    """Prescribed motion and `forces` of one run, in the states of its controllers.
+    """Prescribed motion and `forces` of one run, in the current controller states.
 
-    Parameters are `known` by name; `values` (p,) are theirs and those that follow from them.
-    `controlled` tells whether there are controllers.
+    `known` are the parameters by name; `values` (p,) theirs and those derived from them;
+    `controlled`: whether there are controllers.
     """
 
     def __init__(
@@ -169,90 +172,95 @@ class PrescribedMotion:
         self._mechanics, self._paths = mechanics, paths
         self._known, self._values = known, values
         self.controlled = bool(mechanics.scene.regions)
-        self.joints = tuple(mechanics.scene.joints)
-        # Where what has a path was at the last detection, and what the length of that step was.
+        self.joints, self.leads = tuple(mechanics.scene.joints), paths.leads
+        # Positions at the last detection, and its step size.
         self._last: tuple[Positions, float] | None = None
         self._saved: tuple[Positions, float] | None = None
-        # Where it was at the end of the last step, when that was, and what was remembered then.
+        # Times and controller variables at the ends of the prescribed steps; positions at the last
+        # end.
         self._ends: tuple[Array, Array] | None = None
         self._end: tuple[float, Positions] | None = None
         self.switch(mechanics.scene.controlled.initial)
 
     def switch(self, states: Mapping[str, str]) -> None:
-        """Go on with controllers in other states."""
+        """Change the states of the controllers."""
         self._states = states
         self.forces = self._mechanics.forces_at(states, self._values)
         self._controls = self._mechanics.control_values(states)
 
     def captured(self, joint: str, remembered: Array) -> dict[str, float]:
-        """Return the pose that a joint has captured as it closed: x, y and turn."""
+        """Return the pose that a joint captured as it closed: x, y and turn."""
         known = dict(zip(self._mechanics.controller_state, remembered.tolist(), strict=True))
         names = captured(joint, self._mechanics.scene.joints[joint])
         return {name.rpartition(".")[2]: known[name] for name in names}
 
     def place_of(self, joint: int, time: float, remembered: Array) -> Array:
-        """Return where a joint holds its point in the world at an instant."""
-        found: Array = self._now(time, remembered).places[0, joint]
-        return found
+        """Return the world anchor of a joint at an instant."""
+        place: Array = self._now(time, remembered).places[0, joint]
+        return place
 
     def forget(self) -> None:
-        """Take back the last steps."""
+        """Revert the last steps."""
         self._last = self._saved
+
+    def restart(self) -> None:
+        """Let surfaces and led bodies move from here on as if they had always moved so."""
+        self._last = None
 
     def prescribe(
         self, start: float, h: float, remembered: Array, count: int
     ) -> tuple[Prescribed, Array, int]:
-        """Return what acts in the steps from an instant on, and what is remembered at their ends.
+        """Return the prescribed motion of steps, controller variables at their ends, their number.
 
-        And how many of them can be taken: as long as paths have values. Before a run begins
-        surfaces move as they do then, and so do they before a step of another length, and where
-        their paths end.
+        The number ends where paths have no value. Before the run, after a change of step size and
+        beyond the ends of paths, motion is extrapolated.
 
         Raises
         ------
         NonFinite
-            If none can.
+            If no step can be taken.
         """
         forces = self.forces.program
-        # Counted from the start of the run: instants are the same in chunks of any length.
+        # Counted from the start of the run, so that instants do not depend on chunks.
         number = round(start / h)
         first = number if abs(start - number * h) <= _SAME_MOTION * h else start / h
         times: Array = h * (first + 0.5 * np.arange(2 * count + 2, dtype=float))
         flows = self._mechanics.flows_in(self._states)
         memories = integrate(flows, self._values, remembered, times)
-        seen = np.concatenate([memories[:1], memories[1::2]])
+        variables = np.concatenate([memories[:1], memories[1::2]])
         if not self._paths.any:
             return (
-                Prescribed(*self._paths.none(count + 2), seen, forces),
+                Prescribed(*self._paths.none(count + 2), variables, forces),
                 memories[2::2],
                 count + 1,
             )
         now = self._paths.at(self._known, times[:1], memories[:1], self._states)
-        looks = self._paths.at(self._known, times[1::2], memories[1::2], self._states)
+        midpoints = self._paths.at(self._known, times[1::2], memories[1::2], self._states)
         before = Positions(
-            _previous_frames(now.frames[0], looks.frames[0])[None],
-            2.0 * now.places - looks.places[:1],
-            _previous_frames(now.poses[0], looks.poses[0])[None],
+            _previous_frames(now.frames[0], midpoints.frames[0])[None],
+            2.0 * now.places - midpoints.places[:1],
+            _previous_frames(now.poses[0], midpoints.poses[0])[None],
         )
         if self._last is not None and self._last[1] == h and not self.jumped(start, remembered):
             before = self._last[0]
         self._saved = self._last
-        self._looks, self._h, self._ends = looks, h, (times[2::2], memories[2::2])
-        rows = Positions(*(np.concatenate(pair) for pair in zip(before, looks, strict=True)))
-        known = len(looks.frames)
+        self._looks, self._h, self._ends = midpoints, h, (times[2::2], memories[2::2])
+        rows = Positions(*(np.concatenate(pair) for pair in zip(before, midpoints, strict=True)))
+        known = len(midpoints.frames)
         for paths in rows:
             ends = np.flatnonzero(~np.isfinite(paths[1:]).all(axis=(1, 2)))
             known = min([known, *ends[:1].tolist()])
         if known == 0:
             raise NonFinite(
-                f"{self._without(looks)} has no value, or an infinite one, at t = {times[1]:.6g}"
+                f"{self._without(midpoints)} has no value, or an infinite one, "
+                f"at t = {times[1]:.6g}"
             )
-        for paths in rows if known < len(looks.frames) else ():
+        for paths in rows if known < len(midpoints.frames) else ():
             paths[known + 1 :] = 2.0 * paths[known] - paths[known - 1]
-        return Prescribed(*rows, seen, forces), memories[2::2], known
+        return Prescribed(*rows, variables, forces), memories[2::2], known
 
     def jumped(self, start: float, remembered: Array) -> list[str]:
-        """Return whose paths are elsewhere at an instant than the last step has left them."""
+        """Return the names whose path at an instant differs from the end of the last step."""
         if self._end is None or abs(self._end[0] - start) > _SAME_MOTION * self._h:
             return []
         before, now = self._end[1], self._now(start, remembered)
@@ -274,11 +282,11 @@ class PrescribedMotion:
             [f"body {name!r}" for name in self._paths.led],
         )
 
-    def _without(self, looks: Positions) -> str:
-        """Return whose path has no value at the first of some looks."""
+    def _without(self, midpoints: Positions) -> str:
+        """Describe the first path without a value."""
         lost = [
             name
-            for names, paths in zip(self._named, looks, strict=True)
+            for names, paths in zip(self._named, midpoints, strict=True)
             for name, pose in zip(names, paths[0], strict=True)
             if not np.isfinite(pose).all()
         ]
@@ -286,16 +294,16 @@ class PrescribedMotion:
 
     @property
     def count(self) -> int:
-        """Number of values that controllers give."""
+        """Number of controlled values."""
         return len(controlled_symbols(self._mechanics))
 
     def control_values(self, start: float, h: float, states: Array) -> Array:
-        """Return the controls (k, c) in the middles of steps between states (k + 1, w)."""
+        """Return the controls (k, c) at the midpoints of steps between states (k + 1, w)."""
         times: Array = start + h * (0.5 + np.arange(len(states) - 1.0))
         return self._controls.table(0.5 * (states[:-1] + states[1:]), self._values, times)
 
     def passed(self, count: int) -> None:
-        """Note how many of these steps were taken."""
+        """Note how many of the prescribed steps were taken."""
         if count and self._paths.any:
             self._last = Positions(*(rows[count - 1 : count] for rows in self._looks)), self._h
             assert self._ends is not None

@@ -1,4 +1,4 @@
-"""One run of bodies with shapes, chunk of steps by chunk of steps."""
+"""One run of rigid bodies with shapes, in chunks of steps."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ from statechart.errors import NoConsistentMode, NonFinite, SingularMode, StepToo
 from statechart.kernels.tapes import ACOS, ASIN, DIV, LOG, POW, POWI, SQRT, TAN, tape_table
 from statechart.tabular import several
 
-# Deeper than this part of its inner radius, a body may leave through another side.
+# Depth, relative to the inscribed radius, from which a body may leave through another side.
 _DEEP = 0.1
 
 
 class _Deepest(NamedTuple):
-    """The deepest penetration: of which body, and when."""
+    """The deepest penetration."""
 
     body: int
     depth: float
@@ -62,7 +62,7 @@ class _Deepest(NamedTuple):
 
 
 class Penetration:
-    """Watches how deep bodies are in each other and in surfaces."""
+    """Monitor of the penetration of bodies."""
 
     def __init__(self, names: Sequence[str], numbers: BodyNumbers, start_depth: float) -> None:
         self._names, self._radii = names, inner_radii(numbers)[: len(numbers.inverse)]
@@ -70,20 +70,20 @@ class Penetration:
         self._found: _Deepest | None = None
 
     def add(self, start: float, chunk: Chunk) -> None:
-        """Note the deepest penetration of some steps that begin at `start`."""
+        """Note the deepest penetration in the steps of a chunk."""
         depths = -np.minimum(chunk.gaps, 0.0)
         parts = np.where(depths > self._start_depth, depths / self._radii, 0.0)
         if not parts.max(initial=0.0) > self._part:
             return
         k, b = (int(i) for i in np.unravel_index(np.argmax(parts), parts.shape))
         self._part = float(parts[k, b])
-        # Gaps are those in the middle of a step.
+        # Gaps are those at mid-step.
         middle, n = chunk.states[k].copy(), self._size
         middle[:n] += 0.5 * chunk.h * middle[n : 2 * n]
         self._found = _Deepest(b, float(depths[k, b]), middle, start + (k + 0.5) * chunk.h, chunk.h)
 
     def remarks(self, deepest_at: Callable[[int, Array, float], str]) -> tuple[str, ...]:
-        """Return a warning of what has sunk."""
+        """Return a warning of the deepest penetration."""
         if self._found is None:
             return ()
         body, depth, state, time, h = self._found
@@ -97,12 +97,12 @@ class Penetration:
         )
 
 
-# Operations that have no finite value somewhere.
+# Operations that are not finite everywhere.
 _PARTIAL = (DIV, POW, POWI, SQRT, LOG, TAN, ASIN, ACOS)
 
 
 class MissingGround:
-    """Looks, in a run, for the first place of each height that has no value."""
+    """Monitor of the first place of each height function without a value."""
 
     def __init__(self, names: Sequence[str], surfaces: Sequence[str], numbers: BodyNumbers) -> None:
         self._names, self._surfaces, self._numbers = names, surfaces, numbers
@@ -112,7 +112,7 @@ class MissingGround:
         self.remarks: tuple[str, ...] = ()
 
     def add(self, start: float, h: float, states: Array, frames: Array, poses: Array) -> None:
-        """Look below the left and the right end of bodies, and their centres, at ends of steps."""
+        """Check below both ends and the centre of bodies, at ends of steps."""
         for s in self._unseen.copy():
             if found := self._first(s, states, frames, poses):
                 step, body, x = found
@@ -126,7 +126,7 @@ class MissingGround:
     def _first(
         self, s: int, states: Array, frames: Array, poses: Array
     ) -> tuple[int, int, float] | None:
-        """Return the first step and body with a place that has no height, and the place."""
+        """Return the first step and body above a place without height, and the place."""
         numbers, ground = self._numbers, self._numbers.surfaces
         count, carrier = len(numbers.inverse), int(ground.carriers[s])
         places = numbers.motion(states)[0]
@@ -141,62 +141,63 @@ class MissingGround:
             frame = np.concatenate([places, poses[looks], fixed], axis=1)[:, carrier]
         u, v, angle = (frame[:, d, None] for d in range(3))
         x = np.cos(angle) * (places[:, bodies, 0] - u) + np.sin(angle) * (places[:, bodies, 1] - v)
-        asked = x[:, :, None] + numbers.sizes[bodies, None] * np.array([0.0, -1.0, 1.0])
+        points = x[:, :, None] + numbers.sizes[bodies, None] * np.array([0.0, -1.0, 1.0])
         at = int(ground.graphs[s])
         heights = tape_table(
             ground.code, ground.constants, ground.outputs[at : at + 1], 0,
-            np.ascontiguousarray(asked.reshape(-1, 1)), ground.values, np.zeros(asked.size),
+            np.ascontiguousarray(points.reshape(-1, 1)), ground.values, np.zeros(points.size),
         )  # fmt: skip
-        lost = ~np.isfinite(heights.reshape(asked.shape))
+        lost = ~np.isfinite(heights.reshape(points.shape))
         if not lost.any():
             return None
         step, body, end = np.unravel_index(int(np.argmax(lost)), lost.shape)
-        return int(step), int(bodies[body]), float(asked[step, body, end])
+        return int(step), int(bodies[body]), float(points[step, body, end])
 
 
-# Radians that a body turns in a step in which it is hit: worth a word, and followed.
+# Radians that a struck body turns in a step: warning, and recommended limit.
 _TURNED, _FOLLOWED = 0.5, 0.1
-# Joints may add this part of the most energy of motion: a bridge that a load jerks taut gets up to
-# 0.25 for a moment, which they take again.
+# Energy that joints may add, relative to the largest kinetic energy: a bridge that a load jerks
+# taut gets up to 0.25 for a moment, and returns it.
 _ADDED = 0.5
-# Parts that a step is taken in where it is too long for what happens in it, one after the other.
+# Numbers of parts of a rejected step, in order.
 _PARTS = (4, 16, 64, 256)
-# A path has jumped into a body that is deeper than it was, by more than this part of its size.
+# Depth change, relative to the body, by which a path has jumped into it.
 _JUMPED_INTO = 1e-6
-# Moves out of overlaps that are tried; the part of a step that a detection takes.
+# Cutting planes against overlap; part of a step that a detection takes.
 _MOVES, _INSTANT = 20, 1e-6
+# Contacts of the warm start with this feature are found anew.
+_NO_FEATURE = np.iinfo(np.int64).min
 
 
 class DetectedContacts(NamedTuple):
     """Contacts and joints of bodies in one state."""
 
-    gaps: Array  # (b,): the least of every body.
+    gaps: Array  # (b,): smallest gap of each body.
     keys: Ints  # (m,): pairs; see `WarmStart`.
-    levels: Array  # (m,): how deep contacts are.
-    # (m,): which last, and which rub.
-    lasts: Bools
-    rough: Bools
+    levels: Array  # (m,): target gaps.
+    lasts: Bools  # (m,): lasting contacts.
+    rough: Bools  # (m,): contacts with friction.
     normal: Held
     tangential: Held
     joints: Held
 
     @classmethod
     def of(cls, gaps: Array, active: ActiveContacts, warm: WarmStart, holds: Ints) -> Self:
-        """Return the contacts of a step, behind which joints stand."""
+        """Return the contacts of a step, which joints follow."""
         many = int(warm.n_contacts[0])
-        bodies, rows, met = active.bodies[:many].copy(), active.rows, many - len(holds)
-        both, firm = holds == BOTH, active.materials[met:many, 0] < 0.0
-        joints = [rows[met:many][firm, 0], rows[met:many][both & firm, 1]]
+        bodies, rows, contacts_end = active.bodies[:many].copy(), active.rows, many - len(holds)
+        both, firm = holds == BOTH, active.materials[contacts_end:many, 0] < 0.0
+        joints = [rows[contacts_end:many][firm, 0], rows[contacts_end:many][both & firm, 1]]
         return cls(
             gaps,
-            active.keys[:met, 0].copy(),
-            active.levels[:met, 0].copy(),
-            warm.contacts[:met, 1] == 1.0,
-            active.materials[:met, 1] > 0.0,
-            Held(bodies[:met], rows[:met, 0].copy()),
-            Held(bodies[:met], rows[:met, 1].copy()),
+            active.keys[:contacts_end, 0].copy(),
+            active.levels[:contacts_end, 0].copy(),
+            warm.contacts[:contacts_end, 1] == 1.0,
+            active.materials[:contacts_end, 1] > 0.0,
+            Held(bodies[:contacts_end], rows[:contacts_end, 0].copy()),
+            Held(bodies[:contacts_end], rows[:contacts_end, 1].copy()),
             Held(
-                np.concatenate([bodies[met:][firm], bodies[met:][both & firm]]),
+                np.concatenate([bodies[contacts_end:][firm], bodies[contacts_end:][both & firm]]),
                 np.concatenate(joints),
             ),
         )
@@ -204,9 +205,9 @@ class DetectedContacts(NamedTuple):
     def deepest_of(
         self, body: int, bodies: Ints, names: Sequence[str], known: Sequence[str]
     ) -> str:
-        """Return what a body touches the deepest; "" where it touches nothing.
+        """Return what a body penetrates most; "" if it touches nothing.
 
-        Surfaces, whose names are `known`, stand behind all pieces, which are of these `bodies`.
+        `bodies` are those of the pieces, `known` the names of surfaces (indices behind the pieces).
         """
         mine = np.flatnonzero((self.normal.bodies == body).any(axis=1))
         if not len(mine):
@@ -219,12 +220,12 @@ class DetectedContacts(NamedTuple):
         return f"body {names[other if one == body else one]!r}"
 
     def is_covered(self, body: int) -> bool:
-        """Return whether a body is deeper than any of its contacts, amid the pieces of others."""
+        """Return whether a body is deeper than its contacts show, inside overlapping pieces."""
         mine = (self.normal.bodies == body).any(axis=1)
         return bool(self.levels[mine].min(initial=math.inf) > self.gaps[body])
 
     def ways_out(self, body: int, near: float) -> tuple[Array, Array]:
-        """Return ways out (k, 2) of what a body is in deeper than `near`, and how far (k,)."""
+        """Return directions (k, 2) out of what a body penetrates, and depths (k,) above `near`."""
         sides, rows = self.normal.bodies == body, self.normal.rows
         deep = sides.any(axis=1) & (self.levels < -near)
         normals = np.where(sides[:, :1], rows[:, :2], rows[:, 3:5])
@@ -234,8 +235,7 @@ class DetectedContacts(NamedTuple):
 class RigidBodyRun(SteppedSystem):
     """One run of colliding bodies.
 
-    Bodies start up to `start_depth` deep in each other, and are kept no deeper. `least` (b,) is the
-    least gap seen of every body; inf of one that was near nothing.
+    Bodies start up to `start_depth` deep in each other, and stay no deeper.
     """
 
     def __init__(
@@ -243,27 +243,27 @@ class RigidBodyRun(SteppedSystem):
         names: Sequence[str],
         surfaces: Sequence[str],
         numbers: BodyNumbers,
-        around: PrescribedMotion,
+        prescribed: PrescribedMotion,
         options: StepOptions,
         start_depth: float = 0.0,
     ) -> None:
         self.surfaces, self._options = surfaces, options
-        self.numbers, self._names, self._around = numbers, names, around
+        self.numbers, self._names, self._prescribed = numbers, names, prescribed
         count = self._moving = len(numbers.inverse)
         self._warm = self._saved = WarmStart.allocate(numbers)
-        # As if an impact had left them there.
+        # As after an impact.
         self._warm.past[2] = start_depth / LANDED
         self._workspace = Workspace.of(self.numbers, self._warm)
-        self.least = np.full(count, np.inf)
+        self._min_gaps = np.full(count, np.inf)
         self._turned = self._length = 0.0
         self._parted, self._most_parts = 0, 1
-        # Energy that joints have added, and the largest kinetic energy so far.
+        # Energy added by joints, and largest kinetic energy so far.
         self._added = self._moved = 0.0
         self._before = (0.0, 0.0)
         self._gain_error: StepTooLarge | None = None
         self._no_ground = MissingGround(names, surfaces, numbers)
         self._penetration = Penetration(names, numbers, start_depth)
-        # A disc about its centre of mass looks the same however it turns.
+        # The rotation of a centred disc is irrelevant.
         pieces, seen = numbers.pieces, np.ones(len(names), dtype=np.bool_)
         seen[pieces.bodies] = pieces.spans != pieces.radii
         seen = seen[:count]
@@ -272,18 +272,28 @@ class RigidBodyRun(SteppedSystem):
     def switch(
         self, states: Mapping[str, str], at: tuple[Array, Array, float]
     ) -> tuple[dict[int, int], bool]:
-        """Go on with controllers in other states; see `SteppedSystem`."""
-        self._around.switch(states)
+        """Change the states of controllers; see `SteppedSystem`."""
+        _, after, time = at
+        self._prescribed.switch(states)
         on = self.numbers.joints.on
-        for j, joint in enumerate(self._around.joints):
+        for j, joint in enumerate(self._prescribed.joints):
             if joint in states:
                 if states[joint] == CLOSED and not on[j]:
-                    self._close(j, joint, at[1], at[2])
+                    self._close(j, joint, after, time)
                 on[j] = states[joint] == CLOSED
-        return {}, False
+        if not self._prescribed.leads:
+            return {}, False
+        found = self.detect(after, time, _INSTANT * self._length)
+        struck = found.keys[self._workspace.active.hit[: len(found.keys)]]
+        if len(struck):
+            # As if all had moved so before: between two midpoints there would be half of it.
+            self._prescribed.restart()
+            met = int(self._warm.n_contacts[0])
+            self._warm.keys[:met, 1][np.isin(self._warm.keys[:met, 0], struck)] = _NO_FEATURE
+        return {}, bool(len(struck))
 
     def _close(self, j: int, joint: str, state: Array, time: float) -> None:
-        """Let a joint hold the pose that it has captured.
+        """Close a joint at the pose that it has captured.
 
         Raises
         ------
@@ -291,14 +301,14 @@ class RigidBodyRun(SteppedSystem):
             If it captures no place, and its points are apart by more than a step moves them.
         """
         joints, remembered = self.numbers.joints, state[2 * self.numbers.size :]
-        pose = self._around.captured(joint, remembered)
+        pose = self._prescribed.captured(joint, remembered)
         joints.sizes[(joints.owners == j) & (joints.holds == TURN), 0] = pose.get("turn", 0.0)
         if "x" in pose or "y" in pose:
             if joints.bodies[j, 1] >= 0:
                 joints.at[j, 1] = pose["x"], pose["y"]
             return
         poses, rates = (part[0] for part in self.numbers.motion(state[None]))
-        ends = [self._around.place_of(j, time, remembered)] * 2
+        ends = [self._prescribed.place_of(j, time, remembered)] * 2
         speed = 0.0
         for side, b in enumerate(joints.bodies[j].tolist()):
             if b >= 0:
@@ -320,37 +330,37 @@ class RigidBodyRun(SteppedSystem):
             )
 
     def forget(self) -> None:
-        """Take back the last steps."""
+        """Revert the last steps."""
         self._saved = self._saved.enlarged_to(self._warm)
         self._warm = self._saved.copy()
         self._added, self._moved = self._before
         self._gain_error = None
-        self._around.forget()
+        self._prescribed.forget()
 
     @property
     def margins(self) -> dict[str, float]:
-        """The least gaps seen of every body, at the midpoints of steps."""
-        least = zip(self._names[: self._moving], self.least.tolist(), strict=True)
-        return {f"{name}.gap": gap for name, gap in least if math.isfinite(gap)}
+        """The smallest gap of every body, at the midpoints of steps."""
+        gaps = zip(self._names[: self._moving], self._min_gaps.tolist(), strict=True)
+        return {f"{name}.gap": gap for name, gap in gaps if math.isfinite(gap)}
 
     def depth_left(self, state: Array, time: float) -> float:
-        """Return how deep something stays, whatever moves; see `SteppedSystem`.
+        """Return the penetration that no motion removes; see `SteppedSystem`.
 
-        By cutting planes (Kelley 1960): bodies are moved out of what they are in, as far as they
-        can be, which may be into others, until no move is out of all of that, or nothing is deep.
+        Cutting planes (Kelley 1960): bodies are moved out of all known overlaps as far as possible,
+        perhaps into others, until no move removes all, or none is left.
         """
         n, placed = self.numbers.size, state.copy()
         placed[n : 2 * n] = 0.0
         known, gaps, depth = np.zeros((0, n)), np.zeros(0), -math.inf
         for _ in range(_MOVES):
-            met = self.detect(placed, time, _INSTANT * self._length)
-            deep = met.levels < 0.0
+            detected = self.detect(placed, time, _INSTANT * self._length)
+            deep = detected.levels < 0.0
             if not deep.any():
                 break
-            rows = self._by_coordinates(met.normal.only(deep), placed)
+            rows = self._by_coordinates(detected.normal.only(deep), placed)
             known = np.concatenate([known, rows])
-            gaps = np.concatenate([gaps, met.levels[deep] - rows @ (placed - state)[:n]])
-            depth, move = depth_left(gaps, known, self._by_coordinates(met.joints, placed))
+            gaps = np.concatenate([gaps, detected.levels[deep] - rows @ (placed - state)[:n]])
+            depth, move = depth_left(gaps, known, self._by_coordinates(detected.joints, placed))
             if depth > 0.0:
                 break
             placed[:n] = state[:n] + move
@@ -360,20 +370,19 @@ class RigidBodyRun(SteppedSystem):
         return self.numbers.whole(held.whole(self._moving), state)
 
     def detect(self, state: Array, time: float, h: float) -> DetectedContacts:
-        """Return what bodies touch in a step of `h` from a state; the run goes on where it is."""
-        before, around = self._warm, self._around
-        self._warm, self._around = WarmStart.allocate(self.numbers), copy(around)
+        """Return the contacts of a step of `h` from a state; the run itself does not change."""
+        before, prescribed = self._warm, self._prescribed
+        self._warm, self._prescribed = WarmStart.allocate(self.numbers), copy(prescribed)
         chunk, status = self._taken(time, h, state, 1, math.inf)
         self._check_finite(chunk, status)
         holds, gaps = self.numbers.joints.holds, self._workspace.mid.gaps.copy()
-        found = DetectedContacts.of(gaps, self._workspace.active, self._warm, holds)
-        self._warm, self._around = before.enlarged_to(self._warm), around
-        return found
+        detected = DetectedContacts.of(gaps, self._workspace.active, self._warm, holds)
+        self._warm, self._prescribed = before.enlarged_to(self._warm), prescribed
+        return detected
 
     def _deepest_at(self, body: int, state: Array, time: float) -> str:
-        """Return what a body touches the deepest in a state."""
-        found, pieces = self.detect(state, time, _INSTANT * self._length), self.numbers.pieces
-        return found.deepest_of(body, pieces.bodies, self._names, self.surfaces)
+        detected, pieces = self.detect(state, time, _INSTANT * self._length), self.numbers.pieces
+        return detected.deepest_of(body, pieces.bodies, self._names, self.surfaces)
 
     def _check_finite(self, chunk: Chunk, status: int) -> None:
         if status == BAD_INERTIA and not len(chunk.codes):
@@ -389,33 +398,30 @@ class RigidBodyRun(SteppedSystem):
     @property
     def remarks(self) -> tuple[str, ...]:
         """Warnings of the run."""
-        found: tuple[str, ...] = ()
+        warnings: tuple[str, ...] = ()
         if self._turned > _TURNED:
-            found += (
+            warnings += (
                 f"bodies that are hit turn by up to {self._turned:.2g} radians in one step of "
                 f"{self._length:g}, too much to follow how they touch; take "
                 f"{_FOLLOWED * self._length / self._turned:.1g} or less",
             )
-        found += ratio_remarks(self._workspace.worst, self._names, self._options.allowed)
-        found += self._no_ground.remarks
-        found += self._penetration.remarks(self._deepest_at)
+        warnings += ratio_remarks(self._workspace.worst, self._names, self._options.allowed)
+        warnings += self._no_ground.remarks
+        warnings += self._penetration.remarks(self._deepest_at)
         if self._parted:
             joints = ", or joints would not close" if len(self.numbers.joints.holds) else ""
-            found += (
+            warnings += (
                 f"in {several(self._parted, 'step')} of {self._length:g} bodies would pass through "
                 f"each other, or turn by more than half a turn{joints}: these were taken in up to "
                 f"{self._most_parts} parts; a step of {self._length / self._most_parts:.1g} needs "
                 "none",
             )
-        return found
+        return warnings
 
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
-        """Take steps; see `SteppedScene.steps`.
-
-        One that is too long for what happens in it is taken in parts.
-        """
-        if self._around.controlled:
-            # Steps after a transition of a controller are taken back.
+        """Take steps; see `SteppedSystem.steps`. A rejected step is split."""
+        if self._prescribed.controlled:
+            # Steps beyond a transition of a controller are reverted.
             self._saved, self._before = self._warm.copy(), (self._added, self._moved)
         if self._gain_error is not None:
             raise self._gain_error
@@ -437,9 +443,9 @@ class RigidBodyRun(SteppedSystem):
             chunk = self._without_gain(chunk)
             if not len(chunk.codes) and self._gain_error is not None:
                 raise self._gain_error
-        self.least = np.minimum(self.least, chunk.gaps.min(axis=0, initial=np.inf))
+        self._min_gaps = np.minimum(self._min_gaps, chunk.gaps.min(axis=0, initial=np.inf))
         self._penetration.add(start, chunk)
-        self._around.passed(len(chunk.codes))
+        self._prescribed.passed(len(chunk.codes))
         turns = chunk.h * np.abs(self.numbers.motion(chunk.states[1:])[1][:, self._angular, 2])
         struck = chunk.struck[:, self._angular]
         self._turned = max(self._turned, float(np.max(turns, where=struck, initial=0.0)))
@@ -447,10 +453,10 @@ class RigidBodyRun(SteppedSystem):
         return chunk
 
     def _without_gain(self, chunk: Chunk) -> Chunk:
-        """Return the steps before joints have added as much energy as there ever was of motion.
+        """Return the steps before joints have added too much energy, relative to the kinetic one.
 
-        They do no work: what they give is what they took before, or comes of steps that do not
-        follow how what they pull at swings. Why the next step is not taken is kept.
+        Joints do no work: they return stored energy, or steps are too long for the oscillation that
+        they couple. The error of the next step is stored.
         """
         added = self._added + np.append(0.0, np.cumsum(chunk.gained))
         chunk.gained[:] = 0.0
@@ -472,8 +478,8 @@ class RigidBodyRun(SteppedSystem):
         return chunk.first(k)
 
     def _check_jumps(self, start: float, state: Array) -> None:
-        """Raise `NoConsistentMode` where a path has jumped into a body at an instant."""
-        jumped = self._around.jumped(start, state[2 * self.numbers.size :])
+        """Raise `NoConsistentMode` if a path has jumped into a body."""
+        jumped = self._prescribed.jumped(start, state[2 * self.numbers.size :])
         if not jumped:
             return
         met = self.detect(state, start, _INSTANT * self._length)
@@ -489,8 +495,8 @@ class RigidBodyRun(SteppedSystem):
             )
 
     def _check_forces(self, start: float, h: float, state: Array) -> None:
-        """Raise `StepTooLarge` where forces are too stiff for these steps."""
-        stiff = self._around.forces.stiffness(self.numbers, h, state, start)
+        """Raise `StepTooLarge` if forces are too stiff for these steps."""
+        stiff = self._prescribed.forces.stiffness(self.numbers, h, state, start)
         if not stiff.most() > UNSTABLE:
             return
         met = self.detect(state, start, _INSTANT * h)
@@ -505,16 +511,16 @@ class RigidBodyRun(SteppedSystem):
     def _taken(
         self, start: float, h: float, state: Array, count: int, deepest: float
     ) -> tuple[Chunk, int]:
-        """Return the steps that could be taken, and how they ended."""
+        """Return the accepted steps, and the status of their end."""
         bodies, n = self._moving, self.numbers.size
         holds = self.numbers.joints.holds
         joint_forces = int((1 + np.isin(holds, (BOTH, ROPE)) - (holds == GREATEST)).sum())
         solved = n + joint_forces
-        # One step more, for the last detection.
-        ahead, remembered, known = self._around.prescribe(start, h, state[2 * n :], count + 1)
+        # One more, for the last detection.
+        ahead, remembered, known = self._prescribed.prescribe(start, h, state[2 * n :], count + 1)
         count = min(count, known)
         remembered = remembered[: count + 1]
-        chunk = Chunk.allocate(h, state, solved + self._around.count, bodies, count)
+        chunk = Chunk.allocate(h, state, solved + self._prescribed.count, bodies, count)
         done, status = 0, DONE
         while status == FULL or (status == DONE and done < count):
             if done and interrupts.arrived():
@@ -534,6 +540,6 @@ class RigidBodyRun(SteppedSystem):
         if done:
             at = slice(1, done + 1)
             self._no_ground.add(start, h, chunk.states, ahead.frames[at], ahead.poses[at])
-        if self._around.count:
-            chunk.solved[:, solved:] = self._around.control_values(start, h, chunk.states)
+        if self._prescribed.count:
+            chunk.solved[:, solved:] = self._prescribed.control_values(start, h, chunk.states)
         return chunk, status

@@ -15,18 +15,18 @@ from statechart.arrays import Array, Bools, Ints
 
 
 class Workspace(NamedTuple):
-    """Workspace of a step; only `worst` keeps its content between steps."""
+    """Workspace of a step; only `worst` persists between steps."""
 
     mid: Midpoint
     active: ActiveContacts
     grid: Grid
-    # (c, 2): impulses of the step, and those of them that are forces.
+    # (c, 2): impulses of the step, and their force parts.
     pressed: Array
     steady: Array
-    bounces: Ints  # (c,): 1: restitution is asked for.
-    known: Array  # (c,): slip that the impulses of the island may have missed.
-    contacts: ContactRows  # Those of an island.
-    # Those of its `Island`: (7, c, 2), (2, c), (c,), (c,), and (c, 3, 2).
+    bounces: Ints  # (c,): 1 with restitution.
+    known: Array  # (c,): slip error of the island's impulses.
+    contacts: ContactRows  # Of one island.
+    # Its `Island`: (7, c, 2), (2, c), (c,), (c,), (c, 3, 2).
     island: Array
     flags: Bools
     kinds: Ints
@@ -39,41 +39,26 @@ class Workspace(NamedTuple):
     order: Ints  # shape (c,)
     spare: Ints  # shape (c,)
     pads: Ints  # shape (c,)
-    borne: Array  # (b,): the largest impulse that presses a body.
-    # (4,): what lasts: of all islands whose impulses missed what was allowed, that with the largest
-    # ratio of masses: this ratio, its lightest and its heaviest body, the residual.
+    borne: Array  # (b,): largest normal impulse on a body.
+    # (4,): inexact island of largest mass ratio: ratio, lightest body, heaviest body, residual.
     worst: Array
-    earlier: WarmStart  # The memory before the last step.
-    # (2,): the part of the energy of motion that joints add in a step, for which no impulses were
-    # found that close them; and 1 where it can be taken in parts.
+    earlier: WarmStart  # Before the last step.
+    # (2,): energy that unclosed joints add in a step, relative to the kinetic energy; 1 if the
+    # step can be split.
     joint_energy: Array
 
     @classmethod
     def of(cls, numbers: BodyNumbers, warm: WarmStart) -> Workspace:
-        """Return room for as many contacts as are remembered."""
+        """Allocate a workspace of the capacity of a warm start."""
         count, most = len(numbers.sizes), len(warm.keys)
         return cls(
-            Midpoint.allocate(numbers),
-            ActiveContacts.allocate(most),
-            Grid.allocate(len(numbers.pieces.sizes), most),
-            np.empty((most, 2)),
-            np.empty((most, 2)),
-            np.empty(most, np.int64),
-            np.empty(most),
+            Midpoint.allocate(numbers), ActiveContacts.allocate(most),
+            Grid.allocate(len(numbers.pieces.sizes), most), np.empty((most, 2)),
+            np.empty((most, 2)), np.empty(most, np.int64), np.empty(most),
             ContactRows.allocate(most, count, numbers.padded, numbers.links.rows),
-            np.empty((7, most, 2)),
-            np.empty((2, most), np.bool_),
-            np.empty(most, np.int64),
-            np.empty(most, np.int64),
-            np.empty((most, 3, 2)),
-            np.empty(count, np.int64),
-            np.empty(count, np.int64),
-            np.empty(count + 1, np.int64),
-            np.empty(most, np.int64),
-            np.empty(most, np.int64),
-            np.empty(most, np.int64),
-            np.empty(count),
-            np.zeros(4),
-            warm.copy(),
-            np.zeros(2),
-        )
+            np.empty((7, most, 2)), np.empty((2, most), np.bool_), np.empty(most, np.int64),
+            np.empty(most, np.int64), np.empty((most, 3, 2)), np.empty(count, np.int64),
+            np.empty(count, np.int64), np.empty(count + 1, np.int64), np.empty(most, np.int64),
+            np.empty(most, np.int64), np.empty(most, np.int64), np.empty(count), np.zeros(4),
+            warm.copy(), np.zeros(2),
+        )  # fmt: skip

@@ -711,21 +711,22 @@ def check_collisions(scene: SceneFields) -> None:
     """Check what collisions need, and exclude."""
     if not scene.collisions:
         return
-    absent = {
-        "contacts": scene.contacts,
-        "couplings": scene.couplings,
-        "modes": scene.initial_modes,
-    }
-    for section, declared in absent.items():
-        if declared:
-            raise DeclarationProblem(
-                f"a scene with collisions has no {section} yet",
-                advice="brake by a moment among the forces: -c*NAME.dangle"
-                if section == "couplings"
-                else "bodies touch by their shapes: list them, and surfaces, in collisions",
-                loc=(section,),
-                key=True,
-            )
+    absent: dict[str, str] = {}
+    for contact in scene.contacts.values():
+        x, y = contact.point.at
+        absent["contacts"] = (
+            f"bodies touch by their shapes: give {contact.point.body!r} a disc as a foot, "
+            f"{{disc: {contact.radius or 0.01}, at: [{x}, {y}]}}, and list it with "
+            f"{contact.surface!r} in collisions"
+        )
+    if scene.couplings:
+        absent["couplings"] = "brake by a moment among the forces: -c*NAME.dangle"
+    if scene.initial_modes:
+        absent["modes"] = "remove it: bodies start in the modes of what they touch"
+    for section, advice in absent.items():
+        raise DeclarationProblem(
+            f"a scene with collisions has no {section} yet", advice=advice, loc=(section,), key=True
+        )
     for name, joint in scene.joints.items():
         if joint.rope is not None and joint.enabled:
             raise DeclarationProblem(

@@ -62,8 +62,9 @@ def region(
 ) -> Region:
     """Return the region of a contact.
 
-    Its `symbols`, and the margins that disable it (`gates`) and enable it (`back`), are evaluated
-    when a state is built. `arrows` are its transitions (`edges`), `gate` is `Scene.gate`.
+    Its `symbols`, and the margins that disable it or end the run (`gates`) and that enable it
+    (`back`), are evaluated when a state is built. `arrows` are its transitions (`edges`), `gate`
+    is `Scene.gate`.
     """
     modes = {mode.mode: mode for mode in contact.allowed}
 
@@ -76,7 +77,7 @@ def region(
             built = shared(mode, symbols(), direction, role.share)
         else:
             built = mode.state(symbols(), direction)
-        return replace(built, margins=(*built.margins, *gates())) if gate else built
+        return replace(built, margins=(*built.margins, *gates()))
 
     def claims(state: str) -> tuple[Claim, ...]:
         if state != OFF:

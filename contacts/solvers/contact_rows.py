@@ -74,18 +74,10 @@ class ContactRows(NamedTuple):
         """
         blocks, sides = bodies + padded * most + shared, PAIR + padded + shared
         return cls(
-            np.empty((most, sides), np.int64),
-            0,
-            np.empty((most, 2, 3 * sides)),
-            np.empty((most, 2, 3 * sides)),
-            np.empty((most, 3)),
-            np.empty((most, 2)),
-            np.empty((most, LAW)),
-            np.empty((3, 3 * blocks + 3)),
-            np.empty((7, most, 2)),
-            0,
-            padded,
-        )
+            np.empty((most, sides), np.int64), 0, np.empty((most, 2, 3 * sides)),
+            np.empty((most, 2, 3 * sides)), np.empty((most, 3)), np.empty((most, 2)),
+            np.empty((most, LAW)), np.empty((3, 3 * blocks + 3)), np.empty((7, most, 2)), 0, padded,
+        )  # fmt: skip
 
 
 BEGINS, ON_TRIAL = 2, 3
@@ -247,15 +239,6 @@ def one_contact(law: Array, normal: float, slip: float) -> tuple[float, float]:
 
 
 @kernel
-def _to_stop(cone: Array, normal: float, slip: float) -> float:
-    """Return the velocity that impulses must stop: the approach, or a small part of the slip."""
-    mu = slope(cone)
-    if mu < 0.0:
-        return max(abs(normal), abs(slip))
-    return max(-normal, _RESTING * abs(slip) if mu > 0.0 else 0.0)
-
-
-@kernel
 def scale(contacts: ContactRows, q: Array) -> float:
     """Return the velocity that residuals are relative to: the fastest approach at zero impulses.
 
@@ -263,17 +246,11 @@ def scale(contacts: ContactRows, q: Array) -> float:
     """
     size = 0.0
     for i in range(len(q)):
-        size = max(size, _to_stop(contacts.cones[i], q[i, 0], q[i, 1]))
-    return size
-
-
-@kernel
-def scale_of_sum(contacts: ContactRows, free: Array, wanted: Array) -> float:
-    """Return the `scale` of ``free + wanted``."""
-    size = 0.0
-    for i in range(len(free)):
-        normal, slip = free[i, 0] + wanted[i, 0], free[i, 1] + wanted[i, 1]
-        size = max(size, _to_stop(contacts.cones[i], normal, slip))
+        mu = slope(contacts.cones[i])
+        if mu < 0.0:
+            size = max(size, abs(q[i, 0]), abs(q[i, 1]))
+        else:
+            size = max(size, -q[i, 0], _RESTING * abs(q[i, 1]) if mu > 0.0 else 0.0)
     return size
 
 
@@ -345,19 +322,8 @@ def swept(
 ) -> tuple[float, int]:  # fmt: skip
     """Sweep until the residual is within the tolerance; return the best residual, and sweeps.
 
-    Parameters
-    ----------
-    contacts : ContactRows
-        Its first rates belong to the impulses (see `measured`).
-    q : (m, 2)
-        Velocities without impulses, minus the required ones.
-    size, lowest : float
-        Their `scale`, and the residual of the impulses.
-    impulses : (m, 2)
-        Warm start; overwritten by the best.
-    tolerance : float
-    most : int
-        Sweeps.
+    `ContactRows.rates` belong to the impulses (see `measured`), whose `scale` and residual are
+    `size` and `lowest`; `q` (m, 2) are velocities without impulses, minus the required ones.
     """
     m, spare = len(impulses), contacts.spare
     best, now, change, along = spare[BEST, :m], spare[NOW, :m], spare[CHANGE, :m], spare[ALONG, :m]

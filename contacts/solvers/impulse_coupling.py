@@ -46,17 +46,9 @@ def coupled_contacts(
 ) -> Ints:
     """Label the contacts `which` (m,) so that coupled contacts share a label.
 
-    A label is the place in `which` of the group's first contact. Rows may be longer than used.
-
-    Parameters
-    ----------
-    mass : (n, n) array
-    joint_rows : (r, n) array
-    jacobians : (c, 2 n) array
-        Normal and tangential rows of all contacts.
-    which : (m,) array of int
-    constraints : (c,) array of int
-        Positive for contacts that are constraints.
+    A label is the place in `which` of the group's first contact. Mass (n, n), joint rows (r, n),
+    and normal and tangential rows (c, 2 n) of all contacts, which may be longer; `constraints` (c,)
+    is positive for bilateral contacts.
     """
     m, n = len(which), len(mass)
     labels = np.zeros(m, np.int64)

@@ -86,27 +86,14 @@ def part_within(impulses: Array, before: Array, free: Array, moved: Array, bound
 
 @kernel
 def capped(
-    before: Array,
-    free: Array,
-    plastic: Array,
-    elastic: Array,
-    moved_plastic: Array,
-    moved_elastic: Array,
-    bound: float,
-) -> tuple[Array, float]:
+    before: Array, free: Array, plastic: Array, elastic: Array, moved_plastic: Array,
+    moved_elastic: Array, bound: float,
+) -> tuple[Array, float]:  # fmt: skip
     """Return p = plastic + s (elastic - plastic) that adds no energy, and the largest such s <= 1.
 
     The work ``p . (u- + u+) / 2`` of a step is a convex function of s; it must not exceed that of
-    the plastic impulses, or a bound.
-
-    Parameters
-    ----------
-    before, free : (m, 2)
-        Contact velocities before the step, and after it without impulses.
-    plastic, elastic, moved_plastic, moved_elastic : (m, 2)
-        Impulses, and the velocity changes W p.
-    bound : float
-        Not below zero.
+    the plastic impulses, or a bound >= 0. `before`, `free`: contact velocities before the step, and
+    after it without impulses; `moved_plastic`, `moved_elastic`: velocity changes W p; all (m, 2).
     """
     begin = _work_at(before, free, plastic, moved_plastic)
     end = _work_at(before, free, elastic, moved_elastic)
@@ -186,7 +173,7 @@ def _rebounding(
 
 @kernel
 def _pushed(contacts: ContactRows, wanted: Array, rebounds: Bools, i: int) -> bool:
-    """Return whether a contact asks for stabilisation, out of penetration or along its surface."""
+    """Return whether a contact needs stabilisation, out of penetration or along its surface."""
     biased = wanted[i, 0] < 0.0 or wanted[i, 1] != 0.0
     return biased and not rebounds[i] and not slope(contacts.cones[i]) < 0.0
 
@@ -211,14 +198,9 @@ def _pushed_in_part(
 ) -> tuple[float, int, bool]:  # fmt: skip
     """Stabilise as far as the work of impulses is within the bound; see `island_impulses`.
 
-    Parameters
-    ----------
-    full : (m, 2)
-        Impulses of the whole bias, with too much work; overwritten.
-    impulses : (m, 2)
-        Those of `calmer`; overwritten by the result.
-    error, softened
-        Of these. The result's are returned, with iterations between them.
+    `full` (m, 2): impulses of the whole bias, with too much work; overwritten. `impulses` (m, 2):
+    those of `calmer`, with `error` and `softened`; overwritten by the result, whose values are
+    returned, with iterations between them.
     """
     bias, iterations = wanted, 0
     for _ in range(_NEARER):
@@ -244,16 +226,9 @@ def _pushed_in_part(
 
 @kernel
 def island_impulses(
-    contacts: ContactRows,
-    before: Array,
-    free: Array,
-    wanted: Array,
-    rebounds: Bools,
-    impulses: Array,
-    tolerance: float,
-    bound: float,
-    arms: bool,
-) -> tuple[float, int, bool]:
+    contacts: ContactRows, before: Array, free: Array, wanted: Array, rebounds: Bools,
+    impulses: Array, tolerance: float, bound: float, arms: bool,
+) -> tuple[float, int, bool]:  # fmt: skip
     """Solve an island's step; return residual, iterations, and whether restitution was dropped.
 
     Restitution that would add energy is reduced. Opposed contacts can have no impulses that satisfy

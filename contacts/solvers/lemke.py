@@ -251,17 +251,10 @@ def impulses_by_lemke(
 ) -> tuple[bool, Array]:
     """Return whether Lemke's algorithm finds impulses, and these (m, 2).
 
-    Parameters
-    ----------
-    delassus : (2 m, 2 m)
-    free : (m, 2)
-        Velocities without impulses; or accelerations without forces, for forces.
-    cones : (m, 2)
-    slides : (m,)
-        Sign of a persisting slip, whose force is on the opposing cone edge; 0: none.
-    by_scales : bool
-        Cover with row scales instead of infeasibilities: if round-off ends one path in a ray, the
-        other rarely ends so.
+    `free` (m, 2) are velocities without impulses, or accelerations without forces, for forces.
+    `slides` (m,) is the sign of a persisting slip, whose force is on the opposing cone edge; 0:
+    none. `by_scales` covers with row scales instead of infeasibilities: if round-off ends one path
+    in a ray, the other rarely ends so.
     """
     matrix, vector = complementarity_problem(delassus, free, cones, slides)
     scales, size, count = _scales(matrix), len(vector), len(cones)

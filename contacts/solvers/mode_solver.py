@@ -1,8 +1,9 @@
-"""Solves every combination of contact modes and tests its inequalities, in one compiled call."""
+"""Mode enumeration: solves every combination of contact modes and tests its inequalities."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -73,15 +74,9 @@ def _worse(verdict: Array, amount: float, contact: int, which: int, number: floa
 
 @kernel
 def _judge(
-    verdict: Array,
-    accelerations: Array,
-    jacobians: Array,
-    biases: Array,
-    code: Ints,
-    closed: Bools,
-    still: Bools,
-    scale: float,
-) -> None:
+    verdict: Array, accelerations: Array, jacobians: Array, biases: Array, code: Ints,
+    closed: Bools, still: Bools, scale: float,
+) -> None:  # fmt: skip
     for c in range(len(code)):
         sign = _direction(code[c])
         if code[c] == FREE and closed[c]:
@@ -126,13 +121,8 @@ def write_limits(forces: Array, cones: Array, carriers: Ints, code: Ints) -> Non
 
 @kernel
 def _write_rows(
-    rows: Array,
-    columns: Array,
-    first: Ints,
-    bearing: Ints,
-    rank: int,
-    matrix: Array,
-) -> None:
+    rows: Array, columns: Array, first: Ints, bearing: Ints, rank: int, matrix: Array,
+) -> None:  # fmt: skip
     """Write the leading rows and columns of a saddle point, by their orders, beside the mass."""
     n = rows.shape[1]
     for k in range(rank):
@@ -153,61 +143,66 @@ def _contradicts(row: Array, constant: float, accelerations: Array, scale: float
     return abs(error) > _CONTRADICTED * terms
 
 
+class ModeEquations(NamedTuple):
+    """Equations of motion and contacts of a state, the same in every mode.
+
+    M a = f + J^T F, with the accelerations J a + b of the contacts along normal and tangent.
+    """
+
+    mass: Array  # (n, n)
+    forces: Array  # (n,)
+    jacobians: Array  # (c, 2, n): normal, tangential
+    biases: Array  # (c, 2)
+    # (c, 6): Unit edges of the cones at rest, in slide+ and in slide-; of a coupling first its
+    # static and its kinetic limit, in the place of its normal force
+    cones: Array
+    # (c,): Contact whose normal force the limits of a coupling are multiples of; below 0: none
+    carriers: Ints
+    closed: Bools  # (c,): Whether the gap is closed
+    at_rest: Bools  # (c,): Whether the slip is zero
+
+
+class ModeSolutions(NamedTuple):
+    """Buffers for the solutions of `solve_modes`."""
+
+    status: Ints  # (k,)
+    accelerations: Array  # (k, n)
+    # (k, c, 2): If the forces are not determined but the accelerations are (REDUNDANT), one choice
+    # of those that explain the motion, which need not be in their cones
+    forces: Array
+    # (k, 4): The inequality violated most: relative violation (<= 0: none), contact, kind (INTO,
+    # PULLS, OUTSIDE, ...), value. REDUNDANT modes are judged by their motion alone
+    verdicts: Array
+
+
 @kernel
 def solve_modes(
-    mass: Array,
-    right: Array,
-    jacobians: Array,
-    biases: Array,
-    cones: Array,
-    carriers: Ints,
-    codes: Ints,
-    closed: Bools,
-    still: Bools,
-    force_scale: float,
-    acceleration_scale: float,
-    status: Ints,
-    accelerations: Array,
-    forces: Array,
-    verdicts: Array,
-    tie: float,
-) -> tuple[int, int]:
+    equations: ModeEquations, codes: Ints, force_scale: float, acceleration_scale: float,
+    tie: float, solutions: ModeSolutions,
+) -> tuple[int, int]:  # fmt: skip
     """Solve every combination of contact modes, and test its inequalities.
 
     Parameters
     ----------
-    mass : (n, n), right : (n,)
-    jacobians : (c, 2, n)
-        Rows: normal, tangential.
-    biases : (c, 2)
-    cones : (c, 6)
-        Unit cone edges at rest, in slide+ and in slide-. Of a coupling: its static and its kinetic
-        limit, in place of the normal force.
-    carriers : (c,) of int
-        The contact whose normal force scales the limits of a coupling; below 0: none.
-    codes : (k, c) of int
-        FREE, PIN, SLIDE (frictionless), SLIDE_PLUS, SLIDE_MINUS; LOCKED, SLIP_PLUS, SLIP_MINUS of a
-        coupling.
-    closed, still : (c,) of bool
-        Whether the gap is closed; whether the slip is zero.
+    equations : ModeEquations
+    codes : (k, c) array of int
+        FREE, PIN, SLIDE (its force along the normal), SLIDE_PLUS, SLIDE_MINUS; LOCKED, SLIP_PLUS,
+        SLIP_MINUS of a coupling.
     force_scale, acceleration_scale : float
         Scales of violations.
-    status : (k,), accelerations : (k, n), forces : (k, c, 2)
-        Outputs, as are the verdicts: a kernel that returns new arrays takes 3 us for each. If
-        accelerations are determined but forces are not (REDUNDANT), the forces are one choice that
-        need not be in the cones.
-    verdicts : (k, 4)
-        Most violated inequality: amount in the scales (<= 0: none), contact, kind (INTO, PULLS,
-        OUTSIDE, ...), value. REDUNDANT ones are tested by their motion alone.
     tie : float
-        Largest amount that is no violation.
+        Violations up to this count as none.
+    solutions : ModeSolutions
+        Filled. A kernel that makes the arrays it returns takes 3 us for each of them.
 
     Returns
     -------
     redundant, agreeing : int
-        Number of REDUNDANT combinations; index of the only solved one without violation, -1 if
-        there is none or several.
+        Number of REDUNDANT combinations; index of the only one that is solved and not violated,
+        -1 if there is none or several.
     """
+    mass, right, jacobians, biases, cones, carriers, closed, at_rest = equations
+    status, accelerations, forces, verdicts = solutions
     redundant, agreeing, consistent = 0, -1, 0
     count, contacts = codes.shape
     n = len(right)
@@ -289,7 +284,7 @@ def solve_modes(
             force[owners[place], 1] += x[n + i] * directions[place, 1]
         write_limits(force, edges, carriers, code)
         _judge(
-            verdict, accelerations[k], jacobians, biases, code, closed, still, acceleration_scale
+            verdict, accelerations[k], jacobians, biases, code, closed, at_rest, acceleration_scale
         )
         if rank == m:
             judge_forces(verdict, force, edges, code, force_scale)

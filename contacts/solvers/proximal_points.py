@@ -60,7 +60,7 @@ def _add(
     contacts: ContactRows, i: int, d: int, share: float, edge: float, one: int, other: int,
     block: Array,
 ) -> None:  # fmt: skip
-    """Add a contact's term of J M^-1 J^T / compliance between two of its bodies to a block."""
+    """Add a contact's term of M^-1 J^T J / compliance between two of its bodies to a block."""
     columns, rows = contacts.columns[i], contacts.rows[i, d]
     for r in range(3):
         column = share * (columns[d, 3 * one + r] + edge * columns[1, 3 * one + r])
@@ -74,12 +74,8 @@ def eliminated(
 ) -> bool:
     """Assemble and factor the Newton equations of a status; False where a pivot fails.
 
-    Parameters
-    ----------
-    compliance : float
-        Relative to each contact's own.
-    edges : (m,)
-        Of sliding contacts: tangential over normal impulse.
+    The compliance is relative to each contact's own; `edges` (m,): tangential over normal impulse
+    of sliding contacts.
     """
     diagonal, after, before = equations.diagonal, equations.after, equations.before
     for p in range(len(diagonal)):
@@ -267,18 +263,9 @@ def follow_point(
 ) -> tuple[bool, int]:  # fmt: skip
     """Follow a proximal point by homotopy in `shift`; return whether it is reached, and pivots.
 
-    Parameters
-    ----------
-    now : (m, 2)
-        Impulses at the centre; overwritten by the proximal point.
-    shift : (m, 2)
-        Velocities with which the centre solves the contact laws.
-    compliance : float
-        Of the proximal point.
-    rates : (n,)
-        Workspace.
-    status, edges : (m,)
-        Of the centre; overwritten by those of the point.
+    Impulses `now` (m, 2), `status` and `edges` (m,) start at the centre, and are overwritten by the
+    point's; with the velocities `shift` (m, 2) the centre solves the contact laws. `rates` is
+    workspace.
     """
     count, own = len(now), contacts.own
     along, along_rates = np.empty((count, 2)), np.empty_like(rates)

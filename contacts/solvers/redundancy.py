@@ -46,7 +46,7 @@ def mode_columns(codes: Ints, cones: Array, jacobians: Array, left_out: int) -> 
 
 @kernel
 def sharing(codes: Ints, cones: Array, jacobians: Array, rank: int, count: int) -> Bools:
-    """Return the redundant contacts: those whose directions the other contacts span.
+    """Return the redundant contacts: those with directions that depend on other contacts.
 
     `rank` and `count` are those of the columns of all contacts; see `mode_columns`.
     """

@@ -62,13 +62,9 @@ class SaddleWorkspace(NamedTuple):
 def saddle_workspace(size: int) -> SaddleWorkspace:
     """Allocate the workspace of systems of up to `size` unknowns."""
     return SaddleWorkspace(
-        np.empty((size, size)),
-        np.empty((size, size)),
-        np.empty(size),
-        np.empty(size),
-        np.empty(size),
-        np.empty(size, np.int64),
-    )
+        np.empty((size, size)), np.empty((size, size)), np.empty(size), np.empty(size),
+        np.empty(size), np.empty(size, np.int64),
+    )  # fmt: skip
 
 
 @kernel
@@ -127,31 +123,6 @@ def factorise(factors: Array, order: Ints, errors: Array) -> bool:
                     factors[i, c] -= product
                     errors[i, c] += abs(factor) * errors[k, c] + unsure * abs(factors[k, c])
                     errors[i, c] += _UNIT_ROUND_OFF * abs(product)
-    return True
-
-
-@kernel
-def eliminated(factors: Array, order: Ints) -> bool:
-    """LU with partial pivoting, in place, of a matrix that is regular by construction."""
-    size = len(order)
-    for k in range(size):
-        best = k
-        for i in range(k + 1, size):
-            if abs(factors[i, k]) > abs(factors[best, k]):
-                best = i
-        pivot = factors[best, k]
-        if pivot == 0.0 or not math.isfinite(pivot):
-            return False
-        if best != k:
-            for c in range(size):
-                factors[k, c], factors[best, c] = factors[best, c], factors[k, c]
-            order[k], order[best] = order[best], order[k]
-        for i in range(k + 1, size):
-            if factors[i, k] != 0.0:
-                factor = factors[i, k] / pivot
-                factors[i, k] = factor
-                for c in range(k + 1, size):
-                    factors[i, c] -= factor * factors[k, c]
     return True
 
 

@@ -137,15 +137,9 @@ def _along(left: Array, step: Array) -> float:
 
 @kernel
 def _length(
-    reach: Array,
-    cones: Array,
-    sliding: Array,
-    load: Array,
-    y: Array,
-    step: Array,
-    w: Array,
+    reach: Array, cones: Array, sliding: Array, load: Array, y: Array, step: Array, w: Array,
     forces: Array,
-) -> float:
+) -> float:  # fmt: skip
     """Return the step length, up to 1, that minimises the dual function.
 
     Bisection of its slope, the residual of the load along the step, which falls monotonically.

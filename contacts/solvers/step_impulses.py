@@ -86,16 +86,10 @@ def change_friction(contacts: ContactRows, island: Island, resting: float, struc
     """Switch the friction of contacts whose slip begins or reverses; return whether any switched.
 
     A slip that would reverse in the step stops if static friction can hold it over the whole step;
-    in an impact kinetic friction stops or reverses it. A contact that static friction does not hold
-    slips under kinetic friction: contacts that slipped before the step first, then one at a time
-    the most overloaded, because each relieves the others. A contact switches three times at most.
-
-    Parameters
-    ----------
-    resting : float
-        Slip speed before the step that counts as rest.
-    struck : bool
-        Whether the island has an impact.
+    in an impact (`struck`) kinetic friction stops or reverses it. A contact that static friction
+    does not hold slips under kinetic friction: contacts that slipped before the step (faster than
+    `resting`) first, then one at a time the most overloaded, because each relieves the others. A
+    contact switches three times at most.
     """
     ways, first, most, way, changes = island.ways, -1, 0.0, 0, False
     for a in range(len(ways)):
@@ -170,16 +164,8 @@ def forces_beside_impacts(
 ) -> Array:
     """Return the force part of the impulses (m, 2): a solution without the struck contacts.
 
-    Parameters
-    ----------
-    q : (m, 2)
-        Velocities without impulses, minus the required ones.
-    impulses : (m, 2)
-        Warm start.
-    tolerance : float
-        Residual.
-    fast : float
-        The `scale` of all contacts.
+    `q` (m, 2): velocities without impulses, minus the required ones; `impulses`: warm start;
+    `fast`: the `scale` of all contacts.
     """
     forces, others = np.zeros((len(hit), 2)), indices(~hit)
     if len(others) > 0:
@@ -193,17 +179,10 @@ def forces_beside_impacts(
 
 @kernel
 def coordinate_rows(jacobians: Array, columns: Array, pads: Array, cones: Array) -> ContactRows:
-    """Return contacts that act on the same coordinates as rows.
+    """Return contacts on shared coordinates as rows.
 
-    Parameters
-    ----------
-    jacobians : (m, 2, n)
-        Normal and tangential.
-    columns : (2 m, s)
-        M^-1 J^T; the first n entries are those of the coordinates.
-    pads : (m,)
-        Compliance of the pad of a compliant contact or coupling (normal row); 0: none.
-    cones : (m, 2)
+    Jacobians (m, 2, n); `columns` (2 m, s): M^-1 J^T, the first n entries those of coordinates;
+    `pads` (m,): compliance of the pad of a compliant contact or coupling, 0 without; cones (m, 2).
     """
     count, n = len(jacobians), jacobians.shape[2]
     soft = n

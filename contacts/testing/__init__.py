@@ -1,9 +1,8 @@
 """Properties of every run of a scene, for users' tests and for `statechart check`.
 
-`scene_properties` and `body_properties` are what must hold, computed from the scene's own
-quantities and not from the guards that were run; `assertions` is what they share. `symmetry`
-mirrors and rescales scenes and compares their runs, `violations` measures by how much a run misses
-what must hold.
+`scene_properties` and `body_properties` are computed from the scene's own quantities and not from
+the guards that were run; `assertions` has their common checks. `symmetry` mirrors and rescales
+scenes and compares their runs, `violations` measures the violation of the contact laws.
 """
 
 from contacts.dynamics.mechanics import Mechanics

@@ -1,4 +1,4 @@
-"""Assertions that properties of scenes share: friction cones, growth of energy, ends of steps."""
+"""Common assertions on runs of scenes: friction cones, growth of energy, ends of steps."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ def largest_of(impulses: Iterable[Mapping[str, tuple[float, float]]]) -> float:
 def assert_in_cone(
     impulse: tuple[float, float], edge: tuple[float, float], largest: float, where: str
 ) -> None:
-    """Check that an impulse pushes, within friction; beside the largest, rounding is nothing.
+    """Check that an impulse pushes, within friction, up to round-off of the largest impulse.
 
     Parameters
     ----------
     impulse : (float, float)
         Normal and tangential.
     edge : (float, float)
-        The unit edge (n, t) of the cone, in which ``n |tangential| <= t normal``: (1, mu) over its
-        length, (0, 1) where friction is infinite.
+        The unit edge (n, t) of the cone ``n |tangential| <= t normal``: (1, mu) over its length,
+        (0, 1) for infinite friction.
     largest : float
         The size of the largest impulse of the run.
     where : str
-        What messages call the place.
+        Place, for messages.
 
     Raises
     ------
@@ -57,9 +57,9 @@ def assert_in_cone(
 
 
 def step_ends(trace: Trace, arc: Arc) -> slice:
-    """Return the places among an arc's times that a scheme answers for: all where it is exact.
+    """Return the indices of an arc's times at which the scheme is accurate: all without steps.
 
-    A time step with an impact is drawn in two halves; the scheme knows its ends alone.
+    A time step with an impact is recorded in two halves; only its ends are accurate.
 
     Parameters
     ----------
@@ -81,14 +81,14 @@ def no_growth(points: Sequence[tuple[float, float, str]], allowed: float, rate: 
     Parameters
     ----------
     points : sequence of (float, float, str)
-        Time, energy less work, and where that is.
+        Time, energy minus work, and place.
     allowed, rate : float
-        What errors explain at an instant, and in the time since the energy was least.
+        Errors at an instant, and per time since the energy was smallest.
 
     Raises
     ------
     AssertionError
-        Where it grows by more.
+        If it grows by more.
     """
     least = math.inf
     for t, value, where in points:
@@ -104,10 +104,10 @@ def no_growth(points: Sequence[tuple[float, float, str]], allowed: float, rate: 
 def missed_by_slopes(
     subject: Subject, trace: Trace, arc: Arc, tau: Array, gaps: Sequence[sp.Expr]
 ) -> Array:
-    """Return by how much gaps (m, c) change where a step is moved by what its slopes miss.
+    """Return the changes of gaps (m, c) by the defect of the dense output.
 
-    Its ends are on the constraints, so it is off by less than its length times what slopes miss,
-    and what rates change by that in as long.
+    The ends of a step are on the constraints, so that its error is below its length times the
+    defect of its rates, plus the change of the rates by that.
     """
     simulator = subject.observers[trace.engine.split()[0]].simulator
     if not isinstance(simulator, Simulator):
@@ -118,9 +118,12 @@ def missed_by_slopes(
     h = spans[steps][:, None]
     powers = ((tau - arc.times[steps])[:, None] / h) ** (orders - 1)
     rates = simulator.compiled(arc.roles, trace.zeros).rates
-    found = rates.table(states, trace.values, times)
-    off = np.einsum("mvk,mk->mv", arc.coefficients[steps][:, :, 1:] * orders, powers) - h * found
-    off = np.abs(off) + h * np.abs(rates.table(states + off, trace.values, times) - found)
+    rates_there = rates.table(states, trace.values, times)
+    off = (
+        np.einsum("mvk,mk->mv", arc.coefficients[steps][:, :, 1:] * orders, powers)
+        - h * rates_there
+    )
+    off = np.abs(off) + h * np.abs(rates.table(states + off, trace.values, times) - rates_there)
     most = np.zeros((len(spans), states.shape[1]))
     np.maximum.at(most, steps, off)
     here = subject.values(trace, gaps, states, times)

@@ -1,7 +1,7 @@
 """Properties of every run of colliding bodies, computed from their outlines and masses.
 
-Distances are found by projection on all normals of edges, vectorised over the steps; nothing of
-the collision detection that was run is used.
+Distances are projections on all edge normals, vectorised over the steps, independent of the
+collision detection.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from statechart.kernels.tapes import tape_table
 from statechart.testing.properties import Property, each
 from statechart.testing.subject import Subject
 
-# Points of a graph beside a disc at which its distance is looked at.
+# Samples of a graph near a disc.
 GRAPH_SAMPLES = 65
 
 
@@ -32,10 +32,10 @@ def assert_depths(
     trace: Trace,
     paths: Callable[[Array, Array, Mapping[str, str]], Positions] | None = None,
 ) -> None:
-    """Check that nothing overlaps by more than the fastest approach makes in a step.
+    """Check that no penetration exceeds a step at the fastest approach.
 
-    `paths` gives where prescribed motion is at times (m,), by memories (m, w) and the states of
-    the controllers.
+    `paths` returns the prescribed positions at times (m,), for controller variables (m, w) and
+    controller states.
     """
     count = len(numbers.inverse)
     pieces_of_run = [
@@ -48,7 +48,7 @@ def assert_depths(
     whole, times = (np.concatenate([part[k] for part in pieces_of_run]) for k in range(2))
     states, frames, pieces = numbers.motion(whole)[0], None, numbers.pieces
     if paths is not None:
-        found = [
+        positions_found = [
             paths(
                 at,
                 some[:, 2 * numbers.size :],
@@ -56,8 +56,8 @@ def assert_depths(
             )
             for some, at, mode in pieces_of_run
         ]
-        frames = np.concatenate([positions.frames for positions in found])
-        poses = np.concatenate([positions.poses for positions in found])
+        frames = np.concatenate([positions.frames for positions in positions_found])
+        poses = np.concatenate([positions.poses for positions in positions_found])
         fixed = np.broadcast_to(numbers.fixed, (len(states), *numbers.fixed.shape))
         states = np.concatenate([states, poses, fixed], axis=1)
     outlines = [_placed(pieces, states[:, b], p) for p, b in enumerate(pieces.bodies.tolist())]
@@ -73,7 +73,7 @@ def assert_depths(
             if (away > reach).all():
                 continue
             gaps = _between(outlines[p], pieces.radii[p], outlines[q], pieces.radii[q])
-            what = trace.regions[other] if other < count else "a body that moves as prescribed"
+            obstacle = trace.regions[other] if other < count else "a body that moves as prescribed"
         else:
             s = q - len(pieces.bodies)
             carrier, outline = numbers.surfaces.carriers[s], outlines[p]
@@ -85,26 +85,26 @@ def assert_depths(
                 assert frames is not None
                 outline = _in_frames(frames[:, s], outline)
             gaps = _above(numbers.surfaces, s, outline, pieces.radii[p])
-            what = "a surface"
+            obstacle = "a surface"
         k = int(np.argmin(gaps))
         if gaps[k] < -allowed:
             raise AssertionError(
-                f"{trace.regions[b]} is {-gaps[k]:.6g} deep in {what} at t = {times[k]:.6g}; "
+                f"{trace.regions[b]} is {-gaps[k]:.6g} deep in {obstacle} at t = {times[k]:.6g}; "
                 f"a step at the fastest approach is {allowed:.3g}"
             )
 
 
 def _contact_candidates(numbers: BodyNumbers) -> Iterator[tuple[int, int]]:
-    """Yield pieces, each with others, and with surfaces behind them, that they touch by a law.
+    """Yield pairs of pieces, and of pieces and surfaces, with a contact law.
 
-    What joints hold together does not touch.
+    Surfaces have the indices behind the pieces; joined bodies are excluded.
     """
     bodies, kinds = numbers.pieces.bodies, numbers.laws.shape[0]
-    held = {tuple(sorted(pair)) for pair in numbers.joints.bodies.tolist()}
+    joined = {tuple(sorted(pair)) for pair in numbers.joints.bodies.tolist()}
     for p, b in enumerate(bodies.tolist()):
         laws = numbers.laws[numbers.kinds[b]]
         for q in np.flatnonzero(laws[numbers.kinds[bodies]] >= 0).tolist():
-            if bodies[q] > b and (b, int(bodies[q])) not in held:
+            if bodies[q] > b and (b, int(bodies[q])) not in joined:
                 yield p, q
         for surface in np.flatnonzero(laws[kinds:] >= 0).tolist():
             yield p, len(bodies) + surface
@@ -130,12 +130,12 @@ def _between(one: Array, radius: float, other: Array, other_radius: float) -> Ar
     gaps = _along_normals(one, other)
     if other.shape[1] > 1:
         return np.maximum(gaps, _along_normals(other, one))
-    # Beside a corner the disc is nearest to that.
+    # Beside an edge the disc is nearest to a corner.
     sides = np.roll(one, -1, axis=1) - one
     to = other - one
     along = np.clip((to * sides).sum(-1) / (sides * sides).sum(-1), 0.0, 1.0)
     nearest = np.linalg.norm(to - along[..., None] * sides, axis=-1).min(axis=1)
-    # Nothing is inside of a plate, beyond whose ends its line goes on.
+    # A plate has no inside, and ends.
     return np.where((gaps > 0.0) | (one.shape[1] == 2), nearest, gaps) - both
 
 
@@ -146,7 +146,7 @@ def _in_frames(frames: Array, points: Array) -> Array:
 
 
 def _above(surfaces: SurfaceNumbers, s: int, outline: Array, radius: float) -> Array:
-    """Return the gaps (m,) between a surface and a body in its frame, at most."""
+    """Return upper bounds of the gaps (m,) between a surface and a body in its frame."""
     kind, (a, b, c, d) = surfaces.kinds[s], surfaces.numbers[s].tolist()
     if kind == LINE:
         return np.asarray(((outline - [a, b]) @ np.array([c, d])).min(axis=1) - radius)
@@ -156,7 +156,7 @@ def _above(surfaces: SurfaceNumbers, s: int, outline: Array, radius: float) -> A
         return _between(outline, radius, np.tile([[a, b]], (len(outline), 1, 1)), c)
     if kind == PLATE:
         return _between(outline, radius, np.tile([[a, b], [c, d]], (len(outline), 1, 1)), 0.0)
-    # No point of the graph that is tried is nearer than its nearest one.
+    # Sampled points of the graph are not nearer than the nearest one.
     tried = np.linspace(-radius, radius, GRAPH_SAMPLES) if radius > 0.0 else np.zeros(1)
     x = outline[..., 0, None] + tried
     heights = tape_table(
@@ -178,21 +178,21 @@ def _along_normals(one: Array, other: Array) -> Array:
 
 
 def assert_free_fall(numbers: BodyNumbers, trace: Trace) -> None:
-    """Check that gravity alone acts on a free body that touches nothing."""
+    """Check that only gravity acts on a free body."""
     assert trace.step is not None
     count, n = numbers.free, numbers.size
     fall, arms = np.array([*numbers.gravity, 0.0]), np.ones((count, 3))
     inverse = numbers.inverse[:count]
     arms[:, 2] = numbers.sizes[:count] * inverse[:, 2] / inverse[:, 0]
     for arc in trace.arcs:
-        assert arc.solved is not None  # steps have numbers
+        assert arc.solved is not None  # steps record accelerations
         free = np.array([state == "free" for state in arc.mode[:count]])
-        # The halves of a step with an impact show one mode each, and the forces of the step.
+        # The halves of a step with an impact have one mode each, and the forces of the step.
         whole = step_ends(trace, arc)
         off = np.abs(arc.solved[whole, : 3 * count].reshape(-1, count, 3)[:, free] - fall)
         rates = arc.coefficients[whole, n : n + 3 * count, 0]
         speeds = np.abs(rates).reshape(-1, count, 3)[:, free]
-        # What presses less than that, at the end of its arm, is told of nothing.
+        # Smaller forces, at the end of their lever arm, are no contact.
         allowed = LEAST * np.abs(fall).max() * arms[free] + ROUND_OFF * speeds / trace.step
         if (off > allowed).any():
             b = np.flatnonzero(free)[int(np.argmax((off > allowed).any(axis=(0, 2))))]
@@ -202,12 +202,12 @@ def assert_free_fall(numbers: BodyNumbers, trace: Trace) -> None:
 
 
 def assert_impulses_of_bodies(numbers: BodyNumbers, trace: Trace) -> None:
-    """Check that impulses push, and stay within the friction of the roughest contact."""
+    """Check that impulses push, within the largest friction of the body's contacts."""
     largest = largest_of(jump.impulse for jump in trace.jumps)
     for jump in trace.jumps:
         for name, impulse in jump.impulse.items():
             b, kinds = trace.regions.index(name), len(numbers.laws)
-            # What carries a surface feels those who touch that, too.
+            # Carriers of surfaces receive the impulses on them.
             carried = np.flatnonzero(numbers.surfaces.carriers == b)
             laws = np.append(numbers.laws[numbers.kinds[b]], numbers.laws[:, kinds + carried])
             edges = numbers.materials[np.unique(laws[laws >= 0])]
@@ -266,7 +266,7 @@ def _depths(subject: Subject, trace: Trace) -> None:
 
 def _energy(subject: Subject, trace: Trace) -> None:
     numbers = _body_numbers(subject, trace)
-    # What moves, or pushes, does work.
+    # Prescribed motion and forces do work.
     led = Paths(_scene(subject)).led
     if not (numbers.surfaces.moves.any() or led or _pushed(subject)):
         assert_energy_of_steps(numbers, subject, trace)
@@ -287,7 +287,7 @@ def _pushed(subject: Subject) -> bool:
 
 
 def body_properties(declared: Scene) -> tuple[Property, ...]:
-    """Return what holds for a scene of colliding bodies."""
+    """Return the properties of a scene of colliding bodies."""
     soft = any(law.stiffness is not None for law in declared.collisions.values())
     return (
         Property("no body is deeper than a step takes it", each(_depths)),

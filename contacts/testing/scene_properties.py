@@ -1,7 +1,7 @@
 """Properties of every run of a scene with contacts, for the tests of models.
 
 They are computed from the scene's own quantities (gap, V, H, energy), not from the guards of the
-automaton that was run. See `statechart.testing` for how to use them.
+automaton. See `statechart.testing` for their use.
 """
 
 from __future__ import annotations
@@ -36,23 +36,22 @@ from statechart.testing.guards import dense
 from statechart.testing.properties import Property, each
 from statechart.testing.subject import Subject
 
-# Errors of the energy add up to at most so many times steps times tolerance.
+# Bound of energy errors, in steps times tolerance.
 _ENERGY = 100.0
-# Nodes and weights that integrate the power from one point of the grid to the next.
+# Quadrature of the power between grid points.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
 def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that no contact point is inside its surface, unless off, by more than gap_tol.
+    """Check that no rigid, enabled contact point is inside its surface by more than gap_tol.
 
-    Compliant contacts are, by their depth. What is closed is held at the ends of steps. In between
-    dense output, which may be of a lower order than a step, leaves the surface by no more than what
-    its slopes miss of the rates.
+    At the ends of steps closed contacts are on their constraints; in between dense output of a
+    lower order may leave the surface by the defect of its rates.
 
     Parameters
     ----------
     scene, subject, trace : Scene, Subject, Trace
-        What was declared, the same compiled, and a run of it.
+        Declaration, compiled scene, and a run of it.
     """
     gaps = [subject.automaton.observables[f"{name}.gap"] for name in scene.contacts]
     rigid = [contact.stiffness is None for contact in scene.contacts.values()]
@@ -65,12 +64,12 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
         between = (
             allowed + missed_by_slopes(subject, trace, arc, tau, gaps) if any(closed) else allowed
         )
-        for local, asked, less in (
+        for local, selected, less in (
             (tau, free, allowed), (tau, closed, between), (arc.times, closed, allowed),
         ):  # fmt: skip
             times = arc.start.high + (arc.start.low + local)
             values = subject.values(trace, gaps, arc.states(local), times)
-            values[:, np.logical_not(asked)] = np.inf
+            values[:, np.logical_not(selected)] = np.inf
             if not (values >= -less).all():
                 m, k = np.unravel_index(int(np.argmin(values + less)), values.shape)
                 raise AssertionError(
@@ -80,22 +79,22 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
 
 
 def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that ``V >= 0`` and ``|H| <= mu V`` wherever a contact is closed.
+    """Check that ``V >= 0`` and ``|H| <= mu V`` for every closed contact.
 
     Parameters
     ----------
     scene, subject, trace : Scene, Subject, Trace
-        What was declared, the same compiled, and a run of it.
+        Declaration, compiled scene, and a run of it.
     """
     for arc, name, state, times, V, H, slips, used in _sampled_forces(scene, subject, trace):
         if state in OPEN:
             continue
-        # A mode of steps that all hold an impulse has no force of its own.
+        # A mode whose steps all have impulses has no force.
         known = ~np.isnan(V) | (trace.step is None)
         V, H, times = V[known], H[known], times[known]
         law = scene.friction_of(name)
         if trace.step is not None and law is not None and law.splits:
-            # A step knows the slip at its start alone.
+            # Steps use the slip at their start.
             n, t = edges(used[known])
         else:
             n, t = cone_edges(scene, trace, arc.mode, name, state, slips[known])
@@ -105,7 +104,7 @@ def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
 
 
 def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
-    """Check that couples are within their limits, and oppose slip where there is some."""
+    """Check that coupling torques are within their limits, and oppose slip."""
     scene, known = mechanics.scene, subject.automaton.observables
     expressions = [
         expression
@@ -139,12 +138,12 @@ def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None
 
 
 def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that a contact that is free has no force.
+    """Check that a free contact has no force.
 
     Parameters
     ----------
     scene, subject, trace : Scene, Subject, Trace
-        What was declared, the same compiled, and a run of it.
+        Declaration, compiled scene, and a run of it.
     """
     for _, name, state, times, V, H, *_ in _sampled_forces(scene, subject, trace):
         if state in OPEN and ((V != 0.0) | (H != 0.0)).any():
@@ -152,19 +151,19 @@ def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> N
 
 
 def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that impulses push, and stay in the cone of friction.
+    """Check that impulses push, within the friction cone.
 
     Parameters
     ----------
     scene, subject, trace : Scene, Subject, Trace
-        What was declared, the same compiled, and a run of it.
+        Declaration, compiled scene, and a run of it.
     """
     largest = largest_of(jump.impulse for jump in trace.jumps)
     for jump in trace.jumps:
         for name, impulse in jump.impulse.items():
             slip = subject.automaton.observables[f"{name}.slip"]
             slips = subject.values(trace, [slip], jump.before[None], np.array([jump.t]))[0]
-            # A path may slip either way and stick.
+            # During the impact the contact may slip either way, or stick.
             n, t = max(
                 (
                     cone_edges(scene, trace, jump.source, name, state, size * np.abs(slips))
@@ -177,14 +176,14 @@ def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
 
 
 def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
-    """Check that energy, less the work of forces and drives, never grows; impacts included.
+    """Check that energy minus the work of forces and drives never grows, including impacts.
 
     Parameters
     ----------
     mechanics : Mechanics
         Of the scene: `contacts.testing.Mechanics(scene)`.
     subject : Subject
-        The same, compiled.
+        The compiled scene.
     trace : Trace
         A run of it.
     """
@@ -192,7 +191,7 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
     rates = {name: mechanics.surface_rate(name) for name in mechanics.scene.contacts}
     controllers = mechanics.scene.controlled.flat
     led = any(row.path_rate != 0 for row in mechanics.joint_rows)
-    points: list[tuple[float, float, str]] = []  # (time, energy less work, where)
+    points: list[tuple[float, float, str]] = []  # (time, energy minus work, place)
     work, size, j = 0.0, 0.0, 0
 
     def add(states: Array, times: Array, done: Array, where: str) -> None:
@@ -224,7 +223,7 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
     for arc, tau in dense(trace):
         jumps(arc.j)
         j = arc.j
-        made = step_ends(trace, arc)
+        ends = step_ends(trace, arc)
         inner = arc.times[1:-1] if trace.step is not None else tau
         grid = np.concatenate([[0.0], inner, [arc.duration]])
         done = work + _work_of_forces(mechanics, subject, trace, arc, grid)
@@ -233,7 +232,7 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
         work = float(done[-1])
         times = arc.start.high + (arc.start.low + grid)
         where = f"in {subject.automaton.label(arc.mode)}"
-        add(arc.states(grid)[made], times[made], done[made], where)
+        add(arc.states(grid)[ends], times[ends], done[ends], where)
     jumps(len(trace.jumps))
     if trace.step is not None:
         growth = _step_growth(mechanics, subject, trace)
@@ -241,7 +240,7 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
     else:
         growth = 0.0
         error = max(trace.counts["steps"] * trace.tolerance, ROUND_OFF)
-        # At rest there is no energy to be relative to: what a force does over the gap's tolerance.
+        # At rest the scale is the work of forces over the gap tolerance.
         names = mechanics.scene.parameters
         overrides = {name: trace.parameters[name] for name in names}
         setup = subject.automaton.setup(overrides, trace.tolerance)
@@ -255,22 +254,22 @@ def _work_of_forces(
 ) -> Array:
     """Return the work of forces and drives up to each of the times `grid` of an arc.
 
-    Rounding moves closed contacts and joints a little, against forces that may be far more than
-    bodies weigh; states are brought back to their constraints without work, so that what forces do
-    there adds up. By virtual work it is at most what the forces of the constraints do.
+    Projections onto constraints move closed contacts and joints by round-off without work, against
+    forces far larger than weights; by virtual work the constraint forces bound the accumulated
+    work.
     """
     if mechanics.power == 0:
         return np.zeros(len(grid))
-    held: list[sp.Expr] = []
+    constraint_powers: list[sp.Expr] = []
     if trace.step is None:
         for name, state in _contact_modes(mechanics.scene, arc):
             at = mechanics.contact(name).symbols
-            held += [] if state in OPEN else [at.V * at.gap_rate]
-            held += [at.H * at.slip] if state == "pin" else []
-        held += [row.force * row.gap_rate for row in mechanics.joint_rows]
+            constraint_powers += [] if state in OPEN else [at.V * at.gap_rate]
+            constraint_powers += [at.H * at.slip] if state == "pin" else []
+        constraint_powers += [row.force * row.gap_rate for row in mechanics.joint_rows]
     middle, half = (grid[1:] + grid[:-1]) / 2, np.diff(grid) / 2
     nodes = (middle[:, None] + half[:, None] * _NODES).ravel()
-    powers, *off = subject.solved(trace, arc, nodes, [mechanics.power, *held]).T
+    powers, *off = subject.solved(trace, arc, nodes, [mechanics.power, *constraint_powers]).T
     powers = powers + np.sum(np.abs(off), axis=0)
     parts = (powers.reshape(-1, len(_NODES)) * _WEIGHTS).sum(axis=1) * half
     return np.concatenate([[0.0], np.cumsum(parts)])
@@ -279,16 +278,15 @@ def _work_of_forces(
 def _work_of_catches(
     mechanics: Mechanics, subject: Subject, trace: Trace, arc: Arc, rates: Mapping[str, Vector]
 ) -> Array:
-    """Return the work of moving surfaces up to each step of an arc that forces do not show.
+    """Return the work of moving surfaces in the landing steps of an arc.
 
-    A slow landing is no jump: the step that catches it, and those that still carry it, show the
-    force of the nearest other step. Their impulses are what of the change of momentum the forces
-    shown do not explain.
+    A slow landing is no jump: its steps show the force of the nearest other step. Their impulses
+    follow from the change of momentum that the recorded forces do not explain.
     """
-    n, found = len(mechanics.q), np.zeros(len(arc.times))
+    n, work = len(mechanics.q), np.zeros(len(arc.times))
     names = [name for name, state in _contact_modes(mechanics.scene, arc) if state not in OPEN]
     if all(rates[name] == (0, 0) for name in names):
-        return found
+        return work
     steps = np.diff(arc.times)[:HOLDING]
     middles, velocities = arc.times[: len(steps)] + steps / 2, arc.states(arc.times)[:, n : 2 * n]
     contacts = [mechanics.contact(name) for name in names]
@@ -304,32 +302,31 @@ def _work_of_catches(
         jacobian = jacobian.reshape(-1, n)
         change = mass.reshape(n, n) @ (velocities[k + 1] - velocities[k])
         change -= steps[k] * (applied + shown @ jacobian)
-        found[k + 1 :] += np.linalg.lstsq(jacobian.T, change, rcond=None)[0] @ speeds
-    return found
+        work[k + 1 :] += np.linalg.lstsq(jacobian.T, change, rcond=None)[0] @ speeds
+    return work
 
 
 def _work_of_joints(mechanics: Mechanics, subject: Subject, trace: Trace, jump: Jump) -> float:
-    """Return the work of joints that are led, in an impact.
+    """Return the work of led joints in an impact.
 
-    Their impulses are what of the change of momentum no contact explains, and what they act on
-    moves as they lead it, before and after.
+    Their impulses follow from the change of momentum that contacts do not explain; the velocities
+    of their ends are prescribed.
     """
     n, names = len(mechanics.q), list(jump.impulse)
     contacts = [mechanics.contact(name) for name in names]
     rows = [row for contact in contacts for row in (contact.jacobian_n, contact.jacobian_t)]
     expressions = [*mechanics.mass_matrix, *(entry for row in rows for entry in row)]
-    found = subject.values(trace, expressions, jump.after[None], np.array([jump.t]))[0]
-    mass, jacobian = found[: n * n].reshape(n, n), found[n * n :].reshape(-1, n)
+    values = subject.values(trace, expressions, jump.after[None], np.array([jump.t]))[0]
+    mass, jacobian = values[: n * n].reshape(n, n), values[n * n :].reshape(-1, n)
     pushes = np.concatenate([jump.impulse[name] for name in names]) @ jacobian
     change = mass @ (jump.after - jump.before)[n : 2 * n]
     return float((change - pushes) @ jump.after[n : 2 * n])
 
 
 def _step_growth(mechanics: Mechanics, subject: Subject, trace: Trace) -> float:
-    """Return how much energy, per time, time steps may add to a scene of points and surfaces.
+    """Return the energy per time that steps may add: the largest ``h/8 f^T M^-1 f``.
 
-    In a step that is ``h^2/8 f^T M^-1 f`` (see `contacts.time_stepping.stepper`); the largest of
-    all steps.
+    See `contacts.time_stepping.stepper`.
     """
     assert trace.step is not None
     n = len(mechanics.q)
@@ -338,19 +335,19 @@ def _step_growth(mechanics: Mechanics, subject: Subject, trace: Trace) -> float:
     for arc in trace.arcs:
         values = subject.solved(trace, arc, arc.times[:-1], expressions)
         mass, force = values[:, : n * n].reshape(-1, n, n), values[:, n * n :]
-        # Coordinates without inertia bear no force of their own.
+        # Coordinates without inertia carry no force.
         moved = np.einsum("kij,kj->ki", np.linalg.pinv(mass, hermitian=True), force)
         largest = max(largest, float((force * moved).sum(axis=1).max(initial=0.0)))
     return trace.step * largest / 8.0
 
 
 def properties(declared: Scene) -> tuple[Property, ...]:
-    """Return what holds for every scene, besides what holds for every automaton.
+    """Return the properties of a scene, besides those of every automaton.
 
     Parameters
     ----------
     declared : Scene
-        What was declared.
+        The declaration.
     """
     if declared.collisions:
         from contacts.testing.body_properties import body_properties
@@ -386,7 +383,7 @@ def properties(declared: Scene) -> tuple[Property, ...]:
 def _sampled_forces(
     scene: Scene, subject: Subject, trace: Trace
 ) -> Iterator[tuple[Arc, str, str, Array, Array, Array, Array, Array]]:
-    """Yield every contact in every arc: name, mode, times, and V, H, slip, friction at them."""
+    """Yield arc, contact, mode, times, and V, H, slip, friction, for every contact and arc."""
     known = subject.automaton.observables
     expressions = [
         known.get(f"{name}.{one}", sp.S.Zero)

@@ -1,10 +1,8 @@
-"""Scenes transformed so that the answer is known: mirrored, and in other units.
+"""Transformed scenes with known solutions: mirrored, and in other units.
 
-Every field of a scene declares its unit, from which its factor follows. Formulas are changed at the
-places where their syntax trees have names, and wrapped as a whole; text is never searched. What a
-formula reads is turned back into the scene's own directions and units, and what it gives is turned
-into the new ones, so that no formula needs to be understood: ``y = f(x)`` becomes
-``y = a f(x / a)`` whatever lengths are hidden in f.
+Every field of a scene declares its unit, from which its factor follows. Formulas are edited at the
+names in their syntax trees, and wrapped as a whole: inputs are transformed back to the old units,
+results to the new ones, so that ``y = f(x)`` becomes ``y = a f(x / a)`` whatever lengths are in f.
 """
 
 from __future__ import annotations
@@ -30,30 +28,30 @@ from statechart.testing.agreement import Reading, assert_same, identical
 from statechart.testing.properties import Property
 from statechart.testing.subject import Case, Subject
 
-# Powers of two: scaling is exact, so that what differs is a number that does not scale.
+# Powers of two: scaling is exact.
 LENGTH = 2.0**20
 TIMES = 2.0**-10
 MASS = 2.0**-20
 """New units per old one in a rescaled scene."""
 
-# Fields of an image; others (outputs, ranges, invariants, declared modes) say nothing of its runs.
+# Fields of an image; others (outputs, ranges, invariants, declared modes) do not affect runs.
 _KEPT = (
     "name", "parameters", "gravity", "coordinates", "bodies", "surfaces", "contacts", "joints",
     "couplings", "collisions", "forces", "controls", "regions", "simultaneous", "paradox", "stop",
     "settings",
 )  # fmt: skip
 _RELATIONS = ("guard", "enabled", "conditions")
-# Corners and ends go round the solid the other way in a mirror.
+# A mirror reverses the orientation of corners and ends.
 _OUTLINES = ("polygon", "line", "edge")
 
 
 def mirrored(scene: Scene) -> tuple[Scene, Reading]:
-    """Return the scene seen in a mirror, x -> -x, and how to read its runs.
+    """Return the scene mirrored, x -> -x, and how to read its runs.
 
     Parameters
     ----------
     scene : Scene
-        What was declared.
+        The declaration.
 
     Raises
     ------
@@ -69,12 +67,12 @@ def mirrored(scene: Scene) -> tuple[Scene, Reading]:
 def rescaled(scene: Scene) -> tuple[Scene, Reading]:
     """Return the scene in units `LENGTH`, `TIMES` and `MASS` smaller, and how to read its runs.
 
-    Coordinates that the scene names keep their values: what their unit is only positions say.
+    Declared coordinates keep their values: only positions tell their unit.
 
     Parameters
     ----------
     scene : Scene
-        What was declared.
+        The declaration.
 
     Raises
     ------
@@ -87,7 +85,7 @@ def rescaled(scene: Scene) -> tuple[Scene, Reading]:
 
 @dataclass(frozen=True)
 class _Change:
-    """The factors of lengths, times and masses of a scene, new per old; x < 0 is a mirror."""
+    """Factors of lengths, times and masses, new per old; x < 0 is a mirror."""
 
     declared: Scene
     x: float = 1.0
@@ -97,7 +95,7 @@ class _Change:
 
     @cached_property
     def _units(self) -> Mapping[str, tuple[float, float, float]]:
-        """Unit of a field -> factors along x, along y, and of a number without direction."""
+        """Unit of a field -> factors along x, along y, and of a scalar."""
         angle = math.copysign(1.0, self.x)
         per = 1.0 / self.time
         force = self.mass * per**2
@@ -135,15 +133,15 @@ class _Change:
         return Scene(**changed)
 
     def _changed(self, part: Part, names: Collection[str]) -> dict[str, Any]:
-        found = {}
+        fields = {}
         for name in names:
             extra = type(part).model_fields[name].json_schema_extra
             unit = extra.get("unit", "") if isinstance(extra, dict) else ""
-            found[name] = self._value(name, getattr(part, name), str(unit))
-        return found
+            fields[name] = self._value(name, getattr(part, name), str(unit))
+        return fields
 
     def _value(self, name: str, value: Any, unit: str) -> Any:
-        """Return the value of a field (or an item of it) in the new directions and units."""
+        """Return a field's value (or an item of it) in the new units."""
         along, up, plain = self._units.get(unit, (1.0, 1.0, 1.0))
         match value:
             case Coupling():
@@ -172,32 +170,32 @@ class _Change:
 
     @cached_property
     def _factors(self) -> dict[str, float]:
-        """Name in a formula -> its factor, where it has one."""
+        """Name in a formula -> its factor."""
         old, units = self.declared, self._units
         (tangential, normal, _), (slip, *_) = units["force"], units["length/time"]
-        found = {TIME: self.time, "energy": tangential * self.x}
+        factors = {TIME: self.time, "energy": tangential * self.x}
         if SLIP not in old.parameters:
-            found[SLIP] = slip
-        found |= {old.rate_name(name): 1.0 / self.time for name in old.coordinates}
+            factors[SLIP] = slip
+        factors |= {old.rate_name(name): 1.0 / self.time for name in old.coordinates}
         for name in (*old.single_bodies(), *old.bodies):
-            found |= {f"{name}.{key}": self._start(key) for key in ("x", "y", "angle")}
-            found |= {f"{name}.{key}": self._start(key) for key in ("dx", "dy", "dangle")}
+            factors |= {f"{name}.{key}": self._start(key) for key in ("x", "y", "angle")}
+            factors |= {f"{name}.{key}": self._start(key) for key in ("dx", "dy", "dangle")}
         for name in old.expanded.contacts:
-            found |= {f"{name}.gap": self.y, f"{name}.slip": slip}
-            found |= {f"{name}.V": normal, f"{name}.H": tangential}
+            factors |= {f"{name}.gap": self.y, f"{name}.slip": slip}
+            factors |= {f"{name}.V": normal, f"{name}.H": tangential}
         for name in old.couplings:
             couple, slip = self._couple(name)
-            found |= {f"{name}.M": couple, f"{name}.slip": slip}
+            factors |= {f"{name}.M": couple, f"{name}.slip": slip}
         for name in old.joints:
-            found |= {f"{name}.X": tangential, f"{name}.Y": normal}
-            found |= {
+            factors |= {f"{name}.X": tangential, f"{name}.Y": normal}
+            factors |= {
                 f"{name}.x": self.x,
                 f"{name}.y": self.y,
                 f"{name}.turn": self._start("angle"),
             }
             moment, along = units["force length"][2], units["force"][2]
-            found |= {f"{name}.M": moment, f"{name}.T": along}
-        return found | dict.fromkeys(old.controlled.clocks, self.time)
+            factors |= {f"{name}.M": moment, f"{name}.T": along}
+        return factors | dict.fromkeys(old.controlled.clocks, self.time)
 
     def _couple(self, name: str) -> tuple[float, float]:
         along = ("X", "Y").index(self.declared.along_guide(name) or "X")
@@ -209,21 +207,21 @@ class _Change:
         name = next(n for n, one in self.declared.couplings.items() if one is coupling)
         size = abs(self._couple(name)[0])
         limit = coupling.limit
-        found = coupling.model_copy(update={"limit": 0}).model_dump(exclude_unset=True)
-        found["enabled"] = tuple(map(self._relation, coupling.enabled))
+        fields = coupling.model_copy(update={"limit": 0}).model_dump(exclude_unset=True)
+        fields["enabled"] = tuple(map(self._relation, coupling.enabled))
         if isinstance(limit, StaticKinetic):
             static, kinetic = (self._formula(text, size) for text in coupling.bounds)
-            found["limit"] = {"static": static, "kinetic": kinetic}
+            fields["limit"] = {"static": static, "kinetic": kinetic}
         else:
-            found["limit"] = self._formula(limit, size)
-        return Coupling(**found)
+            fields["limit"] = self._formula(limit, size)
+        return Coupling(**fields)
 
     def _start(self, key: str) -> float:
-        found = {"x": self.x, "y": self.y, "angle": math.copysign(1.0, self.x)}
-        return found[key] if key in found else found[key[1:]] / self.time
+        factors = {"x": self.x, "y": self.y, "angle": math.copysign(1.0, self.x)}
+        return factors[key] if key in factors else factors[key[1:]] / self.time
 
     def _item(self, name: str, key: str, value: Any, unit: str) -> Any:
-        """Return a value of a mapping in the new directions and units."""
+        """Return a value of a mapping in the new units."""
         if name in _RELATIONS:
             return self._relation(value)
         if name == "start":
@@ -233,7 +231,7 @@ class _Change:
         return self._value(name, value, unit)
 
     def _formula(self, text: FormulaText, factor: float) -> FormulaText:
-        """Return a formula, read and given in the new units."""
+        """Return a formula with inputs and result in the new units."""
         if isinstance(text, str):
             text = self._read(parse(text), self._factors)
         return _times(text, factor)
@@ -243,7 +241,7 @@ class _Change:
 
     @staticmethod
     def _read(formula: Formula | Relation, factors: Mapping[str, float]) -> str:
-        """Return the text with every name that has a factor divided by it."""
+        """Return the text with every scaled name divided by its factor."""
         sides = [formula] if isinstance(formula, Formula) else formula.formulas
         names = {name.offset: name.name for side in sides for name in names_in(side.root)}
         text = formula.text
@@ -262,7 +260,7 @@ def _times(text: FormulaText, factor: float) -> FormulaText:
 
 
 def image_properties(scene: Scene) -> tuple[Property, ...]:
-    """Return what holds of the runs of a scene and of those of its images."""
+    """Return the properties that relate the runs of a scene and of its images."""
     return (
         image_property("the mirror image moves as the image", scene, mirrored),
         image_property("other units give the same motion", scene, rescaled),
@@ -301,8 +299,7 @@ def image_property(
             finer = case.subject.finer
             if finer is None:
                 raise
-            # What impulses miss their laws by is in no variable's size, nor the image's in the
-            # image: runs that miss less tell whether it was that.
+            # Solver residuals do not scale with any variable: compare more accurate runs.
             compare(finer.case(case.parameters))
 
     return Property(name, holds)

@@ -1,4 +1,4 @@
-"""By how much a run violates what contacts demand: no penetration, forces within friction."""
+"""Violations of contact constraints in a run: penetration, forces outside the friction cone."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from statechart.automaton.trace import Key, Trace
 from statechart.formulas.formula import Formula, parse
 from statechart.observation.observer import Observer
 
-# Of a run of many steps fewer points of each are looked at.
+# Number of steps above which each is sampled once.
 _MANY = 5000
 
 
@@ -48,13 +48,13 @@ def violations(scene: Scene, observer: Observer, trace: Trace) -> dict[str, floa
         if scene.contacts[name].stiffness is None:
             deepest = max(deepest, _largest(-gap[~off]), _largest(np.abs(gap[closed])))
         outside = max(outside, _largest(-normal[closed]))
-        # Of every mode; what a controller sets may differ.
+        # Per mode: controllers may change the friction.
         for number, mode in enumerate(samples.modes):
             here = closed & (samples.mode == number)
             slips, V, H = samples.columns[f"{name}.slip"][here], normal[here], tangential[here]
             n, t = cone_edges(scene, trace, mode, name, mode[place], slips)
             if by_steps and name in split:
-                # A step knows the slip at its start alone.
+                # Steps use the slip at their start.
                 n, t = edges(samples.columns[f"{name}.friction"][here])
             outside = max(outside, _largest(n * np.abs(H) - t * V))
     return {"constraint": deepest / setup.scales.length, "cone": outside / setup.scales.force}
@@ -69,7 +69,7 @@ def cone_edges(
     """
     contact, law = scene.contacts[name], scene.friction_of(name)
     if law is None:
-        # Where friction is not declared a pin does not slide, whatever that takes.
+        # Without declared friction a pin never slides.
         return edges(np.full(len(slips), 0.0 if contact.frictionless else math.inf))
     values = {name: trace.parameters[name] for name in scene.parameters}
     region = scene.controlled.region_of(law.both)

@@ -1,10 +1,10 @@
-"""Controllers of a scene that is stepped through time: asked at the ends of steps.
+"""Controllers of a time-stepped scene, evaluated at the ends of steps.
 
-A transition that waits for an event fires at the end of the step in which that happens; one with a
-guard at the end of the first step at which it is true, or becomes true, unless it is about to
-become false by itself. What stays on a boundary for a step, as the slip of what sticks does, is on
-it whatever its rounding: there `<=` and `>=` are true, `<` and `>` are not. Steps are taken many
-at a time under the forces of the states at hand; those after a transition are taken back.
+A transition on an event fires at the end of its step; one with a guard at the end of the first step
+at which the guard is or becomes true, unless it is about to become false by itself. A quantity that
+stays on its boundary for a step, as the slip of a sticking contact does, is zero up to round-off:
+`<=` and `>=` hold, `<` and `>` do not. Steps are taken in chunks under the present states; those
+beyond a transition are reverted.
 """
 
 from __future__ import annotations
@@ -30,18 +30,17 @@ from contacts.time_stepping.stop_conditions import ActiveStates, first_lost
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.regions import Raised, Region
 from statechart.automaton.trace import Jump
-from statechart.charts.guard_watch import Listening
+from statechart.charts.guard_watch import EventQueues
 from statechart.errors import EventLoop, UnsolvedImpulses
 
-_MAX_LISTED = 4  # of those that follow each other for ever
+_MAX_LISTED = 4  # Transitions listed in the error of an endless sequence.
 _MOST_TURNS = 100
-# A guard that becomes true within this part of a step after its end is true at its end: times of
-# steps, and so timeouts that end with one, are rounded.
+# Part of a step within which a guard counts as true at its end: times are rounded.
 _AT_END = 1e-6
 
 
 class StepControl:
-    """The controllers of one run of a scene, whose regions stand behind all other `regions`."""
+    """The controllers of one run, whose regions are the last of all `regions`."""
 
     def __init__(
         self,
@@ -55,39 +54,36 @@ class StepControl:
         self._names = tuple(self._controllers)
         self._states, self._setup, self._scene = controllers, setup, scene
         self._memory = ControllerState(mechanics)
-        self._listening = Listening(regions, self._controllers)
+        self._queues = EventQueues(regions, self._controllers)
         self._active = ActiveStates(regions)
         n, r = len(mechanics.q), len(mechanics.joint_rows)
         c = 2 * len(mechanics.scene.contacts) + len(mechanics.scene.couplings)
-        # Guards take the forces of joints after those of contacts and couplings.
+        # Guards read the forces of joints after those of contacts and couplings.
         self._order = [*range(n), *range(n + r, n + r + c), *range(n, n + r)]
         self.states = controllers.initial
         self._begun = False
-        # A surface that was moved strikes in the next step, before anything else happens.
+        # A moved surface strikes in the next step, before any other event.
         self._strikes, self._pending = False, dict[str, tuple[Raised, ...]]()
         self._mechanics = mechanics
         self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
 
     def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
-        """Return the steps up to the first after which the controllers are to be asked.
-
-        And whether there is one.
-        """
+        """Return the steps up to the first after which a controller may act; whether one may."""
         shown = recorder.shown(chunk)
         due = self._due(chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h, shown)
-        asked: Bools = np.any(due, axis=1)
-        if self._listening.waits(self._controllers, self.states):
-            asked |= recorder.changes(chunk)
-        asked[:1] |= self._strikes
-        if not asked[:-1].any():
-            return chunk, bool(asked.any())
+        may_act: Bools = np.any(due, axis=1)
+        if self._queues.waits(self._controllers, self.states):
+            may_act |= recorder.changes(chunk)
+        may_act[:1] |= self._strikes
+        if not may_act[:-1].any():
+            return chunk, bool(may_act.any())
         self._scene.forget()
-        return self._scene.steps(start, chunk.h, chunk.states[0], 1 + int(np.argmax(asked))), True
+        return self._scene.steps(start, chunk.h, chunk.states[0], 1 + int(np.argmax(may_act))), True
 
     def turn(
         self, recorder: Recorder, jumps: Sequence[Jump], state: Array, solved: Array, h: float
     ) -> Array:
-        """Take the transitions that are due at the end of a step; return the state after them.
+        """Take the transitions due at the end of a step; return the state after them.
 
         The step has these jumps, and unknowns `solved` (u,).
 
@@ -98,9 +94,9 @@ class StepControl:
         """
         pending, self._pending, self._strikes = self._pending, {}, False
         for first, *others in _simultaneous(jumps):
-            # Jumps of several contacts at one instant are one event, as in event-driven runs.
+            # Simultaneous jumps of several contacts are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
-            pending = self._listening.pending_after(pending, jump)
+            pending = self._queues.pending_after(pending, jump)
         time = np.array([recorder.clock.high])
         if not self._begun:
             self._begun = True
@@ -113,7 +109,7 @@ class StepControl:
             at_end = time, state[None], solved[None]
             due = self._due(*at_end, h, recorder.row[None])[0]
             true = {(g.place, g.trigger) for g, now in zip(watched, due, strict=True) if now}
-            firing = self._listening.first(
+            firing = self._queues.first(
                 self._controllers,
                 self.states,
                 pending,
@@ -138,7 +134,7 @@ class StepControl:
                 self._states.named(self.states), (state, after, recorder.clock.high)
             )
             jump = recorder.turn(name, taken.name, self.states, (state, after), fired, moved)
-            pending, state = self._listening.pending_after(firing.pending, jump), after
+            pending, state = self._queues.pending_after(firing.pending, jump), after
             if strikes:
                 self._pending, self._strikes = pending, True
                 return state
@@ -151,10 +147,10 @@ class StepControl:
         )
 
     def _closed(self, joint: str, state: Array, recorder: Recorder, h: float) -> Array:
-        """Return the state after a joint closes and stops, without rebound, what is in contact.
+        """Return the state after a joint closes, with a plastic impact of the touching contacts.
 
-        Raises `NoConsistentMode` if its points are apart by more than a step moves them, and
-        `UnsolvedImpulses` where no impulses stop the contacts.
+        Raises `NoConsistentMode` if its points are farther apart than a step moves them, and
+        `UnsolvedImpulses` if no impulses stop the contacts.
         """
         setup, time = self._memory.within(self._setup, state), recorder.clock.high
         motion, named = self._memory.parted(state), self._states.named(self.states)
@@ -196,16 +192,16 @@ class StepControl:
         return None if found is None else (found[0], guards.watch.margins[singles[found[1]]])
 
     def _due(self, times: Array, states: Array, solved: Array, h: float, codes: Ints) -> Bools:
-        """Return which guards (m, g) are due; `codes` (m, r) are modes of contacts."""
+        """Return the guards (m, g) that are due; `codes` (m, r) are modes of contacts."""
         guards = self._states.guards(self.states)
         points = self._setup, times, states, solved[:, self._order]
         margin, size = np.moveaxis(guards.table(*points), -1, 0)
-        rate, second = np.moveaxis(guards.table(*points, rates=True)[..., :2], -1, 0)
+        rate, second = (guards.table(*points, order=order)[..., 0] for order in (1, 2))
         passing = (rate > 0.0) & (margin + h * rate >= 0.0)
         falling = np.minimum(np.nan_to_num(rate, neginf=0.0), 0.0)
         true: Bools = (margin + _AT_END * h * falling < 0.0) & ~passing
-        # How a step came to the boundary does not tell how the next one goes: what has just come
-        # to rest was braked. So a strict guard waits for its margin to leave zero, but of time.
+        # A margin that has just come to zero was braked, and need not cross: a strict guard waits
+        # until it leaves zero. Times do cross.
         zero = self._setup.rounded * size
         near = ~guards.watch.timed & (np.abs(margin) <= zero)
         rises = (h * rate > zero) | ((h * rate >= -zero) & (h * h * second > zero))
@@ -215,7 +211,7 @@ class StepControl:
     def _holding(
         self, times: Array, states: Array, solved: Array, codes: Ints
     ) -> set[tuple[int, int]]:
-        """Return the guards at events that hold at the end of a step."""
+        """Return the event guards that hold at the end of a step."""
         guards = self._states.guards(self.states, at_events=True)
         rows = guards.table(self._setup, times, states, solved[:, self._order])
         margin, size = rows[..., 0], rows[..., 1]
@@ -228,12 +224,12 @@ class StepControl:
 
 
 def _simultaneous(jumps: Sequence[Jump]) -> Iterator[Sequence[Jump]]:
-    """Yield jumps of one instant together; a region that jumps again there begins anew."""
-    together: list[Jump] = []
+    """Group jumps of one instant; a region that jumps again begins a new group."""
+    group: list[Jump] = []
     for jump in jumps:
-        if together and (jump.t != together[0].t or jump.region in {j.region for j in together}):
-            yield together
-            together = []
-        together.append(jump)
-    if together:
-        yield together
+        if group and (jump.t != group[0].t or jump.region in {j.region for j in group}):
+            yield group
+            group = []
+        group.append(jump)
+    if group:
+        yield group

@@ -1,9 +1,8 @@
-"""Discretisation error of a run, estimated to the first order, relative to its motion.
+"""First-order discretisation error of a run, relative to its motion.
 
-A step sees forces in its middle, and what happens in it happens there. What forces do beside that,
-what contacts turn on before they are struck, where in a step slips turn round or end, and by how
-much springs swing ahead, is known afterwards. It is compared with how fast each coordinate was and
-how far it went.
+Sources: the force quadrature error, impacts at mid-step instead of at the touch, reversals and ends
+of slips within a step, and the phase error of springs, compared with the largest speed and the path
+length of each coordinate.
 """
 
 from __future__ import annotations
@@ -23,13 +22,12 @@ from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.time_stepper import DEFAULT_IMPULSES
 from statechart.kernels.jit import kernel
 
-# A coordinate that is slower, or goes less far, than this part of the scene's is at rest.
+# Speed and path, relative to the scene, below which a coordinate is at rest.
 _LITTLE = 1e-3
-# Errors, relative to the speeds of a run, from which a warning is given: of forces between the
-# midpoints of steps; of impacts (a shipped model has a tenth at its own step); of the phase of
-# springs, half a radian of the fastest motion.
+# Relative velocity errors from which a warning is given: forces; impacts (a shipped model has a
+# tenth at its own step); spring phase (half a radian of the fastest motion).
 _FORCES, _IMPACTS, _PHASE = 0.1, 0.15, 0.5
-# The same, relative to the way of a coordinate.
+# The same, relative to the path of a coordinate.
 _WAY = 0.2
 
 
@@ -38,7 +36,7 @@ def _impact_impulses(
     jacobians: Array, columns: Array, before: Array, cones: Array, restitution: Array,
     allowed: float,
 ) -> tuple[float, Array]:  # fmt: skip
-    """Return the residual and the impulses (m, 2) of contacts in coordinates that are struck."""
+    """Return the residual and the impulses (m, 2) of an impact in coordinates."""
     m, wanted = len(before), np.zeros((len(before), 2))
     for a in range(m):
         wanted[a, 0] = restitution[a] * min(before[a, 0], 0.0)
@@ -46,17 +44,17 @@ def _impact_impulses(
     for a in range(m):
         island.rebounds[a] = restitution[a] > 0.0
     contacts = coordinate_rows(jacobians, columns, np.zeros(m), cones)
-    missed, _ = coordinate_impulses(contacts, island, allowed)
-    return missed, island.chosen
+    residual, _ = coordinate_impulses(contacts, island, allowed)
+    return residual, island.chosen
 
 
 def velocity_change(
     mass: Array, held: Array, pushes: Array, velocities: Array, cones: Array, restitution: Array
 ) -> Array | None:
-    """Return what Moreau's law of impact adds to the rates (n,); None where it is not solved.
+    """Return the change of rates (n,) by Moreau's impact law; None if it is not solved.
 
-    Joints and pins hold in directions `held` (r, n). Struck contacts have Jacobians `pushes`
-    (m, 2, n), normal and tangential velocities (m, 2) before, cones (m, 2) and restitution (m,).
+    Joints and pins hold the directions `held` (r, n). Struck contacts have Jacobians `pushes` (m,
+    2, n), velocities (m, 2) before, cones (m, 2) and restitution (m,).
     """
     n, m, r = len(mass), len(pushes), len(held)
     rows = pushes.reshape(2 * m, n)
@@ -65,55 +63,55 @@ def velocity_change(
     right = np.vstack([rows.T, np.zeros((r, 2 * m))])
     moved = np.linalg.lstsq(system, right, rcond=DEPENDENT)[0][:n]
     columns, allowed = np.ascontiguousarray(moved.T), DEFAULT_IMPULSES.tolerance
-    missed, impulses = _impact_impulses(pushes, columns, velocities, cones, restitution, allowed)
+    residual, impulses = _impact_impulses(pushes, columns, velocities, cones, restitution, allowed)
     change: Array = moved @ impulses.reshape(2 * m)
-    return change if missed <= allowed and np.isfinite(change).all() else None
+    return change if residual <= allowed and np.isfinite(change).all() else None
 
 
 class Equations(NamedTuple):
     """Equations of the present controller states."""
 
     source: SteppedTape
-    values: Array  # (p,): of the parameters.
+    values: Array  # (p,): parameters.
     cones: Array  # shape (c, 2)
     restitution: Array  # shape (c,)
 
 
 class DiscretisationError:
-    """Watches a run."""
+    """Accumulates the error estimates of a run."""
 
     def __init__(self, scales: Scales) -> None:
         n = len(scales.sizes) // 2
         self._sizes, self._hit = scales.sizes, 0.0
-        # How fast and how far coordinates were.
+        # Largest speeds and path lengths of coordinates.
         self._fastest, self._way = np.zeros(n), np.zeros(n)
-        # Speeds that forces gave beside what steps saw: now, at most, and what is not known.
+        # Velocity errors of forces: now, largest, bound of the unresolved part.
         self._drift, self._drifted, self._unknown = np.zeros(n), np.zeros(n), np.zeros(n)
-        # Speeds that are off after one impact, and of springs; ways that slips that end are off.
+        # Velocity errors of impacts and springs; position errors of ended slips.
         self._velocity, self._phase, self._stopped = np.zeros(n), np.zeros(n), np.zeros(n)
 
     def copy(self) -> DiscretisationError:
-        """Return what is known so far."""
-        found = DiscretisationError.__new__(DiscretisationError)
-        found.__dict__.update(self.__dict__)  # no array is changed in place
-        return found
+        """Return a copy."""
+        result = DiscretisationError.__new__(DiscretisationError)
+        result.__dict__.update(self.__dict__)  # no array is changed in place
+        return result
 
     def add(
         self, now: Equations, chunk: Chunk, start: float, codes: Ints, swings: Swings | None
     ) -> None:
         """Add the errors of steps from `start` on.
 
-        Contacts had the modes `codes` (c,) before; `swings` are those of the springs then.
+        `codes` (c,): previous modes of contacts; `swings`: oscillations of springs.
         """
         n, h = now.source.size, chunk.h
         rates = chunk.states[:, n : 2 * n]
         self._fastest = np.maximum(self._fastest, np.abs(rates).max(axis=0))
         self._way = self._way + np.abs(np.diff(chunk.states[:, :n], axis=0)).sum(axis=0)
         known = self._slips(now, chunk, start, codes)
-        found = now.source.limits.missed(now.values, start, h, chunk.states)
-        if found is not None:
-            known = known + found[0]
-            self._unknown = self._unknown + found[1].sum(axis=0)
+        quadrature = now.source.limits.missed(now.values, start, h, chunk.states)
+        if quadrature is not None:
+            known = known + quadrature[0]
+            self._unknown = self._unknown + quadrature[1].sum(axis=0)
         drift = self._drift + np.cumsum(known, axis=0)
         self._drift, self._drifted = drift[-1], np.maximum(self._drifted, np.abs(drift).max(axis=0))
         struck: Bools = np.any(chunk.struck, axis=1)
@@ -127,49 +125,49 @@ class DiscretisationError:
             self._phase = np.maximum(self._phase, off)
 
     def remarks(self, h: float) -> tuple[str, ...]:
-        """Say what is missed."""
+        """Return warnings of large errors."""
         n = len(self._way)
         fastest = np.maximum(self._fastest, _LITTLE * self._sizes[n:])
         way = np.maximum(self._way, _LITTLE * self._sizes[:n])
-        found: list[str] = []
+        warnings: list[str] = []
         forces = float(((self._drifted + self._unknown) / fastest).max(initial=0.0))
         if forces > _FORCES:
-            found.append(
+            warnings.append(
                 f"step {h:g} is too long for the forces: velocity error up to {forces:.2g} of "
                 f"the largest; take {0.5 * h * math.sqrt(_FORCES / forces):.1g} or less"
             )
         late = float((self._velocity / fastest).max(initial=0.0))
         if late > _IMPACTS:
-            found.append(
+            warnings.append(
                 f"step {h:g} is too long for contacts that are switched on: impacts are off "
                 f"by up to {late:.2g} of the largest velocity; take "
                 f"{0.5 * h * _IMPACTS / late:.1g} or less"
             )
         ahead = float((self._phase / fastest).max(initial=0.0))
         if ahead > _PHASE:
-            found.append(
+            warnings.append(
                 f"step {h:g} is too long for the springs: velocity error up to {ahead:.2g} of "
                 f"the largest; take {0.5 * h * math.sqrt(_PHASE / ahead):.1g} or less"
             )
         stopped = float((np.abs(self._stopped) / way).max(initial=0.0))
         if stopped > _WAY:
-            found.append(
+            warnings.append(
                 f"step {h:g} is too long for the ends of slips: position error up to "
                 f"{stopped:.2g} of the way; take {0.5 * h * math.sqrt(_WAY / stopped):.1g} or "
                 "less"
             )
-        return tuple(found)
+        return tuple(warnings)
 
     def _slips(self, now: Equations, chunk: Chunk, start: float, codes: Ints) -> Array:
-        """Return the rates (k, n) that steps miss where slips turn round; note where they end.
+        """Return the rate errors (k, n) where slips reverse; note where they end.
 
-        Friction opposes the slip at the end of a step, and before it turned it did the other way.
+        Friction opposes the slip at the end of the step; before the reversal it had the other sign.
         """
         source, h = now.source, chunk.h
-        n, missed = source.size, np.zeros((len(chunk.codes), source.size))
+        n, errors = source.size, np.zeros((len(chunk.codes), source.size))
         before = np.vstack([codes, chunk.codes[:-1]])
         slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
-        # A contact that slides at the start was in no mode before.
+        # A contact that slides at the start has no previous mode.
         slid[0] |= start == 0.0
         borne = (chunk.codes == PIN) | (chunk.codes == SLIDE_PLUS) | (chunk.codes == SLIDE_MINUS)
         turned = slid & borne & (before != chunk.codes) & ~chunk.struck
@@ -182,7 +180,7 @@ class DiscretisationError:
             lightness = float(push @ moved)
             if slip == 0.0 or not lightness > 0.0:
                 continue
-            # Where an impact's share is not known, half of the step is as good as any other.
+            # If an impact hides the instant, take the middle.
             part, change = 0.5, 0.0
             cone_n, cone_t = rows.cones(now.cones)[i]
             if math.isfinite(normal) and cone_n > 0.0:
@@ -195,15 +193,15 @@ class DiscretisationError:
                 way = 0.5 * h * slip * (part - 1.0) * moved / lightness
                 self._stopped = self._stopped + way
             else:
-                missed[k] += moved * change * part * h
-        return missed
+                errors[k] += moved * change * part * h
+        return errors
 
 
 def _off(now: Equations, chunk: Chunk, start: float, k: int) -> Array:
-    """Return how far off rates (n,) are after the impacts of a step.
+    """Return the velocity error (n,) by the impacts of a step.
 
-    A contact that is inside its surface in the middle of a step arrived that much earlier; there it
-    would have been struck in another direction, at another speed and lever.
+    A contact that is inside its surface at mid-step touched earlier, with another direction, speed
+    and lever arm.
     """
     n, h = now.source.size, chunk.h
     struck = np.nonzero(chunk.struck[k])[0]
@@ -222,7 +220,7 @@ def _off(now: Equations, chunk: Chunk, start: float, k: int) -> Array:
 
 
 def _impact(now: Equations, state: Array, time: float, struck: Ints) -> Array | None:
-    """Return what impacts of these contacts add to the rates (n,) in a state."""
+    """Return the change of rates (n,) by impacts of these contacts at a state."""
     source = now.source
     n, rows = source.size, source.equations(now.values, state, time)
     mass, contacts, joints = rows

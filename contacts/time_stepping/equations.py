@@ -1,4 +1,4 @@
-"""Arguments of the compiled step of a scene, and its linear equations, factored once."""
+"""Arguments of the compiled step of a scene, and its factored linear equations."""
 
 from __future__ import annotations
 
@@ -12,56 +12,50 @@ from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.kernels.jit import kernel
 
 HOLDING = 3
-"""So many steps hold an impulse: that of a landing; the next, as the motion turned the contact off
-its level in the landing's; and the one after that, which ends what the next began."""
+"""Steps whose impulses include a landing: the landing; the next, as the motion turned the contact
+off its target gap; and the one after, which stops that correction."""
 
 LANDED = 2
-"""The contact settles after an impact, not after a change of a mode."""
+"""The contact settles after an impact, not after a mode change."""
 
 
 class StepConstants(NamedTuple):
-    """Constants of a run between changes of controllers and conditions."""
+    """Constants of a run between changes of controllers and parameters."""
 
-    # The program of a tape over the state (2 n + w,), which ends with what controllers remember
-    # (see `statechart.formulas.tape.Tape.program`): mass (n, n), forces (n,), where `damped` also
-    # their derivatives by the rates (n, n), then per contact Jacobian (2, n) and what `CONTACT`
-    # lists, per component of a joint Jacobian (n,) and what `JOINT` lists, and what controllers
-    # give (u,), and for `signs` what `hold_signs` reads.
+    # Tape over the state (2 n + w,), controller variables last (see
+    # `statechart.formulas.tape.Tape.program`): mass (n, n), forces (n,), if `damped` their
+    # derivatives by the rates (n, n); per contact Jacobian (2, n) and the numbers of `CONTACT`; per
+    # joint component Jacobian (n,) and the numbers of `JOINT`; controlled values (u,); for `signs`
+    # the inputs of `hold_signs`.
     equations: tuple[Ints32, Array, Ints32]
-    flows: tuple[Ints32, Array, Ints32]  # That of the rates of what controllers remember (w,).
-    size: int  # Coordinates.
+    flows: tuple[Ints32, Array, Ints32]  # Tape of the rates of controller variables (w,).
+    size: int  # Number of coordinates.
     damped: bool
     parameters: Array  # shape (p,)
     cones: Array  # (c, 2): unit edges of friction cones at rest.
-    # (c,): place of the coefficient in use among what controllers give; -1 where there is but one.
+    # (c,): index of the current coefficient in the controlled values; -1 with a single one.
     used: Ints
     restitution: Array  # shape (c,)
-    plastic: bool  # Whether contacts that are hit together do not rebound.
-    capped: bool  # Whether those rebound, as far as no energy is added.
-    # (c,): the number of the pair of a body and a surface's body, or a surface, that touch.
-    pairs: Ints
-    # (c,): how many components of a contact's velocity are constrained whatever the impulse: 0, 1
-    # (normal), 2 (both).
+    plastic: bool  # Simultaneous impacts have no restitution.
+    capped: bool  # Simultaneous impacts have restitution that adds no energy.
+    pairs: Ints  # (c,): number of the touching pair of bodies, or of body and surface.
+    # (c,): components of a contact's velocity that are bilaterally constrained: 0, 1 (normal), 2.
     held: Ints
     slips: Ints  # (c,): whether a contact may slide: 0, 1, or 2 if its slides have a direction.
-    joints: int  # Number of components of joints.
-    signs: int  # Number of signs of velocities in forces.
-    allowed: float  # Residual of impulses that are good enough.
-    # Tolerances of gaps and speeds. A contact touches up to this gap, and lasts up to this speed of
-    # approach. A contact that was off comes back where it is no deeper than the gap tolerance below
-    # those that last.
+    joints: int  # Number of joint components.
+    signs: int  # Number of signs in forces.
+    allowed: float  # Residual of impulses.
+    # Tolerances of gap and approach velocity of a lasting contact. A contact is re-enabled up to
+    # the gap tolerance below lasting ones.
     near: float
     still: float
-    # Round-off of velocities: no contact begins to press at an approach up to this.
-    rounding: float
-    speed: float  # The scene's scale of velocities.
-    # The energy that contacts add is relative to the energy of their motion: at this speed at
-    # least, and twice this energy at least.
+    rounding: float  # Round-off of velocities.
+    speed: float  # Velocity scale of the scene.
+    # Smallest speed, and half the smallest energy, to which energy gains are relative.
     slowest: float
     negligible: float
-    # (c, 2): stiffness and damping of compliant contacts; 0 of rigid ones.
-    soft: Array
-    couplings: int  # So many of the contacts, the last, are couplings; see `load_couplings`.
+    soft: Array  # (c, 2): stiffness and damping; 0 if rigid.
+    couplings: int  # Number of couplings, the last contacts; see `load_couplings`.
     carriers: Ints  # (c,): contacts whose normal forces load rolling resistances; -1: none.
 
 
@@ -72,73 +66,64 @@ def is_coupling(scene: StepConstants, i: int) -> bool:
 
 
 class ContactHistory(NamedTuple):
-    """Contact state that lasts from step to step."""
+    """Contact state that persists between steps."""
 
-    # (c,): gap at which a contact that lasts is kept: what its landing has left, above 0 only where
-    # that of one that faces it is as far below.
+    # (c,): target gap of a lasting contact, from its landing; above 0 only for an opposed contact
+    # of a deeper one.
     level: Array
-    # (c,): whether it lasts, and slipped in the last step by more than rounding.
+    # (c,): whether it lasts, and slipped in the last step beyond round-off.
     closed: Bools
     slid: Bools
-    # (c,): of how many steps, this one included, impulses are not those of forces alone.
+    # (c,): number of steps, from this one on, whose impulses include a landing.
     fresh: Ints
-    # (c,): whether its mode is read from accelerations: 0, 1 after a change of a mode, `LANDED`
-    # after an impact; the mode of the last step.
+    # (c,): whether its mode follows from accelerations: 0, 1 after a mode change, `LANDED` after an
+    # impact; the mode of the last step.
     settling: Ints
     shown: Ints
-    off: Bools  # (c,): whether its condition keeps it off.
-    # (c,): whether it was closed as it went off, and its point has not left its surface yet.
-    behind: Bools
-    past: Array  # (c, 3): condition, gap and its rate in the middle of the last step.
-    # (c, 3): depths of contacts that are off though their conditions hold: where these began to
-    # hold, and now; and the least that contacts never came back from, before their conditions
-    # failed.
+    off: Bools  # (c,): whether its condition disables it.
+    behind: Bools  # (c,): whether it was closed when disabled, and has not left its surface yet.
+    past: Array  # (c, 3): condition, gap and gap rate at the last midpoint.
+    # (c, 4): depths of contacts off although their conditions hold: when these began to hold, now,
+    # and the least that ended with failing conditions; when a contact was first disabled as its
+    # point touched.
     missed: Array
-    light: Bools  # (1,): whether coordinates without an inertia of their own were given one.
+    light: Bools  # (1,): whether coordinates without inertia received one.
     pushes: Array  # (c, 2): impulses of the last problem.
-    pushed: Array  # (n,): what contacts that last changed the rates by in the last step.
+    pushed: Array  # (n,): change of rates by lasting contacts in the last step.
 
     @classmethod
     def of(cls, off: Bools, size: int) -> ContactHistory:
-        """Return that of contacts that have not touched yet, in so many coordinates."""
+        """Return the history of contacts that have not touched yet."""
         count = len(off)
         return cls(
-            np.zeros(count),
-            np.zeros(count, dtype=np.bool_),
-            np.zeros(count, dtype=np.bool_),
-            np.zeros(count, dtype=np.int64),
-            np.zeros(count, dtype=np.int64),
-            np.full(count, FREE),
-            off.copy(),
-            np.zeros(count, dtype=np.bool_),
-            np.full((count, 3), np.nan),
-            np.tile([0.0, 0.0, np.inf], (count, 1)),
-            np.zeros(1, dtype=np.bool_),
-            np.zeros((count, 2)),
-            np.zeros(size),
-        )
+            np.zeros(count), np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_),
+            np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64), np.full(count, FREE),
+            off.copy(), np.zeros(count, dtype=np.bool_), np.full((count, 3), np.nan),
+            np.tile([0.0, 0.0, np.inf, np.inf], (count, 1)), np.zeros(1, dtype=np.bool_),
+            np.zeros((count, 2)), np.zeros(size),
+        )  # fmt: skip
 
     def copy(self) -> ContactHistory:
-        """Return it as it is now."""
+        """Return a copy."""
         return ContactHistory._make(array.copy() for array in self)
 
 
 class TapeValues(NamedTuple):
-    """The numbers of a step's tape; the Jacobian of contact i begins at ``first + per * i``."""
+    """Values of a step's tape; the Jacobian of contact i begins at ``first + per * i``."""
 
     numbers: Array  # shape (k,)
-    # Coordinates; where contacts begin; numbers of a contact.
+    # Number of coordinates; start of contacts; values per contact.
     size: int
     first: int
     per: int
 
 
 class FactoredEquations(NamedTuple):
-    """The equations of a step in all that moves: rates (n,), what is held, and joints."""
+    """Factored equations of a step in rates (n,), bilateral contacts and joints."""
 
     factors: Array  # See `contacts.solvers.saddle_point.factorise`.
     order: Ints
-    # What a step changes: without free contacts at first; under what lasts alone.
+    # Changes in a step: initially without free contacts; under finite forces.
     change: Array
     lasting: Array
 
@@ -148,37 +133,36 @@ class StepInstant(NamedTuple):
 
     time: float
     state: Array  # Before the step.
-    middle: Array  # The coordinates there, and the velocities before the step.
+    middle: Array  # Coordinates at mid-step, velocities before the step.
 
 
 class ContactRoles(NamedTuple):
     """Roles of contacts in a step."""
 
-    # (c,): who takes part, who is struck, whose condition ceases to hold while it lasts.
+    # (c,): active; struck; lasting while its condition ceases to hold.
     active: Bools
     hit: Bools
     leaving: Bools
-    # (c,): the gap of a contact that is off where its point leaves another surface in this step.
+    # (c,): gap of a disabled contact where its point leaves another surface in this step.
     entered: Array
-    groups: Ints  # (c,): the first of those that feel each other's impulses; see `label_groups`.
-    # (c, 2): what velocities may not fall below, negated; what they are before the step, and after
-    # it without impulses.
+    groups: Ints  # (c,): first contact of the coupled group; see `label_groups`.
+    # (c, 2): bias (required velocities, negated); velocities before the step, and after it without
+    # impulses.
     wanted: Array
     before: Array
     free: Array
 
 
 CONTACT, EDGES = 12, 8
-"""Numbers of a contact beside its Jacobian (2, n): biases (2,), gap, its rate, slip, condition, and
-the condition without the ends of edges at which another edge makes a valley, and that with obtuse
-valleys; from `EDGES` on the unit edges of its friction cone in slide+ and slide-, at the size of
-its slip. The gap of a coupling
-is its limit at rest; of rolling resistance, its length."""
+"""Numbers of a contact after its Jacobian (2, n): biases (2,), gap, gap rate, slip, condition,
+condition without the ends of edges at valleys, the same with obtuse valleys; from `EDGES` on the
+cone edges in slide+ and slide- at the size of its slip. The gap of a coupling is its static limit;
+of rolling resistance, its length."""
 
 JOINT = 4
-"""Numbers of a joint's row beside its Jacobian (n,): gap, rate, bias, whether others imply it."""
+"""Numbers of a joint's row after its Jacobian (n,): gap, rate, bias, whether it is redundant."""
 
-# Coordinates without an inertia of their own get this part of what the others have at their levers.
+# Inertia of coordinates without one, relative to the others at their lever arms.
 _LIGHTEST = 1e-9
 
 
@@ -192,7 +176,7 @@ def solve_factored(factors: Array, order: Ints, right: Array) -> Array:
 
 @kernel
 def _lightest(numbers: Array, n: int, first: int, contacts: int) -> Array:
-    """Return the least inertia (n,) of every coordinate: small beside the bodies' at its levers."""
+    """Return a lower bound (n,) of inertias, small relative to the bodies at their lever arms."""
     reach = np.zeros(n)
     for i in range(contacts):
         row = first + (2 * n + CONTACT) * i
@@ -210,30 +194,23 @@ def _lightest(numbers: Array, n: int, first: int, contacts: int) -> Array:
 def factor_equations(
     numbers: Array, n: int, h: float, damped: bool, held: Ints, joints: int, light: bool
 ) -> tuple[bool, Array, Ints, Array]:
-    """Return (regular, factors, order, right side) of what moves without free contacts' impulses.
+    """Return (regular, factors, order, right side) of the equations without free contacts.
 
-    Parameters
-    ----------
-    numbers : (m,)
-        Of the step; see `contacts.time_stepping.scene_step.step_scene`.
-    n : int
-        Number of coordinates.
-    held : (c,) array of int
-    light : bool
-        Give coordinates without an inertia of their own a small one.
+    `numbers` (m,): see `contacts.time_stepping.scene_step.step_scene`; n coordinates; `held` (c,);
+    `light`: give coordinates without inertia a small one.
     """
     first = n * n + n + (n * n if damped else 0)
     size = n + joints
     for i in range(len(held)):
         size += held[i]
     matrix, right = np.zeros((size, size)), np.zeros(size)
-    least = _lightest(numbers, n, first, len(held)) if light else np.zeros(n)
+    lightest = _lightest(numbers, n, first, len(held)) if light else np.zeros(n)
     for i in range(n):
         right[i] = h * numbers[n * n + i]
         for j in range(n):
             matrix[i, j] = numbers[n * i + j]
-        if matrix[i, i] < least[i]:
-            matrix[i, i] = least[i]
+        if matrix[i, i] < lightest[i]:
+            matrix[i, i] = lightest[i]
         if damped:
             for j in range(n):
                 matrix[i, j] -= 0.5 * h * numbers[n * n + n + n * i + j]
@@ -241,7 +218,7 @@ def factor_equations(
     for i in range(len(held)):
         row = first + (2 * n + CONTACT) * i
         for d in range(held[i]):
-            # The velocity that the surface gives it, and what keeps the gap at zero.
+            # Surface velocity, and stabilisation of the gap.
             offset = numbers[row + 2 * n + 3 + d] + 0.5 * h * numbers[row + 2 * n + d]
             if d == 0:
                 offset += numbers[row + 2 * n + 2] / h

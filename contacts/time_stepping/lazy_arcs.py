@@ -1,9 +1,8 @@
-"""Polynomials of time steps, and the lazy arcs and jumps that are made of them when read.
+"""Polynomials of time steps, and lazy arcs and jumps computed from them on access.
 
-Positions are of the second degree and rates of the first: the midpoint rule's positions and
-velocities at the ends of a step amount to that. A step with impacts has them at one instant, and is
-two parts with the lasting forces on both sides. Steps take a quarter of the memory of the
-polynomials of arcs.
+Positions are quadratic and rates linear in time, consistent with the midpoint rule at the ends of
+steps. A step with impacts has them at one instant, and consists of two parts under the same finite
+forces. Steps take a quarter of the memory of arc polynomials.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ TERMS = 3
 
 
 def smooth(left: Array, right: Array, h: Array | float, n: int) -> Array:
-    """Return the coefficients (k, w, TERMS) of steps in which nothing strikes."""
+    """Return the coefficients (k, w, TERMS) of steps without impacts."""
     coefficients = np.zeros((*left.shape, TERMS))
     coefficients[:, :, 0] = left
     coefficients[:, :n, 1] = h * left[:, n : 2 * n]
@@ -39,47 +38,47 @@ def smooth(left: Array, right: Array, h: Array | float, n: int) -> Array:
 def struck(
     left: Array, right: Array, acceleration: Array, lengths: tuple[Array, Array], n: int
 ) -> tuple[Array, Array]:
-    """Return the coefficients (k, w, TERMS) of both parts of steps, before and after impacts.
+    """Return the coefficients (k, w, TERMS) of both parts of steps with impacts.
 
-    The acceleration (k, n) is that under lasting forces; `lengths` (k, 1) are those of the parts.
+    `acceleration` (k, n) is that under finite forces; `lengths` (k, 1) are those of the parts.
     """
-    kept = slice(2 * n, None)
-    middle = 0.5 * (left[:, kept] + right[:, kept])
-    # By the velocities before and after, so that the ends of the step are exact.
+    variables = slice(2 * n, None)
+    middle = 0.5 * (left[:, variables] + right[:, variables])
+    # Velocities before and after make the ends of the step exact.
     rates, (before, after) = right[:, n : 2 * n], lengths
     second = np.empty_like(right)
     second[:, :n] = right[:, :n] - after * (rates - 0.5 * after * acceleration)
     second[:, n : 2 * n] = rates - after * acceleration
-    second[:, kept] = middle
+    second[:, variables] = middle
     parts = []
     for begin, change, length in (
-        (left, middle - left[:, kept], before),
-        (second, -(middle - right[:, kept]), after),
+        (left, middle - left[:, variables], before),
+        (second, -(middle - right[:, variables]), after),
     ):
         terms = np.zeros((*left.shape, TERMS))
         terms[:, :, 0] = begin
         terms[:, :n, 1] = length * begin[:, n : 2 * n]
         terms[:, :n, 2] = 0.5 * length**2 * acceleration
         terms[:, n : 2 * n, 1] = length * acceleration
-        terms[:, kept, 1] = change
+        terms[:, variables, 1] = change
         parts.append(terms)
     return parts[0], parts[1]
 
 
 class StepPolynomials(NamedTuple):
-    """Polynomials of consecutive steps: one a step, two in a step with impacts."""
+    """Polynomials of consecutive steps: one per step, two per step with impacts."""
 
     terms: Array  # (p, w, TERMS): coefficients.
-    places: Ints  # (k + 1,): where those of each step begin.
+    places: Ints  # (k + 1,): first polynomial of each step.
 
     @classmethod
     def of(
         cls, states: Array, acceleration: Array, h: Array | float, late: Array, hit: Bools, n: int
     ) -> StepPolynomials:
-        """Return those of steps of length `h` between states (k + 1, w).
+        """Return the polynomials of steps of size `h` between states (k + 1, w).
 
-        Those that are `hit` (k,) have an impact, `late` (k,) after their middle; for the
-        acceleration and `n` see `struck`.
+        Steps `hit` (k,) have an impact, `late` (k,) after their middle; acceleration, `n`: see
+        `struck`.
         """
         left, right = states[:-1], states[1:]
         if not hit.any():
@@ -88,10 +87,10 @@ class StepPolynomials(NamedTuple):
         at, lengths = places[:-1], np.broadcast_to(h, (len(hit), 1))
         before = 0.5 * lengths[hit] + late[hit, None]
         parts = struck(left[hit], right[hit], acceleration[hit], (before, lengths[hit] - before), n)
-        found = np.concatenate([smooth(left[~hit], right[~hit], lengths[~hit], n), *parts])
-        # NumPy takes rows ten times as fast as it puts them.
+        pieces = np.concatenate([smooth(left[~hit], right[~hit], lengths[~hit], n), *parts])
+        # Gathering rows is ten times as fast as scattering them.
         order = np.concatenate([at[~hit], at[hit], at[hit] + 1])
-        return cls(found[np.argsort(order)], places)
+        return cls(pieces[np.argsort(order)], places)
 
 
 def defined(rows: Array) -> Array:
@@ -116,7 +115,7 @@ Numbers = TypeVar("Numbers", bound=NDArray[Any])
 
 
 def _own(rows: Numbers) -> Numbers:
-    """Return rows that hold no more than twice their memory: chunks often end early."""
+    """Return rows whose base is at most twice as large: chunks often end early."""
     base = rows.base
     return rows.copy() if base is not None and base.nbytes > 2 * rows.nbytes else rows
 
@@ -125,18 +124,18 @@ class Steps(NamedTuple):
     """Consecutive steps; each is one piece of an arc, one with impacts two."""
 
     begin: Clock
-    # Their lengths, each with the number of steps that have it.
+    # Step sizes, and number of consecutive steps of each.
     spans: tuple[tuple[float, int], ...]
     coordinates: int
     states: Array  # shape (k + 1, w)
     solved: Array  # (k, u): unknowns.
-    # Impulses of impacts; the regions struck. Empty where no jumps are made.
+    # Impulses of impacts; struck regions. Empty if no jumps are recorded.
     impulses: Array  # shape (k, r, 2)
     struck: Bools  # shape (k, r)
-    hit: Bools  # (k,): which steps have impacts.
+    hit: Bools  # (k,): whether a step has impacts.
     impact_delay: Array  # (k,): time from the middle of a step to its impacts.
     places: Ints  # (k + 1,): first piece of each step.
-    # (p, u): unknowns of the pieces, where they differ from those of their steps.
+    # (p, u): unknowns of pieces, if they differ from those of steps.
     halves: Array | None = None
 
     @classmethod
@@ -149,7 +148,7 @@ class Steps(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Sequence[Steps]) -> Steps:
-        """Return consecutive steps as one block, without impulses."""
+        """Concatenate consecutive steps, without impulses."""
         hit = np.concatenate([part.hit for part in parts])
         return cls(
             parts[0].begin,
@@ -170,9 +169,9 @@ class Steps(NamedTuple):
         return TERMS * self.states[0].nbytes
 
     def without_forces(self, before: Ints, after: Ints, columns: Ints) -> Steps:
-        """Return them without the forces of open regions in the halves of steps with impacts.
+        """Clear the forces of open regions in the halves of steps with impacts.
 
-        The forces of regions are in `columns` (r, 2).
+        `columns` (r, 2): columns of the forces of regions.
         """
         if not self.hit.any():
             return self
@@ -184,7 +183,7 @@ class Steps(NamedTuple):
         return self._replace(halves=halves)
 
     def at(self, step: int, half: int) -> Clock:
-        """Return when a step begins, or its second part; all are of one length."""
+        """Return when a step, or its second part, begins; all steps have one size."""
         ((h, _),) = self.spans
         late = 0.5 * h + float(self.impact_delay[step]) if half else 0.0
         return self.begin.later(h * step + late).short
@@ -195,7 +194,7 @@ class Steps(NamedTuple):
         return np.repeat([h for h, _ in self.spans], [count for _, count in self.spans])
 
     def ends(self, h: Array) -> Array:
-        """Return when pieces begin and end, after `begin`, of steps of lengths `h` (k,)."""
+        """Return the ends of pieces, after `begin`, of steps of sizes `h` (k,)."""
         times = [np.zeros(1)]
         for length, count in self.spans:
             times.append(times[-1][-1] + length * np.arange(1, count + 1))
@@ -211,7 +210,7 @@ def _places(hit: Bools) -> Ints:
 
 
 class StepRange(NamedTuple):
-    """A range of steps: the first, and the one behind the last."""
+    """A half-open range of steps."""
 
     steps: Steps
     first: int
@@ -241,7 +240,7 @@ class LazyJump(NamedTuple):
 
 
 class _Polynomials:
-    """All pieces of some steps: coefficients, ends, unknowns."""
+    """Coefficients, ends and unknowns of all pieces of some steps."""
 
     def __init__(self, steps: Steps, energy: Callable[[Array, Array], Array] | None) -> None:
         n, hit, h = steps.coordinates, np.asarray(steps.hit), steps.lengths
@@ -255,18 +254,18 @@ class _Polynomials:
 
     @cached_property
     def energies(self) -> dict[int, tuple[float, float]]:
-        """Those before and after the impacts of each step that has some."""
+        """Energies before and after the impacts of each step with impacts."""
         hit = np.flatnonzero(self.steps.hit)
         second = self.steps.places[hit] + 1
         times = np.array([self.steps.at(k, 1).high for k in hit.tolist()])
         sides = (self.terms[second - 1].sum(axis=2), self.terms[second, :, 0])
         assert self._energy is not None
-        found = (self._energy(side, times).tolist() for side in sides)
-        return dict(zip(hit.tolist(), zip(*found, strict=True), strict=True))
+        energies_of_sides = (self._energy(side, times).tolist() for side in sides)
+        return dict(zip(hit.tolist(), zip(*energies_of_sides, strict=True), strict=True))
 
 
 class ArcMaker:
-    """Makes arcs and jumps; keeps the polynomials of the last steps, as they are read in order."""
+    """Computes arcs and jumps; caches the last polynomials, since access is mostly in order."""
 
     def __init__(
         self,
@@ -276,45 +275,45 @@ class ArcMaker:
         self._regions, self._energy = regions, energy
         self._polynomials: _Polynomials | None = None
 
-    def arc(self, kept: LazyArc | Arc) -> Arc:
-        """Return an arc, made of steps unless it is one."""
-        if isinstance(kept, Arc):
-            return kept
+    def arc(self, lazy: LazyArc | Arc) -> Arc:
+        """Return an arc, computed from steps unless it is one."""
+        if isinstance(lazy, Arc):
+            return lazy
         ends, reached, terms, unknowns = [np.zeros(1)], 0.0, [], []
-        for steps, first, last in kept.ranges:
+        for steps, first, last in lazy.ranges:
             whole = self._of(steps)
             ends.append(reached + (whole.ends[first + 1 : last + 1] - whole.ends[first]))
             reached = float(ends[-1][-1])
             terms.append(whole.terms[first:last])
             unknowns.append(whole.unknowns[first:last])
         return Arc(
-            kept.mode, roles_in(kept.mode), kept.start, kept.j, np.concatenate(ends),
+            lazy.mode, roles_in(lazy.mode), lazy.start, lazy.j, np.concatenate(ends),
             np.concatenate(terms), defined(np.concatenate(unknowns)),
         )  # fmt: skip
 
-    def jump(self, kept: LazyJump | Jump) -> Jump:
-        """Return a jump, made of a step unless it is one."""
-        if isinstance(kept, Jump):
-            return kept
-        whole, steps = self._of(kept.steps), kept.steps
-        first = int(steps.places[kept.step])
-        felt = steps.impulses[kept.step]
+    def jump(self, lazy: LazyJump | Jump) -> Jump:
+        """Return a jump, computed from a step unless it is one."""
+        if isinstance(lazy, Jump):
+            return lazy
+        whole, steps = self._of(lazy.steps), lazy.steps
+        first = int(steps.places[lazy.step])
+        felt = steps.impulses[lazy.step]
         places = np.flatnonzero(felt.any(axis=1))
         impulses = {
             self._regions[i]: (normal, tangential)
             for i, (normal, tangential) in zip(places.tolist(), felt[places].tolist(), strict=True)
         }
         return Jump(
-            kept.t, kept.j, kept.region, kept.cause, kept.source, kept.target,
+            lazy.t, lazy.j, lazy.region, lazy.cause, lazy.source, lazy.target,
             whole.terms[first].sum(axis=1), whole.terms[first + 1, :, 0].copy(),
-            impulse=impulses, energy=whole.energies[kept.step],
+            impulse=impulses, energy=whole.energies[lazy.step],
         )  # fmt: skip
 
     def _of(self, steps: Steps) -> _Polynomials:
-        made = self._polynomials
-        if made is None or made.steps is not steps:
-            made = self._polynomials = _Polynomials(steps, self._energy)
-        return made
+        cached = self._polynomials
+        if cached is None or cached.steps is not steps:
+            cached = self._polynomials = _Polynomials(steps, self._energy)
+        return cached
 
 
 def cut(arc: Arc, step: int, end: float) -> Arc:

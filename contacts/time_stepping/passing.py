@@ -1,9 +1,9 @@
-"""Contacts that pass a surface between two steps.
+"""Detection of contacts that pass a surface between two steps (tunnelling).
 
-Steps look at gaps at their midpoints, and between two of these every coordinate moves in a straight
-line. A contact that is apart at both ends of such a line and not everywhere on it has been passed
-over, and so has one that is deeper somewhere on it than at its end: that landed elsewhere. The
-enclosure of its gap along the line tells, however narrow the place.
+Steps evaluate gaps at midpoints, between which coordinates move in straight lines. A contact that
+is open at both ends of a line and closed in between passed its surface; one that is deeper in
+between than at the end landed elsewhere. An interval enclosure of the gap along the line decides,
+however short the overlap.
 """
 
 from __future__ import annotations
@@ -16,44 +16,29 @@ from statechart.kernels.jit import kernel
 from statechart.kernels.resolution import jet_registers
 from statechart.kernels.tapes import TapeCode
 
-# Boxes of a line; what they leave undecided touches at most.
-_BOXES = 256
-_NARROW = 2.0**-32  # of a line, likewise
+# Limits of bisection: boxes per line, and width relative to the line. The rest touches at most.
+_BOXES, _NARROW = 256, 2.0**-32
 
 
 @kernel
 def passed(tape: TapeCode, lines: Steps, seen: Bools, near: float) -> tuple[int, int, float]:
-    """First line on which a gap that is open where it begins is less than where it ends.
+    """Return (line, contact, part) of the first line whose open gap at the start is below its end.
 
-    Parameters
-    ----------
-    tape : TapeCode
-        The gaps (c,).
-    lines : Steps
-        The lines (m) as steps.
-    seen : (m, c) array of bool
-        Contacts that take part in the motion where the line begins.
-    near : float
-        What is no deeper than this has touched.
-
-    Returns
-    -------
-    line, contact : int
-        -1 where there is none.
-    part : float
-        How long the contact is closed at least, in parts of the line.
+    The tape has the gaps (c,), `lines` are m steps; contacts `seen` (m, c) are active at the start
+    of a line; a depth up to `near` only touches. `part` is a lower bound of the closed part of the
+    line; line and contact are -1 if there is none.
     """
     outputs, reads, coeffs = tape.outputs, tape.reads, lines.coeffs
     along, regs = along_steps(tape, lines, 1)
     jets = jet_registers(along, regs)
     bounds, count = np.zeros(coeffs.shape[1]), outputs.shape[0]
-    asked, depths = np.empty(count, np.bool_), np.empty(count)
+    is_open, depths = np.empty(count, np.bool_), np.empty(count)
     lefts, rights = np.empty(64), np.empty(64)
     for line in range(coeffs.shape[0]):
         prepare(coeffs, line, reads, bounds)
         enclose(along, line, bounds, 0.0, 0.0, 0, jets)
         for i in range(count):
-            asked[i] = not seen[line, i] and jets[outputs[i], 0] > 0.0
+            is_open[i] = not seen[line, i] and jets[outputs[i], 0] > 0.0
         enclose(along, line, bounds, 1.0, 0.0, 0, jets)
         for i in range(count):
             depths[i] = min(jets[outputs[i], 0], 0.0) - near
@@ -67,12 +52,12 @@ def passed(tape: TapeCode, lines: Steps, seen: Bools, near: float) -> tuple[int,
             enclose(along, line, bounds, m, 0.5 * (b - a), 0, jets)
             clear = True
             for i in range(count):
-                clear = clear and not (asked[i] and jets[outputs[i], 0] <= depths[i])
+                clear = clear and not (is_open[i] and jets[outputs[i], 0] <= depths[i])
             if clear or b - a <= _NARROW:
                 continue
             enclose(along, line, bounds, m, 0.0, 0, jets)
             for i in range(count):
-                if asked[i] and jets[outputs[i], 1] < depths[i]:
+                if is_open[i] and jets[outputs[i], 1] < depths[i]:
                     return line, i, b - a
             lefts[top], rights[top] = m, b
             lefts[top + 1], rights[top + 1] = a, m

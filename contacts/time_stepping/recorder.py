@@ -1,9 +1,9 @@
-"""From time steps to a trace: the mode of every region at every step, arcs and jumps.
+"""From time steps to a trace: modes of regions, arcs and jumps.
 
-Impacts are in the middle of their step, or later in it where that says so. A mode that begins
-without an impact begins with its step; sticking begins with the step after the one that ended the
-slip. A step that holds an impulse has no force, nor have those after it that still carry the
-landing: what is shown is that of the nearest other step of the mode.
+Impacts are at mid-step, or delayed as their step says. A mode without impact begins with its step;
+sticking begins with the step after the end of slip. A step with an impulse has no force, nor have
+the steps that still correct the landing: the recorded force is that of the nearest other step of
+the mode.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from statechart.automaton.lazy import LazySequence
 from statechart.automaton.trace import Arc, Jump, Key
 from statechart.automaton.trace_store import Blocks
 
-# An arc longer than so many bytes goes on as another one.
+# Largest arc, bytes; a longer one is split.
 _LONGEST = 2**23
 
 
 class _Tail(NamedTuple):
-    """A step, and the recorder before it: modes shown and raw, jumps, and when it begins."""
+    """A step, and the recorder before it: recorded and raw modes, jumps, and start time."""
 
     step: Chunk
     row: Ints
@@ -51,16 +51,15 @@ class _Tail(NamedTuple):
 
 @dataclass(eq=False)
 class Recorder:
-    """Collects steps as arcs and jumps; both are made when they are read.
+    """Collects steps as arcs and jumps, which are computed on access.
 
-    Regions have modes (r,) at the start; `controls` are states of further regions, which `turn`
-    changes. `sticks` (r,) tells which regions have a pin beside slide, or are couplings. An impact
-    on a region that is not free has the cause `again`. `forces` (r, 2) are the places of V and
-    H of regions among the further unknowns, or twice that of a couple; None: they have none. Behind
-    the `coordinates` and their rates stand controller variables. Without `modes`, jumps of regions
-    are only counted, and arcs end where they would; without `arcs_too`, only the last step of a run
-    becomes an arc, in which a stop condition may be met. `control_jumps` are those of further
-    regions and the stop.
+    Regions have initial modes (r,); `controls` are states of the controllers, which `turn` changes.
+    `sticks` (r,): regions with pin and slide, and couplings. An impact on a region that is not free
+    has the cause `again`. `forces` (r, 2): places of V and H among the further unknowns, or twice
+    that of a torque; None: no forces. Controller variables follow the `coordinates` and their
+    rates. Without `modes`, jumps of regions are only counted, and arcs end where they would;
+    without `arcs_too`, only the last step becomes an arc, in which a stop condition may be met.
+    `control_jumps` are those of controllers and the stop.
     """
 
     regions: Sequence[str]
@@ -94,7 +93,7 @@ class Recorder:
         self.arcs, self.jumps = self.sequences(kept=False)
 
     def sequences(self, *, kept: bool) -> tuple[LazySequence[Arc], LazySequence[Jump]]:
-        """Return all arcs and jumps up to now and later; `kept`: not recomputed at every access."""
+        """Return all arcs and jumps, also future ones; `kept`: cached after the first access."""
         arcs, jumps, maker = self._arcs, self._jumps, self._maker
         return (
             LazySequence(lambda i: maker.arc(arcs[i]), lambda: len(arcs), cached=kept),
@@ -136,7 +135,7 @@ class Recorder:
             self.close()
 
     def _counted(self, chunk: Chunk) -> _Tail:
-        """Count the jumps of steps; return the last of them as it can be appended."""
+        """Count the jumps of steps; return the last step for appending."""
         last, half = len(chunk.codes) - 1, 0.5 * chunk.h
         shown, hit = self.shown(chunk), np.any(chunk.struck, axis=1).tolist()
         jumps = np.where(hit, 1, np.count_nonzero(self._differs(shown), axis=1))
@@ -156,13 +155,13 @@ class Recorder:
         )
         self.row, self._raw = shown[last], chunk.modes[last]
         self.count, self.clock = tail.jumps + int(jumps[last]), begin
-        # As it is appended.
+        # The same sum as when appended.
         for part in (half, half) if hit[last] else (chunk.h,):
             self.clock = self.clock.later(part).short
         return tail
 
     def _append_tail(self, tail: _Tail) -> None:
-        """Append the last step of those that were only counted."""
+        """Append the last of the counted steps."""
         self.row, self._raw, self.count, self.clock = tail[1:]
         self._began, self._tail = self.clock, None
         self._append(tail.step)
@@ -172,14 +171,14 @@ class Recorder:
         return self._changed(self.shown(chunk)) | np.any(chunk.struck, axis=1)
 
     def taken(self, *, looked_at: bool) -> tuple[Sequence[Arc], Sequence[Jump]]:
-        """Hand over the arcs that have ended, and the jumps, since the last time."""
-        found = (tuple(self.arcs), tuple(self.jumps)) if looked_at else ((), ())
+        """Remove and return finished arcs and jumps; empty unless `looked_at`."""
+        finished = (tuple(self.arcs), tuple(self.jumps)) if looked_at else ((), ())
         self._arcs.clear()
         self._jumps.clear()
-        return found
+        return finished
 
     def since(self, count: int) -> Sequence[Jump]:
-        """Return the jumps after so many."""
+        """Return the jumps after the first `count`."""
         return self.jumps[len(self.jumps) - (self.count - count) :] if self.modes else ()
 
     def turn(
@@ -191,9 +190,9 @@ class Recorder:
         fired: tuple[str, ...],
         moved: Mapping[int, int],
     ) -> Jump:
-        """Append a jump of a further region, from one state to another; return it.
+        """Append and return a jump of a controller from one state to another.
 
-        The regions `moved` have these modes after it.
+        Afterwards the regions `moved` have these modes.
         """
         self.close()
         self.row = self.row.copy()
@@ -209,7 +208,7 @@ class Recorder:
         return jump
 
     def drop(self) -> Arc:
-        """Take back the last arc, and the jumps before it; return the one that is the last now."""
+        """Remove the last arc, and the jumps before it; return the arc that is last now."""
         self._arcs.pop()
         last = self.arcs[-1]
         if self.modes:
@@ -218,7 +217,7 @@ class Recorder:
         return last
 
     def rewind(self, last: Arc) -> None:
-        """Go back to the end of the last arc, cut off, which stands in its place."""
+        """Replace the last arc by a shorter one, and go back to its end."""
         self._arcs[-1] = last
         self.key, self.clock = last.mode, last.end
 
@@ -234,39 +233,42 @@ class Recorder:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Warnings of forces that the motion does not determine, once each."""
+        """Warnings of undetermined forces, once each."""
         return tuple(dict.fromkeys(map(undetermined, self.indeterminate.values())))
 
     def _key(self, row: Ints) -> Key:
-        found = self._keys.get(row.tobytes())
-        if found is None:
-            found = self._keys[row.tobytes()] = tuple(map(STATES.__getitem__, row.tolist()))
-        return (*found, *self.controls) if self.controls else found
+        states = self._keys.get(row.tobytes())
+        if states is None:
+            states = self._keys[row.tobytes()] = tuple(map(STATES.__getitem__, row.tolist()))
+        return (*states, *self.controls) if self.controls else states
 
     def shown(self, chunk: Chunk) -> Ints:
-        """Let a slip that comes to rest in a step last to its end, but for one that impacts end."""
+        """Return the recorded modes: a slip lasts to the end of the step in which it stops.
+
+        Not if an impact stops it.
+        """
         codes = chunk.modes
         if not self._sticking:
             return codes
         before = np.vstack([self._raw, codes[:-1]])
         slid = np.isin(before, (SLIDE_PLUS, SLIDE_MINUS, SLIP_PLUS, SLIP_MINUS))
         rests = (codes == PIN) | (codes == LOCKED)
-        felt = chunk.struck | chunk.impulses.any(axis=2)
-        return np.where(rests & slid & self.sticks & ~felt, before, codes)
+        in_impact = chunk.struck | chunk.impulses.any(axis=2)
+        return np.where(rests & slid & self.sticks & ~in_impact, before, codes)
 
     def _before(self, shown: Ints) -> Ints:
         return np.vstack([self.row, shown[:-1]])
 
     def _changed(self, shown: Ints) -> Bools:
-        found: Bools = np.any(self._differs(shown), axis=1)
-        return found
+        changed: Bools = np.any(self._differs(shown), axis=1)
+        return changed
 
     def _differs(self, shown: Ints) -> Bools:
-        """Return which regions (k, r) are otherwise than in the step before."""
-        found = np.empty(shown.shape, np.bool_)
-        np.not_equal(shown[:1], self.row, out=found[:1])
-        np.not_equal(shown[1:], shown[:-1], out=found[1:])
-        return found
+        """Return which regions (k, r) change their mode."""
+        differs = np.empty(shown.shape, np.bool_)
+        np.not_equal(shown[:1], self.row, out=differs[:1])
+        np.not_equal(shown[1:], shown[:-1], out=differs[1:])
+        return differs
 
     def _note_shared(self, shared: Bools) -> None:
         if shared.any():
@@ -275,7 +277,7 @@ class Recorder:
             self.indeterminate[self.key] = tuple(n for n in self.regions if n in names)
 
     def _flow(self, steps: Steps, first: int, step: int, half: int) -> int:
-        """Append pieces up to a step, or to its second part; return where those after begin."""
+        """Append pieces up to a step, or its second part; return the next piece."""
         last = int(steps.places[step]) + half
         if last > first:
             self._open.append(StepRange(steps, first, last))
@@ -284,7 +286,7 @@ class Recorder:
         return last
 
     def _strike(self, steps: Steps, k: int, row: Ints) -> None:
-        """Append the jump of a step with impacts: one, which all regions feel."""
+        """Append the single jump of a step with impacts."""
         self.close()
         if not self.modes:
             self.row, self.count = row, self.count + 1
@@ -300,7 +302,7 @@ class Recorder:
         )  # fmt: skip
 
     def close(self) -> None:
-        """End the arc at hand."""
+        """Finish the current arc."""
         if self._tail is not None:
             self._append_tail(self._tail)
         if not self._open:
@@ -333,15 +335,15 @@ class Recorder:
         self.count += 1
 
     def _cause(self, before: int, after: int, struck: bool) -> str:
-        found = cause_of(STATES[before], STATES[after])
-        lasting = found in ("liftoff", "stick", "slip", "reverse")
-        return self.again if struck and lasting else found
+        cause = cause_of(STATES[before], STATES[after])
+        is_lasting = cause in ("liftoff", "stick", "slip", "reverse")
+        return self.again if struck and is_lasting else cause
 
 
 def _enabled(before: Ints, after: Ints, struck: Bools) -> Bools:
-    """Return which contacts were off and close at once: they are free first, as with events."""
-    found: Bools = (before == OFF_CODE) & (after != OFF_CODE) & (struck | (after != FREE))
-    return found
+    """Return which disabled contacts close at once: they are free first, as with events."""
+    enabled: Bools = (before == OFF_CODE) & (after != OFF_CODE) & (struck | (after != FREE))
+    return enabled
 
 
 def _opened(before: Ints, after: Ints, enabled: Bools) -> Ints:
@@ -349,7 +351,7 @@ def _opened(before: Ints, after: Ints, enabled: Bools) -> Ints:
     return np.where(enabled, FREE, np.where(after == OFF_CODE, OFF_CODE, before))
 
 
-# Bytes of a block, which is one arc; an arc takes some times as many.
+# Bytes of a block, which is one arc of several times that size.
 _BLOCK = 2**22
 
 
@@ -359,13 +361,13 @@ class PoseRecorder:
     def __init__(self, coordinates: int) -> None:
         self._coordinates = coordinates
         self._blocks = Blocks[Steps]()
-        # Number of jumps before each block, and mode of the controllers.
+        # Number of jumps before each block, and controller states.
         self._shown: list[tuple[int, Key]] = []
         self._open: list[Steps] = []
         self._size = 0
 
     def add(self, chunk: Chunk, start: Clock, j: int, key: Key) -> None:
-        """Append steps that begin at `start`, after `j` jumps, in a mode of the controllers."""
+        """Append steps from `start` on, after `j` jumps, in these controller states."""
         if self._open and (self._shown[-1] != (j, key) or self._size > _BLOCK):
             self._seal()
         if not self._open:
@@ -381,13 +383,13 @@ class PoseRecorder:
 
         def arc(place: int) -> Arc:
             steps, (j, key) = blocks[place], shown[place]
-            stretch = StepRange(steps, 0, int(steps.places[-1]))
-            made = maker.arc(LazyArc(key, steps.begin, j, (stretch,)))
-            last = (end - made.start.high) - made.start.low
-            if place < len(blocks) - 1 or not last < made.times[-1]:
-                return made
-            step = int(np.searchsorted(made.times, last, side="right")) - 1
-            return cut(made, max(step, 0), last)
+            all_steps = StepRange(steps, 0, int(steps.places[-1]))
+            whole = maker.arc(LazyArc(key, steps.begin, j, (all_steps,)))
+            last = (end - whole.start.high) - whole.start.low
+            if place < len(blocks) - 1 or not last < whole.times[-1]:
+                return whole
+            step = int(np.searchsorted(whole.times, last, side="right")) - 1
+            return cut(whole, max(step, 0), last)
 
         return LazySequence(arc, lambda: len(blocks), cached=False)
 

@@ -1,8 +1,8 @@
-"""Time steps of a scene whose equations are on tape, compiled once.
+"""Compiled time steps of a scene of points, by Moreau's midpoint rule.
 
-Moreau's midpoint rule (the theta method with theta = 1/2; Moreau 1988, Acary and Brogliato 2008,
-10.1): half a step with the old velocities, all impulses there at once, half a step with the new
-ones. Contacts that last are kept closed to the second order: see `contacts.time_stepping.stepper`.
+Theta method with theta = 1/2 (Moreau 1988; Acary and Brogliato 2008, 10.1): half a step with the
+old velocities, all impulses at the midpoint, half a step with the new ones. Lasting contacts stay
+closed to second order: see `contacts.time_stepping.stepper`.
 """
 
 from __future__ import annotations
@@ -63,30 +63,29 @@ from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
-# A point that slides off a surface has left it when it is so many times as deep as it lay in it,
-# and farther off than so many steps at its speed.
+# A point has left a surface that it slid off when its depth exceeds the landing depth by this
+# factor, and its distance so many steps at its speed.
 _LEFT_BEHIND, _STEPS = 2.0, 4.0
 
 
 @kernel
 def _gap_between(past: Array, gap: float, rate: float, part_of: float, h: float) -> float:
-    """Return at most which gap a contact has between the middles of two steps.
+    """Return an upper bound of a contact's gap between two midpoints.
 
-    It is interpolated; the error is that of a parabola with the change of the gap's rate.
+    Linear interpolation plus the error of a parabola with the change of the gap rate.
     """
-    found: float = past[1] + part_of * (gap - past[1]) + 0.125 * h * abs(rate - past[2])
-    return found
+    result: float = past[1] + part_of * (gap - past[1]) + 0.125 * h * abs(rate - past[2])
+    return result
 
 
 @kernel
 def _deepest(memory: ContactHistory, tape: TapeValues, i: int) -> float:
-    """Return the least gap that contact i has where a point comes from the surfaces it lies on.
+    """Return the smallest allowed gap of contact i for a point that comes from other surfaces.
 
-    A surface that goes on from another is reached as deep as the point lies in that, at most so
-    many times as the gap of the one changes faster with a coordinate. One that it has not left is
-    reached as deep as it lay there.
+    A continuing surface is reached at the depth in the previous one, times the largest ratio of gap
+    derivatives; a surface not left yet at its landing depth.
     """
-    found, n = memory.level[i] if memory.behind[i] else 0.0, tape.size
+    lowest, n = memory.level[i] if memory.behind[i] else 0.0, tape.size
     for k in range(len(memory.off)):
         deep = memory.level[k]
         if not memory.off[k] and memory.past[k, 1] < deep:
@@ -99,16 +98,16 @@ def _deepest(memory: ContactHistory, tape: TapeValues, i: int) -> float:
             other = abs(tape.numbers[tape.first + tape.per * k + j])
             if one > factor * other > 0.0:
                 factor = one / other
-        found = min(found, factor * deep)
-    return found
+        lowest = min(lowest, factor * deep)
+    return lowest
 
 
 @kernel
 def _is_at_kink(tape: TapeValues, change: Array, i: int, h: float, lies: float, acute: int) -> bool:
-    """Return whether a point is near the kink of a valley, beyond the end of the edge of contact i.
+    """Return whether a point is near the kink of a valley, beyond the end of contact i's edge.
 
-    It is as near as it lies deep in one of the edges, or goes in some steps. In an obtuse valley it
-    is beyond the end wherever it lies on the other edge: `acute` (0 or 1) leaves those out.
+    It is within its depth in one of the edges, or within some steps of its motion. In an obtuse
+    valley every point on the other edge is beyond the end: `acute` (0 or 1) excludes those.
     """
     n, numbers, row = tape.size, tape.numbers, tape.first + tape.per * i
     changes = np.zeros(2)
@@ -124,7 +123,7 @@ def _is_at_kink(tape: TapeValues, change: Array, i: int, h: float, lies: float, 
 
 @kernel
 def _note_missed(missed: Array, off: bool, holds: bool, depth: float) -> None:
-    """Write how deep a point is in a surface whose contact is off: see `ContactHistory`."""
+    """Write how deep a point is in the surface of a disabled contact: see `ContactHistory`."""
     if off and holds:
         missed[0] = missed[0] if missed[0] > 0.0 else depth
         missed[1] = depth
@@ -135,17 +134,45 @@ def _note_missed(missed: Array, off: bool, holds: bool, depth: float) -> None:
 
 
 @kernel
+def _end_of_condition(
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, i: int
+) -> tuple[float, float]:
+    """Return when the condition of a contact ends, in parts of a step, and its gap there.
+
+    The gap is infinite unless the point of a free contact passes the surface in this step. Where it
+    is negative, the point lands first: between two midpoints it may also pass the end of an edge.
+    """
+    at, before = tape.first + tape.per * i + 2 * tape.size + 2, memory.past[i]
+    gap, condition = tape.numbers[at], tape.numbers[at + 3]
+    passes = gap < -scene.near < before[1] and condition < 0.0 < before[0]
+    lasts = memory.off[i] or memory.closed[i] or scene.held[i] > 0 or scene.soft[i, 0] > 0.0
+    if lasts or not passes:
+        return 1.0, math.inf
+    part = before[0] / (before[0] - condition)
+    return part, before[1] + part * (gap - before[1])
+
+
+@kernel
 def switch_contacts(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, change: Array, k: int,
-    met: ContactRoles, chunk: Chunk,
+    met: ContactRoles, chunk: Chunk, time: float,
 ) -> bool:  # fmt: skip
-    """Let conditions turn contacts off and on, write gaps; return False where one is nowhere.
+    """Disable and enable contacts by their conditions, and write gaps; return False if one is NaN.
 
-    Contacts that last are on for now where their conditions cease to hold: see `keep_leaving`. At
-    the kink of a valley both edges hold a point. A step without contacts changes rates by `change`.
+    Lasting contacts stay enabled for now if their conditions cease to hold: see `keep_leaving`. At
+    the kink of a valley both edges hold a point. `change`: change of rates in a step without
+    contacts, whose middle is at `time`.
     """
     numbers, n, off, h, left = tape.numbers, tape.size, memory.off, chunk.h, 1.0
     deepest, at_kink = np.empty(len(off)), np.empty((len(off), 2), np.bool_)
+    landed = np.zeros(len(off), np.bool_)
+    for i in range(len(off)):
+        part, at_end = _end_of_condition(scene, memory, tape, i)
+        landed[i] = at_end < -scene.near
+        if landed[i]:
+            memory.past[i, 1], left = at_end, min(left, part)
+        elif at_end <= scene.near:
+            memory.missed[i, 3] = min(memory.missed[i, 3], time + (part - 1.0) * h)
     for i in range(len(off)):
         deepest[i] = _deepest(memory, tape, i) - scene.near
         lies = min(deepest[i], memory.level[i])
@@ -159,7 +186,7 @@ def switch_contacts(
         if is_coupling(scene, i):
             continue
         if not off[i] and condition < 0.0:
-            if at_kink[i, 1 if memory.closed[i] else 0]:
+            if landed[i] or at_kink[i, 1 if memory.closed[i] else 0]:
                 continue
             inside = memory.closed[i] or memory.level[i] < 0.0
             met.leaving[i] = inside and scene.held[i] == 0
@@ -171,7 +198,7 @@ def switch_contacts(
             memory.behind[i] = away <= (_LEFT_BEHIND - 1.0) * abs(memory.level[i])
         if off[i] and not memory.behind[i]:
             memory.level[i] = 0.0
-    leaves = met.leaving.any()
+    leaves, lands = met.leaving.any(), landed.any()
     for i in range(len(off)):
         row = tape.first + tape.per * i
         gap, condition, before = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5], memory.past[i]
@@ -190,10 +217,14 @@ def switch_contacts(
                 entered = max(gap, _gap_between(before, gap, rate, begins, h))
             met.entered[i] = max(entered, _gap_between(before, gap, rate, left, h))
             holds = condition > 0.0 or (at_kink[i, 1] and rate < 0.0)
+            entered = met.entered[i] if lands else entered
             off[i] = not (holds and entered >= deepest[i])
+            if lands and off[i] and entered >= deepest[i] and gap < 0.0:
+                # It lies below the kink, beyond both edges.
+                memory.behind[i], memory.level[i] = True, gap
             _note_missed(memory.missed[i], off[i], condition > 0.0, -gap)
             if leaves and off[i] and memory.behind[i] and condition < 0.0:
-                # Below a kink a point is beyond both surfaces that end there.
+                # Below a kink a point is beyond the ends of both surfaces.
                 met.leaving[i], off[i] = True, False
         before[0], before[1], before[2] = condition, gap, rate
         if not off[i] and (math.isnan(condition) or not math.isfinite(gap)):
@@ -202,9 +233,9 @@ def switch_contacts(
     return True
 
 
-# The way out of a surface bends by less than this part of it.
+# Relative curvature of the direction out of a surface.
 _BENT = 0.01
-# A condition that falls by less than this part of itself in a step does not fall.
+# Relative decrease of a condition in a step that is round-off.
 _AT_REST = 1e-9
 
 
@@ -212,9 +243,9 @@ _AT_REST = 1e-9
 def _free_change(
     scene: StepConstants, light: Bools, numbers: Array, n: int, h: float
 ) -> tuple[bool, FactoredEquations]:
-    """Return how a step changes rates without free contacts, where its equations are regular.
+    """Return the change of rates without free contacts, and whether the equations are regular.
 
-    Where coordinates have no inertia of their own they are given one, from there on.
+    Coordinates without inertia receive a small one, from there on.
     """
     damped, held, joints = scene.damped, scene.held, scene.joints
     regular, factors, order, right = factor_equations(numbers, n, h, damped, held, joints, light[0])
@@ -225,7 +256,7 @@ def _free_change(
     return regular, FactoredEquations(factors, order, change, np.empty(len(change)))
 
 
-# So many sweeps over the signs at most; they have settled where none changes by more than this.
+# Sweeps over the signs, and the change at which they have converged.
 _SWEEPS, _SETTLED = 200, 1e-14
 
 
@@ -234,21 +265,21 @@ def hold_signs(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
     state: Array, h: float, first: int,
 ) -> Array:  # fmt: skip
-    """Solve for the signs in forces at the end of a step; add what they do to its change.
+    """Solve for the signs in forces at the end of a step; add their effect to its change.
 
-    A sign is 1 or -1 where its function is above or below zero then, and between where it is zero
-    (backward Euler: Acary and Brogliato 2008, 1.4). Signs that push away from zero are those of
-    the middle of the step. Contacts that last count as they pushed in the last step.
-
-    Returns
-    -------
-    signs : (m,) array
+    The sign of a function is 1 or -1 above or below zero at the end of the step, and between if it
+    is zero (backward Euler: Acary and Brogliato 2008, 1.4). Signs that push away from zero are
+    those of mid-step. Lasting contacts act as in the previous step.
 
     Parameters
     ----------
     first : int
-        Where the rows of the signs begin among the numbers of the tape: forces (n,), derivatives
-        of the function by rates and places (2 n,), the function, what it does to what is given.
+        Start of the sign rows in the numbers of the tape: forces (n,), derivatives of the function
+        by rates and positions (2 n,), the function, effects on controlled values.
+
+    Returns
+    -------
+    signs : (m,) array
     """
     n, m, numbers, change = tape.size, scene.signs, tape.numbers, equations.change
     signs, free, matrix = np.zeros(m), np.zeros(m), np.zeros((m, m))
@@ -275,13 +306,13 @@ def hold_signs(
         for i in range(m):
             if not matrix[i, i] < 0.0:
                 continue
-            left = free[i]
+            value = free[i]
             for k in range(m):
                 if k != i:
-                    left += matrix[i, k] * signs[k]
-            found = min(max(-left / matrix[i, i], -1.0), 1.0)
-            moved = max(moved, abs(found - signs[i]))
-            signs[i] = found
+                    value += matrix[i, k] * signs[k]
+            sign = min(max(-value / matrix[i, i], -1.0), 1.0)
+            moved = max(moved, abs(sign - signs[i]))
+            signs[i] = sign
         if moved <= _SETTLED:
             break
     for i in range(m):
@@ -292,7 +323,7 @@ def hold_signs(
 
 @kernel
 def _add_impulses(columns: Array, impulses: Array, rates: Array) -> None:
-    """Add to rates (s,) what impulses (m, 2) of contacts with these columns (2 m, s) do to them."""
+    """Add the effect of impulses (m, 2) with columns (2 m, s) to rates (s,)."""
     for a in range(len(impulses)):
         for d in range(2):
             for j in range(len(rates)):
@@ -304,29 +335,29 @@ def _step_group(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
     members: Ints, met: ContactRoles, k: int, chunk: Chunk,
 ) -> bool:  # fmt: skip
-    """Let a group of contacts act in step k; return whether forces are mixed with impacts."""
+    """Solve a coupled group of contacts in step k; return whether forces are mixed with impacts."""
     n, h, rounds, loaded, changes = tape.size, chunk.h, 0, 0.0, True
     island, contacts, columns, pads = group_island(scene, memory, tape, equations, members, met, h)
-    struck, missed, softened = bool(island.hit.any()), 0.0, False
+    struck, error, softened = bool(island.hit.any()), 0.0, False
     while changes:
-        missed, softened = coordinate_impulses(contacts, island, scene.allowed)
+        error, softened = coordinate_impulses(contacts, island, scene.allowed)
         rounds += 1
-        # Friction begins or turns under the limits that are there in the end.
+        # Friction switches under the final limits.
         loads = coupling_loads(scene, members, columns, equations.change, island.chosen, h)
         loaded = load_couplings(scene, tape, members, loads, pads, island.unforced)
         changes = loaded > LOADED and rounds < LOADINGS
         changes = changes or change_friction(contacts, island, scene.rounding, struck)
     if loaded > LOADED:
-        missed = max(missed, loaded)
+        error = max(error, loaded)
     clear_round_off(scene, island, contacts, h)
-    chunk.stats[k, RESIDUAL] = max(chunk.stats[k, RESIDUAL], missed)
+    chunk.stats[k, RESIDUAL] = max(chunk.stats[k, RESIDUAL], error)
     chunk.stats[k, CALMED] = max(chunk.stats[k, CALMED], 1.0 if softened else 0.0)
     steady, modes = split_forces(scene, memory, island, contacts, k, chunk)
     made = energy_added(scene, tape, island, contacts, chunk.states[k, n : 2 * n])
     chunk.gained[k] = max(chunk.gained[k], made)
     _add_impulses(columns, island.chosen, equations.change)
     _add_impulses(columns, steady, equations.lasting)
-    # Before the memory of lasting contacts changes.
+    # Before the contact history changes.
     mixed = is_mixed_with_impacts(scene, memory, tape, island, h)
     write_modes(scene, memory, island, contacts, steady, met, k, chunk)
     shared = share_forces(scene, memory, island, contacts, modes, steady, k, chunk)
@@ -344,7 +375,7 @@ def _step_group(
 def _write_held(
     scene: StepConstants, equations: FactoredEquations, blurred: bool, k: int, chunk: Chunk
 ) -> None:
-    """Write what is held whatever the impulse: contacts, and joints behind them."""
+    """Write the forces of bilateral contacts and joints."""
     n, h, total, lasting = scene.size, chunk.h, equations.change, equations.lasting
     at = n
     for i in range(len(scene.held)):
@@ -364,7 +395,7 @@ def _write_held(
 def _flow_controllers(
     scene: StepConstants, time: float, there: Array, h: float, state: Array
 ) -> None:
-    """Let what controllers remember flow for h, in place, as fast as it does in a state `there`."""
+    """Advance the controller variables by h, in place, at the rates of a state `there`."""
     count = len(state) - 2 * scene.size
     if count == 0:
         return
@@ -376,17 +407,13 @@ def _flow_controllers(
 
 @kernel
 def _follow(
-    scene: StepConstants,
-    memory: ContactHistory,
-    tape: TapeValues,
-    there: Array,
-    met: ContactRoles,
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, there: Array, met: ContactRoles,
     near: float,
-) -> None:
-    """Turn contacts on whose surfaces follow one that a point leaves.
+) -> None:  # fmt: skip
+    """Enable contacts on the continuation of a surface that a point leaves.
 
-    The point is moved out of that, by as much as its landing has left: `there` are the numbers of
-    the tape. Between two edges that meet at an angle a point that lies deep is beyond both.
+    `there`: tape at the point moved out of that surface by its landing depth. A deep point between
+    two edges at an angle is beyond both.
     """
     for i in range(len(memory.off)):
         at = tape.first + tape.per * i + 2 * tape.size
@@ -402,11 +429,11 @@ def keep_leaving(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
     instant: StepInstant, k: int, met: ContactRoles, chunk: Chunk,
 ) -> bool:  # fmt: skip
-    """Turn contacts off that do not last as their conditions cease to hold; whether some stay on.
+    """Disable lasting contacts whose conditions cease to hold; return whether some remain.
 
-    In a valley each side leads back to the other, and both hold at the kink. So a contact stays on
-    in a step in which it bears a force and its condition rises, or forces of the other contacts
-    keep it from falling. The parameters are those of `step_scene` in its step k.
+    In a valley each side leads back to the other, and both hold at the kink. A contact therefore
+    stays on in a step in which it is loaded and its condition rises, or would fall without the
+    other contacts. Parameters: those of `step_scene` in step k.
     """
     n, h, stays, (time, state, middle) = tape.size, chunk.h, False, instant
     change, c = equations.change, len(memory.level)
@@ -415,7 +442,7 @@ def keep_leaving(
     close_opposed(scene, memory, tape, h, met)
     label_groups(scene, tape, met)
     which, bears, pushes = indices(met.active), np.zeros(c, np.bool_), np.zeros((c, 2))
-    # How impulses along the normal and the tangent change the rates.
+    # Changes of rates per unit normal and tangential impulse.
     moves = np.zeros((c, 2, n))
     there, ahead = middle.copy(), np.empty_like(tape.numbers)
     alone = np.empty_like(tape.numbers)
@@ -427,14 +454,14 @@ def keep_leaving(
         island, contacts, columns, _ = group
         for at_rest in (False, True):
             for a in range(len(members) if at_rest else 0):
-                # Gaps that landings have left move the point, too, to where it is to rest.
+                # Landing gaps also move the point, to where it rests.
                 if not met.hit[members[a]]:
                     island.wanted[a, 0] = 0.0
                 put(memory.pushes[members[a]], island.chosen[a])
-            missed, _ = coordinate_impulses(contacts, island, scene.allowed)
+            error, _ = coordinate_impulses(contacts, island, scene.allowed)
             share_loads(scene, island, contacts)
             for a in range(len(members)):
-                i, presses = members[a], missed <= scene.allowed and island.chosen[a, 0] > 0.0
+                i, presses = members[a], error <= scene.allowed and island.chosen[a, 0] > 0.0
                 bears[i] = presses and (bears[i] or not at_rest)
         for a in range(len(members)):
             for d in range(2):
@@ -455,11 +482,11 @@ def keep_leaving(
             continue
         at = tape.first + tape.per * i + 2 * n + 5
         now, then = tape.numbers[at], ahead[at]
-        # At rest conditions fall by round-off.
+        # At rest conditions change by round-off.
         rounding = _AT_REST * abs(now) + h * scene.rounding
         stays_on = bears[i] and now - then <= rounding
         if stays_on and then - now <= rounding:
-            # It does not come back by itself.
+            # It does not return by itself.
             apart = there.copy()
             for j in range(n):
                 for b in which:
@@ -496,7 +523,7 @@ def _settle(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
     instant: StepInstant, k: int, chunk: Chunk,
 ) -> None:  # fmt: skip
-    """Write the modes of contacts that settle, under the velocities after the step."""
+    """Write the modes of settling contacts, for the velocities after the step."""
     n, there = tape.size, instant.middle.copy()
     put(instant.state[n : 2 * n], there[n : 2 * n])
     tape_values(*scene.equations, there, scene.parameters, instant.time, tape.numbers)
@@ -505,7 +532,7 @@ def _settle(
 
 @kernel
 def _age_contacts(memory: ContactHistory, active: Bools) -> None:
-    """Let contacts grow older by a step."""
+    """Update contact histories at the end of a step."""
     for i in range(len(active)):
         memory.fresh[i] = max(memory.fresh[i] - 1, 0)
         if not active[i]:
@@ -516,17 +543,17 @@ def _age_contacts(memory: ContactHistory, active: Bools) -> None:
 def step_scene(
     scene: StepConstants, memory: ContactHistory, start: float, chunk: Chunk
 ) -> tuple[int, int]:
-    """Take the steps of a chunk; return how many were taken, and the status.
+    """Take the steps of a chunk; return their number, and the status.
 
     Parameters
     ----------
-    memory : ContactMemory
+    memory : ContactHistory
         Changed in place.
     start : float
-        When the first step begins.
+        Time of the first step.
     chunk : Chunk
-        To be filled; unknowns are accelerations (n,), forces of joints and of contacts that last
-        (2 c,; not a number where the step holds an impact as well), what controllers set (u,).
+        Output; unknowns are accelerations (n,), forces of joints and lasting contacts (2 c,; NaN if
+        the step also holds an impact), controlled values (u,).
     """
     h, state = chunk.h, chunk.states[0].copy()
     n, c = scene.size, len(scene.cones)
@@ -557,7 +584,7 @@ def step_scene(
             np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.empty(c),
             np.empty(c, np.int64), np.zeros((c, 2)), np.zeros((c, 2)), np.zeros((c, 2)),
         )  # fmt: skip
-        if not switch_contacts(scene, memory, tape, equations.change, k, met, chunk):
+        if not switch_contacts(scene, memory, tape, equations.change, k, met, chunk, time):
             return k, NOT_FINITE
         if met.leaving.any():
             instant = StepInstant(time, state, middle)
@@ -581,13 +608,13 @@ def step_scene(
         for i in range(n):
             memory.pushed[i] += lasting[i]
             chunk.solved[k, i] = lasting[i] / h
-            # On average over the step.
+            # Mean velocity of the step.
             middle[n + i] += 0.5 * total[i]
             state[n + i] += total[i]
             state[i] = middle[i] + 0.5 * h * state[n + i]
             if not math.isfinite(state[i]):
                 return k, NOT_FINITE
-        # Compliant contacts have no accelerations to read modes from.
+        # Compliant contacts have no acceleration problem.
         if unsettle(memory, k, chunk) and (scene.soft[:, 0] == 0.0).any():
             _settle(scene, memory, tape, equations, StepInstant(time, state, middle), k, chunk)
         _age_contacts(memory, met.active)

@@ -1,4 +1,4 @@
-"""The time stepper of scenes (see `statechart.automaton.time_stepper.TimeStepper`)."""
+"""Time stepper of points on surfaces (see `statechart.automaton.time_stepper.TimeStepper`)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from contacts.dynamics.starting import (
     jumped_in,
     torn,
 )
-from contacts.scene.lint import NEARLY_MEETING, stays_off
+from contacts.scene.lint import NEARLY_MEETING, goes_off, stays_off
 from contacts.solvers.contact_rows import STEEPEST
 from contacts.solvers.dependence import independent
 from contacts.solvers.redundancy import mode_columns
@@ -58,14 +58,13 @@ from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, NonFinite, SimulationError, SingularMode
 from statechart.kernels.boxes import Steps
 
-# A point that goes no deeper between two midpoints, relative to a step at the scene's speed,
-# grazes.
+# Depth between midpoints, relative to a step at the scene's speed, up to which a point only grazes.
 _GRAZED = 0.1
-# Contact speeds below this part of the scene's are no scale of energies.
+# Contact speed, relative to the scene's, below which it is no energy scale.
 _SLOWEST = 0.1
-# Energies below this part of the scene's are zero.
+# Energy, relative to the scene's, that counts as zero.
 _NEGLIGIBLE = 1e-6
-# A landing goes as deep as its approach in a step.
+# Landing depth, in approach steps.
 _LANDED = 2.0
 _CODES = {state: code for code, state in STATES.items()}
 
@@ -84,23 +83,23 @@ class _StepState:
 
 
 class SteppedTapes(Controllers):
-    """The equations of a scene in the states of its controllers, each compiled when entered."""
+    """Equations of a scene per combination of controller states, compiled on demand."""
 
     def __init__(self, mechanics: Mechanics) -> None:
         super().__init__(mechanics)
         self._tapes: dict[Key, SteppedTape] = {}
 
     def at(self, states: Key) -> SteppedTape:
-        """Return the equations."""
+        """Return the equations in these states."""
         if states not in self._tapes:
             self._tapes[states] = SteppedTape(self._mechanics, self.named(states))
         return self._tapes[states]
 
 
 class SteppedScene(SteppedSystem):
-    """One run of a scene of points against surfaces.
+    """One run of a scene of points on surfaces.
 
-    Contacts (c,) may be off at the start; impulses with the allowed residual are good enough.
+    `off` (c,): contacts that are disabled at the start; `allowed`: residual of impulses.
     """
 
     def __init__(
@@ -129,12 +128,12 @@ class SteppedScene(SteppedSystem):
         self._swing = self._length = 0.0
         self._errors = DiscretisationError(setup.scales)
         self._saved_errors = self._errors.copy()
-        # Modes, and what is said of their loads.
+        # Modes -> warnings about their load sharing.
         self._loads: dict[bytes, str] = {}
         self._saved_loads = self._loads.copy()
 
     def change(self, values: Mapping[str, float]) -> SceneSetup:
-        """Go on with other values of parameters; return the numbers."""
+        """Change the values of parameters; return the setup."""
         setup = self._numbers.at(values, RELATIVE)
         self._values = setup.values
         self._use(self._source, setup.contacts)
@@ -143,7 +142,7 @@ class SteppedScene(SteppedSystem):
     def switch(
         self, states: Mapping[str, str], at: tuple[Array, Array, float]
     ) -> tuple[dict[int, int], bool]:
-        """Go on with controllers in other states; see `SteppedSystem`."""
+        """Change the states of controllers; see `SteppedSystem`."""
         was, (before, after, time) = self._source, at
         contacts = self._numbers.contacts(self._values, states)
         self._use(self._tapes.at(tuple(states.values())), contacts)
@@ -152,7 +151,7 @@ class SteppedScene(SteppedSystem):
         memory, now = self._step_state.contacts, self._source.contacts(self._values, after, time)
         old = was.contacts(self._values, before, time)
         near, deep = self._near, np.minimum(old[:, 0], 0.0) - now[:, 0]
-        # Forces of compliant contacts follow whatever a surface does.
+        # Compliant contacts follow any motion of a surface.
         rigid = np.array(
             [contact.stiffness is None for contact in was.scene.contacts.values()]
             + [False] * was.couplings,
@@ -161,7 +160,7 @@ class SteppedScene(SteppedSystem):
         for i in np.flatnonzero(rigid & ~memory.off & (deep > near)).tolist():
             surface = was.scene.contacts[was.names[i]].surface
             raise jumped_in(surface, was.names[i], -float(now[i, 0]))
-        # What a surface strikes, or leaves, does not last.
+        # A contact that a surface strikes or leaves does not last.
         parts = rigid & (np.abs(now - old)[:, :2] > [near, self._still]).any(axis=1)
         memory.closed[parts] = False
         codes, slips = self._step_state.codes, np.abs(now[:, 2]) > self._still
@@ -178,7 +177,7 @@ class SteppedScene(SteppedSystem):
         return moved, bool((touched & parts & (now[:, 1] < -self._still)).any())
 
     def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
-        """Use these equations and coefficients."""
+        """Set equations and coefficients."""
         self._source = source
         edges = [edge(1.0) if law.coupling else (law.cone_n, law.cone_t) for law in contacts]
         self._cones = smoothed(np.array(edges, float).reshape(-1, 2))
@@ -193,33 +192,33 @@ class SteppedScene(SteppedSystem):
 
     @property
     def filled(self) -> bool:
-        """True if coordinates without an inertia of their own were given one."""
+        """Whether coordinates without inertia received a small one."""
         return bool(self._step_state.contacts.light[0])
 
     def press(self, closed: Bools) -> None:
-        """Let contacts (c,) be closed and slide, as if steps before had left them so."""
+        """Let contacts (c,) be closed and sliding, as after earlier steps."""
         self._step_state.contacts.closed[:] = self._step_state.contacts.slid[:] = closed
 
     def forget(self) -> None:
-        """Take back the last steps."""
+        """Revert the last steps."""
         self._step_state, self._errors = self._saved.copy(), self._saved_errors.copy()
         self._loads = self._saved_loads.copy()
 
     @property
     def margins(self) -> dict[str, float]:
-        """The least values seen, at the midpoints of steps."""
-        found: dict[str, float] = {}
+        """The smallest margins, at the midpoints of steps."""
+        result: dict[str, float] = {}
         rigid = len(self._source.names) - self._source.couplings
         for i, name in enumerate(self._source.names):
             if i >= rigid and np.isfinite(self._step_state.least_gap[i]):
-                found[f"{name}.limit"] = float(self._step_state.least_gap[i])
+                result[f"{name}.limit"] = float(self._step_state.least_gap[i])
             if i >= rigid:
                 continue
             values = (self._step_state.least_gap[i], *self._step_state.least[i])
-            for what, value in zip(("gap", "V", "mu V - |H|"), values, strict=True):
+            for kind, value in zip(("gap", "V", "mu V - |H|"), values, strict=True):
                 if np.isfinite(value):
-                    found[f"{name}.{what}"] = float(value)
-        return found
+                    result[f"{name}.{kind}"] = float(value)
+        return result
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -232,10 +231,12 @@ class SteppedScene(SteppedSystem):
         )
 
     def _stays_off(self) -> Iterator[str]:
-        """Yield a warning for each contact that has missed its surface by a small depth."""
-        for name, (first, last, past) in zip(
+        """Yield a warning for each contact that has missed its surface, if by a small depth."""
+        for name, (first, last, past, time) in zip(
             self._source.names, self._step_state.contacts.missed.tolist(), strict=True
         ):
+            if time < math.inf:
+                yield goes_off(name, time)
             depth = min(past, first) if last > first else past
             if self._near < depth <= self._nearly:
                 yield stays_off(self._source.scene, name, depth)
@@ -246,7 +247,7 @@ class SteppedScene(SteppedSystem):
         Raises
         ------
         SingularMode, NonFinite, NoConsistentMode
-            Where not one step can be made.
+            If no step can be taken.
         """
         source, tape = self._source, self._source.tape
         n, c, r = source.size, len(source.names), source.joint_rows
@@ -269,7 +270,7 @@ class SteppedScene(SteppedSystem):
             raise _failure(status)
         followed = self._count_allowed(chunk.first(done), start)
         if followed < done:
-            # The memory must be that of the steps that are taken.
+            # The history must be that of the accepted steps.
             self.forget()
             return self.steps(start, h, state, followed)
         chunk = chunk.first(done)
@@ -280,18 +281,18 @@ class SteppedScene(SteppedSystem):
         if len(chunk.codes):
             now = Equations(source, self._values, self._cones, self._restitution)
             self._errors.add(now, chunk, start, self._saved.codes, swings)
-        # Their loads are no unknowns.
+        # Loads of couplings are no unknowns.
         loads = n + r + 2 * np.arange(c - source.couplings, c)
         return chunk._replace(solved=np.delete(chunk.solved, loads, axis=1))
 
     def depth_left(self, state: Array, time: float) -> float:
-        """Return how deep something stays, whatever moves; see `Stepped`."""
-        n, found = self._source.size, self._source.equations(self._values, state, time)
+        """Return the penetration that no motion removes; see `SteppedSystem`."""
+        n, at = self._source.size, self._source.equations(self._values, state, time)
         on = ~self._step_state.contacts.off & (self._soft[:, 0] == 0.0)
-        return depth_left(found.gaps[on], found.contacts[on, :n], found.joints[:, :n])[0]
+        return depth_left(at.gaps[on], at.contacts[on, :n], at.joints[:, :n])[0]
 
     def _check_springs(self, chunk: Chunk, start: float) -> Swings | None:
-        """Return how springs swing; raise `StepTooLarge` where steps make them, ever farther."""
+        """Return the oscillations of springs; raise `StepTooLarge` if they are unstable."""
         source, state = self._source, chunk.states[0]
         n = source.size
         _, rows, joints = source.equations(self._values, state, start)
@@ -313,7 +314,7 @@ class SteppedScene(SteppedSystem):
             return
         n = self._source.size
         places, rates = chunk.states[:, :n], chunk.states[:, n : 2 * n]
-        # From each midpoint to the next one, but from where the run starts to the first.
+        # From each midpoint to the next, and from the start to the first.
         lengths = np.full(count, h)
         lengths[0] = h if start > 0.0 else 0.5 * h
         lines = np.zeros((*chunk.states[:-1].shape, 2))
@@ -321,7 +322,7 @@ class SteppedScene(SteppedSystem):
         lines[:, :n, 0] = places[:count] - back[:, None] * rates[:count]
         lines[:, :n, 1] = lengths[:, None] * rates[:count]
         lines[:, n : 2 * n, 0] = rates[:count]
-        # Controller variables flow as they do in the step.
+        # Controller variables change as in the step.
         flows = np.diff(chunk.states[:, 2 * n :], axis=0) / h
         lines[:, 2 * n :, 1] = lengths[:, None] * flows
         lines[:, 2 * n :, 0] = chunk.states[:-1, 2 * n :] - back[:, None] * flows
@@ -336,10 +337,10 @@ class SteppedScene(SteppedSystem):
         )
         if line >= 0:
             chunk.passed[line] = part
-        # A point that leaves where it is first seen, or is deeper than its approach explains, has
-        # entered elsewhere.
+        # A point that leaves when first detected, or is deeper than its approach explains, entered
+        # elsewhere.
         deep = (chunk.codes != OFF_CODE) & (chunk.gaps < -self._near)
-        # A contact that was off comes back no deeper than one that lasts.
+        # A re-enabled contact is no deeper than a lasting one.
         deep &= np.vstack([self._saved.codes, chunk.codes[:-1]]) != OFF_CODE
         deep[1:] &= chunk.gaps[:-1] > 0.0
         deep[0] &= ~(self._saved.contacts.past[:, 1] <= 0.0)
@@ -355,10 +356,10 @@ class SteppedScene(SteppedSystem):
                 break
 
     def _note_loads(self, chunk: Chunk, start: float) -> None:
-        """Note the first mode in which how contacts share a load changes the motion.
+        """Note the first mode in which undetermined load sharing affects the motion.
 
-        Constraints that depend on each other leave their forces open, and where contacts slide
-        under friction these need not act alike.
+        Forces of dependent constraints are not unique, and with sliding friction their effects
+        differ.
         """
         n, modes, source = self._source.size, chunk.modes, self._source
         changed = np.any(modes != np.vstack([modes[:1] - 1, modes[:-1]]), axis=1)
@@ -381,17 +382,17 @@ class SteppedScene(SteppedSystem):
                 )
 
     def _count_allowed(self, chunk: Chunk, start: float) -> int:
-        """Return how many steps take modes that are allowed; replace a stick that only passes.
+        """Return the number of steps in declared modes; replace a stick that only passes.
 
         Raises
         ------
         NoConsistentMode
-            If not even the first does.
+            If the first step is in none.
         """
         codes, shown, h = chunk.codes, chunk.modes, chunk.h
         before = np.vstack([self._step_state.codes, codes[:-1]])
         slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
-        # A slip that turns round in a step is at rest at its end; without friction it may stay so.
+        # A slip that reverses in a step is at rest at its end, and without friction may stay so.
         turning = (codes == PIN) & self._undeclared[:, PIN] & (slid | (self._cones[:, 1] == 0.0))
         codes[turning] = np.where(slid, before, SLIDE_PLUS)[turning]
         self._step_state.codes = codes[-1] if len(codes) else self._step_state.codes
@@ -411,13 +412,13 @@ class SteppedScene(SteppedSystem):
         return k
 
     def _negative(self, chunk: Chunk) -> Bools:
-        """Return which limits (k, c) are below zero; those of contacts are none."""
-        found: Bools = chunk.gaps < 0.0
-        found[:, : found.shape[1] - self._source.couplings] = False
-        return found
+        """Return which limits (k, c) of couplings are negative."""
+        negative: Bools = chunk.gaps < 0.0
+        negative[:, : negative.shape[1] - self._source.couplings] = False
+        return negative
 
     def _refusal(self, contact: int, code: int, end: float) -> NoConsistentMode:
-        """Return why a contact does not take a mode in a step that ends then."""
+        """Return the error of a contact that does not declare a mode of a step."""
         name, state = self._source.names[contact], STATES[code]
         if contact >= len(self._source.names) - self._source.couplings:
             return NoConsistentMode(
@@ -435,7 +436,7 @@ class SteppedScene(SteppedSystem):
             "among its modes; add it, or end the run before"
         )
 
-    def _note(self, gaps: Array, forces: Array, codes: Ints, given: Array) -> None:
+    def _note(self, gaps: Array, forces: Array, codes: Ints, controlled: Array) -> None:
         if not len(gaps):
             return
         memory = self._step_state
@@ -445,7 +446,7 @@ class SteppedScene(SteppedSystem):
         with np.errstate(divide="ignore", invalid="ignore"):
             mu = np.tile(cone_t / cone_n, (len(gaps), 1))
             split = self._source.used >= 0
-            mu[:, split] = given[:, self._source.used[split]]
+            mu[:, split] = controlled[:, self._source.used[split]]
             inside = np.where(np.isfinite(mu), mu * normal - tangential, np.inf)
         for k, values in enumerate((normal, inside)):
             borne = (codes != FREE) & (codes != OFF_CODE) & ~np.isnan(values)
@@ -456,7 +457,7 @@ class SteppedScene(SteppedSystem):
 def _spare_rows(
     codes: Ints, jacobians: Array, joints: Array, cones: Array, left_out: int = -1
 ) -> int:
-    """Return how many columns of contacts and joints depend on the others."""
+    """Return the number of dependent columns of contacts and joints."""
     rows = np.vstack([mode_columns(codes, cones, jacobians, left_out)[0], joints])
     return len(rows) - int(independent(rows)[0])
 
@@ -473,12 +474,12 @@ def _failure(status: int) -> SingularMode | NonFinite:
     )
 
 
-# The modes at the start are those of a step this short, in the scene's own time.
+# Trial step for the initial modes, in the scene's time.
 _TRIAL = 1e-6
 
 
 class SceneStepper(Stepper):
-    """Steps a scene of points against surfaces."""
+    """Steps a scene of points on surfaces."""
 
     def __init__(
         self,
@@ -522,7 +523,7 @@ class SceneStepper(Stepper):
         return RunInputs(setup, scene, codes, warnings, control, failure)
 
     def _checked(self, setup: SceneSetup, allowed: float) -> tuple[Ints, Bools, tuple[str, ...]]:
-        """Check the initial state; return modes at the start, contacts that are off, warnings."""
+        """Check the initial state; return initial modes, disabled contacts, warnings."""
         warnings = [*self._replaced_laws(setup), *self._cut(setup)]
         memory = ControllerState(self._mechanics)
         initial = setup.initial
@@ -558,7 +559,7 @@ class SceneStepper(Stepper):
         h = _TRIAL * setup.scales.length / setup.scales.speed
 
         slow, sticks = (np.abs(measured[:, 1:3]) <= setup.tolerances["speed"]).T
-        # Nothing lasts yet; what slides could, and then another motion may be as good.
+        # A contact that could slide may have another motion as good.
         sliding = slow & ~sticks & (np.abs(measured[:, 0]) <= near) & ~off
         sliding[len(self._scene.contacts) :] = False
 
@@ -569,7 +570,7 @@ class SceneStepper(Stepper):
 
         trial, first = try_step(np.zeros_like(off))
         codes = first.codes[0]
-        # Contacts that strike at once are free before; those that jam slide before.
+        # Contacts that strike at once are free before; jamming ones slide before.
         resting = first.struck[0] & slow
         slides = np.where(measured[:, 2] > 0.0, SLIDE_PLUS, SLIDE_MINUS)
         codes = np.where(resting, slides, np.where(first.struck[0], FREE, codes))
@@ -583,7 +584,7 @@ class SceneStepper(Stepper):
         return codes, off, tuple(warnings)
 
     def _cut(self, setup: SceneSetup) -> Iterator[str]:
-        """Yield whose friction is computed as less."""
+        """Yield a warning for each friction coefficient that is reduced."""
         for law in setup.contacts[: len(self._scene.contacts)]:
             kinds = self._scene.contacts[law.name].kinds
             if law.cone_t * STEEPEST > law.cone_n and "free" in kinds:

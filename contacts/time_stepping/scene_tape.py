@@ -1,4 +1,4 @@
-"""The equations of a scene of points against surfaces, as time steps read them."""
+"""Equations of a scene of points against surfaces, on a tape for time steps."""
 
 from __future__ import annotations
 
@@ -22,13 +22,12 @@ from statechart.formulas.tape import Tape
 
 
 class StateEquations(NamedTuple):
-    """Equations in one state."""
+    """Equations at one state."""
 
     mass: Array  # shape (n, n)
-    # (c, 2 n + CONTACT): jacobian of each, then what `contacts.time_stepping.equations.CONTACT`
-    # lists.
+    # (c, 2 n + CONTACT): Jacobian, then the numbers of `contacts.time_stepping.equations.CONTACT`.
     contacts: Array
-    joints: Array  # (r, n + JOINT): likewise.
+    joints: Array  # (r, n + JOINT)
 
     @property
     def gaps(self) -> Array:
@@ -37,11 +36,11 @@ class StateEquations(NamedTuple):
 
     @property
     def velocities(self) -> Array:
-        """Rates of gaps, and slips (c, 2)."""
+        """Gap rates and slips (c, 2)."""
         return self.contacts[:, 2 * len(self.mass) + 3 : 2 * len(self.mass) + 5]
 
     def cones(self, at_rest: Array) -> Array:
-        """Return unit edges (c, 2) of cones by the slips' directions; `at_rest` without slip."""
+        """Return cone edges (c, 2) for the slip directions; `at_rest` without slip."""
         plus, minus = self.contacts[:, -4:-2], self.contacts[:, -2:]
         slips = self.velocities[:, 1:]
         return np.where(slips > 0.0, plus, np.where(slips < 0.0, minus, at_rest))
@@ -81,7 +80,7 @@ class SteppedTape:
                 else (symbols.gap, sp.S.Zero)
             )
             motion = geometry.bias_n, geometry.bias_t, static, symbols.gap_rate, symbols.slip
-            # Rates of what moves surfaces are set by states.
+            # Surface velocities depend on controller states.
             outputs += [term.xreplace(known) for term in motion] if self.scene.leading else motion
             gate = mechanics.gate(name)
             holds = sp.S.One if gate is None else gate.by_steps(known)
@@ -95,13 +94,13 @@ class SteppedTape:
             outputs += [edge.xreplace(known) for edge in edges]
         rows = mechanics.joint_rows
         for row in rows:
-            # The row of a joint that is off couples nothing.
+            # An open joint has a zero row.
             on = known.get(row.closed, sp.S.One)
             outputs += [*(on * entry for entry in row.jacobian), row.gap, row.gap_rate, row.bias]
             outputs.append(row.status.xreplace(known))
         self.joint_rows = len(rows)
         self.limits = StepLimits(mechanics, forces)
-        # A contact that its condition keeps off passes nothing, nor does a coupling.
+        # Disabled contacts and couplings are never passed over.
         self.gaps: Tape = mechanics.whole_tape(
             [
                 sp.Max(
@@ -122,7 +121,7 @@ class SteppedTape:
         self.tape: Tape = mechanics.whole_tape(outputs)
         flows = [known.get(rate, rate) for rate in mechanics.controller_rates.values()]
         self.flows: Tape = mechanics.whole_tape(flows)
-        # Pins prescribe the velocity, slides without friction its normal component.
+        # Pins constrain the velocity, frictionless slides its normal component.
         none = [0] * self.couplings
         self.held = np.array(
             [
@@ -141,7 +140,7 @@ class SteppedTape:
             [0 if "slide" not in c.kinds else 1 if c.frictionless else 2 for c in declared] + none,
             dtype=np.int64,
         )
-        # (c, 2): stiffness and damping, 0 of rigid contacts.
+        # (c, 2): stiffness and damping, 0 if rigid.
         self.soft: Tape = mechanics.whole_tape(
             [
                 parse(text or 0).to_sympy(mechanics.known)
@@ -157,28 +156,28 @@ class SteppedTape:
         self.may_jam = mechanics.scene.paradox == "impact"
 
     def equations(self, values: Array, state: Array, time: float) -> StateEquations:
-        """Evaluate the equations in a state."""
+        """Evaluate the equations at a state."""
         n, c, r = self.size, len(self.names), self.joint_rows
-        found = self.tape.values(state, values, time)
+        result = self.tape.values(state, values, time)
         first = n * n + n + (n * n if self.damped else 0)
         second = first + c * (2 * n + CONTACT)
         return StateEquations(
-            found[: n * n].reshape(n, n),
-            found[first:second].reshape(c, 2 * n + CONTACT),
-            found[second : second + r * (n + JOINT)].reshape(r, n + JOINT),
+            result[: n * n].reshape(n, n),
+            result[first:second].reshape(c, 2 * n + CONTACT),
+            result[second : second + r * (n + JOINT)].reshape(r, n + JOINT),
         )
 
     def contacts(self, values: Array, state: Array, time: float = 0.0) -> Array:
-        """Return gap, its rate, slip and two conditions (c, 5); see `equations.CONTACT`."""
+        """Return gap, gap rate, slip and two conditions (c, 5); see `equations.CONTACT`."""
         first = 2 * self.size + 2
         return self.equations(values, state, time).contacts[:, first : first + 5]
 
 
 class _Signs:
-    """Signs in forces, of functions that velocities or places change, and in other formulas.
+    """Sign functions of positions or velocities in forces.
 
-    Steps solve for them as for friction: see `contacts.time_stepping.scene_step.hold_signs`.
-    Formulas are sums of them; those that multiply each other are those of the middle of a step.
+    Steps solve for them as for friction: see `contacts.time_stepping.scene_step.hold_signs`. They
+    enter linearly; products of signs are evaluated at mid-step.
     """
 
     def __init__(
@@ -193,42 +192,42 @@ class _Signs:
             forms = [formula.xreplace(self._signs) for formula in formulas]
             acts = {s: [sp.diff(form, s) for form in forms] for s in self._signs.values()}
             apart = {*self._signs.values()}
-            left = {
+            linear = {
                 node: s
                 for node, s in self._signs.items()
                 if not any(act.free_symbols & apart for act in acts[s])
             }
-            if len(left) == len(self._signs):
+            if len(linear) == len(self._signs):
                 break
-            self._signs = left
+            self._signs = linear
         self.functions = tuple(node.args[0] for node in self._signs)
         self._acts = [acts[s] for s in self._signs.values()]
         none = dict.fromkeys(self._signs.values(), sp.S.Zero)
-        # The formulas where all signs are zero.
+        # The formulas with all signs zero.
         self.middle = [form.xreplace(none) for form in forms]
 
     def rows(self, count: int) -> list[sp.Expr]:
-        """Return for each sign what `hold_signs` reads; the first `count` formulas are forces."""
-        mechanics, found = self._mechanics, list[sp.Expr]()
+        """Return the inputs of `hold_signs`; the first `count` formulas are forces."""
+        mechanics, outputs = self._mechanics, list[sp.Expr]()
         for function, acts in zip(self.functions, self._acts, strict=True):
-            found += acts[:count]
-            found += [derivative(function, symbol) for symbol in (*mechanics.v, *mechanics.q)]
-            found += [function, *acts[count:]]
-        return found
+            outputs += acts[:count]
+            outputs += [derivative(function, symbol) for symbol in (*mechanics.v, *mechanics.q)]
+            outputs += [function, *acts[count:]]
+        return outputs
 
 
-# A limit of zero at rest has no edge in motion.
+# Lower bound of a static limit, which defines the edge in motion.
 _TINY = 1e-300
 
 
 def _kinetic_edge(static: sp.Expr, kinetic: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
-    """Return the unit edge of a coupling that slips: its normal force is the limit at rest."""
+    """Return the unit edge of a slipping coupling: its normal force is the static limit."""
     mu = sp.S.One if static == kinetic else kinetic / sp.Max(static, _TINY)
     return cone_edge(mu)
 
 
 def _touching_pairs(scene: Scene) -> Ints:
-    """Return the numbers (c,) of the pairs of bodies, or of a body and a surface, that touch."""
+    """Return numbers (c,) of the pairs of bodies, or of a body and a surface, in contact."""
     things: list[frozenset[str]] = []
     for contact in scene.contacts.values():
         carrier = scene.surfaces[contact.surface].body

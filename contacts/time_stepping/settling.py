@@ -1,18 +1,18 @@
-"""Modes of contacts where they change, from the complementarity problem of accelerations.
+"""Modes of contacts where they change, from the acceleration complementarity problem.
 
-The impulses of the steps after an impact hold what the landing has left: the motion turns a contact
-off the gap at which it landed by ``h^2 b/2``, and its normal velocity by ``h b``, where b is the
-bias of its normal acceleration. These impulses are wrong by the order of the forces. Where a slip
-ends or a contact comes off, velocities of the order ``h a`` are left in the same way. So from an
-impact, or a change of a mode, on the modes are those of the engines with events::
+In the steps after an impact impulses compensate the landing: motion turns a contact off its landing
+gap by ``h^2 b/2`` and its normal velocity by ``h b``, where b is the bias of its normal
+acceleration. These impulses are wrong by the order of the forces. Velocities of order ``h a``
+also remain where a slip ends or a contact opens. Therefore, from an impact or a mode change on,
+the modes are those of the event-driven engines::
 
     0 <= V,  0 <= a_n,  V a_n = 0,  a = J M^-1 f + b + W F,  F in the cone of friction
 
-with the velocities after the step, until its impulses say the same. What a few steps of the
-accelerations explain counts as zero: gaps up to ``16 h^2 a`` and their rates, slips against the
-mode of the step before up to ``4 h a`` while the contact bears, and slips that end within four
-steps; accelerations of the order ``h a`` only after an impact or against the impulses. Slips of
-couplings count as zero, where a contact has landed, up to ``4 h a`` with the sizes a of all terms.
+with the velocities after the step, until its impulses agree. Zero are quantities that a few steps
+of acceleration explain: gaps up to ``16 h^2 a`` and their rates; slips against the mode of the
+previous step up to ``4 h a`` while the contact is loaded, and slips that end within four steps;
+accelerations of order ``h a`` only after an impact or against the impulses; slips of couplings
+after a landing up to ``4 h a``, with the sizes a of all terms.
 """
 
 from __future__ import annotations
@@ -51,16 +51,16 @@ from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import kernel
 
-# Number of steps of the accelerations that explain a velocity, and of that velocity a gap.
+# Steps of acceleration that explain a velocity, and of that velocity that explain a gap.
 LEFT = 4.0
-# Accelerations below this part of what the step makes of them are zero to the first order; above
-# that part of their terms they are not, however long the step is.
+# Accelerations that are zero to first order, relative to those of the step; and their upper limit,
+# relative to their terms, at any step size.
 ALIKE, _MOST_ALIKE = 0.1, 1e-2
 
 
 @kernel
 def unsettle(memory: ContactHistory, k: int, chunk: Chunk) -> bool:
-    """Let all contacts settle where the mode of one changes; return whether they do."""
+    """Mark all contacts as settling if a mode changes; return whether they settle."""
     changes = False
     for i in range(len(memory.shown)):
         chunk.modes[k, i] = chunk.codes[k, i]
@@ -74,7 +74,7 @@ def unsettle(memory: ContactHistory, k: int, chunk: Chunk) -> bool:
 def _free_accelerations(
     scene: StepConstants, tape: TapeValues, equations: FactoredEquations
 ) -> Array:
-    """Return the accelerations of the coordinates without free contacts' forces."""
+    """Return the accelerations of the coordinates without forces of free contacts."""
     n, numbers, right = tape.size, tape.numbers, np.zeros(len(equations.order))
     for j in range(n):
         right[j] = numbers[n * n + j]
@@ -93,7 +93,7 @@ def _free_accelerations(
 
 @kernel
 def _is_yielding(scene: StepConstants, i: int) -> bool:
-    """Return whether contact i is compliant, or the rolling resistance of one that is."""
+    """Return whether contact i is compliant, or the rolling resistance of a compliant one."""
     carrier = scene.carriers[i]
     return scene.soft[i, 0] > 0.0 or (carrier >= 0 and scene.soft[carrier, 0] > 0.0)
 
@@ -103,7 +103,7 @@ def _add_yielding_forces(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
     codes: Ints, h: float, moving: Array,
 ) -> None:  # fmt: skip
-    """Add to accelerations what compliant contacts bore in a step with these codes (c,)."""
+    """Add the accelerations by compliant contacts in a step with codes (c,)."""
     bears = np.zeros(len(codes), np.bool_)
     for i in range(len(codes)):
         bears[i] = _is_yielding(scene, i) and codes[i] != FREE and not memory.off[i]
@@ -117,66 +117,60 @@ def _add_yielding_forces(
 
 @kernel
 def _write_accelerations(
-    tape: TapeValues, i: int, moving: Array, found: Array, sizes: Array
+    tape: TapeValues, i: int, moving: Array, accelerations: Array, sizes: Array
 ) -> None:
-    """Write the accelerations (2,) of contact i, and the sums of the sizes of their terms."""
+    """Write the accelerations (2,) of contact i, and the sums of absolute terms."""
     n = tape.size
     row = tape.first + tape.per * i
     for d in range(2):
-        found[d] = tape.numbers[row + 2 * n + d]
-        sizes[d] = abs(found[d])
+        accelerations[d] = tape.numbers[row + 2 * n + d]
+        sizes[d] = abs(accelerations[d])
         along = 0.0
         for j in range(n):
             along += tape.numbers[row + d * n + j] * moving[j]
-        found[d] += along
+        accelerations[d] += along
         sizes[d] += abs(along)
 
 
 @kernel
 def _is_near(memory: ContactHistory, tape: TapeValues, i: int, size: float, h: float) -> bool:
-    """Return whether steps of an acceleration of this size explain a contact's gap and rate."""
-    row, left = tape.first + tape.per * i + 2 * tape.size, LEFT * h * size
+    """Return whether steps of acceleration explain a contact's gap and rate."""
+    row, explained = tape.first + tape.per * i + 2 * tape.size, LEFT * h * size
     gap, rate = tape.numbers[row + 2] - memory.level[i], tape.numbers[row + 3]
-    return gap <= LEFT * h * left and rate <= left
+    return gap <= LEFT * h * explained and rate <= explained
 
 
 @kernel
 def solve_accelerations(
-    delassus: Array, free: Array, cones: Array, slides: Array, sizes: Array, found: Array,
+    delassus: Array, free: Array, cones: Array, slides: Array, sizes: Array, accelerations: Array,
     sums: Array,
 ) -> tuple[bool, Array]:  # fmt: skip
-    """Write the accelerations of contacts; return whether the problem was solved, and forces.
+    """Write the accelerations (m, 2) of contacts; return whether they are solved for, and forces.
 
-    Parameters
-    ----------
-    delassus, free, cones, slides
-        See `contacts.solvers.lemke.impulses_by_lemke`.
-    sizes : (m, 2)
-        Sums of the sizes of the terms of `free`.
-    found, sums : (m, 2)
-        To be filled; sums of the sizes of the terms.
+    For `delassus`, `free`, `cones`, `slides` see `contacts.solvers.lemke.impulses_by_lemke`;
+    `sizes` and `sums` (m, 2) are sums of absolute terms, of `free` and of the accelerations.
     """
     solved, forces = forces_by_lemke(delassus, free, cones, slides)
-    for a in range(len(found)):
+    for a in range(len(accelerations)):
         for d in range(2):
-            found[a, d], terms = free[a, d], sizes[a, d]
-            for b in range(len(found)):
+            accelerations[a, d], terms = free[a, d], sizes[a, d]
+            for b in range(len(accelerations)):
                 for e in range(2):
                     term = delassus[2 * a + d, 2 * b + e] * forces[b, e]
-                    found[a, d] += term
+                    accelerations[a, d] += term
                     terms += abs(term)
             sums[a, d] = terms
-            if abs(found[a, d]) <= SUM_ROUNDING * terms:
-                found[a, d] = 0.0
+            if abs(accelerations[a, d]) <= SUM_ROUNDING * terms:
+                accelerations[a, d] = 0.0
     return solved, forces
 
 
 @kernel
 def clear_alike(accelerations: Array, sums: Array, per_speed: float) -> None:
-    """Clear accelerations (2,) that are zero to the first order of the step.
+    """Clear accelerations (2,) that are zero to first order in the step.
 
-    Contacts of one body that have landed at different depths have lever arms that differ by the
-    order of the step, so that their accelerations do: by ``h a`` beside the scene's speed.
+    Contacts of one body that landed at different depths have lever arms, and so accelerations, that
+    differ by ``h a`` relative to the scene's speed.
     """
     for d in range(2):
         if abs(accelerations[d]) <= min(per_speed * sums[d], _MOST_ALIKE) * sums[d]:
@@ -189,16 +183,16 @@ def end_slips(
 ) -> bool:
     """Clear the directions (m,) of slips that some steps explain; return whether there are.
 
-    These are slips that end within these steps, and those `against` the mode of the step before
-    that its accelerations, of terms of these `sizes` (m, 2), make within them.
+    These are slips that end within some steps, and slips `against` the previous mode that
+    accelerations, with terms of these `sizes` (m, 2), cause within them.
     """
-    found = False
+    any_ended = False
     for a in range(len(slips)):
-        left = LEFT * h * (sizes[a, 1] + abs(accelerations[a, 1]))
+        explained = LEFT * h * (sizes[a, 1] + abs(accelerations[a, 1]))
         ends = slides[a] * (slips[a] + LEFT * h * accelerations[a, 1]) < 0.0
-        if ends or (against[a] and abs(slips[a]) <= left):
-            slides[a], found = 0.0, True
-    return found
+        if ends or (against[a] and abs(slips[a]) <= explained):
+            slides[a], any_ended = 0.0, True
+    return any_ended
 
 
 @kernel
@@ -210,7 +204,7 @@ def _direction(mode: int) -> float:
 def mode_of_acceleration(
     acceleration: Array, slip: float, still: bool, cone: Array, directed: bool
 ) -> int:
-    """Return the number of the mode of a contact with these accelerations (2,)."""
+    """Return the mode of a contact with accelerations (2,)."""
     if acceleration[0] > 0.0:
         return FREE
     if cone[1] == 0.0 and not directed:
@@ -228,7 +222,7 @@ def settle(
 ) -> None:  # fmt: skip
     """Write the modes of settling contacts in step k.
 
-    The tape is that of the middle of the step, with the velocities after it.
+    The tape is that of the midpoint, with the velocities after the step.
     """
     c, n, h = len(scene.cones), tape.size, chunk.h
     moving = _free_accelerations(scene, tape, equations)
@@ -286,7 +280,7 @@ def settle(
                 continue
             for a in range(m):
                 if brakes[a]:
-                    # The forces of contacts turn what it holds.
+                    # Contact forces rotate the coupled bodies.
                     put(sums[a], terms[a])
             if ended or not (solved and end_slips(slips, forced, against, terms, h, slides)):
                 break
@@ -314,9 +308,9 @@ def settle(
 
 @kernel
 def _show(memory: ContactHistory, first: int, k: int, chunk: Chunk) -> None:
-    """End the settling where the impulses of step k agree with the modes shown.
+    """End the settling if the impulses of step k agree with the recorded modes.
 
-    Forces of contacts begin at `first` among the step's unknowns.
+    `first`: index of the contact forces in the unknowns of the step.
     """
     agree = True
     for i in range(len(memory.shown)):

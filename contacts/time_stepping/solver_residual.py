@@ -1,4 +1,4 @@
-"""Residual of the contact laws over a run, and the work that its impulses took."""
+"""Residual of the contact laws over a run, and solver statistics."""
 
 from __future__ import annotations
 
@@ -24,24 +24,23 @@ INDETERMINATE = (
     "friction presses a contact into its surface so that it may slide as well as lift off "
     "(Painleve's paradox, indeterminate): another engine or step may choose the other"
 )
-"""What is said where the impulses of a step are not the only ones that the contact laws allow."""
+"""Warning of non-unique impulses."""
 
 
 class SolverResidual:
-    """Counts contacts and iterations, and the steps whose impulses are not accurate enough.
+    """Accumulates solver statistics and inexact steps.
 
-    `residual` is the largest by which impulses missed the contact laws, relative to the fastest
-    approach of their step.
+    `residual` is the largest, relative to the fastest approach of its step.
     """
 
-    def __init__(self, asked: Impulses) -> None:
-        self._tolerance, self._bound = asked
+    def __init__(self, limits: Impulses) -> None:
+        self._tolerance, self._bound = limits
         self._iterations = self._contacts = self._most = self._missed = self._softened = 0
         self._ambiguous = self._unended = self._several = 0
         self.residual = self._when = self._first = self._left = self._choice = 0.0
 
     def beyond(self, chunk: Chunk) -> tuple[int, SimulationError] | None:
-        """Return the first step whose impulses miss by more than the bound, and why it ends."""
+        """Return the first step whose residual exceeds the bound, and the error."""
         wrong = chunk.stats[:, RESIDUAL] > self._bound
         if not wrong.any():
             return None
@@ -52,7 +51,7 @@ class SolverResidual:
         )
 
     def add(self, chunk: Chunk, start: float) -> None:
-        """Count steps, of which the first begins at `start`."""
+        """Accumulate the steps of a chunk that begins at `start`."""
         efforts, h = chunk.stats, chunk.h
         total, most = efforts.sum(axis=0), efforts.max(axis=0)
         self._iterations += int(total[ITERATIONS])
@@ -76,7 +75,7 @@ class SolverResidual:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Iterations; contacts that took part, of all steps and of one; steps that missed."""
+        """Iterations; active contacts in all steps and at most in one; inexact steps."""
         return {
             "iterations": self._iterations,
             "contacts": self._contacts,
@@ -86,17 +85,17 @@ class SolverResidual:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Warnings of impulses that miss the contact laws, or are not the only ones."""
-        found: tuple[str, ...] = ()
+        """Warnings of inexact or non-unique impulses."""
+        warnings: tuple[str, ...] = ()
         if self._softened:
-            found += (
+            warnings += (
                 (
                     f"in {several(self._softened, 'step')} no impulses satisfy Moreau's impact "
                     "law at all contacts: impacts there have no rebound"
                 ),
             )
         if self._ambiguous:
-            found += (
+            warnings += (
                 f"in {several(self._ambiguous, 'step')}, the first at t = {self._first:.6g}, "
                 f"bodies with a restitution of {LIVELY:g} or more are struck in several places at "
                 "once, and Moreau's law lets a body that passes the blow on not rebound. "
@@ -104,12 +103,12 @@ class SolverResidual:
                 "with events)",
             )
         if self._several:
-            found += (
+            warnings += (
                 f"in {several(self._several, 'step')}, the first at t = {self._choice:.6g}, "
                 + INDETERMINATE,
             )
         if self._unended:
-            found += (
+            warnings += (
                 (
                     f"in {several(self._unended, 'step')} a sequence of impacts did not end (light "
                     f"bodies between heavy ones): Moreau's law resolved the approach left after "
@@ -117,11 +116,11 @@ class SolverResidual:
                 ),
             )
         if self._missed:
-            found += (
+            warnings += (
                 (
                     f"in {several(self._missed, 'step')} the residual of the contact impulses "
                     f"exceeds the tolerance of {self._tolerance:g}: up to {self.residual:.2g} of "
                     f"the fastest approach, at t = {self._when:.6g}"
                 ),
             )
-        return found
+        return warnings

@@ -1,8 +1,8 @@
 """Stability of explicit forces: ``h^2 k + 2 h d`` must stay below 4.
 
-Of a scene of points the equations have the stiffness, and damping is taken implicitly; of bodies
-with shapes both are differences of the forces. What contacts and joints hold is left out. The
-tension of joints is no such force: `contacts.rigid_bodies.rigid_body_run` limits its energy.
+For points on surfaces the equations give the stiffness, and damping is implicit; for bodies with
+shapes both are finite differences. Directions held by contacts and joints are excluded, and so is
+the tension of joints: `contacts.rigid_bodies.rigid_body_run` limits its energy.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 UNSTABLE = 4.0
-"""Forces are those in the middle of a step, at the speeds before it. Under a stiffness k and a
-damping d, by mass, steps turn what moves around ever farther where h^2 k + 2 h d is above this."""
-# From here on (radians a step) the midpoint rule is off by a hundredth of a period's phase.
+"""Limit of ``h^2 k + 2 h d`` for forces evaluated at mid-step, at the velocities before it, with
+stiffness k and damping d per mass."""
+# Radians per step at which the phase error is a hundredth of a period.
 _COARSE = 0.5
-# Radians, or parts of a speed, a step that are accurate.
+# Recommended radians, or relative velocity change, per step.
 _FINE = 0.1
-# Directions are one to within this part of the largest.
+# Relative tolerance of equal directions.
 DEPENDENT = 1e-9
 CHANGE = 1e-6
 """Step of the finite differences of forces, relative to the size of a body."""
-# Squares of directions, beside theirs of one, that are rounding: joints may imply each other.
+# Regularisation of the Gram matrix of held directions, which may be redundant.
 _DEPENDENT_SQUARES = 1e-12
-# Steps of Arnoldi's iteration: what is larger than it finds is so by less than a hundredth.
+# Arnoldi iterations: an error below a hundredth.
 _ITERATIONS = 60
-# Points at which a formula is evaluated at once.
+# Batch size of formula evaluation.
 _AT_ONCE = 64
 
 
-def unstable(what: str, radians: float, h: float, finest: float) -> StepTooLarge:
-    """Return the error of a step under whose forces motion swings ever farther."""
+def unstable(motion: str, radians: float, h: float, finest: float) -> StepTooLarge:
+    """Return the error of an unstable step size."""
     return StepTooLarge(
-        f"{what} by {radians:.3g} radians in one step of {h:g}, which is unstable from 2 on; "
+        f"{motion} by {radians:.3g} radians in one step of {h:g}, which is unstable from 2 on; "
         f"take {finest:.1g} or less"
     )
 
@@ -55,28 +55,28 @@ def unstable(what: str, radians: float, h: float, finest: float) -> StepTooLarge
 class Swings(NamedTuple):
     """Oscillations of springs."""
 
-    speeds: Array  # (k,): in radians per time.
-    shapes: Array  # (n, k): how far each moves the coordinates.
-    parts: Array  # (k, n): what each has of the rates.
+    speeds: Array  # (k,): angular frequencies.
+    shapes: Array  # (n, k): absolute mode shapes.
+    parts: Array  # (k, n): projections of the rates on the modes.
 
     def off(self, rates: Array, smooth: Bools, h: float, span: float) -> Array:
-        """Return how far off rates (n,) are after so long, as the midpoint rule swings too fast.
+        """Return the velocity errors (n,) after `span` by the phase error of the midpoint rule.
 
-        What swings at w is ahead by (w h)^2/24 of its phase.
+        The phase at frequency w leads by (w h)^2/24.
         """
         changes = np.diff(rates, axis=0)[smooth] @ self.parts.T
         if len(changes) < 2:
             return np.zeros(len(self.shapes))
-        # Slow motion, and motion under constant forces, does not change its rate so.
+        # Slow motion under constant forces has no oscillating rate changes.
         turns = self.speeds * h
         sizes = math.sqrt(2.0) * changes.std(axis=0) / turns
         ahead = 2.0 * np.sin(np.minimum(self.speeds * span * turns**2 / 24.0, math.pi) / 2.0)
-        found: Array = (self.shapes * (ahead * sizes)).max(axis=1)
-        return found
+        errors: Array = (self.shapes * (ahead * sizes)).max(axis=1)
+        return errors
 
 
 class StepLimits:
-    """Watches how steps follow the forces of a scene."""
+    """Stability and force quadrature of the steps of a scene."""
 
     def __init__(self, mechanics: Mechanics, forces: Sequence[sp.Expr]) -> None:
         self._size = len(mechanics.q)
@@ -97,7 +97,7 @@ class StepLimits:
         self._forces = mechanics.whole_tape(forces) if varies else None
 
     def swings(self, values: Array, state: Array, time: float, held: Array) -> Swings | None:
-        """Return how springs swing; None where there is none."""
+        """Return the oscillations of springs orthogonal to the rows `held`; None without any."""
         if self._stiffness is None:
             return None
         n = self._size
@@ -126,12 +126,12 @@ class StepLimits:
     def missed(
         self, values: Array, start: float, h: float, states: Array
     ) -> tuple[Array, Array] | None:
-        """Return the velocities that forces give in each step and their middles do not show.
+        """Return the velocities by the force quadrature error of each step.
 
         Returns
         -------
         known, unknown : (k, n) array
-            The unknown is a bound, of what is not among the known; None where forces are constant.
+            The unknown is a bound of the remainder; None if forces are constant.
         """
         tape, n, count = self._forces, self._size, len(states) - 1
         if tape is None or not count:
@@ -145,19 +145,19 @@ class StepLimits:
         mass = self._mass.values(states[0], values, start).reshape(n, n)
         if not np.isfinite(mass).all():
             return None
-        # A coordinate without inertia has no speed of its own.
+        # A coordinate without inertia has no independent velocity.
         inverse = np.linalg.pinv(mass, hermitian=True)
         return known @ inverse, unknown @ np.abs(inverse)
 
 
 def check_swing(swing: float, h: float) -> None:
-    """Raise `StepTooLarge` where springs swing ever farther by steps of this length."""
+    """Raise `StepTooLarge` if springs are unstable at this step size."""
     if (swing * h) ** 2 >= UNSTABLE:
         raise unstable("springs swing", swing * h, h, _FINE / swing)
 
 
 def remarks(swing: float, h: float) -> tuple[str, ...]:
-    """Say what springs steps follow badly."""
+    """Return a warning of springs that steps follow badly."""
     if not swing * h > _COARSE:
         return ()
     return (
@@ -172,15 +172,15 @@ class Stiffness(NamedTuple):
     """Stiffness and damping of a step in coordinates whose squared rates are energies."""
 
     size: int  # Coordinates, n.
-    # (k,): what changes by what.
+    # (k,): indices of the entries.
     rows: Ints
     columns: Ints
-    # (k,): ``h^2 K`` and ``2 h D``: less force where bodies have moved, and are faster.
+    # (k,): entries of ``h^2 K`` and ``2 h D``.
     places: Array
     rates: Array
 
     def most(self) -> float:
-        """Return a bound of their sum."""
+        """Return the row-sum bound of their sum."""
         sums = np.bincount(self.rows, np.abs(self.places + self.rates), minlength=self.size)
         return float(sums.max(initial=0.0))
 
@@ -189,19 +189,17 @@ def stiffness(
     bodies: Ints, tape: Tape, values: Array, inverse: Array, size: float, h: float, state: Array,
     time: float,
 ) -> Stiffness:  # fmt: skip
-    """Return how forces change in a step; what has no value is left out.
+    """Return the stiffness and damping of forces in a step; non-finite entries are omitted.
 
-    By differences, of coordinates that no formula reads two of at once (Curtis, Powell and Reid
-    1974), so that what controllers give is in it.
-
-    Bodies (f,) have three forces each on the tape, `inverse` masses (b, 3) and this `size`; the
-    state (6 b + w,) is that of the step.
+    Central differences of groups of coordinates that no formula reads together (Curtis, Powell and
+    Reid 1974), so that controllers are included. Bodies (f,) have three forces each on the tape,
+    `inverse` masses (b, 3) and a `size`; the state (6 b + w,) is that of the step.
     """
     n = inverse.size
     outputs, variables, colours = tape.coloured_sparsity(2 * n)
     changes = np.where(variables % 3 == 2, CHANGE, CHANGE * size)
     changes[variables >= n] /= h
-    found = np.zeros(len(outputs))
+    entries = np.zeros(len(outputs))
     for first in range(0, int(colours.max(initial=-1)) + 1, _AT_ONCE):
         mine = np.flatnonzero((colours >= first) & (colours < first + _AT_ONCE))
         k = colours[mine] - first
@@ -209,38 +207,38 @@ def stiffness(
         around[0, k, variables[mine]] = state[variables[mine]] + changes[mine]
         around[1, k, variables[mine]] = state[variables[mine]] - changes[mine]
         points = around.reshape(-1, len(state))
-        seen = tape.table(points, values, np.full(len(points), time))
-        more, less = seen.reshape(2, -1, len(tape.outputs))
-        found[mine] = (less - more)[k, outputs[mine]] / (2.0 * changes[mine])
-    found = np.where(np.isfinite(found), found, 0.0)
+        forces = tape.table(points, values, np.full(len(points), time))
+        more, less = forces.reshape(2, -1, len(tape.outputs))
+        entries[mine] = (less - more)[k, outputs[mine]] / (2.0 * changes[mine])
+    entries = np.where(np.isfinite(entries), entries, 0.0)
     rows, root = 3 * bodies[outputs // 3] + outputs % 3, np.sqrt(inverse).ravel()
     columns, places = variables % n, variables < n
-    found *= root[rows] * root[columns]
+    entries *= root[rows] * root[columns]
     return Stiffness(
-        n, rows, columns, np.where(places, h * h * found, 0.0),
-        np.where(places, 0.0, 2.0 * h * found),
+        n, rows, columns, np.where(places, h * h * entries, 0.0),
+        np.where(places, 0.0, 2.0 * h * entries),
     )  # fmt: skip
 
 
 class Held(NamedTuple):
-    """Directions in which contacts and joints hold."""
+    """Directions held by contacts and joints."""
 
-    bodies: Ints  # (r, 2): whose; -1: none.
-    rows: Array  # (r, 6): of their rates.
+    bodies: Ints  # (r, 2): their bodies; -1: none.
+    rows: Array  # (r, 6): on the rates of both.
 
     def only(self, which: Bools) -> Held:
-        """Return some of them."""
+        """Return a selection."""
         return Held(self.bodies[which], self.rows[which])
 
     def whole(self, count: int) -> Array:
-        """Return them (r, 3 b) as rows of all bodies."""
-        found = np.zeros((len(self.rows), count + 1, 3))
-        # Rows of no body are written behind the last.
-        found[np.arange(len(self.rows))[:, None], self.bodies] = self.rows.reshape(-1, 2, 3)
-        return found[:, :count].reshape(len(self.rows), 3 * count)
+        """Return the rows (r, 3 b) on all bodies."""
+        result = np.zeros((len(self.rows), count + 1, 3))
+        # Index -1 writes behind the last body.
+        result[np.arange(len(self.rows))[:, None], self.bodies] = self.rows.reshape(-1, 2, 3)
+        return result[:, :count].reshape(len(self.rows), 3 * count)
 
     def scaled(self, inverse: Array) -> csr_array:
-        """Return them as rows of rates whose squares are energies, by inverse masses (b, 3)."""
+        """Return the rows on rates whose squares are energies, for inverse masses (b, 3)."""
         from scipy.sparse import csr_array
 
         root = np.sqrt(inverse).ravel()
@@ -251,56 +249,56 @@ class Held(NamedTuple):
         return csr_array((values.ravel(), places), (len(values), root.size))
 
 
-def check_stiffness(found: Stiffness, held: csr_array | Array, h: float) -> None:
-    """Raise `StepTooLarge` where steps of this length swing ever farther under forces.
+def check_stiffness(entries: Stiffness, held: csr_array | Array, h: float) -> None:
+    """Raise `StepTooLarge` if forces are unstable at this step size.
 
     `held` (r, n) are rows that contacts and joints hold.
     """
     from scipy.sparse import csr_array, diags_array, identity
     from scipy.sparse.linalg import splu
 
-    n, rows = found.size, csr_array(held)
+    n, rows = entries.size, csr_array(held)
     sizes = np.sqrt(np.asarray((rows * rows).sum(axis=1))).ravel()
     rows = diags_array(1.0 / sizes[sizes > 0.0]) @ rows[np.flatnonzero(sizes > 0.0)]
     gram = (rows @ rows.T + _DEPENDENT_SQUARES * identity(rows.shape[0])).tocsc()
     factors = splu(gram) if rows.shape[0] else None
 
     def free(x: Array) -> Array:
-        # Twice: what is nearly held is left to the rounding of its factors.
+        # Twice, against round-off of the factors.
         for _ in range(2):
             x = x if factors is None else x - rows.T @ factors.solve(rows @ x)
         return x
 
     def largest(values: Array) -> float:
-        matrix = csr_array((values, (found.rows, found.columns)), (n, n))
+        matrix = csr_array((values, (entries.rows, entries.columns)), (n, n))
         return _largest(lambda x: free(matrix @ x), free(np.random.default_rng(0).normal(size=n)))
 
-    most = largest(found.places + found.rates)
+    most = largest(entries.places + entries.rates)
     if not most > UNSTABLE:
         return
-    spring, damper = math.sqrt(max(largest(found.places), 0.0)), 0.5 * largest(found.rates)
+    spring, damper = math.sqrt(max(largest(entries.places), 0.0)), 0.5 * largest(entries.rates)
     what = "position- or velocity-dependent forces oscillate"
     raise unstable(what, math.sqrt(most), h, _FINE * h / max(spring, damper, _FINE))
 
 
 def _largest(matrix: Callable[[Array], Array], start: Array) -> float:
-    """Return the largest real part of an eigenvalue; 0 where all are below (Arnoldi 1951)."""
+    """Return the largest real part of an eigenvalue, at least 0 (Arnoldi 1951)."""
     size = float(np.linalg.norm(start))
     if size < 1e-6:
         return 0.0
     steps = min(len(start), _ITERATIONS)
-    basis, seen = np.zeros((steps + 1, len(start))), np.zeros((steps + 1, steps))
+    basis, hessenberg = np.zeros((steps + 1, len(start))), np.zeros((steps + 1, steps))
     basis[0] = start / size
     for k in range(steps):
         x = matrix(basis[k])
         before = float(np.linalg.norm(x))
         for _ in range(2):
             parts = basis[: k + 1] @ x
-            seen[: k + 1, k] += parts
+            hessenberg[: k + 1, k] += parts
             x = x - parts @ basis[: k + 1]
-        seen[k + 1, k] = np.linalg.norm(x)
-        if seen[k + 1, k] <= 1e-10 * before:
+        hessenberg[k + 1, k] = np.linalg.norm(x)
+        if hessenberg[k + 1, k] <= 1e-10 * before:
             steps = k + 1
             break
-        basis[k + 1] = x / seen[k + 1, k]
-    return float(np.linalg.eigvals(seen[:steps, :steps]).real.max(initial=0.0))
+        basis[k + 1] = x / hessenberg[k + 1, k]
+    return float(np.linalg.eigvals(hessenberg[:steps, :steps]).real.max(initial=0.0))

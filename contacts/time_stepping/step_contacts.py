@@ -1,6 +1,6 @@
-"""Active contacts of a step of a scene on tape, their impulses, modes and forces.
+"""Active contacts of a step of points on surfaces: their impulses, modes and forces.
 
-Moreau's midpoint rule: all impulses of a step are those of one contact problem in its middle.
+Moreau's midpoint rule: one contact problem per step, at its midpoint.
 """
 
 from __future__ import annotations
@@ -70,18 +70,10 @@ from statechart.kernels.jit import kernel
 
 @kernel
 def mode_of_impulse(impulse: Array, slip: float, sliding: bool, cone: Array, directed: bool) -> int:
-    """Return the number of the mode of a contact that bears an impulse.
+    """Return the mode of a loaded contact.
 
-    Parameters
-    ----------
-    impulse : (2,)
-    slip : float
-        After the step.
-    sliding : bool
-        Whether it slips under friction.
-    cone : (2,)
-    directed : bool
-        Whether its slides have a direction, whatever the friction.
+    `slip` (after the step), `sliding` (under friction), `directed` (its slides have a direction
+    even without friction).
     """
     if cone[1] == 0.0 and not directed:
         return SLIDE
@@ -101,9 +93,9 @@ def pressing(own: Array, slip: float, cone: Array) -> bool:
     return slip != 0.0 and own[0] * cone[0] + own[2] * against <= 0.0
 
 
-# Directions are opposite to within this part of their size.
+# Relative tolerance of opposite directions.
 _OPPOSITE = 1e-9
-# By so much more than the lever of a landing says, a gap is left: gaps bend.
+# Tolerance factor of a remaining gap, for curvature.
 _BENT = 1.01
 
 
@@ -129,7 +121,7 @@ def close_opposed(
                 continue
             lever = _opposing_lever(tape, i, other)
             if lever > 0.0 and gap <= scene.near - _BENT * lever * left:
-                # Kept where the other is, neither is asked to part by what the other is not.
+                # With matching target gaps neither contact is pushed by the other's error.
                 met.active[i], memory.closed[i] = True, True
                 memory.level[i] = -lever * memory.level[other]
                 above = gap + lever * memory.level[other]
@@ -140,7 +132,7 @@ def close_opposed(
 
 @kernel
 def _opposing_lever(tape: TapeValues, i: int, other: int) -> float:
-    """Return how far contact `i` closes where `other` opens by 1; 0 where they do not face."""
+    """Return the closing of contact `i` per opening of `other`; 0 unless they are opposed."""
     n, own, its = tape.size, tape.first + tape.per * i, tape.first + tape.per * other
     most = least = apart = 0.0
     for j in range(n):
@@ -154,8 +146,7 @@ def _opposing_lever(tape: TapeValues, i: int, other: int) -> float:
     return lever if apart <= _OPPOSITE * most else 0.0
 
 
-# A contact that lands slower than this part of what a step without contact would make of rest
-# brings no momentum that forces would tell.
+# Approach velocity, relative to the velocity change of a free step, of a landing without momentum.
 _NEGLIGIBLE_LANDING = 1e-9
 
 
@@ -164,9 +155,9 @@ def _slow(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, met: ContactRoles, i: int,
     h: float,
 ) -> float:  # fmt: skip
-    """Return the approach velocity up to which a contact lasts, see `SLOW`.
+    """Return the approach velocity up to which a contact lasts; see `SLOW`.
 
-    A contact that has just rebounded comes back by turning as well: else it would at every step.
+    A contact that has rebounded can return by rotation alone: no impact in every step.
     """
     change = met.free[i, 0] - met.before[i, 0]
     slow = abs(change)
@@ -181,10 +172,7 @@ def find_active(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, change: Array, k: int,
     met: ContactRoles, chunk: Chunk,
 ) -> None:  # fmt: skip
-    """Write which contacts take part in step k.
-
-    Without contacts the step changes the rates by `change`.
-    """
+    """Write the active contacts of step k, whose rates change by `change` without contacts."""
     numbers, n, off, level, h = tape.numbers, tape.size, memory.off, memory.level, chunk.h
     for i in range(len(scene.cones)):
         row = tape.first + tape.per * i
@@ -201,8 +189,8 @@ def find_active(
             met.active[i], met.wanted[i, 1] = True, 0.5 * h * numbers[row + 2 * n + 1]
             continue
         if scene.soft[i, 0] > 0.0:
-            # Implicit Euler: h times the force at the gap at the start plus h times the rate at
-            # the end, never below 0. It takes energy from steps longer than a contact lasts.
+            # Implicit Euler: h times the force at the initial gap plus h times the final rate,
+            # never below 0. It dissipates in steps longer than a contact lasts.
             start = gap - 0.5 * h * before[0]
             met.active[i] = min(start, gap) <= 0.0
             met.wanted[i, 0] = h * scene.soft[i, 0] * start / _yielding(scene, i, h)
@@ -218,13 +206,13 @@ def find_active(
         if role == LASTING:
             met.wanted[i, 0] = above / h + bias
             if abs(free[0] + met.wanted[i, 0]) <= scene.rounding:
-                # Bodies that fall side by side do not press each other.
+                # Bodies that fall side by side have no contact force.
                 met.wanted[i, 0] = -free[0]
             met.wanted[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
-            # Between its middles a step is as deep as turning makes it.
+            # Depth between midpoints by rotation.
             chunk.approach[k] = max(chunk.approach[k], 2.0 * abs(bias))
         elif role == HIT:
-            # The direction it is hit in is as far off as it turns within the step.
+            # Error of the impact direction by rotation within the step.
             speed = max(math.hypot(before[0], before[1]), scene.slowest)
             chunk.gained[k] = max(chunk.gained[k], (bias / speed) ** 2)
             met.wanted[i, 0] = -scene.restitution[i] * nearing
@@ -234,20 +222,20 @@ def find_active(
 
 @kernel
 def _yielding(scene: StepConstants, i: int, h: float) -> float:
-    """Return the impulse per velocity of a compliant contact in a step, implicitly."""
-    found: float = h * (h * scene.soft[i, 0] + scene.soft[i, 1])
-    return found
+    """Return the implicit impulse per velocity of a compliant contact."""
+    impulse: float = h * (h * scene.soft[i, 0] + scene.soft[i, 1])
+    return impulse
 
 
 @kernel
 def _is_finite(scene: StepConstants, i: int) -> bool:
-    """Return whether contact i is compliant or a coupling: no impact is simultaneous with it."""
+    """Return whether contact i is compliant or a coupling, which has no impacts."""
     return scene.soft[i, 0] > 0.0 or is_coupling(scene, i)
 
 
 @kernel
 def unit_responses(tape: TapeValues, equations: FactoredEquations, which: Ints) -> Array:
-    """Return what unit impulses of contacts do to all that moves (2 m, s)."""
+    """Return M^-1 J^T: the response to unit impulses of contacts (2 m, s)."""
     n, moving = tape.size, len(equations.order)
     columns, push = np.zeros((2 * len(which), moving)), np.zeros(moving)
     for a in range(len(which)):
@@ -261,7 +249,7 @@ def unit_responses(tape: TapeValues, equations: FactoredEquations, which: Ints) 
 
 @kernel
 def delassus_of(tape: TapeValues, which: Ints, columns: Array) -> Array:
-    """Return what unit impulses of contacts do to their velocities."""
+    """Return the Delassus matrix J M^-1 J^T (2 m, 2 m)."""
     m, n = len(which), tape.size
     result = np.zeros((2 * m, 2 * m))
     for a in range(m):
@@ -279,9 +267,9 @@ def delassus_of(tape: TapeValues, which: Ints, columns: Array) -> Array:
 def normal_pads(
     scene: StepConstants, tape: TapeValues, which: Ints, columns: Array, h: float
 ) -> Array:
-    """Return compliances (m,) of what normal rows of compliant contacts and couplings move besides.
+    """Return the pad compliances (m,) of the normal rows of compliant contacts and couplings.
 
-    Those of couplings move nothing else: their pads are of the size of the velocities of others.
+    The normal rows of couplings move only pads, scaled to other velocities.
     """
     pads = np.zeros(len(which))
     for a in range(len(which)):
@@ -296,8 +284,8 @@ def normal_pads(
     return pads
 
 
-# Rolling resistances are loaded so often, and until none changes by more than this part of itself.
-# Each time leaves the part length*dV/dM of the change.
+# Iterations of the loads of rolling resistances, and their relative tolerance. Each iteration
+# reduces the change by length*dV/dM.
 LOADINGS, LOADED = 40, 1e-10
 
 
@@ -305,18 +293,10 @@ LOADINGS, LOADED = 40, 1e-10
 def coupling_loads(
     scene: StepConstants, which: Ints, columns: Array, free: Array, pushes: Array, h: float
 ) -> Array:
-    """Return the factors (m,) of limits: h; of rolling resistance, its contact's normal impulse.
+    """Return the factors (m,) of limits: h; for rolling resistance its contact's normal impulse.
 
-    Parameters
-    ----------
-    which : (m,) array of int
-    columns : (2 m, s) array
-        See `unit_responses`.
-    free : (s,) array
-        Changes of the rates, and impulses of constraints, without those of contacts.
-    pushes : (m, 2) array
-        Impulses of contacts.
-    h : float
+    `columns` (2 m, s): see `unit_responses`; `free` (s,): changes of rates and constraint impulses
+    without contacts; `pushes` (m, 2): contact impulses.
     """
     loads = np.full(len(which), h)
     for a in range(len(which)):
@@ -340,10 +320,10 @@ def coupling_loads(
 def load_couplings(
     scene: StepConstants, tape: TapeValues, which: Ints, loads: Array, pads: Array, free: Array
 ) -> float:
-    """Load couplings, in place, with the impulses of their limits at rest; return what changed.
+    """Write the static limits of couplings as loads of their pads; return the relative change.
 
-    So their normal rows, which move nothing, have these impulses as their solution, and what is in
-    the cone of friction 1 is within the limit. The change is the largest, in parts of the impulse.
+    Their normal rows, which move only pads, then have these impulses as solutions, and a friction
+    cone of coefficient 1 expresses the limit.
     """
     changed = 0.0
     for a in range(len(which)):
@@ -358,7 +338,7 @@ def load_couplings(
 
 @kernel
 def label_groups(scene: StepConstants, tape: TapeValues, met: ContactRoles) -> None:
-    """Label contacts that take part, and constraints, by the first of their group; others -1."""
+    """Label active contacts, and constraints, by the first of their coupled group; others -1."""
     numbers, n, c, active = tape.numbers, tape.size, len(scene.held), indices(met.active)
     constraints, joints, width = indices(scene.held > 0), tape.first + tape.per * c, n + JOINT
     which = np.empty(len(active) + len(constraints), np.int64)
@@ -378,13 +358,13 @@ def label_groups(scene: StepConstants, tape: TapeValues, met: ContactRoles) -> N
 
 @kernel
 def members_of(met: ContactRoles, label: int) -> Ints:
-    """Return the contacts with a label that take part."""
+    """Return the active contacts with a label."""
     return indices((met.groups == label) & met.active)
 
 
 @kernel
 def write_cone(scene: StepConstants, tape: TapeValues, i: int, direction: int, cone: Array) -> None:
-    """Write the unit edge (2,) of the friction cone of contact i that slips, or rests (0)."""
+    """Write the unit cone edge (2,) of contact i that slips in a direction, or rests (0)."""
     put(scene.cones[i], cone)
     if direction != 0 and (scene.used[i] >= 0 or is_coupling(scene, i)):
         at = tape.first + tape.per * i + 2 * tape.size + (EDGES if direction > 0 else EDGES + 2)
@@ -398,18 +378,18 @@ def group_island(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
     members: Ints, met: ContactRoles, h: float,
 ) -> tuple[Island, ContactRows, Array, Array]:  # fmt: skip
-    """Return a group of contacts as an island and its rows, their `unit_responses`, and pads.
+    """Return a coupled group as an island and its rows, their `unit_responses`, and pads.
 
-    `met` loses rebounds of plastic groups.
+    Removes restitution in plastic groups.
     """
     columns = unit_responses(tape, equations, members)
     pads = normal_pads(scene, tape, members, columns, h)
-    m, n, struck, together = len(members), tape.size, False, 0
+    m, n, struck, rigid_count = len(members), tape.size, False, 0
     island = new_island(members, met.before[members], met.free[members], np.zeros((m, 2)))
     jacobians, cones = np.empty((m, 2, n)), np.empty((m, 2))
     for i in range(len(met.groups)):
-        alike = met.groups[i] == met.groups[members[0]]
-        together += 1 if alike and not _is_finite(scene, i) else 0
+        in_group = met.groups[i] == met.groups[members[0]]
+        rigid_count += 1 if in_group and not _is_finite(scene, i) else 0
     for a in range(m):
         i = members[a]
         row, slip = tape.first + tape.per * i, island.start[a, 1]
@@ -424,14 +404,14 @@ def group_island(
             for way in range(-1, 2):
                 write_cone(scene, tape, i, way, island.frictions[a, way])
         island.rebounds[a] = met.hit[i] and scene.restitution[i] > 0.0
-        if scene.plastic and island.rebounds[a] and together > 1:
+        if scene.plastic and island.rebounds[a] and rigid_count > 1:
             island.rebounds[a], met.wanted[i, 0] = False, 0.0
         island.hit[a] = met.hit[i if scene.carriers[i] < 0 else scene.carriers[i]]
         struck = struck or island.hit[a]
         put(memory.pushes[i], island.chosen[a])
     for a in range(m):
         put(met.wanted[members[a]], island.wanted[a])
-        # After an impact bodies turn otherwise than they did: no slip is left to what they did.
+        # The slip bias assumes the old rotation, which an impact changes.
         if struck:
             island.wanted[a, 1] = 0.0
     loads = coupling_loads(scene, members, columns, equations.change, island.chosen, h)
@@ -444,24 +424,24 @@ def split_forces(
     scene: StepConstants, memory: ContactHistory, island: Island, contacts: ContactRows, k: int,
     chunk: Chunk,
 ) -> tuple[Array, Ints]:  # fmt: skip
-    """Return what of impulses is force, and the modes under it; what jams is struck at an instant.
+    """Return the force part of impulses, and the modes; a jam becomes an impact.
 
-    Where friction presses a sliding contact into its surface no finite force keeps one there that
-    would go in; one that would come off may as well slide on. An impact takes off a contact no more
-    than what that bears.
+    If friction presses an approaching sliding contact into its surface, no finite force keeps it
+    there; one that would separate may also slide on. Impact and force together stay within the
+    impulse.
     """
     pushes, least, after, hit = island.chosen, island.least, island.after, island.hit
     m, cones, under, slides = len(least), contacts.cones, after, np.zeros(len(least), np.bool_)
     modes = np.full(m, FREE)
     for a in range(m):
         i = island.members[a]
-        # Where it stuck, its slip is rounding.
+        # A sticking contact's slip is round-off.
         if scene.slips[i] > 0 and (memory.slid[i] or not memory.closed[i]):
             paradox = pressing(contacts.own[a], island.start[a, 1], cones[a])
             if paradox and least[a, 0] < 0.0 and not hit[a]:
                 hit[a], chunk.stats[k, JAMMED] = True, i + 1
             clear = SUM_ROUNDING * (abs(island.start[a, 0]) + abs(island.unforced[a, 0]))
-            # The impulses of others decide, too, where there are others.
+            # Other contacts' impulses would decide as well.
             if paradox and least[a, 0] > clear and memory.closed[i] and m == 1:
                 chunk.stats[k, CHOSEN] = 1.0
     steady, struck = pushes.copy(), hit.any()
@@ -472,9 +452,9 @@ def split_forces(
         write_velocities(contacts, least, steady, under)
     for a in range(m):
         slides[a] = not hit[a] and is_sliding(cones[a], steady[a], under[a, 1])
-        left = part_left(pushes[a], steady[a], cones[a]) if struck else 1.0
-        steady[a, 0] *= left
-        steady[a, 1] *= left
+        part = part_left(pushes[a], steady[a], cones[a]) if struck else 1.0
+        steady[a, 0] *= part
+        steady[a, 1] *= part
     if struck:
         write_velocities(contacts, least, steady, under)
     for a in range(m):
@@ -493,19 +473,18 @@ def split_forces(
 def energy_added(
     scene: StepConstants, tape: TapeValues, island: Island, contacts: ContactRows, rates: Array
 ) -> float:
-    """Return the part of its own energy that contacts add to a group that moves at these rates.
+    """Return the energy that contacts add to a group, relative to its kinetic energy.
 
-    With velocities U- before a step and U+ after it, impulses P change the energy by
-    ``P (U+ + U-)/2``, beside what surfaces do that move. Friction and restitution take energy. What
-    keeps a contact on its surface, while the surface or the body turns, gives in its second half
-    what it took in its first; a contact that lands where the surface turns by a radian within the
-    step has taken nothing before. One that is struck there is struck in a direction that is as far
-    off: what it would add had it landed counts for it as well.
+    Impulses P with velocities U- before and U+ after a step change the energy by ``P (U+ + U-)/2``,
+    besides the work of moving surfaces. Friction and restitution dissipate. The constraint of a
+    turning surface or body returns in the second half step what it took in the first; a contact
+    that lands on a surface that turns by a radian within the step took nothing before, and an
+    impact there has a direction error of the same size, which counts as if it had landed.
     """
     n, gained, energy, had = tape.size, 0.0, 0.0, scene.negligible
     moves = np.zeros(n, np.bool_)
     for a in range(len(island.members)):
-        # The spring of a compliant contact gives energy back.
+        # The spring of a compliant contact returns energy.
         for d in range(1 if scene.soft[island.members[a], 0] > 0.0 else 0, 2):
             change = island.after[a, d] - island.least[a, d]
             both = island.start[a, d] + island.unforced[a, d] + change
@@ -524,7 +503,7 @@ def energy_added(
 def is_mixed_with_impacts(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, island: Island, h: float
 ) -> bool:
-    """Return whether impulses of a group in this step are not those of forces alone."""
+    """Return whether impulses of a group in this step include impacts."""
     lands = holds = False
     for a in range(len(island.members)):
         i, nearing = island.members[a], -island.start[a, 0]
@@ -542,7 +521,7 @@ def is_mixed_with_impacts(
 
 @kernel
 def coupling_mode(scene: StepConstants, i: int, slip: float, modes: Ints) -> int:
-    """Return the mode of a coupling that is not open: that of rolling resistance is its contact's.
+    """Return the mode of a coupling that is not open; rolling resistance follows its contact.
 
     `modes` (c,) are those of contacts.
     """
@@ -556,7 +535,7 @@ def coupling_mode(scene: StepConstants, i: int, slip: float, modes: Ints) -> int
 
 @kernel
 def clear_round_off(scene: StepConstants, island: Island, contacts: ContactRows, h: float) -> None:
-    """Clear slips of couplings that round-off of the gaps of contacts that press makes."""
+    """Clear coupling slips that are round-off of the gaps of loaded contacts."""
     for a in range(len(island.members)):
         most = 0.0
         for b in range(len(island.members) if is_coupling(scene, island.members[a]) else 0):
@@ -574,7 +553,7 @@ def write_modes(
     scene: StepConstants, memory: ContactHistory, island: Island, contacts: ContactRows,
     steady: Array, met: ContactRoles, k: int, chunk: Chunk,
 ) -> None:  # fmt: skip
-    """Write modes and impulses of step k, and who lasts."""
+    """Write the modes and impulses of step k, and the contact history."""
     cones, pushes, struck = contacts.cones, island.chosen, island.hit.any()
     used_at = scene.size + scene.joints + 2 * len(scene.cones)
     for a in range(len(pushes)):
@@ -595,12 +574,12 @@ def write_modes(
             chunk.solved[k, used_at + scene.used[i]] = mu
         if pressed and not met.hit[i] and not memory.closed[i]:
             chunk.closing[k] = max(chunk.closing[k], chunk.gaps[k, i] - memory.level[i])
-        # What another contact's impulse stops as its own would is struck, too.
+        # A contact that another one's impulse stops counts as struck.
         chunk.struck[k, i] = island.hit[a] and (
             pressed or (met.hit[i] and island.after[a, 0] == 0.0)
         )
         if chunk.struck[k, i] and not met.hit[i]:
-            # A jamming contact falls freely up to the middle of the step, where it is struck.
+            # A jamming contact moves freely until its impact at mid-step.
             falling = -0.5 * (island.start[a, 0] + island.unforced[a, 0])
             chunk.approach[k] = max(chunk.approach[k], falling)
         memory.closed[i] = pressed and not island.rebounds[a]
@@ -614,7 +593,7 @@ def write_modes(
 def order_decides(
     scene: StepConstants, island: Island, contacts: ContactRows, k: int, chunk: Chunk
 ) -> bool:
-    """Return whether the impacts of step k, one after another, would have another outcome."""
+    """Return whether sequential impacts in step k would have another outcome."""
     lively = np.zeros(len(island.members), np.bool_)
     for a in range(len(lively)):
         i = island.members[a]
@@ -627,7 +606,7 @@ def order_decides(
 
 @kernel
 def share_loads(scene: StepConstants, island: Island, contacts: ContactRows) -> None:
-    """Share impulses, in place, out by all that touch where the motion leaves them open."""
+    """Share undetermined impulses among all touching contacts, in place."""
     m, pushes, cones = len(island.members), island.chosen, contacts.cones
     modes = np.full(m, FREE)
     for a in range(m):
@@ -645,18 +624,18 @@ def share_forces(
     scene: StepConstants, memory: ContactHistory, island: Island, contacts: ContactRows,
     modes: Ints, steady: Array, k: int, chunk: Chunk,
 ) -> Array:  # fmt: skip
-    """Write whose forces the motion does not determine; return them shared out."""
+    """Write the contacts with undetermined forces; return the forces, shared."""
     m, struck = len(steady), island.hit.any()
     for i in island.members:
-        # Compliant contacts share a load by their depths.
+        # Compliance determines the load sharing.
         if m < 2 or scene.soft[i, 0] > 0.0:
             return steady
-    alike, result = shared_forces(modes, contacts.cones, contacts.rows, steady)
+    redundant, result = shared_forces(modes, contacts.cones, contacts.rows, steady)
     for a in range(m):
         i = island.members[a]
-        chunk.shared[k, i] = alike[a]
+        chunk.shared[k, i] = redundant[a]
         if result[a, 0] > 0.0 and not memory.closed[i] and not struck:
-            # Others bore its share.
+            # Another contact carried its share.
             memory.closed[i] = True
             chunk.codes[k, i] = modes[a]
     return result
@@ -664,7 +643,7 @@ def share_forces(
 
 @kernel
 def clear_contacts(scene: StepConstants, off: Bools, before: int, k: int, chunk: Chunk) -> None:
-    """Write of step k that no contact bears anything; forces of contacts begin at `before`."""
+    """Clear modes, impulses and forces of contacts in step k; forces begin at `before`."""
     for i in range(len(off)):
         none = OPEN_CODE if is_coupling(scene, i) else OFF_CODE
         chunk.codes[k, i] = none if off[i] else FREE

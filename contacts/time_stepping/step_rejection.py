@@ -1,4 +1,4 @@
-"""Steps that end a run: too long for what happens in them, or in which no impulses help."""
+"""Steps that end a run: too long for the motion, or without impulses that keep bodies apart."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from statechart.arrays import Array, Ints
 from statechart.errors import StepTooLarge, UnsolvedImpulses
 
 DEEPEST = 0.1
-"""Deeper than this part of the scene in one step: the step does not see its surfaces."""
+"""Largest gap that a step may close, relative to the scene."""
 
-# A step adds at most this part of the energy that its contacts move with. Steps that follow a
+# Largest energy gain of a step, relative to the contacts' kinetic energy. Steps that follow a
 # surface by a tenth of a radian add a thousandth; those that do not follow it, multiples.
 _MOST_ADDED = 0.1
-# Impulses that miss the contact laws by this part of the fastest approach keep nothing out.
+# Residual, relative to the fastest approach, from which impulses are of no help.
 _HELPLESS = 0.1
-# Depths below this part of the scene are rounding and what joints are apart by.
+# Depths of round-off and joint errors, relative to the scene.
 _SHALLOW = 1e-6
 
 
 class Rejection(NamedTuple):
-    """A step that is not taken."""
+    """A rejected step."""
 
-    step: int  # Its number in the chunk.
+    step: int  # Its index in the chunk.
     why: StepTooLarge | UnsolvedImpulses
-    deep: str = ""  # The region that gets too deep in something, where that is why.
+    deep: str = ""  # The region that penetrates too far, if that is why.
 
 
 def too_large(
     chunk: Chunk, angles: slice | Ints, regions: Sequence[str], size: float, step: float
 ) -> Rejection | None:
-    """Return the first step that is too large for what happens in it.
+    """Return the first step that is too long for its motion.
 
-    Rates of angles are at the places `angles` of a state (see `as_slice`); `size` is that of the
-    scene; the steps of the chunk may be parts of the declared `step`.
+    `angles` are the places of angular rates in a state (see `as_slice`), `size` the scale of the
+    scene; the chunk may have parts of the declared `step`.
     """
     h = chunk.h
     turn: Array = h * np.max(np.abs(chunk.states[1:, angles]), axis=1, initial=0.0)
@@ -60,7 +60,7 @@ def too_large(
             f"{0.5 * h * chunk.passed[k]:.1g} or less"
         ))  # fmt: skip
     if chunk.closing[k] <= DEEPEST * size:
-        # The added energy goes with the square of the step.
+        # The energy gain grows with the square of the step.
         part = math.sqrt(_MOST_ADDED / chunk.gained[k])
         return Rejection(k, StepTooLarge(
             f"contacts would add {chunk.gained[k]:.2g} of the kinetic energy in one step of "
@@ -75,7 +75,7 @@ def too_large(
 
 
 def as_slice(places: Ints) -> slice | Ints:
-    """Return a slice where places are evenly apart: it copies nothing."""
+    """Return equidistant indices as a slice, which copies nothing."""
     steps = np.diff(places)
     if len(steps) and np.all(steps == steps[0]):
         return slice(int(places[0]), int(places[-1]) + 1, int(steps[0]))
@@ -83,21 +83,21 @@ def as_slice(places: Ints) -> slice | Ints:
 
 
 class SqueezeCheck:
-    """Tells where something sinks that no impulses keep out."""
+    """Detects bodies that sink although no impulses keep them out."""
 
     def __init__(self, regions: Sequence[str], step: float, start_depth: float) -> None:
         self._regions, self._step, self._start_depth = regions, step, start_depth
-        # How deep the deepest was in a step without help, and how deep something stayed then.
+        # Largest depth in a helpless step, and remaining depth then.
         self._deepest, self._left = -math.inf, -math.inf
 
     def find(
         self, chunk: Chunk, start: float, fastest: float, left: Callable[[Array, float], float]
     ) -> Rejection | None:
-        """Return a step whose impulses are of no help, where something sinks.
+        """Return a helpless step in which something sinks.
 
-        It is deeper than a step at the fastest approach; or no motion takes all out of each other
-        any more, and by a step at the approach of these steps less than when they were first of no
-        help: an approach that a run has once seen says nothing of what is squeezed later.
+        It is deeper than a step at the fastest approach; or the depth that no motion removes has
+        grown by a step's present approach since impulses first failed (an earlier fast approach
+        says nothing about a later squeeze).
         """
         helpless = chunk.stats[:, RESIDUAL] > _HELPLESS
         if not helpless.any():
@@ -128,14 +128,12 @@ class SqueezeCheck:
         allowed = self._left + sinks
         if not stays(k) > allowed:
             return None
-        # The first of those up to it.
         stuck = stuck[stuck <= k]
         k = int(stuck[bisect_left(stuck, True, key=lambda i: stays(int(i)) > allowed)])
         name = self._name(chunk, k)
         return Rejection(k, _squeeze_error(name, stays(k)), name)
 
     def _name(self, chunk: Chunk, k: int) -> str:
-        """Return which region is the deepest in a step."""
         return self._regions[int(np.argmin(_gaps(chunk)[k]))]
 
 
@@ -147,17 +145,15 @@ def _squeeze_error(name: str, depth: float) -> UnsolvedImpulses:
 
 
 def squeezed(name: str, depth: float, size: float) -> UnsolvedImpulses | None:
-    """Return the error of a region that gets too deep wherever it moves, or None."""
+    """Return the error of a region that stays too deep wherever it moves, or None."""
     return _squeeze_error(name, depth) if depth > _SHALLOW * size else None
 
 
 def depth_left(gaps: Array, rows: Array, held: Array) -> tuple[float, Array]:
-    """Return how deep the deepest contact stays, whatever moves, and the move that does it.
+    """Return the depth that no displacement removes, and the best displacement.
 
-    Below 0 if none stays deep.
-
-    The least over all displacements u of the largest of ``-gaps - rows u`` with ``held u = 0``, by
-    linear programming; of gaps that grow with u as their rates do.
+    A linear program: the minimum over u, with ``held u = 0``, of the largest ``-gaps - rows u``
+    (gaps linear in u). Below 0 if all can be apart.
     """
     from scipy.optimize import linprog
 
@@ -170,7 +166,7 @@ def depth_left(gaps: Array, rows: Array, held: Array) -> tuple[float, Array]:
         gaps,
         np.hstack([held, np.zeros((len(held), 1))]) if len(held) else None,
         np.zeros(len(held)) if len(held) else None,
-        # All can be apart: by how much does not matter.
+        # Bounded below: clearance does not matter.
         [*[(None, None)] * n, (-float(np.abs(gaps).max()), None)],
     )
     if result.status != 0:

@@ -1,29 +1,28 @@
-"""Impulse-based simulation: a fixed step, all contacts at once, no modes composed.
+"""Moreau-Jean time stepping: fixed step, one contact problem per step, no mode selection.
 
-Per step (Moreau 1988; the theta method of Jean 1999 with theta = 1/2, at which free motion under
-constant forces is exact and its energy constant)::
+Per step (Moreau 1988; theta method of Jean 1999 with theta = 1/2, exact and energy-conserving for
+free motion under constant forces)::
 
     q_m = q + h/2 v
     M(q_m) (v+ - v) = h f(q_m, v, t_m) + J(q_m)^T P
     q+ = q_m + h/2 v+
 
-with impulses P in the cones of friction. A contact that has reached its surface and approaches
-obeys Moreau's law, ``0 <= P_n``, ``v_n+ + e v_n >= 0``. One that lasts, or that approaches no
-faster than two steps of free fall, keeps what gap it has landed at: ``v_n+ + gap/h + h/2 b >= 0``,
-where b is the acceleration that the motion itself gives its gap, so that it neither sinks nor
-chatters as its body turns. Friction opposes the slip at the end of the step and never moves what
-rests.
+with impulses P in the friction cones. A closed, approaching contact obeys Moreau's impact law,
+``0 <= P_n``, ``v_n+ + e v_n >= 0``. A lasting contact, or one that approaches no faster than two
+steps of free fall, keeps its landing gap: ``v_n+ + gap/h + h/2 b >= 0``, where b is the bias of the
+gap acceleration, so that it neither sinks nor chatters as its body turns. Friction opposes the slip
+at the end of the step and never moves a contact at rest.
 
-The energy grows by at most ``h^2/8 f^T M^-1 f`` in a step: where impulses P do not add energy to
-the velocities they act on, ``P (U+ + U-)/2 <= -P (h J M^-1 f)/2 - P W P/2``, whose largest value
-that is. Where restitution with friction would add more, it is reduced (`capped`).
+The energy grows by at most ``h^2/8 f^T M^-1 f`` in a step: if impulses P add no energy to the
+velocities they act on, ``P (U+ + U-)/2 <= -P (h J M^-1 f)/2 - P W P/2``, whose maximum that is.
+Restitution with friction that would add more is reduced (`capped`).
 
-Bodies with shapes are struck in the step nearest to when they touch. Where all that is struck in it
-lands, and the first of it touches ``s`` after the middle, impacts I act then: ``q+`` is off by
-``-s M^-1 J^T I``, so that what has landed touches. That takes ``-s f M^-1 J^T I`` of the energy in
-the forces; where all impulses are impacts the bound above becomes ``(h - 2 s)^2/8 f^T M^-1 f``.
-Until then contacts that last bear what they bore in the step before, where that moves them by no
-more than a step of free fall; else impacts are in the middle.
+Bodies with shapes have their impact in the step nearest to the touch. If all impacts of a step are
+landings, and the first touch is ``s`` after mid-step, the impacts I act then: ``q+`` is corrected
+by ``-s M^-1 J^T I``, so that landed contacts touch. That takes ``-s f M^-1 J^T I`` from the energy
+in the forces; if all impulses are impacts the bound above becomes ``(h - 2 s)^2/8 f^T M^-1 f``.
+Until then lasting contacts carry their previous forces, if that moves them by no more than a step
+of free fall; otherwise impacts are at mid-step.
 """
 
 from __future__ import annotations
@@ -85,20 +84,20 @@ from statechart.tabular import several
 
 
 class RunInputs(NamedTuple):
-    """A run that can start, or why it cannot."""
+    """Inputs of a run, or the reason why it cannot start."""
 
     setup: SceneSetup
     system: SteppedSystem
-    codes: Ints  # (r,): modes at the start, as `contacts.states` numbers them.
+    codes: Ints  # (r,): initial modes, codes of `contacts.states`.
     warnings: tuple[str, ...]  # Besides those of the setup.
-    control: StepControl | None = None  # Acts at the ends of steps.
-    failure: SimulationError | None = None  # Why not even one step can be made.
-    # Continues with other values of parameters; returns the numbers. None where it cannot.
+    control: StepControl | None = None
+    failure: SimulationError | None = None  # Why no step can be taken.
+    # Changes values of parameters and returns the setup; None if unsupported.
     change: Callable[[Mapping[str, float]], SceneSetup] | None = None
 
 
 class Span(NamedTuple):
-    """End and step of a run, its limits, progress display and recording policy.
+    """Step size, end, limits, progress display and recording policy of a run.
 
     It yields after each `every`, at least.
     """
@@ -112,27 +111,26 @@ class Span(NamedTuple):
     policy: RecordingPolicy = RECORD_ALL
 
 
-# Steps at once, in which no signal is seen, and iterations times contacts in them, some tenths of
-# a second: after more, half as many steps are taken, after less than a quarter of it twice as many,
-# or after less than a sixteenth eight times as many.
-# A clock would make the last bits of instants depend on what else the machine does.
+# Largest chunk, within which no signal is handled, and its target of iterations times contacts,
+# some tenths of a second: above it the chunk is halved, below a quarter doubled, below a sixteenth
+# multiplied by eight. A clock would make the last bits depend on the load of the machine.
 _CHUNK, _WORK = 512, 3_000_000
-# Bytes of the polynomials of steps at once: more would be much beside what a run keeps.
+# Largest memory of the polynomials of a chunk.
 _CHUNK_BYTES = 2**23
-# More steps no float can count, and no trace can hold.
+# Largest number of steps that a float counts.
 _COUNTED = 2.0**53
-# After so many steps it is known what each takes.
+# Steps after which the memory per step is extrapolated.
 _TIMED_STEPS = 2**15
 
 
 class SteppedRun:
-    """A run by steps, as far as it has come."""
+    """A stepped run in progress."""
 
     def __init__(self, stepper: Stepper, inputs: RunInputs, span: Span) -> None:
         self._inputs, self.stepper, self.span = inputs, stepper, span
         self.setup, self.system, self.control = inputs.setup, inputs.system, inputs.control
         values, (record, watch) = self.setup.values, span.policy
-        # Controllers wait for the events of regions.
+        # Controllers react to the events of regions.
         records = record is Record.MODES or inputs.control is not None
         self.recorder = Recorder(
             stepper.regions[: len(inputs.codes)],
@@ -157,11 +155,11 @@ class SteppedRun:
         self._turning = as_slice(len(stepper.angles) + np.flatnonzero(stepper.angles))
 
     def end(self, outcome: Outcome, message: str) -> None:
-        """Let the run end, and say why."""
+        """Set outcome and message."""
         self.outcome, self.message = outcome, message
 
     def chunks(self) -> Iterator[None]:
-        """Make the run; yield when it begins and after every chunk of steps."""
+        """Run; yield at the start and after every chunk of steps."""
         try:
             if self._inputs.failure is not None:
                 raise self._inputs.failure
@@ -192,13 +190,13 @@ class SteppedRun:
         if rest <= 1e-9 * step:
             counts = [(whole, step)]
         else:
-            # Forces are impulses over a step: in a very short one they would be rounding.
+            # Forces are impulses over a step: in a very short one they would be round-off.
             counts = [(whole - 1, step), (2, 0.5 * (step + rest))]
         largest = max(1, min(_CHUNK, _CHUNK_BYTES // (TERMS * self.state.nbytes)))
         most = min(largest, max(1, _CHUNK // max(1, len(self.stepper.regions))))
         each = max(1, round(min(self.span.every / step, _COUNTED)))
         for count, h in counts:
-            # A step may be taken in parts, of which there are a power of two.
+            # A step may be split into a power of two of parts.
             done = 0.0
             first = self.time
             while done < count:
@@ -215,7 +213,7 @@ class SteppedRun:
                     chunk, due = self.control.cut(chunk, begin, self.recorder)
                 work = float(chunk.stats[:, WORK].sum())
                 if due:
-                    # Steps after a transition are taken in vain, and the next may be as far off.
+                    # Steps beyond a transition are reverted, and the next may be as far off.
                     most = max(1, len(chunk.codes))
                 elif work > _WORK:
                     most = max(1, most // 2)
@@ -236,18 +234,18 @@ class SteppedRun:
         self.message = f"reached t = {until:.6g}"
 
     def _accept(self, chunk: Chunk, start: float) -> bool:
-        """Record steps; True where the run ends in them."""
+        """Record steps; return whether the run ends in them."""
         failure: SimulationError | None = None
-        refused = self._rejected(chunk, start)
-        if refused is not None:
-            failure = refused.why
-            chunk = chunk.first(refused.step)
-        missed = self.solver_residual.beyond(chunk) or self._squeeze.find(
+        rejection = self._rejected(chunk, start)
+        if rejection is not None:
+            failure = rejection.why
+            chunk = chunk.first(rejection.step)
+        failed = self.solver_residual.beyond(chunk) or self._squeeze.find(
             chunk, start, self.fastest, self.system.depth_left
         )
-        if missed is not None:
-            failure = missed[1]
-            chunk = chunk.first(missed[0])
+        if failed is not None:
+            failure = failed[1]
+            chunk = chunk.first(failed[0])
         lost = self.stops.lost(chunk, start)
         if lost is None and self.control is not None:
             lost = self.control.lost(chunk, start)
@@ -294,7 +292,7 @@ class SteppedRun:
         return False
 
     def _hand_on(self) -> None:
-        """Tell those who watch what has happened; keep no more of it than is asked for."""
+        """Pass finished arcs and jumps to the watcher, and drop them if they are not recorded."""
         record, watch = self.span.policy
         if record is not Record.MODES:
             arcs, jumps = self.recorder.taken(looked_at=watch is not None)
@@ -307,7 +305,7 @@ class SteppedRun:
         return self._trace(Record.MODES, (), ())
 
     def _check_pace(self) -> None:
-        """Raise `TooLong` where the steps of a run that nothing else ends cannot all be kept."""
+        """Raise `TooLong` if the trace of a run without stop conditions would be too large."""
         steps = self.span.until / self.span.step
         most = FAR_TOO_MANY * LARGEST
         if self.taken >= _TIMED_STEPS and not self.stepper.stops.names:
@@ -319,14 +317,14 @@ class SteppedRun:
                 )
 
     def _rejected(self, chunk: Chunk, start: float) -> Rejection | None:
-        """Return the first step that cannot be taken as it is."""
+        """Return the first rejected step."""
         regions, size, step = self.stepper.regions, self.setup.scales.length, self.span.step
-        found = too_large(chunk, self._turning, regions, size, step)
-        if found is None or not found.deep:
-            return found
-        k = found.step
+        rejection = too_large(chunk, self._turning, regions, size, step)
+        if rejection is None or not rejection.deep:
+            return rejection
+        k = rejection.step
         depth = self.system.depth_left(chunk.states[k], start + k * chunk.h)
-        return found._replace(why=squeezed(found.deep, depth, size) or found.why)
+        return rejection._replace(why=squeezed(rejection.deep, depth, size) or rejection.why)
 
     def _stop(self, condition: int) -> None:
         name = self.stepper.stops.names[condition]
@@ -335,20 +333,20 @@ class SteppedRun:
         self.end(Outcome.STOPPED, f"{name} at t = {self.time:.6g}")
 
     def whole(self) -> Trace:
-        """Make all of the run."""
+        """Run to the end."""
         for _ in self.chunks():
             pass
         return self.trace()
 
     def trace(self) -> Trace:
-        """Return what was made."""
+        """Return the trace."""
         recorder, (record, watch) = self.recorder, self.span.policy
         recorder.close()
         self._hand_on()
         if record is Record.MODES:
-            # Arcs of a long run are made anew when read: they take some times as much.
+            # Arcs of a long run are recomputed on access: they take several times the memory.
             return self._trace(record, *recorder.sequences(kept=TERMS * self.size <= LARGEST))
-        # The end comes after all jumps, those that were not recorded, too.
+        # The end follows all jumps, including unrecorded ones.
         outputs = {} if watch is None else watch.end(self._trace(Record.MODES, (), ()))
         if self._poses is None:
             return replace(self._trace(record, (), ()), outputs=outputs)
@@ -364,7 +362,7 @@ class SteppedRun:
         elif record is Record.NOTHING:
             regions, start, final = (), (), ()
         tolerances = dict(self.setup.tolerances)
-        # A contact lands within a step, and stays as deep as it has landed, or started.
+        # A landing depth is at most that of one step, and remains.
         landed = self.setup.start_depth + self.span.step * self.fastest
         tolerances["gap"] = max(tolerances["gap"], landed)
         tolerances["impulse"] = self.solver_residual.residual
@@ -410,15 +408,15 @@ class SteppedRun:
 
 
 RELATIVE = 1e-9
-"""Tolerances at the start, relative to the scene."""
+"""Relative tolerances at the start."""
 
 
 class Stepper(ABC):
-    """Steps a scene (see `statechart.automaton.time_stepper.TimeStepper`).
+    """Time stepper of a scene (see `statechart.automaton.time_stepper.TimeStepper`).
 
-    The mechanics have the scene's equations, or no more than its names and symbols; `regions` are
-    all, those of controllers last; `again` is the cause of an impact on a region that is not free;
-    for `forces` and `sticks` see `Recorder`.
+    The mechanics have the scene's equations, or only its names and symbols; `regions` are all,
+    controllers last; `again`: cause of an impact on a region that is not free; `forces`, `sticks`:
+    see `Recorder`.
     """
 
     def __init__(
@@ -522,7 +520,7 @@ class Stepper(ABC):
         self, overrides: Mapping[str, float], step: float, until: float, allowed: float,
         forces: bool = True,
     ) -> RunInputs:  # fmt: skip
-        """Return a run by steps that are long enough to move anything."""
+        """Return the inputs of a run whose steps are long enough to move anything."""
         read = forces or bool(self.stops.names) or bool(self.controls)
         inputs = self._begin(overrides, step, allowed, read)
         scales = inputs.setup.scales
@@ -540,12 +538,12 @@ class Stepper(ABC):
     def _begin(
         self, overrides: Mapping[str, float], step: float, allowed: float, forces: bool
     ) -> RunInputs:
-        """Check the initial state; return a run by steps of this length, or why there is none.
+        """Check the initial state; return the inputs of a run, or the reason why there is none.
 
-        Forces need not be found where nobody reads them.
+        Unless `forces`, forces are not computed.
         """
 
     def _replaced_laws(self, setup: SceneSetup) -> tuple[str, ...]:
-        """Return what differs from the declaration."""
+        """Return warnings of replaced laws."""
         values = dict(zip(self.parameter_names, setup.values.tolist(), strict=True))
         return tuple(f"{what}: {why}" for what, why in replaced(self._scene, values).items())

@@ -1,4 +1,4 @@
-"""Stop conditions of a run by steps: tested at the ends of steps, located inside them."""
+"""Stop conditions of a stepped run: tested at the ends of steps, located by bisection inside."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from statechart.formulas.tape import Tape
 
 
 class ActiveStates:
-    """The states of regions, by their codes in steps and by the states of controllers."""
+    """Active states of regions, by mode codes of steps and controller states."""
 
     def __init__(self, regions: Sequence[Region]) -> None:
         self._places = {region.name: (place, region) for place, region in enumerate(regions)}
 
     def at(self, codes: Ints, controls: Key) -> Callable[[str, str], Bools]:
-        """Return the test in which rows (m,) a region is in a state."""
+        """Return a test of the rows (m,) in which a region is in a state."""
 
         def active(name: str, state: str) -> Bools:
             place, region = self._places[name]
@@ -44,10 +44,10 @@ class ActiveStates:
 
 
 class StopTapes:
-    """The stop conditions of a scene, on tape: margins of their atoms, over variables and unknowns.
+    """Margins of the atoms of stop conditions on tape, over variables and unknowns.
 
-    `counts` (2, a) are the atoms that hold on their boundary, too, where they stay there for a
-    step; and at once, of numbers that jumps alone change, so that no motion tells the way they go.
+    `counts` (2, a): atoms that hold on their boundary after a step there; and at once, if only
+    jumps change them.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class StopTapes:
 
     @cached_property
     def _of_terms(self) -> Tape:
-        """Sizes of the margins' terms, over inputs and the sizes of inputs."""
+        """Absolute terms of the margins, over inputs and input sizes."""
         mechanics = self._mechanics
         inputs = (*mechanics.variables, *mechanics.controller_state.values(), *self._unknowns)
         sizes = {symbol: sp.Symbol(f"size_{symbol}", real=True) for symbol in inputs}
@@ -84,17 +84,17 @@ class StopTapes:
         )
 
     def terms(self, rows: Array, sizes: Array, values: Array, times: Array) -> Array:
-        """Return how large the terms of margins (k, s) are."""
+        """Return the sums of absolute terms of margins (k, s)."""
         inputs = np.hstack([rows, np.broadcast_to(sizes, rows.shape)])
         return np.nan_to_num(self._of_terms.table(inputs, values, times))
 
 
-# A condition is located within its step to this part of it.
+# Bisections of a step.
 _BISECTIONS = 60
 
 
 class StopConditions:
-    """The conditions that end a run."""
+    """The stop conditions of a run."""
 
     def __init__(self, tapes: StopTapes, setup: SceneSetup) -> None:
         self._tapes, self._names, self._values = tapes, tapes.names, setup.values
@@ -104,13 +104,13 @@ class StopConditions:
         self._sizes = np.concatenate([setup.sizes, setup.scales.solved(unknowns)])
         self._stays, self._counts = self._tapes.counts
         self._rounded = setup.rounded
-        # Those of the step in which a condition was met.
+        # Of the step in which a condition was met.
         self._modes: tuple[Ints, Key] = np.zeros((1, 0), int), ()
-        # Which margins were zero at the end of the last step.
+        # Whether margins were zero at the end of the last step.
         self._near = np.zeros(len(self._stays), dtype=np.bool_)
 
     def unknown(self, state: Array) -> Array:
-        """Return what is solved for where it is not known yet, before the first step."""
+        """Return NaN for the unknowns before the first step."""
         return np.full(self._tape.n_variables - len(state), np.nan)
 
     def at_start(self, state: Array, recorder: Recorder) -> int | None:
@@ -123,9 +123,9 @@ class StopConditions:
         return int(np.argmax(below)) if below.any() else None
 
     def first_met(self, chunk: Chunk, start: float, controls: Key) -> tuple[int, int] | None:
-        """Return (step, condition) of the first condition met, by the steps' ends.
+        """Return (step, condition) of the first condition that holds at the end of a step.
 
-        `controls` are the states of the controllers in these steps.
+        `controls` are the controller states in these steps.
         """
         if not self._names:
             return None
@@ -148,17 +148,17 @@ class StopConditions:
         return np.stack(held, axis=1)
 
     def _parts(self, atoms: NDArray[Any]) -> list[NDArray[Any]]:
-        """Return what there is of all atoms (k, a), condition by condition."""
+        """Split atoms (k, a) by condition."""
         counts = [len(stop.margins) for stop in self._tapes.stops]
         return np.split(atoms, np.cumsum(counts)[:-1], axis=1)
 
     def _met(self, rows: Array, margins: Array, times: Array) -> Bools:
-        # A resting coordinate moves at the residual speed of the steps.
+        # A resting coordinate moves by solver residuals.
         zero = self._rounded * self._tapes.terms(rows, self._sizes, self._values, times)
         ends = np.vstack([self._near, np.abs(margins) <= zero])
         before, near, self._near = ends[:-1], ends[1:], ends[-1]
-        found: Bools = (margins < 0.0) & ~near
-        return found | (self._counts & (margins == 0.0)) | (self._stays & before & near)
+        inside: Bools = (margins < 0.0) & ~near
+        return inside | (self._counts & (margins == 0.0)) | (self._stays & before & near)
 
     def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
         """Return the first step at whose end a condition has no value, and its name."""
@@ -166,7 +166,7 @@ class StopConditions:
             return None
         rows, margins = self._ends(chunk, start)
         single = [stop.condition.single for stop in self._tapes.stops]
-        # One of several atoms may have a value where another needs none.
+        # A compound condition is lost only if all its atoms are.
         values = [
             part if alone else np.where(np.isnan(part).all(axis=1, keepdims=True), part, 0.0)
             for part, alone in zip(self._parts(margins), single, strict=True)
@@ -178,18 +178,18 @@ class StopConditions:
         return found[0], owners[found[1]]
 
     def _ends(self, chunk: Chunk, start: float) -> tuple[Array, Array]:
-        """Return what the margins are of, and the margins, at the ends of steps."""
+        """Return inputs and margins at the ends of steps."""
         rows = np.hstack([chunk.states[1:], chunk.solved])
         return rows, self._margins(rows, chunk.ends(start))
 
     def locate(self, recorder: Recorder, condition: int) -> Array:
-        """Cut what is recorded where a condition is met in its last step; return that state."""
+        """Cut the recorded run where a condition is met in its last step; return that state."""
         recorder.close()
         arc, before = recorder.arcs[-1], recorder.arcs[-2:-1]
         begin = float(arc.times[-2])
         met = len(arc.times) == 2 and self._margin(arc, begin, condition) < 0.0
         if met and before and self._margin(before[0], before[0].duration, condition) < 0.0:
-            # It was met in the half of the step before an impact; else what begins it meets it.
+            # It was met in the half step before an impact; otherwise at the start of the arc.
             arc = recorder.drop()
             begin = float(arc.times[-2])
         low, high = begin, arc.duration
@@ -222,9 +222,9 @@ class StopConditions:
 
 
 def first_lost(margins: Array, inputs: Array) -> tuple[int, int] | None:
-    """Return (row, column) of the first margin that is not a number though all its inputs are.
+    """Return (row, column) of the first margin that is NaN although its inputs are finite.
 
-    Forces of steps that hold an impulse are not known, nor are margins on them.
+    Forces of steps with impacts are NaN, and so are margins on them.
     """
     known: Bools = np.all(np.isfinite(inputs), axis=1)
     lost = np.argwhere(np.isnan(margins) & known[:, None]).tolist()

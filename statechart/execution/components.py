@@ -252,17 +252,20 @@ class MergedRun:
         end = Clock(self.end)
         spans = {Clock()} | {s for run in self._parts for s in run.starts if s < end}
         starts: list[Clock] = []
+        jumps = {*self._times}
         for start in sorted(spans):
             same_instant = _ONE_INSTANT * _ULP * start.high
             if not starts or between(starts[-1], start) > same_instant:
                 starts.append(start)
+            elif start.high in jumps and starts[-1].high not in jumps:
+                starts[-1] = start  # An arc that follows no jump starts beside a jump.
         previous = max((run.arcs[-1].end for run in self._parts if run.arcs), default=end)
         ends = [*starts[1:], min(previous, end) if previous.high == end.high else end]
         return [pair for pair in zip(starts, ends, strict=True) if between(*pair) > 0.0]
 
     def _arc(self, place: int) -> Arc:
         start, end = self._spans[place]
-        duration = between(start, end)
+        duration = _duration(start, end)
         number = bisect_right(self._times, start.high + _ONE_INSTANT * _ULP * start.high)
         middle = start.later(0.5 * duration)
         active_arcs = [(run, run.arc(middle)) for run in self._parts]
@@ -297,6 +300,13 @@ class MergedRun:
         if fixed:
             merged_roles.append(Role(PARAMETERS, share=tuple(fixed)))
         return Arc(self._key(keys), tuple(merged_roles), start, number, times, coefficients)
+
+
+def _duration(start: Clock, end: Clock) -> float:
+    """Return the duration that leads from one clock to the other; its last bit may round away."""
+    duration = between(start, end)
+    near = (duration, math.nextafter(duration, math.inf), math.nextafter(duration, 0.0))
+    return next((d for d in near if start.later(d).high == end.high), duration)
 
 
 def _instants(

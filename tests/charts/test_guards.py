@@ -453,8 +453,9 @@ outputs: {dry: {value: time, at: first dry}, rest: {value: h}}
 @pytest.mark.parametrize(("c", "full"), [(0.5, 1.0), (1.0, 2.0), (0.3, 3.7)])
 def test_a_tank_is_empty_where_the_root_of_its_level_ends(c: float, full: float) -> None:
     result = run_model(interpret(read_text(TANK)), parameters={"c": c, "full": full})
-    # The level is zero to round-off, and so its root, which is the time that is left, is small.
-    assert result.outputs["dry"] == pytest.approx(2.0 * math.sqrt(full) / c, rel=3e-8)
+    # An error d of the level, the tolerance of the engine scipy, ends it 2 sqrt(d)/c early or late.
+    error = 2.0 * math.sqrt(1e-13 * full) / c
+    assert result.outputs["dry"] == pytest.approx(2.0 * math.sqrt(full) / c, abs=error)
     assert abs(result.outputs["rest"]) < 1e-15
     assert any("whether it passes is not known" in warning for warning in result.warnings)
 

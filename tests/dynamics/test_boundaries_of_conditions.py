@@ -56,6 +56,10 @@ GATES = {
     "dq < 0": (False, True),
     "q - 1 + time**2 > 0": (True, False),
     "-(dq**3) + 100 >= 100": (True, True),
+    # Without a Taylor series there.
+    "sqrt(time) <= 0": (False, False),
+    "time**(1/3) > 0": (True, True),
+    "time**1.5 <= 0": (False, False),
 }
 
 

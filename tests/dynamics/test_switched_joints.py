@@ -222,6 +222,11 @@ def test_a_broken_joint_does_not_close_again() -> None:
         ("rope: 1,", "rope: 1, angle: held,", "a rope has no angle"),
         ("rope: 1,", "rope: -1,", "must be positive"),
         ("rope: 1,", "rope: 0.1,", "shorter than the distance of its ends"),
+        (
+            "x: 0.5, dx: 1",
+            "dx: 1",
+            "joints.rope: rope 'rope' has both ends at one place at the start",
+        ),
         ("rope: 1, restitution: 0.5", "restitution: 0.5", "restitution is for a rope"),
         ("rope: 1, restitution: 0.5", "rest: captured", "write enabled"),
         ("rope: 1, restitution: 0.5", "limits: [0, 1]", "a particle, which has no angle"),
@@ -385,6 +390,25 @@ def test_a_rope_that_a_control_shortens_ends_the_run() -> None:
     )
     with pytest.raises(NoConsistentMode, match="rope 'rope' jumps to 0"):
         statechart.run(interpret(read_text(text)))
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+@pytest.mark.parametrize("start", ["y: -2", "x: 1.2, y: -1.6"])
+@pytest.mark.parametrize("led", [True, False])
+def test_a_rope_that_is_hauled_in_to_its_end_ends_the_run(
+    engine: str, start: str, led: bool
+) -> None:
+    """A load that swings about the end of its rope turns without bound as the length vanishes."""
+    text = _WINCH.replace("start: {y: -2}", f"start: {{{start}}}").replace("{l: 2.06}", "{l: 2}")
+    text = text[: text.index("surfaces:")] + text[text.index("joints:") :]
+    text = text.replace("initial: idle", "initial: hauls").replace("l <= 1.5", "l <= -1")
+    text = text.replace("stop: {time: 3}", "stop: {time: 9}")
+    if led:
+        text = text.replace("rope: l", "rope: 2 - v*time")
+    result = statechart.run(interpret(read_text(text)), engine=engine, throw=False)
+    assert result.trace.outcome.name == "NO_CONSISTENT_MODE"
+    assert "rope 'rope' is hauled in" in result.trace.message
+    assert result.trace.t_end == pytest.approx(2 * 0.999 / 0.3, abs=1e-9)
 
 
 SWING = """

@@ -140,12 +140,43 @@ stop: {time: 1.1}
         ("hero.dy <= 0 and time < 1.024", 0),
     ],
 )
-def test_a_contact_that_goes_off_as_it_touches_is_warned_of(when, count):
-    result = Runner(interpret(read_text(ONE_WAY.replace("WHEN", when)))).run()
-    warned = [w for w in result.warnings if "soles goes off at t = 1.024182" in w]
+@STEPS
+def test_a_contact_that_goes_off_as_it_touches_is_warned_of(when, count, step):
+    options = {} if step is None else {"engine": "impulse", "step": step}
+    result = Runner(interpret(read_text(ONE_WAY.replace("WHEN", when))), **options).run()
+    warned = [w for w in result.warnings if "soles goes off at t = 1.02418" in w]
     assert len(warned) == count
     # It falls through the platform, or stands on it.
     landed = any(
         jump.region == "soles" and jump.cause == "touchdown" for jump in result.trace.jumps
     )
     assert landed == ("0.9" in when or when == "hero.dy <= 0")
+
+
+@pytest.mark.parametrize("gap", [1e-12, 1e-9])
+def test_a_point_that_falls_between_an_arc_and_an_edge_has_a_warning(gap):
+    scene = f"""
+kind: scene
+name: loop
+gravity: 9.81
+bodies: {{ball: {{mass: 1, start: {{x: X, y: 0.5}}}}}}
+parameters: {{X: 0}}
+surfaces:
+  bowl: {{circle: [0, 1], radius: 1, hollow: true}}
+  floor: {{edge: [[-3, 0], [{-gap}, 0]]}}
+contacts:
+  arc:
+    point: {{body: ball}}
+    surface: bowl
+    friction: 0
+    restitution: 0
+    enabled: ball.x > 0 and ball.y < 0.9
+  flat: {{point: {{body: ball}}, surface: floor, friction: 0, restitution: 0}}
+stop: {{time: 1}}
+"""
+    runner = Runner(interpret(read_text(scene)))
+    for x, falls in ((0.0, True), (-2 * gap, False), (gap, False), (-0.1, False), (0.1, False)):
+        result = runner.run({"X": x})
+        warned = [w.split()[0] for w in result.warnings if "just fail" in w]
+        assert bool(result.trace.final[1] < -1) is falls
+        assert bool(warned) is falls, (x, warned)

@@ -80,3 +80,21 @@ def test_a_point_that_goes_to_and_fro_through_a_corner_comes_to_rest(
     assert trace.final_mode == (("pin", "pin") if mu else ("slide", "slide"))
     assert trace.jumps[-1].t == pytest.approx(rest, abs=1e-9)
     assert len(trace.jumps) < 40
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("at", [(0.0, 0.0), (-1e4, 3e4), (1e5, -1e5), (1e6, 1e6)])
+def test_an_edge_that_ends_where_an_impact_stops_its_point_does_not_go_off(
+    engine: str, at: tuple[float, float]
+) -> None:
+    # It slides down one edge and strikes the other, where friction takes what the impact leaves.
+    text = _corner("edge", math.pi / 4, 0.6, at, mu=0.3).replace(
+        f"x: {at[0]!r}, y: {at[1]!r}", f"x: {at[0] - 0.5!r}, y: {at[1] + 0.5!r}"
+    )
+    trace = run(read_text(text.replace("time: 0.5", "time: 2")), engine=engine).trace
+    slope = 9.81 * (math.sin(math.pi / 4) - 0.3 * math.cos(math.pi / 4))
+    *_, enabled, struck = trace.jumps
+    assert [(j.region, j.cause) for j in (enabled, struck)] == [("d", "enable"), ("d", "touchdown")]
+    assert struck.t == pytest.approx(math.sqrt(2 * math.hypot(0.5, 0.5) / slope), rel=1e-8)
+    assert not any(j.region == "c" for j in trace.jumps)
+    assert trace.final_mode == ("pin", "pin")

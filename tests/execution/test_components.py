@@ -20,6 +20,8 @@ from statechart.errors import DeclarationProblem
 from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
 from statechart.loading.load import interpret, load
+from statechart.running.runner import Runner
+from statechart.testing.properties import assert_ordered
 
 # Two alike particles at heights of their own, a rod that topples, and a puck on a slope: bodies
 # that nothing couples.
@@ -264,3 +266,29 @@ def test_an_error_in_a_component_is_not_taken_for_a_part_that_is_no_scene() -> N
     model = interpret(read_text(_ALONE.replace("CLOCK", "")))
     with pytest.raises(DeclarationProblem, match="no equations"):
         components(model, failing)
+
+
+BESIDE = """\
+kind: chart
+name: beside
+variables: {{x: 1, slow: 0, fast: 0}}
+regions:
+  m: {{initial: a, states: {{a: {{flows: {{x: -1}}}}}}}}
+  e: {{initial: w, states: {{w: {{}}, d: {{}}}}, transitions: [
+    {{name: hit, from: w, to: d, guard: "x <= {level} and x <= -50"}}]}}
+  one: {{initial: w, states: {{w: {{}}}}, transitions: [
+    {{name: tick, from: w, every: 0.1, updates: {{fast: fast + 1}}}}]}}
+  other: {{initial: w, states: {{w: {{}}}}, transitions: [
+    {{name: tock, from: w, every: 0.3, updates: {{slow: slow + 1}}}}]}}
+stop: {{time: 4}}
+"""
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+@pytest.mark.parametrize("level", [0.0, 1e-16, 0.1, 0.7])
+def test_merged_runs_are_ordered_where_components_meet_up_to_rounding(
+    engine: str, level: float
+) -> None:
+    trace = Runner(interpret(read_text(BESIDE.format(level=level))), engine=engine).run().trace
+    assert_ordered(trace)
+    assert len(trace.jumps) == 40 + 13

@@ -198,3 +198,30 @@ def test_a_point_between_a_plastic_and_an_elastic_edge_comes_to_rest(left, right
     trace = statechart.run(model, engine="impulse", step=h).trace
     assert trace.final[:2] == pytest.approx(at, abs=8 * h)
     assert trace.final[2:] == pytest.approx([0, 0], abs=1e-9)
+
+
+LANDING = """
+kind: scene
+name: landing
+gravity: 9.81
+parameters: {end: 0, s: 0}
+bodies: {puck: {mass: 1, start: {x: end - 2*0.4/sqrt(2*9.81*0.2), dx: 2, y: 0.2}}}
+surfaces: {a: {edge: [[-2, 0], [0, 0]]}, b: {edge: [[0, 0], [3, 3*s]]}}
+contacts:
+  on_a: {point: {body: puck}, surface: a, friction: 0.05, restitution: RESTITUTION}
+  on_b: {point: {body: puck}, surface: b, friction: 0.05, restitution: RESTITUTION}
+stop: {time: 0.4}
+"""
+
+
+@pytest.mark.parametrize("restitution", [0, 0.5])
+def test_a_point_that_lands_in_the_step_in_which_it_passes_the_end_of_an_edge_stays(restitution):
+    step, speed = 1e-2, math.hypot(2.0, math.sqrt(2 * 9.81 * 0.2))
+    scene = interpret(read_text(LANDING.replace("RESTITUTION", str(restitution))))
+    runner = Runner(scene, engine="impulse", step=step)
+    for slope in (0.0, 0.2, 1.0, 2.5, -0.2, -1.0):
+        # It lands up to a step before the seam, and a bit after it.
+        for end in np.linspace(-0.025, 0.005, 7).tolist():
+            x, y = runner.run({"end": end, "s": slope}).trace.final[:2]
+            gap = y if x < 0.0 else (y - slope * x) / math.hypot(1.0, slope)
+            assert gap > -step * speed
