@@ -198,7 +198,7 @@ def test_steps_come_nearer_to_the_closed_form_of_a_joint(name: str) -> None:
             assert found[output] == pytest.approx(value, abs=8.0 * step * scale), output
 
 
-def test_a_joint_that_closes_where_its_points_are_apart_says_so() -> None:
+def test_a_joint_that_closes_with_separate_points_warns() -> None:
     apart = _WELD.replace("    rest: captured\n", "")
     with pytest.raises(NoConsistentMode, match="rest: captured"):
         statechart.run(interpret(read_text(apart, "joint.yaml")))
