@@ -241,6 +241,17 @@ def test_a_mistake_in_a_joint_is_reported(old: str, new: str, told: str) -> None
         statechart.run(interpret(read_text(_ROPE.replace(old, new), "joint.yaml")))
 
 
+def test_a_joint_that_starts_closed_and_is_implied_by_others_says_so() -> None:
+    # Its equations were singular: the state was not finite.
+    again = "again: {point: {body: b}, to: {body: a}, rod: 0.5, enabled: time < 1}"
+    rod = "rod: {point: {body: a}, to: {body: b}, rod: 0.5}"
+    joints = _ROPE.partition("joints:\n")[2].partition("stop:")[0]
+    text = _ROPE.partition("outputs:")[0].replace(joints, f"  {rod}\n  {again}\n")
+    text = text.replace("dx: 1", "dy: 1")
+    with pytest.raises(DeclarationError, match="starts closed, and other closed joints imply"):
+        statechart.run(interpret(read_text(text, "joint.yaml")))
+
+
 _SWAP = """
 kind: scene
 name: swap
