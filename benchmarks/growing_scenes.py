@@ -145,7 +145,7 @@ def page() -> str:
         "",
         "Run time and memory of events (`taylor`) and of steps (`impulse`), for 1 s of motion. "
         "Each row is a new process; kernels are compiled, modes are not. *Process* is the time of "
-        "the whole process, *second run* that of a repeated run in it.",
+        "the whole process, *second run* the time of the same run once more in this process.",
         "",
         "`python benchmarks/growing_scenes.py -o docs/growing-scenes.md` writes this page; "
         f"{platform.machine()}, {os.cpu_count()} cores.",
@@ -189,17 +189,17 @@ def _verdicts(
     slow = [n for n in BODIES if heaps[n] > 1.0]
     first, second, third = _since(cold, CONTACTS), _since(warm, CONTACTS), _since(slow, BODIES)
     return [
-        f"- In a new process, steps take less time than events {first}: they build no modes. In "
-        f"repeated runs, steps take less time {second}.",
+        f"- Sizes at which steps are faster than events: in a new process {first}, because steps "
+        f"build no modes; in repeated runs {second}.",
         "- Steps have an error of first order in the step; events are exact to round-off.",
-        f"- Steps of 1e-3 are slower than real time {third}.",
+        f"- Sizes of heaps at which steps of 1e-3 are slower than real time: {third}.",
     ]
 
 
 def _since(sizes: list[int], measured: tuple[int, ...]) -> str:
     if not sizes:
-        return "for no size measured"
-    return "for every size measured" if sizes[0] == measured[0] else f"for sizes from {sizes[0]} on"
+        return "none"
+    return "all" if sizes[0] == measured[0] else f"from {sizes[0]} on"
 
 
 if __name__ == "__main__":

@@ -74,8 +74,8 @@ def number(value: Any, digits: int = DIGITS) -> str:
         return f"[{', '.join(number(part, digits) for part in value)}]"
     known = [x for x in value if isinstance(x, int | float) and math.isfinite(x)]
     ends = [number(x, digits) for x in (value[0], value[-1])]
-    between = [number(best(known), digits) for best in (min, max)] if known else ends
-    return f"{len(value)} values: {' ... '.join(ends)}, from {' to '.join(between)}"
+    low, high = (number(best(known), digits) for best in (min, max)) if known else ends
+    return f"{len(value)} values: {' ... '.join(ends)}, min {low}, max {high}"
 
 
 def aligned(texts: Sequence[str]) -> list[str]:

@@ -36,7 +36,10 @@ class Positions(NamedTuple):
 
 
 class Paths:
-    """The paths of a scene; `any`: whether there are some; `led`: names of led bodies."""
+    """The paths of a scene; `any`: whether there are some; `led`: names of led bodies.
+
+    `leads`: whether surfaces or bodies have one.
+    """
 
     def __init__(self, scene: Scene) -> None:
         surfaces = [scene.surfaces[name] for name in touched(scene)]
@@ -46,7 +49,8 @@ class Paths:
         self._led = {n: b for n, b in single.items() if b.prescribed and not b.fixed}
         self.led = list(self._led)
         self._scene, self._names = scene, tuple(scene.parameters)
-        self.any = bool(self._moved or self._joints or self.led)
+        self.leads = bool(self._moved or self.led)
+        self.any = bool(self.leads or self._joints)
         # Tapes per combination of controller states, since paths of bodies may use controls.
         self._tapes: dict[Key, Tape] = {}
 
@@ -168,7 +172,7 @@ class PrescribedMotion:
         self._mechanics, self._paths = mechanics, paths
         self._known, self._values = known, values
         self.controlled = bool(mechanics.scene.regions)
-        self.joints = tuple(mechanics.scene.joints)
+        self.joints, self.leads = tuple(mechanics.scene.joints), paths.leads
         # Positions at the last detection, and its step size.
         self._last: tuple[Positions, float] | None = None
         self._saved: tuple[Positions, float] | None = None
@@ -198,6 +202,10 @@ class PrescribedMotion:
     def forget(self) -> None:
         """Revert the last steps."""
         self._last = self._saved
+
+    def restart(self) -> None:
+        """Let surfaces and led bodies move from here on as if they had always moved so."""
+        self._last = None
 
     def prescribe(
         self, start: float, h: float, remembered: Array, count: int

@@ -165,6 +165,8 @@ _PARTS = (4, 16, 64, 256)
 _JUMPED_INTO = 1e-6
 # Cutting planes against overlap; part of a step that a detection takes.
 _MOVES, _INSTANT = 20, 1e-6
+# Contacts of the warm start with this feature are found anew.
+_NO_FEATURE = np.iinfo(np.int64).min
 
 
 class DetectedContacts(NamedTuple):
@@ -271,14 +273,24 @@ class RigidBodyRun(SteppedSystem):
         self, states: Mapping[str, str], at: tuple[Array, Array, float]
     ) -> tuple[dict[int, int], bool]:
         """Change the states of controllers; see `SteppedSystem`."""
+        _, after, time = at
         self._prescribed.switch(states)
         on = self.numbers.joints.on
         for j, joint in enumerate(self._prescribed.joints):
             if joint in states:
                 if states[joint] == CLOSED and not on[j]:
-                    self._close(j, joint, at[1], at[2])
+                    self._close(j, joint, after, time)
                 on[j] = states[joint] == CLOSED
-        return {}, False
+        if not self._prescribed.leads:
+            return {}, False
+        found = self.detect(after, time, _INSTANT * self._length)
+        struck = found.keys[self._workspace.active.hit[: len(found.keys)]]
+        if len(struck):
+            # As if all had moved so before: between two midpoints there would be half of it.
+            self._prescribed.restart()
+            met = int(self._warm.n_contacts[0])
+            self._warm.keys[:met, 1][np.isin(self._warm.keys[:met, 0], struck)] = _NO_FEATURE
+        return {}, bool(len(struck))
 
     def _close(self, j: int, joint: str, state: Array, time: float) -> None:
         """Close a joint at the pose that it has captured.

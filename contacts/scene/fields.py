@@ -68,7 +68,10 @@ class SceneFields(Declaration):
 
     OTHER_WORDS: ClassVar = {
         "g": "gravity",
-        "body": "bodies",
+        **dict.fromkeys(("body", "links", "worldbody", "objects"), "bodies"),
+        **dict.fromkeys(("simulation", "option", "solver"), "settings"),
+        **dict.fromkeys(("ground", "floor", "plane"), "surfaces: {floor: {height: 0}}"),
+        **dict.fromkeys(("actuator", "actuators"), "forces: {motor: {body: arm, moment: M}}"),
         **dict.fromkeys(
             ("spring", "springs"), "forces: {spring: {body: rod, force: [-k*rod.x, 0]}}"
         ),
@@ -269,6 +272,8 @@ class SceneFields(Declaration):
             return Quantity(description, dimensions[quantity])
         if owner in self.joints and quantity in self.joints[owner].forces:
             return Quantity(description, "moment" if quantity == "M" else "force")
+        if owner in self.joints and quantity == "gap":
+            return Quantity(f"slack of {owner}", "length")
         if owner in self.joints and quantity in _CAPTURED:
             return Quantity(description, _CAPTURED[quantity])
         if quantity in _OF_BODIES and owner and owner not in self.contacts:

@@ -110,6 +110,10 @@ class Joint(Part):
         "motor": "a moment among the forces, or to: {x: ..., y: ...}, a path in time",
         "fixed": "angle: held",
         "type": "what it holds: to: [0, 0], angle: held, rope: L or rod: L",
+        **dict.fromkeys(("child", "body"), "point: {body: arm, at: [-L, 0]}"),
+        **dict.fromkeys(
+            ("parent", "origin", "anchor"), "to: [0, 0], or to: {body: rod, at: [0, L]}"
+        ),
         **dict.fromkeys(("breaking_force", "max_force"), "enabled: RELATION"),
         **JOINT_WORDS,
     }

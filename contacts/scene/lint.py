@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import combinations, pairwise
 
@@ -13,6 +13,7 @@ from contacts.scene.parts import MOREAU, Contact, Point
 from statechart.charts.transitions import declared_transitions
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText
+from statechart.documents.outputs import Count, Event, Value
 from statechart.documents.quantities import fields_of
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.formulas.formula import parse
@@ -250,6 +251,19 @@ def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
             "bodies with shapes that friction presses into others are stopped by an impact, "
             "as with impact"
         )
+    waiting = [
+        f"outputs.{name}"
+        for name, output in scene.outputs.items()
+        if (isinstance(output, Value) and _accumulates(output.moment.events))
+        or (isinstance(output, Count) and _accumulates(output.events))
+    ]
+    regions = scene.controlled.flat.items()
+    waiting += [f"regions.{name}" for name, region in regions if "zeno" in region.awaited]
+    if waiting:
+        replacements[f"event zeno of {', '.join(waiting)}"] = (
+            "by steps bounces end with a touchdown, and there is no such event; write the state "
+            "that is entered, such as CONTACT.slide"
+        )
     other_laws: dict[str, list[str]] = {}
     for name, contact in rigid.items():
         if contact.impact != MOREAU and not _agrees(scene, contact, values):
@@ -259,6 +273,10 @@ def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
             "steps use Moreau's law instead; impact: moreau gives the same with events"
         )
     return replacements
+
+
+def _accumulates(events: Sequence[Event]) -> bool:
+    return any(event.cause == "zeno" for event in events)
 
 
 def _meet(scene: SceneFields) -> bool:

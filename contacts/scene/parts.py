@@ -71,6 +71,12 @@ class Body(Part):
         "m": "mass",
         "I": "inertia",
         "velocity": "start: {dx: ..., dy: ...}",
+        **dict.fromkeys(("pos", "origin"), "start: {x: ..., y: ...}"),
+        **dict.fromkeys(
+            ("geom", "geometry", "collision", "visual", "collider", "fixtures"),
+            "shape: [{disc: r}], or a polygon, and collisions for how it rebounds",
+        ),
+        "inertial": "mass, and inertia",
         **dict.fromkeys(
             ("static", "immovable", "is_static", "type"),
             "fixed: true, of a body with a shape that collides; else "
@@ -256,7 +262,11 @@ class Surface(Part):
     left to right. A surface may be carried by a body, or displaced and turned in time.
     """
 
-    OTHER_WORDS: ClassVar = {"slope": "incline", "velocity": "displacement: [v*time, 0]"}
+    OTHER_WORDS: ClassVar = {
+        "slope": "incline",
+        "plane": "line: [[0, 0], [1, 0]]",
+        "velocity": "displacement: [v*time, 0]",
+    }
 
     height: FiniteText | None = declare(
         "Height y as a formula of x; the solid is below.",

@@ -93,6 +93,8 @@ _VERBS = {
     **dict.fromkeys(("diagram", "chart", "graph"), "draw"),
     **dict.fromkeys(("init", "create"), "new"),
     "lint": "validate",
+    "help": "--help",
+    **dict.fromkeys(("compare", "benchmark"), "trade FILE, or run FILE --alternatives"),
 }
 """Verb of another program -> what ours are called."""
 
@@ -357,7 +359,7 @@ def _count(text: str, least: int = 0) -> int:
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, such as 20") from None
     if not least <= count < _MAX_COUNT:
-        raise argparse.ArgumentTypeError(f"must be from {least} to 10**18, not {text}")
+        raise argparse.ArgumentTypeError(f"must be {least} or more, up to 10**18, not {text}")
     return count
 
 

@@ -9,6 +9,7 @@ import json
 import shutil
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterable
 from contextlib import contextmanager, suppress
 from dataclasses import fields, replace
@@ -52,7 +53,7 @@ _SAMPLES = (
 def validate(arguments: argparse.Namespace) -> int:
     """Read a model and check its initial state; print one line."""
     from statechart.reporting.modes import format_count
-    from statechart.tabular import ends, several
+    from statechart.tabular import FEW, several
 
     runner = _runner(arguments.file)
     mode, warnings = runner.start()
@@ -60,12 +61,13 @@ def validate(arguments: argparse.Namespace) -> int:
     kind = getattr(runner.model, "kind", "model")
     count = format_count(automaton.modes_declared, automaton.modes_total)
     remarks = "".join(f"; warning: {warning}" for warning in warnings)
-    # The label of a mode of many regions is cut.
-    states = automaton.label(mode).split()
-    start = " ".join(f"... {s} more ..." if isinstance(s, int) else s for s in ends(states))
+    start = automaton.label(mode)
+    if len(mode) > FEW:
+        start = ", ".join(f"{number} {state}" for state, number in Counter(mode).items())
     starts = f", starts in {start}" if start else ""
+    place = "" if arguments.file == automaton.name else f"{arguments.file}: "
     print(
-        f"{arguments.file}: {kind} {automaton.name!r} is correct: "
+        f"{place}{kind} {automaton.name!r} is correct: "
         f"{several(len(automaton.names), 'variable')}, {count}{starts}{remarks}"
     )
     return 0
@@ -253,10 +255,13 @@ def modes(arguments: argparse.Namespace) -> int:
     automaton = runner.automaton
     if arguments.equations is not None:
         from statechart.reporting import equations
+        from statechart.tabular import ALL_DIGITS
 
         form = "latex" if arguments.latex else "json" if arguments.json else "text"
         setup = runner.setup(parameters)
-        print(equations.format_equations(automaton, setup, arguments.equations, form), end="")
+        digits = ALL_DIGITS if form == "json" else arguments.digits
+        text = equations.format_equations(automaton, setup, arguments.equations, form, digits)
+        print(text, end="")
         return 0
     at = _assigned("--at", arguments.at)
     check_variables(automaton, at)

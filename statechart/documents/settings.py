@@ -1,4 +1,4 @@
-"""Stop conditions and numerical settings, as declared."""
+"""Declarations of stop conditions and numerical settings."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ Written = Annotated[Real, BeforeValidator(_constant_value, json_schema_input_typ
 class Stop(Part):
     """End of a run: at a time, or when a condition becomes true."""
 
-    OTHER_WORDS: ClassVar = {"duration": "time", "until": "time", "end": "time", "t": "time"}
+    OTHER_WORDS: ClassVar = {
+        **dict.fromkeys(("duration", "until", "end", "t"), "time"),
+        **dict.fromkeys(("when", "if", "condition"), "conditions: {fallen: RELATION}"),
+    }
 
     time: FormulaText | None = declare(
         "End time of the run, a formula of parameters.", 10, "2*pi/omega", unit="time", default=None

@@ -42,7 +42,7 @@ from statechart.reporting.curves import (
 )
 from statechart.reporting.figure import banded, unbanded
 from statechart.reporting.film import filmed, stage_of
-from statechart.reporting.text import change, computed, explanation
+from statechart.reporting.text import ALIKE, change, computed, explanation
 from statechart.tabular import MAX_LISTED, number
 
 # Pictures that a page has at most and at least, and numbers that all of them have.
@@ -55,8 +55,6 @@ _FEW, _CHANGED = 60, 9000
 _POINTS, _NODES = 1200, 40
 # How wide the moving scene is, in its own units.
 _PICTURE = 1000.0
-# Names of what changes alike at an event.
-_NAMES = 4
 
 
 def content(
@@ -255,7 +253,7 @@ def _event(event: Mapping[str, Any], times: Array, step: float | None) -> dict[s
         "t": event["t"],
         "instant": int(np.searchsorted(times, event["t"])),
         "what": " ".join(filter(None, (event["contact"], event["cause"]))),
-        "change": change(event, _NAMES),
+        "change": change(event, ALIKE),
         "why": explanation({"events": [event], "step": step}),
     }
 

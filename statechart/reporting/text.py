@@ -1,4 +1,4 @@
-"""The report of a run as text for people."""
+"""Report of a run as text."""
 
 from __future__ import annotations
 
@@ -22,12 +22,13 @@ from statechart.tabular import (
     table,
 )
 
-# Events listed from the start and from the end.
-_SHOWN = 20
-# Names listed in one line.
-_NAMES = 8
+_SHOWN = 20  # events listed from the start and from the end
+# Names per line; characters of the name of a margin, and of a candidate in a table.
+_NAMES, _CHARACTERS, _CANDIDATE = 8, 60, 80
+# Regions with the same change that are named in a list of events.
+ALIKE = 4
 _ALL = "--json or --output has all"
-# Causes of an event at which no guard fired: with events, and by steps.
+# Causes of an event at which no guard fired: event-driven, and by time steps.
 _IMMEDIATE = "immediate: the mode just entered was not valid"
 _STEPPED = "no guard: found by the time step"
 
@@ -44,7 +45,7 @@ def summary(report: Mapping[str, Any], digits: int = DIGITS) -> str:
 
 
 def describe_run(report: Mapping[str, Any], digits: int = DIGITS) -> list[TextBlock]:
-    """Return the blocks of `summary`: texts and tables."""
+    """Return the texts and tables of `summary`."""
     parts: list[list[TextBlock]] = [[_head(report)], _event_blocks(report, digits)]
     units = report.get("units", {})
     parts += [
@@ -68,7 +69,7 @@ def _head(report: Mapping[str, Any]) -> str:
 
 
 def computed(report: Mapping[str, Any]) -> list[str]:
-    """Return how a run was computed, its cost, and how exact it is, in lines."""
+    """Return lines on engine, cost and accuracy of a run."""
     counts = report["counts"]
     certified = _CERTIFIED[report["certified"]]
     lines = [
@@ -109,10 +110,10 @@ def _evident(names: Sequence[str]) -> str:
     return "motion" if names == ["motion"] else f"events of {_cut(names)}"
 
 
-def _cut(names: Sequence[str], most: int | None = _NAMES) -> str:
-    if most is None or len(names) <= most:
+def _cut(names: Sequence[str]) -> str:
+    if len(names) <= _NAMES:
         return ", ".join(names)
-    return f"{', '.join(names[: most - 1])}, {len(names) - most + 1} more"
+    return f"{', '.join(names[: _NAMES - 1])}, {len(names) - _NAMES + 1} more"
 
 
 def _how(report: Mapping[str, Any]) -> str:
@@ -134,7 +135,7 @@ def _event_blocks(report: Mapping[str, Any], digits: int) -> list[TextBlock]:
             number(event["t"], digits),
             event["contact"] or "",
             event["cause"],
-            change(event, _NAMES),
+            change(event, ALIKE),
         )
         for event in shown(events)
     ]
@@ -144,27 +145,31 @@ def _event_blocks(report: Mapping[str, Any], digits: int) -> list[TextBlock]:
 
 
 def shown(events: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any] | int]:
-    """Return the events to list, with the number left out in the place of many."""
+    """Return the events to list, with the number of omitted ones in their place."""
     return ends(events, _SHOWN)
 
 
 def change(event: Mapping[str, Any], most: int | None = None) -> str:
-    """Return what an event changes, such as ``A: free -> pin; B, C: free again``.
+    """Return the change of mode at an event: ``A: free -> pin; B, C: free again``.
 
-    Of more than `most` names that change alike the first are listed, and how many there are.
+    The number replaces the names of more than `most` regions with the same change.
     """
     before, after = event["from"], event["to"]
     changes: dict[str, list[str]] = {}
     for name in before:
         if before[name] != after[name]:
             changes.setdefault(f"{before[name]} -> {after[name]}", []).append(name)
-    # Whose velocity jumped in the state that it stays in, such as a ball that bounces.
+    # Regions with an impact that stay in their state, such as a bouncing ball.
     for name in before:
         if before[name] == after[name] and name in (event["contact"], *event["impulse"]):
             changes.setdefault(f"{after[name]} again", []).append(name)
     if len(before) == 1:
         return "".join(changes)
-    return "; ".join(f"{_cut(names, most)}: {what}" for what, names in changes.items())
+    most = len(before) if most is None else most
+    return "; ".join(
+        f"{', '.join(names) if len(names) <= most else several(len(names), 'region')}: {what}"
+        for what, names in changes.items()
+    )
 
 
 def _alternatives(rows: Sequence[Mapping[str, Any]], digits: int) -> list[TextBlock]:
@@ -183,7 +188,7 @@ def _alternatives(rows: Sequence[Mapping[str, Any]], digits: int) -> list[TextBl
 
 
 def _least(values: Mapping[str, Any]) -> list[tuple[str, Any] | int]:
-    """Return margins by name; of many the least, and how many others there are."""
+    """Return margins by name; of many the smallest, and the number of the others."""
     left_out = len(values) - 2 * FEW
     if left_out <= 0:
         return list(values.items())
@@ -202,10 +207,7 @@ def _values(
     units: Mapping[str, str],
     digits: int = DIGITS,
 ) -> list[TextBlock]:
-    """Return values under a title, their units in a column that no list of values pushes away.
-
-    A number stands for as many that are left out.
-    """
+    """Return a table of values and units; an integer item is a number of omitted values."""
     known = [item for item in values if not isinstance(item, int)]
     texts = iter(aligned([number(value, digits) for _, value in known]))
     lines = [("", item) if isinstance(item, int) else (item[0], next(texts)) for item in values]
@@ -214,19 +216,22 @@ def _values(
     rows = [
         (f"  ... {text} more: {_ALL}", "")
         if isinstance(text, int)
-        else (f"  {name}", f"{text.ljust(width)}  {unit_suffix(units.get(name, ''))}".rstrip())
+        else (
+            f"  {name if len(name) <= _CHARACTERS else name[: _CHARACTERS - 3] + '...'}",
+            f"{text.ljust(width)}  {unit_suffix(units.get(name, ''))}".rstrip(),
+        )
         for name, text in lines
     ]
     return [f"{title}\n", Table(rows)]
 
 
 def explanation(report: Mapping[str, Any], digits: int = DIGITS) -> str:
-    """Return the explanation of every jump: guards that fired, margins, effects, candidates."""
+    """Return for every jump the guards that fired, margins, effects and candidates."""
     return plain(explain_events(report, digits))
 
 
 def explain_events(report: Mapping[str, Any], digits: int = DIGITS) -> list[TextBlock]:
-    """Return the blocks of `explanation`: titles and tables."""
+    """Return the titles and tables of `explanation`."""
     return join_blocks(
         [f"... {event} more: --json --explain or --output has all\n"]
         if isinstance(event, int)
@@ -272,10 +277,12 @@ def _entitled(head: str, lines: list[tuple[str, ...]]) -> list[tuple[str, str]]:
 
 
 def _candidates(event: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return candidates and verdicts, without the states that all candidates share."""
+    """Return candidates and verdicts, without states common to all candidates."""
     labels = {label: label.split() for label in event["considered"]}
     common = set.intersection(*map(set, labels.values())) if len(labels) > 1 else set()
-    return [
+    found: list[tuple[str, ...]] = [
         (" ".join(part for part in labels[label] if part not in common) or label, verdict)
         for label, verdict in event["considered"].items()
     ]
+    short = all(len(label) <= _CANDIDATE for label, *_ in found)
+    return found if short else [(": ".join(parts),) for parts in found]

@@ -427,11 +427,14 @@ def test_place_and_suffix_of_a_drawing_are_checked_first(cli: Cli, scene: tuple[
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ("check bouncing_ball_chart --examples -3", "must be from 1 to 10**18, not -3"),
-        ("check bouncing_ball_chart --examples 0", "must be from 1 to 10**18, not 0"),
+        ("check bouncing_ball_chart --examples -3", "must be 1 or more, up to 10**18, not -3"),
+        ("check bouncing_ball_chart --examples 0", "must be 1 or more, up to 10**18, not 0"),
         ("check bouncing_ball_chart --examples 2.5", "'2.5' is not a whole number, such as 20"),
-        ("check bouncing_ball_chart --seed -1", "must be from 0 to 10**18, not -1"),
-        ("sweep bouncing_ball_chart --over k=0.1 --workers 0", "must be from 1 to 10**18, not 0"),
+        ("check bouncing_ball_chart --seed -1", "must be 0 or more, up to 10**18, not -1"),
+        (
+            "sweep bouncing_ball_chart --over k=0.1 --workers 0",
+            "must be 1 or more, up to 10**18, not 0",
+        ),
         ("sweep bouncing_ball_chart --over k=0.1 --outputs ,", "no name is written"),
         (
             "run bouncing_ball --engine impulse --step 1e-300",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -147,6 +148,24 @@ def test_the_verb_prints_them(capsys: pytest.CaptureFixture[str]) -> None:
     path = "toppling_stick"
     assert main(["modes", path, "--equations", "pin", "--latex"]) == 0
     assert re.search(r"% motion\n\\begin{align\*}", capsys.readouterr().out)
+
+
+def test_printed_numbers_have_seven_digits_and_no_zeros_behind(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bead.yaml"
+    path.write_text(
+        "kind: scene\nname: bead\ngravity: 9.81\nbodies: {bead: {mass: 1.3}}\n"
+        "surfaces: {hill: {height: 0.1*sin(2.2*x)}}\nstop: {time: 1}\n"
+        "contacts: {base: {point: {body: bead}, surface: hill, modes: [pin]}}\n"
+    )
+    numbers = re.compile(r"(?<![\w.])\d+\.?\d*")
+    for more, most in (((), 7), (("--digits", "3"), 3), (("--json",), 17)):
+        assert main(["modes", str(path), "--equations", "base:pin", *more]) == 0
+        printed = numbers.findall(capsys.readouterr().out)
+        digits = [len(number.replace(".", "").lstrip("0")) for number in printed]
+        assert (most - 3 if most == 17 else most) <= max(digits) <= most
+        assert not any("." in n and n.endswith("0") for n in printed if most == 7)
 
 
 @pytest.mark.parametrize(

@@ -378,7 +378,7 @@ outputs: {n: {value: n}}
 
 
 @pytest.mark.parametrize("h", [1e-3, 2.5e-4])
-def test_a_surface_that_stops_strikes_before_guards_are_asked(h: float) -> None:
+def test_a_surface_that_stops_strikes_before_guards_are_evaluated(h: float) -> None:
     model = interpret(read_text(STOPPING_PLATE, "f.yaml"))
     exact, found = by_events(model), by_steps(model, h)
     stopped = [("plate", "stop"), ("c", "touchdown"), ("plate", "hit")]
@@ -420,3 +420,32 @@ def test_a_surface_that_stops_under_what_it_carries_lets_it_slide_in_the_same_ju
         assert stick.t == pytest.approx(0.1 + 1 / 5, abs=1e-8 + late)
         assert run.trace.final[0] == pytest.approx(0.1 + 1 / 10, abs=1e-8 + late)
         assert run.outputs["slips"] == 1
+
+
+def test_steps_say_that_they_have_no_event_of_bounces_that_accumulate():
+    model = interpret(
+        read_text("""
+kind: scene
+name: bounces
+gravity: 9.81
+bodies: {ball: {mass: 1, start: {y: 0.1}}}
+surfaces: {floor: {height: 0}}
+contacts:
+  foot: {point: {body: ball}, surface: floor, friction: 0, modes: [free, slide], restitution: 0.5}
+regions:
+  r: {initial: a, states: {a: {}, b: {}}, transitions: [{name: t, from: a, to: b, on: foot.zeno}]}
+outputs:
+  rests: {value: time, at: first foot.zeno}
+  slides: {value: time, at: first foot.slide}
+  sequences: {count: foot.zeno}
+stop: {time: 0.6}
+""")
+    )
+    events, steps = by_events(model), by_steps(model, H)
+    assert not [w for w in events.warnings if "event zeno" in w]
+    found = [w for w in steps.warnings if w.startswith("event zeno of ")]
+    assert len(found) == 1
+    assert found[0].startswith("event zeno of outputs.rests, outputs.sequences, regions.r: ")
+    # The state that it names is entered on both.
+    assert steps.outputs["slides"] == pytest.approx(events.outputs["slides"], abs=0.01)
+    assert events.outputs["rests"] == events.outputs["slides"]
