@@ -32,6 +32,7 @@ from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
 from contacts.states import CLOSED, DISENGAGED, OFF
 from statechart.automaton.regions import Hold, Margin
+from statechart.errors import NoConsistentMode
 from statechart.formulas.linear import Definition
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import Tape
@@ -39,8 +40,16 @@ from statechart.formulas.writer import compile_tape
 
 HAULED = "length"
 """Margin of a rope that is hauled in."""
-MIN_LENGTH = 1e-3
-"""Part of its length at the start at which a rope that is hauled in ends the run."""
+# Part of its length at the start at which a rope that is hauled in ends the run.
+_MIN_LENGTH = 1e-3
+
+
+def hauled_in(name: str, time: float) -> NoConsistentMode:
+    """Return why a run ends at a time at which a rope is hauled in to next to nothing."""
+    return NoConsistentMode(
+        f"rope {name!r} is hauled in to {_MIN_LENGTH:g} of its length at the start by "
+        f"t = {time:.7g}; stop the winch before, or the run by a stop condition"
+    )
 
 
 class _SurfaceGeometry(NamedTuple):
@@ -385,7 +394,7 @@ class Mechanics(Geometry):
         for _ in texts:
             start = {symbol: value.xreplace(start) for symbol, value in start.items()}
         first = length.xreplace(start).xreplace({self.time: sp.S.Zero})
-        return (Margin(f"{name}.{HAULED}", length - MIN_LENGTH * first, "gap"),)
+        return (Margin(f"{name}.{HAULED}", length - _MIN_LENGTH * first, "gap"),)
 
     def surface_rate(self, name: str) -> Vector:
         """Return the normal and tangential velocity of a contact's surface that moves in time."""

@@ -210,6 +210,16 @@ def check_joints(
     largest = max(scales.acceleration, float(np.abs(joints.biases).max()))
     if np.abs(residual).max() > _MAX_ACCELERATION_RESIDUAL * largest:
         raise _contradiction(names, residual, "acceleration")
+    # Rows of joints that never open are marked where others imply them.
+    if any(row.closed is not None for row in mechanics.joint_rows):
+        spare = implied(joints.jacobian[~joints.redundant])
+        if spare.any():
+            name = np.array(names)[~joints.redundant][spare][0].item()
+            raise DeclarationProblem(
+                f"joint {name!r} starts closed, and other closed joints imply a component of it",
+                advice="hold fewer components",
+                loc=("joints", name),
+            )
 
 
 def check_closing(

@@ -12,7 +12,7 @@ import numpy as np
 
 from contacts.dynamics.conditions import Conditions, hidden
 from contacts.dynamics.held_forces import HeldForces
-from contacts.dynamics.mechanics import HAULED, MIN_LENGTH, Mechanics
+from contacts.dynamics.mechanics import HAULED, Mechanics, hauled_in
 from contacts.dynamics.projection import Projection, dead_point, in_contact, landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
@@ -266,10 +266,7 @@ class SceneLaws:
             return self._unbounded(here)
         for name in self._names:
             if f"{name}.{HAULED}" in fired:
-                raise NoConsistentMode(
-                    f"rope {name!r} is hauled in to {MIN_LENGTH:g} of its length at the start by "
-                    f"t = {clock.high:.7g}; stop the winch before, or the run by a stop condition"
-                )
+                raise hauled_in(name, clock.high)
         hitting = here.hitting
         if hitting:
             return self._impact(here, hitting)

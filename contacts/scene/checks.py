@@ -644,7 +644,9 @@ def check_turns(scene: SceneFields) -> None:
     for name, joint in scene.joints.items():
         key = "angle" if joint.angle is not None else "limits"
         for end in (joint.point, joint.to) if getattr(joint, key) is not None else ():
-            if isinstance(end, Point) and scene.bodies[end.body].inertia is None:
+            if not isinstance(end, Point) or scene.bodies[end.body].prescribed:
+                continue
+            if scene.bodies[end.body].inertia is None:
                 raise DeclarationProblem(
                     f"{end.body!r} is a particle, which has no angle",
                     advice=f"give it an inertia, or remove {key}",

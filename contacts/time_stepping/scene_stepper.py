@@ -11,7 +11,7 @@ import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw, edge
 from contacts.dynamics.controllers import Controllers, ControllerState
-from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.mechanics import Mechanics, hauled_in
 from contacts.dynamics.setup import ROUNDING, SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.dynamics.snapshot import SnapshotTape
@@ -399,6 +399,10 @@ class SteppedScene(SteppedSystem):
         places = np.arange(codes.shape[1])
         wrong = self._undeclared[places, codes] | self._negative(chunk)
         np.copyto(shown, codes, where=self._undeclared[places, shown])
+        if len(self._source.hauled):
+            times = start + h * np.arange(1, len(codes) + 1)
+            lengths = self._source.lengths.table(chunk.states[1:], self._values, times)
+            wrong[:, self._source.hauled] |= lengths < 0.0
         if not self._source.may_jam:
             for k in np.flatnonzero(chunk.stats[:, JAMMED]).tolist():
                 i = int(chunk.stats[k, JAMMED]) - 1
@@ -425,6 +429,8 @@ class SteppedScene(SteppedSystem):
                 f"coupling {name!r}: its limit is below zero by t = {end:.9g}; a coupling that "
                 "lets go is one with enabled: RELATION"
             )
+        if contact in self._source.hauled:
+            return hauled_in(name, end)
         if not self._undeclared[contact, code]:
             return NoConsistentMode(
                 f"contact {name!r} can neither slide nor lift off: friction presses it into "

@@ -149,6 +149,11 @@ class SteppedTape:
             ]
             + [sp.S.Zero] * (2 * self.couplings)
         )
+        lengths = {i: mechanics.hauled(name) for i, name in enumerate(rigid)}
+        self.hauled = np.array([i for i, margins in lengths.items() if margins], np.int64)
+        self.lengths: Tape = mechanics.whole_tape(
+            [m.expression.xreplace(known) for margins in lengths.values() for m in margins]
+        )
         self.size = len(mechanics.q)
         self.pairs = _touching_pairs(mechanics.scene)
         self.plastic = mechanics.scene.simultaneous == "plastic"

@@ -236,7 +236,7 @@ regions:
 """
 
 
-def test_a_path_that_jumps_is_judged_again() -> None:
+def test_a_path_that_jumps_is_checked_again() -> None:
     bodies = f"""
   box: {{{MOVED}, start: {{x: 0, y: 0.1}}}}
   shelf: {{position: [u, -0.1], shape: {{polygon: [[-1, -0.1], [1, -0.1], [1, 0.1], [-1, 0.1]]}}}}
@@ -331,6 +331,7 @@ def test_forces_and_joints_on_prescribed_bodies_are_refused() -> None:
     for more, message in (
         ("forces: {f: {body: a, force: [1, 0]}}", "no force moves it"),
         ("joints: {j: {point: {body: box}, to: {body: a}}}", "joints hold bodies that move"),
+        ("joints: {j: {point: {body: box}, to: {body: a}, angle: held}}", "joints hold bodies"),
     ):
         with pytest.raises(DeclarationError, match=message):
             _run(bodies, law, more)
