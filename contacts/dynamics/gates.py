@@ -20,7 +20,7 @@ import sympy as sp
 from statechart.arrays import Array, Ints, Ints32
 from statechart.automaton.margin_derivatives import UNDERFLOW
 from statechart.automaton.regions import Margin
-from statechart.formulas.condition import Every, Some, replaced
+from statechart.formulas.condition import And, Or, replaced
 from statechart.formulas.relation import States, parse_relation
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
@@ -106,8 +106,8 @@ class Gate:
             return self.atoms[0].margin.xreplace(values)
 
         def margin(tree: Any) -> sp.Expr:
-            if isinstance(tree, Every | Some):
-                return (sp.Min if isinstance(tree, Every) else sp.Max)(*map(margin, tree.parts))
+            if isinstance(tree, And | Or):
+                return (sp.Min if isinstance(tree, And) else sp.Max)(*map(margin, tree.parts))
             atom = self.atoms[tree]
             value = atom.margin.xreplace(values)
             if atom.words in ignored:
@@ -152,7 +152,7 @@ def gate_of(
         parts.append(len(atoms))
         words = f"{contact}: {end}"
         atoms.append(GateAtom(words, f"{off}: {end}", words, margin, True))
-    return Gate(contact, off, tuple(atoms), Every(tuple(parts)), wholes)
+    return Gate(contact, off, tuple(atoms), And(tuple(parts)), wholes)
 
 
 def tree(gates: Sequence[Gate | None]) -> Ints:
@@ -165,8 +165,8 @@ def tree(gates: Sequence[Gate | None]) -> Ints:
 
     def add(node: Any, above: int, place: int, offset: int) -> None:
         index = len(rows)
-        if isinstance(node, Every | Some):
-            rows.append((EVERY if isinstance(node, Every) else SOME, above, place))
+        if isinstance(node, And | Or):
+            rows.append((EVERY if isinstance(node, And) else SOME, above, place))
             for child in node.parts:
                 add(child, index, place, offset)
         else:

@@ -60,10 +60,18 @@ def hovering(
     ]
 
 
-def check_places(names: Sequence[str], snapshot: Snapshot) -> None:
+def check_places(mechanics: Mechanics, snapshot: Snapshot) -> None:
     """Refuse an initial state at which the position or velocity of a contact is not finite."""
-    for name, contact in zip(names, snapshot.contacts, strict=True):
+    for name, contact in zip(mechanics.scene.frictional, snapshot.contacts, strict=True):
         if not all(map(math.isfinite, contact[1:5])) or math.isnan(contact.gap):
+            if name in mechanics.scene.contacts and isinstance(
+                mechanics.scene.surface_of(name), Reach
+            ):
+                raise DeclarationProblem(
+                    f"rope {name!r} has both ends at one place at the start, and no direction",
+                    advice="move one of them",
+                    loc=("joints", name),
+                )
             raise DeclarationProblem(
                 "its place at the start is not finite",
                 advice="look for a logarithm, a root or a quotient without a value there",
@@ -202,6 +210,16 @@ def check_joints(
     largest = max(scales.acceleration, float(np.abs(joints.biases).max()))
     if np.abs(residual).max() > _MAX_ACCELERATION_RESIDUAL * largest:
         raise _contradiction(names, residual, "acceleration")
+    # Rows of joints that never open are marked where others imply them.
+    if any(row.closed is not None for row in mechanics.joint_rows):
+        spare = implied(joints.jacobian[~joints.redundant])
+        if spare.any():
+            name = np.array(names)[~joints.redundant][spare][0].item()
+            raise DeclarationProblem(
+                f"joint {name!r} starts closed, and other closed joints imply a component of it",
+                advice="hold fewer components",
+                loc=("joints", name),
+            )
 
 
 def check_closing(

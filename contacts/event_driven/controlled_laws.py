@@ -31,7 +31,7 @@ from statechart.automaton.laws import Feasibility, Flow, Instant, Setup, moving_
 from statechart.automaton.margin_derivatives import MarginDerivatives
 from statechart.automaton.regions import Region, active_in
 from statechart.automaton.trace import Arc, Jump, Key, Roles
-from statechart.charts.guard_watch import Judgement, Listening, considered
+from statechart.charts.guard_watch import EventQueues, GuardTruths, considered
 
 
 class ControlledLaws:
@@ -67,7 +67,7 @@ class ControlledLaws:
         self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
         self._leads = bool(mechanics.scene.leading)
         self._considered = {r.name: considered(r) for r in regions if r.name in self._controllers}
-        self._listening = Listening(regions, self._controllers)
+        self._queues = EventQueues(regions, self._controllers)
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the first flow; transitions that are due there follow as jumps."""
@@ -115,12 +115,12 @@ class ControlledLaws:
                 before=self._memory.joined(jump.before, state),
                 after=after,
             )
-            flow = flow._replace(pending=self._listening.pending_after(flow.pending, jump))
+            flow = flow._replace(pending=self._queues.pending_after(flow.pending, jump))
             return jump, self._joined(setup, clock, following, controllers, after, flow)
-        judged, rows = self._judged(setup, clock, flow, state, fired)
-        true = set() if judged is None else judged.due()
+        truths, rows = self._guard_truths(setup, clock, flow, state, fired)
+        true = set() if truths is None else truths.due()
         guarded = opening_first(true, self._names, controllers, self._joints)
-        firing = self._listening.first(
+        firing = self._queues.first(
             self._controllers,
             controllers,
             flow.pending,
@@ -128,7 +128,7 @@ class ControlledLaws:
             lambda: self._holding(setup, clock, flow, state),
         )
         if firing is None:
-            tolerances = flow.tolerances if judged is None else judged.watched()
+            tolerances = flow.tolerances if truths is None else truths.watched()
             if tolerances == flow.tolerances:
                 return None
             return None, flow._replace(tolerances=tolerances)
@@ -155,7 +155,7 @@ class ControlledLaws:
             considered=self._considered[name](edge),
             energy=(energy, energy),
         )
-        flow = flow._replace(pending=self._listening.pending_after(firing.pending, jump))
+        flow = flow._replace(pending=self._queues.pending_after(firing.pending, jump))
         following = self._parted(flow)
         if contacts != following.mode:
             roles = zip(following.mode, contacts, following.roles, roles_in(contacts), strict=True)
@@ -180,7 +180,7 @@ class ControlledLaws:
         jump = replace(
             jump, source=at.flow.mode, target=(*jump.target, *states), before=at.state, after=after
         )
-        pending = self._listening.pending_after(at.flow.pending, jump)
+        pending = self._queues.pending_after(at.flow.pending, jump)
         before = at.flow._replace(pending=pending)
         return jump, self._joined(at.setup, at.clock, flow, states, after, before)
 
@@ -247,16 +247,16 @@ class ControlledLaws:
             inner, contacts=self._contacts.numbers.contacts(setup.values, states_by_name)
         )
 
-    def _judged(
+    def _guard_truths(
         self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array, fired: tuple[str, ...]
-    ) -> tuple[Judgement | None, Array]:
+    ) -> tuple[GuardTruths | None, Array]:
         """Return the judgement of the guards, or None far from all boundaries; and their rows."""
         controllers = flow.mode[self._count :]
         guarded = self._states.guards(controllers)
         tolerances = np.array([flow.tolerances[margin] for margin in guarded.watch.margins])
         rows = guarded.rows(setup, clock.high, state)
         watched = tolerances < np.inf
-        # The first flow in a mode, which watches all atoms of a guard, is judged in any case.
+        # The first flow in a mode watches all atoms of a guard, and is evaluated in any case.
         if (rows[watched, 0] > tolerances[watched]).all() and (
             guarded.watch.single or not watched.all()
         ):
@@ -277,10 +277,10 @@ class ControlledLaws:
             )
 
         active = active_in(self._regions, flow.mode)
-        judged = Judgement(
+        truths = GuardTruths(
             guarded.watch, rows, rate, flow.tolerances, fired, relative, later, active
         )
-        return judged, rows
+        return truths, rows
 
     def _holding(
         self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array

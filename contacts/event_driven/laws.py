@@ -148,7 +148,7 @@ class SceneLaws:
             for law, why, contact in zip(setup.contacts, failing, snapshot.contacts, strict=True)
         )
         snapshot = hidden(snapshot, off)
-        check_places(self._names, snapshot)
+        check_places(self._mechanics, snapshot)
         near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
         touched = self._mechanics.scene.surface_of
         for law, contact in list(zip(setup.contacts, snapshot.contacts, strict=True))[

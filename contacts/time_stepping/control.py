@@ -30,7 +30,7 @@ from contacts.time_stepping.stop_conditions import ActiveStates, first_lost
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.regions import Raised, Region
 from statechart.automaton.trace import Jump
-from statechart.charts.guard_watch import Listening
+from statechart.charts.guard_watch import EventQueues
 from statechart.errors import EventLoop, UnsolvedImpulses
 
 _MAX_LISTED = 4  # Transitions listed in the error of an endless sequence.
@@ -54,7 +54,7 @@ class StepControl:
         self._names = tuple(self._controllers)
         self._states, self._setup, self._scene = controllers, setup, scene
         self._memory = ControllerState(mechanics)
-        self._listening = Listening(regions, self._controllers)
+        self._queues = EventQueues(regions, self._controllers)
         self._active = ActiveStates(regions)
         n, r = len(mechanics.q), len(mechanics.joint_rows)
         c = 2 * len(mechanics.scene.contacts) + len(mechanics.scene.couplings)
@@ -72,7 +72,7 @@ class StepControl:
         shown = recorder.shown(chunk)
         due = self._due(chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h, shown)
         may_act: Bools = np.any(due, axis=1)
-        if self._listening.waits(self._controllers, self.states):
+        if self._queues.waits(self._controllers, self.states):
             may_act |= recorder.changes(chunk)
         may_act[:1] |= self._strikes
         if not may_act[:-1].any():
@@ -96,7 +96,7 @@ class StepControl:
         for first, *others in _simultaneous(jumps):
             # Simultaneous jumps of several contacts are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
-            pending = self._listening.pending_after(pending, jump)
+            pending = self._queues.pending_after(pending, jump)
         time = np.array([recorder.clock.high])
         if not self._begun:
             self._begun = True
@@ -109,7 +109,7 @@ class StepControl:
             at_end = time, state[None], solved[None]
             due = self._due(*at_end, h, recorder.row[None])[0]
             true = {(g.place, g.trigger) for g, now in zip(watched, due, strict=True) if now}
-            firing = self._listening.first(
+            firing = self._queues.first(
                 self._controllers,
                 self.states,
                 pending,
@@ -134,7 +134,7 @@ class StepControl:
                 self._states.named(self.states), (state, after, recorder.clock.high)
             )
             jump = recorder.turn(name, taken.name, self.states, (state, after), fired, moved)
-            pending, state = self._listening.pending_after(firing.pending, jump), after
+            pending, state = self._queues.pending_after(firing.pending, jump), after
             if strikes:
                 self._pending, self._strikes = pending, True
                 return state

@@ -1,9 +1,9 @@
-"""The hybrid automaton: regions, modes, margins, and the laws at the instants between flows.
+"""The hybrid automaton: regions, modes, margins, laws of jumps.
 
-Vocabulary: a *mode* is one state per region; its *flow* is an ordinary differential equation; its
-*margins* are expressions that stay >= 0 while the mode holds (its invariant); an *event* is a
-margin falling; a *jump* is what the laws make of an event. Composition is conjunction: a region's
-state contributes equations in the shared unknowns, never a vector field of its own.
+A *mode* is one state per region; its *flow* is an ordinary differential equation; its *margins* are
+expressions that are >= 0 in the mode (its invariant); an *event* is a margin falling below zero;
+the laws map an event to a *jump*. Composition is conjunction: the state of a region contributes
+equations in the shared unknowns, not a vector field.
 """
 
 from __future__ import annotations
@@ -34,55 +34,45 @@ if TYPE_CHECKING:
 
 
 NOT_RECORDED = "not recorded"
-"""Word shown for the state of a region whose modes a run does not record."""
+"""Label of the state of a region that a run does not record."""
 NEUTRAL = re.compile(r"zz\d+zz")
-"""Names that alike components share."""
+"""Neutral names, shared by isomorphic components."""
 
 
 @dataclass(frozen=True, eq=False)
 class Automaton:
-    """Regions composed over shared unknowns; topology and modes on demand."""
+    """Regions composed over shared unknowns; modes are built on demand."""
 
-    name: str  # Name of the model.
-    declaration: Declaration  # The document it was made from (outputs, stop, settings).
-    # Names and symbols of the state's variables.
-    names: tuple[str, ...]
+    name: str
+    declaration: Declaration  # outputs, stop, settings
+    names: tuple[str, ...]  # of the variables
     variables: tuple[sp.Symbol, ...]
-    # Names and symbols of the parameters.
     parameter_names: tuple[str, ...]
     parameters: tuple[sp.Symbol, ...]
-    time: sp.Symbol  # Time, in expressions.
-    # Solved for in every mode: accelerations and forces, or rates; first those that belong to
-    # `equations`, one by one.
+    time: sp.Symbol
+    # Solved for in every mode: accelerations and forces, or rates; the first ones are paired with
+    # `equations`.
     unknowns: tuple[sp.Symbol, ...]
-    rates: tuple[sp.Expr, ...]  # d/dt of every variable, in variables and unknowns.
-    equations: tuple[sp.Expr, ...]  # The equations that hold in every mode, each = 0.
-    regions: tuple[Region, ...]  # In the order of the keys.
-    stops: tuple[StopCondition, ...]  # Conditions that end a run.
-    # Name -> expression; what outputs, tables and figures can show.
-    observables: Mapping[str, sp.Expr]
-    # From overrides of parameters and a relative tolerance to the numbers of a run.
+    rates: tuple[sp.Expr, ...]  # d/dt of every variable, in variables and unknowns
+    equations: tuple[sp.Expr, ...]  # of every mode, each = 0
+    regions: tuple[Region, ...]  # in the order of the keys
+    stops: tuple[StopCondition, ...]
+    observables: Mapping[str, sp.Expr]  # name -> expression, for outputs, tables and figures
+    # (overrides of parameters, relative tolerance) -> setup of a run
     setup: Callable[[Mapping[str, float], float], Setup]
-    laws: Laws | None  # Initial mode, jumps, projection; None where only steps can run the model.
-    # True where an unknown that no state sets is zero (a chart's variable without a flow).
-    idle: bool = False
-    # True where formulas along a flow switch (abs, sign, min, max, sat).
-    switching: bool = False
-    # Controls set by states of regions (`State.values`), in an order in which each value uses only
-    # those before it. In every mode exactly one state sets each.
+    laws: Laws | None  # None if only time stepping can run the model
+    idle: bool = False  # unknowns that no state sets are zero (chart variables without a flow)
+    switching: bool = False  # formulas along flows are nonsmooth (abs, sign, min, max, sat)
+    # Set by states of regions (`State.values`), exactly once in every mode, in order of evaluation.
     controls: tuple[sp.Symbol, ...] = ()
-    # Makes what steps the model through time without its modes, where its kind offers that.
-    stepper: Callable[[], TimeStepper] | None = None
-    # Returns the step by the model's scales, if only steps can run the model.
-    own_step: Callable[[], float] | None = None
-    # Coordinates by which modes may be reduced, if the equations are those of mechanics.
-    coordinates: Coordinates | None = None
-    # Returns the parts that have nothing to do with each other; none where all belong together.
-    components: Callable[[], tuple[Component, ...]] = tuple
+    stepper: Callable[[], TimeStepper] | None = None  # creates the time stepper, if any
+    own_step: Callable[[], float] | None = None  # default time step from the scales of the model
+    coordinates: Coordinates | None = None  # of mechanics, for minimal coordinates
+    components: Callable[[], tuple[Component, ...]] = tuple  # uncoupled parts; none if connected
 
     @property
     def laws_of_events(self) -> Laws:
-        """The laws; raises `Unsupported` if only steps can run the model."""
+        """The laws; raises `Unsupported` if only time stepping can run the model."""
         if self.laws is None:
             raise Unsupported(
                 f"{self.name!r} runs by steps only; write --engine impulse --step 1e-3, or "
@@ -92,26 +82,26 @@ class Automaton:
 
     @property
     def modes_total(self) -> int:
-        """Number of product modes, directions of sliding told apart."""
+        """Number of product modes, with directions of sliding."""
         return prod(len(region.states) for region in self.regions)
 
     @property
     def modes_declared(self) -> int:
-        """Number of product modes as the declaration counts them (sliding without direction)."""
+        """Number of declared product modes, without directions of sliding."""
         return prod(len({*map(region.declared, region.states)}) for region in self.regions)
 
     @cached_property
     def stop_margins(self) -> tuple[Margin, ...]:
-        """The margins of the stop conditions, which stand last among those of every mode."""
+        """The margins of the stop conditions, the last ones of every mode."""
         return tuple(margin for stop in self.stops for margin in stop.margins)
 
     @cached_property
     def stop_of(self) -> Mapping[str, StopCondition]:
-        """Margin -> the stop condition that it belongs to."""
+        """Margin -> its stop condition."""
         return {margin.name: stop for stop in self.stops for margin in stop.margins}
 
     def active(self, key: Key) -> Active:
-        """Return the test whether a region is in a state, or in one inside it."""
+        """Return the predicate (region, state) -> whether the state is active in a mode."""
         return active_in(self.recorded_regions(key), key)
 
     @cached_property
@@ -121,7 +111,7 @@ class Automaton:
 
     @cached_property
     def colours(self) -> Mapping[str, Mapping[str, str]]:
-        """Region -> state, also as declared -> its colour in every picture."""
+        """Region -> state (with declared names) -> colour."""
         names = [
             (*region.innermost, *region.states, *map(region.declared, region.states))
             for region in self.regions
@@ -130,18 +120,18 @@ class Automaton:
 
     @cached_property
     def invariants(self) -> tuple[Invariant, ...]:
-        """Assertions of the declaration about all of a run; runs do not evaluate them."""
+        """Declared assertions about runs, checked on traces."""
         return tuple(
             Invariant(label, text, self.observables)
             for label, text in self.declaration.invariants.items()
         )
 
     def recorded_regions(self, key: Key) -> tuple[Region, ...]:
-        """Return the regions whose states a key has: all, or where poses are kept controllers."""
+        """Return the regions of a key: all, or with `record: poses` the controllers."""
         return self.regions[len(self.regions) - len(key) :]
 
     def recorded_states(self, key: Key) -> list[tuple[str, ...]]:
-        """Return the states of all regions; of those that a key has not, `NOT_RECORDED`."""
+        """Return the states of all regions, `NOT_RECORDED` for those missing in a key."""
         missing = len(self.regions) - len(key)
         return [(NOT_RECORDED,)] * missing + [
             region.states for region in self.recorded_regions(key)
@@ -155,13 +145,13 @@ class Automaton:
         )
 
     def trace(self, values: Array, **found: Any) -> Trace:
-        """Return the trace of a run with these values (p,) of the parameters."""
+        """Return the trace of a run with parameters `values` (p,)."""
         parameters = dict(zip(self.parameter_names, values.tolist(), strict=True))
         return Trace(self.name, self.region_names, self.names, parameters, **found)
 
     def tape(self, expressions: Sequence[sp.Expr], mode: Mode | None = None) -> Tape:
-        """Return expressions in the variables as a program; in a mode, also in what it solves."""
-        # The kernels behind it are not needed to compose an automaton, and take long to load.
+        """Return the tape of expressions in the variables, and in the unknowns of a mode."""
+        # Imported here, since its kernels take long to load.
         from statechart.formulas.writer import compile_tape
 
         return compile_tape(
@@ -175,24 +165,21 @@ class Automaton:
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """A part of a model that has nothing to do with the rest."""
+    """An uncoupled part of a model."""
 
-    automaton: Automaton  # Its own, in neutral names; alike components share it.
-    names: Mapping[str, str]  # Neutral name -> name.
-    # From the numbers of a run of the whole to those of a run of the component.
-    restricted: Callable[[Setup, Places], Setup]
-    # From the role of a region in the component to that in the whole.
-    shown: Callable[[Role, Places], Role]
-    # Components that jump at one instant do so in one jump, not one after another.
-    joint: bool
+    automaton: Automaton  # in neutral names, shared by isomorphic components
+    names: Mapping[str, str]  # neutral name -> name
+    restricted: Callable[[Setup, Places], Setup]  # setup of the whole -> setup of the component
+    shown: Callable[[Role, Places], Role]  # role in the component -> role in the whole
+    joint: bool  # simultaneous jumps of components are one jump
 
     def named(self, text: str) -> str:
-        """Return a text with the names that the model declares."""
+        """Return a text with declared instead of neutral names."""
         return NEUTRAL.sub(lambda found: self.names.get(found[0], found[0]), text)
 
 
 class Places:
-    """Places of a component's regions, variables and parameters in the whole, arrays of int."""
+    """Indices of the regions, variables and parameters of a component in the whole."""
 
     def __init__(self, component: Component, whole: Automaton) -> None:
         part, named = component.automaton, component.named

@@ -1,4 +1,4 @@
-"""Time along a run, to full precision however long that is."""
+"""Time of a run in double-double precision."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from statechart.arrays import Array
 
 
 class Clock(NamedTuple):
-    """Time as an unevaluated sum of two floats, so that long runs keep their resolution."""
+    """Time as an unevaluated sum ``high + low`` of two floats.
 
-    # The time is ``high + low``; ``|low|`` is at most half an ulp of ``high``, or a few ulps where
-    # `high` is `short`.
+    ``|low|`` is at most half an ulp of `high`, or a few ulps of a `short` clock.
+    """
+
     high: float = 0.0
     low: float = 0.0
 
@@ -27,22 +28,22 @@ class Clock(NamedTuple):
 
     @property
     def short(self) -> Clock:
-        """The same time with a high part of 15 digits: what is made of steps such as 1e-3."""
+        """The same time with `high` of 15 digits, as multiples of steps such as 1e-3 are shown."""
         high = _decimal(self.high)
         return Clock(high, (self.high - high) + self.low)
 
     def until(self, end: float) -> float:
-        """Return the time left until `end`."""
+        """Return the time until `end`."""
         return (end - self.high) - self.low
 
 
 def between(start: Clock, end: Clock) -> float:
-    """Return the time from `start` to `end`, to full precision even where it is tiny."""
+    """Return the time from `start` to `end`, without cancellation."""
     return (end.high - start.high) + (end.low - start.low)
 
 
 def decimals(times: Array) -> Array:
-    """Return times of 15 digits, as runs by steps show them (see `Clock.short`)."""
+    """Return times of 15 digits (see `Clock.short`)."""
     return np.array([_decimal(t) for t in times.tolist()])
 
 

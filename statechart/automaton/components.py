@@ -1,8 +1,7 @@
-"""Independent components of an automaton: parts of a declaration that never read each other.
+"""Independent components of an automaton: uncoupled parts of a declaration.
 
-Two declared entities belong together where one mentions the other; the connected components of
-that relation are automata of their own (the product is never multiplied out). Components that are
-alike but for names and starts share one automaton in neutral names.
+Entities are coupled if one mentions the other; each connected component is an automaton, so that
+the product is not enumerated. Isomorphic components share one automaton in neutral names.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from statechart.automaton.trace import Role
 
 Data = dict[str, Any]
-"""A declaration as plain mappings, lists, texts and numbers."""
+"""A declaration as plain data."""
 Entity = tuple[str, str]
 """Section of a declaration, and name in it."""
 
@@ -38,12 +37,11 @@ def split(
     regions: Collection[str],
     schema: Path,
 ) -> list[tuple[Data, dict[str, str]]]:
-    """Return the independent parts of a declaration in neutral names; none where it is one.
+    """Return the independent parts of a declaration in neutral names; none if it is connected.
 
-    A part is its declaration, and neutral name -> name. `moving` are the sections whose entities
-    change in time, or say how others do; `regions` those of them whose entities are regions.
-    An entity with the name of a word of the document, in its JSON Schema, keeps it, as names are
-    replaced in texts.
+    A part is a declaration, and neutral name -> name. `moving` are the sections of entities that
+    change in time, or determine how others do; `regions` those of regions. Names that are words of
+    the document (in its JSON Schema) are not replaced.
     """
     entities = {(s, name): data[s][name] for s in (*moving, "surfaces") for name in data.get(s, {})}
     stops = data.get("stop", {}).get("conditions", {})
@@ -55,7 +53,7 @@ def split(
             owners.setdefault(owned_name, set()).add((section, name))
     mentions = {entity: _mentioned(content, owners) for entity, content in entities.items()}
     mentions |= {("stop", name): _mentioned(text, owners) for name, text in stops.items()}
-    # A surface that does not move, or a condition of time alone, joins nobody.
+    # Fixed surfaces and conditions of time alone couple nothing.
     static = {
         entity
         for entity, mentioned_entities in mentions.items()
@@ -69,7 +67,7 @@ def split(
     if len(groups) < 2:
         return []
     if any(not _mentioned(event, owners) for event in _declared_events(data, "contacts" in data)):
-        # An event without the name of its region is heard from all of them.
+        # An event without a region couples all regions.
         return []
     words = {*_reserved(schema), *_words_of_regions(data, regions)}
     if any(NEUTRAL.search(text) for text in _texts(data)):
@@ -97,7 +95,7 @@ def _component_declaration(
         name: name if {name, f"d{name}"} & words else f"zz{place}zz"
         for place, (_, name) in enumerate(entities)
     }
-    # The rate of a coordinate is named after it.
+    # The names of rates follow from those of the coordinates.
     rates = {
         f"d{name}": f"d{names[name]}" for section, name in entities if section == "coordinates"
     }
@@ -149,7 +147,7 @@ def _mentioned(value: Any, owners: Mapping[str, set[Entity]]) -> set[Entity]:
 
 
 def _declared_events(value: Any, shared_zeno: bool) -> Iterator[str]:
-    """Yield the events of `on:`; `zeno` is a state's own unless `shared_zeno` may have it."""
+    """Yield the events in `on:`, with `zeno` only if `shared_zeno`."""
     if isinstance(value, Mapping):
         for key, entry in value.items():
             for text in _texts(entry) if key == "on" else ():
@@ -185,12 +183,12 @@ def _words_of_regions(data: Data, regions: Collection[str]) -> set[str]:
 
 @cache
 def _reserved(schema: Path) -> frozenset[str]:
-    # Read by forces and conditions, an energy couples all bodies.
+    # An energy in forces or conditions couples all bodies.
     return frozenset((*_words_of_schema(json.loads(schema.read_text("utf-8"))), "energy"))
 
 
 def _words_of_schema(schema: Any) -> Iterator[str]:
-    """Yield the keys and the words of a document, of its JSON Schema."""
+    """Yield the keys and enumerated words of a JSON Schema."""
     if isinstance(schema, dict):
         yield from schema.get("properties", ())
         yield from (word for word in schema.get("enum", ()) if isinstance(word, str))
@@ -212,7 +210,7 @@ def composed(
     *,
     joint: bool,
 ) -> tuple[Component, ...]:
-    """Return parts with their automata, one for all parts of the same form."""
+    """Return the components of parts, with one automaton per form."""
     automata: dict[str, Automaton] = {}
     components = []
     for data, names in parts:

@@ -16,17 +16,14 @@ from statechart.kernels.tapes import largest_deviation
 
 
 class Constraints(NamedTuple):
-    """Quantities that a flow keeps at their targets."""
+    """Constraint functions that a flow keeps at their targets."""
 
-    tape: Tape  # Outputs: the numbers.
-    # (k,): of the outputs; a weight is one through the tolerance, 0 where a number is free.
-    targets: Array
-    weights: Array
-    # From a state that is off and the absolute time to the nearest one that is not; the same object
-    # where it cannot be brought nearer. Of bodies, with other values of the parameters, too.
+    tape: Tape  # outputs: the constraint functions
+    targets: Array  # (k,)
+    weights: Array  # (k,) inverse tolerances, 0 for inactive constraints
+    # (state, absolute time[, parameters]) -> projected state; the same object if not improved
     project: Callable[..., Array]
-    # An output below minus `max_depth` along a step shows that the step passed over an obstacle of
-    # the flow (a narrow bump under a sliding point); None where that cannot be.
+    # Outputs below -max_depth show that a step jumped over an obstacle (a narrow bump).
     within: Tape | None = None
     max_depth: float = 0.0
     # From a state, the absolute time and the parameters of a flow as a role (none: those of the
@@ -34,7 +31,7 @@ class Constraints(NamedTuple):
     fixed: Callable[[Array, float, Roles], Roles] | None = None
 
     def off(self, state: Array, parameters: Array, time: float) -> float:
-        """Return how far a state is off, in tolerances."""
+        """Return the largest residual of a state, in tolerances."""
         return largest_deviation(
             *self.tape.program, self.targets, self.weights, state, parameters, time
         )
@@ -46,4 +43,4 @@ NO_CONSTRAINTS = Constraints(
     np.empty(0),
     lambda state, _: state,
 )
-"""Constraints of a flow that its differential equation alone determines."""
+"""Constraints of an unconstrained flow."""

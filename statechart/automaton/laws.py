@@ -1,4 +1,4 @@
-"""The laws of an automaton: what happens at the instants between flows, and by time steps."""
+"""Interface of the laws of an automaton: jumps between flows."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 HELD = ""
-"""Role of a region without equations: the coordinates that it moves rest."""
+"""Role of a region without equations, whose variables are constant."""
 
 SWITCHES = "switches"
-"""In a role behind those of the regions: its share are the signs of the switches of a flow (see
+"""State of the role after those of the regions, whose share are the signs of the switches (see
 `statechart.automaton.switches`)."""
 
 PARAMETERS = "parameters"
@@ -38,14 +38,12 @@ OTHER_PARAMETERS = "other parameters"
 """End of a flow whose equations need other values of these parameters; no margin fell."""
 
 UNBOUNDED = "unbounded"
-"""End of a flow that cannot be continued, though no margin fell; the laws may know the jump that
-follows (a force that has grown without bound)."""
+"""End of a flow that cannot be continued without a fallen margin, as of an unbounded force."""
 
 
 @lru_cache(maxsize=1024)
 def roles_in(mode: Key) -> Roles:
-    """Return the roles of regions whose equations are those of their states."""
-    # Thousands of regions share a few states.
+    """Return the roles of regions with the equations of their states."""
     roles = {state: Role(state) for state in set(mode)}
     return tuple([roles[state] for state in mode])
 
@@ -59,105 +57,84 @@ def of_regions(roles: Roles) -> Roles:
 
 @lru_cache(maxsize=1024)
 def uncaptured(roles: Roles) -> Roles:
-    """Return the roles that move the state as `roles` do, with nothing hidden from others."""
+    """Return the roles with equal equations and no hidden forces."""
     return tuple([role._replace(captured=False) for role in roles])
 
 
 @lru_cache(maxsize=1024)
 def moving_mode(roles: Roles) -> Key:
-    """Return the states whose equations apply."""
+    """Return the states of roles."""
     return tuple([role.state for role in of_regions(roles)])
 
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """The numbers of one run."""
+    """Parameters, initial state and tolerances of a run."""
 
-    values: Array  # (p,): of the automaton's parameters.
-    initial: Array  # (n,): initial state.
-    # Kind of margin -> absolute tolerance, in the scene's own units.
-    tolerances: Mapping[str, float]
-    # The laws are asked to skip the rest of a sequence of jumps that accumulate once it takes less
-    # than this part of the sequence's longest interval.
+    values: Array  # (p,) parameters
+    initial: Array  # (n,)
+    tolerances: Mapping[str, float]  # kind of margin -> absolute tolerance
+    # The rest of a Zeno sequence is skipped below this fraction of its longest interval.
     short: float = 0.0
-    warnings: tuple[str, ...] = ()  # Remarks on these numbers for the reader.
-    # (n,): how large each variable is, where the model has scales of its own.
-    sizes: Array | None = None
-    # Precision of margins, in parts of their terms: a value summed from them is off by a few
-    # units in the last place of the largest.
-    precision: float = 64.0 * EPS
-    # A long time for the first flow, in the model's own scales: how far to look ahead at first.
-    horizon: float = float("inf")
-    # Roles of a flow -> its mode, solved for the parameters of the run; set by the executor.
-    modes: Callable[[Roles], Mode] | None = None
+    warnings: tuple[str, ...] = ()
+    sizes: Array | None = None  # (n,) scales of the variables, if the model has some
+    precision: float = 64.0 * EPS  # of margins, relative to their terms
+    horizon: float = float("inf")  # first look-ahead in time
+    modes: Callable[[Roles], Mode] | None = None  # roles -> solved mode; set by the executor
 
     @cached_property
     def zeros(self) -> frozenset[int]:
-        """Places of the parameters that are exactly zero."""
+        """Indices of the parameters that are exactly zero."""
         return frozenset(np.flatnonzero(self.values == 0.0).tolist())
 
 
 class Flow(NamedTuple):
-    """Next flow of the executor: its mode, possibly shown as another, possibly timed."""
+    """A flow: mode, equations, tolerances, and duration if timed."""
 
-    mode: Key  # The mode shown.
-    roles: Roles  # Whose equations apply; `HELD` is the state of a region that is held.
-    # Time until the laws are asked again even if no margin falls (a Zeno sequence's accumulation);
-    # inf otherwise.
-    remaining: float = float("inf")
-    warning: str = ""  # Warning about the choice of this mode; "" if none.
-    # True when the laws have seen the state that the flow starts from and keep the mode.
-    settled: bool = False
-    notes: tuple[str, ...] = ()  # Warnings about the mode, given once.
-    # Region -> when its Zeno sequence, whose rest is skipped, comes to its end.
-    held: Mapping[str, Clock] = _NOTHING
-    # Margin -> its tolerance in this flow, where that of its kind is not the one.
-    tolerances: Mapping[str, float] = _NOTHING
-    # (n, k): what each variable was summed from when the last flow ended, at a time that is
-    # rounded; None before the first. Kept by the executor.
+    mode: Key  # shown in the trace
+    roles: Roles  # equations; `HELD` for a held region
+    remaining: float = float("inf")  # time to the next call of the laws (a Zeno accumulation)
+    warning: str = ""  # about the choice of this mode
+    settled: bool = False  # the laws have accepted the mode at the initial state of the flow
+    notes: tuple[str, ...] = ()  # warnings about the mode, reported once
+    held: Mapping[str, Clock] = _NOTHING  # region -> accumulation point of its Zeno sequence
+    tolerances: Mapping[str, float] = _NOTHING  # margin -> tolerance, if not that of its kind
+    # (n, k) terms of the variables at the end of the last flow, set by the executor.
     terms: Array | None = None
-    # (n,): how large the terms are that jumps since then have summed each variable from.
-    summed: Array | None = None
-    # Region -> the events of this instant that it has yet to hear. None outlasts the instant.
-    pending: Mapping[str, tuple[Raised, ...]] = _NOTHING
-    # (n,): where to flow on from, where a mode holds but its state is brought back onto its
-    # constraints; None where it is the state that the laws were asked about.
-    start: Array | None = None
-    # (p,): the parameters of this flow; None where they are those of the run.
-    values: Array | None = None
-    # Forces may begin beyond their bounds, by the error of the run: then they fall from where they
-    # begin.
-    near_bound: bool = False
-    # The signs of its switches as a role; none where it has no switches. Kept by the executor.
-    signs: Roles = ()
+    summed: Array | None = None  # (n,) sizes of the terms summed by jumps since then
+    pending: Mapping[str, tuple[Raised, ...]] = _NOTHING  # region -> events of this instant
+    start: Array | None = None  # (n,) projected initial state, if not the present one
+    values: Array | None = None  # (p,) parameters, if not those of the run
+    near_bound: bool = False  # forces may start beyond their bounds by the error of the run
+    signs: Roles = ()  # signs of the switches as a role, set by the executor
     # Its own parameters as a role; none where they are those of the run. Kept by the executor.
     fixed: Roles = ()
 
     @property
     def moving(self) -> Roles:
-        """The roles with parameters and the signs of switches: what the equations follow from."""
+        """The roles, parameters and signs of switches, which determine the equations."""
         return (*self.roles, *self.fixed, *self.signs) if self.fixed or self.signs else self.roles
 
     @property
     def sizes(self) -> Array | None:
-        """Sizes of the terms of each variable; its round-off is relative to them."""
+        """Sizes (n,) of the terms of each variable, the scale of its round-off."""
         return None if self.terms is None else np.abs(self.terms).sum(axis=1)
 
 
 class Instant(NamedTuple):
-    """End of a flow, as the input of the laws."""
+    """End of a flow, the input of the laws."""
 
-    setup: Setup  # The numbers of the run.
-    clock: Clock  # Its time.
-    j: int  # Number of jumps before it.
-    flow: Flow  # The flow that ends here.
-    state: Array  # (n,): values of the variables.
-    fired: tuple[str, ...] = ()  # Margins that have fallen.
+    setup: Setup
+    clock: Clock
+    j: int  # number of jumps before it
+    flow: Flow  # the flow that ends here
+    state: Array  # (n,)
+    fired: tuple[str, ...] = ()  # fallen margins
 
     def jump(
         self, region: str, cause: str, target: Key, after: Array | None = None, **details: Any
     ) -> Jump:
-        """Return a jump from here to a mode, and to a state where that changes."""
+        """Return a jump from here to a mode, and to the state `after` if it changes."""
         return Jump(
             self.clock.high,
             self.j,
@@ -173,7 +150,7 @@ class Instant(NamedTuple):
 
 
 def flow_sizes(setup: Setup, flow: Flow, state: Array) -> Array:
-    """Return the sizes (n,) of the terms that the variables were summed from, or of themselves."""
+    """Return the sizes (n,) of the terms of the variables, or their magnitudes."""
     result = np.abs(state)
     for sizes in (setup.sizes, flow.sizes if flow.summed is None else flow.summed):
         if sizes is not None:
@@ -182,58 +159,55 @@ def flow_sizes(setup: Setup, flow: Flow, state: Array) -> Array:
 
 
 class Laws(Protocol):
-    """Jumps at the instants between flows; the executor knows nothing else."""
+    """Laws of the jumps between flows."""
 
     @property
     def compiled_laws(self) -> CompiledLaws | None:
-        """The part of the laws that is compiled."""
+        """The compiled part of the laws."""
         ...
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
-        """Return the first mode and the state to start from."""
+        """Return the first flow and state."""
         ...
 
     def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
-        """Return the jump that the state calls for, or None when the mode holds.
+        """Return the jump at an instant, or None if the mode is kept.
 
-        A flow without a jump: the mode holds, but by other equations, or from another start.
+        A flow without a jump keeps the mode, with other equations or another initial state.
         """
         ...
 
     def accumulate(
         self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
     ) -> tuple[Jump, Flow] | None:
-        """Skip the rest of a sequence of jumps that accumulate.
+        """Skip the rest of a Zeno sequence.
 
-        `jumps` are the last ones; behind the last of them the rest can be skipped, which takes the
-        time `rest`. Returns that jump and the flow after it, changed; None where the sequence has
-        to go on. Raises `Zeno` if nothing declared says what follows.
+        `jumps` are the last ones; the remaining ones take the time `rest`. Returns the changed last
+        jump and the flow after it, or None if the sequence has to go on. Raises `Zeno` if the model
+        does not declare what follows.
         """
         ...
 
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
-        """Return the constraints that the states of a flow satisfy.
-
-        The flow begins in the state `anchor` at the time `start`.
-        """
+        """Return the constraints of a flow that begins in the state `anchor` at `start`."""
         ...
 
     def feasibility(
         self, regions: Sequence[Region], setup: Setup, state: Array, time: float
     ) -> Feasibility | None:
-        """Judge every product mode of the regions at a configuration.
+        """Return the feasibility of every product mode at a configuration.
 
-        None where there is no reason against any; see `statechart.automaton.product.feasibility`.
+        None if all are feasible; see `statechart.automaton.product.feasibility`.
         """
         ...
 
     def remarks(self, setup: Setup, arcs: Sequence[Arc]) -> tuple[str, ...]:
-        """Return warnings about a run that has ended, from its arcs."""
+        """Return warnings about a complete run."""
         ...
 
 
 class CompiledLaws(Protocol):
-    """Unambiguous instants in compiled code; a loop stops where one needs case analysis."""
+    """Laws of unambiguous instants in compiled code; the loop stops at others."""
 
     @property
     def tapes(self) -> tuple[Tape, ...]:
@@ -242,12 +216,12 @@ class CompiledLaws(Protocol):
 
     @property
     def series(self) -> tuple[tuple[str, str], ...]:
-        """Regions and causes of the jumps that it makes (see `statechart.execution.zeno`)."""
+        """Regions and causes of its jumps (see `statechart.execution.zeno`)."""
         ...
 
     @property
     def setup(self) -> Callable[[Mapping[str, float], float], Setup]:
-        """Function of the numbers of a run that the loop computes itself where it starts runs."""
+        """Function that computes the setup of runs that the loop starts."""
         ...
 
     @property
@@ -257,63 +231,62 @@ class CompiledLaws(Protocol):
 
     @property
     def has_remarks(self) -> bool:
-        """True if `Laws.remarks` checks the runs that it makes."""
+        """True if `Laws.remarks` applies to its runs."""
         ...
 
     def compiled(self) -> bool:
-        """Return whether the loop lies compiled on disk; if not, compiling takes a while."""
+        """Return whether the loop is in the disk cache."""
         ...
 
     def ready(self) -> bool:
-        """Return whether it does, in a process that has loaded its compiler."""
+        """Return whether the loop is cached and this process has loaded the compiler."""
         ...
 
     def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
-        """Return the data of a mode with these margins; None where the loop cannot enter it."""
+        """Return the data of a mode with these margins, or None if the loop cannot enter it."""
         ...
 
     def within(self, mode: Key) -> Tape | None:
-        """Return the outputs that must stay above a depth, as `Constraints.within`."""
+        """Return the outputs bounded from below, as `Constraints.within`."""
         ...
 
     def tolerances(self, setup: Setup, state: Array, time: float) -> Mapping[str, float]:
-        """Return the margins that have a tolerance of their own in a flow from a state, with it."""
+        """Return margin -> its own tolerance in a flow from a state."""
         ...
 
     def takes(self, setup: Setup, flow: Flow, state: Array, time: float) -> bool:
-        """Return whether it can go on from the start of a flow in a mode that it knows."""
+        """Return whether it can continue from the start of a flow in a known mode."""
         ...
 
     def call(self, loop: Any, relative: float) -> Any:
         """Return calls of the loop.
 
-        They have the `loop`, whether it `starts` runs by values of their parameters, and the
-        `series` of the jumps of the last run that was started. `inputs(names, table)` returns the
-        first four of `statechart.execution.compiled_loop.BatchInputs` for values (m, p).
-        `start(rows, block, found)` makes runs, and returns how many before the block was full;
-        `begin(setup, until, most_jumps, floor, block, found)` makes one with known numbers;
-        `resume(setup, floor, block, found, series)` takes a run on that has come somewhere.
+        They have the `loop`, whether it `starts` runs from values of parameters, and the `series`
+        of the jumps of the last started run. `inputs(names, table)` returns the first four of
+        `statechart.execution.compiled_loop.BatchInputs` for values (m, p).
+        `start(rows, block, found)` computes runs, and returns their number when the block is full;
+        `begin(setup, until, most_jumps, floor, block, found)` computes one with a known setup;
+        `resume(setup, floor, block, found, series)` continues a run.
         """
         ...
 
     def about(self, event: RecordedEvent) -> tuple[str, str]:
-        """Return the region that an event is about, and its cause, as in its jump."""
+        """Return region and cause of an event, as in its jump."""
         ...
 
     def jump(self, setup: Callable[[], Setup], event: RecordedEvent, fired: str) -> Jump:
-        """Return the jump of an event that it made; `setup` gives the numbers of its run."""
+        """Return the jump of a recorded event; `setup` returns the setup of its run."""
         ...
 
 
 MAX_MODES = 4096
-"""Products of more modes than this, six contacts' for one, are never enumerated."""
+"""Larger products of modes, as of six contacts, are not enumerated."""
 
 
 @dataclass(frozen=True)
 class Feasibility:
-    """Verdict on the product modes at a configuration."""
+    """Feasibility of the product modes at a configuration."""
 
-    modes: Mapping[Key, str]  # Every product mode -> why it is not possible; "" where it is.
-    # The same as the declaration counts modes (sliding without direction).
-    declared: Mapping[Key, str]
-    remarks: tuple[str, ...] = ()  # Remarks on the configuration for the reader.
+    modes: Mapping[Key, str]  # mode -> reason why it is infeasible, or ""
+    declared: Mapping[Key, str]  # likewise without directions of sliding
+    remarks: tuple[str, ...] = ()

@@ -8,12 +8,11 @@ from typing import Generic, TypeVar, overload
 
 T = TypeVar("T")
 
-# Number of items, from the first on, that a sequence keeps once they are made.
-_MAX_CACHED = 1 << 12
+_MAX_CACHED = 1 << 12  # items, the first ones of a sequence
 
 
 class LazyMapping(Mapping[str, T], Generic[T]):
-    """Mapping that is computed at its first access."""
+    """Mapping computed at first access."""
 
     def __init__(self, make: Callable[[], Mapping[str, T]]) -> None:
         self._make = make
@@ -38,11 +37,7 @@ class LazyMapping(Mapping[str, T], Generic[T]):
 
 
 class LazySequence(Sequence[T], Generic[T]):
-    """Sequence whose items are computed when they are read.
-
-    The first ones are kept if it `keeps`. The object in which all of them stand may be its
-    `source`, for those who read that; it does not travel.
-    """
+    """Sequence whose items are computed when read; the first ones are cached if `cached`."""
 
     def __init__(
         self, make: Callable[[int], T], count: Callable[[], int], *, cached: bool = True
@@ -70,7 +65,7 @@ class LazySequence(Sequence[T], Generic[T]):
         return map(self._at, range(len(self)))
 
     def forget(self, place: int) -> None:
-        """Compute the item at a place again at its next access."""
+        """Drop a cached item."""
         self._seen.pop(place, None)
 
     def _at(self, place: int) -> T:

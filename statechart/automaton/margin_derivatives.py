@@ -1,4 +1,4 @@
-"""Sign of a margin after an instant, by its first derivative that is not zero."""
+"""Sign of a margin after an instant: its first nonzero time derivative."""
 
 from __future__ import annotations
 
@@ -20,17 +20,16 @@ from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 
 UNDERFLOW = 1e-290
-"""Round-off of terms that are all zero: a tolerance of zero would leave a margin undecided that
-starts at zero and rises with slope zero."""
-# Derivatives up to this order are looked at; a margin that has none there stays where it is.
-_MAX_ORDER = 12
-# Where derivatives have no value, as those of sqrt(time) at 0, the sign is that of the margin at
-# both these times after the instant, in parts of the horizon.
+"""Round-off of zero terms: with tolerance zero, a margin that starts at zero with slope zero would
+be undecided."""
+_MAX_ORDER = 12  # of derivatives; if all vanish, the margin is constant
+# If derivatives are undefined, as of sqrt(time) at 0, the sign is that of the margin at both these
+# times after the instant, relative to the horizon.
 _LATER = (2.0**-20, 2.0**-40)
 
 
 class MarginDerivatives:
-    """The margins of modes, expanded in time where a mode is entered."""
+    """Taylor expansions of margins at the entry of a mode."""
 
     def __init__(
         self, variables: Sequence[sp.Symbol], parameters: Sequence[sp.Symbol], time: sp.Symbol
@@ -49,12 +48,12 @@ class MarginDerivatives:
         time: float,
         relative: float,
     ) -> float:
-        """Return the sign of the first derivative that is not zero; 0.0 where all are.
+        """Return the sign of the first nonzero derivative; 0.0 if all vanish.
 
         `margin` is the name of a margin of the mode of `roles`, or an expression of the variables,
-        parameters and time. The mode is entered in `state` (n,), whose terms are of `sizes` (n,).
-        Derivatives as small as `relative` to their terms are zero. Not a number where neither
-        derivatives nor later values tell the sign.
+        parameters and time. The mode is entered in `state` (n,) with terms of `sizes` (n,).
+        Derivatives below `relative` times their terms are zero. NaN if neither derivatives nor
+        later values determine the sign.
         """
         assert setup.modes is not None
         try:
@@ -99,7 +98,7 @@ class MarginDerivatives:
         return signs.pop() if len(signs) == 1 and 0.0 not in later else math.nan
 
     def _tape(self, mode: Mode, margin: str | sp.Expr) -> tuple[list[int], bool, Tape]:
-        """Return which variables a margin depends on, whether on time, their rates and it."""
+        """Return the variables of a margin, whether it depends on time, and the tape of rates."""
         tapes = self._tapes.setdefault(mode, {})
         if margin not in tapes:
             expression: sp.Expr = margin
@@ -129,10 +128,10 @@ class MarginDerivatives:
 
 
 def rounding_scale(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
-    """Return the size of the terms of an expression, which its round-off is relative to."""
+    """Return the size of the terms of an expression, the scale of its round-off."""
     if not expression.args:
         return sizes.get(expression, abs(expression))
-    # A number is exact: an exponent, a factor.
+    # Exponents and numeric factors are exact.
     parts = [part for part in expression.args if not part.is_Number]
     if isinstance(expression, sp.Add | sp.Abs | sp.Min | sp.Max):
         return sp.Add(
@@ -154,7 +153,7 @@ def rounding_scale(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> s
 def time_derivative(
     expression: sp.Expr, rates: Mapping[sp.Symbol, sp.Expr], time: sp.Symbol
 ) -> sp.Expr:
-    """Return the total derivative of an expression in time."""
+    """Return the total time derivative of an expression."""
     return sp.Add(
         derivative(expression, time),
         *(
@@ -170,9 +169,9 @@ def _coefficients(expression: sp.Expr) -> list[sp.Expr]:
 
 
 def derivative(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
-    """Differentiate; at the kinks of abs, sign, min and max by one side or their mean.
+    """Differentiate; at kinks of abs, sign, min and max one-sided, or the mean.
 
-    SymPy does so only where it can prove that what is inside is real, which a root is not.
+    SymPy does so only for provably real arguments, which roots are not.
     """
     kinks = {
         node: sp.Dummy(real=True)

@@ -1,4 +1,4 @@
-"""Equations of a mode, built when it is entered, and reconstruction of eliminated variables."""
+"""Solution of the equations of a mode, and reconstruction of its dependent coordinates."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def build_mode(
 ) -> Mode:
     """Solve the equations of `roles`, with some parameters `fixed`.
 
-    Raises `Singular` if they leave an unknown free whatever the numbers are.
+    Raises `Singular` if they are structurally singular.
     """
     plain_roles = uncaptured(roles)
     if plain_roles != roles:
@@ -47,7 +47,7 @@ def build_mode(
         value = values[control].xreplace(substitution)
         controls.append((control, value))
         if value.is_Atom:
-            # Zeros and synonyms must show before solving.
+            # Zeros and symbols are substituted before solving.
             substitution[control] = value
     margins = (*(m for state in states for m in state.margins), *automaton.stop_margins)
     margins = tuple(margin.replaced(substitution) for margin in margins)
@@ -68,9 +68,9 @@ def build_mode(
 
 
 class _MassUnit:
-    """Solves for forces in a unit of mass: determinants hold products of up to five masses.
+    """Scales forces by a unit of mass, since determinants contain products of up to five masses.
 
-    A parameter of the automaton is the unit; where it is zero, equations stay as they are.
+    The unit is a parameter of the automaton; if it is zero, equations are not scaled.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class _MassUnit:
         self._forces = (*automaton.unknowns[self.count :], *carriers)
 
     def motion(self, equations: Iterable[sp.Expr]) -> list[sp.Expr]:
-        """Return equations of motion (each = 0) divided by the unit, their forces in it."""
+        """Return equations of motion (each = 0) divided by the unit, with scaled forces."""
         unit = self._unit
         if unit is None:
             return [*equations]
@@ -94,7 +94,7 @@ class _MassUnit:
         ]
 
     def solved(self, definitions: Iterable[Definition]) -> tuple[Definition, ...]:
-        """Return definitions with the forces that they find in the unit turned back."""
+        """Return definitions with unscaled forces."""
         if self._unit is None:
             return tuple(definitions)
         found, within = [], {force: sp.Dummy(f"{force}_unit", real=True) for force in self._forces}
@@ -113,7 +113,7 @@ def _solved(
 ) -> tuple[Definition, ...]:
     """Solve the equations of a mode for all accelerations and forces at once."""
     carried = {unknown: by for load in loads for unknown, by in load.carried.items()}
-    # In the places of what they carry: beside the equations that belong to it.
+    # In place of the carried unknowns, paired with their equations.
     carriers = [c for load in loads for c in load.carriers]
     unit = _MassUnit(automaton, substitution, carriers)
     moving = [e.xreplace(carried) if carried else e for e in automaton.equations]
@@ -140,7 +140,7 @@ def _minimal(
     elimination: Elimination,
     substitution: Mapping[sp.Expr, sp.Expr],
 ) -> tuple[Definition, ...]:
-    """Solve the equations of a mode for the coordinates that an elimination leaves."""
+    """Solve the equations of a mode in minimal coordinates."""
     coordinates = automaton.coordinates
     assert coordinates is not None
     count = len(coordinates.positions)
@@ -150,7 +150,7 @@ def _minimal(
     motion = coordinates.motion(elimination, working)
     places, known = elimination.replaced, elimination.known
     laws = [e.xreplace(elimination.accelerations) for e in others if e not in places]
-    # Coefficients of forces that are zero need not be finite, as of a contact that is off.
+    # Coefficients of zero forces may be infinite, as of a disabled contact.
     nothing = dict.fromkeys(absent, sp.S.Zero)
     follow = [automaton.equations[places[e]].xreplace(nothing) for e in others if e in places]
     unit = _MassUnit(automaton, substitution)
@@ -173,7 +173,7 @@ def _minimal(
 
 
 def _follows(automaton: Automaton, elimination: Elimination) -> dict[str, Any]:
-    """Return the fields of a mode that describe its dependent variables."""
+    """Return the fields of a mode for its dependent variables."""
     coordinates = automaton.coordinates
     assert coordinates is not None
     rates = dict(zip(coordinates.positions, coordinates.rates, strict=True))
@@ -184,10 +184,7 @@ def _follows(automaton: Automaton, elimination: Elimination) -> dict[str, Any]:
 
 
 def captured(automaton: Automaton, mode: Mode, roles: Roles) -> Mode:
-    """Return `mode` as `roles` show it: with the forces of regions that are captured hidden.
-
-    They hold these regions in place, so that their own margins see them.
-    """
+    """Return `mode` with the forces of captured regions hidden, except in their own margins."""
     pairs = list(zip(automaton.regions, roles, strict=True))
     hidden: dict[sp.Symbol, sp.Expr] = {
         force: sp.S.Zero for region, role in pairs if role.captured for force in region.forces
@@ -208,12 +205,11 @@ def _without(margins: Iterable[Margin], hidden: Mapping[sp.Symbol, sp.Expr]) -> 
 def _shared(
     loads: Sequence[Loads], substitution: Mapping[sp.Expr, sp.Expr]
 ) -> tuple[Definition, ...]:
-    """Solve for what the motion leaves open: shared forces, displacements, relieved joints.
+    """Solve for unknowns that the motion does not determine: shared forces, displacements.
 
-    Every unknown has its equation, and the matrix of the pairs is definite but for signs: their
-    pivots do not vanish whatever the state is. Displacements are eliminated first, by contacts
-    whose forces they are: at a contact of large friction that is on its edge, normal equations
-    square a stiffness of 1/mu^2 that is no part of the forces.
+    Every unknown has an equation, and the matrix of the pairs is definite up to signs, so that its
+    pivots never vanish. Displacements are eliminated first: for large friction at the edge of a
+    cone, normal equations would square a stiffness of 1/mu^2.
     """
     laws = {unknown: law for load in loads for unknown, law in load.laws.items()}
     sums: dict[sp.Symbol, list[sp.Expr]] = {}
@@ -226,12 +222,12 @@ def _shared(
 
 
 class Reconstruction(NamedTuple):
-    """Reconstruction of the dependent coordinates in one flow."""
+    """Reconstruction of dependent coordinates in a flow."""
 
     program: Program
 
     def onto(self, state: Array, time: float) -> Array:
-        """Return a state (n,) whose dependent coordinates follow from the others."""
+        """Return a state (n,) with dependent coordinates computed from the others."""
         if not len(self.program[3]):
             return state
         moved = np.array(state)
@@ -241,15 +237,14 @@ class Reconstruction(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ModeReconstruction:
-    """Reconstruction of the dependent coordinates in the flows of a mode."""
+    """Reconstruction of dependent coordinates in the flows of a mode."""
 
-    # Outputs: the dependent coordinates; its variables are those of the automaton, then anchors.
-    tape: Tape
-    places: Ints32  # (k,): of the outputs among the variables.
-    anchors: Tape  # Outputs: the anchors, of the state in which a flow begins.
+    tape: Tape  # (variables, anchors) -> dependent coordinates
+    places: Ints32  # (k,) indices of the outputs among the variables
+    anchors: Tape  # initial state of a flow -> anchors
 
     def start(self, state: Array, parameters: Array, time: float) -> Reconstruction:
-        """Return the reconstruction in a flow that begins in `state` (n,) at an absolute time."""
+        """Return the reconstruction for a flow from `state` (n,) at an absolute time."""
         anchors = self.anchors.at(contiguous(state), parameters, time)
         program = self.tape.program
         return Reconstruction(
@@ -258,7 +253,7 @@ class ModeReconstruction:
 
 
 def mode_reconstruction(automaton: Automaton, mode: Mode) -> ModeReconstruction:
-    """Compile the reconstruction of the coordinates that a mode eliminates."""
+    """Compile the reconstruction of a mode."""
 
     def tape(outputs: Sequence[sp.Expr], further: Sequence[sp.Symbol] = ()) -> Tape:
         return compile_tape(

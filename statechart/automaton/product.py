@@ -1,4 +1,4 @@
-"""Product of the regions, explored on demand; as a networkx graph on request."""
+"""Product automaton of the regions, explored on demand."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _Jump = tuple[Key, Key, str, str]  # source, target, region, event
 
 @dataclass(frozen=True)
 class Product:
-    """Modes of an automaton and the edges between them, which are found when they are asked for."""
+    """Modes of an automaton and the edges between them."""
 
-    name: str  # Name of the automaton.
-    modes: dict[Key, dict[str, Any]]  # Attributes of every mode, as of the nodes of `graph`.
-    charts: tuple[Region, ...]  # The regions as they are shown.
-    taken: Counter[_Jump] | None  # Number of times that a run took each edge.
+    name: str
+    modes: dict[Key, dict[str, Any]]  # mode -> attributes of the node of `graph`
+    charts: tuple[Region, ...]
+    taken: Counter[_Jump] | None  # number of times that a run took each edge
 
     def edges(self) -> Iterator[tuple[Key, Key, dict[str, Any]]]:
-        """Yield the ends of every edge, and what `graph` has of it: by source, then by target."""
+        """Yield source, target and attributes of every edge, sorted by source and target."""
         edges: dict[Key, dict[Key, list[dict[str, Any]]]] = {key: {} for key in self.modes}
         for source, target, data in _edges(self.charts, self.modes, self.taken):
             edges[source].setdefault(target, []).append(data)
@@ -41,8 +41,8 @@ class Product:
                 yield from ((source, target, data) for data in several)
 
     def graph(self) -> nx.MultiDiGraph:
-        """Return it as a graph."""
-        import networkx as nx  # it takes a tenth of a start, and few ask for it
+        """Return the networkx graph."""
+        import networkx as nx  # slow import
 
         result = nx.MultiDiGraph(name=self.name)
         result.add_nodes_from(self.modes.items())
@@ -62,15 +62,13 @@ def explored(
     directions: bool = True,
     unreached: bool = False,
 ) -> Product:
-    """Return the product automaton, or a part of it; only that part is built.
+    """Return the product automaton, or a part of it.
 
-    Regions are orthogonal: an edge changes one of them. A jump of several at once, which no region
-    declares, is an edge without guard. The part has the modes up to `within` edges from those
-    `around`, by default the modes of the trace; without `within` all. Visits of `trace` are
-    counted. `directions` of sliding are told apart. With `unreached` the declared states that no
-    chain of transitions enters are there, too, as modes that are not feasible. Raises
-    `StatechartError` if there are more modes than `MAX_MODES`, or those given are not of this
-    automaton.
+    Regions are orthogonal: an edge changes one of them. A simultaneous jump of several is an edge
+    without guard. The part has the modes up to `within` edges from those `around`, by default the
+    modes of the trace; without `within` all. Visits of `trace` are counted. `directions` of sliding
+    are separate modes. With `unreached`, unreachable declared states are infeasible modes. Raises
+    `StatechartError` for more than `MAX_MODES` modes, or modes of another automaton.
     """
     charts = tuple(
         drawn_region(region, directions=directions, unreached=unreached)
@@ -98,13 +96,13 @@ def explored(
 
 
 def visited(automaton: Automaton, trace: Trace, *, directions: bool = True) -> tuple[Key, ...]:
-    """Return the modes of a product in the order a run took them, repeats merged."""
+    """Return the modes of a product in the order of a run, repeats merged."""
     shown = map(_key_names(automaton, directions), trace.modes)
     return tuple(key for key, _ in groupby(shown))
 
 
 def _jumps(automaton: Automaton, trace: Trace, *, directions: bool = True) -> Iterator[_Jump]:
-    """Yield source, target, region and event of every jump; a stop leads nowhere."""
+    """Yield source, target, region and event of every jump except stops."""
     shown = _key_names(automaton, directions)
     for jump in trace.jumps:
         if jump.region:
@@ -114,14 +112,14 @@ def _jumps(automaton: Automaton, trace: Trace, *, directions: bool = True) -> It
 def feasibility(
     automaton: Automaton, setup: Setup, state: Array, time: float
 ) -> Feasibility | None:
-    """Judge every product mode; raises `StatechartError` if they cannot be judged there."""
+    """Return the feasibility of every product mode; raise `StatechartError` if undecidable."""
     if automaton.laws is None or automaton.modes_total > MAX_MODES:
         return None
     return automaton.laws.feasibility(automaton.regions, setup, state, time)
 
 
 def _key_names(automaton: Automaton, directions: bool) -> Callable[[Key], Key]:
-    """Return what names a mode as the product does, and refuses what is none."""
+    """Return a function from a mode of the automaton to the mode of the product."""
     names: list[dict[str, str]] = []
     for region in automaton.regions:
         declared = {state: region.declared(state) for state in region.states}
@@ -141,9 +139,9 @@ def _key_names(automaton: Automaton, directions: bool) -> Callable[[Key], Key]:
 
 
 def drawn_region(region: Region, *, directions: bool, unreached: bool = False) -> Region:
-    """Return a region as the product shows it: edges that differ in their guards alone are one.
+    """Return a region with edges merged that differ in their guards only.
 
-    Where `unreached` is set it has the states that no chain of transitions enters, too.
+    With `unreached` it has the unreachable declared states too.
     """
     named = (lambda state: state) if directions else region.declared
     alike: dict[tuple[str, str, str], list[Edge]] = {}
@@ -167,7 +165,7 @@ def drawn_region(region: Region, *, directions: bool, unreached: bool = False) -
 
 
 def _declared(region: Region, state: str) -> Iterator[Edge]:
-    """Yield the edges that a declaration has from a state that no run enters."""
+    """Yield the declared edges out of an unreachable state."""
     nesting, active = region.nesting, region.active(state)
     for edge in nesting.edges:
         if edge.source in active and not edge.static:
@@ -186,7 +184,7 @@ def _all_modes(charts: Sequence[Region]) -> Iterable[Key]:
 
 
 def _neighbours(charts: Sequence[Region], around: Iterable[Key], within: int) -> Iterable[Key]:
-    """Return the modes up to so many edges away, the nearest first."""
+    """Return the modes up to `within` edges away, the nearest first."""
     found = dict.fromkeys(around)
     front = tuple(found)
     for _ in range(within):
@@ -208,7 +206,7 @@ def _replace_state(key: Key, place: int, state: str) -> Key:
 def _edges(
     charts: Sequence[Region], keys: Collection[Key], taken: Counter[_Jump] | None
 ) -> Iterator[tuple[Key, Key, dict[str, Any]]]:
-    """Yield the ends of every edge between modes, and its attributes."""
+    """Yield source, target and attributes of every edge between modes."""
     left = Counter(taken)
     for place, chart in enumerate(charts):
         for edge in chart.edges:

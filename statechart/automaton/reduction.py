@@ -1,8 +1,8 @@
 """Minimal coordinates: holonomic constraints of a mode, solved in closed form.
 
-Where the coordinates are phi(z, t), the others z move by fewer equations, in which the forces that
-hold the rest do no work (J. L. Lagrange's equations of the second kind). These forces follow from
-the equations of the coordinates that were eliminated.
+With coordinates phi(z, t), the independent ones z satisfy Lagrange's equations of the second kind,
+in which constraint forces do no work. The constraint forces follow from the equations of the
+eliminated coordinates.
 """
 
 from __future__ import annotations
@@ -14,8 +14,7 @@ import sympy as sp
 
 from statechart.automaton.regions import Hold
 
-# A coordinate is eliminated where a unit of it moves what is held by so many at least: the ones of
-# mechanics are 1.
+# Least gradient of a constraint in an eliminated coordinate; those of mechanics are 1.
 _MIN_PIVOT = 0.5
 
 Known = Mapping[sp.Symbol, sp.Expr]
@@ -23,48 +22,44 @@ Known = Mapping[sp.Symbol, sp.Expr]
 
 @dataclass(frozen=True, eq=False)
 class Elimination:
-    """Coordinates that follow from the others in a mode."""
+    """Eliminated coordinates of a mode."""
 
-    # Coordinate eliminated -> expression of those left, of parameters, time and anchors.
-    positions: Known
-    # Its rate and its acceleration -> expression of variables and accelerations that are left.
-    rates: Known
+    positions: Known  # eliminated coordinate -> expression of the others, parameters, time, anchors
+    rates: Known  # its rate and acceleration -> expressions of the remaining variables
     accelerations: Known
-    anchors: Known  # Constant of a flow -> the expression of the variables that is constant in it.
-    # Equation for accelerations -> place of the coordinate whose equation stands for it now.
-    replaced: Mapping[sp.Expr, int]
-    forces: frozenset[sp.Symbol]  # Those that hold the coordinates eliminated.
-    # They may move without bound when the others move: forces are then lost in the
-    # difference of accelerations, so that these are found together.
+    anchors: Known  # constant of a flow -> expression of the variables
+    replaced: Mapping[sp.Expr, int]  # constraint equation -> index of the coordinate that it pairs
+    forces: frozenset[sp.Symbol]  # constraint forces
+    # Gradients may grow without bound: forces and accelerations are then solved together, since
+    # their difference would cancel.
     steep: bool
 
     @property
     def known(self) -> dict[sp.Symbol, sp.Expr]:
-        """Expressions that replace positions and rates in equations, without anchors."""
+        """Substitutions of positions and rates in equations, without anchors."""
         without_anchors = {q: e for q, e in self.positions.items() if not e.has(*self.anchors)}
         return {**without_anchors, **self.rates}
 
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """The coordinates of an automaton whose equations are those of mechanics."""
+    """The coordinates of a mechanical automaton.
 
-    # Coordinate by coordinate; the first unknowns of the automaton are the accelerations, and its
-    # first equations are theirs.
+    Its first unknowns are the accelerations, and its first equations those of motion.
+    """
+
     positions: tuple[sp.Symbol, ...]
     rates: tuple[sp.Symbol, ...]
     accelerations: tuple[sp.Symbol, ...]
     time: sp.Symbol
-    joints: tuple[Hold, ...]  # Holds of every mode.
-    # From an `Elimination` and the forces that may do work beside it to the equations of motion
-    # (each = 0) of the coordinates that are left, in their order.
+    joints: tuple[Hold, ...]  # holds of every mode
+    # (elimination, applied forces) -> equations of motion (each = 0) of the remaining coordinates
     motion: Callable[[Elimination, Collection[sp.Symbol]], Sequence[sp.Expr]]
-    written: Known  # Parameters that the document does not declare -> how a person writes them.
-    # Parameter: the unit of mass in which modes are solved; where it is 0, in that of the model.
-    mass_unit: sp.Symbol | None = None
+    written: Known  # undeclared parameters -> expressions shown to users
+    mass_unit: sp.Symbol | None = None  # parameter by which modes are scaled, unless it is 0
 
     def remaining(self, elimination: Elimination) -> tuple[int, ...]:
-        """Return the places of the coordinates that are left."""
+        """Return the indices of the remaining coordinates."""
         return tuple(i for i, q in enumerate(self.positions) if q not in elimination.positions)
 
     def rate(self, expression: sp.Expr) -> sp.Expr:
@@ -82,10 +77,10 @@ def eliminated(
     substitution: Known,
     laws: Collection[sp.Expr] = (),
 ) -> Elimination | None:
-    """Solve constraints for coordinates in closed form; None where some have no such solution.
+    """Solve constraints for coordinates in closed form; None if one has no such solution.
 
-    A loop that its last joint closes, or a circle, would have to be kept on what it holds by a
-    projection that then moves what was eliminated.
+    Partial elimination is not possible: the projection of a kinematic loop or a circle would move
+    eliminated coordinates.
     """
     positions: dict[sp.Symbol, sp.Expr] = {}
     anchors: dict[sp.Symbol, sp.Expr] = {}
@@ -93,7 +88,7 @@ def eliminated(
     forces: set[sp.Symbol] = set()
     holds = (*coordinates.joints, *mode_holds)
     for hold in holds:
-        # Friction depends on it, or other rows imply it.
+        # Friction depends on the force, or other rows imply the constraint.
         equations = (e.xreplace(substitution) for e in (*hold.equations, *laws))
         if any(e.has(*hold.forces) for e in equations):
             return None
@@ -129,7 +124,7 @@ def eliminated(
 
 
 def _pivot(place: sp.Expr, coordinates: Coordinates) -> tuple[sp.Symbol, sp.Expr] | None:
-    """Return the coordinate that a place (= 0) is best solved for, and its expression."""
+    """Return the coordinate for which a constraint (= 0) is best solved, and its solution."""
     best: tuple[float, sp.Symbol, sp.Expr] | None = None
     for coordinate in coordinates.positions:
         if not place.has(coordinate):

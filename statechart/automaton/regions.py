@@ -1,8 +1,8 @@
 """Regions of an automaton: states and edges, margins, loads, nesting, events of jumps.
 
-The executor knows flat edges, one for each state that is left. Drawn by a person, an edge that
-leaves every state of a superstate (Harel 1987) leaves the superstate, and edges that enter all of
-its states under one guard are one that enters it, with a choice.
+Runs use flat edges between states. In statecharts (Harel 1987) an edge out of every state of a
+superstate leaves the superstate, and edges into all of its states under one guard enter it with a
+choice.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from statechart.formulas.relation import Relation, parse_relation
 
 if TYPE_CHECKING:
-    # Neither numpy nor sympy is loaded where a scene or a chart is declared.
-    import sympy as sp
+    import sympy as sp  # slow import, not needed by declarations
 
     from statechart.automaton.trace import Jump, Role
     from statechart.documents.outputs import Event
@@ -28,30 +27,27 @@ MarginKind = Literal["plain", "gap", "speed", "force", "hold"]
 
 @dataclass(frozen=True)
 class Margin:
-    """An expression that is >= 0 while a mode holds."""
+    """An expression that is >= 0 in a mode."""
 
-    name: str  # For example ``tip.gap`` or ``tip.mu V - H``.
-    expression: sp.Expr  # In variables, parameters, time and unknowns.
-    # The kind of its tolerance. A `force` margin is an event once it is below minus its tolerance
-    # (hysteresis, so that the mode just left is not entered again), a `hold` margin too, whose
-    # force drops as the mode is left; the others are located at their zero.
+    name: str  # such as ``tip.gap`` or ``tip.mu V - H``
+    expression: sp.Expr  # of variables, parameters, time and unknowns
+    # Kind of tolerance. Events of `force` and `hold` margins are below minus their tolerance
+    # (hysteresis, so that the source mode is not re-entered), others are at zero.
     kind: MarginKind = "plain"
-    # Name of the relation that it is one of several atoms of; "" where it stands alone.
-    relation: str = ""
-    # Margin of that relation; None also where the relation asks for states of regions.
-    whole: sp.Expr | None = None
+    relation: str = ""  # name of the relation of which it is one of several atoms
+    whole: sp.Expr | None = None  # margin of that relation; None if it depends on states
 
     def replaced(self, values: Mapping[sp.Symbol, sp.Expr]) -> Margin:
-        """Return the margin with values in the place of symbols."""
+        """Return the margin with values substituted for symbols."""
         whole_margin = None if self.whole is None else self.whole.xreplace(values)
         return replace(self, expression=self.expression.xreplace(values), whole=whole_margin)
 
 
 def whole_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
-    """Return the margins that are >= 0 while a mode holds: of several atoms that of the relation.
+    """Return the margins with atoms of a relation replaced by the margin of the relation.
 
-    An atom alone may be below 0 while its relation does not hold. Relations that ask for states
-    of regions have no margin and are left out.
+    A single atom may be negative while its relation is false. Relations on states of regions are
+    omitted.
     """
     found = {
         margin.relation or margin.name: Margin(margin.relation, margin.whole)
@@ -66,7 +62,7 @@ def whole_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
 def margins_of(
     name: str, relation: Relation, known: Mapping[str, sp.Expr]
 ) -> tuple[Condition, tuple[Margin, ...]]:
-    """Return a relation over atoms, and their margins; each falls as its atom begins to hold."""
+    """Return a relation over atoms, and the margins of the atoms, falling as they turn true."""
     condition = relation.condition(known)
     names = condition.names(name)
     if condition.single:
@@ -83,14 +79,14 @@ class StopCondition:
     """A condition that ends a run."""
 
     name: str
-    condition: Condition  # Its relation.
-    margins: tuple[Margin, ...]  # Those of its atoms.
+    condition: Condition
+    margins: tuple[Margin, ...]  # of the atoms
 
 
 def stop_conditions(
     texts: Mapping[str, str], known: Mapping[str, sp.Expr]
 ) -> tuple[StopCondition, ...]:
-    """Return stop conditions, in the names of what they may use."""
+    """Return the stop conditions of texts over `known` names."""
     return tuple(
         StopCondition(name, *margins_of(name, parse_relation(text), known))
         for name, text in texts.items()
@@ -99,15 +95,15 @@ def stop_conditions(
 
 @dataclass(frozen=True, eq=False)
 class Invariant:
-    """A relation that a declaration asserts of a run, or of it as long as a state is active."""
+    """A relation that a declaration asserts of runs, or while a state is active."""
 
     name: str
-    text: str  # The relation.
-    known: Mapping[str, sp.Expr]  # Name -> expression, of what it may use.
+    text: str
+    known: Mapping[str, sp.Expr]  # name -> expression
 
     @cached_property
     def relation(self) -> Relation:
-        """The relation, read."""
+        """The parsed relation."""
         return parse_relation(self.text)
 
     @cached_property
@@ -115,7 +111,7 @@ class Invariant:
         return {}
 
     def margin(self, active: Active) -> Margin:
-        """Return what is >= 0 while it holds in a mode: infinite where `in` alone decides."""
+        """Return the margin in a mode, >= 0 if it holds; infinite where `in` alone decides."""
         members = self.relation.members
         key = tuple(active(member.region, member.state) for member in members)
         cached = self._margins.get(key)
@@ -132,81 +128,72 @@ class Invariant:
 
 
 DONE = "done"
-"""The event of a state that has reached its end."""
+"""Event of a completed state."""
 UNREACHED = "no transition leads there from the start"
-"""The reason why no run is in a state of `Nesting.unreached`."""
+"""Reason why a state of `Nesting.unreached` is infeasible."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A state that an edge may lead to, and what is reset on the way."""
+    """A target of an edge, and its reset."""
 
-    target: str  # A state that holds no others.
-    reset: str  # As of an `Edge`.
+    target: str  # an innermost state
+    reset: str  # as of an `Edge`
 
 
 @dataclass(frozen=True)
 class HierarchicalEdge:
-    """Edges of a region that a person draws as one."""
+    """Edges of a region drawn as one arrow; `cause`, `guard`, `on_zeno` are as of an `Edge`."""
 
-    cause: str  # As of an `Edge`.
-    # States or superstates. The edge leaves every state in `source`.
-    source: str
-    target: str
-    guard: str  # As of an `Edge`.
-    # States that it leads to: `target` itself, or one of the states in it, which the laws choose.
-    choices: tuple[Choice, ...]
-    on_zeno: bool = False  # As of an `Edge`.
-    # Variable -> new value, of the values before.
-    updates: Mapping[str, str | int | float] = field(default_factory=dict)
-    events: tuple[str, ...] = ()  # Events of other regions that fire it.
-    condition: str | None = None  # Relation that must hold at these events.
-    static: bool = False  # It leaves no state.
-    internal: bool = False  # It does not leave its source.
+    cause: str
+    source: str  # state or superstate, every state of which it leaves
+    target: str  # state or superstate
+    guard: str
+    choices: tuple[Choice, ...]  # `target` itself, or states in it that the laws choose
+    on_zeno: bool = False
+    updates: Mapping[str, str | int | float] = field(default_factory=dict)  # variable -> formula
+    events: tuple[str, ...] = ()  # of other regions
+    condition: str | None = None  # relation at these events
+    static: bool = False  # exits no state
+    internal: bool = False  # does not exit its source
 
     @property
     def reset(self) -> str:
-        """Reset that all its choices share; "" where it depends on the choice."""
+        """Reset common to all choices, or an empty text."""
         resets = {choice.reset for choice in self.choices}
         return resets.pop() if len(resets) == 1 else ""
 
 
 class History(NamedTuple):
-    """A target that stands for what was last active."""
+    """A history pseudostate: a transition to it enters the states last active in `parent`."""
 
-    # It remembers states of `parent` alone, or those in them, too.
     depth: Literal["shallow", "deep"]
-    parent: str  # The superstate that it remembers.
-    # Its target as long as nothing is remembered: of one that remembers regions its parent.
-    initial: str
+    parent: str
+    initial: str  # default target; `parent` for a history of regions
 
 
 @dataclass(frozen=True, eq=False)
 class Nesting:
-    """Declared states in states of a flattened region, beside its superstates."""
+    """Declared hierarchy of a flattened region."""
 
-    names: tuple[str, ...] = ()  # States and superstates in the order of the document.
-    # State of the region -> the innermost states that are active in it.
+    names: tuple[str, ...] = ()  # states and superstates in document order
+    # Configuration -> its innermost states.
     configurations: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    # Superstate -> the state in it that it begins with; "" is the region.
-    initial: Mapping[str, str] = field(default_factory=dict)
-    # Superstates whose states are regions: all of them are active.
+    initial: Mapping[str, str] = field(default_factory=dict)  # superstate ("": region) -> initial
     parallel: frozenset[str] = frozenset()
-    histories: Mapping[str, History] = field(default_factory=dict)  # Name -> history.
-    # State -> updates when it is entered, or left.
+    histories: Mapping[str, History] = field(default_factory=dict)
+    # State -> updates on entry, and on exit.
     entries: Mapping[str, Mapping[str, str | int | float]] = field(default_factory=dict)
     exits: Mapping[str, Mapping[str, str | int | float]] = field(default_factory=dict)
-    edges: tuple[HierarchicalEdge, ...] = ()  # As declared, of flat regions too.
-    # States and superstates that no chain of transitions enters from the start.
-    unreached: frozenset[str] = frozenset()
-    # State -> rates of variables that it declares.
+    edges: tuple[HierarchicalEdge, ...] = ()  # as declared, of flat regions too
+    unreached: frozenset[str] = frozenset()  # unreachable states and superstates
     flows: Mapping[str, Mapping[str, str | int | float]] = field(default_factory=dict)
-    final: frozenset[str] = frozenset()  # States with which what holds them is done.
-    # State of the region -> superstates that are done in it, inner ones first; also the region.
+    final: frozenset[str] = frozenset()
+    # Configuration -> completed superstates (or the region), inner first.
     done: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def active(self, state: str, superstates: Mapping[str, str]) -> tuple[str, ...]:
-        """Return the states that are active with one of the region, and those that hold them."""
+        """Return the active states of a configuration, and their superstates."""
         states: dict[str, None] = {}
         for name in self.configurations.get(state, (state,)):
             states[name] = None
@@ -218,111 +205,88 @@ class Nesting:
 
 @dataclass(frozen=True)
 class Claim:
-    """Relations that all hold as long as a state is active, or of which one does not."""
+    """Relations that are all true while a state is active (`holds`), or not all true."""
 
-    name: str  # Name of the guard, invariant or condition.
-    relations: tuple[str, ...]  # As declared.
-    holds: bool  # True: all of them hold. False: at least one does not.
+    name: str  # of the guard, invariant or condition
+    relations: tuple[str, ...]
+    holds: bool
 
 
 @dataclass(frozen=True)
 class Loads:
-    """Unknowns that the motion leaves open: something carries them in the equations of motion.
+    """Unknowns that the equations of motion do not determine, as statically indeterminate forces.
 
-    They are solved for when the motion is known, by equations of their own.
+    Carriers replace them in the equations of motion; their own equations are solved afterwards.
     """
 
-    # Unknown of the automaton -> what stands for it in the equations of motion.
-    carried: Mapping[sp.Symbol, sp.Expr]
-    carriers: tuple[sp.Symbol, ...]  # The unknowns of that.
-    # Unknown -> its equation (= 0), linear in what is carried and in further unknowns.
-    laws: Mapping[sp.Symbol, sp.Expr]
-    # Unknown, which states share -> what this one adds to a sum over them that is zero.
-    balances: Mapping[sp.Symbol, sp.Expr]
-    # Expression that the motion leaves open -> its value.
-    known: Mapping[sp.Expr, sp.Expr] = field(default_factory=dict)
+    carried: Mapping[sp.Symbol, sp.Expr]  # unknown -> expression in the equations of motion
+    carriers: tuple[sp.Symbol, ...]  # unknowns of these expressions
+    laws: Mapping[sp.Symbol, sp.Expr]  # unknown -> its linear equation (= 0)
+    balances: Mapping[sp.Symbol, sp.Expr]  # shared unknown -> term of a sum over states (= 0)
+    known: Mapping[sp.Expr, sp.Expr] = field(default_factory=dict)  # expression -> value
 
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """Positions that are held, and the equations that say so for accelerations."""
+    """Holonomic constraints with their acceleration equations and workless forces."""
 
-    places: tuple[sp.Expr, ...]  # Each = 0; their gradients are those of lengths.
-    # As many, each = 0: together they say what the second derivatives of `places` do.
-    equations: tuple[sp.Expr, ...]
-    forces: tuple[sp.Symbol, ...]  # As many; in motions that keep the places they do no work.
-    # Constant of a flow that is in `places` -> the expression of the variables that is constant.
-    anchors: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
-    steep: bool = False  # Gradients of the places may grow without bound.
+    places: tuple[
+        sp.Expr, ...
+    ]  # constraint functions of the positions, each = 0, scaled as lengths
+    equations: tuple[sp.Expr, ...]  # as many, each = 0: second derivatives of `places`
+    forces: tuple[sp.Symbol, ...]  # as many
+    anchors: Mapping[sp.Symbol, sp.Expr] = field(
+        default_factory=dict
+    )  # constant of a flow -> value
+    steep: bool = False  # gradients may grow without bound
 
 
 @dataclass(frozen=True)
 class State:
     """Contribution of a region to a mode."""
 
-    # Each = 0, linear in the automaton's unknowns and its carriers.
-    equations: tuple[sp.Expr, ...] = ()
-    margins: tuple[Margin, ...] = ()  # Margins whose fall is an event of the state.
-    # Assertions of its declaration, for checks of a trace; runs do not evaluate them.
-    invariants: tuple[Invariant, ...] = ()
-    # Controls of the automaton that the state sets -> expressions without unknowns.
-    values: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
-    # Its share where the motion of a mode leaves unknowns open.
+    equations: tuple[sp.Expr, ...] = ()  # each = 0, linear in unknowns and carriers
+    margins: tuple[Margin, ...] = ()
+    invariants: tuple[Invariant, ...] = ()  # declared assertions, checked on traces
+    values: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)  # control -> expression
     loads: Loads | None = None
-    holds: tuple[Hold, ...] = ()  # Positions that its equations hold.
+    holds: tuple[Hold, ...] = ()
 
 
 @dataclass(frozen=True)
 class Edge:
-    """A transition of a region, as text for people."""
+    """A transition of a region as text."""
 
-    cause: str  # touchdown, liftoff, ... or the transition's name.
-    # States of the region.
+    cause: str  # touchdown, liftoff, ... or the name of the transition
     source: str
     target: str
-    # The trigger and the changes; "" where nothing is changed.
     guard: str
     reset: str = ""
-    # True where no guard fires it but the accumulation of jumps out of `source`.
-    on_zeno: bool = False
+    on_zeno: bool = False  # fired by the accumulation of jumps out of `source`
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """An orthogonal region: its states, built when first asked for, and its edges."""
+    """An orthogonal region (a contact, a controller): states, built on demand, and edges."""
 
-    name: str  # Name of the region (a contact, a controller).
-    states: tuple[str, ...]  # Names of its states.
-    build: Callable[[Role], State]  # Role -> State.
-    edges: tuple[Edge, ...]  # The region's own statechart.
-    # State or superstate -> the superstate that it is in; names differ, those outermost are no
-    # keys.
-    superstates: Mapping[str, str] = field(default_factory=dict)
-    # Superstates that the declaration lists as states of their own: slide, which runs know by its
-    # directions alone.
-    listed: tuple[str, ...] = ()
-    # Cause that its jumps have where it is struck, besides that of its change: impact; "" where
-    # what strikes it changes it, as a contact.
-    impact_cause: str = ""
-    # Declared nesting of states.
+    name: str
+    states: tuple[str, ...]
+    build: Callable[[Role], State]
+    edges: tuple[Edge, ...]
+    superstates: Mapping[str, str] = field(default_factory=dict)  # state or superstate -> parent
+    listed: tuple[str, ...] = ()  # superstates declared as states: slide, for its directions
+    impact_cause: str = ""  # further cause of a jump with an impulse on it, unless a contact
     nesting: Nesting = field(default_factory=Nesting)
-    # Unknowns that are zero for others while the region is captured (see `Role`).
-    forces: tuple[sp.Symbol, ...] = ()
-    # The state that goes without saying where a mode is named by its others: `free` of a contact;
-    # "" where every state says something.
-    default: str = ""
-    # State -> the declared relations that tests compare with its runs.
-    claims: Callable[[str], tuple[Claim, ...]] = lambda _: ()
+    forces: tuple[sp.Symbol, ...] = ()  # unknowns hidden while it is captured (see `Role`)
+    default: str = ""  # state omitted in names of modes, such as `free`
+    claims: Callable[[str], tuple[Claim, ...]] = lambda _: ()  # state -> relations for tests
 
     def declared(self, state: str) -> str:
-        """Return the state as the declaration names it."""
+        """Return the declared name of a state."""
         return next((name for name in self.active(state) if name in self.listed), state)
 
     def active(self, state: str) -> tuple[str, ...]:
-        """Return the active states: a state itself and its superstates, inner first.
-
-        Of a configuration of several, each of them with its superstates.
-        """
+        """Return the active states of a configuration, each followed by its superstates."""
         if state not in self._actives:
             self._actives[state] = self.nesting.active(state, self.superstates)
         return self._actives[state]
@@ -333,42 +297,39 @@ class Region:
 
     @property
     def innermost(self) -> tuple[str, ...]:
-        """The states that hold no others, as declared; those that runs cannot enter come last."""
+        """The declared innermost states, unreachable ones last."""
         configurations = self.nesting.configurations
         entered = (n for s in self.states for n in configurations.get(s, (s,)))
         return tuple(dict.fromkeys((*entered, *self.outside)))
 
     @property
     def outside(self) -> tuple[str, ...]:
-        """The declared states that hold no others and are in none of `states`: none is entered."""
+        """The unreachable innermost states."""
         holding = {*self.superstates.values()}
         unreached = self.nesting.unreached.difference(holding, self.states)
         return tuple(name for name in self.nesting.names if name in unreached)
 
     def within(self, name: str) -> tuple[str, ...]:
-        """Return the states in which a state or superstate is active."""
+        """Return the states in which `name` is active."""
         return tuple(state for state in self.states if name in self.active(state))
 
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A mode's equations, solved."""
+    """Solved equations of a mode."""
 
-    definitions: tuple[Definition, ...]  # Straight-line program for the controls and the unknowns.
-    rates: tuple[sp.Expr, ...]  # d/dt of every variable.
-    margins: tuple[Margin, ...]  # The mode's invariant, stop conditions last.
-    # Forces as observers see them, where they differ from those that move the state.
-    hidden: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
-    # Place of a variable that follows from the others -> expression of these, of parameters, time
-    # and anchors. Its rate is that of the expression, and is integrated along with the others;
-    # nothing else reads it but through `definitions`.
+    definitions: tuple[Definition, ...]  # straight-line program for controls and unknowns
+    rates: tuple[sp.Expr, ...]  # d/dt of every variable
+    margins: tuple[Margin, ...]  # stop conditions last
+    hidden: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)  # forces shown to observers
+    # Index of a dependent variable -> expression of the others, parameters, time and anchors. It is
+    # integrated too, but only `definitions` read it.
     eliminated: Mapping[int, sp.Expr] = field(default_factory=dict)
-    # Constant of a flow -> the expression of the variables that is constant.
-    anchors: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
+    anchors: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)  # constant -> expression
 
 
 def active_in(regions: Sequence[Region], key: Sequence[str]) -> Active:
-    """Return whether a region is in a state, or in one inside it, as `active(region, state)`."""
+    """Return the predicate (region, state) -> whether the state is active."""
     states = {region.name: (region, state) for region, state in zip(regions, key, strict=True)}
 
     def active(region: str, state: str) -> bool:
@@ -379,11 +340,11 @@ def active_in(regions: Sequence[Region], key: Sequence[str]) -> Active:
 
 
 def hierarchical_edges(region: Region) -> tuple[HierarchicalEdge, ...]:
-    """Return the edges of a region with as few arrows as its superstates allow.
+    """Return the edges of a region, merged over its superstates.
 
-    Edges out of all states of a superstate into one state are one; then those from one source, by
-    one cause and guard, into all states of a superstate. `flat_edges` undoes it. Of a region that
-    was declared with nested states they are those of its declaration.
+    Edges out of all states of a superstate into one state are merged, then edges from one source by
+    one cause and guard into all states of a superstate. Regions with declared nesting have their
+    declared edges.
     """
     if region.nesting.configurations:
         return region.nesting.edges
@@ -419,7 +380,7 @@ def _outermost_first(region: Region) -> list[str]:
 def _covered(
     states: Sequence[str], superstates: Sequence[str], leaves: Mapping[str, tuple[str, ...]]
 ) -> list[str]:
-    """Return states, those that are all of a superstate as the superstate, where they are many."""
+    """Return states with complete sets replaced by their superstate."""
     remaining, covered = dict.fromkeys(states), dict[str, None]()
     for name in superstates:
         members = leaves[name]
@@ -430,11 +391,10 @@ def _covered(
 
 
 def happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
-    """Tell whether `jump` is `event`: a cause, a state that is entered, or one that is done.
+    """Return whether a jump raises an event: a cause, a state entered, or a state done.
 
-    A jump names one region, but may change others at the same instant (an impact that is felt at
-    every closed contact); their causes are those of the edges that they take. A region whose blows
-    have a name of their own has that of its change besides: it is struck, and lifts off.
+    A jump may change several regions (an impact acts on all closed contacts); their causes are
+    those of their edges. A region with an `impact_cause` raises it besides that of its change.
     """
     if event.region is None and jump.cause == event.cause:
         return True
@@ -452,21 +412,21 @@ def happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
 
 
 class Raised(NamedTuple):
-    """An event that a jump makes, and its region; its `owner` is this, or a state that is done."""
+    """An event of a jump; its `owner` is the region, or a completed state."""
 
     region: str
     owner: str
     cause: str
 
     def answers(self, event: Event, listener: str, own: Collection[str]) -> bool:
-        """Tell whether it is what a region waits for, with states of its `own` that can be done."""
+        """Return whether it is an event that a region with `own` completable states waits for."""
         if self.cause != event.cause or event.region not in (None, self.owner):
             return False
         return (self.region == listener) == (self.cause == DONE and event.region in own)
 
 
 def raised(regions: Sequence[Region], jump: Jump) -> tuple[Raised, ...]:
-    """Return the events of a jump in their order: causes, states entered from the outside, ends."""
+    """Return the events of a jump in order: causes, states entered, states done."""
     events: dict[Raised, None] = {}
     changes = list(zip(regions, jump.source, jump.target, strict=True))
     for region, before, after in changes:
@@ -482,7 +442,7 @@ def raised(regions: Sequence[Region], jump: Jump) -> tuple[Raised, ...]:
 
 def _causes(region: Region, jump: Jump, before: str, after: str) -> tuple[str, ...]:
     if region.name == jump.region and jump.cause != region.impact_cause:
-        return tuple(jump.cause.split("+"))  # Transitions taken together, see `FlatTransition`.
+        return tuple(jump.cause.split("+"))  # combined transitions, see `FlatTransition`
     struck = region.name in jump.impulse
     if before == after and not struck:
         return ()
@@ -493,7 +453,7 @@ def _causes(region: Region, jump: Jump, before: str, after: str) -> tuple[str, .
 
 
 def _entered(region: Region, before: str, after: str) -> list[str]:
-    """Return the states entered, outer ones first."""
+    """Return the states entered, outer first."""
     if before == after:
         return []
     entered = {*region.active(after)}.difference(region.active(before))

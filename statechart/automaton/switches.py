@@ -1,8 +1,8 @@
-"""Switches: where the smooth pieces of abs, sign, min, max and sat in a mode meet.
+"""Switching surfaces of abs, sign, min, max and sat in a mode (Filippov 1988).
 
-Each has a switching function sigma and a sign: +1 or -1 on either side of the surface sigma = 0,
-and a number between where the state slides along it (Filippov 1988): the convex combination of
-both sides that keeps sigma at zero. A mode is built for the signs that a run comes to.
+A switch has a switching function sigma and a sign: +1 or -1 on the sides of the surface sigma = 0;
+in a sliding mode the convex combination of both vector fields that keeps sigma = 0. Modes are built
+for the signs that occur in a run.
 """
 
 from __future__ import annotations
@@ -22,12 +22,11 @@ from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 
 SIGN_OF, SLIDE_ON = "sign of ", "slide on "
-"""Beginnings of names of margins: of a switching function, and of what holds it at zero."""
+"""Prefixes of margins: of a switching function, and of a sliding condition."""
 SLIDES, RESTS = 0, 2
-"""Signs of a switch along whose surface the flow slides, and of one whose function stays zero
-whatever the sign is, which then is zero as that of a number."""
+"""Signs of a sliding switch, and of one whose function is zero for any sign."""
 MAX_ORDER = 2
-"""A sign acts on its switching function by a derivative of at most this order."""
+"""Largest relative degree of a switching function with respect to its sign."""
 
 _SHOWN = 80  # characters of a switching function in a name
 _KINKS = (sp.Abs, sp.sign, sp.Max, sp.Min)
@@ -37,21 +36,17 @@ _KINKS = (sp.Abs, sp.sign, sp.Max, sp.Min)
 class Switches:
     """The switches of a mode."""
 
-    mode: Mode  # As solved, with abs, sign, min and max.
-    texts: tuple[str, ...]  # Switching functions as users write them.
+    mode: Mode  # with abs, sign, min and max
+    texts: tuple[str, ...]  # switching functions in the names of the model
     signs: tuple[sp.Symbol, ...]
-    functions: tuple[sp.Expr, ...]  # Each in signs of those before it.
-    # The mode's own, in the signs.
-    definitions: tuple[Definition, ...]
+    functions: tuple[sp.Expr, ...]  # in signs of earlier ones
+    definitions: tuple[Definition, ...]  # of the mode, in the signs
     rates: tuple[sp.Expr, ...]
-    # Derivatives of each function in time, up to the first that the signs act on.
-    derivatives: tuple[tuple[sp.Expr, ...], ...]
-    acts: tuple[bool, ...]  # Whether they act on the last of these.
-    # Functions, their derivatives in time, and then their gradients, of variables and signs.
-    tape: Tape
-    # Places of the first derivative of each among the outputs of the tape, and of the gradients.
-    places: tuple[int, ...]
-    gradients: int
+    derivatives: tuple[tuple[sp.Expr, ...], ...]  # of each function, up to the relative degree
+    acts: tuple[bool, ...]  # whether signs act on the last derivative
+    tape: Tape  # functions, time derivatives, gradients; of variables and signs
+    places: tuple[int, ...]  # indices of the first derivatives in the tape
+    gradients: int  # index of the gradients
     automaton: Automaton
 
     def mode_with_signs(self, signs: Any) -> Mode:
@@ -89,10 +84,10 @@ class Switches:
     def _sliding(
         self, sliding: Sequence[int], known: Mapping[sp.Symbol, sp.Expr]
     ) -> tuple[list[Definition], list[sp.Symbol]]:
-        """Return the definitions of a mode that slides, and the symbols of the signs it finds.
+        """Return the definitions of a sliding mode, and the symbols of its signs.
 
-        Unknowns are affine in the signs: one is interpolated between its two sides, several from
-        the middle.
+        Unknowns are affine in the signs: one sign is interpolated between its sides, several from
+        the centre.
         """
         if not sliding:
             return [(s, e.xreplace(known)) for s, e in self.definitions], []
@@ -136,7 +131,7 @@ class Switches:
         definitions += solve_linear(equations, shares)
         fixed: dict[sp.Symbol, sp.Expr] = {}
         for i in sliding:
-            # What the slide holds is held exactly, not by the difference of both sides.
+            # The sliding condition holds exactly, not as the difference of both sides.
             highest = self.derivatives[i][-1]
             for symbol in blended:
                 factor = sp.diff(highest, symbol)
@@ -152,23 +147,23 @@ class Switches:
         ]
         definitions += fixed.items()
         rates = {r for r in self.rates if r.free_symbols & {*signs}}
-        assert not rates  # Rates are variables and unknowns.
+        assert not rates  # rates are variables and unknowns
         return definitions, shares
 
 
 def _margin(name: str, expression: sp.Expr, names: set[str]) -> Margin:
-    """Return a margin whose name is none of `names`."""
+    """Return a margin with a name not in `names`."""
     unique, count = name, 1
     while unique in names:
         count += 1
         unique = f"{name} ({count})"
     names.add(unique)
-    # Without a margin of a whole relation nobody is shown it.
+    # Internal: no margin of a whole relation.
     return Margin(unique, expression, relation=unique)
 
 
 def explicit_rates(mode: Mode) -> list[sp.Expr]:
-    """Return the rates of a mode's variables without its unknowns."""
+    """Return the rates of the variables of a mode without unknowns."""
     values: dict[sp.Symbol, sp.Expr] = {}
     for symbol, expression in mode.definitions:
         values[symbol] = expression.xreplace(values)
@@ -176,18 +171,18 @@ def explicit_rates(mode: Mode) -> list[sp.Expr]:
 
 
 def slides(role: Role) -> bool:
-    """Return whether some of the signs of a flow are those of slides."""
+    """Return whether a flow slides along a switching surface."""
     signs: Any = role.share
     return SLIDES in signs
 
 
 def is_of_switch(margin: str) -> bool:
-    """Return whether a margin is that of a switch."""
+    """Return whether a margin is of a switch."""
     return margin.startswith((SIGN_OF, SLIDE_ON))
 
 
 def switches_of(automaton: Automaton, mode: Mode) -> Switches | None:
-    """Return the switches of a mode; None where it has none."""
+    """Return the switches of a mode, or None."""
     reader = _Reader(automaton, mode)
     needed: set[sp.Symbol] = set().union(*(rate.free_symbols for rate in mode.rates))
     for symbol, e in reversed(mode.definitions):
@@ -197,7 +192,7 @@ def switches_of(automaton: Automaton, mode: Mode) -> Switches | None:
     rates = tuple(reader.read(rate) for rate in mode.rates)
     if not reader.signs:
         return None
-    # What moves nothing adds no switches: contact forces share those of the motion.
+    # Definitions that do not affect the motion, as contact forces, add no switches.
     reader.adds = False
     definitions = tuple((s, read[s] if s in read else reader.read(e)) for s, e in mode.definitions)
     chains, acts = reader.chains(dict(definitions), rates)
@@ -223,7 +218,7 @@ def switches_of(automaton: Automaton, mode: Mode) -> Switches | None:
 
 
 class _Reader:
-    """Rewrites formulas in the signs of their switches."""
+    """Rewrites nonsmooth formulas in the signs of their switches."""
 
     def __init__(self, automaton: Automaton, mode: Mode) -> None:
         self._automaton = automaton
@@ -236,7 +231,7 @@ class _Reader:
         self.adds = True
 
     def read(self, node: sp.Expr) -> sp.Expr:
-        """Return a formula with signs in the place of kinked functions."""
+        """Return a formula with signs instead of nonsmooth functions."""
         rewritten = self._read.get(node)
         if rewritten is None:
             rewritten = self._read[node] = self._rewritten(node) if node.has(*_KINKS) else node
@@ -245,7 +240,7 @@ class _Reader:
     def _rewritten(self, node: sp.Expr) -> sp.Expr:
         arguments = [self.read(argument) for argument in node.args]
         if node.is_Pow and not node.exp.is_Integer and node.base.is_nonnegative:
-            # Stages of a step lie beyond the surface, too.
+            # Stages of a step may be beyond the surface.
             return sp.Abs(arguments[0]) ** arguments[1]
         if not isinstance(node, _KINKS) or not any(map(self._moves, node.args)):
             return node.func(*arguments)
@@ -254,7 +249,7 @@ class _Reader:
             if sign is None:
                 return node.func(*arguments)
             return sign * arguments[0] if isinstance(node, sp.Abs) else sign
-        # What does not change last: the functions are simpler.
+        # Constants last, for simpler switching functions.
         ordered = sorted(arguments, key=sp.default_sort_key)
         extremum, *rest_of_arguments = sorted(ordered, key=self._moves, reverse=True)
         for other in rest_of_arguments:
@@ -267,10 +262,7 @@ class _Reader:
         return extremum
 
     def _sign(self, function: sp.Expr) -> sp.Expr | None:
-        """Return the sign of a switching function; -1 times the function is the same surface.
-
-        None where it is new, and none is added.
-        """
+        """Return the sign of a switching function up to orientation; None if it is not added."""
         function = self._expanded(function)
         factor, monic = function.as_coeff_Mul()
         if monic.could_extract_minus_sign():
@@ -285,7 +277,7 @@ class _Reader:
         return self.signs[place] if factor > 0 else -self.signs[place]
 
     def _expanded(self, expression: sp.Expr) -> sp.Expr:
-        """Return an expression without what the mode defines."""
+        """Return an expression with the definitions of the mode substituted."""
         while defined := {s for s in expression.free_symbols if s in self._definitions}:
             expression = expression.xreplace({s: self.read(self._definitions[s]) for s in defined})
         return expression
@@ -297,7 +289,7 @@ class _Reader:
     def chains(
         self, definitions: Mapping[sp.Symbol, sp.Expr], rates: Sequence[sp.Expr]
     ) -> tuple[tuple[tuple[sp.Expr, ...], ...], tuple[bool, ...]]:
-        """Return the derivatives of each function, and whether signs act on the last of them."""
+        """Return the derivatives of each function, and whether signs act on the last one."""
         sign_dependent = {*self.signs}
         for symbol, expression in definitions.items():
             if expression.free_symbols & sign_dependent:
@@ -318,7 +310,7 @@ class _Reader:
         return tuple(chains), tuple(acts)
 
     def text(self, function: sp.Expr) -> str:
-        """Return a switching function in the model's names."""
+        """Return a switching function in the names of the model."""
         symbols = (*self._automaton.variables, *self._automaton.parameters)
         model_names = (*self._automaton.names, *self._automaton.parameter_names)
         names: dict[Any, Any] = dict(zip(symbols, map(sp.Symbol, model_names), strict=True))

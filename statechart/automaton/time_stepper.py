@@ -1,4 +1,4 @@
-"""Interface of time steppers: tolerances of impulses, recording policy, sampling of controllers."""
+"""Interface of time stepping: tolerances, recording, sampled control."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from statechart.documents.setting import Record
 
 
 class Impulses(NamedTuple):
-    """Tolerances of the impulses of a step."""
+    """Residuals of the impulses of a step, relative to its fastest approach velocity."""
 
-    tolerance: float = 1e-6  # In parts of the step's fastest approach; more is told.
-    bound: float = math.inf  # More ends the run.
+    tolerance: float = 1e-6  # above it the steps are counted in a warning
+    bound: float = math.inf  # above it the run ends
 
 
 DEFAULT_IMPULSES = Impulses()
-"""Default tolerances."""
+"""Default residuals."""
 
 
 class OutputStream(Protocol):
-    """Outputs computed from the pieces of a run that stores fewer of them."""
+    """Outputs computed during a run that does not store its motion."""
 
     @property
     def events(self) -> bool:
@@ -32,20 +32,20 @@ class OutputStream(Protocol):
 
     @property
     def motion(self) -> bool:
-        """True if it needs arcs and jumps between the start and the end."""
+        """True if it needs the arcs and jumps of the whole run."""
         ...
 
     def add(self, piece: Trace) -> None:
-        """Take the arcs and jumps since the last call."""
+        """Process the arcs and jumps since the last call."""
         ...
 
     def end(self, piece: Trace) -> Mapping[str, Any]:
-        """Take the last arcs and jumps, and the end of the run; return the outputs."""
+        """Process the last arcs and jumps; return the outputs."""
         ...
 
 
 class RecordingPolicy(NamedTuple):
-    """Parts of a run that are stored, and the outputs that are computed from the rest."""
+    """Stored parts of a run, and the outputs computed from the rest."""
 
     record: Record = Record.MODES
     outputs: OutputStream | None = None
@@ -55,13 +55,12 @@ RECORD_ALL = RecordingPolicy()
 
 
 class TimeStepper(Protocol):
-    """Steps a model through time, and recognises the state of every region at every step."""
+    """Runs a model by time steps, and recognises its mode at every step."""
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
-        """Check the initial state; return its mode and the warnings.
+        """Check the initial state; return its mode and warnings.
 
-        Raises `DeclarationProblem` if no run can start there, `SimulationError` if the model has
-        what the stepper lacks.
+        Raises `DeclarationProblem` if no run can start, `SimulationError` for unsupported models.
         """
         ...
 
@@ -78,10 +77,9 @@ class TimeStepper(Protocol):
     ) -> Trace:
         """Run from the declared initial state.
 
-        All steps are of length `step` but the last two, of which the last ends at `until`. A run
-        ends after `max_jumps`. `show` is called now and then with the time reached, the number of
-        jumps and that of steps. Returns the trace also where the run could not go on; its outcome
-        says so.
+        All steps have length `step` except the last two; the last ends at `until`. A run ends after
+        `max_jumps`. `show` reports time, jumps and steps. The outcome of the trace says whether the
+        run is complete.
         """
         ...
 
@@ -95,21 +93,21 @@ class TimeStepper(Protocol):
         max_jumps: int,
         impulses: Impulses = DEFAULT_IMPULSES,
     ) -> Iterator[Arc | Jump]:
-        """Yield arcs and jumps as they come, an arc ending wherever the run is looked at.
+        """Yield arcs and jumps as they are computed; arcs end at instants of sampling.
 
-        Raises `SimulationError` where the run cannot go on, after all that it made.
+        Raises `SimulationError` if the run cannot go on, after its last item.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Sample:
-    """State of a run that a controller is shown at an instant.
+    """State of a run at a sampling instant.
 
     Attributes
     ----------
     t : float
-        When.
+        Time.
     mode : mapping of str to str
         Region -> its state.
     values : mapping of str to float
@@ -122,18 +120,18 @@ class Sample:
 
 
 Control = Callable[[Sample], Mapping[str, float] | None]
-"""Sample -> parameters that have other values from there on; None for no change."""
+"""Sample -> new values of parameters, or None."""
 
 
 class Sampling(NamedTuple):
-    """Instants at which a controller sees a run, and may change its parameters."""
+    """Sampling period (inf for none), and the controller."""
 
-    every: float  # Time between instants; inf for none.
+    every: float
     control: Control | None
 
 
 def in_order(pieces: Iterable[Arc | Jump]) -> list[Arc | Jump]:
-    """Return arcs and jumps on hybrid time: arcs of as many jumps, and the jump that ends them."""
+    """Return arcs and jumps in the order of hybrid time."""
 
     def place(piece: Arc | Jump) -> tuple[int, int, float]:
         if isinstance(piece, Arc):

@@ -24,15 +24,11 @@ from statechart.kernels.quadrature import integrate_outputs
 Flow = tuple[float, ArrayLike, ArrayLike]
 """Start, local times (k + 1,) of the steps' ends and coefficients (k, n, d + 1) of a flow."""
 
-# Flows of one batch.
-_MAX_FLOWS = 1024
+_MAX_FLOWS = 1024  # of one batch
 
 
 def lowest(tape: Tape, flows: Sequence[Flow], parameters: ArrayLike, per_step: int = 16) -> Array:
-    """Return the least value of every output on a grid along flows.
-
-    Raises `ValueError` if a shape does not fit.
-    """
+    """Return the least value of every output on a grid along flows."""
     s = np.arange(per_step + 1) / per_step
     parameters, result = contiguous(parameters), np.full(len(tape.outputs), np.inf)
     for first in range(0, len(flows), _MAX_FLOWS):
@@ -61,12 +57,11 @@ def integrals(
     t_from: float,
     t_to: float,
 ) -> tuple[Array, Array]:
-    """Integrate every output over local time, by Gauss and Legendre with 16 nodes in a piece.
+    """Integrate every output over local time by adaptive Gauss-Legendre quadrature with 16 nodes.
 
-    Pieces are steps, halved until every output is resolved in them: what is narrower than a step is
-    found by its enclosure, and a kink ends in a piece as wide as rounding. The limits are local
-    times; what lies outside the steps does not count. Returns the integrals (n_out,), and the local
-    times at which the pieces end. Raises `ValueError` if a shape does not fit.
+    Steps are halved until every output is resolved: enclosures find narrow features, and a kink
+    ends in a piece as wide as round-off. The limits are local times, clipped to the steps. Returns
+    the integrals (n_out,), and the ends of the pieces. Raises `ValueError` for a wrong shape.
     """
     times, coeffs, parameters = checked_arc(tape, times, coeffs, parameters)
     return integrate_outputs(
@@ -75,7 +70,7 @@ def integrals(
 
 
 def sample(coeffs: ArrayLike, times: ArrayLike, tau: ArrayLike) -> Array:
-    """Evaluate the polynomials; raises `ValueError` if a shape does not fit."""
+    """Evaluate the polynomials at local times `tau`; raise `ValueError` for a wrong shape."""
     coeffs, times, tau = contiguous(coeffs), contiguous(times), contiguous(tau)
     if coeffs.ndim != 3 or len(coeffs) == 0 or times.shape != (len(coeffs) + 1,) or tau.ndim != 1:
         raise ValueError(
@@ -88,7 +83,7 @@ def sample(coeffs: ArrayLike, times: ArrayLike, tau: ArrayLike) -> Array:
 def checked_arc(
     tape: Tape, times: ArrayLike, coeffs: ArrayLike, parameters: ArrayLike
 ) -> tuple[Array, Array, Array]:
-    """Return an arc's arrays and the parameters as kernels want them; their shapes fit the tape."""
+    """Return the arrays of an arc and the parameters for kernels, with checked shapes."""
     times, coeffs, parameters = contiguous(times), contiguous(coeffs), contiguous(parameters)
     tape.require(parameters)
     if coeffs.ndim != 3 or times.shape != (len(coeffs) + 1,) or coeffs.shape[1] != tape.n_variables:
@@ -100,18 +95,16 @@ def checked_arc(
 
 
 LARGEST = 2**28
-"""A trace may take so many bytes: with what is made of it, well below a gigabyte."""
-# A jump and its arc take so many beside what they hold in arrays.
-_JUMP = 2048
-# Arcs, or jumps, that are made once for all who look at a run: some 200 MB.
-_MAX_PREPARED = 200_000
+"""Limit of a trace in bytes; with results computed from it, well below a gigabyte."""
+_JUMP = 2048  # bytes of a jump and its arc besides arrays
+_MAX_PREPARED = 200_000  # arcs, or jumps, cached as objects: some 200 MB
 
 Key = tuple[str, ...]
-"""A product mode: the state of every region, in the automaton's order."""
+"""A product mode: the state of every region."""
 
 
 class Outcome(Enum):
-    """Reason for the end of a run, as a sentence that a user can act on."""
+    """Reason for the end of a run, as a sentence."""
 
     HORIZON = "The run reached its end time."
     STOPPED = "A stop condition became true."
@@ -135,12 +128,12 @@ class Outcome(Enum):
 
     @property
     def succeeded(self) -> bool:
-        """True if the run reached an end that its declaration names."""
+        """True if the run reached a declared end."""
         return self in (Outcome.HORIZON, Outcome.STOPPED)
 
 
 FAR_TOO_MANY = 1000
-"""A run that takes so many times as much as it may is ended before it has taken all."""
+"""A run expected to exceed a limit by this factor is ended early."""
 
 
 def check_size(size: int, jumps: int, time: float) -> None:
@@ -153,19 +146,15 @@ def check_size(size: int, jumps: int, time: float) -> None:
 
 
 class Role(NamedTuple):
-    """State whose equations a region contributes to a flow."""
+    """Equations that a region contributes to a flow."""
 
-    state: str  # Whose equations apply.
-    # True where the region is shown in another state meanwhile: for everybody else its forces are
-    # what they are in that, zero.
-    captured: bool = False
-    # Law of the quantities that the mode's equations leave open without effect on the motion; read
-    # by the region that builds the state.
-    share: Hashable | None = None
+    state: str  # whose equations apply
+    captured: bool = False  # shown in another state, with hidden forces
+    share: Hashable | None = None  # law of undetermined quantities, read by `Region.build`
 
 
 Roles = tuple[Role, ...]
-"""The role of every region: what the equations of a flow follow from."""
+"""The role of every region, which determine the equations of a flow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,22 +164,21 @@ class Arc:
     Attributes
     ----------
     mode : Key
-        The mode that the trace shows.
+        The mode.
     roles : Roles
-        Whose equations moved the state. Their states differ from `mode` while the rest of a Zeno
-        sequence is skipped: a contact still is `free`, and moves as if closed; that of a region
-        that holds its variables meanwhile is `statechart.automaton.laws.HELD`.
+        The equations of the flow. They differ from `mode` while the rest of a Zeno sequence is
+        skipped: a contact is `free` and moves as if closed; a region with constant variables is
+        `statechart.automaton.laws.HELD`.
     start : Clock
-        When the arc starts.
+        Start time.
     j : int
         Number of jumps before it.
     times : (k + 1,) array
-        Local times of the steps' ends, the first 0.
+        Local times of the ends of steps, the first 0.
     coefficients : (k, n, d + 1) array
         Variable v over step i is ``sum(coefficients[i, v] * s**arange(d + 1))``, s in [0, 1].
     solved : (k, u) array or None
-        The automaton's unknowns and controls over every step, where stepping through time has
-        found them as numbers; else the equations of the flow's mode give them.
+        Unknowns and controls of every time step; None if they follow from the equations.
     """
 
     mode: Key
@@ -221,7 +209,7 @@ class Arc:
         return sample(self.coefficients, self.times, np.ascontiguousarray(local, dtype=float))
 
     def unknowns(self, local: Array) -> Array | None:
-        """Return the unknowns (m, u) at local times, where they are known as numbers."""
+        """Return the stored unknowns (m, u) at local times, if any."""
         if self.solved is None:
             return None
         steps = np.searchsorted(self.times, local, side="right") - 1
@@ -235,11 +223,11 @@ class Jump:
     Attributes
     ----------
     t : float
-        When.
+        Time.
     j : int
         Number of jumps before it.
     region : str
-        The region (contact) that it is about; "" for a stop of the whole run.
+        Its region (contact); "" for a stop of the run.
     cause : str
         touchdown, liftoff, slip, stick, reverse, zeno, stop, or a chart's transition.
     source, target : Key
@@ -251,13 +239,13 @@ class Jump:
     impulse : mapping
         Region -> (normal, tangential) impulse.
     path : tuple of str
-        How the impact went, piece by piece.
+        Phases of the impact.
     considered : mapping
-        Candidate mode -> why it was taken or not.
+        Candidate mode -> verdict.
     energy : (float, float) or None
-        Before and after, where the automaton has an energy.
+        Before and after, if the automaton has an energy.
     skipped : float
-        Time skipped at a Zeno point: from the last bounce that was resolved to the accumulation.
+        Time from the last resolved bounce of a Zeno sequence to its accumulation point.
     """
 
     t: float
@@ -281,21 +269,20 @@ _UNKNOWN_AMOUNT = "an unknown amount, as an event is met too slowly or errors gr
 
 @dataclass(frozen=True)
 class Motion:
-    """Proved distance of the steps of a run from their differential equations.
+    """Certificate of the motion: local error bound and global error estimate.
 
     Attributes
     ----------
     local : float
-        The most that any step adds to the error of a variable, in parts of its largest size in
-        the run; a bound, proved by enclosures of the defect.
+        Proved bound of the local error of every step, from enclosures of the defect, relative to
+        the largest magnitude of the variable in the run.
     at, of : float, str
-        When that step begins, and the variable; empty where there was no step.
+        Start of the step with the largest bound, and the variable.
     whole : float
-        Estimate of what all steps together amount to: of the final state, in the same parts, and
-        of the times of events, in parts of the end. Infinite where there is none: it is linear in
-        errors, and these have grown beyond that.
+        Estimate of the global error of the final state (relative in the same way) and of the times
+        of events (relative to the end); infinite beyond the validity of linearisation.
     proved : bool
-        Whether `local` is what the tolerance of the run promises.
+        Whether `local` meets the tolerance of the run.
     """
 
     local: float
@@ -327,46 +314,45 @@ class Trace:
     parameters : mapping
         Name -> value, of this run.
     arcs, jumps : sequence
-        In order; an arc's `j` says how many jumps precede it.
+        In order of time.
     initial, final : (n,) array
         First and last state.
     start_mode, final_mode : Key
         First and last mode.
     t_end : float
-        When the run ended.
+        End of the run.
     outcome : Outcome
-        Why it ended.
+        Reason for the end.
     message : str
-        The outcome in words, with the evidence.
+        Outcome with details.
     certified : bool or "guards"
-        True when every guard of every step was decided by enclosure, and of every step it was
-        proved that it follows the rates; "guards" where the latter was checked.
+        True if every guard was decided by enclosure and the defect of every step is bounded with
+        proof; "guards" if the defect was only checked.
     evidence : mapping
-        Margin -> how its first crossing was decided. Under "motion", how it is known that steps
-        follow the rates.
+        Margin -> method that decided its first crossing. "motion": evidence of the steps.
     tolerances : mapping
-        Kind of margin -> absolute tolerance used. Of steps, "impulse" is by how much their impulses
-        miss the laws of contact at most, in parts of a step's fastest approach.
+        Kind of margin -> absolute tolerance. For time steps, "impulse" is the largest residual of
+        the impulses, relative to the fastest approach velocity of a step.
     engine : str
         Engine and method.
     tolerance : float
         Relative tolerance of the integration.
     warnings : tuple of str
-        What a reader must know.
+        Warnings.
     counts : mapping
-        Steps, evaluations, boxes, jumps, modes built, instants that no compiled loop decided.
+        Steps, evaluations, boxes, jumps, modes built, instants outside compiled loops.
     step : float or None
-        The time step, where it is fixed; `tolerance` is then not a number.
+        The fixed time step; `tolerance` is then NaN.
     margins : mapping or None
-        Margin -> least value seen, where the run has noted them.
+        Margin -> least value, if recorded by time stepping.
     undetermined : mapping or None
-        `indeterminate`, where the run has noted it.
+        `indeterminate`, if recorded by time stepping.
     motion : Motion or None
-        What is proved of the steps, where that was asked for.
+        Certificate of the motion, if requested.
     record : Record
-        What was kept: with poses regions are those of controllers, with nothing there are none.
+        Recording: with poses `regions` are the controllers, with nothing there are none.
     outputs : mapping or None
-        Those that the model declares, where they were computed on the way.
+        Declared outputs, if computed during the run.
     """
 
     name: str
@@ -402,10 +388,7 @@ class Trace:
         return np.fromiter(self.parameters.values(), float, len(self.parameters))
 
     def at_hand(self) -> Trace:
-        """Return the run with all arcs and jumps as objects, for repeated access.
-
-        A very long one is returned as it is: made, it takes ten times the memory.
-        """
+        """Return the run with arcs and jumps cached as objects, unless there are too many."""
         passing = isinstance(self.arcs, LazySequence) and not self.arcs.keeps
         if passing or max(len(self.arcs), len(self.jumps)) > _MAX_PREPARED:
             return self
@@ -421,7 +404,7 @@ class Trace:
 
     @property
     def zeros(self) -> frozenset[int]:
-        """Places of the parameters that are exactly zero."""
+        """Indices of the parameters that are exactly zero."""
         return frozenset(np.flatnonzero(self.values == 0.0).tolist())
 
     def changes(self, jump: Jump) -> tuple[dict[str, str], dict[str, str]]:
@@ -433,7 +416,7 @@ class Trace:
 
     @property
     def indeterminate(self) -> dict[Key, tuple[str, ...]]:
-        """Mode -> regions some of whose quantities its motion does not determine."""
+        """Mode -> regions with quantities that the motion does not determine."""
         if self.undetermined is not None:
             return dict(self.undetermined)
         contacts: dict[Key, tuple[str, ...]] = {}
@@ -447,7 +430,7 @@ class Trace:
     @property
     def modes(self) -> tuple[Key, ...]:
         """The modes in the order visited, zero-length ones included, repeats merged."""
-        if not self.regions:  # none were kept
+        if not self.regions:  # not recorded
             return ()
         sequence = [self.start_mode]
         for jump in self.jumps:
@@ -457,12 +440,12 @@ class Trace:
 
 
 def sizes(trace: Trace) -> Array:
-    """Return the largest magnitude (n,) of every variable where steps begin or are half done."""
+    """Return the largest magnitude (n,) of every variable at starts and middles of steps."""
     return np.abs(visited_states(trace)).max(axis=0)
 
 
 def visited_states(trace: Trace) -> Array:
-    """Return the states (m, n) at the ends of a run, after jumps, and as `sizes` looks at them."""
+    """Return the states (m, n) at the ends of a run, after jumps, and at the points of `sizes`."""
     states = [np.array([trace.initial, trace.final])]
     for arc in trace.arcs:
         half = 0.5 ** np.arange(arc.coefficients.shape[2])

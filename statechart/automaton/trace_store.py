@@ -1,8 +1,7 @@
 """Trace store: arcs and jumps of a run in blocks of arrays, in memory or, if many, on disk.
 
-Compiled loops write a buffer that is used again from run to run. A full buffer is copied to a
-block, and so is the rest at the end of the run. Arcs and jumps are made of the blocks when they are
-read.
+Compiled loops write a reused buffer, which is copied to a block when full and at the end of the
+run. Arcs and jumps are created from blocks when read.
 """
 
 from __future__ import annotations
@@ -24,34 +23,32 @@ from statechart.automaton.trace import Arc, Jump, Key, Roles
 from statechart.errors import TooLong
 
 Kind = tuple[Key, Roles]
-"""The mode that a flow shows, and whose equations apply."""
+"""Mode and roles of a flow."""
 
 ARCS, TIMES, TERMS, EVENTS = range(4)
-"""Places in `TraceBuffer.used`."""
+"""Indices of `TraceBuffer.used`."""
 JUMP_OBJECT = -1
-"""Kind of an event that the store holds as a `Jump`."""
+"""Kind of an event stored as a `Jump`."""
 
 # Size of a buffer: arcs and events, times, coefficients.
 _ARCS, _TIMES, _TERMS = 1 << 13, 1 << 14, 1 << 19
 
 IN_MEMORY = 2**26
-"""Bytes of a trace in memory beyond which they are written to disk."""
-# Alignment of an array in a file, in bytes.
-_ALIGNED = 8
+"""Bytes of a trace in memory; more are written to disk."""
+_ALIGNED = 8  # bytes, of an array in a file
 
 B = TypeVar("B", bound=tuple[Any, ...])
 
 
 class Blocks(Generic[B]):
-    """Named tuples of arrays, in the order in which they were added.
+    """Named tuples of arrays, in order of addition.
 
-    All blocks in memory are written to one file together: one open file each would exceed the limit
-    of a process at some hundreds of megabytes.
+    All blocks in memory are written to one file together, for the limit of open files.
     """
 
     def __init__(self) -> None:
         self._blocks: list[B] = []
-        # Blocks on disk; bytes of the others, and of all.
+        # Blocks on disk; bytes in memory, and in total.
         self._written, self._bytes, self._size = 0, 0, 0
 
     def __len__(self) -> int:
@@ -61,7 +58,7 @@ class Blocks(Generic[B]):
         return self._blocks[place]
 
     def add(self, block: B) -> None:
-        """Append a block; raises `TooLong` if neither memory nor the disk is to take it."""
+        """Append a block; raise `TooLong` if neither memory nor disk can store it."""
         self._blocks.append(block)
         size = sum([array.nbytes for array in block if isinstance(array, np.ndarray)])
         self._bytes += size
@@ -99,30 +96,26 @@ def _on_disk(blocks: list[B]) -> list[B]:
 
 
 class TraceBuffer(NamedTuple):
-    """Arcs and events in the order in which they were made."""
+    """Arcs and events in order."""
 
-    # (a, 4): kind, number of jumps before it, steps, terms of its polynomials.
-    arcs: NDArray[np.int32]
-    places: NDArray[np.int64]  # (a, 2): where its times and its coefficients begin.
-    starts: Array  # (a, 2): when it starts, a `Clock`.
-    # (..,): of all arcs, one behind the other (see `Arc`).
-    times: Array
+    arcs: NDArray[np.int32]  # (a, 4): kind, number of jumps before, steps, terms of polynomials
+    places: NDArray[np.int64]  # (a, 2): offsets of times and coefficients
+    starts: Array  # (a, 2): start as `Clock`
+    times: Array  # of all arcs, concatenated
     coefficients: Array
-    # (e, 6): kind left and kind entered, the margin that fell; the others are the laws' own.
-    events: NDArray[np.int32]
-    # (e, 6): when, energy before and after, time skipped; the others are the laws' own.
-    numbers: Array
-    states: Array  # (e, 2, n): before and after.
-    used: NDArray[np.int64]  # (4,): how much of it is written: arcs, times, coefficients, events.
+    events: NDArray[np.int32]  # (e, 6): source and target kind, fallen margin; data of the laws
+    numbers: Array  # (e, 6): time, energy before and after, time skipped; data of the laws
+    states: Array  # (e, 2, n): before and after
+    used: NDArray[np.int64]  # (4,): written arcs, times, coefficients, events
 
 
 class RecordedEvent(NamedTuple):
-    """One event of a block, from which the laws make a jump."""
+    """An event of a block, which the laws convert to a jump."""
 
-    j: int  # Number of jumps before it.
+    j: int  # number of jumps before it
     source: Key
     target: Key
-    fired: int  # Margin of the mode left.
+    fired: int  # index of the margin of the source mode
     path: int
     struck: int
     group: int
@@ -132,18 +125,17 @@ class RecordedEvent(NamedTuple):
     skipped: float
     normal: float
     tangential: float
-    # of shape (n,) each
-    before: Array
-    after: Array
+    before: Array  # (n,)
+    after: Array  # (n,)
 
 
 def trace_buffer(variables: int) -> TraceBuffer:
-    """Return an empty buffer for states of so many variables."""
+    """Return an empty buffer for states of `variables` variables."""
     return _empty((_ARCS, _TIMES, _TERMS, _ARCS), variables)
 
 
 def arc_polynomials(block: TraceBuffer, row: int, variables: int) -> tuple[Array, Array]:
-    """Return the times and the coefficients of an arc of a block (see `Arc`)."""
+    """Return times and coefficients of an arc of a block (see `Arc`)."""
     steps, width = block.arcs[row, 2:].tolist()
     at, begin = block.places[row].tolist()
     terms = block.coefficients[begin : begin + steps * variables * width]
@@ -151,7 +143,7 @@ def arc_polynomials(block: TraceBuffer, row: int, variables: int) -> tuple[Array
 
 
 def arc_of(block: TraceBuffer, row: int, variables: int, kinds: Sequence[Kind]) -> Arc:
-    """Return an arc of a block that is not written any more."""
+    """Return an arc of a sealed block."""
     kind, j = block.arcs[row, :2].tolist()
     mode, roles = kinds[kind]
     start = Clock._make(block.starts[row].tolist())
@@ -198,10 +190,10 @@ def copied(buffer: TraceBuffer) -> TraceBuffer:
 
 
 class TraceStore:
-    """Arcs and jumps of a run in blocks, made when they are read.
+    """Arcs and jumps of a run in blocks, created when read.
 
-    `made` has jumps stored as objects, by the number of jumps before each; `last`, if set, makes
-    the jump that follows all events.
+    `made` has jumps stored as objects, by the number of jumps before each; `last`, if set, creates
+    the jump after all events.
     """
 
     def __init__(
@@ -241,7 +233,7 @@ class TraceStore:
         return LazySequence(self._arc, self._arc_count), jumps
 
     def times(self) -> list[float]:
-        """Return the times of the jumps so far."""
+        """Return the times of the recorded jumps."""
         blocks = [*(self._blocks[k] for k in range(len(self._blocks))), self.buffer]
         chunks = [block.numbers[: block.used[EVENTS], 0] for block in blocks]
         times: list[float] = np.concatenate(chunks).tolist()
@@ -265,7 +257,7 @@ class TraceStore:
     def _arc(self, place: int) -> Arc:
         block, row = self._locate(self._arcs, place)
         arc = arc_of(block, row, self.variables, self._kinds)
-        if block is self.buffer:  # a later arc overwrites it
+        if block is self.buffer:  # overwritten by later arcs
             arc = replace(arc, times=arc.times.copy(), coefficients=arc.coefficients.copy())
         return arc
 
@@ -285,15 +277,15 @@ class TraceStore:
 
 
 def jump_times(jumps: Sequence[Jump]) -> list[float]:
-    """Return the times of jumps; those in a store are not made for that."""
+    """Return the times of jumps, without creating stored ones."""
     store = jumps.source if isinstance(jumps, LazySequence) else None
     return store.times() if isinstance(store, TraceStore) else [jump.t for jump in jumps]
 
 
 class TraceRecorder(TraceStore):
-    """Records a run in a buffer; moves that to a block if it is full, and at the end.
+    """Records a run in a buffer, copied to a block when full and at the end.
 
-    `begun`: the buffer holds the beginning of the run already.
+    `begun`: the buffer already contains the beginning of the run.
     """
 
     def __init__(
@@ -312,21 +304,21 @@ class TraceRecorder(TraceStore):
         self.arcs, self.jumps = self.sequences()
 
     def close(self) -> tuple[LazySequence[Arc], LazySequence[Jump]]:
-        """Release the buffer; return the arcs and the jumps of the run, which has ended."""
+        """Release the buffer; return arcs and jumps of the complete run."""
         self.seal()
         self.buffer = _no_buffer(self.variables)
         sequences = self.arcs, self.jumps
-        # No reference back: the last reader's reference frees the trace at once.
+        # Without reference cycles, the trace is freed with its last reference.
         del self.arcs, self.jumps
         return sequences
 
     def kind(self, mode: Key, roles: Roles) -> int:
-        """Return the number of a kind, a new one if it is new."""
+        """Return the index of a kind, after adding it if new."""
         kind = mode, roles
         place = self._places.get(kind)
         if place is None:
             count = len(self._places)
-            # Others may have added kinds.
+            # Compiled loops may have added kinds.
             self._places |= {kind: count + i for i, kind in enumerate(self._kinds[count:])}
             place = self._places.setdefault(kind, len(self._kinds))
             if place == len(self._kinds):
@@ -334,13 +326,13 @@ class TraceRecorder(TraceStore):
         return place
 
     def add_arc(self, mode: Key, roles: Roles, start: Clock, times: Array, terms: Array) -> None:
-        """Add an arc; `times` and `terms` are those of an `Arc`."""
+        """Add an arc with times and coefficients as in `Arc`."""
         steps, width = len(times) - 1, _width(terms)
         size = steps * self.variables * width
         if self._reserve(1, len(times), size, 0):
             block = self.buffer
         else:
-            # Longer than the buffer: a block of its own.
+            # Longer than the buffer: a separate block.
             self.seal()
             block = _empty((1, len(times), size, 0), self.variables)
         arc, at, place, _ = block.used.tolist()
@@ -373,7 +365,7 @@ class TraceRecorder(TraceStore):
             self.buffer.used[:] = 0
 
     def _reserve(self, arcs: int, times: int, terms: int, events: int) -> bool:
-        """Make room in the buffer; False if its capacity is too small."""
+        """Reserve space in the buffer; return False if its capacity is too small."""
         buffer, required = self.buffer, (arcs, times, terms, events)
         arrays = buffer.arcs, buffer.times, buffer.coefficients, buffer.events
         capacity, used = [len(array) for array in arrays], buffer.used.tolist()
@@ -384,7 +376,7 @@ class TraceRecorder(TraceStore):
 
 
 def _width(terms: Array) -> int:
-    """Return how many terms of polynomials are not zero in all; one at least."""
+    """Return the number of leading terms of polynomials that are not all zero, at least one."""
     width = terms.shape[2]
     while width > 1 and not terms[:, :, width - 1].any():
         width -= 1

@@ -1,4 +1,4 @@
-"""A plain chart as declared: variables, and regions of states with flows and transitions."""
+"""Declaration of a chart: variables, and regions of states with flows and transitions."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from statechart.formulas.formula import parse
 
 
 class State(BaseState):
-    """One state of a region: how variables change in it, and what holds in it."""
+    """A state of a region, with its flows and invariants."""
 
     OTHER_WORDS: ClassVar = {
         **BaseState.OTHER_WORDS,
@@ -78,8 +78,8 @@ State.model_rebuild()
 class Chart(Declaration):
     """A hybrid statechart without mechanics.
 
-    Every region has exactly one active state; a variable changes by the flow that an active state
-    gives it and is constant where none does. Formulas may use variables, parameters and `time`;
+    Every region has exactly one active state. A variable follows the flow of the active state that
+    declares one, and is constant otherwise. Formulas may use variables, parameters and `time`,
     initial values only parameters.
     """
 
@@ -119,27 +119,27 @@ class Chart(Declaration):
 
     @cached_property
     def flat(self) -> Mapping[str, FlatRegion]:
-        """The regions as the executor knows them."""
+        """The flattened regions."""
         return {name: flatten(name, r, "regions", name) for name, r in self.regions.items()}
 
     @cached_property
     def switching(self) -> bool:
-        """True if flows have abs, sign, min, max or sat of a variable."""
+        """True if flows are nonsmooth: abs, sign, min, max or sat of a variable."""
         changing = {TIME, *self.variables}
         return any(switching(flow, changing) for _, flow, _ in self._flows())
 
     @property
     def timers(self) -> frozenset[str]:
-        """Variables that nobody declared: what transitions wait by."""
+        """Clocks and counters of timed transitions; they are variables that nobody declared."""
         return frozenset(timer for region in self.flat.values() for timer in region.timers)
 
     def stated(self, name: str) -> Quantity:
-        """Return what a name of the chart measures: a variable that transitions wait by, too."""
+        """Return the quantity of a name, including clocks and counters."""
         dimension = timed(self.flat.values(), name)
         return Quantity(name, dimension) if dimension else super().stated(name)
 
     def check_values(self, values: Mapping[str, float]) -> None:
-        """Check the initial values and the times that transitions wait for, too."""
+        """Check parameters, initial values and periods of transitions."""
         super().check_values(values)
         check_wrapping(self, values)
         check_periods(self.regions, values, self.parameters)
@@ -183,15 +183,15 @@ class Chart(Declaration):
                     check_relation(transition.guard, names, states, changing, *at, "guard")
         causes = causes_of(whole.flat)
         for name, declared in self.regions.items():
-            found = list(declared_transitions(declared, "regions", name))
-            check_listening(name, found, causes, states, alone=("zeno",))
+            own = list(declared_transitions(declared, "regions", name))
+            check_listening(name, own, causes, states, alone=("zeno",))
         further = self.timers | whole.variables.keys()
         self.check_uses(names | further, states, causes, changing)
         return self
 
     @model_validator(mode="after")
     def _regions_do_not_contradict(self) -> Self:
-        # Any state of one region can be active together with any state of another.
+        # States of different regions can be active together.
         owners: dict[str, Loc] = {}
         for name, _, loc in self._flows():
             owner = owners.setdefault(name, loc)

@@ -1,10 +1,9 @@
-"""Flattening: nested states as one flat region, whose states are the reachable configurations.
+"""Flattening of a hierarchical region into its reachable configurations.
 
-The executor knows flat regions: one state at a time, and the transitions out of each. A
-configuration is what is active at once, with what histories remember of states that are not; only
-those are made that transitions lead to. A configuration of one innermost state has its name;
-several side by side are joined by ``|``, and what is remembered follows in brackets where it
-differs from what would be entered anyway: ``rest[memory=left]``.
+The executor runs flat regions: one active state, and the transitions out of it. A configuration is
+a set of active states with the contents of the histories of inactive ones. Its name joins its
+atomic states by ``|``; contents of a history that differ from its default entry follow in brackets:
+``rest[memory=left]``.
 """
 
 from __future__ import annotations
@@ -27,21 +26,20 @@ from statechart.errors import DeclarationProblem
 from statechart.formulas.relation import conjunction
 
 MAX_CONFIGURATIONS = 4096
-"""Regions side by side multiply: what has more could not be looked at, nor kept."""
+"""Limit of configurations: orthogonal regions multiply."""
 
 
 def flatten(name: str, region: BaseRegion, *loc: str | int) -> FlatRegion:
     """Flatten a declared region.
 
-    Raises `DeclarationProblem` if its states or transitions make no sense (see `tree`), or if there
-    are more than `MAX_CONFIGURATIONS`.
+    Raises `DeclarationProblem` if its states or transitions are inconsistent (see `tree`), or if
+    there are more than `MAX_CONFIGURATIONS`.
     """
-    found = tree(region, *loc)
-    return _Flattening(name, found, loc).region()
+    return _Flattening(name, tree(region, *loc), loc).region()
 
 
 class _Flattening:
-    """The configurations and transitions found so far."""
+    """Breadth-first enumeration of the configurations of a region and their transitions."""
 
     def __init__(self, name: str, found: Tree, loc: tuple[str | int, ...]) -> None:
         self._name, self._tree, self._loc = name, found, loc
@@ -56,12 +54,12 @@ class _Flattening:
             for place in self._clocks
             if found.arrows[place].declared.every is not None or found.arrows[place].target < 0
         }
-        # Asked in this order: those of inner states first, then as declared.
+        # Priority of arrows: inner states first, then in document order.
         rank = {node: place for place, node in enumerate(found.inner_first)}
         self._ranks = sorted(
             range(len(found.arrows)), key=lambda place: (rank[found.arrows[place].source], place)
         )
-        # While its parent is active, only transitions inside it can read a history.
+        # While its parent is active, only transitions inside the parent can read a history.
         self._remembered = {
             arrow.target
             for arrow in found.arrows
@@ -71,7 +69,7 @@ class _Flattening:
         }
 
     def region(self) -> FlatRegion:
-        """Follow all transitions from the beginning."""
+        """Follow all transitions from the initial configuration."""
         found = self._tree
         begin = beginning(found)
         initial = self._name_of(begin.active, {})
@@ -83,18 +81,18 @@ class _Flattening:
         while todo := [name for name in self._named if name not in done]:
             for name in todo:
                 done.add(name)
-                for taken in self._takeable(*self._named[name]):
+                for taken in self._arrow_sets(*self._named[name]):
                     transitions[name, taken] = self.take(name, taken)
         keys = list(transitions)
         if found.flat:
-            # As they were declared: nothing is inside anything.
+            # Without hierarchy the order of declaration alone decides.
             keys.sort(key=lambda key: key[1])
         ordered = tuple(transitions[key] for key in keys)
         nodes = found.nodes
         return FlatRegion(
             self._name,
             initial,
-            tuple(filter(None, (self._entered(node, {}) for node in begin.entries))),
+            tuple(filter(None, (self._entry_updates(node, {}) for node in begin.entries))),
             {name: self._contents(active) for name, (active, _) in self._named.items()},
             ordered,
             tuple(self._clocks.values()),
@@ -120,7 +118,7 @@ class _Flattening:
         )
 
     def take(self, name: str, taken: tuple[int, ...]) -> FlatTransition:
-        """Return the transition that takes some arrows together out of a configuration."""
+        """Return the flat transition that takes arrows together out of a configuration."""
         step = microstep(self._tree, *self._named[name], taken)
         return self._transition(name, self._name_of(step.active, step.histories), step)
 
@@ -128,12 +126,12 @@ class _Flattening:
         holders = (self._tree.nodes[node].declared for node in sorted(active))
         return tuple(holder for holder in holders if isinstance(holder, BaseState))
 
-    def _takeable(self, active: Nodes, memory: Histories) -> Iterable[tuple[int, ...]]:
-        """Yield which arrows may be taken together, alone first."""
+    def _arrow_sets(self, active: Nodes, memory: Histories) -> Iterable[tuple[int, ...]]:
+        """Yield the sets of arrows that may be taken together, single arrows first."""
         arrows = self._tree.arrows
         out = [i for i in self._ranks if arrows[i].source in active]
         yield from ((i,) for i in out)
-        # The first enabled arrow of each innermost state decides the set that is taken.
+        # The first enabled arrow of each atomic state decides the set.
         choices = [
             [(), *((i,) for i in out if arrows[i].declared.events and arrows[i].source in holders)]
             for leaf in leaves(self._tree, active)
@@ -142,7 +140,7 @@ class _Flattening:
         if prod(map(len, choices)) > MAX_CONFIGURATIONS:
             raise self._too_many("sets of transitions that one event may fire together")
         together = (
-            selected(self._tree, active, memory, set(chain.from_iterable(one)))
+            select_transitions(self._tree, active, memory, set(chain.from_iterable(one)))
             for one in product(*choices)
         )
         yield from dict.fromkeys(taken for taken in together if len(taken) > 1)
@@ -159,7 +157,7 @@ class _Flattening:
             if count is not None:
                 updates[count] = f"{count} + 1"
             blocks.append(updates)
-        blocks += [self._entered(node, step.histories) for node in step.entries]
+        blocks += [self._entry_updates(node, step.histories) for node in step.entries]
         return FlatTransition(
             "+".join(member.name for member in members),
             source,
@@ -178,15 +176,15 @@ class _Flattening:
         if clock is None:
             return declared.guard
         if declared.every is not None:
-            # Multiples of the period: a sum of periods would gather their roundings.
+            # A multiple of the period, since a sum of periods accumulates round-off.
             return f"{TIME} >= {clock} + ({count} + 1)*({declared.period})"
         over = f"{TIME} >= {clock} + ({declared.period})"
         if count is not None:
-            # The time has come once, and stays so as long as the source is not left.
+            # It fires once per entry of the source: the count is zero before and one after.
             over = f"(1 - {count})*({TIME} - {clock} - ({declared.period})) >= {count}"
         return conjunction((over,) if declared.guard is None else (over, declared.guard))
 
-    def _entered(self, node: int, memory: Histories) -> Updates:
+    def _entry_updates(self, node: int, memory: Histories) -> Updates:
         declared = self._tree.nodes[node].declared
         began: dict[str, FiniteText] = {}
         for place, clock in self._clocks.items():
@@ -197,9 +195,9 @@ class _Flattening:
         return {**(declared.entry if isinstance(declared, BaseState) else {}), **began}
 
     def _name_of(self, active: Nodes, memory: Histories) -> str:
-        """Return the name of a configuration, which is added where it is new."""
+        """Register a configuration under its name, and return that."""
         found = self._tree
-        kept = {
+        shown = {
             history: remembered
             for history, remembered in sorted(memory.items())
             if (found.nodes[history].parent not in active or history in self._remembered)
@@ -207,16 +205,16 @@ class _Flattening:
         }
         words = [
             f"{found.nodes[history].name}={self._joined(remembered)}"
-            for history, remembered in kept.items()
+            for history, remembered in shown.items()
         ]
         name = self._joined(leaves(found, active)) + (f"[{', '.join(words)}]" if words else "")
-        self._named.setdefault(name, (active, kept))
+        self._named.setdefault(name, (active, shown))
         if len(self._named) > MAX_CONFIGURATIONS:
             raise self._too_many("configurations")
         return name
 
     def _default(self, history: int) -> Nodes:
-        """Return the states that a history stands for before its parent was left."""
+        """Return the contents of a history before its parent was ever exited."""
         nodes, first = self._tree.nodes, self._tree.remembered_first(history)
         deep = nodes[history].sort is Sort.DEEP
         return first if all(nodes[n].sort is Sort.ATOMIC or not deep for n in first) else Nodes()
@@ -231,13 +229,13 @@ class _Flattening:
         unreached = frozenset(names) - self._entered_names(initial, transitions)
         entries = {name: state.entry for name, state in states.items() if state.entry}
         exits = {name: state.exit for name, state in states.items() if state.exit}
-        # States of charts and of controllers have flows, other states none.
+        # Only states of charts and of controllers have flows.
         flows = {name: found for name, s in states.items() if (found := getattr(s, "flows", {}))}
         flat = Nesting(
             names,
             entries=entries,
             exits=exits,
-            edges=tuple(self._drawn()),
+            edges=tuple(self._hierarchical_edges()),
             unreached=unreached,
             flows=flows,
             final=frozenset(n.name for n in nodes if n.final),
@@ -269,7 +267,7 @@ class _Flattening:
         )
 
     def _entered_names(self, initial: str, transitions: Sequence[FlatTransition]) -> set[str]:
-        """Return the names of the states that some chain of transitions enters."""
+        """Return the names of the states reachable by transitions."""
         targets: dict[str, list[str]] = {}
         for transition in transitions:
             targets.setdefault(transition.source, []).append(transition.target)
@@ -279,7 +277,7 @@ class _Flattening:
         nodes = self._tree.nodes
         return {nodes[node].name for name in found for node in self._named[name][0]}
 
-    def _drawn(self) -> Iterable[HierarchicalEdge]:
+    def _hierarchical_edges(self) -> Iterable[HierarchicalEdge]:
         for arrow in self._tree.arrows:
             declared = arrow.declared
             target = declared.target or declared.source
@@ -313,15 +311,15 @@ Updates = Mapping[str, FiniteText]
 
 @dataclass(frozen=True, eq=False)
 class FlatTransition:
-    """Transitions that are taken together, from one configuration to another."""
+    """Transitions taken together, from one configuration to another."""
 
-    name: str  # those of the transitions, joined by ``+``
+    name: str  # names of the members, joined by ``+``
     source: str  # configurations
     target: str
-    members: tuple[Transition, ...]  # as declared, in the order of their updates
-    guard: str | None  # what fires it, also where that is a time
-    # Updates in their order: of states left, of transitions, of states entered. Those of one block
-    # see the values that the blocks before it left.
+    members: tuple[Transition, ...]  # in the order of their updates
+    guard: str | None  # relation that fires it, for timed transitions too
+    # Updates in order: exits, transitions, entries. A block reads the values after the block
+    # before it.
     blocks: tuple[Updates, ...]
 
     @property
@@ -331,28 +329,27 @@ class FlatTransition:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """Those of other regions that fire it."""
+        """The events of other regions that fire it."""
         return tuple(dict.fromkeys(event for member in self.members for event in member.events))
 
     @property
     def trigger(self) -> str:
-        """Its trigger, in words."""
+        """The trigger as text."""
         return " and ".join(dict.fromkeys(member.trigger for member in self.members))
 
     def reset(self, apart: Collection[str] = ()) -> str:
-        """Return what it sets, in words, apart from some variables."""
+        """Return the updates as text, without the variables `apart`."""
         updates = (update for block in self.blocks for update in block.items())
         return ", ".join(f"{name} := {to}" for name, to in updates if name not in apart)
 
 
 class Trigger(NamedTuple):
-    """An arrow out of a configuration, and what fires it."""
+    """An arrow out of a configuration with its events or guard."""
 
     place: int  # among the arrows of the region
     declared: Transition
     events: tuple[Event, ...]
-    # The relation that fires it; None where events do, at which its own guard must hold.
-    guard: str | None
+    guard: str | None  # relation that fires it; None where events do
 
 
 class Shared(NamedTuple):
@@ -365,65 +362,60 @@ class Shared(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FlatRegion:
-    """A region as the executor knows it."""
+    """A flattened region: configurations and the transitions between them."""
 
     name: str
-    initial: str  # the configuration that it starts in
-    begins: tuple[Updates, ...]  # updates of the states entered there
-    # Configuration -> what is declared of the states active in it, outer ones first.
-    states: Mapping[str, tuple[BaseState, ...]]
-    # From each configuration in the order in which they are asked: inner ones first, then as
-    # declared; those taken together after those alone.
+    initial: str  # initial configuration
+    begins: tuple[Updates, ...]  # entry updates of the initial configuration
+    states: Mapping[str, tuple[BaseState, ...]]  # configuration -> active states, outer first
+    # By priority: inner states first, then in document order; combined transitions last.
     transitions: tuple[FlatTransition, ...]
-    # Variables of transitions that wait for times: when their sources were entered, and how many
-    # periods have passed since of those that repeat.
-    clocks: tuple[str, ...]
-    counts: tuple[str, ...]
+    clocks: tuple[str, ...]  # entry times of the sources of timed transitions
+    counts: tuple[str, ...]  # periods passed since
     superstates: Mapping[str, str]  # as of a `statechart.automaton.regions.Region`
-    nesting: Nesting  # what else was declared of the hierarchy
+    nesting: Nesting
     _tree: Tree
     _configurations: Mapping[str, tuple[Nodes, Histories]]
-    # Configuration -> arrows out of it, those of inner states first.
-    triggers: Mapping[str, tuple[Trigger, ...]]
+    triggers: Mapping[str, tuple[Trigger, ...]]  # configuration -> arrows out of it, inner first
     _flattening: _Flattening
-    _taken: dict[tuple[str, tuple[int, ...]], FlatTransition]  # guards are combined when needed
+    _taken: dict[tuple[str, tuple[int, ...]], FlatTransition]
 
     @property
     def timers(self) -> tuple[str, ...]:
-        """The variables that transitions wait for times by: clocks, then counts."""
+        """The clocks, then the counts."""
         return (*self.clocks, *self.counts)
 
     @property
     def ordered(self) -> tuple[str, ...]:
-        """The configurations; the first is where the region starts."""
+        """The configurations, the initial one first."""
         return tuple(self.states)
 
     @property
     def edges(self) -> tuple[Edge, ...]:
-        """The transitions as text for people, in their order."""
+        """The transitions as labelled edges."""
         return tuple(
             Edge(t.name, t.source, t.target, t.trigger, t.reset(self.timers), on_zeno=t.on_zeno)
             for t in self.transitions
         )
 
     def flows(self, state: str) -> dict[str, FiniteText]:
-        """Return the flows of a configuration: those of inner states replace those of outer."""
+        """Return the flows of a configuration; inner states override outer ones."""
         return {
             name: flow for content in self.states[state] for name, flow in content.flows.items()
         }
 
     def active(self, state: str) -> tuple[str, ...]:
-        """Return what is active with a configuration: its states, and those that hold them."""
+        """Return the states of a configuration and their ancestors."""
         return self.nesting.active(state, self.superstates)
 
     @cached_property
     def named(self) -> tuple[str, ...]:
-        """States and superstates, as declared: what outputs and events may ask for."""
+        """The names of all states and superstates, which outputs and events may use."""
         return tuple(n.name for n in self._tree.nodes[1:] if n.sort not in HISTORIES)
 
     @cached_property
     def causes(self) -> tuple[str, ...]:
-        """The names of the transitions, as declared."""
+        """The names of the declared transitions."""
         return tuple(dict.fromkeys(arrow.declared.name for arrow in self._tree.arrows))
 
     @cached_property
@@ -434,11 +426,11 @@ class FlatRegion:
 
     @cached_property
     def done(self) -> tuple[str, ...]:
-        """The states that can be done, and the region itself if it can."""
+        """The states that can raise `done`, and the region itself if it can."""
         return tuple(dict.fromkeys(chain.from_iterable(self.nesting.done.values())))
 
     def shared(self, part: str) -> Shared | None:
-        """Return the first variable that two orthogonal states both set in a part."""
+        """Return the first variable that two orthogonal states both set in `part`."""
         owners: dict[str, list[int]] = {}
         for index, node in enumerate(self._tree.nodes):
             if not isinstance(node.declared, BaseState):
@@ -451,22 +443,22 @@ class FlatRegion:
         return None
 
     def answer(self, state: str, enabled: Collection[int]) -> FlatTransition:
-        """Return the transition that is taken where some arrows are enabled at once."""
-        asked = state, frozenset(enabled)
-        if asked not in self._answers:
-            key = state, selected(self._tree, *self._configurations[state], enabled)
+        """Return the transition that enabled arrows take together (`select_transitions`)."""
+        request = state, frozenset(enabled)
+        if request not in self._selected:
+            key = state, select_transitions(self._tree, *self._configurations[state], enabled)
             if key not in self._taken:
                 self._taken[key] = self._flattening.take(*key)
-            self._answers[asked] = self._taken[key]
-        return self._answers[asked]
+            self._selected[request] = self._taken[key]
+        return self._selected[request]
 
     @cached_property
-    def _answers(self) -> dict[tuple[str, Nodes], FlatTransition]:
+    def _selected(self) -> dict[tuple[str, Nodes], FlatTransition]:
         return {}
 
 
 def causes_of(regions: Mapping[str, FlatRegion]) -> dict[str, tuple[str, ...]]:
-    """Return the events of regions by their owners: transitions of regions, and states done."""
+    """Return the events that regions raise, by owner: names of transitions, and `done`."""
     found = {name: region.causes for name, region in regions.items()}
     for owner in chain.from_iterable(region.done for region in regions.values()):
         found[owner] = (*found.get(owner, ()), DONE)
@@ -474,7 +466,7 @@ def causes_of(regions: Mapping[str, FlatRegion]) -> dict[str, tuple[str, ...]]:
 
 
 def timed(regions: Iterable[FlatRegion], name: str) -> Dimension:
-    """Return the dimension of a timer; empty for another variable."""
+    """Return the dimension of a clock or counter; empty for another variable."""
     for region in regions:
         if name in region.timers:
             return "time" if name in region.clocks else "1"
@@ -483,26 +475,25 @@ def timed(regions: Iterable[FlatRegion], name: str) -> Dimension:
 
 Nodes = frozenset[int]
 Histories = Mapping[int, Nodes]
-"""History -> the active descendants of its parent when that was last left."""
+"""History -> the active descendants of its parent when that was last exited."""
 
 
 class Microstep(NamedTuple):
-    """The exits and entries of transitions that are taken together."""
+    """Exits and entries of transitions taken together."""
 
     taken: tuple[int, ...]  # places of the arrows, in the order of their updates
-    exits: tuple[int, ...]  # nodes, in the order in which they are left and entered
-    entries: tuple[int, ...]
-    active: Nodes  # what is active then
-    histories: Histories  # what is remembered then
+    exits: tuple[int, ...]  # nodes in order of exit
+    entries: tuple[int, ...]  # nodes in order of entry
+    active: Nodes  # configuration afterwards
+    histories: Histories  # contents of the histories afterwards
 
 
 def beginning(tree: Tree) -> Microstep:
-    """Return the entering of a region."""
-    found: set[int] = set()
-    _descend(tree, tree.nodes[ROOT].initial, found, {})
-    _ascend(tree, tree.nodes[ROOT].initial, ROOT, found, {})
-    entries = tuple(sorted(found))
-    return Microstep((), (), entries, frozenset(found), {})
+    """Return the entry into the initial configuration."""
+    entered: set[int] = set()
+    _add_descendants(tree, tree.nodes[ROOT].initial, entered, {})
+    _add_ancestors(tree, tree.nodes[ROOT].initial, ROOT, entered, {})
+    return Microstep((), (), tuple(sorted(entered)), frozenset(entered), {})
 
 
 def leaves(tree: Tree, active: Collection[int]) -> list[int]:
@@ -510,13 +501,14 @@ def leaves(tree: Tree, active: Collection[int]) -> list[int]:
     return [node for node in sorted(active) if tree.nodes[node].sort is Sort.ATOMIC]
 
 
-def selected(
+def select_transitions(
     tree: Tree, active: Nodes, memory: Histories, enabled: Collection[int]
 ) -> tuple[int, ...]:
-    """Return which of the enabled arrows are taken together, in order.
+    """Return the optimal transition set (SCXML, `removeConflictingTransitions`).
 
-    Every innermost state takes the first of its own, or else of what holds it; of two that would
-    leave the same states the inner one is taken, or else that of the state that comes first.
+    Every atomic state takes the first arrow of its own, or else of its innermost ancestor with one.
+    Of two arrows with intersecting exit sets the inner one is taken, or else that of the state
+    first in document order.
     """
     chosen: dict[int, None] = {}
     by_source: dict[int, list[int]] = {}
@@ -527,47 +519,49 @@ def selected(
         first = next((by_source[node][0] for node in holders if node in by_source), None)
         if first is not None:
             chosen[first] = None
-    kept: list[int] = []
+    filtered: list[int] = []
     for one in chosen:
-        mine = _exit_set(tree, active, memory, one)
-        rivals = [other for other in kept if mine & _exit_set(tree, active, memory, other)]
+        exits = _exit_set(tree, active, memory, one)
+        rivals = [other for other in filtered if exits & _exit_set(tree, active, memory, other)]
         source = tree.arrows[one].source
         if all(tree.holds(tree.arrows[other].source, source) for other in rivals):
-            kept = [other for other in kept if other not in rivals] + [one]
-    return tuple(kept)
+            filtered = [other for other in filtered if other not in rivals] + [one]
+    return tuple(filtered)
 
 
 def microstep(tree: Tree, active: Nodes, memory: Histories, taken: Iterable[int]) -> Microstep:
-    """Return what taking some arrows together does: the algorithm of SCXML, appendix D.
+    """Return the microstep of arrows taken together (SCXML, appendix D).
 
-    An arrow leaves its source and all up to the innermost compound state that holds source and
-    target, inner states first, and enters the states on the way to its target, outer states first.
-    An internal one leaves what is in its source.
+    An arrow exits its source and ancestors below the innermost compound state that contains source
+    and target, inner states first, and enters the states on the way to its target, outer states
+    first. An internal arrow exits the states inside its source.
     """
     taken = tuple(taken)
-    left = frozenset[int]().union(*(_exit_set(tree, active, memory, place) for place in taken))
-    kept = dict(memory)
-    for node in left:
+    exited = frozenset[int]().union(*(_exit_set(tree, active, memory, place) for place in taken))
+    histories = dict(memory)
+    for node in exited:
         for history in tree.nodes[node].histories:
-            if tree.nodes[history].sort is Sort.DEEP:
-                kept[history] = frozenset(n for n in leaves(tree, active) if tree.holds(node, n))
-            else:
-                kept[history] = frozenset(n for n in active if tree.nodes[n].parent == node)
+            deep = tree.nodes[history].sort is Sort.DEEP
+            histories[history] = frozenset(
+                n
+                for n in (leaves(tree, active) if deep else active)
+                if (tree.holds(node, n) if deep else tree.nodes[n].parent == node)
+            )
     entered: set[int] = set()
     for place in taken:
         arrow = tree.arrows[place]
         if arrow.target >= 0:
-            # Histories are looked up before the exits (domain) and after them (entries).
+            # Histories are read before the exits (domain) and after them (entries).
             domain = _domain(tree, memory, place)
-            _descend(tree, arrow.target, entered, kept)
-            for target in _effective_targets(tree, kept, arrow.target):
-                _ascend(tree, target, domain, entered, kept)
+            _add_descendants(tree, arrow.target, entered, histories)
+            for target in _effective_targets(tree, histories, arrow.target):
+                _add_ancestors(tree, target, domain, entered, histories)
     return Microstep(
         taken,
-        tuple(sorted(left, reverse=True)),
+        tuple(sorted(exited, reverse=True)),
         tuple(sorted(entered)),
-        (active - left) | entered,
-        kept,
+        (active - exited) | entered,
+        histories,
     )
 
 
@@ -579,7 +573,7 @@ def _exit_set(tree: Tree, active: Nodes, memory: Histories, place: int) -> Nodes
 
 
 def _domain(tree: Tree, memory: Histories, place: int) -> int:
-    """Return the innermost compound state that holds source and targets of an arrow."""
+    """Return the transition domain: the innermost compound state with source and targets."""
     arrow = tree.arrows[place]
     if arrow.declared.internal:
         return arrow.source
@@ -592,33 +586,33 @@ def _domain(tree: Tree, memory: Histories, place: int) -> int:
 
 
 def _effective_targets(tree: Tree, memory: Histories, target: int) -> Nodes:
-    """Return what a target stands for: of a history, what is remembered."""
+    """Return a target, or the contents of a history."""
     node = tree.nodes[target]
     if node.sort not in HISTORIES:
         return frozenset((target,))
     return memory.get(target, tree.remembered_first(target))
 
 
-def _descend(tree: Tree, state: int, found: set[int], memory: Histories) -> None:
-    """Add a state and what is entered in it; of a history, what it stands for."""
+def _add_descendants(tree: Tree, state: int, found: set[int], memory: Histories) -> None:
+    """Add a state and the descendants that it enters (SCXML, `addDescendantStatesToEnter`)."""
     node = tree.nodes[state]
     if node.sort in HISTORIES:
         remembered = sorted(_effective_targets(tree, memory, state))
         for each in remembered:
-            _descend(tree, each, found, memory)
+            _add_descendants(tree, each, found, memory)
         for each in remembered:
-            _ascend(tree, each, node.parent, found, memory)
+            _add_ancestors(tree, each, node.parent, found, memory)
         return
     found.add(state)
     if node.sort is Sort.COMPOUND:
-        _descend(tree, node.initial, found, memory)
-        _ascend(tree, node.initial, state, found, memory)
+        _add_descendants(tree, node.initial, found, memory)
+        _add_ancestors(tree, node.initial, state, found, memory)
     elif node.sort is Sort.PARALLEL:
         _enter_regions(tree, state, found, memory)
 
 
-def _ascend(tree: Tree, state: int, outer: int, found: set[int], memory: Histories) -> None:
-    """Add what holds a state, up to `outer`, with the regions beside it."""
+def _add_ancestors(tree: Tree, state: int, outer: int, found: set[int], memory: Histories) -> None:
+    """Add the ancestors of a state below `outer` with their regions."""
     for node in tree.above[state]:
         if node == outer:
             return
@@ -630,4 +624,4 @@ def _ascend(tree: Tree, state: int, outer: int, found: set[int], memory: Histori
 def _enter_regions(tree: Tree, parallel: int, found: set[int], memory: Histories) -> None:
     for child in tree.nodes[parallel].children:
         if not any(tree.holds(child, node) for node in found):
-            _descend(tree, child, found, memory)
+            _add_descendants(tree, child, found, memory)

@@ -1,21 +1,20 @@
 """Firing of transitions: guards on their boundary, events of other regions.
 
-A transition fires at the instant its guard becomes true, and at once where its state is entered
-with the guard true. On the boundary of an atom of the guard, within the rounding of the state, the
-way the margin goes in the entered state decides, by its first derivative in time that is not zero:
-a ball at x = 0 that rises does not bounce again on ``x <= 0``, one that is about to fall does.
-Where the margin stays at zero the relation itself decides, so that ``n >= 3`` fires at n = 3 and
-``n > 3`` does not. A guard of several atoms that a flow came to fires also where it is true at that
-very instant and no longer, as ``abs(x) <= 0``.
+A transition fires when its guard becomes true, or at once if its state is entered with the guard
+true. On the boundary of an atom, within round-off of the state, the first nonzero time derivative
+of the margin in the entered state decides: a ball at x = 0 that rises does not bounce again on
+``x <= 0``, one that is about to fall does. If all derivatives vanish, the relation decides:
+``n >= 3`` fires at n = 3, ``n > 3`` does not. A guard of several atoms that the flow reaches fires
+even if it is true at that instant only, as ``abs(x) <= 0``.
 
-A transition on an event fires at the instant of the event, where its guard holds at that instant.
-A region hears the events of an instant one by one in their order, before its guards are judged; one
-that its state does not wait for has passed. Several states entered in one jump are several events.
+A transition on an event fires at the instant of the event if its guard is true then. A region
+processes the events of an instant in their order, before its guards; an event that its state does
+not wait for is discarded. Several states entered in one jump raise several events.
 
-Transitions due at one instant are taken one after another, each judged by the state that those
-before it left: regions in their order, in a region those of inner states first, then the first one
-declared. What one event fires in the regions inside a state is taken together, and so is what
-guards fire there at one instant (SCXML's microstep).
+Transitions due at one instant are taken one after another, each evaluated at the state after the
+one before: regions in order, in a region inner states first, then in document order. Transitions
+that one event, or guards at one instant, fire in orthogonal regions of a state are one microstep
+(SCXML).
 """
 
 from __future__ import annotations
@@ -44,9 +43,8 @@ from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 from statechart.kernels.tapes import tape_values
 
-# A margin below this part of its terms is zero, however exactly a run is computed.
+# A margin is zero below this fraction of its terms, whatever the tolerance of the run.
 _ZERO_MARGIN = 2.0**-40
-# A few roundings, of an instant and of what it is compared with.
 _TIME_ROUND_OFF = 8.0 * EPS
 _NO_VALUES: Mapping[sp.Symbol, sp.Expr] = MappingProxyType({})
 
@@ -55,12 +53,12 @@ class GuardWatch:
     """The guards of a mode, evaluated together at an instant.
 
     `rates` are expressions of inputs, parameters and time; inputs without one are constant.
-    `timers` are inputs that are instants of time, and as exact, or whole numbers. `given` are
-    values of symbols in `known` in the mode.
+    `timers` are inputs as exact as time: instants or whole numbers. `given` substitutes symbols of
+    `known` in the mode.
 
-    `margins` names the atoms of all guards, `firsts` is the place of the first of every guard.
-    `timed` atoms depend on time alone, `closed` ones hold on their boundary, too. `single` is
-    whether no guard has several atoms.
+    `margins` names the atoms of all guards, `firsts` is the place of the first atom of each guard.
+    `timed` atoms depend on time alone, `closed` atoms include their boundary. `single` is true if
+    every guard has one atom.
     """
 
     def __init__(
@@ -99,7 +97,7 @@ class GuardWatch:
         self.timed, self.closed = np.array(timed, np.bool_), np.array(closed, np.bool_)
 
     def at(self, setup: Setup, inputs: Array, sizes: Array, time: float) -> Array:
-        """Return (a, 2): margins, and sizes of their terms."""
+        """Return (a, 2): margins, and the sizes of their terms."""
         state, found = np.concatenate([inputs, sizes]), np.empty((len(self.atoms), 2))
         for row, atom in zip(found, self.atoms, strict=True):
             tape_values(*atom.margin.program, state, setup.values, time, row)
@@ -115,19 +113,13 @@ class GuardWatch:
     def table(
         self, setup: Setup, inputs: Array, sizes: Array, times: Array, *, order: int = 0
     ) -> Array:
-        """Return `at` (order 0), or `rate` of all margins, for many instants.
-
-        Inputs (m, n), times (m,) to (m, a, 2).
-        """
+        """Return `at` (order 0) or `rate` (m, a, 2) of all atoms for inputs (m, n)."""
         rows = np.hstack([inputs, np.broadcast_to(sizes, (len(inputs), len(sizes)))])
         tables = [atom.tape(order).table(rows, setup.values, times) for atom in self.atoms]
         return np.stack(tables, axis=1) if tables else np.zeros((len(inputs), 0, 2))
 
     def tolerances(self, rows: Array, relative: float) -> dict[str, float]:
-        """Return margin -> how near zero it is on its boundary: `relative` to its terms.
-
-        A guard of time alone is as exact as time, whatever the tolerance of the run.
-        """
+        """Return margin -> its tolerance: `relative` times its terms, round-off for time alone."""
         sizes = np.where(np.isfinite(rows[:, 1]), rows[:, 1], 0.0)
         parts = np.where(self.timed, min(relative, _TIME_ROUND_OFF), relative) * sizes
         return {
@@ -137,20 +129,20 @@ class GuardWatch:
 
     @cached_property
     def singles(self) -> list[int]:
-        """The places of atoms that are guards by themselves."""
+        """The places of the atoms of single-atom guards."""
         return [first for _, condition, first in self.placed if condition.single]
 
     @cached_property
     def placed(self) -> list[tuple[Guard, Condition, int]]:
-        """The guards, their conditions, and the places of the first atoms of these."""
+        """The guards, their conditions, and the places of their first atoms."""
         return [*zip(self.guards, self.conditions, self.firsts, strict=True)]
 
     def valueless(self, rows: Array) -> str | None:
-        """Return the name of a guard of one atom that has no value; None where there is none."""
+        """Return the first single-atom guard whose margin is NaN, or None."""
         return next((self.margins[k] for k in self.singles if math.isnan(rows[k, 0])), None)
 
     def truths(self, atoms: Bools, active: Callable[[str, str], Bools]) -> Bools:
-        """Return which guards (m, g) hold, from their atoms (m, a); `active` returns (m,)."""
+        """Return the truth (m, g) of the guards from their atoms (m, a); `active` returns (m,)."""
         found = [
             condition.truths(atoms[:, first : first + len(condition.atoms)], active)
             for condition, first in zip(self.conditions, self.firsts, strict=True)
@@ -158,9 +150,9 @@ class GuardWatch:
         return np.stack(found, axis=1) if found else np.zeros((len(atoms), 0), np.bool_)
 
     def holding(self, rows: Array, relative: float, active: Active) -> set[tuple[int, int]]:
-        """Return place and trigger of the guards that hold at an instant.
+        """Return place and trigger of the guards that are true at an instant.
 
-        On the boundary, within `relative` to the terms, `<=` and `>=` hold, `<` and `>` do not.
+        On the boundary, within `relative` of the terms, `<=` and `>=` are true, `<` and `>` false.
         """
         bounds = np.array([*self.tolerances(rows, relative).values()])
         atoms: list[bool] = (rows[:, 0] <= np.where(self.closed, bounds, -bounds)).tolist()
@@ -171,9 +163,9 @@ class GuardWatch:
         }
 
     def early(self, rows: Array, due: Collection[tuple[int, int]], fired: Collection[str]) -> str:
-        """Say that a transition is taken before its guard is true, and not by rounding.
+        """Return a warning if a transition fires before its guard is true by more than round-off.
 
-        Two that follow each other within the tolerance are taken at once, with nothing in between.
+        Two transitions within the tolerance of each other are taken at one instant.
         """
         for guard, condition, first in self.placed:
             if (guard.place, guard.trigger) not in due or not condition.single:
@@ -189,9 +181,9 @@ class GuardWatch:
 
 @dataclass(frozen=True)
 class _AtomTapes:
-    """The margin of an atom and its derivatives in time, compiled when they are first asked for.
+    """The margin of an atom and its time derivatives, compiled on first use.
 
-    Shared by all modes in which the variables that the margin depends on move alike.
+    Modes share it if the variables of the margin have the same flow.
     """
 
     expression: sp.Expr
@@ -202,26 +194,21 @@ class _AtomTapes:
 
     @cached_property
     def margin(self) -> Tape:
-        """The margin and the size of its terms."""
         return self._tape(self.expression)
 
     @cached_property
     def first(self) -> Tape:
-        """Its first derivative, and the size of the terms."""
         return self._tape(self._first)
 
     @cached_property
     def second(self) -> Tape:
-        """Its second derivative, and the size of the terms."""
         return self._tape(time_derivative(self._first, dict(self.flow), self.time))
 
     def tape(self, order: int) -> Tape:
-        """Return the tape of the margin (0), or of a derivative (1, 2)."""
         return self.margin if order == 0 else self.first if order == 1 else self.second
 
     @cached_property
     def rests(self) -> bool:
-        """True if the flow does not change the margin."""
         return bool(self._first == 0)
 
     @cached_property
@@ -241,14 +228,13 @@ class _AtomTapes:
 _atom_tapes = lru_cache(4096)(_AtomTapes)
 
 
-class Judgement:
-    """The guards of a mode at an instant: which are true, and what decides that others are not.
+class GuardTruths:
+    """Truth of the guards of a mode at an instant, and the atoms that certify it.
 
-    `rows` (a, 2) are from `GuardWatch.at`, `rate` is `GuardWatch.rate` of an atom and an order.
-    An atom whose rate is not a number waits on its boundary until its margin falls. `tolerances`
-    are infinite for margins that the flow did not watch; the margins that `fired` fall. Rates as
-    small as `relative` to their terms are zero; if both are, `later` returns the sign of the
-    margin's first derivative that is not zero.
+    `rows` (a, 2) are from `GuardWatch.at`, `rate` is `GuardWatch.rate` of an atom and an order. An
+    atom with a NaN rate fires on its boundary only when its margin falls. `tolerances` are infinite
+    for margins that the flow did not watch; the margins `fired` fell. Rates below `relative` times
+    their terms are zero; `later` returns the sign of the first nonzero derivative.
     """
 
     def __init__(
@@ -268,7 +254,7 @@ class Judgement:
             fresh = watch.tolerances(rows, relative).values()
             own = [one if one < math.inf else new for one, new in zip(own, fresh, strict=True)]
 
-        def way(k: int) -> float:
+        def direction(k: int) -> float:
             for order in (1, 2):
                 value, size = rate(k, order).tolist()
                 if not abs(value) <= relative * size:
@@ -277,21 +263,21 @@ class Judgement:
 
         self._fell = [k for k, margin in enumerate(watch.margins) if margin in fired]
         if UNBOUNDED in fired:
-            # The flow ends on their boundary: no rate says which way they go.
-            final, move = frozenset(self._fell), way
+            # The flow ends on the boundary of these atoms, where their rates do not exist.
+            final, by_rates = frozenset(self._fell), direction
 
-            def way(k: int) -> float:
-                return 0.0 if k in final else move(k)
+            def direction(k: int) -> float:
+                return 0.0 if k in final else by_rates(k)
 
         self._atoms = AtomsAt(
-            rows[:, 0].tolist(), own, watch.closed.tolist(), way,
+            rows[:, 0].tolist(), own, watch.closed.tolist(), direction,
             fell=self._fell, alone=watch.singles, still=lambda k: watch.atoms[k].rests,
         )  # fmt: skip
 
     def due(self) -> set[tuple[int, int]]:
         """Return place and trigger of the guards that are true.
 
-        One of several atoms that the flow came to is also where it is true at this very instant.
+        A guard of several atoms that the flow reached may be true at this instant only.
         """
         atoms, active = self._atoms, self._active
         return {
@@ -306,10 +292,7 @@ class Judgement:
         }
 
     def watched(self) -> Mapping[str, float]:
-        """Return the tolerances of a flow that goes on: only atoms of certificates are watched.
-
-        The flow says so where an atom that leaves a guard open has no value.
-        """
+        """Return the tolerances of the flow that follows: it watches the certifying atoms only."""
         if self._watch.single:
             return self._flow
         found = dict(self._flow)
@@ -325,25 +308,25 @@ class Judgement:
 
 @dataclass(frozen=True, eq=False)
 class Guard:
-    """A guard out of a state."""
+    """A guard of a transition out of a state."""
 
-    place: int  # of its region among those that are watched
+    place: int  # of its region
     name: str  # region and transition
     relation: Relation
     trigger: int  # place of its `Trigger` in the region
 
 
 class Firing(NamedTuple):
-    """A transition that is taken, the place of its region, and what is left to be heard."""
+    """A transition to take, and the events that are pending after it."""
 
-    place: int
+    place: int  # of its region
     taken: FlatTransition
     pending: Mapping[str, tuple[Raised, ...]]
-    due: frozenset[tuple[int, int]]  # guards that fired it, as `Judgement.due` has them
+    due: frozenset[tuple[int, int]]  # guards that fired it: place and trigger
 
 
 def guards(place: int, region: FlatRegion, state: str) -> list[Guard]:
-    """Return the guards that fire transitions out of `state`, with names that differ."""
+    """Return the guards that fire transitions out of `state`, with distinct names."""
     found = [(t, t.guard) for t in region.triggers[state] if t.guard is not None]
     names = [trigger.declared.name for trigger, _ in found]
     return [
@@ -363,7 +346,7 @@ def guards(place: int, region: FlatRegion, state: str) -> list[Guard]:
 
 
 def guards_at_events(place: int, region: FlatRegion, state: str) -> list[Guard]:
-    """Return the guards out of `state` that must hold where an event fires their transitions."""
+    """Return the guards of transitions out of `state` that events fire."""
     return [
         Guard(place, t.declared.name, parse_relation(t.declared.guard), t.place)
         for t in region.triggers[state]
@@ -374,7 +357,7 @@ def guards_at_events(place: int, region: FlatRegion, state: str) -> list[Guard]:
 def guard_margins(
     declared: FlatRegion, state: str, known: Mapping[str, sp.Expr]
 ) -> tuple[Margin, ...]:
-    """Return the margins of the guards out of `state`, one for each atom."""
+    """Return the margins of the guards out of `state`, one per atom."""
     return tuple(
         margin
         for guard in guards(0, declared, state)
@@ -383,7 +366,7 @@ def guard_margins(
 
 
 def guard_claims(declared: FlatRegion, state: str) -> tuple[Claim, ...]:
-    """Return that no guard out of `state` holds while it is active."""
+    """Return the claims that no guard out of `state` is true while it is active."""
     return tuple(
         Claim(guard.name, (guard.relation.text,), holds=False)
         for guard in guards(0, declared, state)
@@ -393,23 +376,23 @@ def guard_claims(declared: FlatRegion, state: str) -> tuple[Claim, ...]:
 def values_after(
     blocks: Iterable[Updates], variables: Mapping[str, sp.Expr], known: Mapping[str, sp.Expr]
 ) -> list[sp.Expr]:
-    """Return the values of variables after updates; a block sees what those before it left."""
-    found = dict(variables)
+    """Return the values of variables after updates; a block reads the values after the last."""
+    values = dict(variables)
     for block in blocks:
-        now = {**known, **found}
-        found |= {name: parse(text).to_sympy(now) for name, text in block.items()}
-    return list(found.values())
+        now = {**known, **values}
+        values |= {name: parse(text).to_sympy(now) for name, text in block.items()}
+    return list(values.values())
 
 
 def check_updated(cause: str, names: Iterable[str], values: Array) -> None:
-    """Raise `NonFinite` if a transition sets a variable to what is no number."""
+    """Raise `NonFinite` if a transition sets a variable to a non-finite value."""
     for name, value in zip(names, values.tolist(), strict=True):
         if not math.isfinite(value):
             raise NonFinite(f"{cause} sets {name} to {value}")
 
 
 def considered(region: Region) -> Callable[[FlatTransition], Mapping[str, str]]:
-    """Return a function from a taken transition to the others of a region, and why not those."""
+    """Return a function: taken transition -> outcome of every transition out of its source."""
     leaving: dict[str, list[Edge]] = {}
     for edge in region.edges:
         leaving.setdefault(edge.source, []).append(edge)
@@ -426,12 +409,12 @@ def considered(region: Region) -> Callable[[FlatTransition], Mapping[str, str]]:
     return of
 
 
-class Listening:
-    """Regions that wait for events of each other; `declared` are those of them that may wait."""
+class EventQueues:
+    """Event queues of the regions in `declared` that wait for events of `regions`."""
 
     def __init__(self, regions: Sequence[Region], declared: Mapping[str, FlatRegion]) -> None:
         self._regions = regions
-        # Region -> the causes that it waits for in some state.
+        # Region -> the events that it waits for in some state.
         self._waiting = {
             name: region.awaited for name, region in declared.items() if region.awaited
         }
@@ -439,7 +422,7 @@ class Listening:
     def pending_after(
         self, pending: Mapping[str, tuple[Raised, ...]], jump: Jump
     ) -> dict[str, tuple[Raised, ...]]:
-        """Return what is pending once `jump` has happened; a region hears its own ends alone."""
+        """Return the pending events after `jump`."""
         if not self._waiting:
             return {}
         new = raised(self._regions, jump)
@@ -450,7 +433,7 @@ class Listening:
 
     @staticmethod
     def waits(declared: Mapping[str, FlatRegion], mode: Key) -> bool:
-        """Tell whether some of the regions wait for an event in their states."""
+        """Return whether a region waits for an event in its state of `mode`."""
         return any(
             trigger.events
             for region, state in zip(declared.values(), mode, strict=True)
@@ -465,9 +448,9 @@ class Listening:
         guarded: Collection[tuple[int, int]],
         holding: Callable[[], Collection[tuple[int, int]]],
     ) -> Firing | None:
-        """Return the transition to take.
+        """Return the next transition to take, or None.
 
-        `guarded` are the guards that are due; `holding` returns those at events that hold.
+        `guarded` are the guards that are due; `holding` returns the true guards at events.
         """
         for place, ((name, region), state) in enumerate(zip(declared.items(), mode, strict=True)):
             queue = pending.get(name, ())
@@ -486,12 +469,12 @@ class Listening:
                     ]
                 if enabled:
                     taken = region.answer(state, [trigger.place for trigger in enabled])
-                    # Events of one instant that a transition waits for as alternatives are one.
-                    heard = [e for trigger in enabled for e in trigger.events]
+                    # Alternative events of a transition at one instant fire it once.
+                    consumed = [e for trigger in enabled for e in trigger.events]
                     later = tuple(
                         other
                         for other in queue[k + 1 :]
-                        if not any(other.answers(e, name, region.done) for e in heard)
+                        if not any(other.answers(e, name, region.done) for e in consumed)
                     )
                     return Firing(place, taken, {**pending, name: later}, frozenset())
             due = frozenset(one for one in guarded if one[0] == place)

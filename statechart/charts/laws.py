@@ -1,8 +1,7 @@
-"""A plain chart on the executor: regions from flows and guards, updates, Zeno transitions.
+"""Automaton of a chart: regions from flows and guards, resets from updates, Zeno transitions.
 
-`statechart.charts.guard_watch` decides when transitions fire. A transition that leads back to its
-own state and changes nothing would fire for ever; it is the limit of shrinking jumps, and the
-state's transition ``on: zeno``, if it has one, takes its place.
+A self-transition that changes nothing would fire for ever. It is the limit of shrinking jumps: the
+transition ``on: zeno`` of the state replaces it if there is one.
 """
 
 from __future__ import annotations
@@ -31,10 +30,10 @@ from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState
 from statechart.charts.flatten import FlatRegion, FlatTransition, Updates
 from statechart.charts.guard_watch import (
+    EventQueues,
     Guard,
+    GuardTruths,
     GuardWatch,
-    Judgement,
-    Listening,
     check_updated,
     considered,
     guard_claims,
@@ -84,7 +83,7 @@ def automaton(chart: Chart) -> Automaton:
 
 
 class _Symbols:
-    """Neutral symbols of a chart: SymPy gives names such as I or beta a meaning of its own."""
+    """Symbols with neutral names, since SymPy interprets names such as I or beta."""
 
     def __init__(self, chart: Chart) -> None:
         timers = [timer for region in chart.flat.values() for timer in region.timers]
@@ -105,7 +104,7 @@ class _Symbols:
         }
 
     def setup(self, overrides: Mapping[str, float], relative: float) -> Setup:
-        """Evaluate parameters and the initial state; guards get tolerances with every flow."""
+        """Evaluate parameters and the initial state."""
         values, initial = self.parameters.values(overrides)
         for name, value in zip(self.variables, initial, strict=True):
             if not np.isfinite(value):
@@ -160,14 +159,14 @@ class ChartLaws:
         self._regions = tuple(chart.regions)
         self._flat = chart.flat
         self._watches: dict[Roles, GuardWatch] = {}
-        self._at_events: dict[Key, GuardWatch] = {}
-        self._of_states: dict[tuple[int, str], tuple[list[Guard], dict[sp.Symbol, sp.Expr]]] = {}
+        self._event_guards = cache(self._guards_at_events)
+        self._leaving = cache(self._guards_and_rates)
         self._updates: dict[tuple[tuple[tuple[str, FiniteText], ...], ...], Tape] = {}
         self._derivatives = MarginDerivatives(
             tuple(symbols.variables.values()), symbols.parameters.ordered, symbols.time
         )
         self._considered = tuple(map(considered, regions))
-        self._listening = Listening(regions, chart.flat)
+        self._queues = EventQueues(regions, chart.flat)
         self._active = partial(active_in, regions)
 
     @cached_property
@@ -178,7 +177,7 @@ class ChartLaws:
         )
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
-        """Return the initial states, entered; guards that are true there fire at once."""
+        """Return the initial flow and state after the entry updates."""
         key = tuple(region.initial for region in self._flat.values())
         state, sizes = setup.initial, np.abs(setup.initial)
         for name, region in self._flat.items():
@@ -187,9 +186,9 @@ class ChartLaws:
         return self._with_tolerances(setup, Clock(), flow, state), state
 
     def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
-        """Take the first transition that is due; see the module for which are.
+        """Take the first transition that is due (`statechart.charts.guard_watch`).
 
-        Where none is, and atoms have changed that decided it, others are watched from here on.
+        If none is, the flow may go on with other certifying atoms.
         """
         setup, clock, _, flow, state, fired = at
         pending = flow.pending
@@ -203,7 +202,7 @@ class ChartLaws:
             active = self._active(flow.mode)
 
             def holding() -> Collection[tuple[int, int]]:
-                conditions = self._conditions(flow.mode)
+                conditions = self._event_guards(flow.mode)
                 found = conditions.at(setup, state, sizes, clock.high)
                 return conditions.holding(found, setup.precision, active)
 
@@ -216,12 +215,12 @@ class ChartLaws:
                 )
 
             rows = watch.at(setup, state, sizes, clock.high)
-            judged = Judgement(
+            truths = GuardTruths(
                 watch, rows, rate, flow.tolerances, fired, setup.precision, later, active
             )
-            firing = self._listening.first(self._flat, flow.mode, pending, judged.due(), holding)
+            firing = self._queues.first(self._flat, flow.mode, pending, truths.due(), holding)
             if firing is None:
-                tolerances = judged.watched()
+                tolerances = truths.watched()
                 if tolerances == flow.tolerances:
                     return None
                 return None, flow._replace(tolerances=tolerances)
@@ -246,7 +245,7 @@ class ChartLaws:
             ),
             held=held,
             summed=summed,
-            pending=self._listening.pending_after(pending, jump),
+            pending=self._queues.pending_after(pending, jump),
             signs=(),
         )
         return jump, self._with_tolerances(setup, clock, following, after)
@@ -254,7 +253,7 @@ class ChartLaws:
     def accumulate(
         self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
     ) -> tuple[Jump, Flow] | None:
-        """Hold the region until the accumulation, where it says what follows then."""
+        """Hold the region until the accumulation point if it has a transition `on: zeno`."""
         jump = jumps[-1]
         place = self._regions.index(jump.region)
         edge = (jump.cause, jump.source[place], jump.target[place])
@@ -262,10 +261,10 @@ class ChartLaws:
             t for t in self._flat[jump.region].transitions if t.guard is None and not t.on_zeno
         ]
         if any((t.name, t.source, t.target) == edge for t in waiting):
-            return None  # what it waits for accumulates, and is recognised there
+            return None  # the events that it waits for accumulate in their own region
         if jump.target[place] not in self._zeno[place]:
             if any(past.target[place] in self._zeno[place] for past in jumps):
-                return None  # its jumps accumulate as well, and are recognised there
+                return None  # the jumps into that state accumulate too
             raise Zeno(
                 f"{jump.region}: '{jump.cause}' accumulates at "
                 f"t = {clock.later(rest).high:.6g}; declare a transition 'on: zeno' "
@@ -277,23 +276,23 @@ class ChartLaws:
         )
 
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
-        """Return nothing: a chart has no constraints."""
+        """Return no constraints."""
         return NO_CONSTRAINTS
 
     def feasibility(
         self, regions: Sequence[Region], setup: Setup, state: Array, time: float
     ) -> None:
-        """Return None: every mode of a chart is possible somewhere."""
+        """Return None: every mode of a chart is feasible."""
 
     def remarks(self, setup: Setup, arcs: Sequence[Arc]) -> tuple[str, ...]:
-        """Return nothing: a chart has no surfaces to miss."""
+        """Return no remarks."""
         return ()
 
     def _with_tolerances(self, setup: Setup, clock: Clock, flow: Flow, state: Array) -> Flow:
         watch = self._watch(setup, flow)
         sizes = flow_sizes(setup, flow, state)
         if flow.sizes is not None:
-            # A variable set to zero moves away by as much as the round-off of the time gives.
+            # The round-off of the time moves a variable away from zero.
             sizes = np.maximum(sizes, flow.sizes)
         rows = watch.at(setup, state, sizes, clock.high)
         if (name := watch.valueless(rows)) is not None:
@@ -301,7 +300,7 @@ class ChartLaws:
         return flow._replace(tolerances=watch.tolerances(rows, setup.precision))
 
     def _watch(self, setup: Setup, flow: Flow) -> GuardWatch:
-        """Return the guards of a mode; regions that are held have none."""
+        """Return the guards of a mode; held regions have none."""
         roles = flow.moving
         if roles not in self._watches:
             watched: list[Guard] = []
@@ -318,15 +317,10 @@ class ChartLaws:
             self._watches[roles] = self._watched(watched, rates)
         return self._watches[roles]
 
-    def _conditions(self, mode: Key) -> GuardWatch:
-        """Return the guards of a mode that are judged at events."""
-        if mode not in self._at_events:
-            regions = enumerate(zip(self._flat.values(), mode, strict=True))
-            found = [
-                g for k, (region, state) in regions for g in guards_at_events(k, region, state)
-            ]
-            self._at_events[mode] = self._watched(found, {})
-        return self._at_events[mode]
+    def _guards_at_events(self, mode: Key) -> GuardWatch:
+        regions = enumerate(zip(self._flat.values(), mode, strict=True))
+        found = [g for k, (region, state) in regions for g in guards_at_events(k, region, state)]
+        return self._watched(found, {})
 
     def _watched(self, guards: Sequence[Guard], rates: Mapping[sp.Symbol, sp.Expr]) -> GuardWatch:
         return GuardWatch(
@@ -339,19 +333,16 @@ class ChartLaws:
             timers=self._symbols.timers,
         )
 
-    def _leaving(self, place: int, state: str) -> tuple[list[Guard], dict[sp.Symbol, sp.Expr]]:
-        """Return the guards out of a state of a region, and the rates of variables in it."""
-        found = self._of_states.get((place, state))
-        if found is None:
-            region = self._flat[self._regions[place]]
-            known, variables = self._symbols.known, self._symbols.variables
-            flows = {
-                variables[variable]: parse(text).to_sympy(known)
-                for variable, text in region.flows(state).items()
-            }
-            found = guards(place, region, state), flows
-            self._of_states[place, state] = found
-        return found
+    def _guards_and_rates(
+        self, place: int, state: str
+    ) -> tuple[list[Guard], dict[sp.Symbol, sp.Expr]]:
+        region = self._flat[self._regions[place]]
+        known, variables = self._symbols.known, self._symbols.variables
+        flows = {
+            variables[variable]: parse(text).to_sympy(known)
+            for variable, text in region.flows(state).items()
+        }
+        return guards(place, region, state), flows
 
     def _updated(
         self,
@@ -362,7 +353,7 @@ class ChartLaws:
         state: Array,
         sizes: Array,
     ) -> tuple[Array, Array]:
-        """Return the state after updates, and the sizes of what it was summed from."""
+        """Return the state after updates, and the sizes of its terms."""
         if not blocks:
             return state, sizes
         key = tuple(tuple(block.items()) for block in blocks)
@@ -384,7 +375,7 @@ class ChartLaws:
 
 
 def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Component, ...]:
-    """Return the components of a chart, none where all of it belongs together."""
+    """Return the independent components of a chart; none if it is connected."""
     data = chart.model_dump(by_alias=True, exclude_unset=True)
     parts = split(
         data, ("variables", "regions"), ("regions",), Path(__file__).with_name("schema.json")

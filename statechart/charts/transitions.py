@@ -1,4 +1,4 @@
-"""States, transitions and regions as every kind of document declares them."""
+"""Declarations of states, transitions and regions, common to all kinds of documents."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _OUTSIDE = "transitions: [{name: go, from: STATE, to: STATE, on: EVENT}] beside 
 
 
 class Transition(Part):
-    """A way from one state of a region to another (or the same), and what fires it."""
+    """A transition between states of a region, with its trigger and updates."""
 
     OTHER_WORDS: ClassVar = {
         **dict.fromkeys(("when", "if", "cond", "condition"), "guard"),
@@ -96,12 +96,12 @@ class Transition(Part):
 
     @property
     def period(self) -> FormulaText | None:
-        """The time for which it waits; None where something else fires it."""
+        """The delay or period of a timed transition, or None."""
         return self.after if self.after is not None else self.every
 
     @property
     def trigger(self) -> str:
-        """Its trigger, in words."""
+        """The trigger as text."""
         if self.on_zeno:
             return "jumps accumulate"
         if self.on is not None:
@@ -143,9 +143,9 @@ class Transition(Part):
 
 
 class BaseState(Part):
-    """A state, and the states in it: one of `states` is active with it, or one of each region.
+    """A state with its substates: one of `states` is active with it, or one of each region.
 
-    With `history` it is none, but a target in the place of its siblings: those last active.
+    With `history` it is a pseudostate: a transition to it enters the siblings last active.
     """
 
     OTHER_WORDS: ClassVar = {
@@ -206,7 +206,7 @@ class BaseState(Part):
 
 
 class BaseRegion(Part):
-    """States of which exactly one is active, and the transitions between them."""
+    """States, exactly one of them active, and the transitions between them."""
 
     OTHER_WORDS: ClassVar = {"history": "states: {NAME: {history: deep}} beside regions"}
 
@@ -223,7 +223,7 @@ Holder = BaseRegion | BaseState
 
 
 def nested(holder: Holder, *loc: str | int) -> Iterator[tuple[str, Holder, Loc]]:
-    """Yield the states in a region or state with their names and places, outer before inner."""
+    """Yield names, states and places of the states in `holder`, outer before inner."""
     for name, state in holder.states.items():
         at = (*loc, "states", name)
         yield name, state, at
@@ -236,7 +236,7 @@ def nested(holder: Holder, *loc: str | int) -> Iterator[tuple[str, Holder, Loc]]
 
 
 def declared_transitions(holder: Holder, *loc: str | int) -> Iterator[tuple[Transition, Loc]]:
-    """Yield the transitions declared in a region and its states: inner before outer, in order."""
+    """Yield the transitions of a region and its states, inner before outer."""
     for name, state in holder.states.items():
         yield from declared_transitions(state, *loc, "states", name)
     if isinstance(holder, BaseState):
@@ -254,10 +254,10 @@ def check_changes(
     further: Collection[str] = (),
     of: str = "",
 ) -> None:
-    """Check that states and transitions change declared variables, by formulas over `known`.
+    """Check that updates and flows change declared `variables` by formulas over `known`.
 
-    Flows may use `further` names; `of` says whose variables they are. Raises `DeclarationProblem`
-    at the first that does not.
+    Flows may use `further` names; `of` names the owner of the variables in messages. Raises
+    `DeclarationProblem`.
     """
     changes: list[tuple[Mapping[str, FiniteText], Loc]] = []
     for _, state, at in nested(holder, *loc):
@@ -281,9 +281,9 @@ def check_changes(
 def check_periods(
     regions: Mapping[str, BaseRegion], values: Mapping[str, float] | None, known: Collection[str]
 ) -> None:
-    """Check that every time that transitions wait for is a formula of parameters above zero.
+    """Check that delays and periods are positive formulas of parameters.
 
-    Raises `DeclarationProblem` at the first that is not.
+    Raises `DeclarationProblem`.
     """
     for name, region in regions.items():
         for transition, at in declared_transitions(region, "regions", name):
@@ -310,10 +310,10 @@ def check_listening(
     *,
     alone: Collection[str] = (),
 ) -> None:
-    """Check that transitions of a region wait for events that exist, of other regions.
+    """Check that transitions of a region wait for existing events of other regions.
 
-    `alone` are words that `on` may be besides; `causes` has the states that may be done, too.
-    Raises `DeclarationProblem` at the first that does not.
+    `alone` are further values of `on`; `causes` includes the states that raise `done`. Raises
+    `DeclarationProblem`.
     """
     others = {name: found for name, found in causes.items() if name != region}
     for transition, at in transitions:
@@ -327,6 +327,6 @@ def check_listening(
                     advice="a transition fires on events of other regions, or on STATE.done",
                     loc=loc,
                 )
-            # A word alone belongs to no region: none has the name "".
+            # A value of `alone` belongs to no region; no region has the name "".
             single = event.region is None and len(transition.events) == 1
             check_event(event, {**others, "": alone} if single else others, states, *loc)

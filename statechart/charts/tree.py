@@ -1,8 +1,8 @@
-"""State tree of a region: nesting, and sources and targets of transitions, checked.
+"""State tree of a region, with checked sources and targets of transitions.
 
-Words as in SCXML (W3C Recommendation of 1 September 2015): a state without states is atomic, one
-with states is compound, one with regions is parallel; its regions are compound states. Nodes are
-numbered in document order, so that outer ones come before inner ones.
+Terms of SCXML (W3C Recommendation of 1 September 2015): a state without states is atomic, one with
+states is compound, one with regions is parallel; its regions are compound states. Nodes are
+numbered in document order, outer before inner.
 """
 
 from __future__ import annotations
@@ -44,25 +44,23 @@ ROOT = 0
 class Node:
     """A state, a region in a state, or a history."""
 
-    name: str  # unique in the region; that of the region itself is ""
+    name: str  # unique in the region; "" for the region itself
     sort: Sort
-    parent: int  # what holds it; of the region itself -1
-    children: tuple[int, ...]  # what it holds, histories besides
-    histories: tuple[int, ...]  # those of its states
-    # Default entry; the one of a history is for an empty memory.
-    # -1 where there is no choice: a history of regions enters all of them.
-    initial: int
+    parent: int  # -1 for the region itself
+    children: tuple[int, ...]  # without histories
+    histories: tuple[int, ...]
+    initial: int  # default entry, also of an empty history; -1 where all regions are entered
     declared: Holder
 
     @property
     def final(self) -> bool:
-        """True if what holds it is done with it."""
+        """True if entering it completes its parent."""
         return isinstance(self.declared, BaseState) and self.declared.final
 
 
 @dataclass(frozen=True, eq=False)
 class Arrow:
-    """A transition between nodes; `target` is -1 where it leaves no state."""
+    """A transition between nodes; `target` is -1 if it exits no state."""
 
     declared: Transition
     source: int
@@ -74,38 +72,37 @@ class Tree:
     """The states of a region and the transitions between them."""
 
     nodes: tuple[Node, ...]  # in document order
-    # In document order: those declared in a state before those of what holds it.
-    arrows: tuple[Arrow, ...]
+    arrows: tuple[Arrow, ...]  # inner states before outer ones
 
     @cached_property
     def flat(self) -> bool:
-        """True if no state holds another."""
+        """True if no state has substates."""
         return all(node.parent <= ROOT for node in self.nodes)
 
     @cached_property
     def above(self) -> tuple[tuple[int, ...], ...]:
-        """The ancestors of every node, from the inside to the region."""
-        found: list[tuple[int, ...]] = []
+        """The ancestors of every node, parent first."""
+        paths: list[tuple[int, ...]] = []
         for node in self.nodes:
-            found.append((node.parent, *found[node.parent]) if node.parent >= 0 else ())
-        return tuple(found)
+            paths.append((node.parent, *paths[node.parent]) if node.parent >= 0 else ())
+        return tuple(paths)
 
     def holds(self, outer: int, inner: int) -> bool:
-        """Tell whether a node is inside another, and not that itself."""
+        """Return whether `inner` is a proper descendant of `outer`."""
         return outer in self.above[inner]
 
     def common(self, one: int, other: int) -> int:
-        """Return the innermost node that holds both, or that is one of them and holds the other."""
+        """Return the lowest common ancestor of two nodes, which may be one of them."""
         path = (one, *self.above[one])
         return next(node for node in (other, *self.above[other]) if node in path)
 
     def remembered_first(self, history: int) -> frozenset[int]:
-        """Return the states that a history stands for before its parent was left."""
+        """Return the default entry of a history."""
         node = self.nodes[history]
         return frozenset((node.initial,) if node.initial >= 0 else self.nodes[node.parent].children)
 
     def done(self, active: Collection[int]) -> tuple[int, ...]:
-        """Return what has reached its end in a configuration, inner nodes first."""
+        """Return the nodes that are done in a configuration, inner nodes first."""
         found: list[int] = []
         for index in self.inner_first:
             node = self.nodes[index]
@@ -121,7 +118,7 @@ class Tree:
 
     @cached_property
     def inner_first(self) -> tuple[int, ...]:
-        """The nodes, each after all that it holds and before what follows it."""
+        """The nodes in postorder."""
         last = list(range(len(self.nodes)))
         for index in reversed(range(1, len(self.nodes))):
             parent = self.nodes[index].parent
@@ -129,7 +126,7 @@ class Tree:
         return tuple(sorted(range(len(self.nodes)), key=lambda node: (last[node], -node)))
 
     def are_orthogonal(self, one: int, other: int) -> bool:
-        """Return whether two nodes are orthogonal: in different regions of one state."""
+        """Return whether two nodes are in different regions of one state."""
         meet = self.common(one, other)
         return meet not in (one, other) and self.nodes[meet].sort is Sort.PARALLEL
 
@@ -137,9 +134,8 @@ class Tree:
 def tree(region: BaseRegion, *loc: str | int) -> Tree:
     """Return the tree of a declared region.
 
-    Raises `DeclarationProblem` if names are not unique, a state that holds states has no initial
-    one, a history has no parent, or a transition leads to or from what there is not, or from one
-    region of a state into another.
+    Raises `DeclarationProblem` if names are not unique, a compound state has no initial state, a
+    history has no parent, or a transition has an unknown or orthogonal source or target.
     """
     entries: list[tuple[str, Holder, Loc]] = [("", region, loc), *nested(region, *loc)]
     places: dict[str, int] = {}
@@ -333,10 +329,10 @@ def _arrow(
 
 
 def _check_distinct(arrows: list[Arrow], locs: list[Loc]) -> None:
-    """Check that transitions can be told apart, and that none is always preceded by another."""
+    """Check that transitions are distinct, and that no earlier one shadows another."""
     named: set[tuple[str, int, int]] = set()
     timed: set[str] = set()
-    taken: dict[tuple[int, str, str | None], str] = {}
+    firing: dict[tuple[int, str, str | None], str] = {}
     for arrow, at in zip(arrows, locs, strict=True):
         declared = arrow.declared
         key = (declared.name, arrow.source, arrow.target)
@@ -357,10 +353,10 @@ def _check_distinct(arrows: list[Arrow], locs: list[Loc]) -> None:
                 )
             timed.add(declared.name)
         words = [f"on {e.region}.{e.cause}" for e in declared.events] or [declared.trigger]
-        # An event is taken whatever the guard of a later transition says.
+        # An unguarded transition on an event shadows every later one on it.
         guard = declared.guard if declared.events else None
         first = [
-            taken.get((arrow.source, word, None)) or taken.get((arrow.source, word, guard))
+            firing.get((arrow.source, word, None)) or firing.get((arrow.source, word, guard))
             for word in words
         ]
         if all(first):
@@ -371,4 +367,4 @@ def _check_distinct(arrows: list[Arrow], locs: list[Loc]) -> None:
                 loc=(*at, "name"),
             )
         keys = ((arrow.source, word, guard) for word in words)
-        taken = dict.fromkeys(keys, declared.name) | taken
+        firing = dict.fromkeys(keys, declared.name) | firing

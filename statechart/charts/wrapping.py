@@ -29,7 +29,7 @@ STATE = "on"
 """The only state of a region that counts."""
 
 _ATOM = re.compile(r"[\w.]+")
-# Those of what is computed once, and of what is read off a run.
+# Fields that are evaluated once, or on the trace.
 _NOT_WRAPPED = frozenset(
     ("parameters", "ranges", "units", "outputs", "stop", "invariants", "settings")
 )
@@ -45,12 +45,12 @@ class Wrap(NamedTuple):
 
     @property
     def key(self) -> tuple[str, str, str]:
-        """Its function and arguments: calls that are alike share a count."""
+        """Function and arguments; equal calls share a count."""
         return self.call.function, self.value, self.period
 
 
 class Count(NamedTuple):
-    """A region that counts: its variable, and how that changes."""
+    """A counting region: its variable and transitions."""
 
     variable: str
     initial: str
@@ -58,7 +58,7 @@ class Count(NamedTuple):
 
 
 def counted(document: Document) -> tuple[Document, Mapping[str, Count]]:
-    """Return a document with counts in the place of `mod` and `floor`, and what counts them."""
+    """Return the document with counts in place of `mod` and `floor`, and the counting regions."""
     regions: dict[tuple[str, str, str], str] = {}
     taken: set[str] = set()
     for part in type(document).model_fields:
@@ -86,11 +86,11 @@ def counted(document: Document) -> tuple[Document, Mapping[str, Count]]:
             return value
         if isinstance(value, BaseModel):
             own = {field: getattr(value, field) for field in type(value).model_fields}
-            new = {f: made for f, part in own.items() if (made := rewritten(part)) is not part}
+            new = {f: to for f, part in own.items() if (to := rewritten(part)) is not part}
             return value.model_copy(update=new) if new else value
         if isinstance(value, Mapping):
-            found = {key: rewritten(part) for key, part in value.items()}
-            return value if all(found[key] is value[key] for key in found) else found
+            to = {key: rewritten(part) for key, part in value.items()}
+            return value if all(to[key] is value[key] for key in to) else to
         if isinstance(value, list | tuple):
             parts = [rewritten(part) for part in value]
             same = all(one is other for one, other in zip(parts, value, strict=True))
@@ -108,15 +108,15 @@ def counted(document: Document) -> tuple[Document, Mapping[str, Count]]:
 def _count(region: str, function: str, value: str, period: str) -> Count:
     count, period = f"{region}.count", _factor(period)
     up, down = _EVENTS[function]
-    ways = [(up, f"{value} >= ({count} + 1)*{period}", f"{count} + 1")]
+    steps = [(up, f"{value} >= ({count} + 1)*{period}", f"{count} + 1")]
     if value != TIME:
-        ways.append((down, f"{value} < {count}*{period}", f"{count} - 1"))
+        steps.append((down, f"{value} < {count}*{period}", f"{count} - 1"))
     return Count(
         count,
         f"floor({_factor(_at_start(value))}/{period})",
         tuple(
             Transition(**{"name": event, "from": STATE, "guard": guard, "updates": {count: to}})
-            for event, guard, to in ways
+            for event, guard, to in steps
         ),
     )
 
@@ -133,7 +133,7 @@ def _at_start(text: str) -> str:
 
 
 def wraps(text: str) -> Iterator[Wrap]:
-    """Yield the calls in a formula or a relation; none where a text is neither."""
+    """Yield the calls of `mod` and `floor` of time in a formula or relation."""
     formulas: tuple[Formula, ...] = ()
     if any(function in text for function in JUMPS):
         with suppress(FormulaError):
@@ -154,10 +154,9 @@ def _uses_time(node: Node) -> bool:
 def check_wrapping(
     document: Declaration, values: Mapping[str, float], still: Collection[Loc] = ()
 ) -> None:
-    """Check that `mod` and `floor` of time are of time and parameters alone, in their places.
+    """Check that `mod` and `floor` depend on time and parameters alone, in fields that may jump.
 
-    `still` are the beginnings of places of formulas that may not jump. Raises
-    `DeclarationProblem` at the first that is not.
+    `still` are prefixes of the places of formulas that may not jump. Raises `DeclarationProblem`.
     """
     for loc, text in _texts(document, ()):
         for wrap in wraps(text):

@@ -1,8 +1,8 @@
-"""Statecharts as pictures and as text.
+"""Diagrams of statecharts.
 
-`build` makes the `model` of a diagram from an automaton and perhaps a run, region by region.
-`mermaid` and `scxml` render it as text. `dot` puts charts, each with its `layout`, on a page with
-their `legend`; `write` makes files of all formats.
+`build` creates the `model` of a diagram from an automaton and optionally a run. `mermaid` and
+`scxml` render it as text, `dot` as a page of charts with their `layout` and `legend`; `write`
+writes files of all formats.
 """
 
 from statechart.diagram.dot import dot

@@ -1,4 +1,4 @@
-"""Diagram of an automaton, and of a run of it."""
+"""Construction of the diagram of an automaton, or of a run."""
 
 from __future__ import annotations
 
@@ -24,12 +24,9 @@ from statechart.diagram.layout.ring import MAX_STEPS
 from statechart.diagram.model import Chart, Diagram, Link, Node
 from statechart.tabular import several
 
-# Two contacts that may be off have 16 modes; more cells fit on no slide.
-_MAX_CELLS = 16
-# A run through more modes is drawn by its first steps only.
-_MAX_VISITED = 12
-# An arrow names at most so many regions.
-_MAX_NAMED = 2
+_MAX_CELLS = 16  # of a grid: two contacts with mode `off`
+_MAX_VISITED = 12  # modes of a run; of a longer run the first ones are drawn
+_MAX_NAMED = 2  # regions on an arrow
 
 
 def needs_run(automaton: Automaton) -> bool:
@@ -46,14 +43,13 @@ def build(
     *,
     visited: bool = False,
 ) -> Diagram:
-    """Return the diagram of an automaton, and the graph that it shows.
+    """Return the diagram of an automaton.
 
-    One region is drawn as its own chart, two as the grid of their product, without the directions
-    of sliding; two with regions or histories in them as their charts. Of more, what a run visited
-    is drawn, and the chart of every region. `start` is the mode that it starts in. A run is needed
-    where `needs_run`; elsewhere the modes that it visited are drawn instead. Modes that `found`
-    calls infeasible are marked, with the reason. If `visited`, a run is shown without the chart of
-    every region.
+    One region is drawn as its chart, two as the grid of their product without directions of
+    sliding, or as their charts if these have regions or histories. For more regions the modes that
+    a run visited are drawn, and the chart of every region. `start` is the initial mode. A `trace`
+    is required if `needs_run`; otherwise it replaces the product by the visited modes. Modes that
+    `found` calls infeasible are marked with the reason. `visited`: omit the charts of the regions.
     """
     moving = _moving(automaton)
     if trace is not None:
@@ -82,18 +78,18 @@ def build(
 
 
 def _moving(automaton: Automaton) -> list[Region]:
-    """Return the regions that have a choice, or transitions; all, if none has."""
+    """Return the regions with several states or transitions; all if there is none."""
     changing = [r for r in automaton.regions if len({*r.states, *r.innermost}) > 1 or r.edges]
     return changing or list(automaton.regions)
 
 
 def _is_composed(region: Region) -> bool:
-    """Return whether states are active side by side or remembered, which are no rows of a grid."""
+    """Return whether a region has parallel states or histories, which do not fit in a grid."""
     return bool(region.nesting.histories) or not {*region.states} <= {*region.innermost}
 
 
 def _charts(automaton: Automaton, mode: Key | None) -> tuple[Chart, ...]:
-    """Return the chart of every region, those alike once; regions start in the states of `mode`."""
+    """Return the distinct charts of the regions, with initial states of `mode`."""
     charts = []
     states = dict(zip((r.name for r in automaton.regions), mode or (), strict=False))
     moving = _moving(automaton)
@@ -122,7 +118,7 @@ def _starting(chart: Chart, prefix: str, starts: Mapping[str | None, list[str]])
 
 
 def active_states(automaton: Automaton) -> Callable[[Key], tuple[str, ...]]:
-    """Return a function from a mode to the active nodes of regions' own charts."""
+    """Return a function from a mode to the active nodes of the charts of the regions."""
     moving = _moving(automaton)
     owners = {
         region.name: "" if len(moving) == 1 else f"{regions[0].name}:"
@@ -151,7 +147,7 @@ def _judged(chart: Chart, reasons: Mapping[str, str | None]) -> Chart:
 
 
 def _grid(automaton: Automaton, start: Key, modes: Product) -> Chart:
-    """Return the product of the two regions that have a choice of states."""
+    """Return the product of the two regions with several states."""
     regions = automaton.regions
     initial = tuple(r.declared(state) for r, state in zip(regions, start, strict=True))
     moving = {region.name for region in _moving(automaton)}
@@ -179,9 +175,9 @@ def _grid(automaton: Automaton, start: Key, modes: Product) -> Chart:
 
 
 def _axis(automaton: Automaton, region: Region, start: str) -> Chart:
-    """Return the chart of a region for a grid: frames say whose they are, no link stays in one.
+    """Return the chart of a region for a grid, with labelled frames.
 
-    A link to a frame around its source leads to the other states in it, one by one.
+    A link to a frame around its source is replaced by links to the other states in it.
     """
     plain = drawn_region(region, directions=False, unreached=True)
     name = region.name
@@ -203,7 +199,7 @@ def _axis(automaton: Automaton, region: Region, start: str) -> Chart:
 
 
 def _run(automaton: Automaton, trace: Trace, modes: Product) -> tuple[Chart, tuple[str, ...]]:
-    """Return the modes that a run visited, named by states that are no default; and notes."""
+    """Return the chart of the modes that a run visited, and notes."""
     if trace.step is None:
         path = modes_on_path(automaton, trace)
         links = _taken(automaton, modes)
@@ -241,9 +237,9 @@ def _run(automaton: Automaton, trace: Trace, modes: Product) -> tuple[Chart, tup
 
 
 def _stepped_links(automaton: Automaton, trace: Trace) -> tuple[tuple[Key, ...], list[Link]]:
-    """Return the modes that steps led to, and the links between them.
+    """Return the modes after time steps, and the links between them.
 
-    All changes of a step happen at once: the order in which its jumps are written means nothing.
+    Jumps of one step are simultaneous, and merged into one link.
     """
     path = [trace.start_mode]
     counts: dict[tuple[Key, Key], Counter[str]] = {}
@@ -272,14 +268,14 @@ def _stepped_links(automaton: Automaton, trace: Trace) -> tuple[tuple[Key, ...],
 
 
 def _several(names: Sequence[str]) -> str:
-    """Return names for an arrow: of more than two the first, and how many others."""
+    """Return names for an arrow, at most _MAX_NAMED."""
     if len(names) <= _MAX_NAMED:
         return " and ".join(names)
     return f"{names[0]} and {len(names) - 1} more"
 
 
 def _taken(automaton: Automaton, modes: Product) -> list[Link]:
-    """Return the jumps of a run; those that differ in their regions alone are one link."""
+    """Return the jumps of a run as links, merged if they differ in their regions only."""
     made: dict[tuple[Key, Key, str, str, str], Counter[str]] = {}
     for source, target, data in modes.edges():
         if data["visits"]:
@@ -306,7 +302,7 @@ def _name(key: Iterable[str]) -> str:
     return " ".join(key)
 
 
-# Longer lists of names of regions are cut; a mode is named by at most so many lines.
+# Names of regions in a list; lines of the name of a mode.
 _MAX_NAMES, _MAX_LINES = 8, 4
 _LITERAL = re.compile(r"\d+(\.\d+)?")
 
@@ -319,17 +315,16 @@ def region_chart(
     title: str = "",
     start: str | None = None,
 ) -> Chart:
-    """Return the chart of a region, with as few arrows as its superstates allow.
+    """Return the chart of a region with arrows merged over superstates.
 
-    The region may be without its directions of sliding. `prefix` begins the names of its nodes;
-    `start` is the state that it starts in.
+    `prefix` precedes the names of its nodes; `start` is the initial state.
     """
     nesting = region.nesting
     leaves = region.innermost
     edges = hierarchical_edges(region)
     linked = {end for edge in edges for end in (edge.source, edge.target)}
     inner = {n: [s for s in leaves if n in _around(region, s)] for n in _superstates(region)}
-    # A frame round a single direction of sliding would repeat what its label says.
+    # No frame around a single direction of sliding.
     frames = {
         name
         for name, held in inner.items()
@@ -360,7 +355,7 @@ def region_chart(
         )
 
     def history(name: str) -> Node:
-        """Return a history, a circle in Harel's statecharts and UML."""
+        """Return the node of a history."""
         declared = nesting.histories[name]
         inside = prefix + declared.parent if declared.parent in frames else None
         refused = UNREACHED if declared.parent in nesting.unreached else None
@@ -381,7 +376,7 @@ def region_chart(
 
 
 def _initial_states(region: Region, name: str) -> set[str]:
-    """Return a state and the states that are entered with it."""
+    """Return a state and its default descendants."""
     nesting, found = region.nesting, {name}
     if name in nesting.parallel:
         inner = [state for state, outer in region.superstates.items() if outer == name]
@@ -400,7 +395,7 @@ def _around(region: Region, name: str) -> list[str]:
 
 
 def group_alike(regions: Iterable[Region]) -> Iterable[list[Region]]:
-    """Return regions together whose charts are the same but for numbers."""
+    """Return groups of regions whose charts differ in numbers only."""
     found: dict[tuple[tuple[str, ...], tuple[tuple[str, ...], ...]], list[Region]] = {}
     for region in regions:
         edges = (
@@ -412,7 +407,7 @@ def group_alike(regions: Iterable[Region]) -> Iterable[list[Region]]:
 
 
 def mode_label(states: Sequence[tuple[Region, str]]) -> tuple[str, tuple[tuple[Region, str], ...]]:
-    """Return the name of a mode, its states that are no default, and the state of every line."""
+    """Return the name of a mode by its non-default states, and the state of every line."""
     shown = [(region, state) for region, state in states if state != region.default]
     if not shown:
         default = states[0][0].default
@@ -435,7 +430,7 @@ def mode_label(states: Sequence[tuple[Region, str]]) -> tuple[str, tuple[tuple[R
 
 
 def abbreviate(names: list[str]) -> list[str]:
-    """Return names for a line of text: of many the first ones, and how many there are."""
+    """Return names for a line of text, of many the first ones and their number."""
     if len(names) <= _MAX_NAMES:
         return names
     return [*names[:3], f"... {names[-1]} ({len(names)} in all)"]
@@ -447,7 +442,7 @@ def _superstates(region: Region) -> Iterator[str]:
 
 
 def _reset(region: Region, edge: HierarchicalEdge) -> str:
-    """Return the reset of an edge; a line for each where it depends on the choice."""
+    """Return the reset of an edge, one line per choice if they differ."""
     by_reset: dict[str, list[str]] = {}
     for choice in edge.choices:
         by_reset.setdefault(choice.reset, []).append(choice.target)
@@ -460,7 +455,7 @@ def _reset(region: Region, edge: HierarchicalEdge) -> str:
 
 
 def _state_lines(region: Region, states: list[str]) -> list[str]:
-    """Return states, those that are all of a superstate by its name."""
+    """Return states with complete sets replaced by their superstate."""
     for name in _superstates(region):
         members = region.within(name)
         if len(members) > 1 and set(members) <= set(states):
@@ -481,7 +476,7 @@ def _actions(region: Region, state: str) -> tuple[str, ...]:
 
 
 def _conditions(automaton: Automaton, region: Region, state: str) -> tuple[str, ...]:
-    """Return the conditions of a state; without direction, those of both directions."""
+    """Return the conditions of a state, or of its two directions of sliding."""
     if automaton.laws is None or region.nesting.edges or region.nesting.configurations:
         return ()
     inner = [leaf for leaf, outer in region.superstates.items() if outer == state] or [state]
@@ -492,7 +487,7 @@ def _conditions(automaton: Automaton, region: Region, state: str) -> tuple[str, 
 def _condition(automaton: Automaton, region: Region, state: str) -> list[str]:
     built = region.build(Role(state))
     prefix = f"{region.name}."
-    # A plain margin is the guard of a transition, which stands on its edge.
+    # Plain margins are guards, shown on edges.
     conditions = [
         f"{m.name.removeprefix(prefix)} {_sense(automaton, m)} 0"
         for m in built.margins
@@ -502,6 +497,6 @@ def _condition(automaton: Automaton, region: Region, state: str) -> list[str]:
 
 
 def _sense(automaton: Automaton, margin: Margin) -> str:
-    """Return "-" where a margin is the negative of the quantity in its name."""
+    """Return "-" if a margin is the negative of the quantity in its name."""
     named = automaton.observables.get(margin.name)
     return "<=" if named is not None and margin.expression == -named else ">="

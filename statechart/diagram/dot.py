@@ -1,4 +1,4 @@
-"""A diagram as DOT: charts laid out one by one, put on a page with their legend."""
+"""DOT source of a diagram: a page of charts with their legend."""
 
 from __future__ import annotations
 
@@ -15,21 +15,20 @@ from statechart.diagram.legend import Guards, Legend, legend, superscript
 from statechart.diagram.model import Chart, Diagram, identifiers
 from statechart.palette import FRAME, PAPER, RUN
 
-# Width of a page in points, where its charts allow it: a slide of 1000 pixels. Tables, in small
-# letters, may take more.
+# Width in points of a page (a slide of 1000 pixels), and of tables.
 _WIDTH, _WIDE = 740.0, 800.0
-# Characters a line of what is below the title, and of a cell of the legend.
+# Characters per line of notes, and of a cell of the legend.
 _LINE, _CELL = 110, 44
 _GAP, _TITLE_GAP = 18.0, 4.0
-# 2000 pixels at 144 a inch, which no picture is larger than.
+# Largest picture in inches: 2000 pixels at 144 per inch.
 _LARGEST = "13.88,13.88"
 
 
 def dot(diagram: Diagram, guards: Guards = "legend") -> str:
     """Render a diagram as DOT source.
 
-    Links between the same two states share one arrow. All places are fixed, so that programs of
-    Graphviz draw what was laid out (layout ``nop2``, as ``neato -n2``).
+    Links between two states share one arrow. All positions are fixed (layout ``nop2``, as ``neato
+    -n2``).
     """
     below = legend(diagram, guards)
     style = Style(identifiers(diagram), guards, below.reasons)
@@ -69,7 +68,7 @@ def _titled(block: LayoutBlock, title: str, name: str) -> LayoutBlock:
 
 
 def _tables(below: Legend) -> list[LayoutBlock]:
-    """Return the legend: events, and beside them states and reasons."""
+    """Return the tables of the legend: events, states, reasons."""
     events = _table("_events", ("event", "from → to", "when", "does"), below.events)
     reasons = [(f"{superscript(k)} {reason}",) for k, reason in enumerate(below.reasons, 1)]
     others = [
@@ -80,13 +79,13 @@ def _tables(below: Legend) -> list[LayoutBlock]:
 
 
 def _table(name: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[LayoutBlock]:
-    """Return a table without its empty columns, if it has any rows."""
+    """Return a table without empty columns, if it has rows."""
     kept = [column for column in range(len(heads)) if any(row[column] for row in rows)]
     if not kept:
         return []
     lines = [[text(heads[k], size=SMALL, italic=True, colour=FRAME) for k in kept]]
     lines += [[text(_wrapped(row[k]), size=SMALL) for k in kept] for row in rows]
-    # Graphviz knows no space between columns alone.
+    # Graphviz has no spacing of columns only.
     lines = [
         [part for cell in row for part in (cell, text("   ", size=SMALL))][:-1] for row in lines
     ]
@@ -99,7 +98,7 @@ def _wrapped(words: str) -> str:
 
 
 def _legend_rows(blocks: Iterable[LayoutBlock], wide: float) -> list[LayoutBlock]:
-    """Put blocks beside each other, as many as a page is wide; return the rows."""
+    """Return rows of blocks no wider than a page."""
     rows: list[list[LayoutBlock]] = []
     for block in blocks:
         width = block.size[0] + sum(b.size[0] + _GAP for b in rows[-1]) if rows else 0.0
@@ -129,7 +128,7 @@ def _source(page: LayoutBlock, title: str) -> str:
         place = f"{box.centre[0]:.2f},{box.centre[1]:.2f}"
         look = {**box.attributes, "width": width, "height": height}
         if look["shape"] == "plain":
-            # A box as large as its text, which a fixed size would make nothing of.
+            # A box as large as its text.
             look |= {"shape": "none", "margin": "0"}
         graph.node(box.name, pos=place, **look)
     for arrow in page.arrows:

@@ -1,4 +1,4 @@
-"""The table below a diagram: events, conditions and actions of states, reasons, each once."""
+"""Legend of a diagram: events, conditions and actions of states, reasons."""
 
 from __future__ import annotations
 
@@ -8,23 +8,20 @@ from typing import Literal, NamedTuple
 from statechart.diagram.model import Diagram, Link, Node
 
 Guards = Literal["legend", "inline"]
-"""Guards, resets and conditions stand once below the picture, or at every arrow and box."""
+"""Place of guards, resets and conditions: below the picture, or at every arrow and box."""
 
 GUARDS: tuple[Guards, ...] = ("legend", "inline")
 
 TIMES = "\N{MULTIPLICATION SIGN}"
-"""Before how often something happened."""
+"""Prefix of a count."""
 
 _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
-# A box holds actions of so many lines and characters; longer ones stand in the legend.
+# Lines and characters of actions in a box; longer ones are in the legend.
 _MAX_LINES, _MAX_CHARACTERS = 3, 24
 
 
 class Meaning(NamedTuple):
-    """Guard and effect of an event.
-
-    `route` says which of its arrows is meant where there are several meanings; else it is empty.
-    """
+    """Guard and reset of an event; `route` is its arrow if there are several meanings."""
 
     event: str
     route: str
@@ -33,7 +30,7 @@ class Meaning(NamedTuple):
 
 
 class Legend(NamedTuple):
-    """The rows of the table: events, (state, conditions, actions), reasons by their numbers."""
+    """Rows: events, (state, conditions, actions), numbered reasons."""
 
     events: tuple[Meaning, ...]
     states: tuple[tuple[str, str, str], ...]
@@ -41,7 +38,7 @@ class Legend(NamedTuple):
 
 
 def legend(diagram: Diagram, guards: Guards = "legend") -> Legend:
-    """Return the table below a diagram; reasons alone where `guards` stand at their arrows."""
+    """Return the legend of a diagram; reasons only if `guards` are inline."""
     reasons = tuple(dict.fromkeys(n.infeasible for n in diagram.nodes if n.infeasible is not None))
     if guards == "inline":
         return Legend((), (), reasons)
@@ -64,7 +61,7 @@ def legend(diagram: Diagram, guards: Guards = "legend") -> Legend:
         whose = f"{title}: " if title and len(meanings[link.cause, ends]) > 1 else ""
         routes.setdefault((link.cause, link.guard, link.reset), []).append(whose + ends)
     causes = [cause for cause, _, _ in routes]
-    # Labels of regions' own charts; the name of a mode is the states of its regions.
+    # Labels of charts of regions, and the states in names of modes.
     states = {word for node in diagram.nodes for word in (node.label, *node.name.split())}
     rows = (
         (_flat(n.label), ", ".join(n.invariants), "" if fits(n) else "\n".join(n.actions))
@@ -89,7 +86,7 @@ def fits(node: Node) -> bool:
 
 
 def mark(node: Node, reasons: tuple[str, ...]) -> str:
-    """Return the superscript under which the legend says why a state is impossible."""
+    """Return the superscript of the reason why a state is infeasible."""
     return "" if node.infeasible is None else superscript(reasons.index(node.infeasible) + 1)
 
 
@@ -99,7 +96,7 @@ def superscript(count: int) -> str:
 
 
 def events(links: Iterable[Link]) -> str:
-    """Return the names of events on one arrow, with how often a run took each."""
+    """Return the names of events on one arrow, with their counts."""
     counts: dict[str, int] = {}
     for link in links:
         counts[link.event] = counts.get(link.event, 0) + (link.visits or 0)

@@ -1,4 +1,4 @@
-"""A diagram as Mermaid text (``stateDiagram-v2``), for Markdown pages."""
+"""Mermaid text of a diagram (``stateDiagram-v2``)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _BLANK = "#160;"  # the grammar has no empty label
 
 
 def mermaid(diagram: Diagram, guards: Guards = "legend") -> str:
-    """Render a diagram as Mermaid text; a product of two regions as these, beside each other."""
+    """Render a diagram as Mermaid text; a product of two regions as two charts."""
     states = identifiers(diagram)
     title = json.dumps(printable(diagram.title).replace("\n", " "), ensure_ascii=False)
     lines = ["---", f"title: {title}", "---", "stateDiagram-v2"]
@@ -30,12 +30,12 @@ def mermaid(diagram: Diagram, guards: Guards = "legend") -> str:
             lines.append(f'    state "{_escape(piece.title)}" as {_fresh(f"chart{k}", states)} {{')
             lines += [*_indent(_indent(_chart(piece, states, guards))), "    }"]
         else:
-            # Mermaid fails at an arrow to a box in a box that nothing outside is linked to.
+            # Mermaid fails at arrows into a composite state without outside links.
             shown = _titled(piece) if len(pieces) > 1 else piece
             lines += _indent(_chart(shown, states, guards))
     notes = [*diagram.notes, *diagram.routes, *_table_rows(legend(diagram, guards))]
     if notes:
-        # A note would stand beside a state and push the others apart.
+        # A note beside a state would push the others apart.
         name = _fresh("legend", states)
         lines.append(f'    state "{_escape(diagram.title)}" as {name}')
         lines += [f"    {name} : {_escape(note)}" for note in notes]
@@ -52,7 +52,7 @@ def _fresh(name: str, states: dict[str, str]) -> str:
 
 
 def _titled(chart: Chart) -> Chart:
-    """Return a chart with its title before the labels of its outermost states."""
+    """Return a chart with its title prefixed to the labels of its outermost states."""
     nodes = (
         replace(node, label=f"{chart.title} {node.label}")
         if node.inside is None and not node.label.startswith(chart.title)
@@ -68,7 +68,7 @@ def _chart(chart: Chart, states: dict[str, str], guards: Guards) -> list[str]:
     for link in chart.links:
         source, target = link.source, chart.entered(link.target)
         if chart.nested(replace(link, target=target)) and source != target:
-            # Mermaid refuses an arrow between a state and one around it.
+            # Mermaid refuses arrows between a state and its superstate.
             link = replace(link, cause=f"{link.cause} → {chart.node(target).label}")
             target = source
         arrows.setdefault((source, target), []).append(link)
@@ -82,11 +82,11 @@ def _chart(chart: Chart, states: dict[str, str], guards: Guards) -> list[str]:
 def _substates(
     outer: str | None, chart: Chart, states: dict[str, str], guards: Guards
 ) -> list[str]:
-    """Return the states right inside another, and where it starts among them."""
+    """Return the substates of a state, with the initial arrow."""
     inner = chart.within(outer)
     parts = [_state(node, chart, states, guards) for node in inner]
     if outer is not None and chart.node(outer).parallel:
-        # Histories would be regions of their own.
+        # Histories would become separate regions.
         both = list(zip(inner, parts, strict=True))
         lines = [line for node, part in both if node.history for line in part]
         regions = [part for node, part in both if not node.history]
@@ -136,7 +136,7 @@ def _table_rows(table: Legend) -> list[str]:
 
 
 def _classes(nodes: Sequence[Node], states: dict[str, str]) -> list[str]:
-    """Return the colours of states, those of one colour together; grey what is not possible."""
+    """Return the class definitions of colours; infeasible states are grey."""
     kinds: dict[str, list[str]] = {}
     for node in nodes:
         style = f"fill:{node.colours[0]},stroke:{FRAME},color:{INK}" if node.colours else ""

@@ -1,4 +1,4 @@
-"""Data model of a diagram, which all renderers read: states and labelled links."""
+"""Data model of a diagram: states and labelled links."""
 
 from __future__ import annotations
 
@@ -13,14 +13,12 @@ from statechart.errors import StatechartError
 if TYPE_CHECKING:
     import networkx as nx
 
-# Words that Mermaid's lexer takes for its own wherever a state's id could stand (its
-# `stateDiagram.jison`), in any case; DOT and SCXML reserve none that matters here.
+# Reserved words of Mermaid (`stateDiagram.jison`), in any case; DOT and SCXML have none here.
 _RESERVED = {
     "acctitle", "accdescr", "as", "class", "classdef", "click", "default", "direction", "end",
     "hide", "note", "scale", "state", "statediagram", "style",
 }  # fmt: skip
-# The path of a run takes one line of at most so many characters.
-_LONGEST_ROUTE = 110
+_LONGEST_ROUTE = 110  # characters of the path of a run
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +55,8 @@ class Node:
 class Link:
     """A transition between two nodes: its cause, such as ``touchdown``, its guard and reset.
 
-    `visits` counts how often a run took it; `region` says whose transition it is, where the chart
-    is of several regions. An `internal` one does not leave its source.
+    `visits` counts the jumps of a run; `region` is set in charts of several regions. An `internal`
+    transition does not exit its source.
     """
 
     source: str
@@ -72,7 +70,7 @@ class Link:
 
     @property
     def event(self) -> str:
-        """The cause, after the region where there is one."""
+        """The cause, prefixed by the region if any."""
         return f"{self.region} {self.cause}".strip()
 
 
@@ -80,9 +78,8 @@ class Link:
 class Chart:
     """States and the links between them, drawn as one piece.
 
-    `path` lists nodes in the order a run took them. The chart of a product of two regions has
-    their charts as `axes`; its nodes are then all pairs of innermost states, row by row, and a row
-    goes through the states of the second region.
+    `path` are the nodes in the order of a run. The chart of a product of two regions has their
+    charts as `axes`; its nodes are all pairs of innermost states, row by row (second region).
     """
 
     nodes: tuple[Node, ...]
@@ -98,7 +95,7 @@ class Chart:
 
     @property
     def route(self) -> str:
-        """The path in words, cut to one line; empty without a path."""
+        """The path as one line of text; empty without a path."""
         labels = {node.name: node.label.replace("\n", ", ") for node in self.nodes}
         shown, length = list[str](), 0
         for name in self.path:
@@ -111,13 +108,13 @@ class Chart:
 
     @property
     def leaves(self) -> tuple[Node, ...]:
-        """States that hold no others."""
+        """Innermost states."""
         holding = {node.inside for node in self.nodes}
         return tuple(node for node in self.nodes if node.name not in holding)
 
     @property
     def frames(self) -> tuple[Node, ...]:
-        """States that hold others."""
+        """Superstates."""
         holding = {node.inside for node in self.nodes}
         return tuple(node for node in self.nodes if node.name in holding)
 
@@ -126,11 +123,11 @@ class Chart:
         return next(node for node in self.nodes if node.name == name)
 
     def within(self, name: str | None) -> tuple[Node, ...]:
-        """Return the states right inside another, or inside none."""
+        """Return the substates of a state, or the outermost states."""
         return tuple(node for node in self.nodes if node.inside == name)
 
     def around(self, name: str) -> tuple[str, ...]:
-        """Return the states that enclose one, inner first."""
+        """Return the superstates of a state, inner first."""
         inside = {node.name: node.inside for node in self.nodes}
         found: list[str] = []
         while (outer := inside[found[-1] if found else name]) is not None:
@@ -138,19 +135,19 @@ class Chart:
         return tuple(found)
 
     def entered(self, name: str) -> str:
-        """Return the innermost state that a state begins with."""
+        """Return the innermost default state of a state."""
         while begins := [node.name for node in self.within(name) if node.default]:
             name = begins[0]
         return name
 
     def nested(self, link: Link) -> bool:
-        """Return whether a link stays in a state: no arrow between two boxes can show it."""
+        """Return whether a link is between a state and its superstate, without an arrow."""
         source, target = link.source, link.target
         return source == target or source in self.around(target) or target in self.around(source)
 
     @property
     def bundles(self) -> dict[tuple[str, str], list[Link]]:
-        """The links by their ends: those of the same two states share an arrow."""
+        """The links by their ends."""
         found: dict[tuple[str, str], list[Link]] = {}
         for link in self.links:
             found.setdefault((link.source, link.target), []).append(link)
@@ -164,7 +161,7 @@ class Chart:
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """The regions of an automaton at a start, for the format that others' tools run (SCXML).
+    """The regions of an automaton at its initial state, for SCXML.
 
     `start` is the state of each region; `values` are parameters, variables and ``time``.
     """
@@ -176,28 +173,28 @@ class Machine:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Diagram:
-    """A statechart, or a part of it, ready to be rendered; it shows itself in notebooks.
+    """A statechart, or a part of it; notebooks show it.
 
     Parameters
     ----------
     title : str
-        Heading; where it is empty, notes and paths are not shown either.
+        Heading; if empty, notes and paths are not shown either.
     charts : tuple of Chart
-        Its pieces, beside and below each other.
+        Its charts.
     notes : tuple of str
-        Lines shown below the title.
+        Lines below the title.
     shows : callable or None
-        Makes a graph of the part of the product automaton that is shown, where there is one.
+        Returns the graph of the shown part of the product automaton, if any.
     machine : Machine or None
-        The regions that it was made of, for the format that runs.
+        The regions, for SCXML.
     explained : tuple of Chart
-        Charts whose events, guards and conditions the legend lists, where not those shown.
+        Charts of the legend, if not those shown.
 
     Raises
     ------
     StatechartError
-        If two nodes share a name, more than one of a chart is initial, states enclose each other,
-        or a link, a path or what encloses a node names no node of its chart.
+        If names are not unique, a chart has several initial nodes, nesting is cyclic, or a link, a
+        path or a superstate is not a node of its chart.
     """
 
     title: str
@@ -208,7 +205,7 @@ class Diagram:
     explained: tuple[Chart, ...] = ()
 
     svg: ClassVar[Callable[[Any], str]]
-    """Return the diagram as SVG: `statechart.diagram.write`, above this module, provides it."""
+    """Return the diagram as SVG; set by `statechart.diagram.write`."""
 
     def __repr__(self) -> str:
         states, links = len(self.nodes), len(self.links)
@@ -244,7 +241,7 @@ class Diagram:
 
     @property
     def graph(self) -> nx.MultiDiGraph | None:
-        """The part of the product automaton that is shown, where there is one."""
+        """The shown part of the product automaton, if any."""
         return None if self.shows is None else self.shows()
 
     @property
@@ -259,12 +256,12 @@ class Diagram:
 
     @property
     def pieces(self) -> tuple[Chart, ...]:
-        """Charts as drawn: a product is drawn as those of its two regions."""
+        """The charts, with a product replaced by those of its two regions."""
         return tuple(piece for chart in self.charts for piece in chart.axes or (chart,))
 
     @property
     def routes(self) -> tuple[str, ...]:
-        """The paths of charts in words, each on one line."""
+        """The paths of charts, one line of text each."""
         return tuple(chart.route for chart in self.charts if len(chart.path) > 1)
 
     def _repr_svg_(self) -> str:
@@ -275,18 +272,18 @@ class Diagram:
 
 
 def identifiers(diagram: Diagram) -> dict[str, str]:
-    """Give states unique ASCII identifiers that DOT, Mermaid and XML all accept."""
+    """Return name -> unique ASCII identifier, valid in DOT, Mermaid and XML."""
     pieces = (node for piece in diagram.pieces for node in piece.nodes)
     return named(dict.fromkeys(node.name for node in (*diagram.nodes, *pieces)), set())
 
 
 def spell_signs(name: str) -> str:
-    """Return the name of a state with its sign, that of sliding, in letters."""
+    """Return the name of a state with its sign of sliding in letters."""
     return name.replace("+", "_plus").replace("-", "_minus")
 
 
 def named(names: Iterable[str], taken: set[str]) -> dict[str, str]:
-    """Return name -> identifier as `identifiers` gives them."""
+    """Return name -> identifier, as `identifiers`."""
 
     def claim(name: str) -> str:
         stem = re.sub(r"\W+", "_", spell_signs(name), flags=re.ASCII).strip("_")
@@ -303,6 +300,6 @@ def named(names: Iterable[str], taken: set[str]) -> dict[str, str]:
 
 
 def printable(text: str) -> str:
-    """Replace what no text format can hold (control characters, lone surrogates) by U+FFFD."""
+    """Replace control characters and lone surrogates by U+FFFD."""
     text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\t", " ")
     return re.sub("[\x00-\x09\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]", "\ufffd", text)

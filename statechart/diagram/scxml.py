@@ -1,10 +1,9 @@
-"""A diagram as SCXML (W3C State Chart XML, Recommendation of 1 September 2015).
+"""SCXML of a diagram (W3C State Chart XML, Recommendation of 1 September 2015).
 
-A diagram of a model becomes a machine that others' tools run. SCXML has states, events, conditions
-and assignments, and no motion: the host sends the events, ``REGION.CAUSE``, with ``.STATE`` behind
-it where the entered state depends on an impact, and sets the variables before. The machine itself
-raises the events that its other transitions wait for: ``REGION.STATE`` when a transition enters a
-state, and ``REGION.CAUSE`` of a transition that such an event fires. States that are done make
+SCXML has states, events, conditions and assignments, but no continuous motion: the host sets the
+variables and sends the events ``REGION.CAUSE``, followed by ``.STATE`` if the target depends on an
+impact. The machine raises the events that its transitions wait for: ``REGION.STATE`` on entry of a
+state, and ``REGION.CAUSE`` of a transition that such an event fires. Completed states raise
 ``done.state.ID``.
 """
 
@@ -40,20 +39,21 @@ SCXML = "http://www.w3.org/2005/07/scxml"
 """Namespace of the elements."""
 
 NOTES = "urn:contact-statecharts:diagram"
-"""Namespace of the attributes that SCXML has no place for."""
+"""Namespace of further attributes."""
 
 
 def scxml(diagram: Diagram) -> str:
-    """Render the diagram of a model as a machine that runs, with comments on what SCXML lacks.
+    """Render the diagram of a model as an executable SCXML document.
 
-    Titles, reasons and resets, which are no SCXML expressions, go to attributes of the namespace
-    `NOTES`, as its schema allows. Raises `StatechartError` for a diagram without a model.
+    Titles, reasons and resets that are no SCXML expressions are attributes of the namespace
+    `NOTES`; comments list what SCXML cannot express. Raises `StatechartError` for a diagram without
+    a model.
     """
     if diagram.machine is None:
         raise StatechartError(f"diagram {diagram.title!r} shows no model that SCXML could run")
     root = _MachineWriter(diagram.machine).root
     for place, sentence in enumerate(lost(diagram.machine)):
-        # Two hyphens would end a comment.
+        # Comments may not contain two hyphens.
         words = f" left out: {printable(sentence).replace('--', '- -')} "
         root.insert(place, ET.Comment(words))
     for key, text in (("title", diagram.title), ("notes", "\n".join(diagram.notes))):
@@ -64,13 +64,13 @@ def scxml(diagram: Diagram) -> str:
 
 
 def lost(machine: Machine) -> tuple[str, ...]:
-    """Return what of a machine SCXML cannot say, in sentences."""
+    """Return sentences on the parts of a machine that SCXML cannot express."""
     losses = _MachineWriter(machine).lost
     return tuple(f"{what}: {', '.join(whose)}" for what, whose in losses.items())
 
 
 def _entered_at_start(region: Region, start: str) -> set[str]:
-    """Return the initial state of a region with the states around it and in it."""
+    """Return the initial state of a region with its superstates and default substates."""
     nesting = region.nesting
     entered, found = [nesting.initial.get("", start)], set[str]()
     while outer := region.superstates.get(entered[-1]):
@@ -87,7 +87,7 @@ def _entered_at_start(region: Region, start: str) -> set[str]:
 
 
 class _MachineWriter:
-    """Writes a machine into `root`; `lost` maps what SCXML cannot say to its transitions."""
+    """Writes a machine into `root`; `lost` maps inexpressible parts to their transitions."""
 
     def __init__(self, machine: Machine) -> None:
         self.lost: dict[str, list[str]] = {}
@@ -98,7 +98,7 @@ class _MachineWriter:
             event for region in machine.regions for e in region.nesting.edges for event in e.events
         }
         taken: set[str] = {name.lower() for name in self._data}
-        # No transition entered these: their events are not raised at the start.
+        # Initial states, whose entry raises no events.
         starting = {
             f"{region.name}.{state}"
             for region, start in zip(machine.regions, machine.start, strict=True)
@@ -121,7 +121,7 @@ class _MachineWriter:
             ET.SubElement(whole, "state", {"id": self._started})
         self._ids: dict[str, dict[str, str]] = {}
         tops = [self._named(region, taken, single=single) for region in machine.regions]
-        self._ends: dict[tuple[str, str], str] = {}  # region, state that can be done -> event
+        self._ends: dict[tuple[str, str], str] = {}  # (region, completable state) -> event
         for region, top in zip(machine.regions, tops, strict=True):
             for owner in {*chain.from_iterable(region.nesting.done.values())}:
                 ended = self._ids[region.name].get(owner, top)
@@ -135,7 +135,7 @@ class _MachineWriter:
             self.root.remove(data)
 
     def _named(self, region: Region, taken: set[str], *, single: bool) -> str:
-        """Choose identifiers for the states of a region; return its own, "" of a single one."""
+        """Choose identifiers for the states of a region; return its own, "" for a single region."""
         prefix = "" if single else f"{region.name} "
         names = (*self._states(region), *region.nesting.histories)
         found = named((f"{prefix}{name}" for name in names), taken)
@@ -255,7 +255,7 @@ class _MachineWriter:
         updates: Mapping[str, str | int | float],
         what: str,
     ) -> None:
-        """Write updates, which all see the values before them."""
+        """Write simultaneous updates."""
         if not updates:
             return
         if not all(name in self._data and self._formula(text) for name, text in updates.items()):
@@ -276,7 +276,7 @@ class _MachineWriter:
             ET.SubElement(element, "assign", {"location": name, "expr": location})
 
     def _relation(self, text: str) -> str | None:
-        """Return a guard as a condition, whose names become data; None if it cannot be one."""
+        """Return a guard as a condition, registering its names as data; None if impossible."""
         try:
             relation = parse_relation(text)
         except FormulaError:

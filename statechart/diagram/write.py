@@ -1,4 +1,4 @@
-"""A diagram as a file, in the format that its suffix names, or as SVG text."""
+"""Output of a diagram to a file by its suffix, or as SVG text."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ Diagram.svg = svg
 
 
 def graphml(diagram: Diagram) -> str:
-    """Return a diagram's graph as GraphML (Brandes et al. 2002), by networkx's own writer."""
+    """Return the graph of a diagram as GraphML (Brandes et al. 2002)."""
     import networkx as nx
 
     shown = diagram.graph

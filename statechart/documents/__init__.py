@@ -1,9 +1,9 @@
-"""YAML, and what every model declares.
+"""YAML documents, and the declarations common to all models.
 
-`yaml_reader` reads text to a document, data with the place of each value; `validation` turns what
-is wrong, found by pydantic or by us, into one message with its place, and `hints` says what to
-write. `fields` are the types of fields, `documented` what Python shows of their classes.
-`declaration` is the base of models, `settings` how a run is computed as declared, `setting` as it
-is, `outputs` what it reports, `quantities` what names and formulas measure. `yaml_writer` writes
-models, `yaml_text` their values, `files` whole files or none.
+`yaml_reader` parses text to a document: data with the position of each value. `validation` turns
+errors of pydantic and of our validators into one message with its position; `hints` adds advice.
+`fields` defines field types, `documented` their help in Python. `declaration` is the base of
+models, with `settings` (numerical settings in a file), `setting` (of a run), `outputs`, and
+`quantities` (dimensional analysis). `yaml_writer` writes models, `yaml_text` their values, `files`
+writes files atomically.
 """

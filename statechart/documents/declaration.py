@@ -1,4 +1,4 @@
-"""Base of every model, whatever its kind: parameters, ranges, end, outputs, settings."""
+"""Base of every model: parameters, ranges, stop conditions, outputs, settings."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ from statechart.formulas.tree import Binary, Name, names_in
 
 
 def _units(value: Any) -> Any:
-    """Return the units that a word stands for."""
+    """Return the base units of a named system of units."""
     if isinstance(value, str):
         if value not in SYSTEMS:
             raise DeclarationProblem(
@@ -73,11 +73,11 @@ Units = Annotated[
         _units, json_schema_input_type=Literal["SI", "dimensionless"] | dict[str, Label]
     ),
 ]
-"""Units of bases and of names; a word stands for those of all bases."""
+"""Units of base dimensions and of names, or the name of a system of units."""
 
 
 class Declaration(Part):
-    """Base of the documents' models; `kind` is the word that a document of it begins with."""
+    """Base of all models; `kind` is the first key of a document."""
 
     METHODS: ClassVar[tuple[str, ...]] = ("check", "diagram", "equations", "modes", "with_")
 
@@ -134,7 +134,7 @@ class Declaration(Part):
         Parameters
         ----------
         overrides : mapping of str to float, optional
-            Values that replace those of some parameters; formulas of them follow.
+            Values of some parameters; parameters that depend on them are recomputed.
 
         Raises
         ------
@@ -144,12 +144,12 @@ class Declaration(Part):
         return self.constants().values(overrides or {})
 
     def constants(self) -> Constants:
-        """Return the parameters, read once for many values."""
+        """Return the parsed parameters."""
         return Constants({name: parse(text) for name, text in self.parameters.items()})
 
     @property
     def whole(self) -> frozenset[str]:
-        """Parameters that count something: their values are whole numbers."""
+        """The integer parameters, which count copies."""
         return frozenset()
 
     @property
@@ -158,19 +158,19 @@ class Declaration(Part):
         return frozenset()
 
     def counted(self, values: Mapping[str, float]) -> Mapping[str, int | None]:
-        """Return the numbers of copies that parameters with these values count."""
+        """Return the numbers of copies for these values."""
         return {}
 
     def variant(self, overrides: Mapping[str, float]) -> Self:
-        """Return the model that runs with `overrides`: another where they change what it has."""
+        """Return the model for `overrides`, another one if they change its structure."""
         return self
 
     def stated(self, name: str) -> Quantity:
-        """Return the quantity of a variable or an observable, as far as its name tells."""
+        """Return the quantity of a variable or observable by its name."""
         return Quantity(name, "time" if name == TIME else "")
 
     def facts(self) -> Iterator[Fact]:
-        """Yield dimensions of formulas, and pairs of formulas of the same dimension."""
+        """Yield formulas with their dimensions, and pairs of formulas of equal dimension."""
         yield from fields_of(self)
         for name, output in self.outputs.items():
             formula = formula_of(output)
@@ -183,7 +183,7 @@ class Declaration(Part):
 
     @cached_property
     def dimensions(self) -> Mapping[str, Powers]:
-        """The dimensions of names, as far as they follow from formulas."""
+        """The dimensions of names, inferred from formulas."""
         facts = list(self.facts())
         trees = [part for fact in facts for part in fact if not isinstance(part, Powers)]
         names = {name.name for tree in trees for name in names_in(tree)}
@@ -196,14 +196,14 @@ class Declaration(Part):
         return inferred(facts, known)
 
     def quantity(self, name: str) -> Quantity:
-        """Return the quantity of a variable, an observable or a parameter, as far as is known."""
+        """Return the quantity of a variable, observable or parameter."""
         stated = self.stated(name)
         if stated.dimension:
             return stated
         return stated._replace(dimension=named(self.dimensions.get(name)))
 
     def unit(self, name: str) -> str:
-        """Return the unit of a variable, an observable or an output; empty where it is unknown.
+        """Return the unit of a variable, an observable or an output; empty if unknown.
 
         Examples
         --------
@@ -218,7 +218,7 @@ class Declaration(Part):
             return self.units[name]
         output = self.outputs.get(name)
         if output is not None and not isinstance(output, Integral):
-            # A formula that is one name has the unit of the name.
+            # A formula of one name has the unit of the name.
             same = str(formula_of(output) or "").strip()
             if same != name and same and same in parse(same).names:
                 return self.unit(same)
@@ -229,8 +229,7 @@ class Declaration(Part):
         return written(self.dimensions.get(name), self.units)
 
     def __str__(self) -> str:
-        """Return the model as a file has it."""
-        # Only a caller that writes pays for loading the writer.
+        """Return the model as YAML."""
         from statechart.documents.yaml_writer import dump
 
         return dump(self)
@@ -267,7 +266,7 @@ class Declaration(Part):
         return made
 
     def modes(self) -> Any:
-        """Return the modes, and which are possible where a run starts; see `statechart.modes`."""
+        """Return the modes, and the feasible ones at the start; see `statechart.modes`."""
         return _public("modes")(self)
 
     def equations(self, mode: str, *, latex: bool = False) -> Any:
@@ -275,7 +274,7 @@ class Declaration(Part):
         return _public("equations")(self, mode, latex=latex)
 
     def diagram(self, path: str | Path | None = None, *, visited: bool = False) -> Any:
-        """Return the statechart, and write it to a file where one is named; see `statechart.draw`.
+        """Return the statechart, and write it to a file if `path` is set; see `statechart.draw`.
 
         Examples
         --------
@@ -286,19 +285,19 @@ class Declaration(Part):
         return _public("draw")(self, path, visited=visited)
 
     def check(self, *, examples: int = 50, seed: int | None = None) -> Any:
-        """Test what must hold of every run over the ranges; see `statechart.check`."""
+        """Test the invariants of all runs over the ranges; see `statechart.check`."""
         return _public("check")(self, examples=examples, seed=seed)
 
     def _repr_html_(self) -> str:
-        """Return the scene and the statechart, for a notebook."""
+        """Return the scene and the statechart for notebooks."""
         return str(_public("notebook")(self))
 
     def alternatives(self) -> Mapping[str, Self]:
-        """Return the model under the other choices that its laws leave open, by their names."""
+        """Return variants of the model for choices that its laws leave open, by name."""
         return {}
 
     def omitted(self, values: Mapping[str, float], *, stepped: bool) -> Mapping[str, str]:
-        """Return what a run with these values of parameters, stepped or not, lacks, and why."""
+        """Return the parts that a run with these values omits, with reasons."""
         return {}
 
     def check_uses(
@@ -308,11 +307,10 @@ class Declaration(Part):
         causes: Mapping[str, Collection[str]],
         changing: Collection[str],
     ) -> None:
-        """Check that stop conditions, invariants and outputs speak of things that exist.
+        """Check the names in stop conditions, invariants and outputs.
 
-        For the validators of the models of a kind, which know what exists: what formulas may use,
-        the states and the causes of jumps of every region (`stop` need not be among them), and the
-        names whose value some flow changes. Raises `DeclarationProblem` at the first that does not.
+        `names` may occur in formulas, `changing` names vary along flows; `states` and `causes` are
+        the states and events of every region (without `stop`). Raises `DeclarationProblem`.
         """
         found = Findings()
         named = {*BASES, *names, *self.parameters, *self.outputs}
@@ -337,14 +335,12 @@ class Declaration(Part):
         found.check()
 
     def check_values(self, values: Mapping[str, float]) -> None:
-        """Check what the values of the parameters decide.
-
-        Models of a kind check what they have besides.
+        """Check the values of the parameters; kinds of models extend it.
 
         Raises
         ------
         DeclarationProblem
-            At the first that is not allowed.
+            At the first value that is not allowed.
         """
         if self.stop.time is None:
             return
@@ -355,14 +351,12 @@ class Declaration(Part):
             )
 
     def check_ranges(self) -> None:
-        """Check the ends of every range, the other parameters as declared.
-
-        For the last validator of the models of a kind: all else must be right by then.
+        """Check the model at the ends of every range; the last validator of a kind.
 
         Raises
         ------
         DeclarationProblem
-            At the first end that is no model.
+            At the first end with an invalid model.
         """
         for name, ends in self.ranges.items():
             whole = (math.ceil(ends[0]), math.floor(ends[1])) if name in self.whole else ends
@@ -434,10 +428,10 @@ class Declaration(Part):
 
 
 def _of_output(name: str) -> str:
-    """Return the name of an output among names, which may contain the same one."""
+    """Return a name of an output that differs from all names of values."""
     return f"outputs.{name}"
 
 
 def _public(name: str) -> Any:
-    """Return a function of the package's face: runs and drawings stand above declarations."""
+    """Return a public function of the package, which is in a higher layer."""
     return getattr(import_module("statechart"), name)

@@ -1,6 +1,6 @@
 """Metaclass of declared parts: help on their fields, and errors with their paths."""
 
-# ruff: noqa: N805 -- what methods of a class of classes are called on is a class
+# ruff: noqa: N805 -- methods of a metaclass take `cls`
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ _WIDTH = 90
 def declare(
     description: str, *examples: Any, unit: str = "", default: Any = ..., **limits: Any
 ) -> Any:
-    """Return a field with its description, examples and unit; required without a default.
+    """Return a field with description, examples and unit; required without a default.
 
-    A document may use any units that belong together; angles are in rad, ratios in 1.
+    A document may use any consistent units; angles are in rad, ratios in 1.
     """
     extra: dict[str, JsonValue] | None = {"unit": unit} if unit else None
     given: dict[str, Any] = {"examples": [*examples]} if examples else {}
@@ -47,15 +47,14 @@ def declare(
 
 
 class Documented(ModelMetaclass):
-    """The class of the classes of parts.
+    """Metaclass of parts.
 
-    `help` shows of each its docstring with what is declared of its fields, the signature without
-    types, and its `METHODS`, those that are for users; what is wrong with a part that is built is
-    a `DeclarationError`.
+    `help` shows the docstring with the descriptions of the fields, the signature without types, and
+    the public `METHODS`. Validation errors are raised as `DeclarationError`.
     """
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
-        """Build a part."""
+        """Create a part."""
         if args:
             name = next((name for name, _ in _fields(cls)), "")
             raise DeclarationError(
@@ -78,7 +77,7 @@ class Documented(ModelMetaclass):
         own = cls.__dict__.get("__doc__")
         if not own:
             return None
-        # Fields without a word of their own have theirs in the docstring.
+        # Fields without a description have theirs in the docstring.
         shown = "\n".join(
             _field_text(name, field) for name, field in _fields(cls) if field.description
         )
@@ -99,11 +98,11 @@ class Documented(ModelMetaclass):
 
     @__signature__.setter
     def __signature__(cls, value: object) -> None:
-        """Discard the signature that pydantic makes, with the addresses of validators."""
+        """Discard the signature of pydantic, which contains addresses of validators."""
 
 
 def own_words(schema: dict[str, Any], model: type[BaseModel]) -> None:
-    """Let the JSON Schema of a model be described by its docstring alone, without the fields."""
+    """Describe the JSON Schema of a model by its own docstring, without the fields."""
     schema["description"] = inspect.cleandoc(model.__dict__["__doc__"])
 
 
@@ -113,7 +112,7 @@ def _fields(cls: type) -> Iterator[tuple[str, FieldInfo]]:
 
 
 def _field_text(name: str, field: FieldInfo) -> str:
-    """Return what is declared of a field as a docstring has it."""
+    """Return the description of a field as a numpydoc entry."""
     optional = "" if field.is_required() else ", optional"
     sentences = [(field.description or "").rstrip(".") + "."]
     extra = field.json_schema_extra
@@ -126,7 +125,7 @@ def _field_text(name: str, field: FieldInfo) -> str:
 
 
 def _type(annotation: Any) -> str:
-    """Return a type in words."""
+    """Return a type as text."""
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return _type(arguments[0])

@@ -1,4 +1,4 @@
-"""Types of the fields that documents share: names, formulas, relations, numbers."""
+"""Field types of documents: names, formulas, relations, numbers."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from statechart.formulas.tree import (
 
 
 def problem(error: FormulaError, *loc: str | int) -> DeclarationProblem:
-    """Return the error of a formula as what validators raise."""
+    """Return the error of a formula as a problem at `loc`."""
     return DeclarationProblem(
         error.message, advice=error.advice, loc=loc, offset=error.offset, text=error.text
     )
 
 
 def _constant(value: Any) -> Any:
-    if getattr(value, "ndim", None) == 0:  # of NumPy: a number as any other
+    if getattr(value, "ndim", None) == 0:  # a NumPy scalar
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, str | int | float):
         raise PydanticCustomError("formula_type", "must be a number or a formula")
@@ -46,7 +46,7 @@ def _constant(value: Any) -> Any:
         parse(value)
     except FormulaError as error:
         raise problem(error) from None
-    # Infinity has one spelling, so that a model equals what is read back from its own text.
+    # One spelling of infinity, so that a model equals its YAML round trip.
     return str(value) if isinstance(value, float) and math.isinf(value) else value
 
 
@@ -61,9 +61,9 @@ TIME = "time"
 
 
 def _check_jumps(*formulas: Formula) -> None:
-    """Check that what is computed along a run has no function that jumps but with the time.
+    """Check that formulas along a run have no jumping function except of time.
 
-    Documents count whole periods of that (`statechart.charts.wrapping`).
+    `statechart.charts.wrapping` replaces those by counting regions.
     """
     for formula in formulas:
         for node in nodes(formula.root):
@@ -82,7 +82,7 @@ def _check_jumps(*formulas: Formula) -> None:
 def check_named_infinity(
     text: str | int | float, *loc: str | int, advice: str = "only a friction may be inf"
 ) -> None:
-    """Raise `DeclarationProblem` at `loc` where a formula names infinity."""
+    """Raise `DeclarationProblem` at `loc` if a formula contains `inf`."""
     formula = parse(text)
     if formula.names_infinity:
         raise DeclarationProblem(
@@ -104,7 +104,7 @@ def _relation(value: str) -> str:
         raise problem(error) from None
     _check_jumps(*relation.formulas)
     for one in relation.comparisons:
-        # The derivatives of a margin decide which way it goes on its boundary.
+        # On its boundary the derivatives of a margin decide.
         check_derived(Binary("-", one.left.root, one.right.root), relation.names)
     if any(formula.names_infinity for formula in relation.formulas):
         raise DeclarationProblem(
@@ -114,7 +114,7 @@ def _relation(value: str) -> str:
 
 
 def _all_of(value: Any) -> Any:
-    """Join a list of relations to the one that holds where all of them do."""
+    """Return the conjunction of a list of relations."""
     if not isinstance(value, list | tuple):
         return value
     if not value:
@@ -147,36 +147,36 @@ def _value_name(value: str) -> str:
 
 
 FormulaText = Annotated[str | int | float, BeforeValidator(_formula)]
-"""A number or a formula that can be read; kept as written (infinity as the text `inf`)."""
+"""A number or formula, stored as written (infinity as the text `inf`)."""
 
 ConstantText = Annotated[str | int | float, BeforeValidator(_constant)]
-"""A formula that is computed once, before a run: it may have `floor` and `mod`, which jump."""
+"""A formula evaluated once before a run, which may contain `floor` and `mod`."""
 
 FiniteConstantText = Annotated[ConstantText, AfterValidator(_without_infinity)]
-"""One that does not name infinity."""
+"""A constant formula without `inf`."""
 
 FiniteText = Annotated[FormulaText, AfterValidator(_without_infinity)]
-"""A formula that does not name infinity: it is computed with, not compared."""
+"""A formula without `inf`."""
 
 OneRelation = Annotated[str, AfterValidator(_relation)]
-"""A relation, kept as written."""
+"""A relation, stored as written."""
 
 RelationText = Annotated[
     OneRelation, BeforeValidator(_all_of, json_schema_input_type=str | list[str])
 ]
-"""A relation, or a list of them that is kept as one, joined by `and`."""
+"""A relation, or a list of relations, stored as their conjunction."""
 
 NameText = Annotated[str, AfterValidator(_name)]
 """A name that formulas can use."""
 
 ValueName = Annotated[NameText, AfterValidator(_value_name)]
-"""A name that stands alone for a value; it is no word that joins relations."""
+"""A name of a value; not a keyword of relations."""
 
 Label = Annotated[str, Field(min_length=1, max_length=200)]
-"""A few words for people."""
+"""Free text."""
 
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-"""A finite number, not text that looks like one."""
+"""A finite number, not text."""
 
 
 class Part(BaseModel, metaclass=Documented):
@@ -187,7 +187,7 @@ class Part(BaseModel, metaclass=Documented):
     )
 
     OTHER_WORDS: ClassVar[Mapping[str, str]] = {}
-    """Key of another program -> what is written for it here."""
+    """Key of another program -> our notation."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in type(self).model_fields:
@@ -200,10 +200,7 @@ class Part(BaseModel, metaclass=Documented):
 
 
 def check_names(formula: Formula | Relation, known: Collection[str], *loc: str | int) -> None:
-    """Check that a formula uses only known names.
-
-    Raises `DeclarationProblem` at the first unknown name.
-    """
+    """Raise `DeclarationProblem` at the first unknown name of a formula."""
     try:
         formula.require(known)
     except FormulaError as error:
@@ -217,7 +214,7 @@ def check_relation(
     changing: Collection[str],
     *loc: str | int,
 ) -> None:
-    """Check that a relation uses only what exists, and equalities only of what no flow changes.
+    """Check names and states of a relation, and that equalities are of piecewise constants.
 
     Raises `DeclarationProblem` at the first fault.
     """
@@ -231,7 +228,7 @@ def check_relation(
 
 
 def value_of(text: str | int | float, values: Mapping[str, float], *loc: str | int) -> float:
-    """Return the value of a formula; `DeclarationProblem` at `loc` where it has none."""
+    """Return the value of a formula; raise `DeclarationProblem` at `loc` if it has none."""
     try:
         return parse(text).value(values)
     except FormulaError as error:
@@ -239,13 +236,13 @@ def value_of(text: str | int | float, values: Mapping[str, float], *loc: str | i
 
 
 KINKED = ("abs", "sign", "min", "max", "sat")
-"""Functions without a derivative where they switch."""
+"""Nonsmooth functions."""
 
 
 def switching(
     text: str | int | float, variables: Collection[str], functions: Collection[str] = KINKED
 ) -> bool:
-    """Return whether one of these functions of any of `variables` stands in a formula."""
+    """Return whether a formula contains one of `functions` of any of `variables`."""
     calls = (node for node in nodes(parse(text).root) if isinstance(node, Call))
     return any(
         call.function in functions and any(name.name in variables for name in names_in(call))
@@ -262,11 +259,10 @@ def check_smooth(
     advice: str,
     roots: bool = False,
 ) -> None:
-    """Check that a formula has no kink in any of `variables`.
+    """Check that a formula is smooth in `variables`.
 
-    `lacks` and `advice` say what it has not where it switches, and what to write instead. With
-    `roots` the root of a square, which is smooth on either side of zero, counts as a kink. Raises
-    `DeclarationProblem` at the first kink.
+    `lacks` and `advice` complete the message. With `roots` the root of a square counts as a kink.
+    Raises `DeclarationProblem` at the first kink.
     """
     for call in (node for node in nodes(parse(text).root) if isinstance(node, Call)):
         switched = {name.name for name in names_in(call)}.intersection(variables)
@@ -287,7 +283,7 @@ def check_smooth(
 
 
 def _under_roots(text: str | int | float) -> set[str]:
-    """Return the names whose squares a formula takes the root of."""
+    """Return the names with roots of their squares in a formula."""
     import sympy as sp
 
     formula = parse(text)
@@ -296,19 +292,16 @@ def _under_roots(text: str | int | float) -> set[str]:
 
 
 MAX_DERIVED = 7_000
-"""Operations of a formula's derivative; to build so many takes about two seconds."""
+"""Operations of a derivative, which take about two seconds to build."""
 
 MAX_NESTED = 10
-"""Functions in each other; SymPy asks each of all below it whether they are real, or zero."""
+"""Depth of nested functions, since SymPy's assumption queries grow with it."""
 
 
 def check_derived(
     root: Node, variables: Collection[str], loc: tuple[str | int, ...] = (), order: int = 2
 ) -> None:
-    """Check that the derivatives of a formula are not too large to be built.
-
-    Raises `DeclarationProblem` if they are.
-    """
+    """Raise `DeclarationProblem` if the derivatives of a formula are too large to be built."""
     nested = _nested(root)
     if nested > MAX_NESTED:
         raise DeclarationProblem(
@@ -327,13 +320,13 @@ def check_derived(
 
 
 def _nested(node: Node) -> int:
-    """Return how many functions stand in each other, at most."""
+    """Return the depth of nested functions."""
     within = max(map(_nested, children(node)), default=0)
     return within + isinstance(node, Call)
 
 
 def _formula_sizes(node: Node, variables: Collection[str]) -> tuple[int, int, int]:
-    """Return how many operations a formula has, and its first and second derivative."""
+    """Return the estimated operations of a formula and its first two derivatives."""
     match node:
         case Name():
             return 1, int(node.name in variables), 0
@@ -345,6 +338,6 @@ def _formula_sizes(node: Node, variables: Collection[str]) -> tuple[int, int, in
     moving = [part for part in parts if part[1]]
     if isinstance(node, Binary) and node.operator in "+-":
         return size, 1 + sum(p[1] for p in moving), 1 + sum(p[2] for p in moving)
-    # f(u, v)' = f_u u' + f_v v', and every partial derivative is about as large as f.
+    # Chain rule f_u u' + f_v v'; partial derivatives are about as large as f.
     first = sum(p[1] + size for p in moving)
     return size, first, sum(p[2] + 2 * p[1] + 2 * size for p in moving)

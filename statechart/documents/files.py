@@ -1,7 +1,7 @@
-"""Files read up to a bound, and whole files or none: nothing half-written is ever left behind.
+"""Bounded reading and atomic writing of files.
 
-Temporary files and folders are named after the machine and the process that writes them: those of
-a process that was killed are removed by the next one that writes there.
+Names of temporary files contain machine and process: the next writer removes those of killed
+processes.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from statechart.errors import DeclarationError
 
 
 def read_bounded(path: Path, most: int, advice: str) -> bytes:
-    """Return the first `most` + 1 bytes of a regular file, or all where it is shorter.
+    """Return at most `most` + 1 bytes of a regular file.
 
-    Raises `DeclarationError` if it is missing, no regular file, or cannot be read.
+    Raises `DeclarationError` if it is missing, not a regular file, or unreadable.
     """
     source = str(path)
     try:
@@ -39,10 +39,10 @@ def read_bounded(path: Path, most: int, advice: str) -> bytes:
 
 
 def write_atomic(path: Path, data: bytes) -> None:
-    """Write `data` to `path` so that a reader sees the old file or the new one, never a part.
+    """Write a file atomically.
 
     Raises `OSError` if the folder is missing or not writable, or the disk is full; `path` is then
-    as it was.
+    unchanged.
     """
     _sweep(path.parent, path.name)
     descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=_prefix(path.name))
@@ -60,10 +60,9 @@ def write_atomic(path: Path, data: bytes) -> None:
 
 
 def obstacle(path: Path) -> str:
-    """Return why nothing can be made at a path, whose folders need not exist yet, or nothing.
+    """Return why a path cannot be created, or an empty text; its folders need not exist.
 
-    It is tried in the folder that exists: permissions do not tell of read-only disks, of what no
-    file can be made in, nor anything at all to root.
+    A trial write, since permissions do not show read-only disks, and mean nothing to root.
     """
     place = next(known for known in (path, *path.parents) if os.path.exists(known))
     if not place.is_dir():
@@ -77,7 +76,7 @@ def obstacle(path: Path) -> str:
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[None]:
-    """Make a folder and its parents; where the work in it fails, remove those that it made."""
+    """Create a folder and its parents; remove the new ones if the work in it fails."""
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -91,13 +90,12 @@ def new_folder(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def staging_folder(folder: Path, names: Iterable[str]) -> Iterator[Path]:
-    """Make a place for files that appear in `folder` at the end, and not at all after an error.
+    """Stage files that appear in `folder` at the end, and not at all after an error.
 
-    A new folder appears at once. In one that exists, files are replaced one by one; those of
-    `names` that were not written this time are of another time, and removed; others are left alone.
-    Raises `OSError` if that cannot be done; what was there is as it was.
+    A new folder appears atomically. In an existing one, files are replaced one by one, and files of
+    `names` that were not written are removed. Raises `OSError` if that fails.
     """
-    # Inside a folder that exists: its parent may be read-only, or on another disk.
+    # Inside an existing folder, whose parent may be read-only or on another disk.
     exists = folder.exists()
     place = folder if exists else folder.parent
     with new_folder(place):
@@ -124,8 +122,8 @@ def _prefix(name: str, process: object = None) -> str:
 
 
 def _sweep(place: Path, name: str) -> None:
-    """Remove the temporary files and folders of `name` whose process has ended."""
-    if os.name != "posix" or not place.is_dir():  # elsewhere what is left behind stays
+    """Remove the temporary files and folders of `name` of ended processes (POSIX)."""
+    if os.name != "posix" or not place.is_dir():
         return
     pattern = re.compile(re.escape(_prefix(name, "PID")).replace("PID", "([0-9]+)") + "[a-z0-9_]+")
     for found in os.listdir(place):

@@ -1,7 +1,7 @@
-"""Hints for mistakes: what to write instead of a wrong key of a document or argument of a call.
+"""Advice on wrong keys of a document and wrong arguments of a call.
 
-All of it is computed after something failed. A place in a document is looked up in the type
-annotations of the models. Hints within formulas are in `statechart.formulas.hints`.
+The place of an error is looked up in the type annotations of the models. Advice on formulas is in
+`statechart.formulas.hints`.
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ from statechart.errors import DeclarationError, close_matches
 P = ParamSpec("P")
 R = TypeVar("R")
 
-# A key that is as like a known one as this is that one, misspelt.
-_MISSPELT = 0.8
+_MISSPELT = 0.8  # similarity of a misspelt key
 
 _ARGUMENTS = {
     **dict.fromkeys(("dt", "h", "timestep", "time_step"), "step"),
@@ -46,7 +45,7 @@ _KINDS: Mapping[str, tuple[tuple[type, ...], str]] = {
     "Path | str": ((str, PathLike), "a path"),
     "bool": ((bool,), "True or False"),
 }
-"""Annotation of an argument -> types that it may have, and their name."""
+"""Annotation of an argument -> its types, and their name."""
 
 YAML_HINTS: Mapping[str, str] = {
     r"'\t'": "indent by spaces, not by tabs",
@@ -64,7 +63,7 @@ YAML_HINTS: Mapping[str, str] = {
     "expected <block end>": "indent keys of one mapping alike",
     "found unexpected end of stream": "close what was opened: a quote, a bracket or a brace",
 }
-"""Words of the message on text that is no YAML -> what to write."""
+"""Words of a YAML error message -> advice."""
 
 
 OTHER_VALUES: Mapping[str, str] = {
@@ -78,17 +77,17 @@ OTHER_VALUES: Mapping[str, str] = {
     **dict.fromkeys(("rk4", "rk45", "rk23", "dop853", "radau", "lsoda", "bdf", "ode45"), "scipy"),
     **dict.fromkeys(("euler", "moreau", "timestepping"), "impulse"),
 }
-"""Word of another program, in small letters -> the value that has its meaning here."""
+"""Value of another program, in lower case -> our value."""
 
 
 def other_value(given: object, known: str) -> str:
-    """Return advice on a value that goes by another name among the known ones; else nothing."""
+    """Return advice on a synonym of a known value, or nothing."""
     word = OTHER_VALUES.get(str(given).lower(), "")
     return f"write {word}" if f"'{word}'" in known else ""
 
 
 def unknown_parameter(name: str, known: Collection[str]) -> str:
-    """Return advice on a parameter that a model does not have."""
+    """Return advice on an unknown parameter."""
     last = name.rpartition(".")[2]
     option = _ARGUMENTS.get(last, last)
     if option in ("until", *Setting.__dataclass_fields__):
@@ -100,15 +99,12 @@ def unknown_parameter(name: str, known: Collection[str]) -> str:
 
 
 def example(model: type[BaseModel], loc: Sequence[str | int], *, built: bool) -> str:
-    """Return an example of what stands at `loc`, as it is written there; empty for none.
-
-    The example of a whole has those of its parts.
-    """
+    """Return an example of the value at `loc`, or an empty text."""
     shown: Any = None
     for part, _, field in _walk(model, loc):
         if field is not None:
             shown = field.examples[0] if field.examples else None
-        elif isinstance(shown, Mapping) and not isinstance(part, int):  # else a list of one
+        elif isinstance(shown, Mapping) and not isinstance(part, int):
             shown = next(iter(shown.values()), None)
         elif isinstance(shown, list) and isinstance(part, int):
             shown = shown[min(part, len(shown) - 1)]
@@ -118,7 +114,7 @@ def example(model: type[BaseModel], loc: Sequence[str | int], *, built: bool) ->
 
 
 def known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> dict[str, str]:
-    """Return the keys that the mapping at `loc` may have, and what Python calls these fields."""
+    """Return key -> field name in Python of the mapping at `loc`."""
     return {
         field.alias or name: name
         for member in _models(_annotations_at(model, loc))
@@ -127,7 +123,7 @@ def known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> dict[str, st
 
 
 def other_word(model: type[BaseModel], loc: Sequence[str | int]) -> str:
-    """Return our key for a key of another program; empty for none."""
+    """Return our notation for a key of another program, or an empty text."""
     members = _models(_annotations_at(model, loc[:-1]))
     words = (getattr(member, "OTHER_WORDS", {}).get(str(loc[-1]), "") for member in members)
     return next(filter(None, words), "")
@@ -136,9 +132,9 @@ def other_word(model: type[BaseModel], loc: Sequence[str | int]) -> str:
 def sections_with_key(
     model: type[BaseModel], loc: Sequence[str | int], known: Collection[str]
 ) -> str:
-    """Return the sections that a misplaced key belongs to; empty for none.
+    """Return the sections of a misplaced key, or an empty text if it is misspelt.
 
-    Those on the way to it come first. A key that is nearly a known one belongs here.
+    Sections on the way to it come first.
     """
     key = str(loc[-1])
     if difflib.get_close_matches(key, known, cutoff=_MISSPELT):
@@ -157,10 +153,10 @@ def sections_with_key(
 def _places_of_key(
     annotation: Any, key: str, place: tuple[str, ...] = (), above: tuple[Any, ...] = ()
 ) -> Iterator[tuple[str, ...]]:
-    """Yield the places of the parts, and of the mappings of known keys, that have a key."""
+    """Yield the places of the parts and mappings that have a key."""
     for member in _members([annotation]):
         if _is_model(member):
-            if member in above:  # states in states
+            if member in above:  # recursion, as states in states
                 continue
             for name, field in member.model_fields.items():
                 if (field.alias or name) == key:
@@ -178,7 +174,7 @@ def _places_of_key(
 def _walk(
     model: type[BaseModel], loc: Sequence[str | int]
 ) -> Iterator[tuple[str | int, list[Any], FieldInfo | None]]:
-    """Yield every part of a place with what may stand there, and the field that it is."""
+    """Yield every part of a place with its annotations and its field."""
     annotations: list[Any] = [model]
     for part in loc:
         below: list[Any] = []
@@ -199,7 +195,7 @@ def _walk(
 
 
 def _annotations_at(model: type[BaseModel], loc: Sequence[str | int]) -> list[Any]:
-    """Return what may stand at `loc`."""
+    """Return the annotations at `loc`."""
     return [[model], *(annotations for _, annotations, _ in _walk(model, loc))][-1]
 
 
@@ -212,7 +208,7 @@ def _models(annotations: Sequence[Any]) -> Iterator[type[BaseModel]]:
 
 
 def _members(annotations: Sequence[Any]) -> Iterator[Any]:
-    """Yield every alternative of the annotations, without what is only attached to them."""
+    """Yield the members of unions, without metadata."""
     for annotation in annotations:
         if get_origin(annotation) is Annotated:
             yield from _members(get_args(annotation)[:1])
@@ -223,7 +219,7 @@ def _members(annotations: Sequence[Any]) -> Iterator[Any]:
 
 
 def _tagged(annotations: Sequence[Any], part: str | int) -> Iterator[Any]:
-    """Yield the member of a union that pydantic calls `part` in the place of an error."""
+    """Yield the member of a union with the tag `part` of pydantic."""
     for annotation in annotations:
         if get_origin(annotation) is Annotated:
             member, *attached = get_args(annotation)
@@ -233,10 +229,10 @@ def _tagged(annotations: Sequence[Any], part: str | int) -> Iterator[Any]:
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a call with arguments that the function does not take be a `DeclarationError`.
+    """Decorate a function to raise `DeclarationError` for wrong arguments.
 
-    So is one that Python stumbles over because an argument is not what its annotation says.
-    Keywords that a function takes as ``**words: Unpack[TypedDict]`` are arguments like the others.
+    Wrong are unknown arguments, and arguments of a wrong type that make the call fail. Keywords
+    ``**words: Unpack[TypedDict]`` are checked like the others.
     """
     signature = _expanded(function)
 
@@ -259,7 +255,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _expanded(function: Callable[..., Any]) -> inspect.Signature:
-    """Return the signature of a function with the keywords of ``**words`` one by one."""
+    """Return the signature of a function with ``**words`` expanded."""
     signature = inspect.signature(function)
     parts = list(signature.parameters.values())
     if not parts or parts[-1].kind is not inspect.Parameter.VAR_KEYWORD:
@@ -275,7 +271,7 @@ def _expanded(function: Callable[..., Any]) -> inspect.Signature:
 def _wrong_call(
     signature: inspect.Signature, args: tuple[object, ...], kwargs: Mapping[str, object]
 ) -> tuple[str, str] | None:
-    """Return what is wrong with a call, and advice; None where its arguments are right."""
+    """Return message and advice on a wrong call, or None."""
     try:
         bound = signature.bind(*args, **kwargs)
     except TypeError as error:
@@ -304,7 +300,7 @@ def _wrong_call(
 
 
 def _mistaken(signature: inspect.Signature, word: str, value: object) -> str:
-    """Return what is wrong with an argument of another kind than its annotation; "" for nothing."""
+    """Return a message on an argument of a wrong type, or an empty text."""
     annotation = str(signature.parameters[word].annotation)
     kind = annotation.removesuffix(" | None").replace("str | Path", "Path | str")
     if kind not in _KINDS or (value is None and annotation.endswith(" | None")):
@@ -314,7 +310,7 @@ def _mistaken(signature: inspect.Signature, word: str, value: object) -> str:
 
 
 def _argument(word: str, value: object, known: list[str]) -> str:
-    """Return advice on an argument that there is not."""
+    """Return advice on an unknown argument."""
     meant, listed = _ARGUMENTS.get(word, word), ", ".join(known)
     if meant in known:
         return f"write {meant}=...; known: {listed}"

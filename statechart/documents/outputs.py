@@ -1,4 +1,4 @@
-"""Outputs, events and moments, as declared."""
+"""Declarations of outputs, events and moments."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SAMPLE_COUNT = re.compile(r"([0-9]{1,9})\s+")
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """A cause of jumps, of one region or (None) of any; or the state of a region being entered."""
+    """A cause of jumps of one region or (None) of any, or the entry into a state."""
 
     region: str | None
     cause: str
@@ -30,7 +30,7 @@ class Event:
 class Moment:
     """The time of an output: `start`, `end`, or at the `first`, `last` or `each` of events.
 
-    At most so many of the first or last where `most` says so, in their order.
+    `most` limits the number of first or last events.
     """
 
     when: str
@@ -44,10 +44,7 @@ class Moment:
 
 
 def parse_events(text: str) -> tuple[Event, ...]:
-    """Return the events of a text such as ``tip.slip or tip.reverse``.
-
-    Raises `DeclarationProblem` if it is not one.
-    """
+    """Parse events such as ``tip.slip or tip.reverse``; raise `DeclarationProblem`."""
     events = []
     for part in text.split(" or "):
         match = _EVENT.fullmatch(part.strip())
@@ -79,7 +76,7 @@ def _parse_moment(text: str) -> Moment:
 
 
 def _that(parse: Callable[[str], object]) -> AfterValidator:
-    """Return a validator of text that `parse` can read, which is kept as written."""
+    """Return a validator of text that `parse` accepts."""
 
     def check(text: str) -> str:
         parse(text)
@@ -115,7 +112,7 @@ class Value(Part):
 
     @property
     def moment(self) -> Moment:
-        """The moment at which the value is taken."""
+        """The moment of evaluation."""
         return _parse_moment(self.at)
 
     @model_validator(mode="after")
@@ -147,7 +144,7 @@ class Count(Part):
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """The events that are counted."""
+        """The counted events."""
         return parse_events(self.count)
 
 
@@ -188,7 +185,7 @@ Output = Annotated[
         "maximum",
     ),
 ]
-"""Quantity that a run reports under a name; its key says which of them it is."""
+"""A reported quantity; its key is its kind."""
 
 
 def formula_of(output: Output) -> FiniteText | None:
@@ -204,10 +201,7 @@ def check_output(
     causes: Mapping[str, Collection[str]],
     *loc: str,
 ) -> None:
-    """Check that the names, states and events of an output exist.
-
-    Raises `DeclarationProblem` at the first that does not.
-    """
+    """Raise `DeclarationProblem` at the first unknown name, state or event of an output."""
     if (formula := formula_of(output)) is not None:
         check_names(parse(formula), names, *loc, type(output).__name__.lower())
     if isinstance(output, Integral):
@@ -221,7 +215,7 @@ def check_output(
         found = {"count": output.events}
     for key, events in found.items():
         for event in events:
-            # Runs stop, not regions.
+            # `stop` belongs to no region.
             if event != Event(None, "stop"):
                 check_event(event, causes, states, *loc, key)
 
@@ -232,10 +226,7 @@ def check_event(
     states: Mapping[str, Collection[str]],
     *loc: str | int,
 ) -> None:
-    """Check that an event can happen.
-
-    Raises `DeclarationProblem` if it cannot.
-    """
+    """Raise `DeclarationProblem` if an event does not exist."""
     if event.region is not None:
         check_member("region", event.region, causes, *loc)
         known = {*causes[event.region], *states.get(event.region, ())}
@@ -245,6 +236,6 @@ def check_event(
 
 
 def check_member(what: str, name: str, known: Collection[str], *loc: str | int) -> None:
-    """Check that something is declared that a name refers to."""
+    """Raise `DeclarationProblem` if a name is not among the known ones."""
     if name not in known:
         raise DeclarationProblem(f"no {what} {name!r}", advice=close_matches(name, known), loc=loc)

@@ -1,8 +1,8 @@
-"""Dimensions and units of the names of a model, declared or inferred from formulas.
+"""Dimensional analysis: units of the names of a model, declared or inferred from formulas.
 
-Dimensional analysis works as type inference does: the unit of a field is that of its formula, the
-terms of a sum have one dimension, sines take angles. No model is refused for its dimensions; they
-serve tables and axes alone.
+Inference is by unification, as of types: a formula has the unit of its field, the terms of a sum
+have one dimension, sines take angles. Dimensions serve tables and axes; no model is refused for
+them.
 """
 
 from __future__ import annotations
@@ -33,39 +33,39 @@ Dimension = Literal[
     "", "1", "length", "time", "mass", "angle", "length/time", "angle/time", "force", "impulse",
     "energy", "moment",
 ]  # fmt: skip
-"""Dimension of a quantity; empty where it is unknown."""
+"""Dimension of a quantity; empty if unknown."""
 
 BASES = ("length", "time", "mass", "force")
-"""Dimensions that a model may give units; the unit of force follows from the others."""
+"""Dimensions with units in a model; the unit of force follows from the others."""
 
 SYSTEMS: Mapping[str, Mapping[str, str]] = {
     "SI": {"length": "m", "time": "s", "mass": "kg"},
     "dimensionless": dict.fromkeys(BASES, "1"),
 }
-"""Words that stand for units of all bases; of what is dimensionless every unit is 1."""
+"""Systems of units; dimensionless models have unit 1."""
 
 
 class Powers(NamedTuple):
-    """A dimension as powers of length, time and mass."""
+    """A dimension: exponents of length, time and mass."""
 
-    length: Fraction = Fraction(0)  # their exponents
+    length: Fraction = Fraction(0)
     time: Fraction = Fraction(0)
     mass: Fraction = Fraction(0)
-    angle: bool = False  # whether it is an angle, or one per time
+    angle: bool = False  # an angle, or angle per time
 
     def times(self, other: Powers, exponent: Fraction | int = 1) -> Powers:
         """Return the dimension of the product with a power of another quantity."""
         length = self.length + exponent * other.length
         time = self.time + exponent * other.time
         mass = self.mass + exponent * other.mass
-        # An arc is an angle times a length: of rad nothing is left.
+        # Arc length = angle times radius: the angle is dropped.
         return Powers(length, time, mass, (self.angle != other.angle) and not (length or mass))
 
 
 class Quantity(NamedTuple):
-    """The quantity that a name of a model measures."""
+    """The quantity of a name of a model."""
 
-    words: str  # what it is, such as `x of rod`
+    words: str  # such as `x of rod`
     dimension: Dimension = ""
 
 
@@ -95,7 +95,7 @@ def per_time(dimension: Dimension) -> Dimension:
 
 
 def named(powers: Powers | None) -> Dimension:
-    """Return the name of a dimension from its powers; empty where it has none."""
+    """Return the name of a dimension, or an empty text."""
     found: Iterable[Dimension] = ("1", "angle", "length", "time", "mass", "length/time",
                                   "angle/time", "force", "impulse")  # fmt: skip
     return next((name for name in found if POWERS[name] == powers), "")
@@ -109,7 +109,7 @@ def unit_of(dimension: Dimension, units: Mapping[str, str]) -> str:
 
 
 def written(powers: Powers | None, units: Mapping[str, str]) -> str:
-    """Return the unit of what is measured in powers of length, time and mass."""
+    """Return the unit of a dimension."""
     if all(units.get(base) == "1" for base in ("length", "time", "mass")):
         return "rad" if powers == POWERS["angle"] else "1"
     if powers is None:
@@ -125,7 +125,7 @@ def written(powers: Powers | None, units: Mapping[str, str]) -> str:
     ]
     if not ways:
         return ""
-    # The shorter one: a spring has N/m, a moment of inertia kg m2.
+    # The shorter one: N/m for a spring, kg m2 for a moment of inertia.
     way = min(ways, key=lambda way: sum(map(abs, way.values())))
     above = ["rad"] if angle else []
     above += [_unit_power(texts[base], n) for base, n in way.items() if n > 0]
@@ -134,12 +134,12 @@ def written(powers: Powers | None, units: Mapping[str, str]) -> str:
 
 
 def unit_suffix(unit: str) -> str:
-    """Return a unit as written behind a number; a ratio has none."""
+    """Return a unit as written after a number; empty for a ratio."""
     return "" if unit == "1" else unit
 
 
 def entitled(what: str, unit: str) -> str:
-    """Return what stands at an axis, such as height in m."""
+    """Return an axis label such as `height in m`."""
     return f"{what} in {unit_suffix(unit)}" if unit_suffix(unit) else what
 
 
@@ -152,23 +152,21 @@ def _unit_power(unit: str, exponent: Fraction) -> str:
 
 
 def _force(units: Mapping[str, str]) -> str:
-    """Return the unit of forces where it has a name of its own."""
+    """Return the named unit of force, or an empty text."""
     known = tuple(units.get(base, "") for base in ("mass", "length", "time"))
     return units.get("force", "N" if known == ("kg", "m", "s") else "")
 
 
 Dimensions = dict[str, Powers]
 Fact = tuple[Node, Node | Powers]
-"""A formula, and what it measures or another that measures the same."""
+"""A formula with its dimension, or with a formula of the same dimension."""
 
 _DIMENSION_PRESERVING = frozenset({"abs", "min", "max", "hypot", "mod"})
 _OF_ANGLES = frozenset({"sin", "cos", "tan"})
 _ANGLES = frozenset({"asin", "acos", "atan", "atan2"})
-# Every pass tells one more name at least; chains of formulas are short.
-_MAX_PASSES = 20
+_MAX_PASSES = 20  # each pass infers at least one name
 _COUNTS = range(1, 13)
-# Operations of a formula that is looked at; sums of thousands of terms tell nothing new.
-_MAX_OPERATIONS = 200
+_MAX_OPERATIONS = 200  # longer formulas are skipped
 
 
 def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Dimensions:
@@ -184,7 +182,7 @@ def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Dimensions:
 
 
 def _short(fact: Fact) -> bool:
-    """Return whether formulas are no longer than what people write for a quantity."""
+    """Return whether the formulas of a fact have at most _MAX_OPERATIONS."""
     trees = [part for part in fact if not isinstance(part, Powers)]
     return all(
         sum(1 for _ in islice(nodes(tree), _MAX_OPERATIONS)) < _MAX_OPERATIONS for tree in trees
@@ -192,9 +190,9 @@ def _short(fact: Fact) -> bool:
 
 
 def measured(node: Node, known: Mapping[str, Powers]) -> Powers | None:
-    """Return the dimension of a formula; None where it is unknown.
+    """Return the dimension of a formula, or None.
 
-    A small whole number in it is a number; another may convert, or stand for anything.
+    A small integer is dimensionless; another number may be a conversion factor.
     """
     match node:
         case Name():
@@ -228,7 +226,7 @@ def measured(node: Node, known: Mapping[str, Powers]) -> Powers | None:
 
 
 def _of_turn(node: Node) -> bool:
-    """Return whether a formula has the factor pi: an angle divided by 2*pi is a number of turns."""
+    """Return whether a formula has the factor pi: angle/(2*pi) is a number of turns."""
     match node:
         case Constant():
             return node.name == "pi"
@@ -246,14 +244,14 @@ def _common(parts: Iterable[Node], known: Mapping[str, Powers]) -> Powers | None
 
 
 class _Inference(Dimensions):
-    """Dimensions of names, of which the first ones are certain."""
+    """Inferred dimensions of names; those in `known` are certain."""
 
     def __init__(self, known: Mapping[str, Powers]) -> None:
         super().__init__(known)
         self._certain = frozenset(known)
 
     def note(self, name: str, powers: Powers) -> None:
-        """Note the dimension of a name; an angle is more specific than a number."""
+        """Record the dimension of a name; an angle is more specific than a number."""
         before = self.setdefault(name, powers)
         if name not in self._certain and before[:3] == powers[:3] and powers.angle:
             self[name] = powers
@@ -297,13 +295,13 @@ def _infer_names(node: Node, powers: Powers, known: _Inference) -> None:
             first, second = measured(left, known), measured(right, known)
             sign = 1 if node.operator == "*" else -1
             if sign == 1 and (_of_turn(left) or _of_turn(right)):
-                # A number of turns, not an angle.
+                # A number of turns.
                 powers = powers._replace(angle=False)
             if first is None and second is not None:
                 _infer_names(left, powers.times(second, -sign), known)
             elif first is not None and second is None:
                 rest = powers.times(first, -1)
-                # An angle is divided by a number of parts.
+                # The divisor of an angle is a number.
                 below = Powers().times(rest, -1)._replace(angle=False)
                 _infer_names(right, rest if sign == 1 else below, known)
         case Binary(operator="**", left=left, right=Number(value=value)) if value:
@@ -317,9 +315,9 @@ def _infer_names(node: Node, powers: Powers, known: _Inference) -> None:
 
 
 def fields_of(part: BaseModel) -> Iterator[Fact]:
-    """Yield the dimensions that the units of fields give the formulas of a part.
+    """Yield the formulas of a part with the dimensions of their fields.
 
-    A field whose formulas belong to names says so: their unit is that of each, or that per time.
+    Formulas that belong to names have the dimension of the name, or that per time.
     """
     for name, info in type(part).model_fields.items():
         extra = info.json_schema_extra
@@ -354,7 +352,7 @@ def _facts_in(value: Any, powers: Powers | None) -> Iterator[Fact]:
 
 
 def _powers(words: object) -> Powers | None:
-    """Return the dimension of a field's unit, such as mass length**2."""
+    """Parse the unit of a field, such as mass length**2."""
     if not isinstance(words, str):
         return None
     try:

@@ -16,14 +16,14 @@ _NUMBERS = (
 )  # fmt: skip
 
 LONG_DOUBLE = "long double"
-"""Method of the engine taylor that integrates in the processor's extended precision."""
+"""Method of the engine taylor in extended precision."""
 
 
 class Record(Enum):
-    """Extent of the record of a run between its start and its end.
+    """Recording of a run between its start and its end.
 
-    MODES: the modes of all regions, as arcs and jumps. POSES: states, and what steps solve for, at
-    every step, and the jumps of controllers. NOTHING: none of it.
+    MODES: arcs and jumps of all regions. POSES: states and solved unknowns at every step, and jumps
+    of controllers. NOTHING: start and end only.
     """
 
     MODES = "modes"
@@ -32,7 +32,7 @@ class Record(Enum):
 
 
 class IntegrationWords(TypedDict, total=False):
-    """Keyword arguments of a setting that hold for runs of any number; see `Setting`."""
+    """Keyword arguments of a setting for one or many runs; see `Setting`."""
 
     engine: str | None
     method: str | None
@@ -53,7 +53,7 @@ class SettingWords(IntegrationWords, total=False):
 
 @dataclass(frozen=True)
 class Setting:
-    """The engine of a run and its settings, None for those that are not given.
+    """The engine of a run and its settings; None for defaults.
 
     Attributes
     ----------
@@ -64,19 +64,19 @@ class Setting:
     tolerance : float or None
         Relative tolerance of every step.
     accuracy : float or None
-        Error allowed in the result, relative to its size: tolerances are tightened, or steps of
-        impulse shortened, until the estimated error is below it.
+        Allowed relative error of the result: tolerances or steps are reduced until the estimated
+        error is below it.
     step : float or None
-        Length of every step in time, of impulse; of the longest where an accuracy is asked for.
+        Time step of the engine impulse; with an accuracy, the longest one.
     budget : float or None
-        Seconds allowed: tolerances are tightened as long as there is time.
+        Seconds: tolerances are tightened as long as there is time.
     max_step : float or None
-        Length of the longest step in time, of an engine that chooses its own.
+        Longest time step of an engine with step size control.
     impulse_tolerance, impulse_bound : float or None
-        By how much the impulses of a step of impulse may miss the contact laws, in parts of the
-        step's fastest approach: more is told, and beyond the bound ends the run.
+        Residuals of the contact impulses in a step of impulse, relative to its fastest approach
+        velocity: above the first, steps are counted in a warning; above the second the run ends.
     record : str or None
-        What is kept of a run of impulse: modes, poses or nothing.
+        Recording of the engine impulse: modes, poses or nothing.
     """
 
     engine: str | None = None
@@ -91,12 +91,12 @@ class Setting:
     record: str | None = None
 
     def check(self) -> None:
-        """Check that the parts go together, and their numbers.
+        """Check that the settings are compatible and in range.
 
         Raises
         ------
         DeclarationProblem
-            At the first part that does not.
+            At the first wrong setting.
         """
         for what in _NUMBERS:
             value = getattr(self, what)
@@ -116,7 +116,7 @@ class Setting:
         self._check_bounds()
 
     def _check_engine(self, engine: str) -> None:
-        """Check that nothing is asked of an engine that it has not."""
+        """Check that an engine supports all settings."""
         if engine == "impulse":
             self._refuse(
                 ("method", "tolerance", "budget", "max_step"),
@@ -142,7 +142,7 @@ class Setting:
             )
 
     def _refuse(self, parts: Sequence[str], message: str, advice: str) -> None:
-        """Raise the error of the first of the parts that is given."""
+        """Raise an error at the first of the parts that is set."""
         for what in parts:
             if getattr(self, what) is not None:
                 raise DeclarationProblem(message.format(what), advice=advice, loc=(what,), key=True)
@@ -195,24 +195,24 @@ class Setting:
 
     @property
     def recorded(self) -> Record:
-        """The extent of the record."""
+        """The recording as enumeration."""
         return Record(self.record or Record.MODES.value)
 
     @property
     def stepped(self) -> bool:
-        """True if runs are stepped through time."""
+        """True if runs take fixed time steps."""
         return self.engine == "impulse"
 
     @property
     def family(self) -> str:
-        """Settings that differ in how fine they are only."""
+        """The name of the settings that differ in tolerance or step only."""
         if self.accuracy is not None:
             return "accuracy"
         return " ".join((self.method or self.engine or "auto", *self._impulses))
 
     @property
     def _impulses(self) -> tuple[str, ...]:
-        """The impulse tolerance in words, where one is given."""
+        """The impulse tolerance as text, if set."""
         return () if self.impulse_tolerance is None else (f"to {self.impulse_tolerance:g}",)
 
     @property
@@ -222,7 +222,7 @@ class Setting:
 
     @property
     def promise(self) -> float | None:
-        """The relative error that a user may expect; None where nothing is promised."""
+        """The relative error that a user may expect, or None."""
         return self.accuracy or self.tolerance
 
     @property

@@ -1,4 +1,4 @@
-"""Stop conditions and numerical settings, as declared."""
+"""Declarations of stop conditions and numerical settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Validation errors in plain words, with their place in the document."""
+"""Messages of validation errors, with their position in the document."""
 
 from __future__ import annotations
 
@@ -53,14 +53,14 @@ _EXPECTED: Mapping[str, str] = {
 }
 
 
-# Errors of form: an example shows the right one.
+# Errors of form, for which an example is shown.
 _SHAPES = frozenset({*_EXPECTED, "output", "too_short", "too_long"})
 
 
 def declaration_error(
     error: ValidationError, document: Document | Built, model: type[BaseModel]
 ) -> DeclarationError:
-    """Return the errors of pydantic as one error with places."""
+    """Return the errors of pydantic as one error with positions."""
     errors = error.errors(include_url=False)
     empty = frozenset[Loc]() if isinstance(document, Built) else document.empty
     found = [
@@ -82,19 +82,19 @@ def _combined(found: list[DeclarationError]) -> DeclarationError:
 
 
 def _implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
-    """Return whether an error is no news beside the others."""
+    """Return whether an error follows from the others."""
     if _lacks_items(details):
-        # A list without two of its items is told so once.
+        # One error for a list that lacks two items.
         *outer, last = details["loc"]
         return any(
             _lacks_items(other) and other["loc"] == (*outer, int(last) + 1) for other in errors
         )
     if details["type"] == "too_short":
-        # Items that are wrong are none to pydantic.
+        # pydantic does not count wrong items.
         at = details["loc"]
         return any(len(one["loc"]) > len(at) and one["loc"][: len(at)] == at for one in errors)
     if details["type"] == "missing":
-        # A key that is misspelt is missing, too.
+        # A misspelt key is also missing.
         *above, name = details["loc"]
         return any(
             other["type"] == "extra_forbidden"
@@ -108,13 +108,13 @@ def _implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
 def _empty(
     document: Document, model: type[BaseModel], unknown: Collection[str | int | None] = ()
 ) -> Iterator[DeclarationError]:
-    """Yield an error for every known key with nothing behind it, with what could stand there."""
+    """Yield an error with an example for every known key without a value."""
     for loc in document.empty:
         if loc[-1] in unknown:
             continue
         shown = example(model, loc, built=False)
         at = document.position(loc, key=True)
-        # Keys that belong below it stand in the same column, and are unknown there.
+        # Keys that should be indented below it are unknown in its column.
         below = unknown and shown.startswith("{")
         if str(loc[-1]).isdecimal():
             yield at.error(
@@ -132,7 +132,7 @@ def _empty(
 def _follows_from_empty(
     details: ErrorDetails, empty: Collection[Loc], document: Document | Built
 ) -> bool:
-    """Return whether an error may follow from an empty key there, above or beside."""
+    """Return whether an error may follow from an empty key at, above or beside its place."""
     if _key(details) is not None:
         return False
     cause = details.get("ctx", {}).get("error")
@@ -147,7 +147,7 @@ def _follows_from_empty(
 
 
 def _key(details: ErrorDetails) -> str | int | None:
-    """Return the key that is wrong itself, not what stands behind it; None where none is."""
+    """Return the key if it is wrong itself, not its value."""
     loc = details["loc"]
     if loc[-1:] == ("[key]",):
         return loc[-2]
@@ -155,14 +155,14 @@ def _key(details: ErrorDetails) -> str | int | None:
 
 
 def _lacks_items(details: ErrorDetails) -> bool:
-    """Return whether an item is missing at the end of a list."""
+    """Return whether a list is too short."""
     return details["type"] == "missing" and isinstance(details["loc"][-1], int)
 
 
 def _errors_of(
     details: ErrorDetails, document: Document | Built, model: type[BaseModel]
 ) -> Iterator[DeclarationError]:
-    """Yield the errors of pydantic, and the further problems of our validators."""
+    """Yield the errors of pydantic and of our validators."""
     cause = details.get("ctx", {}).get("error")
     yield _to_error(details, cause, document, model)
     if isinstance(cause, DeclarationProblem):
@@ -186,7 +186,7 @@ def _to_error(
         names = known_keys(model, loc[:-1])
         built = isinstance(document, Built)
         shown = example(model, loc, built=built)
-        if built and not _lacks_items(details):  # in Python a field goes by its own name
+        if built and not _lacks_items(details):  # Python uses field names, not aliases
             details = {**details, "loc": (*loc[:-1], names.get(str(loc[-1]), loc[-1]))}
         known = names.values() if built else names
         message, advice = _message_and_advice(details, list(known), built=built)
@@ -202,7 +202,7 @@ def _to_error(
             advice = f"such as {shown}"
     path = ".".join(str(part) for part in document.existing(loc))
     if isinstance(document, Built):
-        # Nothing else tells where it is: what is missing or unknown has the path of its part.
+        # Missing and unknown keys have the path of their part.
         if kind in ("extra_forbidden", "missing"):
             path = ".".join(str(part) for part in document.existing(loc[:-1]))
         message = f"{path}: {message}" if path else message
@@ -214,7 +214,7 @@ def _to_error(
 
 
 def _of_key(details: ErrorDetails, model: type[BaseModel], known: Collection[str]) -> str:
-    """Return advice on an unknown key that is no misspelt one; empty for none."""
+    """Return advice on an unknown key that is not misspelt, or an empty text."""
     loc = details["loc"]
     key = str(loc[-1])
     if ":" in key:
@@ -279,11 +279,10 @@ def _message_and_advice(
 def validate(document: Document, model: type[Model]) -> Model:
     """Build `model` from a document.
 
-    Raises `DeclarationError` with the place of the first wrong field; its `others` are the further
-    ones.
+    Raises `DeclarationError` with the position of the first wrong field, and `others`.
     """
     try:
-        # A document uses the documented spelling of a field (`from`), never its Python name.
+        # Documents use aliases (`from`), not Python names.
         made = model.model_validate(document.data, by_alias=True, by_name=False)
     except ValidationError as error:
         raise declaration_error(error, document, model) from None
@@ -292,12 +291,11 @@ def validate(document: Document, model: type[Model]) -> Model:
     return made
 
 
-class located:  # noqa: N801 - used as a statement, and in every run: cheaper than a generator
-    """Raise problems of a model as errors with their place in its document.
+class located:  # noqa: N801 - a context manager, faster than a generator
+    """Convert `DeclarationProblem` and `FormulaError` to `DeclarationError` with positions.
 
-    `overrides` are parameters that were given other values; a problem may come from them. `loc` is
-    where the formulas are that are evaluated; the parameters by default. Raises `DeclarationError`
-    in the place of a `DeclarationProblem` or a `FormulaError`.
+    `overrides` are parameters with other values, which may cause the problem. `loc` is the place of
+    the evaluated formulas, by default the parameters.
     """
 
     __slots__ = ("_document", "_loc", "_overrides")
@@ -332,7 +330,7 @@ class located:  # noqa: N801 - used as a statement, and in every run: cheaper th
 
 
 def _path_parts(document: Document | None, loc: Loc) -> Iterator[str]:
-    """Yield the parts of a place: a file that writes one thing where a list may be counts none."""
+    """Yield the parts of a place, without the index of a list written as its only item."""
     at: Loc = ()
     for part in loc:
         above, at = at, at if document is None else document.existing((*at, part))
@@ -341,7 +339,7 @@ def _path_parts(document: Document | None, loc: Loc) -> Iterator[str]:
 
 
 def _message(document: Document | Built | None, problem: DeclarationProblem) -> str:
-    """Return the message of a problem, with the other place that it speaks of."""
+    """Return the message of a problem, with the second position in it."""
     if not problem.see:
         return problem.message
     path = ".".join(map(str, document.existing(problem.see) if document else problem.see))
@@ -354,7 +352,7 @@ def _message(document: Document | Built | None, problem: DeclarationProblem) -> 
 def _in_list(
     document: Document | Built | None, problem: DeclarationProblem, above: Loc = ()
 ) -> DeclarationProblem:
-    """Return a problem of the relation that a list stands for as one of its item."""
+    """Return a problem of a conjunction as one of its item in the list."""
     texts: Any = document.value((*above, *problem.loc)) if document and problem.text else None
     if not (relations(texts) and conjunction(texts) == problem.text):
         return problem
@@ -395,27 +393,26 @@ def relations(value: object) -> bool:
 
 @dataclass(frozen=True)
 class Document:
-    """A YAML document as plain data, with the place of everything in it."""
+    """A YAML document as plain data, with positions."""
 
     source: str  # the file's path, or a name in angle brackets
-    data: dict[str, Any]  # Mappings, lists, text, numbers, booleans and None
+    data: dict[str, Any]  # mappings, lists, text, numbers, booleans and None
     _values: Mapping[Loc, Position]
     _keys: Mapping[Loc, Position]
-    empty: frozenset[Loc] = frozenset()  # where a key has nothing behind it, which reads as None
+    empty: frozenset[Loc] = frozenset()  # keys without a value, which reads as None
 
     def position(self, loc: Loc, *, key: bool = False) -> Position:
-        """Return where the value at `loc` stands, or its nearest ancestor that exists.
+        """Return the position of the value at `loc`, or of its nearest existing ancestor.
 
-        Parts of `loc` that the data does not have on the way are skipped: pydantic puts the
-        names of the members of a union there.
+        Parts of `loc` that do not exist are skipped: pydantic inserts tags of unions.
         """
         at = self.existing(loc)
         return self._keys.get(at, self._values[at]) if key else self._values[at]
 
     def where(self, text: str) -> Loc:
-        """Return the place of the first value that is `text`, or a list that stands for it.
+        """Return the place of the first value equal to `text`, or a list with this conjunction.
 
-        The top if none is.
+        The top if there is none.
         """
         for loc in self._values:
             value = self.value(loc)
@@ -443,7 +440,7 @@ class Document:
 
 
 class Built:
-    """Keywords that a part is built of in Python: what a `Document` is to a part of a file."""
+    """Keywords of a part built in Python, with the interface of a `Document`."""
 
     def __init__(self, model: type[BaseModel], data: Mapping[str, Any]) -> None:
         name = data.get("name")
@@ -451,7 +448,7 @@ class Built:
         self._data = data
 
     def existing(self, loc: Loc) -> Loc:
-        """Return the parts of `loc` that lead down the data, as Python names them."""
+        """Return the existing parts of `loc`, with Python names."""
         return self._descend(loc)[0]
 
     def value(self, loc: Loc) -> Any:

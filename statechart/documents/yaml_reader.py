@@ -1,10 +1,10 @@
-"""YAML to the model of its kind, and back; every error says file:line:column.
+"""Reader of YAML documents; every error has file:line:column.
 
-A document is read from YAML's event stream, never by a loader: size, depth, number of values,
-anchors, aliases, merge keys, tags and duplicate keys are judged before anything is built, because
-a few hundred bytes of aliases can keep a loader busy for minutes.
+A document is built from the YAML event stream, not by a loader: size, depth, number of values,
+anchors, aliases, merge keys, tags and duplicate keys are checked first, since a few hundred bytes
+of aliases can occupy a loader for minutes.
 
-The plain values are those of YAML 1.2's core schema: `1e-3` is a number, `off` and `inf` are text.
+Plain scalars follow the core schema of YAML 1.2: `1e-3` is a number, `off` and `inf` are text.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from statechart.documents.yaml_text import resolve
 from statechart.errors import DeclarationError, Loc, Position
 from statechart.formulas.hints import character
 
-# The YAML parser takes about 40 us a value and 3 us a character of text: these bounds keep the
-# worst file below a second, and are some hundred times what a scene needs.
+# The YAML parser takes about 40 us per value and 3 us per character: these bounds keep every file
+# below a second, and are some hundred times the size of a scene.
 MAX_BYTES = 256 * 1024
 MAX_VALUES = 20_000
 MAX_DEPTH = 32
 
 
-# First bytes of files that are named by mistake.
+# First bytes of files of other formats.
 _OTHERS = {
     b"%PDF": "a PDF",
     b"\x89PNG": "a picture",
@@ -45,8 +45,7 @@ _OTHERS = {
 def read(path: Path) -> Document:
     """Read a YAML file.
 
-    Raises `DeclarationError` if it is missing, not a readable file, not UTF-8, or not an acceptable
-    document.
+    Raises `DeclarationError` if it is missing, unreadable, not UTF-8, or not a valid document.
     """
     source = str(path)
     raw = read_bounded(path, MAX_BYTES, "name a YAML file")
@@ -54,7 +53,7 @@ def read(path: Path) -> Document:
         if raw.startswith(begin):
             raise Position(source, 1, 1).error(f"this is {what}", "name a YAML file")
     try:
-        # Too long a file may be cut inside a character; read_text will refuse it anyway.
+        # A file that is too long may be cut inside a character; read_text refuses it.
         text = raw.decode("utf-8-sig", "ignore" if len(raw) > MAX_BYTES else "strict")
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
@@ -66,10 +65,7 @@ def read(path: Path) -> Document:
 
 
 def read_text(text: str, source: str = "<text>") -> Document:
-    """Read YAML text.
-
-    Raises `DeclarationError` if it is not an acceptable document.
-    """
+    """Read YAML text; raise `DeclarationError` if it is not a valid document."""
     if len(text) > MAX_BYTES:
         raise DeclarationError(
             f"more than {MAX_BYTES // 1024} KiB", advice="a model is a page or two", source=source
@@ -78,7 +74,7 @@ def read_text(text: str, source: str = "<text>") -> Document:
 
 
 class _Builder:
-    """Events to data and positions; refuses at the first event that it does not want."""
+    """Builds data and positions from events; refuses the first event that is not allowed."""
 
     def __init__(self, source: str) -> None:
         self._source = source
@@ -101,7 +97,7 @@ class _Builder:
             raise place.error(f"not YAML: {message}", advice) from None
         except ReaderError as error:
             at = int(error.position)
-            # Every second byte of UTF-16 is zero.
+            # Every second byte of ASCII text in UTF-16 is zero.
             wide = text.count("\0") > 1
             raise self._at(text.count("\n", 0, at), at - text.rfind("\n", 0, at) - 1).error(
                 f"the character U+{int(error.character):04X} is not allowed",
@@ -110,7 +106,7 @@ class _Builder:
         return Document(self._source, data, self._values, self._keys, frozenset(self._empty))
 
     def _check_blanks(self, text: str, line: int) -> None:
-        """Refuse a blank in or before a line that YAML does not take for one."""
+        """Refuse characters that look like a blank but are none in YAML."""
         for at, written in list(enumerate(text.split("\n")))[max(0, line - 1) : line + 1]:
             for column, one in enumerate(written):
                 if one.isspace() and one not in " \t\r":
@@ -128,11 +124,11 @@ class _Builder:
             self._fail(first, "a model is a mapping", "begin with a line such as kind: chart")
         data: dict[str, Any] = self._value(first, parsed, ())
         for _ in parsed:
-            pass  # The rest must be judged too: it may be a second document.
+            pass  # the rest is checked too: it may be a second document
         return data
 
     def _wanted(self, parsed: Iterator[events.Event]) -> Iterator[events.Event]:
-        """Pass on the events of one document, and judge each before anything is built of it."""
+        """Yield the events of one document after checking them."""
         depth = documents = 0
         for count, event in enumerate(parsed):
             match event:
@@ -171,7 +167,7 @@ class _Builder:
             if event.style in ("'", '"'):
                 self._values[loc] = self._position(event).shifted(1)
             elif not event.value and loc in self._keys:
-                # A value left out has no place of its own: YAML's mark is already on the next line.
+                # The mark of an empty value is on the next line.
                 self._values[loc] = self._keys[loc]
                 self._empty.add(loc)
             return event.value if event.style else self._plain(event)
@@ -199,7 +195,7 @@ class _Builder:
         return mapping
 
     def _check_cut(self, before: list[Any], event: events.Event) -> None:
-        """Refuse what goes on with a formula that YAML has cut at its comma."""
+        """Refuse a formula that YAML cut at a comma."""
         if not (before and isinstance(before[0], str) and isinstance(event, events.ScalarEvent)):
             return
         first, second = (text.count("(") - text.count(")") for text in (before[0], event.value))

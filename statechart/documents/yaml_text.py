@@ -1,4 +1,4 @@
-"""Plain scalars of YAML 1.2, and values as YAML writes them within a line."""
+"""Plain scalars of YAML 1.2, and flow style."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ _WORDS: Mapping[str, Any] = {
 
 
 def resolve(text: str) -> Any:
-    """Return what a plain scalar means in the core schema of YAML 1.2, decimal numbers only.
+    """Return the value of a plain scalar in the core schema of YAML 1.2, decimal numbers only.
 
-    Raises `ValueError` if it is an integer of thousands of digits, or a number beyond the range of
-    floats.
+    Raises `ValueError` for integers of thousands of digits and numbers beyond the range of floats.
     """
     if text in _WORDS:
         return _WORDS[text]
@@ -38,7 +37,7 @@ def resolve(text: str) -> Any:
 
 
 def flow(value: Any) -> str:
-    """Return a value as YAML writes it within a line."""
+    """Return a value in flow style."""
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{key}: {flow(item)}' for key, item in value.items())}}}"
     if isinstance(value, list | tuple):
@@ -47,7 +46,7 @@ def flow(value: Any) -> str:
 
 
 def scalar(value: Any) -> str:
-    """Return a value without parts as YAML writes it, without quotes."""
+    """Return a scalar without quotes."""
     match value:
         case str():
             return value

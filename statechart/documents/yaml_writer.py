@@ -17,7 +17,7 @@ _FLOW_WIDTH = 80
 def dump(model: BaseModel) -> str:
     """Return a model as YAML text that loads back to an equal model.
 
-    Fields that have their default value are left out; numbers keep full precision.
+    Default values are omitted; numbers have full precision.
     """
     data = model.model_dump(by_alias=True, exclude_defaults=True)
     if hasattr(model, "kind"):
@@ -39,12 +39,12 @@ def _document(data: Any) -> Iterator[events.Event]:
 
 
 def _yaml_events(value: Any, *, block: bool) -> Iterator[events.Event]:
-    # A short value stands on one line, in braces; a longer one is indented.
+    # Short values in flow style, others in block style.
     if isinstance(value, Mapping):
         flow = not block or _is_short(value)
         yield events.MappingStartEvent(None, None, implicit=True, flow_style=flow)
         for key, item in value.items():
-            # Every key is read as text, whatever it looks like.
+            # Keys are text, also if they look like numbers.
             yield events.ScalarEvent(None, None, (True, True), str(key))
             yield from _yaml_events(item, block=not flow)
         yield events.MappingEndEvent()

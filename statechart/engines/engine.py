@@ -1,4 +1,4 @@
-"""The interface of an integrator, and the path that it makes."""
+"""Interface of an integrator, and the dense output that it computes."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from statechart.formulas.tape import Tape
 
 
 class Allowance:
-    """Seconds that several runs share. A mode that is being compiled is not interrupted."""
+    """Time budget of several runs; a compilation is not interrupted."""
 
     def __init__(self, seconds: float, clock: Callable[[], float] = working_time) -> None:
         self.seconds, self.clock = seconds, clock
         self._until = math.inf
 
     def begin(self) -> None:
-        """Count from now on."""
+        """Start the clock."""
         self._until = self.clock() + self.seconds
 
     def remove_limit(self) -> None:
@@ -37,14 +37,14 @@ class Allowance:
         self._until = math.inf
 
     def check_for(self, seconds: float) -> None:
-        """Raise where there is no time for a compilation of so many `seconds`."""
+        """Raise if there is no time for a compilation of so many `seconds`."""
         if seconds and self.clock() + seconds > self._until:
             raise OutOfBudget(
                 f"{self.seconds:g} s are too few to compile the mode's integrator; allow more time"
             )
 
     def check(self, now: float) -> None:
-        """Raise where the time is over; `now` is how far the run came."""
+        """Raise if the time is over; `now` is the time that the run reached."""
         if self.clock() > self._until:
             raise OutOfBudget(
                 f"the {self.seconds:g} s were used up at t = {now:.6g}; allow more time, "
@@ -57,10 +57,10 @@ _MIN_CAPACITY = 64
 
 
 class Path:
-    """The steps of the flow under way, in arrays that grow and are used again.
+    """Steps of the current flow, in reused arrays that grow.
 
-    `times` (capacity + 1,) are the ends of steps, counted from where the flow starts;
-    `coefficients` (capacity, n, d + 1) are as in `Arc`. Beyond `count` steps both are void.
+    `times` (capacity + 1,) are the ends of steps since the start of the flow; `coefficients`
+    (capacity, n, d + 1) are as in `Arc`. Both are valid for the first `count` steps.
     """
 
     def __init__(self) -> None:
@@ -69,9 +69,9 @@ class Path:
         self.count = 0
 
     def reserve(self, steps: int, variables: int, terms: int) -> None:
-        """Reserve capacity for so many more steps, of at least so many terms.
+        """Reserve capacity for further steps of at least so many terms.
 
-        Raise `TooLong` if a trace may not take as much memory, `StepFailure` if there is none.
+        Raise `TooLong` above the memory limit of a trace, `StepFailure` if there is no memory.
         """
         capacity, _, width = self.coefficients.shape
         needed = self.count + steps
@@ -98,7 +98,7 @@ class Path:
         self.times, self.coefficients = times, coefficients
 
     def append(self, duration: float, coefficients: Array) -> None:
-        """Add a step; its polynomials (n, d + 1) may be of any degree."""
+        """Add a step with polynomials (n, d + 1) of any degree."""
         variables, terms = coefficients.shape
         self.reserve(1, variables, terms)
         self.coefficients[self.count, :, :terms] = coefficients
@@ -107,19 +107,19 @@ class Path:
         self.count += 1
 
     def arc(self) -> tuple[Array, Array]:
-        """Return times and coefficients of the steps made, as in `Arc`."""
+        """Return times and coefficients of the steps, as in `Arc`."""
         return self.times[: self.count + 1].copy(), self.coefficients[: self.count].copy()
 
 
 FIRST_CHUNK = 4
 LONGEST_CHUNK = 64
-"""Steps are made in chunks that grow by half, so that little is dropped behind an early event."""
+"""Steps are computed in chunks that grow by half, so that few are discarded after an event."""
 GROWTH = 16.0
-"""By which the look-ahead in time grows."""
+"""Growth factor of the look-ahead in time."""
 MAX_DEFECT_BOXES = 256
-"""Boxes in which a step is looked at for what it missed of its rates."""
+"""Boxes of the search for the defect of a step."""
 NEAR = 0.05
-"""A state may be this far off the constraints, in tolerances, before it is projected."""
+"""Constraint residual, in tolerances, above which a state is projected."""
 
 
 class Begin(Enum):
@@ -132,79 +132,69 @@ class Begin(Enum):
 
 
 class FlowWatch(NamedTuple):
-    """A flow, and what it is watched for."""
+    """A flow with its guards and constraints."""
 
-    guards: Tape  # Outputs: the margins whose fall is an event.
-    tolerances: Array  # (g,): how far below zero each may go.
-    constraints: Constraints  # Constraints of the states.
-    parameters: Array  # (p,): values of the automaton's parameters.
-    start: float  # Start of the flow.
-    reconstruction: Reconstruction  # The dependent coordinates.
+    guards: Tape  # outputs: the margins whose fall is an event
+    tolerances: Array  # (g,) of the margins
+    constraints: Constraints
+    parameters: Array  # (p,)
+    start: float
+    reconstruction: Reconstruction  # of dependent coordinates
 
 
 class Pace(NamedTuple):
     """Tolerances and step limits of an engine."""
 
-    # See `Engine`, and the longest step in time.
     tolerance: float
     max_step: float
-    allowed: float
-    terms: int  # Number of terms of its series.
+    allowed: float  # as of `Engine`
+    terms: int  # of the series
 
 
 class Entry(NamedTuple):
-    """Entry of compiled loops into a mode's step."""
+    """Step function of a mode, for compiled loops."""
 
-    address: int  # See `statechart.engines.taylor_loop.Step`.
-    fixed: Tape  # Its parameters behind the time, from the automaton's.
-    takes: int  # Number of its parameters, the time among them.
+    address: int  # see `statechart.engines.taylor_loop.Step`
+    fixed: Tape  # its parameters after the time, from those of the automaton
+    takes: int  # number of its parameters, including the time
     pace: Pace
 
 
 class Engine(ABC):
-    """An integrator: it makes a mode's steps, and knows nothing of events.
+    """An integrator of one tolerance: it computes steps of a mode, without events."""
 
-    An engine is created for one tolerance and may keep what it compiled for a mode.
-    """
-
-    # Its name, and that of its method; the same where there is only one.
     name: str
     method: str
-    tolerance: float  # Relative.
-    sharp: bool = False  # The last digits cost little more than the first.
-    # Whether runs end where its steps collapse on a stiff mode, for another to take its place.
-    gives_way: bool = False
-    evaluations: int = 0  # Evaluations of the rates so far; 0 if not counted.
-    # (n,): how large each variable is in the model's own scales, where it says so; set for each
-    # run.
-    sizes: Array | None = None
-    # (n,): errors of a variable that is smaller are relative to this; set for each flow.
-    floor: Array | float = 0.0
-    # Ends runs in time; such runs are made step by step.
-    allowance: Allowance | None = None
-    # Allowed error of the slope of a step, in parts of what a variable is and moves in the step.
-    # The slope of a dense output is of a lower order than the step.
+    tolerance: float  # relative
+    sharp: bool = False  # the cost hardly rises with the accuracy
+    gives_way: bool = False  # runs on a stiff mode end, so that another engine replaces it
+    evaluations: int = 0  # of the rates; 0 if not counted
+    sizes: Array | None = None  # (n,) scales of the variables in a run
+    floor: Array | float = 0.0  # (n,) absolute tolerance / relative tolerance in a flow
+    allowance: Allowance | None = None  # such runs are computed step by step
+    # Allowed error of the slope at the end of a step, relative to a variable and its change. The
+    # slope of dense output has a lower order than the step.
     allowed: float
 
     @property
     def title(self) -> str:
-        """Engine and method, in words."""
+        """Engine and method as text."""
         return self.name if self.method == self.name else f"{self.name} {self.method}"
 
     @abstractmethod
     def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> object:
-        """Return what `steps` needs to integrate `mode`, whose rates are also on a tape."""
+        """Return the stepper of a mode with these rates, for `steps`."""
 
     def entry(self, stepper: object) -> Entry | None:
-        """Return where compiled loops enter what `compile` returned; None where they cannot."""
+        """Return the step function of a stepper for compiled loops, or None."""
         return None
 
     def compiling(self, rates: Tape) -> float:
-        """Return about how many seconds `compile` takes."""
+        """Return the estimated seconds of `compile`."""
         return 0.0
 
     def check(self, stepper: object, state: Array, parameters: Array, time: float) -> None:  # noqa: B027
-        """Raise `Unsupported` where the method cannot go on from a state, whatever its steps."""
+        """Raise `Unsupported` if the method cannot continue from a state with any step."""
 
     @abstractmethod
     def steps(
@@ -218,9 +208,8 @@ class Engine(ABC):
         begin: Begin,
         end: Array,
     ) -> bool:
-        """Take up to `count` steps, and append them to `path`; whether the last ends at `until`.
+        """Append up to `count` steps to `path`; return whether the last one ends at `until`.
 
-        The flow stops at `until` exactly. `begin` says how `state` (n,), which is not modified,
-        follows from the last call with this stepper (see `compile`); `end` (n,) takes the last
-        state. An error means that not a single step can be made.
+        `until` is met exactly. `begin` relates `state` (n,) to the last call with this stepper;
+        `end` (n,) receives the last state. An error means that no step is possible.
         """

@@ -1,4 +1,4 @@
-"""Formulas as heyoka's expressions."""
+"""Conversion of SymPy formulas to heyoka expressions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.errors import StatechartError, Unsupported
 from statechart.formulas.writer import exponential_joined
 
-# It says on stdout where its cache on disk cannot be used, which costs time alone.
+# No warnings on stdout about an unusable disk cache.
 hy.set_logger_level_error()
 
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
@@ -37,11 +37,9 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
 class Converter:
     """SymPy to heyoka, one heyoka node per SymPy node.
 
-    What depends on parameters alone is computed once a flow and given to heyoka as a parameter of
-    its own: as an operation it would be expanded into a series that is zero but for its first term,
-    and multiplied with others, order by order. What is left of a product without such factors is
-    computed once, whatever they are. `constants` are those expressions: heyoka takes them as
-    parameters behind the time.
+    Subexpressions of parameters alone (`constants`) are evaluated once per flow and passed to
+    heyoka as parameters after the time: as operations they would be expanded into series with one
+    nonzero term. Products are split so that their varying part is shared.
     """
 
     def __init__(
@@ -52,7 +50,7 @@ class Converter:
             symbol: hy.expression(f"v{i}") for i, symbol in enumerate(automaton.variables)
         }
         self.constants: list[sp.Expr] = []
-        # Base and exponent of powers without a series where their base is zero.
+        # Base and exponent of powers without a Taylor series at base zero.
         self.singular: list[tuple[sp.Expr, sp.Expr]] = []
         self.timed = False
         self._parameters = frozenset(automaton.parameters)
@@ -60,7 +58,7 @@ class Converter:
         self._moving: dict[sp.Expr, bool] = {}
 
     def __call__(self, expression: sp.Expr) -> Any:
-        """Return an expression of heyoka's."""
+        """Return the heyoka expression."""
         found = self.known.get(expression)
         if found is None:
             convert = self._convert if self._moves(expression) else self._constant
@@ -68,9 +66,9 @@ class Converter:
         return found
 
     def rate(self, expression: sp.Expr) -> Any:
-        """Return a rate; a number that it is shifted by becomes a parameter of heyoka's.
+        """Return a rate, with its additive constant as a parameter.
 
-        Modes whose rates differ in such numbers alone (a heater that is on or off) are one program.
+        Modes whose rates differ in constants only (a heater on or off) then share a program.
         """
         while expression in self._definitions and expression not in self.known:
             expression = self._definitions[expression]
@@ -78,13 +76,13 @@ class Converter:
             number, remainder = expression.as_coeff_Add()
             if number != 0:
                 self.constants.append(number)
-                # Before what is left: its formulas append numbers of their own.
+                # Before the rest, which appends further constants.
                 shift = hy.par[len(self.constants)]
                 return self(remainder) + shift
         return self(expression)
 
     def _moves(self, node: sp.Expr) -> bool:
-        """Return whether a formula varies in a run."""
+        """Return whether a formula varies during a flow."""
         depends = self._moving.get(node)
         if depends is None:
             if node.is_Symbol:
@@ -105,7 +103,7 @@ class Converter:
         return hy.par[len(self.constants)]
 
     def _joined(self, operation: Callable[[Any, Any], Any], node: sp.Expr, operands: Any) -> Any:
-        """Join the parts of a sum or of a product: first what moves, then the number of the run."""
+        """Join the operands of a sum or product: varying ones first, then the constant."""
         constants = [operand for operand in operands if self._folds and not self._moves(operand)]
         joined = [self(operand) for operand in operands if operand not in constants]
         if constants:
@@ -126,13 +124,12 @@ class Converter:
         if node.is_Pow:
             return self._power(*node.args)
         if node.func is sp.Abs:
-            # No flow may be declared with it: SymPy makes it of the root of a square, which has a
-            # series wherever it is not zero.
+            # SymPy simplifies sqrt(x**2), which is analytic for x != 0; `abs` itself is refused.
             return self._power(node.args[0] ** 2, sp.S.Half)
         if node.func is sp.sign:
             return self(node.args[0]) / self(sp.Abs(node.args[0]))
         if node.func is sp.DiracDelta:
-            # The derivative of a sign is zero wherever there is one.
+            # The derivative of sign where it exists.
             return hy.expression(0.0)
         function = _FUNCTIONS.get(node.func)
         if function is None:
@@ -143,17 +140,17 @@ class Converter:
 
     def _symbol(self, node: sp.Symbol) -> Any:
         if node == self._time:
-            # heyoka's time runs from zero in every arc, so that late arcs lose nothing.
+            # heyoka's time starts at zero in every arc, so that late arcs lose no digits.
             self.timed = True
             return hy.time + hy.par[0]
         if node in self._definitions:
-            # Only those that the rates need: heyoka wants no parameter that it does not use.
+            # Only parameters that occur in the rates, as heyoka requires.
             return self(self._definitions[node])
         raise StatechartError(f"the unknown {node} is used before it is determined")
 
     def _power(self, base: sp.Expr, exponent: sp.Expr) -> Any:
         if exponent.is_Integer:
-            # heyoka's series of a power divides by the base, which may be zero.
+            # heyoka's power series divides by the base, which may be zero.
             product = _product(self(base), abs(int(exponent)))
             return product if exponent > 0 else 1.0 / product
         if not base.is_number:

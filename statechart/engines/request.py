@@ -1,4 +1,4 @@
-"""The engine and the plan of a run, by what the user asks for, the file says and was measured."""
+"""Choice of engine and plan of a run, from request, file settings and measurements."""
 
 from __future__ import annotations
 
@@ -17,17 +17,14 @@ from statechart.errors import DeclarationError, DeclarationProblem
 
 ENGINES = ("auto", "taylor", "scipy")
 
-# Taylor's method costs little more for the last digits: its order rises with them.
+# Machine precision, since the order of the Taylor method rises with the digits.
 _TAYLOR_TOLERANCE = 2.2e-16
 _SCIPY_TOLERANCE = 1e-12
 _METHOD = "DOP853"
 
 
 def choose(setting: Setting) -> tuple[Engine, str]:
-    """Return an integrator, and why it was picked.
-
-    The sentence is empty unless `auto` could not take its first choice.
-    """
+    """Return an integrator, and the reason if `auto` could not take its first choice."""
     engine, method, tolerance = setting.engine or "auto", setting.method, setting.tolerance
     longest = setting.max_step or math.inf
     if engine not in ENGINES:
@@ -36,7 +33,7 @@ def choose(setting: Setting) -> tuple[Engine, str]:
         raise DeclarationError(f"no engine {engine!r}", advice=written or f"known: {engines}")
     reason = ""
     if engine == "auto":
-        # Only scipy has methods to choose from.
+        # Only scipy has several methods.
         engine = "scipy" if method is not None or not _has_heyoka() else "taylor"
         if engine == "scipy" and method is None:
             reason = "engine scipy: heyoka, which the engine taylor needs, is not installed"
@@ -74,22 +71,21 @@ def _taylor(method: str | None, tolerance: float | None, longest: float) -> Engi
 
 
 TIGHTER = 1.0 / 20.0
-"""The step from one tolerance to the next when an error is estimated. Measured over 180 runs: with
-it the difference of the two bounds the error in 179, at 3.2 to 3.7 times the cost of one."""
+"""Ratio of the tolerances of an error estimate. In 179 of 180 measured runs the difference bounds
+the error, at 3.2 to 3.7 times the cost of one run."""
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """A setting that was seen to do, and what tells its run when it is made again."""
+    """A measured setting that meets a request, with the fingerprint of its run."""
 
-    setting: Setting  # With a tolerance.
-    error: float  # That of its run at most: against a reference, and that of the reference itself.
-    outcome: str  # Why its run ended.
-    # Costs of its run.
+    setting: Setting
+    error: float  # bound: difference from the reference, plus the error of the reference
+    outcome: str
     steps: int
     evaluations: int
     flows: int
-    decides: str = ""  # The quantity that has the largest error.
+    decides: str = ""  # the quantity with the largest error
 
 
 class Measured(Protocol):
@@ -98,17 +94,17 @@ class Measured(Protocol):
     until: float
 
     def of(self, model: Declaration) -> bool:
-        """Return whether a model is the one that was measured."""
+        """Return whether the measurements are of this model."""
         ...
 
     def shown(self, label: str) -> Mapping[str, Any]:
-        """Return what the page of a run shows of it; the run's own setting has this label."""
+        """Return the data for the page of a run; `label` marks its own setting."""
         ...
 
     def choose(self, asked: Setting, *, once: bool) -> Chosen | None:
-        """Return what was seen to reach an accuracy, or the best in a time.
+        """Return the fastest setting for an accuracy, or the most accurate for a budget.
 
-        `once`: where it is the first run of a process; else where it follows others.
+        `once`: times are those of the first run of a process, with compilation.
         """
         ...
 
@@ -117,15 +113,12 @@ class Measured(Protocol):
 class Plan:
     """Plan of the runs of a model."""
 
-    setting: Setting  # The request, completed by the model's settings.
-    first: float | None = None  # Tolerance of the first run, where that was measured.
-    # Source of that tolerance, or of the first step.
-    basis: str = "guessed (no earlier `trade`)"
-    chosen: Chosen | None = None  # The run that was measured to reach the accuracy asked for.
-    # End of the runs that it was chosen by, where they were measured: what they say holds of a run
-    # to this end with the parameters of the model.
-    measured: float | None = None
-    reason: str = ""  # Why an engine was taken that nobody asked for; else empty.
+    setting: Setting  # the request, completed by the settings of the model
+    first: float | None = None  # measured tolerance of the first run
+    basis: str = "guessed (no earlier `trade`)"  # source of the first tolerance or step
+    chosen: Chosen | None = None  # the measured run that meets the request
+    measured: float | None = None  # end time of the measured runs, for which they are valid
+    reason: str = ""  # of an engine other than the first choice
 
 
 def planned(
@@ -136,19 +129,19 @@ def planned(
     *,
     once: bool = False,
 ) -> Plan:
-    """Return how to run a model as asked, by what its settings say and what was measured of it.
+    """Return the plan of a request, from the settings of the model and measurements.
 
     `once`: see `Measured.choose`.
     """
     settings, given = model.settings, asked
-    # A method asks for the engine that has methods, whatever the file says.
+    # A requested method implies scipy, and overrides the file.
     engine = asked.engine or ("scipy" if asked.method is not None else settings.engine)
     steps_only = engine == "auto" and automaton.own_step is not None
     asked = replace(asked, engine="impulse" if steps_only else engine)
     try:
         asked.check()
     except DeclarationProblem as problem:
-        # A value given in the call has no place in the file.
+        # A value of the call has no place in the file.
         raise DeclarationError(problem.message, advice=problem.advice) from None
     # A value in the file is reported with its place.
     of_file = asked.engine == settings.engine and given.engine is None and given.method is None
@@ -172,7 +165,7 @@ def planned(
 
 
 def _learned(plan: Plan, study: Measured | None, model: Declaration, *, once: bool) -> Plan:
-    """Return the plan with engine and first tolerance chosen by what was measured."""
+    """Return the plan with engine and first tolerance from the measurements."""
     asked = plan.setting
     if study is None or (asked.accuracy is None and asked.budget is None):
         return plan
@@ -185,7 +178,7 @@ def _learned(plan: Plan, study: Measured | None, model: Declaration, *, once: bo
     setting = replace(asked, engine=found.engine, method=found.method)
     basis = f"measured: {found.label}"
     if asked.budget is not None:
-        # Two runs are to fit: that one, and one before it to compare it with.
+        # The first of two runs, whose difference estimates the error.
         return Plan(setting, tolerance / TIGHTER, basis, measured=study.until)
     return Plan(setting, tolerance, basis, chosen, study.until)
 
@@ -193,7 +186,7 @@ def _learned(plan: Plan, study: Measured | None, model: Declaration, *, once: bo
 def _stepping(
     asked: Setting, model: Declaration, automaton: Automaton, steps_only: bool, of_file: bool
 ) -> Plan:
-    """Return how to run a model on the engine impulse; `steps_only`: as no other can."""
+    """Return the plan of a run on the engine impulse; `steps_only`: no other engine can run it."""
     if automaton.stepper is None:
         raise _refused(
             f"{model.name!r} cannot run on the engine impulse, which moves bodies in "
@@ -217,7 +210,7 @@ def _stepping(
         asked,
         impulse_tolerance=asked.impulse_tolerance or settings.impulse_tolerance,
         impulse_bound=asked.impulse_bound or settings.impulse_bound,
-        # Estimates of accuracy compare events, too.
+        # Error estimates compare events too.
         record=asked.record or ("modes" if asked.accuracy is not None else settings.record),
     )
     step, basis = asked.step or model.settings.step, "as given"
@@ -243,7 +236,7 @@ def _stepping(
 
 
 def _refused(message: str, advice: str, of_file: bool) -> Exception:
-    """Return that an engine cannot do: where the file asks for it, with its place there."""
+    """Return the error that an engine cannot run a model, with its place in the file."""
     if of_file:
         return DeclarationProblem(message, advice=advice, loc=("settings", "engine"))
     return DeclarationError(message, advice=advice)

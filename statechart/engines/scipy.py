@@ -1,4 +1,4 @@
-"""SciPy's adaptive integrators, step by step, with their dense output as polynomials."""
+"""SciPy's adaptive integrators, with dense output as polynomials."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from statechart.formulas.tape import Tape
 
 METHODS = ("RK45", "DOP853", "Radau", "LSODA")
 
-# A thousand roundings: with the factor below, a variable at rest is known to one.
+# With the factor below, this resolves a variable at rest to round-off.
 _RATE_ROUND_OFF = 1e3 * float(np.finfo(float).eps)
 # Errors of smaller magnitudes underflow.
 _SMALLEST = 1e-280
-# Such a part of a variable counts as zero: DOP853 divides squares of its errors, and 0 by 0.
+# Smaller fractions of a variable are zero, since DOP853 divides squares of its errors.
 _UNDERFLOW = 1e-100
-# solve_ivp refuses a relative tolerance below this.
+# Least relative tolerance of solve_ivp.
 _MIN_TOLERANCE = 100 * float(np.finfo(float).eps)
-# The slope of dense output is off by less than this times that power of the tolerance: an order
-# lower than the step, of RK45 5 and of DOP853 8. Ten times what the shipped models show.
+# The slope error of dense output is below _SLOPE * tolerance**_SLOWER: one order lower than the
+# step (RK45 5, DOP853 8). Ten times the maximum over the shipped models.
 _SLOPE, _SLOWER = 50.0, 0.85
 
 
@@ -51,7 +51,7 @@ class SciPy(Engine):
         self.allowed = _SLOPE * self.tolerance**_SLOWER
 
     def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> _Stepper:
-        """Return an integrator of the rates on tape."""
+        """Return the stepper of the rates."""
         return _Stepper(rates)
 
     def steps(
@@ -65,11 +65,11 @@ class SciPy(Engine):
         begin: Begin,
         end: Array,
     ) -> bool:
-        """Take one step: they are dear, and the constraints are projected after each."""
+        """Take one step, after which the constraints are projected."""
         assert isinstance(stepper, _Stepper)
         reached = path.times.item(path.count)
         start = watch.start + reached
-        # Steps are tried that go beyond all floats, and are rejected.
+        # Trial steps may overflow, and are rejected.
         with np.errstate(over="ignore", invalid="ignore"):
             message, solver = self._step(stepper, watch, start, state, until - reached, begin)
         if solver.status == "failed":
@@ -84,7 +84,7 @@ class SciPy(Engine):
         moved = watch.reconstruction.onto(end, start + h)
         if moved is not end:
             end[:] = moved
-            if self.method != "LSODA":  # Its state is part of its history, and is near enough.
+            if self.method != "LSODA":  # its Nordsieck history contains the state
                 solver.y[:] = moved
         if finished := bool(solver.status == "finished"):
             path.times[path.count] = until
@@ -121,15 +121,15 @@ class SciPy(Engine):
         magnitude = np.abs(state)
         sizes = self.sizes
         if sizes is None:
-            # Without scales of its own a variable at zero is measured by the others, or where all
-            # are zero, by the way that the rates make: rates alone depend on the unit of time.
+            # Without declared scales, the absolute tolerance of a variable at zero follows from the
+            # others, or from rate times duration, which does not depend on the unit of time.
             rate = float(np.abs(rates(0.0, state)).max(initial=0.0)) * min(duration, 1.0)
             largest = float(magnitude.max(initial=0.0))
             largest = largest if largest > _UNDERFLOW * rate else rate
             smallest = np.full(len(state), max(largest, _SMALLEST) if largest > 0.0 else 1.0)
         else:
-            # In the model's own units, and as small as the motion now is (late, low bounces), but
-            # not below what rounding makes of a state at rest.
+            # In declared scales, reduced to the present motion (late, low bounces), but not below
+            # the round-off of a state at rest.
             moving = float((magnitude / sizes).max(initial=0.0)) or 1.0
             smallest = sizes * max(moving, _RATE_ROUND_OFF / self.tolerance)
         self.floor = np.maximum(magnitude, 1e-3 * smallest)
@@ -144,11 +144,11 @@ class SciPy(Engine):
 
 
 def _move(solver: Any, state: Array) -> None:
-    """Move the state of LSODA, and keep what it knows of the past.
+    """Replace the state of LSODA, and retain its history.
 
-    A multistep method that begins anew has order 1 and tiny steps. The state is the first column
-    of its Nordsieck array, and the others are right to within its error, as in the projection of
-    CVODE (E. Eich, SIAM J. Numer. Anal. 30, 1993).
+    A restarted multistep method has order 1 and tiny steps. The state is the first column of the
+    Nordsieck array; the others are correct to within its error, as in the projection of CVODE
+    (E. Eich, SIAM J. Numer. Anal. 30, 1993).
     """
     inner = solver._lsoda_solver
     inner._integrator.rwork[20 : 20 + solver.n] = state
@@ -168,7 +168,7 @@ def _polynomial(dense: Any, h: float, n: int) -> Array:
         return _dop853(dense.y_old, dense.F)
     if kind == "LsodaDenseOutput":
         return _nordsieck(dense, h)
-    # A step over which nothing changes (a constant dense output).
+    # Constant dense output.
     return np.asarray(dense(dense.t_old))[:, None]
 
 
@@ -185,7 +185,7 @@ def _dop853(old: Array, f: Array) -> Array:
 
 
 def _nordsieck(dense: Any, h: float) -> Array:
-    """Shift LSODA's Nordsieck array, which is centred at the end of the step, to its start."""
+    """Shift the Nordsieck array of LSODA from the end of the step to its start."""
     scaled = np.asarray(dense.yh) * (h / dense.h) ** dense.p
     degree = scaled.shape[1] - 1
     # (s - 1)^k in powers of s.

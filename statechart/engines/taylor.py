@@ -1,6 +1,6 @@
-"""Taylor's method of high order, by heyoka (Biscani and Izzo, MNRAS 504, 2021).
+"""High-order Taylor method of heyoka (Biscani and Izzo, MNRAS 504, 2021).
 
-Steps and polynomials are heyoka's; its own event detection is not used, because it samples.
+heyoka computes steps and dense output. Its event detection is not used: it gives no proof.
 """
 
 from __future__ import annotations
@@ -24,28 +24,27 @@ from statechart.formulas.tape import Tape
 from statechart.kernels.polynomials import append_steps
 from statechart.tabular import several
 
-# Compiling 250 operations without loops takes 1.7 s and 42 MB, with loops 0.4 s and 8 MB; unless
-# they are so few on tape, where each is there once.
+# Compiling 250 operations unrolled takes 1.7 s and 42 MB, in compact mode 0.4 s and 8 MB. Formulas
+# of at most _FEW operations on tape are unrolled.
 _COMPACT, _FEW = 240, 100
-# Seconds that compiling takes at least, and for each operation: above the shipped models' times.
-_BEGIN, _EACH = 0.01, 2e-4
-# To the power -20, the order of the method, and some more for the derivatives of a surface, this is
-# near the largest float. Asked for only where a step fails.
+# Compile time in seconds: constant, and per operation; above the times of the shipped models.
+_COMPILE_TIME, _TIME_PER_OPERATION = 0.01, 2e-4
+# This to the power -20, the order of the method, is near the largest float.
 _LEAST_BASE = 1e-12
-# Slopes may be off their rates by so much in parts of the motion, or in tolerances: ten times what
-# the shipped models show.
+# Allowed slope error, relative to the motion and in tolerances: ten times the maximum over the
+# shipped models.
 _SLOPE, _ORDERS = 1e-12, 1e3
 _SHOWN = 80  # characters of a formula in a message
 
 
 def _many(mode: Mode, rates: Tape) -> bool:
-    """Return whether the operations of a mode are too many to be compiled without loops."""
+    """Return whether a mode has too many operations to be unrolled."""
     written = sp.count_ops([*(value for _, value in mode.definitions), *mode.rates])
     return bool(len(rates.code) > _FEW and written > _COMPACT)
 
 
 def has_long_double() -> bool:
-    """Return whether a long double has more digits than a double, and heyoka computes with it."""
+    """Return whether heyoka supports long doubles with more digits than a double."""
     import heyoka as hy
 
     finer = np.finfo(np.longdouble).eps < np.finfo(float).eps
@@ -56,13 +55,13 @@ def has_long_double() -> bool:
 class _Stepper:
     integrator: Any
     compiled: Step | None
-    fixed: Tape  # The integrator's parameters behind the time.
-    powers: tuple[str, ...]  # Without a series where their base is zero.
+    fixed: Tape  # parameters of the integrator after the time
+    powers: tuple[str, ...]  # without a Taylor series at base zero
     bases: Tape
     rates: Tape
 
     def __post_init__(self) -> None:
-        # Views into the integrator's own memory; it alone writes the last.
+        # Views into the memory of the integrator.
         self.state, self.pars = self.integrator.state, self.integrator.pars
         self.series, self.shape = self.integrator.tc, self.integrator.tc.shape
         # Arguments of compiled steps: address, state, parameters, clock, series.
@@ -72,7 +71,7 @@ class _Stepper:
         self.durations: Array = np.empty(0)
 
     def enter(self, state: Array, watch: FlowWatch, time: float) -> None:
-        """Begin in a state at a time."""
+        """Set the initial state and time."""
         self._clock[:] = 0.0
         if self.compiled is None:
             self.integrator.time = self.state.dtype.type(0.0)
@@ -91,18 +90,16 @@ class Taylor(Engine):
         self, tolerance: float, *, extended: bool = False, max_step: float = math.inf
     ) -> None:
         self.method = LONG_DOUBLE if extended else "taylor"
-        # The order rises with the digits.
         self.sharp = not extended
         self._number: type[Any] = np.longdouble if extended else float
         self.tolerance = max(tolerance, float(np.finfo(self._number).eps))
         self.allowed = max(_SLOPE, _ORDERS * self.tolerance)
         self.max_step = max_step
-        # Rates, with numbers of a run as parameters -> what was compiled of them.
+        # Rates, with constants as parameters -> integrator and step.
         self._programs: dict[tuple[Any, ...], tuple[Any, Step | None]] = {}
 
     def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> _Stepper:
-        """Compile the rates, once for all modes in which they are the same but for parameters."""
-        # Whoever only asks for a tolerance need not wait for them.
+        """Compile the rates, shared by modes that differ in parameters only."""
         import heyoka as hy
 
         from statechart.engines.heyoka_formulas import Converter
@@ -113,9 +110,8 @@ class Taylor(Engine):
         form = tuple(convert.rate(rate) for rate in mode.rates)
         cached = self._programs.get(form)
         if cached is None:
-            # Loops in the compiled code cost small modes up to half of their speed; without them
-            # the compiler needs half a minute for a mode of two thousand operations. Of long
-            # doubles it takes several times as long.
+            # Compact mode costs small modes up to half of their speed; unrolled, two thousand
+            # operations take half a minute to compile, with long doubles several times as long.
             compact = extended or _many(mode, rates)
             with whole(f"the equations of a mode ({several(len(states), 'variable')})"):
                 integrator = hy.taylor_adaptive(
@@ -127,8 +123,8 @@ class Taylor(Engine):
                 )
             cached = self._programs[form] = integrator, None if extended else Step.of(integrator)
         integrator, compiled = cached
-        # heyoka keeps as many parameters as it needs after its own simplifications (a mass may
-        # cancel); the first is the start of the arc.
+        # heyoka drops parameters that it simplifies away (a mass may cancel); the first is the
+        # start of the arc.
         fixed = automaton.tape(convert.constants[: max(len(integrator.pars) - 1, 0)], mode)
         symbols = (*automaton.variables, *automaton.parameters)
         symbol_names = (*automaton.names, *automaton.parameter_names)
@@ -138,7 +134,7 @@ class Taylor(Engine):
             compiled,
             fixed,
             tuple(
-                # The root of a square would become an absolute value again.
+                # Unevaluated: the root of a square would become an absolute value.
                 sp.sstr(sp.Pow(base.xreplace(names), exponent, evaluate=False))[:_SHOWN]
                 for base, exponent in convert.singular
             ),
@@ -147,7 +143,7 @@ class Taylor(Engine):
         )
 
     def entry(self, stepper: object) -> Entry | None:
-        """Return where loops enter a step (see `Engine`)."""
+        """Return the step function for compiled loops (see `Engine`)."""
         assert isinstance(stepper, _Stepper)
         if stepper.compiled is None:
             return None
@@ -155,11 +151,11 @@ class Taylor(Engine):
         return Entry(stepper.compiled.address, stepper.fixed, len(stepper.pars), pace)
 
     def compiling(self, rates: Tape) -> float:
-        """Return about how many seconds `compile` takes."""
-        return _BEGIN + _EACH * len(rates.code)
+        """Return the estimated seconds of `compile`."""
+        return _COMPILE_TIME + _TIME_PER_OPERATION * len(rates.code)
 
     def check(self, stepper: object, state: Array, parameters: Array, time: float) -> None:
-        """Raise `Unsupported` where a power that is not a whole one meets a base of zero."""
+        """Raise `Unsupported` at a non-integer power with base zero."""
         assert isinstance(stepper, _Stepper)
         bases = stepper.bases.values(state, parameters, time)
         for power, base in zip(stepper.powers, bases.tolist(), strict=True):
@@ -209,7 +205,7 @@ class Taylor(Engine):
                 )
             raise NonFinite(f"the state or its rate is not finite near t = {start:.6g}")
         if h == 0.0 and remaining > 0.0:
-            # The steps before the one that underflowed stand, and may hold an event.
+            # The steps before the one that underflowed are valid, and may contain an event.
             if path.times.item(limit) == path.times.item(limit - 1):
                 limit -= 1
             if limit == first:
@@ -231,7 +227,7 @@ def _one_by_one(
     count: int,
     end: Array,
 ) -> tuple[int, int, float, float]:
-    """Do what the compiled steps do with heyoka's own calls, in the precision of `duration`."""
+    """Take steps by heyoka's Python interface, in the precision of `duration`."""
     if count > len(stepper.durations):
         stepper.durations = np.empty(count)
     step, durations = stepper.integrator.step, stepper.durations
@@ -255,12 +251,12 @@ def _one_by_one(
             ):
                 break
             longest = h / 2
-        with np.errstate(over="ignore"):  # of what no double can hold, the step is not finite
+        with np.errstate(over="ignore"):  # long doubles beyond the range of doubles
             series[first + steps_taken] = now
         durations[steps_taken] = h
         time += float(h)
         steps_taken += 1
-        # The step is cut to end at the duration exactly, and then its length is what was left.
+        # The last step ends at the duration exactly.
         if h == remaining or not h > 0.0:
             break
         remaining -= h

@@ -1,8 +1,8 @@
-"""The compiled loop over an array of runs: their modes as a table, its calls, what comes of them.
+"""The compiled event loop over a batch of runs: table of modes, calls, results.
 
-The loop is that of the laws (`statechart.automaton.laws.CompiledLaws`), which know which instants
-are unambiguous. A run is values of parameters, or one that has come somewhere already. The loop
-returns why it left a run, and the execution alone acts on that.
+The loop is part of the laws (`statechart.automaton.laws.CompiledLaws`), which recognise unambiguous
+instants. It starts runs from parameters, or continues one run, and returns the reason why it
+stopped.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ _MAX_STEPS, _MAX_COEFFICIENTS = 512, 1 << 17
 class _CompilationPolicy:
     """Decides whether to use compiled code: it is cached, or many flows could use it.
 
-    A look at the cache takes as long as a short run: it is repeated when the requests have doubled.
+    A check of the cache takes as long as a short run, and is repeated when the requests doubled.
     """
 
     def __init__(self, compiled: Callable[[], bool]) -> None:
@@ -335,14 +335,14 @@ class Packed:
         self._sizes = [0, 0]
 
     def ints(self, array: ArrayLike) -> int:
-        """Add whole numbers; return where they begin."""
+        """Append integers; return their offset."""
         array = np.asarray(array, np.int32).ravel()
         self._ints.append(array)
         self._sizes[0] += array.size
         return self._sizes[0] - array.size
 
     def tape(self, tape: Tape) -> tuple[int, ...]:
-        """Add a tape; return its columns."""
+        """Append a tape; return its columns."""
         self._floats.append(tape.constants)
         self._sizes[1] += len(tape.constants)
         return (
@@ -358,10 +358,10 @@ class Packed:
         )
 
     def program(self, modes: Ints) -> Program:
-        """Return all of it."""
+        """Return the program of all arrays."""
         return Program(*self.arrays(), modes)
 
     def arrays(self) -> tuple[Ints32, Array]:
-        """Return whole numbers and floats, one behind the other."""
+        """Return the concatenated integers and floats."""
         ints, floats = [np.zeros(0, np.int32), *self._ints], [np.zeros(0), *self._floats]
         return np.concatenate(ints), np.concatenate(floats)

@@ -1,4 +1,4 @@
-"""Modes solved and compiled when a run first enters them, and kept for the next one."""
+"""Caches of solved and compiled modes."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from statechart.formulas.tape import Tape
 
 @dataclass(frozen=True, eq=False)
 class TapedMode:
-    """A mode with its guards and its rates on tape, whatever integrates it."""
+    """A mode with tapes of its guards and rates."""
 
-    mode: Mode  # Equations and margins.
-    guards: Tape  # Outputs: the margins, in order.
-    rates: Tape  # Outputs: the rates of all variables.
-    reconstruction: ModeReconstruction  # The dependent coordinates.
-    wholes: Tape  # Outputs: the margins of whole relations; see `whole_margins`.
+    mode: Mode
+    guards: Tape  # outputs: the margins
+    rates: Tape  # outputs: the rates of all variables
+    reconstruction: ModeReconstruction  # of dependent coordinates
+    wholes: Tape  # outputs: the margins of whole relations (`whole_margins`)
 
     @cached_property
     def watched(self) -> tuple[tuple[str, str], ...]:
@@ -54,13 +54,13 @@ class TapedMode:
 
 @dataclass(frozen=True, eq=False)
 class CompiledMode(TapedMode):
-    """A mode on tape, and what an engine made of its rates."""
+    """A mode with the stepper of an engine."""
 
-    stepper: object  # The engine's own.
+    stepper: object
 
 
 class SolvedModes:
-    """The modes of an automaton, each solved and put on tape when it is first asked for."""
+    """The modes of an automaton, solved and taped on first use."""
 
     def __init__(self, automaton: Automaton) -> None:
         self.automaton = automaton
@@ -77,7 +77,7 @@ class SolvedModes:
         return self._parts.setdefault(automaton, SolvedModes(automaton))
 
     def taped(self, roles: Roles, zeros: frozenset[int]) -> TapedMode:
-        """Return the mode of `roles` on tape, for zero parameters at the places `zeros`."""
+        """Return the tapes of the mode of `roles`, for parameters `zeros` that are zero."""
         mode = self.mode(roles, zeros)
         tapes = self._taped.get(mode)
         if tapes is None:
@@ -104,7 +104,7 @@ class SolvedModes:
             assert switches is not None
             mode = self._modes[roles, zeros] = switches.mode_with_signs(roles[-1].share)
         elif mode is None:
-            # Zeros that its equations do not mention call for no mode of its own.
+            # Zero parameters that do not occur in its equations need no other mode.
             regions = of_regions(roles)
             mentioned = zeros & self._used(regions)
             mode = self._modes.get((roles, mentioned))
@@ -122,14 +122,14 @@ class SolvedModes:
         return mode
 
     def switches(self, roles: Roles, zeros: frozenset[int]) -> Switches | None:
-        """Return the switches of a mode; None where it has none."""
+        """Return the switches of a mode, or None."""
         mode = self.mode(roles, zeros)
         if self.automaton.switching and mode not in self._switches:
             self._switches[mode] = switches_of(self.automaton, mode)
         return self._switches.get(mode)
 
     def _used(self, roles: Roles) -> frozenset[int]:
-        """Return the places of the parameters that the equations of `roles` mention."""
+        """Return the indices of the parameters in the equations of `roles`."""
         return self._always.union(*(self._in_state(*symbols) for symbols in enumerate(roles)))
 
     @cached_property
@@ -140,7 +140,7 @@ class SolvedModes:
         return self._places((*automaton.equations, *automaton.rates, *further))
 
     def _in_state(self, region: int, role: Role) -> frozenset[int]:
-        """Return the places of the parameters that one region's equations mention."""
+        """Return the indices of the parameters in the equations of a region."""
         state_of_mode = self._mentioned.get((region, role))
         if state_of_mode is None:
             state = self.automaton.regions[region].build(role)
@@ -154,7 +154,7 @@ class SolvedModes:
 
 
 class CompiledModes:
-    """The modes of an automaton, each compiled for an engine when it is first entered."""
+    """The modes of an automaton, compiled for an engine on first entry."""
 
     def __init__(self, solved: SolvedModes, engine: Engine) -> None:
         self.automaton, self.mode, self.taped = solved.automaton, solved.mode, solved.taped
@@ -184,7 +184,7 @@ class CompiledModes:
         return compiled_mode
 
     def _compile(self, taped: TapedMode, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
-        """Let the engine compile the rates, unless they are those of another mode."""
+        """Compile the rates, unless another mode has the same."""
         plain_roles = uncaptured(roles)
         if plain_roles == roles:
             if self.engine.allowance is not None:
@@ -198,5 +198,5 @@ class CompiledModes:
 
     @property
     def built(self) -> int:
-        """Number of modes that were compiled so far."""
+        """Number of compiled modes."""
         return len(self._built)

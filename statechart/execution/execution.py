@@ -124,7 +124,7 @@ class Execution:
         self.outcome, self.message = outcome, message
 
     def stream(self, parameters: Mapping[str, float], sampling: Sampling) -> Iterator[Arc | Jump]:
-        """Yield arcs and jumps as they come; parameters may be set between samples."""
+        """Yield arcs and jumps as they are computed; parameters may be set between samples."""
         values, end, count, yielded = dict(parameters), self.until, 0, [0, 0]
 
         def fresh() -> Iterator[Arc | Jump]:
@@ -416,9 +416,9 @@ class Execution:
         return (margin.name,)
 
     def _fell_at_last(self) -> tuple[str, ...]:
-        """Return what fired where rates end on its boundary: h' = -sqrt(h) comes to h <= 0.
+        """Return the guard on whose boundary the rates end, as h <= 0 for h' = -sqrt(h).
 
-        They end where steps became too short, not where the state grew without bound.
+        The end is recognised by steps that become too short, not by an unbounded state.
         """
         if not isinstance(self.failure, StepFailure):
             return ()

@@ -1,8 +1,8 @@
-"""Signs of switches where a flow begins (Filippov 1988).
+"""Signs of switches at the start of a flow (Filippov 1988).
 
-Off its surface the sign of a switching function sigma is that of its value. On it, its first
-derivative that is not zero decides, on either side: both lead to one side, which the flow enters;
-or both lead back, and the flow slides, with the combination of both that keeps sigma at zero.
+Off its surface the sign of a switching function sigma is that of its value. On the surface its
+first nonzero derivative under either sign decides: if both point to one side, the flow crosses to
+it; if both point back, the flow slides, with the convex combination that keeps sigma = 0.
 """
 
 from __future__ import annotations
@@ -24,19 +24,17 @@ from statechart.execution.compiled_modes import CompiledModes
 from statechart.formulas.series import sizes_at
 from statechart.formulas.tape import Tape
 
-# Surfaces that a state may lie on together where signs act on them.
-_MAX_SURFACES = 6
-# A combination this near to one side is on its boundary.
-_EDGE = 1e-9
+_MAX_SURFACES = 6  # simultaneous surfaces of a state
+_EDGE = 1e-9  # distance of a convex combination from its boundary
 
 
 class Resolved(NamedTuple):
     """Signs of the switches of a flow."""
 
-    roles: Roles  # The signs as a role; none where there are no switches.
-    state: Array  # (n,): on the surfaces that the flow slides along, or has slid along.
-    tolerances: dict[str, float]  # Of the margins of the switches.
-    warnings: tuple[str, ...]  # Slides that begin, and choices that are not unique.
+    roles: Roles  # the signs as a role; none without switches
+    state: Array  # (n,), projected onto sliding surfaces
+    tolerances: dict[str, float]  # of the margins of the switches
+    warnings: tuple[str, ...]  # start of sliding, and ambiguous choices
 
 
 class Filippov:
@@ -52,10 +50,7 @@ class Filippov:
     def resolved(
         self, at: Instant, zeros: frozenset[int], before: Sequence[int] | None
     ) -> Resolved:
-        """Return the signs from an instant on; `before` are those of the flow that ends there.
-
-        None where a jump has come between.
-        """
+        """Return the signs after an instant; `before` are those of the flow before, if no jump."""
         switches = self._modes.switches((*at.flow.roles, *at.flow.fixed), zeros)
         if switches is None:
             return Resolved((), at.state, {}, ())
@@ -92,7 +87,7 @@ class Filippov:
     def _chosen(
         self, surface: _Surface, at: Instant, before: Sequence[int] | None
     ) -> tuple[tuple[int, ...], bool]:
-        """Return the signs of the switches that the state lies on, and whether others fit, too."""
+        """Return the signs of the switches at the state, and whether others are consistent too."""
         fitting: list[tuple[tuple[int, ...], bool]] = []
         for signs in product((1, -1, SLIDES), repeat=len(surface.on)):
             verdict = surface.fits(signs)
@@ -125,7 +120,7 @@ class Filippov:
         return max(choices, key=lambda signs: signs.count(SLIDES)), len(strict) < 2
 
     def _holds(self, signs: Sequence[int], at: Instant) -> bool:
-        """Return whether no margin of the switches falls at once, by higher derivatives."""
+        """Return whether higher derivatives let no margin of the switches fall at once."""
         setup, clock, _, flow, state, _ = at
         roles = (*flow.roles, *flow.fixed, Role(SWITCHES, share=tuple(signs)))
         assert setup.modes is not None
@@ -168,7 +163,7 @@ def _round_off(
 
 
 class _Surface:
-    """The surfaces that a state lies on, and how their functions change with their signs."""
+    """The switching surfaces of a state, and the derivatives of their functions by sign."""
 
     def __init__(self, switches: Switches, at: Instant, before: Sequence[int] | None) -> None:
         self.switches, self._at = switches, at
@@ -189,7 +184,7 @@ class _Surface:
         self._changes = self._corners()
 
     def _place(self, i: int) -> None:
-        """Decide a sign by a derivative that no sign acts on; else the state lies on it."""
+        """Determine a sign by a derivative independent of signs, or add its surface."""
         switches = self.switches
         first, chain = switches.places[i], switches.derivatives[i]
         for place in range(first, first + len(chain) - switches.acts[i]):
@@ -200,7 +195,7 @@ class _Surface:
         self.on.append(i)
 
     def with_(self, chosen: Sequence[int]) -> list[int]:
-        """Return all signs, with those chosen of the switches that the state lies on."""
+        """Return all signs, with `chosen` ones for the surfaces of the state."""
         signs = list(self.signs)
         for i, sign in zip(self.on, chosen, strict=True):
             signs[i] = sign
@@ -215,7 +210,7 @@ class _Surface:
         return value, _round_off(at, self.switches.tape, place, at.state, sign_values)
 
     def onto(self, i: int, state: Array) -> Array:
-        """Return a state (n,) moved onto a surface, by its nearest way in sizes of the state."""
+        """Return a state (n,) projected onto a surface, in the metric of the sizes."""
         at, count = self._at, len(state)
         values = at.setup.values if at.flow.values is None else at.flow.values
         outputs = self.switches.tape.values(
@@ -230,7 +225,7 @@ class _Surface:
         return state - outputs.item(i) / weight * scale * slope
 
     def _corners(self) -> Callable[[Sequence[int]], Array]:
-        """Return what changes each function, by the signs at a corner; round-off is zero."""
+        """Return a function: signs of a corner -> derivatives, with round-off set to zero."""
         switches, cache = self.switches, dict[tuple[int, ...], Array]()
         if len(self.on) > _MAX_SURFACES:
             raise AmbiguousMode(f"the state lies on {len(self.on)} switching surfaces at once")
@@ -250,7 +245,7 @@ class _Surface:
         return at
 
     def fits(self, signs: Sequence[int]) -> bool | None:
-        """Return whether the flow can have these signs; None where higher derivatives decide."""
+        """Return whether signs are consistent with the flow; None if higher derivatives decide."""
         sliding = [k for k, sign in enumerate(signs) if sign == SLIDES]
         middle, shares = self._combined(signs, sliding)
         if middle is None:
@@ -265,7 +260,7 @@ class _Surface:
         return None if undecided else True
 
     def _combined(self, signs: Sequence[int], sliding: Sequence[int]) -> tuple[Array | None, Array]:
-        """Return the slopes under signs, and shares of those that slide; None: no such slide."""
+        """Return the slopes under signs, and the sliding signs; None if no such slide exists."""
         no_shares = np.zeros(0)
         if not sliding:
             return self._changes(signs), no_shares
@@ -282,7 +277,7 @@ class _Surface:
         if len(sliding) > 1:
             residual = max(residual, np.abs(self._changes(signs) - middle).max())
         if residual > _EDGE * np.abs(slopes).max():
-            return None, no_shares  # Signs multiply each other.
+            return None, no_shares  # not affine in the signs
         matrix = acts[list(sliding)]
         try:
             shares = np.linalg.solve(matrix, -middle[list(sliding)])

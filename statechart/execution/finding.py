@@ -1,4 +1,4 @@
-"""Judgement of a located event: integrator noise, an event, or undecided.
+"""Classification of a located event: integrator noise, an event, or undecided.
 
 The tolerance of a margin is the round-off of its terms at the start of the flow. Later its error
 can be far smaller: after a start at x = -1 the tolerance of ``x**2 - 1e-14`` is 4e-14, but at x = 0
@@ -156,7 +156,7 @@ def first_tolerances(compiled: CompiledMode, watch: FlowWatch, state: Array, loc
     return np.where(plain & (margins > tolerances), 0.0, tolerances)
 
 
-def judge(
+def first_event(
     found: Search,
     engine: Engine,
     compiled: CompiledMode,

@@ -27,8 +27,8 @@ from statechart.errors import SimulationError, StepFailure, TooLong, Unsupported
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.execution.finding import (
     decided,
+    first_event,
     first_tolerances,
-    judge,
     noise,
     path_sizes,
     relative_error,
@@ -162,7 +162,7 @@ class Advance:
         found = search(watch.guards, tolerances, path, watch.parameters, watch.start, first, end)
         self.boxes += found.boxes
         if found.verdict is not Verdict.NONE:
-            found = judge(found, self.engine, self.compiled, watch, path, tolerances, end)
+            found = first_event(found, self.engine, self.compiled, watch, path, tolerances, end)
         blind = _blind(watch, path, first, end, found) or self._find_missed(first, end, found)
         if _BLIND < distance <= _STAYS * self._last_defect and watch.constraints.within is not None:
             blind, self._last_defect = (first, local), distance

@@ -1,4 +1,4 @@
-"""Stop conditions where a flow begins on their boundary: ``n >= 5`` where n is 5, a speed of 0."""
+"""Stop conditions at the start of a flow on their boundary, such as ``n >= 5`` at n = 5."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from statechart.formulas.tape import Tape
 
 
 class InitialStopConditions:
-    """Judges stop conditions where a flow begins, as guards are (`statechart.charts.guard_watch`).
+    """Evaluates stop conditions at the start of a flow, like guards (`charts.guard_watch`).
 
-    Within the rounding of its terms a margin is on its boundary, and the way that it goes in the
-    mode decides: one that falls is found by the flow, one that rises is let go, and where it stays
-    the relation says whether that counts. Of a relation with *and* a certificate is watched.
+    On a margin within round-off, the first nonzero derivative decides: the flow locates falling
+    ones, rising ones are ignored, and constant ones count if the relation is closed. For
+    conjunctions a certificate is watched.
     """
 
     def __init__(self, automaton: Automaton) -> None:
@@ -33,10 +33,10 @@ class InitialStopConditions:
         return bool(self._automaton.stops)
 
     def judge_start(self, mode: Mode, guards: Tape, at: Instant) -> tuple[str | None, Flow]:
-        """Return the condition that ends the run here, and the flow that begins where none does.
+        """Return the condition that ends the run here, or None, and the flow.
 
-        The flow has room for the conditions that begin on their boundary and do not fall; it is
-        without those that its certificates do not need.
+        The flow has tolerances for conditions that start on their boundary without falling, and
+        watches only the atoms of certificates.
         """
         atoms, active = self._atoms(mode, guards, at), self._automaton.active(at.flow.mode)
         flow, tolerances, names = at.flow, dict[str, float](), self._names
@@ -61,7 +61,7 @@ class InitialStopConditions:
         return None, flow
 
     def judge_fall(self, mode: Mode, guards: Tape, at: Instant) -> str | None:
-        """Return the condition that holds where a flow came to the fall of one of its margins."""
+        """Return the condition that is true at the fall of one of its margins, or None."""
         (fired,) = at.fired
         fallen = self._automaton.stop_of[fired]
         stop, first = next((stop, first) for stop, first in self._stops() if stop is fallen)

@@ -1,4 +1,4 @@
-"""Livelock: runs that take jump after jump and get no further in time, or not far enough."""
+"""Detection of livelock: jumps without progress in time."""
 
 from __future__ import annotations
 
@@ -15,20 +15,18 @@ from statechart.errors import EventLoop, TooLong
 from statechart.tabular import several
 
 JUMPS_AT_ONCE = 64
-"""More jumps than this at one instant are a loop; products of a few contacts settle in a handful.
-"""
+"""Limit of jumps at one instant; a few contacts need a handful."""
 
 JUMPS_NEAR = 1024
-"""More jumps than this within the round-off of an instant are a loop, flows between them or not."""
+"""Limit of jumps within the round-off of an instant, with or without flows between them."""
 _ROUND_OFF = 4.0 * float(np.finfo(float).eps)
 
 STEADY = 4096
-"""Jumps whose pace was steady while their number doubled thrice go on like that, from so many on,
-where no condition ends them."""
+"""Number of jumps from which a pace that was steady over three doublings is extrapolated."""
 
 
 class Livelock:
-    """Counts what happens at one instant without end, or within the round-off of its time."""
+    """Counts jumps and stalls within the round-off of an instant."""
 
     def __init__(self, scale: float) -> None:
         self._scale = scale if scale < math.inf else 0.0
@@ -37,23 +35,20 @@ class Livelock:
         self._stalls = 0
 
     def _stays(self, before: Clock, clock: Clock) -> bool:
-        """Return whether a clock has not passed another by more than round-off."""
+        """Return whether two clocks are equal to round-off."""
         return between(before, clock) <= _ROUND_OFF * max(abs(clock.high), self._scale)
 
     def stalled(self, clock: Clock, fired: tuple[str, ...]) -> bool:
-        """Note a fall that changes no mode: once a graze, at the same instant again a loop."""
+        """Return whether a fall without a jump repeats at one instant; the first is a graze."""
         event, before = (clock, fired), self._stalled
         same_time = before is not None and self._stays(before[0], clock)
-        # Time may creep on by less than its round-off, and several margins fall in turn.
+        # Time may advance by less than its round-off, and several margins fall in turn.
         self._stalls = self._stalls + 1 if same_time else 0
         self._stalled = event
         return before == event or self._stalls > JUMPS_AT_ONCE
 
     def rearranged(self, clock: Clock, fired: tuple[str, ...]) -> None:
-        """Note that a mode goes on by other equations.
-
-        Raises `EventLoop` where it does so again and again at one instant.
-        """
+        """Count a change of equations without a jump; raise `EventLoop` if it repeats."""
         if not self._stays(self._since, clock):
             self._since, self._changes = clock, 0
         self._changes += 1
@@ -65,10 +60,7 @@ class Livelock:
             )
 
     def check(self, jumps: Sequence[Jump], clock: Clock, automaton: Automaton) -> None:
-        """Raise `EventLoop` where the last `JUMPS_NEAR` jumps took no more than round-off.
-
-        Looks whenever so many more have been made.
-        """
+        """Raise `EventLoop` if the last `JUMPS_NEAR` jumps took no more than round-off of time."""
         count = len(jumps)
         if count and count % JUMPS_NEAR == 0:
             first = jumps[count - JUMPS_NEAR].t
@@ -77,7 +69,7 @@ class Livelock:
 
 
 def check_pace(jumps: Sequence[Jump], clock: Clock, until: float, max_jumps: int) -> None:
-    """Raise `TooLong` where steady jumps are so many that a run cannot reach its end."""
+    """Raise `TooLong` if a steady pace of jumps cannot reach the end of the run."""
     count = len(jumps)
     if count < STEADY or count & (count - 1):
         return
@@ -96,7 +88,7 @@ def check_pace(jumps: Sequence[Jump], clock: Clock, until: float, max_jumps: int
 def looping(
     last: Sequence[Jump], clock: Clock, automaton: Automaton, count: int = JUMPS_AT_ONCE
 ) -> EventLoop:
-    """Return the error of too many jumps at one instant: the last ones, and what to write."""
+    """Return the error of too many jumps at one instant, with the last ones."""
     message = f"{count} jumps at t = {clock.high:.6g}: "
     message += ", ".join(f"{jump.cause} -> {automaton.label(jump.target)}" for jump in last)
     guards = {(r.name, e.cause): e.guard for r in automaton.regions for e in r.nesting.edges}

@@ -11,7 +11,7 @@ from statechart.errors import SimulationError
 from statechart.tabular import several
 
 _PROGRESS_AFTER = 1.0  # seconds of wall time before progress is shown, and between lines
-_MOVES = 0.2  # seconds between what a bar shows
+_MOVES = 0.2  # seconds between updates of a bar
 
 
 class Progress:
@@ -23,7 +23,7 @@ class Progress:
         self._bar: progress.Bar | None = None
 
     def show(self, time: float, jumps: int, steps: int) -> None:
-        """Say how far the run is, if that was not said just before."""
+        """Report the progress at intervals."""
         now = working_time()
         if now - self._shown < (_PROGRESS_AFTER if self._bar is None else _MOVES):
             return
@@ -42,14 +42,14 @@ class Progress:
         sys.stderr.flush()
 
     def close(self) -> None:
-        """Say nothing more."""
+        """End the report."""
         if self._bar is not None:
             self._bar.close()
             self._bar = None
 
 
 def error_of(trace: Trace) -> SimulationError:
-    """Return the error that an outcome stands for, with the trace."""
+    """Return the error of an outcome, with the trace."""
     return _ERRORS.get(trace.outcome, SimulationError)(trace.message, trace=trace)
 
 

@@ -44,12 +44,11 @@ from statechart.execution.finding import closing
 from statechart.execution.outcome import error_of
 from statechart.kernels.polynomials import summands
 
-# Rows of one call: tens of milliseconds, between which a signal is heard.
-_AT_ONCE = 256
+_MAX_ROWS = 256  # of one call: tens of milliseconds between checks for signals
 
 
 class _Once:
-    """Numbers of a run, made when first read. To set up `functools.cache` would take 9 us."""
+    """Lazy setup of a run; `functools.cache` would take 9 us to create."""
 
     def __init__(self, make: Callable[[], Setup]) -> None:
         self._make = make
@@ -62,7 +61,7 @@ class _Once:
 
 
 class Simulator:
-    """An automaton on an engine: modes are compiled when first entered and kept between runs."""
+    """An automaton on an engine, with cached compiled modes."""
 
     def __init__(
         self,
@@ -76,7 +75,7 @@ class Simulator:
         self.engine = engine
         self.progress = progress
         self.modes = CompiledModes(solved or SolvedModes(automaton), engine)
-        # Their arrays are used again, from flow to flow and from run to run.
+        # Reused by all flows and runs.
         self.path, self.buffer = Path(), trace_buffer(len(automaton.variables))
         self._loops: dict[frozenset[int], LoopModes] = {}
         self._rows: dict[tuple[str, ...], BatchRunner] = {}
@@ -93,7 +92,8 @@ class Simulator:
     ) -> Trace:
         """Run from the declared initial state.
 
-        An inconsistent start is a `DeclarationError`. A `SimulationError` has the trace so far.
+        Raises `DeclarationError` for an inconsistent start, `SimulationError` with the partial
+        trace.
         """
         trace = self._by_components(parameters or {}, until, max_jumps)
         if trace is None:
@@ -103,7 +103,7 @@ class Simulator:
         return trace
 
     def _run(self, parameters: Mapping[str, float], until: float, max_jumps: int) -> Trace:
-        """Let a loop make the run from its start, where it can; as for the rest, an execution."""
+        """Run by the compiled loop as far as possible, and by an `Execution` from there."""
         names = tuple(parameters)
         rows = self._rows.get(names)
         if rows is None:
@@ -127,9 +127,9 @@ class Simulator:
     def _trace_of(
         self, batch: Batch, setup: Callable[[], Setup], warnings: Sequence[str] | None
     ) -> Trace:
-        """Return the trace of a run that a loop has made from its start to its end.
+        """Return the trace of a run that the compiled loop completed.
 
-        `warnings` are those of its numbers; by default those of all runs of the model.
+        `warnings` are those of its setup; by default those of all runs of the model.
         """
         automaton, engine, result = self.automaton, self.engine, batch.result
         modes, kinds = batch.modes, batch.kinds
@@ -194,7 +194,7 @@ class Simulator:
         until: float,
         max_jumps: int = 100_000,
     ) -> Trace:
-        """Make a run again, and prove of every step how far it is off."""
+        """Repeat a run with proved bounds of the local error of every step."""
         from statechart.execution.certificate import Certificate
 
         execution = self._execution(self._setup(parameters or {}), until, max_jumps)
@@ -211,9 +211,9 @@ class Simulator:
         until: float,
         max_jumps: int = 100_000,
     ) -> Iterator[Arc | Jump]:
-        """Yield arcs and jumps of a run as they come; see `Execution.stream`.
+        """Yield arcs and jumps of a run as they are computed; see `Execution.stream`.
 
-        No other run may be made meanwhile.
+        No other run may be computed meanwhile.
         """
         execution = self._execution(self._setup(parameters), until, max_jumps)
         execution.loop = None
@@ -222,7 +222,7 @@ class Simulator:
     def _by_components(
         self, parameters: Mapping[str, float], until: float, max_jumps: int
     ) -> Trace | None:
-        """Run the components of the automaton one by one; None where it has none."""
+        """Run the components of the automaton one by one; None without components."""
         components = self.automaton.components()
         if not components:
             return None
@@ -233,7 +233,7 @@ class Simulator:
         traces: dict[tuple[Automaton, bytes, bytes], Trace] = {}
         for component, places in zip(components, self._places, strict=True):
             component_setup = component.restricted(setup, places)
-            # Components that start alike are run once.
+            # Isomorphic components with equal setups are run once.
             cache_key = (
                 component.automaton,
                 component_setup.initial.tobytes(),
@@ -246,7 +246,7 @@ class Simulator:
                         component_setup, end, max_jumps
                     )
                 except DeclarationProblem:
-                    # The whole says so in the names that the model declares.
+                    # A run of the whole reports the error in declared names.
                     return None
                 traces[cache_key] = trace
             component_runs.append((component, places, trace))
@@ -290,13 +290,13 @@ class Simulator:
         )  # fmt: skip
 
     def known(self) -> list[tuple[frozenset[int], LoopModes]]:
-        """Return the modes that compiled loops know, by the parameters that are zero in them."""
+        """Return the modes of compiled loops, by zero parameters."""
         setup = self.automaton.setup
         return [(zeros, modes) for zeros, modes in self._loops.items() if modes.follows(setup)]
 
     def _loop(self, zeros: frozenset[int]) -> LoopModes | None:
-        """Return what runs unambiguous instants in compiled code; None where nothing can."""
-        # Switches are no part of the compiled loop.
+        """Return the modes of the compiled loop, or None if the model has no loop."""
+        # The compiled loop does not support switches.
         supported = not self.automaton.switching and self.automaton.laws is not None
         laws = self.automaton.laws_of_events.compiled_laws if supported else None
         if laws is not None and zeros not in self._loops:
@@ -304,12 +304,12 @@ class Simulator:
         return self._loops.get(zeros)
 
     def compiled(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
-        """Return the mode of `roles`, compiled for zero parameters at the places `zeros`."""
+        """Return the compiled mode of `roles`, for parameters `zeros` that are zero."""
         return self.modes.compiled(roles, zeros)
 
     @property
     def modes_built(self) -> int:
-        """Number of modes whose equations were built so far."""
+        """Number of modes built so far."""
         return self.modes.built
 
 
@@ -321,11 +321,11 @@ class BatchRunner:
         self._gone: dict[frozenset[int], Bools] = {}
 
     def ready(self, count: int) -> bool:
-        """Return whether so many rows can be run: their call is compiled, or worth compiling."""
+        """Return whether `count` rows can be run: their call is compiled, or pays compiling."""
         return any(modes.batch(count) for _, modes in self.simulator.known())
 
     def run(self, table: Array, until: Array, max_jumps: int) -> Iterator[Batch]:
-        """Run rows; yield those that have gone through, in batches."""
+        """Run rows of a table; yield complete ones in batches."""
         pending = np.arange(len(table))
         for zeros, modes in self.simulator.known():
             if not pending.size:
@@ -334,7 +334,7 @@ class BatchRunner:
             started = 0
             while started < pending.size:
                 interrupts.check()
-                chunk = pending[started : started + _AT_ONCE]
+                chunk = pending[started : started + _MAX_ROWS]
                 batch = self._called(
                     modes, zeros, chunk, table[chunk], until[chunk], max_jumps, alone=False
                 )
@@ -344,14 +344,14 @@ class BatchRunner:
                 outcomes = batch.result.ends[:, runs.HOW]
                 started += len(outcomes)
                 postponed.append(batch.rows[outcomes == runs.OTHER])
-                complete = np.flatnonzero(self._judged(batch, table[batch.rows]))
+                complete = np.flatnonzero(self._complete_rows(batch, table[batch.rows]))
                 if complete.size:
                     result = BatchResult._make([array[complete] for array in batch.result])
                     yield batch._replace(rows=batch.rows[complete], result=result)
             pending = np.concatenate(postponed)
 
     def run_single(self, values: Array, until: float, max_jumps: int) -> Batch | None:
-        """Make one run, as far as a loop takes it."""
+        """Compute one run as far as the loop can."""
         row = np.zeros(1, np.intp)
         for zeros, modes in self.simulator.known():
             batch = self._called(
@@ -373,7 +373,7 @@ class BatchRunner:
         *,
         alone: bool,
     ) -> Batch | None:
-        """Make as many rows as there is room for; None where none can be made."""
+        """Run as many rows as the buffer can store; None if the loop cannot run any."""
         simulator = self.simulator
         automaton, engine = simulator.automaton, simulator.engine
         call = modes.batch(len(rows))
@@ -397,8 +397,8 @@ class BatchRunner:
             result = BatchResult._make([array[:count] for array in result])
         return Batch(rows[:count], result, block, kinds, modes, zeros, call.series)
 
-    def _judged(self, batch: Batch, table: Array) -> Bools:
-        """Return which rows (m,) have gone through: nothing just happens as they end."""
+    def _complete_rows(self, batch: Batch, table: Array) -> Bools:
+        """Return the mask (m,) of the complete rows, without an event at their end."""
         outcomes = batch.result.ends[:, runs.HOW]
         complete = np.asarray((outcomes == runs.ENDED) | (outcomes == runs.STOPPED))
         for row in np.flatnonzero(outcomes == runs.CLOSING).tolist():
@@ -406,7 +406,7 @@ class BatchRunner:
         return complete
 
     def _closing(self, batch: Batch, row: int, values: Array) -> bool:
-        """Return whether an event may be happening as a row ends (see `closing`)."""
+        """Return whether an event may coincide with the end of a row (see `closing`)."""
         result, block, simulator = batch.result, batch.block, self.simulator
         setup = self.setup(values)
         kind = batch.kinds[result.place[row, runs.N_MODE]]
@@ -422,11 +422,11 @@ class BatchRunner:
         return happens
 
     def jump(self, batch: Batch, table: Array, row: int, j: int) -> Jump:
-        """Return a jump of a row of a batch, of the values `table`, before which there were `j`."""
+        """Return jump `j` of a row of a batch with parameter values `table`."""
         event = event_of(batch.block, int(batch.result.spans[row, EVENTS]) + j, j, batch.kinds)
         return batch.modes.jump(partial(self.setup, table[row]), event)
 
     def setup(self, values: Array) -> Setup:
-        """Return the numbers of a row's run."""
+        """Return the setup of a row."""
         overrides: Mapping[str, float] = dict(zip(self._names, values.tolist(), strict=True))
         return self.simulator.automaton.setup(overrides, self.simulator.engine.tolerance)

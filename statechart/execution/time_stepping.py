@@ -1,4 +1,4 @@
-"""Running a model by time stepping, where its kind offers that: no mode's equations are built."""
+"""Runs of an automaton by its time stepper, without equations of modes."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 
 class SteppingSimulator:
-    """An automaton run by its time stepper: what `Simulator` is to engines.
+    """An automaton with its time stepper; the counterpart of `Simulator`.
 
-    A step that is longer than a run is as long as it.
+    The step is at most as long as the run.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class SteppingSimulator:
         until: float,
         max_jumps: int = 100_000,
     ) -> Iterator[Arc | Jump]:
-        """Yield arcs and jumps of a run as they come, as `Simulator.stream` does."""
+        """Yield arcs and jumps of a run as they are computed, as `Simulator.stream` does."""
         return self.stepper.stream(
             parameters,
             sampling,

@@ -1,8 +1,8 @@
-"""Formulas, from their text to numbers.
+"""Formulas: parsing, symbolic form, compiled form.
 
-`syntax` reads text to a `tree`, which has a value in floats; `formula` is what models read of their
-fields, `parameters` those of each other; a `relation` compares formulas, and makes a `condition` of
-smooth atoms. Trees become SymPy expressions, `linear` solves equations in them, `writer` makes
-programs of them for the kernels, each a `tape`, and `series` expands such a program in time.
-`hints` says what to write for what there is not.
+`syntax` parses text to a syntax `tree`; `formula` evaluates it in floats or converts it to SymPy,
+`parameters` evaluates formulas of each other. `relation` parses comparisons, and `condition`
+splits them into smooth atoms. `linear` solves symbolic linear equations. `writer` compiles
+expressions to a `tape`, a straight-line program for the kernels, and `series` expands a tape in
+time. `hints` gives advice on mistakes.
 """

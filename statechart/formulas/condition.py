@@ -1,12 +1,12 @@
-"""Relations as trees of *and* and *or* over smooth atoms ``f <= 0`` and ``f < 0``.
+"""Boolean trees of *and* and *or* over smooth atoms ``f <= 0`` and ``f < 0``.
 
-`min`, `max` and `abs` become *and* and *or*: ``max(a, b) + c <= 0`` is the same as ``a + c <= 0
-and b + c <= 0``. The sign of an unknown factor is an atom, too. Inside another function,
-``g(max(a, b)) <= 0`` is ``a >= b and g(a) <= 0 or b >= a and g(b) <= 0``.
+`min`, `max` and `abs` become *and* and *or*: ``max(a, b) + c <= 0`` is ``a + c <= 0 and b + c <=
+0``. The sign of an unknown factor is a further atom. Inside another function, ``g(max(a, b)) <= 0``
+is ``a >= b and g(a) <= 0 or b >= a and g(b) <= 0``.
 
-A certificate is a set of atoms that alone decide the truth of the tree, as the watched literals of
-SAT solvers do (Moskewicz et al., "Chaff", 2001): a false *and* needs one false part, a false *or*
-all of them. As long as no atom of the certificate changes, nor does the relation.
+A certificate is a set of atoms that decide the truth of the tree, like the watched literals of SAT
+solvers (Moskewicz et al., "Chaff", 2001): one false part of a false *and*, all parts of a false
+*or*. The truth of the tree changes only with an atom of the certificate.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     import sympy as sp
 
 MAX_ATOMS = 100
-"""Most atoms of a relation; every `abs` in a sum doubles them."""
+"""Limit of the atoms of a relation; every `abs` in a sum doubles them."""
 
-# Atoms on the way there: sums of abs of one variable have many of them in common.
+# Limit before equal atoms are merged, as of sums of abs of one variable.
 MAX_SPLITS = 10 * MAX_ATOMS
 
 Active = Callable[[str, str], bool]
@@ -34,22 +34,22 @@ Active = Callable[[str, str], bool]
 
 
 @dataclass(frozen=True)
-class Every:
-    """Holds where all of its parts do."""
+class And:
+    """Conjunction."""
 
     parts: tuple[Any, ...]
 
 
 @dataclass(frozen=True)
-class Some:
-    """Holds where one of its parts does."""
+class Or:
+    """Disjunction."""
 
     parts: tuple[Any, ...]
 
 
 @dataclass(frozen=True)
-class Within:
-    """Holds while a region is in a state, or as long as it is not."""
+class InState:
+    """Region is in a state; with `holds` False, is not."""
 
     region: str
     state: str
@@ -58,7 +58,7 @@ class Within:
 
 @dataclass(frozen=True)
 class Atom:
-    """Holds where `expression` is <= 0, or where it is < 0 if `strict`."""
+    """``expression <= 0``, or ``expression < 0`` if `strict`."""
 
     expression: sp.Expr
     strict: bool
@@ -67,56 +67,53 @@ class Atom:
 def folded(
     tree: Any,
     leaf: Callable[[Any], Any],
-    within: Callable[[Within], Any],
+    within: Callable[[InState], Any],
     every: Callable[[list[Any]], Any],
     some: Callable[[list[Any]], Any],
 ) -> Any:
-    """Return what `every` and `some` make of a tree from the bottom, given its leaves."""
-    if isinstance(tree, Every | Some):
+    """Fold a tree from its leaves: `every` for conjunctions, `some` for disjunctions."""
+    if isinstance(tree, And | Or):
         parts = [folded(part, leaf, within, every, some) for part in tree.parts]
-        return (every if isinstance(tree, Every) else some)(parts)
-    return within(tree) if isinstance(tree, Within) else leaf(tree)
+        return (every if isinstance(tree, And) else some)(parts)
+    return within(tree) if isinstance(tree, InState) else leaf(tree)
 
 
 def replaced(
-    tree: Any, leaf: Callable[[Any], Any], within: Callable[[Within], Any] = lambda one: one
+    tree: Any, leaf: Callable[[Any], Any], within: Callable[[InState], Any] = lambda one: one
 ) -> Any:
-    """Return a tree with `leaf(x)` in the place of every leaf x, and `within` of those of `in`."""
-    return folded(tree, leaf, within, lambda p: Every(tuple(p)), lambda p: Some(tuple(p)))
+    """Return a tree with `leaf` applied to every atom, and `within` to every `in`."""
+    return folded(tree, leaf, within, lambda p: And(tuple(p)), lambda p: Or(tuple(p)))
 
 
 @dataclass(frozen=True, eq=False)
 class Condition:
-    """A tree over numbered atoms; build it with `Relation.condition`."""
+    """A Boolean tree over numbered atoms; created by `Relation.condition`."""
 
     atoms: tuple[Atom, ...]
-    root: Any  # leaves are places in `atoms`
+    root: Any  # leaves are indices of `atoms`
 
     @property
     def single(self) -> bool:
-        """True if it is one atom and nothing else."""
+        """True if the tree is one atom."""
         return self.root == 0
 
     @property
     def disjoint(self) -> bool:
-        """True if it holds as soon as one of its atoms does."""
+        """True if any true atom makes it true."""
         return self.single or (
-            isinstance(self.root, Some) and all(isinstance(part, int) for part in self.root.parts)
+            isinstance(self.root, Or) and all(isinstance(part, int) for part in self.root.parts)
         )
 
     def names(self, name: str) -> tuple[str, ...]:
-        """Return names for its atoms: `name` itself of a single one, else numbered."""
+        """Return names of the atoms: `name` for a single one, else numbered."""
         return (name,) if self.single else tuple(f"{name} #{k + 1}" for k in range(len(self.atoms)))
 
     def truth(self, of: Callable[[int], bool | None], active: Active) -> bool | None:
-        """Return whether it holds; None where atoms that are not known leave it open."""
+        """Return the truth in three-valued logic; `of` returns None for unknown atoms."""
         return _truth(self.root, of, active)
 
     def truths(self, atoms: Any, active: Callable[[str, str], Any]) -> Any:
-        """Return its truth (m,) from that of its atoms (m, a).
-
-        `active` returns arrays (m,).
-        """
+        """Return the truth (m,) from the atoms (m, a); `active` returns (m,)."""
         return folded(
             self.root,
             lambda place: atoms[:, place],
@@ -126,12 +123,9 @@ class Condition:
         )
 
     def margin(self, values: Sequence[float], active: Active) -> float:
-        """Return the margin of the tree from those of its atoms.
+        """Return the margin: maximum of an *and*, minimum of an *or*, infinite for `in`."""
 
-        It is the largest of an *and*, the least of an *or*, and infinite where `in` decides.
-        """
-
-        def within(tree: Within) -> float:
+        def within(tree: InState) -> float:
             return -inf if active(tree.region, tree.state) == tree.holds else inf
 
         margin: float = folded(self.root, values.__getitem__, within, max, min)
@@ -140,17 +134,17 @@ class Condition:
     def certificate(
         self, of: Callable[[int], bool | None], active: Active, still: Callable[[int], bool]
     ) -> frozenset[int]:
-        """Return atoms that decide its truth as long as they keep their own."""
+        """Return atoms that decide the truth until one of them changes."""
         return _certificate(self.root, bool(self.truth(of, active)), of, active, still)
 
 
 class AtomsAt:
-    """Atoms of conditions at an instant, on their boundary judged by the way that they go.
+    """Truth of atoms at the start of a flow.
 
-    Within its tolerance a margin is on its boundary, and the sign `way(k)` of its first derivative
-    that is not zero decides; where it stays, an atom holds if it is closed. Atoms that the flow
-    does not change are `still`. The margins of those that `fell` have been found to, and must not
-    rise; they hold where they stay if they are `alone` in their relation.
+    For margins within their tolerance, the sign `way(k)` of the first nonzero time derivative
+    decides; if all vanish, closed atoms are true. Atoms that the flow does not change are `still`.
+    Atoms whose margin `fell` are true unless it rises, or stays and the atom is not `alone` in its
+    relation.
     """
 
     def __init__(
@@ -172,17 +166,17 @@ class AtomsAt:
         self._truths: dict[int, bool | None] = {}
 
     def way(self, k: int) -> float:
-        """Return the sign of an atom's first derivative that is not zero."""
+        """Return the sign of the first nonzero derivative of an atom."""
         if k not in self._ways:
             self._ways[k] = self._find_way(k)
         return self._ways[k]
 
     def near(self, k: int) -> bool:
-        """Return whether an atom is on its boundary."""
+        """Return whether a margin is within its tolerance."""
         return abs(self._margins[k]) <= self.tolerances[k]
 
     def holds(self, k: int) -> bool | None:
-        """Return whether an atom holds from here on; None if it has no value."""
+        """Return whether an atom is true just after this instant; None for NaN."""
         if k not in self._truths:
             self._truths[k] = self._judge(k)
         return self._truths[k]
@@ -199,23 +193,23 @@ class AtomsAt:
         return not way > 0.0 if fell else way < 0.0
 
     def rests(self, k: int) -> bool:
-        """Return whether an atom stays as it is in this flow."""
+        """Return whether an atom is constant in this flow."""
         return self._still(k) or (self.near(k) and self.way(k) == 0.0)
 
     def _holds_now(self, k: int) -> bool:
-        """Return whether an atom holds at this very instant."""
+        """Return whether an atom is true at this instant."""
         return self._margins[k] <= (self.tolerances[k] if self._closed[k] else -self.tolerances[k])
 
     def truth(self, condition: Condition, first: int, active: Active) -> bool | None:
-        """Return whether a condition, whose atoms begin at `first`, holds from here on."""
+        """Return whether a condition with atoms from `first` on is true just after this instant."""
         return condition.truth(lambda k: self.holds(first + k), active)
 
     def touched(self, condition: Condition, first: int, active: Active) -> bool:
-        """Return whether a condition holds at this very instant."""
+        """Return whether a condition is true at this instant."""
         return bool(condition.truth(lambda k: self._holds_now(first + k), active))
 
     def certificate(self, condition: Condition, first: int, active: Active) -> frozenset[int]:
-        """Return the places of atoms that decide a condition; of all where it is open."""
+        """Return the indices of the certificate of a condition; of all atoms if it is undecided."""
         places = range(len(condition.atoms))
         atoms: Collection[int] = places
         if self.truth(condition, first, active) is not None:
@@ -227,11 +221,11 @@ class AtomsAt:
 
 
 def _truth(tree: Any, of: Callable[[int], bool | None], active: Active) -> bool | None:
-    if isinstance(tree, Within):
+    if isinstance(tree, InState):
         return active(tree.region, tree.state) is tree.holds
-    if not isinstance(tree, Every | Some):
+    if not isinstance(tree, And | Or):
         return of(tree)
-    decisive = isinstance(tree, Some)
+    decisive = isinstance(tree, Or)
     result: bool | None = not decisive
     for part in tree.parts:
         truths = _truth(part, of, active)
@@ -249,21 +243,21 @@ def _certificate(
     active: Active,
     unchanged: Callable[[int], bool],
 ) -> frozenset[int]:
-    if isinstance(tree, Within):
+    if isinstance(tree, InState):
         return frozenset()
-    if not isinstance(tree, Every | Some):
+    if not isinstance(tree, And | Or):
         return frozenset() if unchanged(tree) else frozenset((tree,))
     children = [child for child in tree.parts if _truth(child, of, active) is truth]
     certificate = [_certificate(child, truth, of, active, unchanged) for child in children]
-    if isinstance(tree, Some) is truth:
+    if isinstance(tree, Or) is truth:
         return min(certificate, key=len)
     return frozenset[int]().union(*certificate)
 
 
 def condition_of(tree: Any, source: Source) -> Condition:
-    """Return the condition of a tree whose leaves are `Atom`, split into smooth ones.
+    """Return the condition of a tree of `Atom`, split into smooth ones.
 
-    Raises `FormulaError` where it has more than `MAX_ATOMS`.
+    Raises `FormulaError` for more than `MAX_ATOMS`.
     """
     import sympy
 
@@ -283,9 +277,9 @@ def condition_of(tree: Any, source: Source) -> Condition:
         return place
 
     def split(tree: Any) -> Any:
-        if isinstance(tree, Every | Some):
+        if isinstance(tree, And | Or):
             return _flattened(type(tree), tuple(split(part) for part in tree.parts))
-        if isinstance(tree, Within):
+        if isinstance(tree, InState):
             return tree
         if tree not in leaves:
             check(len(leaves), MAX_SPLITS)
@@ -301,7 +295,7 @@ def condition_of(tree: Any, source: Source) -> Condition:
 
     root = split(tree)
     if isinstance(root, bool):
-        # A comparison of numbers is a margin as any other.
+        # Comparisons of numbers are not simplified.
         is_constant = isinstance(tree, Atom) and tree.expression.is_number
         return Condition((tree if is_constant else Atom(sympy.Integer(1 - 2 * root), False),), 0)
     atoms = tuple(places)
@@ -310,9 +304,9 @@ def condition_of(tree: Any, source: Source) -> Condition:
     return Condition(tuple(atoms[place] for place in used), replaced(root, used.__getitem__))
 
 
-def _flattened(kind: type[Every] | type[Some], parts: tuple[Any, ...]) -> Any:
-    """Return parts joined, without those that are always true or false."""
-    decisive, neutral = (True, False) if kind is Some else (False, True)
+def _flattened(kind: type[And] | type[Or], parts: tuple[Any, ...]) -> Any:
+    """Return a junction without constant parts."""
+    decisive, neutral = (True, False) if kind is Or else (False, True)
     rest: dict[Any, None] = {}
     for part in parts:
         if part is decisive:
@@ -325,7 +319,7 @@ def _flattened(kind: type[Every] | type[Some], parts: tuple[Any, ...]) -> Any:
 
 
 def _split(atom: Atom) -> Any:
-    """Return an atom without its first min, max or abs, as a tree of atoms; itself if smooth."""
+    """Return an atom as a tree without its outermost min, max or abs; itself if smooth."""
     import sympy
 
     expression, strict = atom.expression, atom.strict
@@ -334,7 +328,7 @@ def _split(atom: Atom) -> Any:
     bare = _without_root(atom)
     if bare is not None or not corners:
         return bare or atom
-    # An outer one first: those inside it come to stand alone.
+    # The outermost first.
     corner = min(
         (c for c in corners if not any(c is not o and o.has(c) for o in corners)),
         key=sympy.default_sort_key,
@@ -353,29 +347,29 @@ def _split(atom: Atom) -> Any:
     if factor.has(slot):
         sign = 1 if largest else -1
 
-        def chosen(part: sp.Expr) -> Every:
+        def chosen(part: sp.Expr) -> And:
             others = (other for other in arguments if other is not part)
             first = (Atom(sign * (other - part), False) for other in others)
-            return Every((*first, Atom(form.xreplace({slot: part}), strict)))
+            return And((*first, Atom(form.xreplace({slot: part}), strict)))
 
-        return Some(tuple(map(chosen, arguments)))
-    rising, falling = (Every, Some) if largest else (Some, Every)
+        return Or(tuple(map(chosen, arguments)))
+    rising, falling = (And, Or) if largest else (Or, And)
     if factor.is_nonnegative:
         return each(rising, expression)
     if factor.is_nonpositive:
         return each(falling, expression)
-    return Some(
+    return Or(
         (
-            Every((Atom(-factor, False), each(rising, expression))),
-            Every((Atom(factor, False), each(falling, expression))),
+            And((Atom(-factor, False), each(rising, expression))),
+            And((Atom(factor, False), each(falling, expression))),
         )
     )
 
 
 def _without_root(atom: Atom) -> Any:
-    """Return an atom without its root of what is never negative; None where it has none.
+    """Return an atom without a root, which is nonsmooth at zero, or None.
 
-    Roots have no derivative where they are zero: ``sqrt(abs(x)) <= r`` is ``abs(x) <= r**2``.
+    ``sqrt(abs(x)) <= r`` is ``abs(x) <= r**2``.
     """
     import sympy
 
@@ -389,5 +383,5 @@ def _without_root(atom: Atom) -> Any:
         if order.is_integer and (bound == 0 or base.has(sympy.Max, sympy.Min, sympy.Abs)):
             side = 1 if factor.is_positive else -1
             sizes = -side * bound, side * (base - bound**order)
-            return (Every if side > 0 else Some)(tuple(Atom(size, atom.strict) for size in sizes))
+            return (And if side > 0 else Or)(tuple(Atom(size, atom.strict) for size in sizes))
     return None

@@ -1,9 +1,8 @@
-"""Text to formula: read without ever running it, evaluated in floats or built in SymPy.
+"""Formulas: parsed text, evaluated in floats or converted to SymPy.
 
 A formula has numbers, names (`mu`, `tip.V`), ``+ - * / **``, parentheses, the functions in
-`FUNCTIONS` and the constants `pi` and `inf`. Nothing else can be written, so nothing else can
-happen: SymPy's own reader runs Python code found in the text and takes names such as `I`, `S` or
-`beta` for its own objects.
+`FUNCTIONS` and the constants `pi` and `inf`. SymPy's parser is not used: it executes Python code
+in the text, and interprets names such as `I`, `S` or `beta`.
 """
 
 from __future__ import annotations
@@ -39,10 +38,8 @@ if TYPE_CHECKING:
     import sympy as sp
 
 
-# So many texts are remembered with what was read: more than the largest of our scenes has.
-_MAX_CACHED = 4096
-# Above this an integer is no longer every integer's float, so exactness would be an illusion.
-_EXACT = 2**53
+_MAX_CACHED = 4096  # parsed texts, more than the largest scene has
+_EXACT = 2**53  # integers up to this are exact floats
 
 
 def _build(node: Node, symbols: Mapping[str, sp.Expr], source: Source) -> sp.Expr:
@@ -78,13 +75,13 @@ def _build(node: Node, symbols: Mapping[str, sp.Expr], source: Source) -> sp.Exp
     if left.is_number and right.is_number:
         return _power_of_numbers(node, left, right, source)
     if right.is_Float and float(2 * right).is_integer():
-        # Halves are exact in floats: x**2.0 is a product, x**1.5 has a root.
+        # Exact halves: x**2.0 is a product, x**1.5 has a root.
         right = sympy.Rational(right)
     return sympy.Pow(left, right)
 
 
 def _power_of_numbers(node: Binary, left: sp.Expr, right: sp.Expr, source: Source) -> sp.Expr:
-    """Return a power of numbers in floats: exact ones can be made to fill the memory."""
+    """Return a power of numbers in floats, since exact ones may fill the memory."""
     import sympy
 
     if not (left.is_extended_real and right.is_extended_real):
@@ -101,7 +98,7 @@ def _power_of_numbers(node: Binary, left: sp.Expr, right: sp.Expr, source: Sourc
 
 
 def finished(expression: sp.Expr, formula: Formula) -> sp.Expr:
-    """Return an expression built of a formula without quotients that overflow to inf / inf.
+    """Return an expression without quotients that overflow to inf/inf.
 
     Raises `FormulaError` if it has no real value.
     """
@@ -112,7 +109,6 @@ def finished(expression: sp.Expr, formula: Formula) -> sp.Expr:
             "it has no real value", formula.root.offset, "look for a division by zero"
         )
     if expression.has(sympy.exp, sympy.cosh):
-        # Where a whole power is negative.
         return expression.replace(
             lambda part: bool(part.is_Pow and part.exp.is_Integer and part.exp.is_negative),
             _bounded,
@@ -121,9 +117,9 @@ def finished(expression: sp.Expr, formula: Formula) -> sp.Expr:
 
 
 def _bounded(power: sp.Expr) -> sp.Expr:
-    """Rewrite powers of 1 / (a + b exp(x)) and 1 / cosh(x) so that they never are inf / inf.
+    """Rewrite powers of 1/(a + b exp(x)) and 1/cosh(x), whose derivatives overflow to inf/inf.
 
-    Nor are their derivatives then; with a and b > 0 the first is (1 - tanh((x + log(b/a))/2))/2/a.
+    For a, b > 0 the first is (1 - tanh((x + log(b/a))/2))/(2 a).
     """
     import sympy
 
@@ -140,14 +136,14 @@ def _bounded(power: sp.Expr) -> sp.Expr:
 
 @dataclass(frozen=True)
 class Formula:
-    """A formula that was read; build it with `parse`."""
+    """A parsed formula; created by `parse`."""
 
     text: str
-    root: Node  # its syntax tree
+    root: Node
 
     @cached_property
     def names(self) -> frozenset[str]:
-        """The declared names that it uses."""
+        """The names in it."""
         return frozenset(name.name for name in names_in(self.root))
 
     @property
@@ -156,21 +152,18 @@ class Formula:
         return any(isinstance(node, Constant) and node.name == "inf" for node in nodes(self.root))
 
     def require(self, known: Iterable[str]) -> None:
-        """Check that it uses only names in `known`.
-
-        Raises `FormulaError` at the first other name, with the ones that it may have meant.
-        """
+        """Raise `FormulaError` at the first name not in `known`, with similar names."""
         known = frozenset(known)
         for name in names_in(self.root):
             if name.name not in known:
                 undeclared(name, known, self._source)
 
     def to_sympy(self, symbols: Mapping[str, sp.Expr]) -> sp.Expr:
-        """Build the formula from SymPy's constructors.
+        """Return the SymPy expression.
 
-        Integers and quotients of them stay exact, decimals become floats of full double precision,
-        powers of two numbers are computed in floats. Raises `FormulaError` if a name is missing
-        from `symbols`, or the expression has no real value.
+        Integers and their quotients are exact, decimals are doubles, powers of two numbers are
+        computed in floats. Raises `FormulaError` if a name is missing from `symbols`, or the
+        expression has no real value.
         """
         return finished(_build(self.root, symbols, self._source), self)
 
@@ -187,11 +180,10 @@ class Formula:
 
 
 def parse(text: str | int | float) -> Formula:
-    """Read a formula; the same text is read once.
+    """Parse a formula; results are cached.
 
-    Fields keep what was written, so that a model is typed, compared and written as its user wrote
-    it; what computes with a field reads it here. Raises `FormulaError` if it cannot be read, is
-    beyond the bounds, or has a constant part without a value.
+    Fields of models store the text, and are parsed when used. Raises `FormulaError` if the text is
+    no formula, too large, or has a constant part without a value.
     """
     if isinstance(text, bool) or not isinstance(text, str | int | float):
         Source(str(text)).fail("not a number and not a formula")
@@ -219,10 +211,9 @@ def _number_text(value: int | float) -> str:
 def order_parameters(
     formulas: Mapping[str, Formula], given: Collection[str] = ()
 ) -> tuple[str, ...]:
-    """Return the names so that each comes after those that its formula uses.
+    """Return the names in topological order of their formulas.
 
-    Raises `FormulaError` if a name is not a parameter, or parameters depend on each other in a
-    circle.
+    Raises `FormulaError` if a name is not a parameter, or for a dependency cycle.
     """
     for name, formula in formulas.items():
         for used in names_in(formula.root):
@@ -237,7 +228,7 @@ def order_parameters(
     try:
         return tuple(graphlib.TopologicalSorter(uses).static_order())
     except graphlib.CycleError as error:
-        # graphlib lists each node before those that use it; readers follow "uses".
+        # graphlib lists each node before those that use it.
         cycle = list(reversed(error.args[1]))
         formulas[cycle[0]]._source.fail(
             f"parameters need each other: {' -> '.join(cycle)}",
@@ -247,7 +238,7 @@ def order_parameters(
 
 
 class Constants:
-    """Parameters that are formulas of each other, in the order in which they can be evaluated."""
+    """Parameters as formulas of each other, in order of evaluation."""
 
     def __init__(self, formulas: Mapping[str, Formula]) -> None:
         self.formulas = formulas

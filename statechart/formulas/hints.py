@@ -1,4 +1,4 @@
-"""Hints for mistakes in formulas: notation of other languages -> what to write instead."""
+"""Advice on mistakes in formulas, such as the notation of other languages."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _LETTERS = "letters, digits and _, not beginning with a digit"
 
 
 def character(given: str, otherwise: str = "") -> str:
-    """Return advice on a character that no formula has."""
+    """Return advice on an invalid character."""
     if given in _CHARACTERS:
         return _CHARACTERS[given]
     called = unicodedata.name(given, "")
@@ -50,7 +50,7 @@ def character(given: str, otherwise: str = "") -> str:
 
 
 def no_name(text: str) -> str:
-    """Return advice on a text that should be a name."""
+    """Return advice on an invalid name."""
     if text.isdecimal():
         return f"decimals have a point: 0.5; a name has {_LETTERS}"
     name, equals, value = text.partition("=")
@@ -74,7 +74,7 @@ TOKENS: Mapping[str, str] = {
     **dict.fromkeys(("if", "else", "then"), _CHOICE),
     "deg": "angles are in radians: 30*pi/180",
 }
-"""Part of a formula that cannot stand where it does -> what to write."""
+"""Misplaced part of a formula -> advice."""
 
 _PROGRAMS: Mapping[str, str] = {
     r"\s*if\b|.*\?": _CHOICE,
@@ -83,7 +83,7 @@ _PROGRAMS: Mapping[str, str] = {
 
 
 def program(text: str) -> str:
-    """Return advice on a formula with a choice or an assignment of a programming language."""
+    """Return advice on a conditional or assignment of a programming language."""
     return next((advice for form, advice in _PROGRAMS.items() if re.match(form, text)), "")
 
 
@@ -102,9 +102,9 @@ _PARTS: Mapping[str, str] = {
     "vx": "dx", "vy": "dy", "xdot": "dx", "ydot": "dy", "omega": "dangle", "theta": "angle",
     "phi": "angle", "normal": "V", "tangential": "H",
 }  # fmt: skip
-# Functions in pieces: each piece is a state with a formula.
+# Piecewise functions: each piece is a state with a formula.
 _PIECEWISE = frozenset({"if", "where", "piecewise", "heaviside", "step"})
-# Rounding functions, for numbers that are known before a run.
+# Rounding functions, for constants only.
 _WHOLE: Mapping[str, str] = {
     **dict.fromkeys(("ceil", "ceiling"), "-floor(-x)"), "round": "floor(x + 1/2)",
     **dict.fromkeys(("int", "trunc"), "floor(x)"),
@@ -132,7 +132,7 @@ _MODULES = ("math.", "np.", "numpy.")
 def meant(
     name: str, known: Iterable[str], functions: Collection[str], constants: Collection[str] = ()
 ) -> str:
-    """Return advice on a name or a function that there is not."""
+    """Return advice on an unknown name or function."""
     names = frozenset(known)
     bare = next((name.removeprefix(room) for room in _MODULES if name.startswith(room)), name)
     if bare.lower() in _CONVERTED:

@@ -1,9 +1,8 @@
-"""Linear equations with symbolic coefficients, solved as a straight-line program.
+"""Symbolic solution of linear equations as a straight-line program.
 
-A mode is one linear system in accelerations and forces. Eliminating by pivots that are plain
-numbers, or that are alone in their row or column, divides by nothing that is not a factor of the
-determinant: a moment of inertia of zero (a point mass) stays an ordinary value, and the only
-singularities left are those of the mode itself, such as the Painleve boundary.
+A mode is a linear system in accelerations and forces. Pivots are numbers, or alone in their row or
+column, so that all divisors are factors of the determinant: a zero moment of inertia (a point mass)
+is regular, and the only singularities are those of the mode, such as the Painleve boundary.
 """
 
 from __future__ import annotations
@@ -18,25 +17,24 @@ from statechart.errors import SingularMode
 
 Definition = tuple[sp.Symbol, sp.Expr]
 
-# Cramer's rule: Laplace expansion grows as n!, and is exact in structure; beyond this, Gaussian
-# elimination. One body with a pinned point makes a system of 5.
+# Cramer's rule grows as n!, and has no spurious singularities; larger systems use Gaussian
+# elimination. One body with a pinned point is a system of 5.
 MAX_CRAMER = 5
 
-# A force that follows from an acceleration is a difference: of weight and what moves, say, of which
-# little is left where it is small. By Cramer's rule it is not, where systems are as small as this.
+# A force computed from an acceleration suffers cancellation if it is small. Cramer's rule avoids
+# this, for systems up to this size.
 _MAX_PAIRED = 3
-# A pivot that is a number must not be small: the symbols beside it are of unknown size. The ones of
-# mechanics (a force in its own equation, an acceleration in a constraint) are 1.
+# Least numeric pivot, since symbolic entries have unknown size. Pivots of mechanics are 1.
 _MIN_PIVOT = 0.5
 
 
 Row = dict[sp.Symbol, sp.Expr]
 Equation = tuple[Row, sp.Expr, int]
-"""Coefficients, right-hand side, place among the equations given."""
+"""Coefficients, right-hand side, index of the original equation."""
 
 
 class Singular(SingularMode):
-    """The equations do not determine some unknowns, whatever the numbers are."""
+    """The equations are structurally singular in some unknowns."""
 
     def __init__(self, unknowns: Sequence[sp.Symbol]) -> None:
         super().__init__("no equation determines " + ", ".join(str(u) for u in unknowns))
@@ -51,10 +49,9 @@ def solve_linear(
 ) -> tuple[Definition, ...]:
     """Solve `equations` (each = 0, linear in `unknowns`), one connected component at a time.
 
-    The first `paired` equations and unknowns belong together, one by one.
-
-    Returns definitions in order of evaluation; each uses the unknowns and auxiliary symbols
-    defined before it. Raises `Singular` if the structure of the equations leaves an unknown free.
+    The first `paired` equations and unknowns are pairs. Returns definitions in order of evaluation,
+    in terms of parameters and earlier definitions. Raises `Singular` for a structurally singular
+    system.
     """
     definitions: list[Definition] = []
     missing: list[sp.Symbol] = []
@@ -75,7 +72,7 @@ def solve_linear(
 
 
 def _connected(equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol]) -> list[list[int]]:
-    """Return the places of equations and unknowns that belong together; pairs are not parted."""
+    """Return the connected components of equations and unknowns; pairs are connected."""
     place = {unknown: i for i, unknown in enumerate(unknowns)}
     edges = [
         (row, place[unknown])
@@ -94,7 +91,7 @@ def _solved(
     paired: int,
     before: frozenset[sp.Symbol],
 ) -> tuple[Definition, ...]:
-    """Solve the equations of one component, the same in all modes in which it stands."""
+    """Solve the equations of one component; modes share the result."""
     place = {unknown: i for i, unknown in enumerate(unknowns)}
     given: list[Equation] = [(*_linear_row(e, place), i) for i, e in enumerate(equations)]
     first, rows, last = _reduced(given, unknowns, before, paired)
@@ -120,10 +117,10 @@ def _reduced(
 ) -> tuple[list[Definition], list[Equation], list[Definition]]:
     """Eliminate by pivots that are numbers, or alone in their row or column.
 
-    Unknowns behind `motions` are eliminated by their own equations only. `mirrors` are pairs that
-    are symmetric: no number of another equation is a pivot, so that what is left is definite where
-    it was. Returns the unknowns known at once, the equations left, and the unknowns eliminated, to
-    be evaluated in the opposite order.
+    Unknowns from `motions` on are eliminated by their own equations only. `mirrors` are symmetric
+    pairs: their pivots are on the diagonal, so that the Schur complement stays definite. Returns
+    the unknowns known at once, the remaining equations, and the eliminated unknowns in reverse
+    order of evaluation.
     """
     place = {unknown: i for i, unknown in enumerate(unknowns)}
     first: list[Definition] = []
@@ -138,7 +135,8 @@ def _reduced(
         index, unknown, where = pivot
         row, right, origin = rows.pop(index)
         if origin != place[unknown]:
-            # A constraint solved for an acceleration: that one's equation is for the force now.
+            # A constraint solved for an acceleration: the equation of motion is paired with the
+            # constraint force.
             partner = place[unknown]
             rows = [(e, b, origin if i == partner else i) for e, b, i in rows]
             swapped.add(origin)
@@ -148,8 +146,7 @@ def _reduced(
         value = others if coefficient == 1 else others / coefficient
         if where == "row":
             first.append((unknown, value))
-            # A force that is exactly zero takes its quotients with it: no 0/0 where the next
-            # pivot vanishes.
+            # A force that is exactly zero is substituted: no 0/0 if the next pivot vanishes.
             known = value if value == 0 else unknown
             rows = [_insert(equation, unknown, known) for equation in rows]
         else:
@@ -159,10 +156,7 @@ def _reduced(
 
 
 def _mirrors(rows: list[Equation], unknowns: Sequence[sp.Symbol], paired: int) -> set[int]:
-    """Return the pairs whose equation and unknown mirror each other, but for signs.
-
-    Only beside the first `paired`: what else there is (laws of friction) mirrors nothing.
-    """
+    """Return the pairs with symmetric rows and columns up to signs, of the first `paired`."""
     mirrors = set()
     for row, _, k in rows:
         pairs = (
@@ -177,8 +171,7 @@ def _mirrors(rows: list[Equation], unknowns: Sequence[sp.Symbol], paired: int) -
 def _linear_row(equation: sp.Expr, unknowns: Mapping[sp.Symbol, int]) -> tuple[Row, sp.Expr]:
     """Return the coefficients of the unknowns in a linear equation, and its right-hand side.
 
-    Term by term: most are a coefficient times an unknown, or the long ones without any, which
-    need not be differentiated.
+    Term by term, since most terms need no differentiation.
     """
     coefficients: dict[sp.Symbol, list[sp.Expr]] = {}
     known: list[sp.Expr] = []
@@ -205,11 +198,10 @@ def _pivot(
     motions: int,
     mirrors: Collection[int] | None,
 ) -> tuple[int, sp.Symbol, str] | None:
-    """Choose the cheapest pivot that divides by a factor of the determinant only.
+    """Choose the cheapest pivot (Markowitz) that divides by a factor of the determinant only.
 
-    `sizes` keeps those of the coefficients seen so far: 0 where they are not numbers; `wanted` are
-    the pairs that come before others of their kind, `before` such unknowns; `motions`, `mirrors`:
-    see `_reduced`.
+    `sizes` caches magnitudes of coefficients, 0 for symbolic ones. `wanted` pairs and `before`
+    unknowns have priority. `motions`, `mirrors`: see `_reduced`.
     """
 
     def size(coefficient: sp.Expr) -> float:
@@ -236,7 +228,7 @@ def _pivot(
             if 0 < motions <= partner and (origin != partner or origin in wanted):
                 continue
             if size(coefficient) >= max(_MIN_PIVOT, 0.1 * largest):
-                # Markowitz: the fill that the elimination can make.
+                # Bound of the fill-in.
                 fill = (len(row) - 1) * (count[unknown] - 1)
                 fill = -1 if origin == partner and origin in wanted else fill
                 cost = unknown not in before, fill
@@ -278,7 +270,7 @@ def _eliminate(
 def _blocks(
     rows: list[Equation], place: Mapping[sp.Symbol, int], pairs: tuple[int, ...]
 ) -> list[Definition]:
-    """Solve what is left, one connected component at a time; large ones by `pairs` first."""
+    """Solve the remaining equations by components, eliminating `pairs` of large ones first."""
     definitions: list[Definition] = []
     for component in _components(rows):
         indices = sorted(i for i in component if isinstance(i, int))
@@ -312,9 +304,9 @@ def _eliminated(
     pivot: Callable[[list[Equation]], tuple[int, sp.Symbol] | None],
     name: Callable[[sp.Expr], sp.Expr],
 ) -> tuple[list[Equation], list[Definition]]:
-    """Eliminate unknowns by the pivots chosen, with every intermediate result named.
+    """Eliminate unknowns by chosen pivots, naming every intermediate result.
 
-    Returns the equations left, and the unknowns eliminated, to be evaluated in the opposite order.
+    Returns the remaining equations, and the eliminated unknowns in reverse order of evaluation.
     """
     rows = [({u: name(c) for u, c in row.items()}, name(right), i) for row, right, i in rows]
     last: list[Definition] = []
@@ -330,10 +322,10 @@ def _eliminated(
 def _by_pairs(
     rows: list[Equation], unknowns: Sequence[sp.Symbol], place: Mapping[sp.Symbol, int], paired: int
 ) -> tuple[list[Definition], list[Equation], list[Definition]]:
-    """Eliminate unknowns by the equations that belong to them, motions first.
+    """Eliminate unknowns by their paired equations, motions first.
 
-    Returns intermediate results, the equations left, and the unknowns eliminated, to be evaluated
-    in the opposite order.
+    Returns intermediate results, the remaining equations, and the eliminated unknowns in reverse
+    order of evaluation.
     """
     todo = sorted((u for u in unknowns if place[u] < paired), key=place.__getitem__)
 
@@ -351,7 +343,7 @@ def _by_pairs(
 
 
 def _by_elimination(rows: list[Equation], unknowns: Sequence[sp.Symbol]) -> list[Definition]:
-    """Solve by Gaussian elimination: a straight-line program of O(n^3) operations."""
+    """Solve by Gaussian elimination, in O(n^3) operations."""
     columns = {unknown: k for k, unknown in enumerate(unknowns)}
 
     def sparsest(rows: list[Equation]) -> tuple[int, sp.Symbol] | None:
@@ -370,7 +362,7 @@ def _by_elimination(rows: list[Equation], unknowns: Sequence[sp.Symbol]) -> list
 
 
 def _by_determinants(rows: list[Equation], unknowns: Sequence[sp.Symbol]) -> list[Definition]:
-    """Solve by Cramer's rule with every entry named, so that the determinants stay small."""
+    """Solve by Cramer's rule with named entries, so that the determinants are short."""
     tag = str(unknowns[0])
     result: list[Definition] = []
     name = _naming(f"entry_{tag}", result)
@@ -389,7 +381,7 @@ def _by_determinants(rows: list[Equation], unknowns: Sequence[sp.Symbol]) -> lis
 
 
 def _naming(word: str, named: list[Definition]) -> Callable[[sp.Expr], sp.Expr]:
-    """Return a function that names an expression by a new symbol; symbols and numbers stay."""
+    """Return a function that replaces compound expressions by new symbols."""
     known: dict[sp.Expr, sp.Symbol] = {}
 
     def name(entry: sp.Expr) -> sp.Expr:

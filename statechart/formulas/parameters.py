@@ -1,4 +1,4 @@
-"""Parameters of a run as a tape, so that sweeps are cheap."""
+"""Parameters of a run, compiled to a tape for sweeps."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from statechart.formulas.writer import compile_tape
 
 _NO_VARIABLES = np.zeros(0)
 _TIME = sp.Symbol("time", real=True)
-# In the place of what a formula has written as inf: constants of a tape are finite.
+# Input for `inf` in formulas, since constants of a tape are finite.
 _INF = sp.Symbol("inf", real=True)
 
 
 class Parameters:
-    """Named formulas of each other, and expressions of them, evaluated together.
+    """Parameters as formulas of each other, and expressions of them.
 
-    `derived` are expressions in the parameters' symbols, appended to the parameters; `further` are
-    evaluated with them (an initial state). Those in `literals` are declared as numbers.
+    `derived` expressions are appended to the parameters; `further` ones are evaluated with them (an
+    initial state). Parameters in `literals` are declared as numbers.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class Parameters:
         further: Callable[[Mapping[str, sp.Symbol]], Sequence[sp.Expr]],
     ) -> None:
         self._formulas: dict[str, Formula] = {n: parse(f) for n, f in formulas.items()}
-        # Neutral symbols: SymPy gives names such as I or beta a meaning of its own.
+        # Neutral symbols, since SymPy interprets names such as I or beta.
         declared = {name: sp.Symbol(f"p{i}", real=True) for i, name in enumerate(self._formulas)}
         extra = derived(declared)
         self.symbols: dict[str, sp.Symbol] = dict(declared)
@@ -68,15 +68,12 @@ class Parameters:
         outputs = tape.at(_NO_VARIABLES, numbers, 0.0)
         parameters, further = outputs[: len(self.names)], outputs[len(self.names) :]
         if math.isnan(outputs.min(initial=0.0)):
-            # Evaluated one by one, the formula at fault is named.
+            # Evaluated one by one, to report the formula at fault.
             Constants(self._formulas).values(overrides)
         return parameters, further
 
     def program(self, overridden: frozenset[str]) -> tuple[Tape, tuple[str, ...]]:
-        """Return the tape of `values` where these are overridden, and what it takes.
-
-        Behind those parameters it takes an infinity.
-        """
+        """Return the tape of `values` for these overrides, and its inputs, followed by infinity."""
         overridden_symbols = overridden.difference(self.literals)
         if overridden_symbols not in self._tapes:
             self._tapes[overridden_symbols] = self._tape(overridden_symbols)

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 from statechart.errors import close_matches
 from statechart.formulas.condition import (
+    And,
     Atom,
     Condition,
-    Every,
-    Some,
-    Within,
+    InState,
+    Or,
     condition_of,
     folded,
     replaced,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import sympy as sp
 
 MAX_TERMS = 60
-"""Most comparisons, negations and parentheses of a relation."""
+"""Limit of comparisons, negations and parentheses of a relation."""
 
 _MAX_CACHED = 4096
 _ORDERED = {"==": ("<=", ">="), "!=": ("<", ">")}
@@ -57,7 +57,7 @@ _JOINTS = frozenset({"<", "<=", ">", ">=", "==", "!=", "=", "!", "and", "or", "n
 class Comparison:
     """A comparison of two formulas."""
 
-    # The sides. Both have the text of the whole relation, so that offsets point into it.
+    # Both sides have the text of the relation, so that offsets point into it.
     left: Formula
     right: Formula
     operator: str  # one of ``< <= > >= == !=``
@@ -65,32 +65,32 @@ class Comparison:
     text: str
 
     def negated(self) -> Comparison:
-        """Return the comparison that holds where this one does not."""
+        """Return the negated comparison."""
         return replace(self, operator=_OPPOSITE[self.operator])
 
     def holds(self, left: Any, right: Any) -> Any:
-        """Return whether it holds for values of the sides: numbers, or arrays of one shape."""
+        """Evaluate for values of the sides: numbers, or arrays of one shape."""
         return _HOLDS[self.operator](left, right)
 
     def ordered(self) -> Iterator[Comparison]:
-        """Yield the two comparisons that an equality stands for."""
+        """Yield the two inequalities of an equality."""
         return (replace(self, operator=sign) for sign in _ORDERED[self.operator])
 
     def margin(self, symbols: Mapping[str, sp.Expr]) -> sp.Expr:
-        """Return what falls through zero as it begins to hold; see `Relation.margin`."""
+        """Return the margin; see `Relation.margin`."""
         left, right = self.left.to_sympy(symbols), self.right.to_sympy(symbols)
         margin = left - right if self.operator in ("<", "<=") else right - left
         return finished(margin, self.left)
 
     @property
     def strict(self) -> bool:
-        """True if it does not hold where both sides are equal."""
+        """True if it is false for equal sides."""
         return self.operator in ("<", ">", "!=")
 
 
 @dataclass(frozen=True)
 class Member:
-    """``in(REGION.STATE)``: a region is in a state, or in one inside it."""
+    """``in(REGION.STATE)``: a region is in a state or in a substate of it."""
 
     region: str
     state: str
@@ -99,7 +99,7 @@ class Member:
 
 @dataclass(frozen=True)
 class Negation:
-    """``not`` and what it negates."""
+    """``not`` of a term."""
 
     part: Term
     offset: int = 0
@@ -118,9 +118,9 @@ Term = Comparison | Member | Negation | Junction
 
 @dataclass(frozen=True)
 class Relation:
-    """A relation that was read; build it with `parse_relation`."""
+    """A parsed relation; created by `parse_relation`."""
 
-    root: Term  # its syntax tree
+    root: Term
     text: str
 
     @cached_property
@@ -140,7 +140,7 @@ class Relation:
 
     @cached_property
     def names(self) -> frozenset[str]:
-        """The declared names that it uses."""
+        """The names in it."""
         return frozenset[str]().union(*(formula.names for formula in self.formulas))
 
     def require(self, known: Iterable[str]) -> None:
@@ -150,10 +150,7 @@ class Relation:
             formula.require(known)
 
     def require_states(self, states: Mapping[str, Collection[str]]) -> None:
-        """Check that ``in(...)`` names regions and states that exist.
-
-        Raises `FormulaError` at the first that does not exist.
-        """
+        """Raise `FormulaError` at the first unknown region or state in ``in(...)``."""
         source = Source(self.text)
         for member in self.members:
             if not states:
@@ -168,10 +165,7 @@ class Relation:
                     source.fail(f"no {kind} {name!r}", member.offset, close_matches(name, known))
 
     def require_still(self, changing: Collection[str]) -> None:
-        """Check that ``==`` and ``!=`` compare only what no flow changes.
-
-        Raises `FormulaError` at the first equality of one of them.
-        """
+        """Raise `FormulaError` at the first ``==`` or ``!=`` of names that vary along flows."""
         for one in self.comparisons:
             moved = sorted((one.left.names | one.right.names).intersection(changing))
             if one.operator in _EQUALITIES and moved:
@@ -182,11 +176,10 @@ class Relation:
                 )
 
     def margin(self, symbols: Mapping[str, sp.Expr], states: States = _NO_STATES) -> sp.Expr:
-        """Return what is >= 0 while the relation does not hold and falls as it begins to.
+        """Return the margin: positive while the relation is false, zero as it turns true.
 
-        For ``a <= b`` and ``a < b`` this is ``a - b``, for ``a >= b`` and ``a > b`` the opposite;
-        for an *and* the largest, for an *or* the least of its parts. Its negative is the margin by
-        which the relation holds. Raises `FormulaError` as `Formula.to_sympy`.
+        ``a - b`` for ``a <= b`` and ``a < b``, ``b - a`` for ``a >= b`` and ``a > b``, the maximum
+        for *and*, the minimum for *or*. Raises `FormulaError` as `Formula.to_sympy`.
         """
         import sympy
 
@@ -201,7 +194,7 @@ class Relation:
         )
 
     def condition(self, symbols: Mapping[str, sp.Expr], states: States = _NO_STATES) -> Condition:
-        """Return the relation over smooth atoms: `min`, `max` and `abs` are rewritten.
+        """Return the relation as a Boolean tree over smooth atoms, without `min`, `max` and `abs`.
 
         Raises `FormulaError` as `Formula.to_sympy`, and if it has too many atoms.
         """
@@ -214,7 +207,7 @@ class Relation:
 
 
 def _terms(term: Term) -> Iterator[Term]:
-    """Yield a term and all below it, left to right."""
+    """Yield a term and its descendants, left to right."""
     yield term
     if isinstance(term, Negation):
         yield from _terms(term.part)
@@ -228,25 +221,25 @@ def _normal(term: Term, negated: bool = False) -> Any:
     if isinstance(term, Negation):
         return _normal(term.part, not negated)
     if isinstance(term, Member):
-        return Within(term.region, term.state, not negated)
+        return InState(term.region, term.state, not negated)
     if isinstance(term, Junction):
-        kind = Every if (term.word == "and") is not negated else Some
+        kind = And if (term.word == "and") is not negated else Or
         return kind(tuple(_normal(part, negated) for part in term.parts))
     one = term.negated() if negated else term
     if one.operator in _EQUALITIES:
-        return (Every if one.operator == "==" else Some)(tuple(one.ordered()))
+        return (And if one.operator == "==" else Or)(tuple(one.ordered()))
     return one
 
 
-def _within(tree: Within, states: States) -> Atom:
+def _within(tree: InState, states: States) -> Atom:
     return Atom(states[tree.region, tree.state] * (-1 if tree.holds else 1), False)
 
 
 @lru_cache(_MAX_CACHED)
 def parse_relation(text: str) -> Relation:
-    """Read a relation: comparisons and `in(REGION.STATE)`, joined by `and`, `or`, `not`.
+    """Parse a relation: comparisons and `in(REGION.STATE)`, joined by `and`, `or`, `not`.
 
-    Raises `FormulaError` if it cannot be read; see `parse`.
+    Raises `FormulaError`; see `parse`.
     """
     reader = _RelationReader(Source(text))
     root = reader.disjunction()
@@ -255,14 +248,14 @@ def parse_relation(text: str) -> Relation:
 
 
 def conjunction(texts: Sequence[str]) -> str:
-    """Return the relation that holds where all of `texts` do."""
+    """Return the conjunction of relations."""
     if len(texts) == 1:
         return texts[0]
     return _AND.join(f"({text})" if _OR.search(text) else text for text in texts)
 
 
 def place_in(texts: Sequence[str], offset: int) -> tuple[int, int]:
-    """Return the place among `texts`, and the offset in it, of an offset in their conjunction."""
+    """Return the index of the text, and the offset in it, for an offset in the conjunction."""
     for place, text in enumerate(texts):
         opened = int(len(texts) > 1 and _OR.search(text) is not None)
         width = len(text) + 2 * opened
@@ -273,14 +266,14 @@ def place_in(texts: Sequence[str], offset: int) -> tuple[int, int]:
 
 
 class _RelationReader(Reader):
-    """Recursive descent: `or` binds least, then `and`, then `not`, then comparisons."""
+    """Recursive descent with precedence `or`, `and`, `not`, comparisons."""
 
     def __init__(self, source: Source) -> None:
         super().__init__(source)
         self._terms = 0
 
     def disjunction(self) -> Term:
-        """Read a whole relation."""
+        """Parse a whole relation."""
         return self._junction("or", lambda: self._junction("and", self._term))
 
     def _junction(self, word: str, part: Callable[[], Term]) -> Term:
@@ -343,7 +336,7 @@ class _RelationReader(Reader):
         return Comparison(Formula(text, left), Formula(text, right), sign.text, sign.offset, own)
 
     def _holds_relation(self) -> bool:
-        """Return whether the parenthesis that opens here holds a relation, not a formula."""
+        """Return whether the parenthesis that opens here contains a relation, not a formula."""
         depth = 0
         for match in _TOKENS.finditer(self.source.text, self.token.offset):
             token = match[0]

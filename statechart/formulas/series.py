@@ -1,7 +1,7 @@
-"""Taylor series in time of a tape along a flow, and how well their coefficients are known.
+"""Taylor series of a tape along a flow by automatic differentiation, with error bounds.
 
-The coefficients follow one from another (Moore, "Interval Analysis", 1966, chapter 11). With each
-goes a size: what rounding and the errors of the inputs may change it by, in units of them.
+Coefficients follow from recurrences (Moore, "Interval Analysis", 1966, chapter 11). The size of a
+coefficient times the relative error of the inputs, or the round-off, bounds its error.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from statechart.formulas.tape import Tape
 from statechart.kernels.tapes import OPCODES
 
 _NAMES = {code: name for name, code in OPCODES.items()}
-# A coefficient is zero below so many roundings of its size.
+# A coefficient is zero below this fraction of its size.
 _ZERO_COEFFICIENT = 2.0**-46
-# A power up to this is one of products, whatever the sign of its base.
+# Integer powers up to this are products.
 _MAX_EXPONENT = 1024
 
 
 class Series(NamedTuple):
-    """Coefficients of 1, t, t**2, ..., and their sizes: at least as large as their amounts."""
+    """Coefficients of 1, t, t**2, ..., and their sizes, at least their magnitudes."""
 
     values: list[float]
     sizes: list[float]
@@ -35,10 +35,9 @@ def expand(
     time: float,
     places: tuple[int, ...] | None = None,
 ) -> list[Series]:
-    """Return the series of a tape's outputs, as long as those of its variables.
+    """Return the series of the outputs (at `places`) of a tape, as long as those of its variables.
 
-    Of the outputs at some places, where these are given. What has no series (a root at zero) has
-    coefficients that are not numbers.
+    Coefficients are NaN if there is no series (a root at zero).
     """
     terms = len(variables[0].values) if variables else 1
     places = tuple(range(len(tape.outputs))) if places is None else places
@@ -68,7 +67,7 @@ def expand(
 def sizes_at(
     tape: Tape, places: tuple[int, ...], state: Array, sizes: Array, parameters: Array, time: float
 ) -> list[float]:
-    """Return the sizes of the terms of outputs, from those of the state."""
+    """Return the sizes of outputs from those of the state."""
     pairs = zip(state.tolist(), sizes.tolist(), strict=True)
     variables = [Series([x], [max(abs(x), size)]) for x, size in pairs]
     found = expand(tape, variables, parameters.tolist(), time, places)
@@ -129,7 +128,7 @@ def _div(a: Series, b: Series) -> Series:
 
 
 def _chain(first: float, *parts: tuple[Series, Series]) -> Series:
-    """Return a function from its first value, and pairs of argument and partial derivative."""
+    """Return f(a, b, ...) from its first coefficient and pairs (argument, partial derivative)."""
     values = [first]
     for k in range(1, len(parts[0][0].values)):
         values.append(
@@ -145,7 +144,7 @@ def _chain(first: float, *parts: tuple[Series, Series]) -> Series:
 def _coupled(
     a: Series, first: tuple[float, float], signs: tuple[float, float]
 ) -> tuple[Series, Series]:
-    """Return f and g with the derivatives f' = signs[0] g and g' = signs[1] f."""
+    """Return f and g with f' = signs[0] g and g' = signs[1] f."""
     f, g = [first[0]], [first[1]]
     for k in range(1, len(a.values)):
         rates = [i * a.values[i] / k for i in range(1, k + 1)]

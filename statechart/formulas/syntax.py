@@ -1,7 +1,7 @@
-"""The language of formulas: its tokens and its reader.
+"""Tokens and recursive-descent parser of formulas.
 
-Reading never runs the text. Length, number of nodes, nesting and powers are bounded, so that a
-formula from an unknown file costs a bounded time. `statechart.formulas.formula` is the public side.
+Parsing never executes the text. Length, number of nodes, nesting and powers are bounded, so that a
+formula from an unknown file takes a bounded time. `statechart.formulas.formula` is the public side.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ MAX_DEPTH = 60
 MAX_EXPONENT = 64
 
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
-"""One part of a name."""
+"""A part of a dotted name."""
 
 _TIME = re.compile(r"\(\s*(time|t)\b", re.ASCII)  # as the first argument of a function
 _DATE = re.compile(r"[0-9]{4}-(0[1-9]|1[0-2])-(0[1-9]|[12][0-9]|3[01])([T ][0-9].*)?", re.ASCII)
-"""A date to YAML and people, a difference to arithmetic."""
+"""A date, which is also a difference of integers."""
 
 RELATIONS = ("<=", ">=", "<", ">")
 _CLOSE = "write ) behind what it holds"
@@ -112,17 +112,17 @@ class Reader:
         self.token = next(self._tokens)
 
     def advance(self) -> _Token:
-        """Return the current token and go to the next."""
+        """Return the current token and advance."""
         token, self.token = self.token, next(self._tokens, self.token)
         return token
 
     def expect_end(self) -> None:
-        """Check that nothing is left."""
+        """Check that the text ends here."""
         if self.token.kind != "end":
             self._unexpected()
 
     def sum(self) -> Node:
-        """Read a whole formula, up to what cannot belong to it."""
+        """Parse a formula as far as possible."""
         left = self._product()
         while self.token.text in ("+", "-"):
             left = self._binary(left, self._product)
@@ -135,8 +135,7 @@ class Reader:
         return left
 
     def _signed(self) -> Node:
-        # Every nesting passes here, so here its depth is counted. Long sums and products do not
-        # nest: their trees lean left and are bounded by the number of nodes.
+        # All nesting passes here, where its depth is counted; sums and products are loops.
         self._depth += 1
         if self._depth > MAX_DEPTH:
             self.source.fail("nested too deeply", self.token.offset, f"at most {MAX_DEPTH} levels")
@@ -210,7 +209,7 @@ class Reader:
         marks.append(self.token.offset)
         function = FUNCTIONS[name.text]
         most = function.most
-        # In a mapping between braces YAML ends a value at its first comma.
+        # In a flow mapping YAML ends a value at its first comma.
         cut = self.token.kind == "end" and len(arguments) < function.least
         self.close(opening, "put a formula with a comma in quotes" if cut else _CLOSE)
         if len(arguments) < function.least or (most is not None and len(arguments) > most):
@@ -219,7 +218,7 @@ class Reader:
         return self._checked(Call(name.text, tuple(arguments), name.offset, tuple(marks)))
 
     def close(self, opening: _Token, advice: str = _CLOSE) -> None:
-        """Read the parenthesis that closes `opening`."""
+        """Parse the parenthesis that closes `opening`."""
         if self.token.text != ")":
             if self.token.kind == "end":
                 self.source.fail("this parenthesis is never closed", opening.offset, advice)
@@ -227,10 +226,10 @@ class Reader:
         self.advance()
 
     def _checked(self, node: Node) -> Node:
-        """Count `node`; a constant that has no value is found here and not in the middle of a run.
+        """Count `node`, and evaluate it if constant.
 
-        This also bounds what SymPy's exact arithmetic could be made to compute: a tower such as
-        ``2**2**2**99`` overflows here.
+        A constant without a value is refused here and not during a run; a tower such as
+        ``2**2**2**99`` overflows before SymPy's exact arithmetic sees it.
         """
         self._nodes += 1
         if self._nodes > MAX_NODES:
@@ -261,7 +260,7 @@ class Reader:
 
 
 def _literal(text: str) -> int | float | None:
-    """Return the number written, or None where it is beyond the floats."""
+    """Return the value of a literal, or None beyond the range of floats."""
     if not math.isfinite(value := float(text)):
         return None
     return int(text) if text.isdigit() else value

@@ -1,12 +1,11 @@
-"""Expressions as straight-line programs: what guards and outputs are evaluated from.
+"""Tapes: expressions as straight-line programs.
 
-A tape has registers in the order variables, time, parameters, constants, results of its
-operations; each operation names two registers. It is plain data, interpreted by the one set of
-kernels in `statechart.kernels`, so a new model costs no compilation, and the same program gives
-float values and rigorous enclosures. Shared subexpressions are computed once; operations that
-read only parameters and constants stand first and are run once a call, not once a point.
+Registers of a tape are variables, time, parameters, constants, and results of its operations; an
+operation has two registers. The kernels in `statechart.kernels` interpret tapes, so that a new
+model needs no compilation, and one program gives float values and rigorous enclosures. Common
+subexpressions are shared. Operations on parameters and constants come first, and run once per call.
 
-Constants are float64 numbers and exact by definition: 1/3 is divided at run time, pi is rounded.
+Constants are exact float64 numbers: 1/3 is divided at run time, pi is rounded.
 """
 
 from __future__ import annotations
@@ -22,10 +21,7 @@ from statechart.kernels.tapes import POW, TapeCode, tape_table, tape_values
 
 
 def contiguous(array: ArrayLike) -> Array:
-    """Return the array as the kernels want it: float64, contiguous, aligned, writeable.
-
-    Any other kind of array would be another type to numba, and compiled for once more.
-    """
+    """Return a float64 array, contiguous, aligned, writeable: the only type compiled by numba."""
     result = np.ascontiguousarray(array, dtype=np.float64)
     return result if result.flags.carray else np.array(result, order="C")
 
@@ -34,31 +30,28 @@ def contiguous(array: ArrayLike) -> Array:
 class Tape:
     """A straight-line program for a list of outputs."""
 
-    # Operation (`statechart.kernels.tapes.OPCODES`), left register, right register. One operand:
-    # the right is 0; an integer power: the exponent.
+    # (o, 3): opcode (`statechart.kernels.tapes.OPCODES`), left and right register; the right is 0
+    # for one operand, the exponent for integer powers.
     code: Ints32
-    constants: Array  # numbers of the expressions
-    outputs: Ints32  # registers of the outputs
-    n_variables: int  # length of a state and of the parameters
+    constants: Array
+    outputs: Ints32  # registers
+    n_variables: int
     n_parameters: int
-    n_fixed: int  # number of leading operations that read only parameters and constants
-    reads: Ints32  # variables that are read at all; `n_variables` stands for the time
+    n_fixed: int  # leading operations on parameters and constants only
+    reads: Ints32  # variables read; `n_variables` is the time
 
     @cached_property
     def program(self) -> tuple[Ints32, Array, Ints32]:
-        """Code, constants and outputs, as kernels take them."""
+        """Code, constants and outputs for kernels."""
         return self.code, self.constants, self.outputs
 
     @cached_property
     def parts(self) -> TapeCode:
-        """The tape as kernels take it that run it along steps."""
+        """The tape for kernels that evaluate it along steps."""
         return TapeCode(self.code, self.constants, self.outputs, self.reads, self.n_fixed)
 
     def values(self, state: ArrayLike, parameters: ArrayLike, time: float) -> Array:
-        """Return the outputs at one point.
-
-        Raises `ValueError` if a shape does not fit.
-        """
+        """Return the outputs at one point; raise `ValueError` for a wrong shape."""
         state, parameters = contiguous(state), contiguous(parameters)
         if state.shape != (self.n_variables,):
             raise ValueError(f"the state has shape {state.shape}, not ({self.n_variables},)")
@@ -66,19 +59,13 @@ class Tape:
         return self.at(state, parameters, float(time))
 
     def at(self, state: Array, parameters: Array, time: float) -> Array:
-        """Return `values` for arrays that are float64, contiguous and of the right length.
-
-        For inner loops: nothing is checked, and a wrong shape reads beyond the arrays.
-        """
+        """Return `values` without checks: a wrong shape reads beyond the arrays."""
         result = np.empty(len(self.outputs))
         tape_values(*self.program, state, parameters, time, result)
         return result
 
     def table(self, states: ArrayLike, parameters: ArrayLike, times: ArrayLike) -> Array:
-        """Return the outputs at many points.
-
-        Raises `ValueError` if a shape does not fit.
-        """
+        """Return the outputs (m, o) at many points; raise `ValueError` for a wrong shape."""
         states, parameters, times = contiguous(states), contiguous(parameters), contiguous(times)
         if times.ndim != 1 or states.shape != (len(times), self.n_variables):
             raise ValueError(
@@ -91,9 +78,10 @@ class Tape:
         )
 
     def coloured_sparsity(self, variables: int) -> tuple[Ints, Ints, Ints]:
-        """Return outputs and which of the first variables they read, and a colour of each of these.
+        """Return the sparsity pattern of the Jacobian with a column colouring.
 
-        No output reads two variables of one colour. The arrays (k,) have a row for every pair.
+        Arrays (k,): output, variable, colour of the variable. No output reads two variables of one
+        colour.
         """
         if variables not in self._colourings:
             self._colourings[variables] = _coloured(self._read_by_outputs(variables), variables)
@@ -104,7 +92,7 @@ class Tape:
         return {}
 
     def needed(self, places: tuple[int, ...]) -> list[tuple[int, int, int, int]]:
-        """Return the operations that outputs at these places need: result and code of each."""
+        """Return the operations (result and code) that outputs at these places need."""
         if places not in self._needed:
             base = self.n_variables + 1 + self.n_parameters + len(self.constants)
             wanted, operations = {self.outputs.item(place) for place in places}, []
@@ -121,7 +109,7 @@ class Tape:
         return {}
 
     def _read_by_outputs(self, variables: int) -> list[list[int]]:
-        """Return the variables, of the first ones, that each output may change with."""
+        """Return the variables, of the first ones, that each output depends on."""
         base = self.n_variables + 1 + self.n_parameters + len(self.constants)
         none: frozenset[int] = frozenset()
         found = [frozenset((i,)) for i in range(variables)] + [none] * (base - variables)
@@ -131,7 +119,7 @@ class Tape:
         return [sorted(found[i]) for i in self.outputs.tolist()]
 
     def require(self, parameters: Array) -> None:
-        """Raise `ValueError` if the parameters are not as many as the tape has."""
+        """Raise `ValueError` for a wrong number of parameters."""
         if parameters.shape != (self.n_parameters,):
             raise ValueError(
                 f"the parameters have shape {parameters.shape}, not ({self.n_parameters},)"
@@ -139,7 +127,7 @@ class Tape:
 
 
 def _coloured(reads: list[list[int]], variables: int) -> tuple[Ints, Ints, Ints]:
-    """Return pairs of a row and a column, and colours of columns, different within every row."""
+    """Return rows and columns of a sparsity pattern, and a greedy column colouring."""
     readers: list[list[int]] = [[] for _ in range(variables)]
     for output, columns in enumerate(reads):
         for variable in columns:

@@ -1,4 +1,4 @@
-"""Trees of formulas: their parts, the functions there are, and their value in floats."""
+"""Syntax trees of formulas: nodes, functions, evaluation in floats."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from statechart.kernels.tolerant_floor import tolerant_floor
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A literal, finite."""
+    """A finite literal."""
 
     value: int | float
     offset: int = field(default=0, compare=False)
@@ -31,7 +31,7 @@ class Constant:
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """A declared quantity, dotted or not."""
+    """A name of a quantity, possibly dotted."""
 
     name: str
     offset: int = field(default=0, compare=False)
@@ -39,7 +39,7 @@ class Name:
 
 @dataclass(frozen=True, slots=True)
 class Unary:
-    """A sign, ``+`` or ``-``, and what it applies to."""
+    """``+`` or ``-`` of an operand."""
 
     operator: str
     operand: Node
@@ -48,7 +48,7 @@ class Unary:
 
 @dataclass(frozen=True, slots=True)
 class Binary:
-    """One of ``+ - * / **`` between two operands."""
+    """``+ - * / **`` of two operands."""
 
     operator: str
     left: Node
@@ -58,7 +58,7 @@ class Binary:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A function of `FUNCTIONS` and its arguments."""
+    """A call of a function of `FUNCTIONS`."""
 
     function: str
     arguments: tuple[Node, ...]
@@ -72,7 +72,7 @@ Node = Number | Constant | Name | Unary | Binary | Call
 
 @dataclass(frozen=True, slots=True)
 class Function:
-    """One function of the language: how many arguments, in floats, in SymPy."""
+    """A function: number of arguments, evaluation in floats, SymPy constructor."""
 
     least: int
     most: int | None
@@ -85,7 +85,7 @@ def _sign(x: float) -> float:
 
 
 def _sympy(name: str) -> Callable[..., Any]:
-    """Return SymPy's constructor `name`, looked up when called: importing SymPy takes 0.4 s."""
+    """Return SymPy's constructor `name`, imported when called, since that takes 0.4 s."""
 
     def build(*arguments: Any) -> Any:
         import sympy
@@ -140,18 +140,18 @@ FUNCTIONS: Mapping[str, Function] = {
 CONSTANTS: Mapping[str, float] = {"pi": math.pi, "inf": math.inf}
 
 JUMPS = frozenset({"floor", "mod"})
-"""Functions for what is computed once, before a run; what is called so may be declared, too."""
+"""Functions for constants, evaluated before a run; models may declare these names."""
 
 RESERVED = frozenset(FUNCTIONS) - JUMPS - {"sat"} | frozenset(CONSTANTS)
-"""Names that mean something in every formula and so cannot be declared."""
+"""Names that cannot be declared."""
 
 WORDS = frozenset(("and", "or", "not", "in"))
-"""Words that join comparisons, which no value can have for a name."""
+"""Keywords of relations, which cannot be declared."""
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The text being read, to point into it."""
+    """The text being parsed, for positions of errors."""
 
     text: str
 
@@ -169,7 +169,7 @@ class Source:
 
 
 def children(node: Node) -> tuple[Node, ...]:
-    """Return what stands right below `node`, left to right."""
+    """Return the children of `node`, left to right."""
     match node:
         case Unary():
             return (node.operand,)
@@ -186,7 +186,7 @@ def names_in(node: Node) -> Iterator[Name]:
 
 
 def nodes(node: Node) -> Iterator[Node]:
-    """Yield `node` and all below it, left to right."""
+    """Yield `node` and its descendants, left to right."""
     pending = [node]
     while pending:
         node = pending.pop()
@@ -195,12 +195,12 @@ def nodes(node: Node) -> Iterator[Node]:
 
 
 def is_constant(node: Node) -> bool:
-    """Return whether no name stands in a formula."""
+    """Return whether a formula has no names."""
     return next(names_in(node), None) is None
 
 
 def evaluate(node: Node, values: Mapping[str, float], source: Source) -> float:
-    """Evaluate in IEEE floats; infinity is an ordinary value, everything undefined an error."""
+    """Evaluate in IEEE floats; infinity is a value, undefined results raise `FormulaError`."""
     match node:
         case Number():
             return float(node.value)

@@ -1,4 +1,4 @@
-"""Compiles SymPy expressions to tapes: common subexpressions once, constants folded."""
+"""Compiler of SymPy expressions to tapes, with shared subexpressions and constant folding."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from statechart.kernels.tolerant_floor import tolerant_floor
 
 
 class Whole(sp.Function):
-    """The largest whole number below a formula; SymPy's floor is that of a number as rounded."""
+    """Floor of a formula, unevaluated; SymPy's floor evaluates rounded numbers."""
 
     is_extended_real = True
 
@@ -29,12 +29,12 @@ class Whole(sp.Function):
 
 
 class Difference(sp.Function):
-    """A difference that is evaluated as it is written: zero where both sides are equal."""
+    """A difference evaluated as written: exactly zero for equal sides."""
 
     is_extended_real = True
 
     def fdiff(self, argindex: int = 1) -> sp.Expr:
-        """Return the derivative by one side."""
+        """Return the derivative with respect to one side."""
         return sp.S.One if argindex == 1 else sp.S.NegativeOne
 
 
@@ -54,17 +54,17 @@ _UNARY: dict[type[sp.Basic], str] = {
     sp.sign: "sign",
     Whole: "floor",
 }
-# SymPy makes these of its own accord, tan(x + pi/2) for one, and formulas the last.
+# SymPy introduces these itself, as for tan(x + pi/2); formulas contain the last.
 _RECIPROCAL: dict[type[sp.Basic], str] = {
     sp.cot: "tan",
     sp.sec: "cos",
     sp.csc: "sin",
     sp.sech: "cosh",
 }
-# A smaller factor, or one larger than its inverse, may overflow beside an exponential.
+# Smaller factors, or larger ones than the inverse, may overflow with an exponential.
 _MIN_FACTOR = 1e-60
-# Every processor rounds these alike, and most constants need no others: to load the kernel takes
-# as long as to compose a scene.
+# Correctly rounded on every processor. Most constants need no others, and loading the kernel takes
+# as long as composing a scene.
 _ROUNDED_ALIKE: dict[int, Callable[[float, float], float]] = {
     OPCODES["add"]: operator.add,
     OPCODES["sub"]: operator.sub,
@@ -86,10 +86,9 @@ def compile_tape(
 ) -> Tape:
     """Compile expressions in variables, parameters and time to a tape.
 
-    `definitions` are named intermediate results, each in terms of earlier ones; only those that
-    the outputs need are compiled. Raises `StatechartError` if an expression holds an unknown
-    symbol, a function without an operation, or a constant that is not a finite real number, or if
-    two symbols are the same.
+    `definitions` are named intermediate results, each in terms of earlier ones; unused ones are
+    dropped. Raises `StatechartError` for an unknown or repeated symbol, a function without an
+    operation, or a constant that is not a finite real number.
     """
     inputs = [*variables, time, *parameters]
     names = [*inputs, *(symbol for symbol, _ in definitions)]
@@ -110,10 +109,10 @@ def compile_tape(
 
 @dataclass
 class _Writer:
-    """Operations in the order found; a register is an input, a constant or an operation.
+    """Emits operations by value numbering.
 
-    Registers are numbered inputs first, then ~0, ~1, ... for constants while their number grows;
-    operations follow as (op, left, right) keys. `finish` gives them their final numbers.
+    Registers are inputs, constants (~0, ~1, ... until their number is known) and operations;
+    `finish` assigns their final numbers.
     """
 
     inputs: list[sp.Symbol]
@@ -127,7 +126,7 @@ class _Writer:
         self.registers.update({symbol: k for k, symbol in enumerate(self.inputs)})
 
     def register(self, node: sp.Expr) -> int:
-        """Return the register that holds an expression."""
+        """Return the register of an expression."""
         if node not in self.registers:
             self.registers[node] = self._write(node)
         return self.registers[node]
@@ -149,7 +148,7 @@ class _Writer:
             return self._power(node)
         kind = type(node)
         if kind is sp.DiracDelta:
-            # The derivative of a sign is zero wherever there is one.
+            # The derivative of sign where it exists.
             return self._constant(0.0)
         if kind in _UNARY:
             return self._emit(_UNARY[kind], self.register(node.args[0]))
@@ -250,7 +249,7 @@ class _Writer:
         return self.places[key]
 
     def _evaluate(self, op: int, left: int, right: int) -> float:
-        """Fold an operation on constants, to the bits of the kernel."""
+        """Fold an operation on constants, bit for bit as the kernel."""
         binary = op <= OPCODES["pow"]
         constants = [self.constants[~left], self.constants[~right] if binary else 0.0]
         with suppress(ZeroDivisionError):
@@ -264,7 +263,7 @@ class _Writer:
         return result.item()
 
     def finish(self, outputs: list[int], n_variables: int, n_parameters: int) -> Tape:
-        """Give registers their numbers, operations on parameters and constants first."""
+        """Assign register numbers, operations on parameters and constants first."""
         n_inputs = len(self.inputs)
         fixed: dict[int, bool] = {k: k > n_variables for k in range(n_inputs)}
         for place, (op, left, right) in enumerate(self.operations, start=n_inputs):
@@ -297,9 +296,9 @@ class _Writer:
 
 @lru_cache(1 << 14)
 def _signed(node: sp.Expr) -> tuple[list[sp.Expr], list[sp.Expr]]:
-    """Return the terms of a sum that are added, and those that are subtracted, without their sign.
+    """Return the added and the subtracted terms of a sum, without signs.
 
-    To tell them apart takes longest of all; modes share most of their sums.
+    Cached, since this takes longest and modes share most sums.
     """
     plus: list[sp.Expr] = []
     minus: list[sp.Expr] = []
@@ -312,10 +311,7 @@ def _signed(node: sp.Expr) -> tuple[list[sp.Expr], list[sp.Expr]]:
 
 
 def _powers_joined(factors: Sequence[sp.Expr]) -> Sequence[sp.Expr]:
-    """Return factors with ``x**n / x``, as SymPy derives ``x**n``, written as ``x**(n - 1)``.
-
-    The first has no value where x is zero.
-    """
+    """Return factors with ``x**n / x``, of SymPy derivatives, as ``x**(n - 1)``, valid at x = 0."""
     bases = {factor.base for factor in factors if factor.is_Pow and not factor.exp.is_Number}
     if not bases:
         return factors
@@ -327,11 +323,10 @@ def _powers_joined(factors: Sequence[sp.Expr]) -> Sequence[sp.Expr]:
 
 
 def exponential_joined(factors: Sequence[sp.Expr]) -> tuple[Sequence[sp.Expr], sp.Expr | None]:
-    """Return the factors of a product without a number that is no float but for an exponential.
+    """Join a number that over- or underflows with an exponential factor.
 
-    SymPy makes exp(x + 3000.0) a product of two exponentials, whose first is beyond all floats.
-    With the factors left comes the exponent of the exponential that the number was joined to, or
-    None.
+    SymPy splits exp(x + 3000.0) into two exponentials, the first of which overflows. Returns the
+    remaining factors, and the joined exponent or None.
     """
     exponentials = [factor for factor in factors if isinstance(factor, sp.exp)]
     numbers = [f for f in factors if exponentials and f.is_Float and f and _is_extreme(f)]
@@ -352,7 +347,7 @@ def _negative(term: sp.Expr) -> bool:
 
 
 def _sides(square: sp.Expr) -> tuple[sp.Expr, sp.Expr] | None:
-    """Return a and b of a**2 + b**2, whose root then cannot overflow."""
+    """Return a and b of a**2 + b**2, for `hypot`."""
     if not square.is_Add or len(square.args) != 2:
         return None
     sides = []

@@ -1,9 +1,8 @@
-"""Numbers along a run, and between two.
+"""Evaluation of runs: samples, outputs, comparison.
 
-An `observer` compiles formulas and evaluates them along a trace, at the points and by the equations
-that `sampling` finds; `observers` keeps one for every setting of a model. `outputs` accumulates the
-outputs that a model declares over the pieces of a run, or of many runs at once, by the kernel in
-`output_kernels`. `difference` compares two runs, on the `scales` of their quantities; `condition`
-is how events magnify errors, `grazes` finds guards that a run leaves undecided, and `zeno_tails`
-pairs the ends of Zeno sequences.
+An `observer` compiles formulas and evaluates them along a trace at the points of `sampling`;
+`observers` caches one per setting. `outputs` accumulates declared outputs over pieces of a run, or
+over batches of runs, by the kernel in `output_kernels`. `difference` compares two runs on the
+`scales` of their quantities. `condition` computes condition numbers of events, `grazes` finds
+undecided grazes of guards, and `zeno_tails` aligns the ends of Zeno sequences.
 """

@@ -14,28 +14,26 @@ from statechart.automaton.trace import Arc, Jump, Trace, sizes
 from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer
 
-# The step of central differences that balances truncation and rounding, relative to a variable.
+# Relative step of central differences that balances truncation and round-off.
 _STEP = EPS ** (1.0 / 3.0)
 
 
 def conditions(observer: Observer, trace: Trace) -> tuple[float | None, ...]:
-    """Return the condition of every event of a run.
+    """Return the condition number of the time of every event.
 
-    An event is the zero of a margin m(x, t) along the flow. A state that is off by dx moves it by
+    An event is the zero of a margin m(x, t) along the flow. An error dx of the state moves it by
 
         dt = -(dm/dx . dx) / (dm/dt along the flow).
 
-    With every variable off by the part eps of its size s_i (its largest magnitude in the run) and
-    times relative to the end T of the run, as errors of runs are measured,
+    With relative errors eps of the sizes s_i (largest magnitudes in the run) and times relative to
+    the end T of the run,
 
         |dt| / T <= kappa eps,    kappa = sum_i |dm/dx_i| s_i / (T |dm/dt|).
 
-    kappa is the condition of the event. A ball that hits the ground squarely has about 1; the
-    flatter the approach, the larger; in a graze, which touches without crossing, it is inf. Errors
-    that earlier events have magnified already are part of dx. A condition is None where no margin
-    fired the jump (one that follows another at once, the end of a Zeno sequence, a run by steps),
-    and where a margin is undefined on one side. Gradients are central differences, right to about
-    1e-10 relative to the largest of their terms.
+    kappa is about 1 for a ball that hits the ground squarely, larger for a flat approach, and inf
+    for a graze. dx includes errors magnified by earlier events. The condition is None if no margin
+    fired the jump (a further jump of an instant, a Zeno accumulation, a time step), or the margin
+    is undefined on one side. Gradients are central differences with relative error 1e-10.
     """
     before = {arc.j: arc for arc in trace.arcs}
     groups: dict[Margin, list[int]] = {}
@@ -60,7 +58,7 @@ def _fired(observer: Observer, trace: Trace, arc: Arc | None, jump: Jump) -> Mar
     if arc is None or not jump.fired or not isinstance(simulator, Simulator):
         return None
     margins = simulator.compiled(arc.roles, trace.zeros).mode.margins
-    # A run that stops says by which condition, not by which of its atoms.
+    # A stop names the condition, not its atom.
     named = (*margins, *whole_margins(margins))
     return next((margin for margin in named if margin.name == jump.fired[0]), None)
 
@@ -68,7 +66,7 @@ def _fired(observer: Observer, trace: Trace, arc: Arc | None, jump: Jump) -> Mar
 def _condition(
     observer: Observer, trace: Trace, margin: Margin, jumps: Sequence[Jump], scale: Array
 ) -> list[float]:
-    """Return the condition of events that one margin fired."""
+    """Return the conditions of the events of one margin."""
 
     def gradient(moved: Sequence[tuple[Jump, Jump]], steps: Array) -> Array:
         below, above = (

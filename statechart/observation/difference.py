@@ -1,4 +1,4 @@
-"""Distance of two runs of one model: the error estimate behind a requested accuracy."""
+"""Difference of two runs of one model, the basis of error estimates."""
 
 from __future__ import annotations
 
@@ -18,27 +18,22 @@ from statechart.observation.scales import NO_SCALES, Scales
 from statechart.observation.scales import OutputValue as Output
 from statechart.observation.zeno_tails import without_summed
 
-# A number that is this much smaller than every other of its run is the rounding of zero, and has
-# no digits to be right. Speeds of a stack at rest are, by time stepping, 1.5e-12.
+# Values below this fraction of all others are round-off of zero. In time stepping, velocities of a
+# stack at rest are 1.5e-12.
 _ZERO_PART = 1e-11
-# Two runs have parted where a variable differs by this part of its size.
-_PARTED_PART = 1e-2
-# At most so many jumps are passed over at once.
-_MAX_PASSED_OVER = 64
-# Times between two events at which runs are compared for that.
-_TIMES_BETWEEN = 16
-# Times at which the distance of two runs is measured: in the whole run, and between two events.
-_TIMES_ALONG, _MIN_TIMES = 512, 2
+_PARTED_PART = 1e-2  # relative difference of separated runs
+_MAX_PASSED_OVER = 64  # jumps
+_TIMES_BETWEEN = 16  # samples between two events, for separation
+_TIMES_ALONG, _MIN_TIMES = 512, 2  # samples of the distance, in a run and between two events
 
 
 class Compared(NamedTuple):
-    """A number of two runs."""
+    """A value in two runs."""
 
-    what: str  # The quantity, such as `output lift`.
-    # Its values.
+    what: str  # the quantity, such as `output lift`
     coarse: float
     fine: float
-    off: float  # Their difference, relative to the scale of the quantity.
+    off: float  # difference, relative to the scale of the quantity
 
     def __str__(self) -> str:
         one, other = f"{self.coarse:.7g}", f"{self.fine:.7g}"
@@ -52,14 +47,13 @@ _NONE = Compared("", 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Difference:
-    """Differences of two runs of one model, each number relative to the scale of its kind."""
+    """Differences of two runs of one model, relative to the scales of the quantities."""
 
-    state: float  # Of the final state; inf where the runs ended for different reasons.
-    times: float  # Of the times of the events that both have and of the end, relative to the end.
-    named: Mapping[str, float]  # Of every output; of a list, of its length, too.
-    decides: Compared  # The number with the largest of these differences.
-    # When they first took different modes or ended for different reasons; None if they did not.
-    diverged: float | None
+    state: float  # of the final state; inf for different outcomes
+    times: float  # of common events and of the end, relative to the end
+    named: Mapping[str, float]  # of every output, including lengths of lists
+    decides: Compared  # the value with the largest difference
+    diverged: float | None  # time of the first different mode or outcome
 
     @property
     def outputs(self) -> float:
@@ -68,7 +62,7 @@ class Difference:
 
     @property
     def largest(self) -> float:
-        """The largest of the three; inf where the runs took different modes."""
+        """The largest of the three; inf for different modes."""
         return math.inf if self.diverged is not None else max(self.state, self.times, self.outputs)
 
 
@@ -85,10 +79,9 @@ def compare(
 ) -> Difference:
     """Compare two runs of one model from one start, and their outputs.
 
-    A number that is not finite in both must be the same. A number without a scale (from
-    `Outputs.scales` of one of the runs) is as large as itself. Of `endless` outputs, whose number
-    of events has no limit, only those that both runs have are compared. `brief`: as in `paired`.
-    What is no larger than `nothing` is the rounding of zero, whatever else is in the run.
+    Non-finite values must be equal. A value without a scale (from `Outputs.scales`) is relative to
+    itself. For `endless` outputs (Zeno sequences) only common events are compared. `brief`: as in
+    `paired`. Values up to `nothing` are round-off of zero.
     """
     pairs, diverged = paired(coarse, fine, brief=brief)
     same_end = coarse.outcome is fine.outcome
@@ -136,11 +129,10 @@ def _worst(compared: Iterable[Compared]) -> Compared:
 
 
 def parted(reference: Trace, trace: Trace, *, brief: float = 0.0) -> float | None:
-    """Return when two runs visibly part for good; None if they do not.
+    """Return the time of separation of two runs, or None.
 
-    That is the first time at which a variable differs by a hundredth of its size or the modes
-    differ, whichever comes first. Between the two times at which an event happened in the one run
-    and in the other the states are not compared: there a jump makes any difference.
+    The first time at which a variable differs by a hundredth of its size, or modes differ. States
+    are not compared between the times of an event in the two runs, where a jump separates them.
     """
     pairs, diverged = paired(reference, trace, brief=brief)
     end = min(reference.t_end, trace.t_end)
@@ -152,7 +144,7 @@ def parted(reference: Trace, trace: Trace, *, brief: float = 0.0) -> float | Non
     for before, after in pairwise(marks):
         start, stop = max(before), min(*after, until)
         if stop > start:
-            # Neither end: there the one run may have jumped and the other not yet.
+            # Without the ends, where one run may have jumped and the other not.
             grids.append(
                 start + (stop - start) * (np.arange(_TIMES_BETWEEN) + 0.5) / _TIMES_BETWEEN
             )
@@ -170,12 +162,11 @@ def parted(reference: Trace, trace: Trace, *, brief: float = 0.0) -> float | Non
 
 
 def distance(reference: Trace, trace: Trace) -> float:
-    """Return how far two runs are apart on the way, whatever their modes: the largest of variables.
+    """Return the L1 distance of two runs, whatever their modes, the largest of all variables.
 
-    That is the mean, over the time that both last, of the difference of a variable, relative to
-    the largest value that it has. In this norm runs converge though events are a little late, and
-    those that step in time though they take other modes (Moreau, "Numerical aspects of the
-    sweeping process", 1999).
+    The mean of the difference of a variable over the common time, relative to its largest value. In
+    this norm runs converge in spite of late events, and time stepping in spite of other modes
+    (Moreau, "Numerical aspects of the sweeping process", 1999).
     """
     end = min(reference.t_end, trace.t_end)
     if not (end > 0.0 and reference.arcs and trace.arcs):
@@ -193,7 +184,7 @@ def distance(reference: Trace, trace: Trace) -> float:
 
 
 def mode_disagreement(reference: Trace, trace: Trace) -> float:
-    """Return the part of their common time in which two runs are in different modes."""
+    """Return the fraction of the common time in which two runs have different modes."""
     end = min(reference.t_end, trace.t_end)
     if not end > 0.0:
         return 0.0
@@ -216,11 +207,11 @@ def mode_disagreement(reference: Trace, trace: Trace) -> float:
 def paired(
     coarse: Trace, fine: Trace, *, brief: float = 0.0
 ) -> tuple[list[tuple[Jump, Jump]], float | None]:
-    """Pair the jumps of two runs; return the pairs, and when the runs part, if they do.
+    """Pair the jumps of two runs; return the pairs, and the time of the first unpaired one.
 
-    How many jumps of a Zeno sequence are resolved depends on the tolerance: those that one run
-    summed up are left out (see `without_summed`), and where one run is at the accumulation, the
-    other's further jumps of that sequence are passed over.
+    The number of resolved jumps of a Zeno sequence depends on the tolerance: jumps that one run
+    summed up are omitted (see `without_summed`), and those after the accumulation of the other run
+    are passed over.
     """
     pairs: list[tuple[Jump, Jump]] = []
     a, b = coarse.jumps, fine.jumps
@@ -258,11 +249,7 @@ def paired(
 def _next_common_mode(
     a: Sequence[Jump], b: Sequence[Jump], i: int, j: int, window: float
 ) -> tuple[int, int] | None:
-    """Return the next places in both runs from which on their modes are the same again.
-
-    The nearest ones, no later than `window` after the runs took different modes, such that what
-    follows in both is no farther apart in time.
-    """
+    """Return the nearest indices in both runs, within `window`, after which their modes agree."""
     limit = min(a[i].t, b[j].t) + window
     after_a = [a[i].source, *(jump.target for jump in _jumps_until(a, i, limit))]
     after_b = [b[j].source, *(jump.target for jump in _jumps_until(b, j, limit))]
@@ -289,7 +276,7 @@ def _jumps_until(jumps: Sequence[Jump], start: int, limit: float) -> Iterator[Ju
 
 
 def _scales(reference: Trace, trace: Trace) -> Array:
-    """Return the sizes (n,) of variables in two runs; inf of those that are rounding of zero."""
+    """Return the sizes (n,) of variables in two runs; inf for round-off of zero."""
     scale = np.maximum(sizes(reference), sizes(trace))
     scale[scale <= _ZERO_PART * scale.max(initial=0.0)] = math.inf
     return scale
@@ -308,19 +295,19 @@ def _accumulates(jump: Jump) -> bool:
 
 
 def _repeats(jump: Jump, end: Jump) -> bool:
-    """Return whether `jump` belongs to the sequence that accumulates in `end`."""
+    """Return whether `jump` belongs to the Zeno sequence that ends in `end`."""
     return jump.region == end.region and not _accumulates(jump)
 
 
 def _differences(
     one: Output, other: Output, size: Output, endless: bool
 ) -> Iterable[tuple[float, float, float]]:
-    """Yield the numbers of an output to compare: of both runs, and their size."""
+    """Yield the values of an output in both runs, and their size."""
     if isinstance(one, list) and isinstance(other, list):
         sizes = size if isinstance(size, list) else [0.0] * len(one)
         if not endless:
             yield float(len(one)), float(len(other)), 1.0
-        # Where one run resolves fewer, its last is the one behind which it skips the others.
+        # The last event of the run with fewer ones precedes the skipped rest.
         count = len(one) if len(one) == len(other) else min(len(one), len(other)) - 1
         yield from islice(zip(one, other, sizes, strict=False), max(count, 0))
     elif isinstance(one, int) and isinstance(other, int):
@@ -329,7 +316,7 @@ def _differences(
     elif isinstance(one, float) and isinstance(other, float):
         yield one, other, size if isinstance(size, float) else 0.0
     elif (one is None) != (other is None):
-        yield math.nan, 0.0, 0.0  # what happened in one run alone
+        yield math.nan, 0.0, 0.0  # an event of one run only
 
 
 def _relative(a: float, b: float, scale: float, nothing: float) -> float:

@@ -1,9 +1,8 @@
-"""Grazing guards: they touch their boundary, or pass it by less than the error of a run.
+"""Grazing guards: minima of a margin near zero that the error of a run leaves undecided.
 
-A guard that only touches its boundary does not fire. Whether it touches or passes is uncertain if
-its least value, or its overshoot before it turns back, is within the change of the guard by the
-errors of all variables. A guard that passes by more, but by less than its tolerance at the start of
-the flow, is a missed event, and is reported, too.
+A guard that only touches its boundary does not fire. A graze is undecided if the least value of the
+margin, or its overshoot, is below the change of the margin by the errors of all variables. A larger
+overshoot below the tolerance at the start of the flow is a missed event, and is reported too.
 """
 
 from __future__ import annotations
@@ -126,7 +125,7 @@ class _GuardScan:
         self._kinds = trace.tolerances
         relative_error = max(STATE_TOLERANCES * trace.tolerance, STATE_ROUND_OFF)
         self._errors = relative_error * sizes(trace)
-        # What is farther off, in parts of what a guard is in its flows, is not looked at closely.
+        # Larger minima, relative to the size of a margin in its flows, are not refined.
         self._near = float(np.sqrt(relative_error))
 
     def _table(self, states: Array, times: Array) -> Array:
@@ -140,7 +139,7 @@ class _GuardScan:
         with np.errstate(all="ignore"):
             low = (margins <= rows[:-2]) & (margins <= rows[2:]) & (of[:-2] == of[2:])[:, None]
             before, after = rows[:-2] - margins, rows[2:] - margins
-            # Steps of unlike lengths meet where the places are not evenly spaced.
+            # Samples are not evenly spaced between steps of different lengths.
             spans = np.diff(tau)[:, None]
             drops = np.fmax(before / spans[:-1] * spans[1:], after / spans[1:] * spans[:-1])
             threshold = self._near * np.fmax.reduce(np.abs(rows), initial=0.0)
@@ -159,10 +158,9 @@ class _GuardScan:
                 yield graze
 
     def _grid(self, arcs: Sequence[Arc]) -> tuple[Array, Array, Ints]:
-        """Return local times in steps, the guards there, and of which arc they are.
+        """Return local times, the guards there, and the index of their arc.
 
-        In the first and last step of an arc there is one place more, near the end of the arc, so
-        that a least value between the end and the next place shows.
+        One more sample near each end of an arc brackets a minimum next to it.
         """
         s = np.arange(_GRID) / _GRID
         counts = [len(arc.coefficients) for arc in arcs]
@@ -188,7 +186,7 @@ class _GuardScan:
         return tau[order], np.concatenate(rows)[order], of[order]
 
     def _least(self, arc: Arc, k: int, left: float, right: float) -> float:
-        """Return the local time of the least value of a guard, between two."""
+        """Return the local time of the minimum of a guard in a bracket."""
         for _ in range(_REFINEMENTS):
             tau = np.linspace(left, right, _GRID + 1)
             states = sample_states(arc.coefficients, arc.times, tau)
@@ -198,7 +196,7 @@ class _GuardScan:
         return 0.5 * (left + right)
 
     def beyond(self, ends: Sequence[tuple[Arc, Jump]]) -> Iterator[Graze]:
-        """Yield undecided guards that have fired, by the parabola of their fall."""
+        """Yield undecided guards that fired, by extrapolating with a parabola."""
         names = [name for name, _ in self._watched]
         ends = [(arc, jump) for arc, jump in ends if jump.fired[0] in self._named]
         if not ends:
@@ -215,10 +213,9 @@ class _GuardScan:
                     yield graze
 
     def turned_back(self, ends: Sequence[tuple[Arc, Jump]]) -> Iterator[Graze]:
-        """Yield the transitions on their boundary, to its error, where another event ends a flow.
+        """Yield guards within their error of zero at the event of another region.
 
-        A flow that would have passed the boundary ends on it: the state that the event leaves
-        decides alone whether they fire.
+        The state after that event decides whether they fire.
         """
         places = [
             k
@@ -248,7 +245,7 @@ class _GuardScan:
         return self._table(states.reshape(-1, terms.shape[1]), at).reshape(len(arcs), 3, -1)
 
     def _open(self, arc: Arc, k: int, tau: float, further: float, *, fired: bool) -> Graze | None:
-        """Return the graze of a guard whose least value at a local time is uncertain; else None."""
+        """Return the graze of a guard if its least value is within its uncertainty."""
         state = sample_states(arc.coefficients, arc.times, np.array([tau]))[0]
         t = arc.start.high + tau
         name, kind = self._watched[k]

@@ -1,8 +1,7 @@
-"""Formulas evaluated along a run: samples, and values at jumps.
+"""Evaluation of formulas along a run: samples, and values at jumps.
 
-A formula over an automaton's observables may use what a mode solves for (contact forces, say);
-it is then compiled once for every mode that it is evaluated in. An observer outlives the runs of
-its simulator, so that the next run finds its programs ready.
+A formula with unknowns of a mode (such as contact forces) is compiled once per mode. Compiled
+programs are cached over the runs of a simulator.
 """
 
 from __future__ import annotations
@@ -48,8 +47,7 @@ from statechart.observation.sampling import (
 class Observer:
     """Evaluates formulas along the traces of a simulator.
 
-    A formula over what a mode solves for has no value (not a number) in a mode of zero duration
-    whose equations are singular.
+    A formula with unknowns is NaN in a mode of zero duration with singular equations.
     """
 
     def __init__(self, simulator: Simulator | SteppingSimulator) -> None:
@@ -59,12 +57,12 @@ class Observer:
 
     @property
     def automaton(self) -> Automaton:
-        """The automaton whose observables formulas are over."""
+        """The automaton of the formulas."""
         return self.simulator.automaton
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """The observables that change along a run: variables first, no parameter, no time."""
+        """The variables and further observables, without parameters and time."""
         automaton = self.automaton
         constant, variables = {automaton.time, *automaton.parameters}, {*automaton.names}
         unknowns = [
@@ -82,10 +80,9 @@ class Observer:
         per_step: float = 8,
         times: ArrayLike | None = None,
     ) -> Samples:
-        """Evaluate along a run, at times or at `per_step` places of every step.
+        """Evaluate along a run, at sorted `times` or at `per_step` points of every step.
 
-        Raises `FormulaError` if a formula cannot be evaluated, `ValueError` if the times are
-        outside the run or not in order.
+        Raises `FormulaError` if a formula cannot be evaluated, `ValueError` for wrong times.
         """
         trace.require_motion()
         formulas = self.names if formulas is None else tuple(formulas)
@@ -99,7 +96,7 @@ class Observer:
             points = along(arcs, local)
             counts = [len(tau) for tau in local]
             modes_shown, jumped = [arc.mode for arc in arcs], [arc.j for arc in arcs]
-        else:  # nothing flowed: the run is its last state
+        else:  # a run without flows is its last state
             rows = 1 if times is None else np.size(times)
             points = self._instants(trace, [end_of(trace)] * rows)
             counts, modes_shown, jumped = [rows], [trace.final_mode], [len(trace.jumps)]
@@ -146,9 +143,9 @@ class Observer:
         return at_endpoints(trace, instants, len(self.programs.solved))
 
     def margins(self, trace: Trace, jumps: Sequence[Jump]) -> list[dict[str, float]]:
-        """Return the margins of the flow that each of the jumps ended, just before it.
+        """Return the margins of the source mode just before each jump.
 
-        None where a mode that was passed in no time has singular equations.
+        None for a mode of zero duration with singular equations.
         """
         tables: list[dict[str, float]] = [{} for _ in jumps]
         remaining: dict[tuple[Key, Roles], list[int]] = {}
@@ -166,7 +163,7 @@ class Observer:
         self, trace: Trace, key: Key, roles: Roles, jumps: Sequence[Jump]
     ) -> tuple[tuple[Margin, ...], Array]:
         """Return the margins of a flow, and their values before the jumps that ended it."""
-        if trace.step is not None:  # no mode was built
+        if trace.step is not None:  # time stepping builds no modes
             states = zip(self.automaton.recorded_regions(key), key, strict=True)
             margins = whole_margins(m for r, state in states for m in r.build(Role(state)).margins)
             return margins, self.at(trace, [m.expression for m in margins], jumps, before=True)
@@ -177,7 +174,7 @@ class Observer:
         return margins, tape.table(points.states, trace.values, points.times)
 
     def _table(self, trace: Trace, expressions: tuple[sp.Expr, ...], points: Points) -> Array:
-        """Return the values (m, f) of expressions, one call of a kernel per flow."""
+        """Return the values (m, f) of expressions, with one kernel call per flow."""
         values = trace.values
         if not self.programs.needed(expressions):
             return self.programs.tape(expressions, None).table(points.states, values, points.times)
@@ -210,8 +207,8 @@ class Observer:
         return result
 
     def modes_of(self, trace: Trace) -> Callable[[Roles], Mode | None]:
-        """Return the look-up roles -> solved mode; None where its equations have no solution."""
-        assert isinstance(self.simulator, Simulator)  # steps have no equations of modes
+        """Return the function roles -> solved mode, or None if its equations are singular."""
+        assert isinstance(self.simulator, Simulator)  # time stepping solves no modes
         solved, zeros = self.simulator.modes.mode, trace.zeros
 
         def mode_at(roles: Roles) -> Mode | None:
@@ -224,12 +221,12 @@ class Observer:
 
 
 FormulaLike: TypeAlias = "str | int | float | sp.Expr"
-"""Text over the observables' names, or an expression in the automaton's own symbols."""
+"""Text over the names of observables, or an expression in the symbols of the automaton."""
 
 
 @dataclass(frozen=True, eq=False)
 class Active:
-    """Formulas that are integrated in one mode."""
+    """Integrands of one mode."""
 
     places: list[int]
     expressions: tuple[sp.Expr, ...]
@@ -237,7 +234,7 @@ class Active:
 
 
 class Programs:
-    """Compiles formulas, once each; `solved` are the symbols that a mode solves for, or sets."""
+    """Cache of compiled formulas; `solved` are the unknowns and controls of modes."""
 
     def __init__(self, automaton: Automaton) -> None:
         self._automaton = automaton
@@ -250,10 +247,7 @@ class Programs:
         self._actives: dict[tuple[Key, tuple[Where, ...], tuple[sp.Expr, ...]], Active] = {}
 
     def expression(self, formula: FormulaLike) -> sp.Expr:
-        """Return a formula in the automaton's symbols.
-
-        Raises `FormulaError` if it cannot be read, or uses a name that is no observable.
-        """
+        """Return a formula in the symbols of the automaton; raise `FormulaError`."""
         if isinstance(formula, sp.Expr):
             return formula
         if formula not in self._expressions:
@@ -261,13 +255,13 @@ class Programs:
         return self._expressions[formula]
 
     def expressions(self, formulas: Iterable[FormulaLike]) -> tuple[sp.Expr, ...]:
-        """Return formulas in the automaton's symbols."""
+        """Return formulas in the symbols of the automaton."""
         return tuple([self.expression(formula) for formula in formulas])
 
     def active(
         self, key: Key, where: tuple[Where, ...], expressions: tuple[sp.Expr, ...]
     ) -> Active:
-        """Return what is integrated in the mode `key`."""
+        """Return the integrands of the mode `key`."""
         known = self._actives.get((key, where, expressions))
         if known is not None:
             return known
@@ -278,7 +272,7 @@ class Programs:
         return found
 
     def needed(self, expressions: tuple[sp.Expr, ...]) -> bool:
-        """Tell whether the expressions use what a mode solves for."""
+        """Return whether the expressions use unknowns or controls."""
         needed = self._needs.get(expressions)
         if needed is None:
             needed = any(e.free_symbols - self._given for e in expressions)
@@ -288,9 +282,9 @@ class Programs:
     def tape(
         self, expressions: tuple[sp.Expr, ...], mode: Mode | None, *, known: bool = False
     ) -> Tape:
-        """Return the program for expressions in a mode, or in any that they do not depend on.
+        """Return the tape of expressions in a mode, or independent of it.
 
-        `known`: over states with the unknowns and controls appended.
+        `known`: over states with unknowns and controls appended.
         """
         key = (expressions, mode, known)
         tape = self._tapes.get(key)

@@ -1,4 +1,4 @@
-"""Observers of an automaton, one for each setting."""
+"""Cache of observers of an automaton, one per setting."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from statechart.observation.outputs import OutputAccumulator, outputs_of
 
 
 class Observers:
-    """Simulators of an automaton, each with the observer of its runs."""
+    """Simulators of an automaton with their observers."""
 
     def __init__(
         self, automaton: Automaton, *, allowance: Allowance | None = None, progress: bool = False
     ) -> None:
         self._automaton, self._allowance, self._progress = automaton, allowance, progress
         self._kept: dict[tuple[Setting, bool], Observer] = {}
-        # What is solved of a mode holds at any tolerance, on any engine and from any start.
+        # Solved modes do not depend on tolerance, engine or start.
         self._solved = SolvedModes(automaton)
 
     def at(self, setting: Setting, *, off: bool = False) -> Observer:
-        """Return the observer of a setting's simulator, made once.
+        """Return the observer of a setting.
 
-        `off`: its runs start off by the tolerance. Raises `DeclarationError` if there is no such
-        engine or method, or the engine is not installed.
+        `off`: runs start perturbed by the tolerance. Raises `DeclarationError` for an unknown
+        engine or method, or an engine that is not installed.
         """
         found = self._kept.get((setting, off))
         if found is None:
@@ -44,20 +44,20 @@ class Observers:
         return found
 
     def engine(self, setting: Setting) -> Engine:
-        """Return a new engine as a setting asks for it; see `choose`."""
+        """Return a new engine for a setting; see `choose`."""
         engine, _ = choose(setting)
         engine.allowance = self._allowance
         return engine
 
     def floor(self, setting: Setting) -> float:
-        """Return the least tolerance of a setting's engine."""
+        """Return the least tolerance of the engine of a setting."""
         return self.engine(replace(setting, tolerance=math.ulp(0.0))).tolerance
 
     def first(self, setting: Setting) -> float | None:
-        """Return the tolerance that a search for an accuracy begins with, if the engine says one.
+        """Return the first tolerance of a search for an accuracy, if the engine has one.
 
-        Where the last digits cost little more than the first, the least: one compilation, and one
-        run with another that tells its error.
+        The least tolerance if the cost hardly rises with the accuracy: one compilation, and two
+        runs.
         """
         return self.floor(setting) if self.engine(setting).sharp else None
 

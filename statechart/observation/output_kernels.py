@@ -1,7 +1,7 @@
-"""Outputs of runs from arrays of their arcs and events, in one compiled call.
+"""Kernel of the outputs of runs, from arrays of arcs and events.
 
-A run that a compiled loop made has these arrays already; `statechart.observation.outputs` writes
-them for the others. One call for a run of the toppling stick takes 15 us, a tenth of the run.
+Compiled loops write these arrays; `statechart.observation.outputs` writes them for other runs. A
+call for a run of the toppling stick takes 15 us, a tenth of the run.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ TIME, NORMAL = 0, 4
 
 
 class OutputTapes(NamedTuple):
-    """Formulas of the outputs, for every kind of mode, as packed tapes.
+    """Formulas of the outputs for every kind of mode, as packed tapes.
 
-    The tapes (k + 1, 9) of a kind are zero where a formula has no value, as in the last one.
+    Tapes (k + 1, 9) are zero if a formula has no value in a kind, as in the last kind.
     """
 
     # (..,): see `statechart.execution.compiled_loop.Packed`.
@@ -55,18 +55,17 @@ class OutputTapes(NamedTuple):
     extremes: Ints  # shape (x, k + 1, 9)
     integrals: Ints  # (k + 1, 9): one tape for all of them
     columns: Ints  # (k + 1, i): integral to which each of its outputs is added
-    # (a, 2): which events each formula waits for, and whether the state before them counts.
-    waits: Ints
+    waits: Ints  # (a, 2): set of events of each formula, whether evaluated before them
 
 
 class OutputValues(NamedTuple):
-    """Values of the formulas in m runs; integrals and extremes go on from what they were."""
+    """Values of the formulas in m runs; integrals and extremes accumulate over calls."""
 
     listed: Array  # (a, e): values at events, run by run
     start: Array  # shape (m, s)
     end: Array  # shape (m, f)
     integrals: Array  # shape (m, i)
-    extremes: Array  # (x, m, 2): the least and the greatest, not numbers at first
+    extremes: Array  # (x, m, 2): minimum and maximum, NaN at first
 
 
 @kernel
@@ -87,7 +86,7 @@ def _value(tapes: OutputTapes, tape: Ints, state: Array, parameters: Array, time
 
 @kernel
 def number_of_events(result: BatchResult, row: int) -> int:
-    """Return the number of events of a run; its stop, which stands in no buffer, is one."""
+    """Return the number of events of a run, including its stop, which is not in the buffer."""
     count = result.spans[row, EVENTS_END] - result.spans[row, EVENTS]
     return count + (1 if result.ends[row, HOW] == STOPPED else 0)
 
@@ -194,7 +193,7 @@ def _extremes(
     passed: NDArray[np.uint8],
     result: Array,
 ) -> None:
-    """Bring the least and the greatest value (m, 2) of a formula up to date."""
+    """Update minimum and maximum (m, 2) of a formula."""
     kinds, first = tapes.extremes[formula], 0
     for row in range(found.spans.shape[0]):
         parameters, started = found.values[row], found.ends[row, FIRST_MODE]
@@ -219,12 +218,11 @@ def compute_outputs(
     marks: NDArray[np.uint8],
     values: OutputValues,
 ) -> None:
-    """Write the values of the formulas of runs.
+    """Evaluate the formulas of runs into `values`.
 
-    The block holds arcs and events of the runs `result`; `resolved` are its coefficients, with 0 in
-    the place of what has no value: that adds nothing to integrals. `marks` (e, w + 1) say which
-    waits each event ends, run by run; last whether a mode of no duration follows it. Fills
-    `values`.
+    `block` has arcs and events of the runs `result`; `resolved` are its coefficients with 0 for
+    NaN, which adds nothing to integrals. `marks` (e, w + 1) are the sets that each event belongs
+    to, run by run; the last column is true before a mode of zero duration.
     """
     _list_values(tapes, block, result, marks, values)
     for row in range(result.ends.shape[0]):

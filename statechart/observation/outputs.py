@@ -1,8 +1,8 @@
-"""Outputs that a model declares, accumulated over the arcs and jumps of runs.
+"""Declared outputs, accumulated over the arcs and jumps of runs.
 
-The formulas of all outputs are tapes for every kind of mode, and one kernel evaluates them
-(`output_kernels`). Its arrays are those of a compiled loop, for one run or hundreds; of any other
-run they are made from its arcs and jumps: a whole run is one piece, a stream many.
+Formulas are compiled to tapes for every kind of mode, and evaluated by one kernel
+(`output_kernels`) on the arrays of a compiled loop, for one run or hundreds. Arcs and jumps of
+other runs are packed into such arrays, piece by piece.
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ from statechart.observation.scales import OutputValue, RunScales, Scales
 from statechart.observation.zeno_tails import last_resolved
 
 Formula: TypeAlias = "FormulaLike | Callable[[Key], FormulaLike | None]"
-"""A formula, perhaps another one in every mode; not defined in those where it is None."""
+"""A formula, or a function of the mode; None where undefined."""
 _Marks = NDArray[np.uint8]
 
 
 class Outputs:
-    """The declared outputs of a model, made ready once for many runs."""
+    """The declared outputs of a model, compiled for many runs."""
 
     def __init__(
         self,
@@ -96,10 +96,9 @@ class Outputs:
         self._watched = (*dict.fromkeys(formula for _, formula, _ in self.extremes), *watched)
         waits = [moment.events for _, _, moment in self.at]
         self._waits = tuple(dict.fromkeys([*waits, *(events for _, events in self.counts)]))
-        # By what decides it: which waits a jump ends.
+        # Data of a jump that determine its marks -> marks.
         self._marked: dict[tuple[Any, ...], tuple[int, ...]] = {}
-        # By the zero parameters of runs: kinds of modes, verdicts on events; tapes, by the number
-        # of kinds, too.
+        # By zero parameters: kinds of modes, and tapes (also by number of kinds).
         self._kinds: dict[frozenset[int], dict[Kind, int]] = {}
         self._verdicts: dict[frozenset[int], dict[tuple[Any, ...], tuple[int, ...]]] = {}
         self._tapes: dict[tuple[bool, frozenset[int], int], OutputTapes] = {}
@@ -107,22 +106,22 @@ class Outputs:
 
     @property
     def waits(self) -> int:
-        """Number of sets of events that outputs wait for."""
+        """Number of sets of events."""
         return len(self._waits)
 
     @cached_property
     def value_waits(self) -> tuple[int, ...]:
-        """Those of values."""
+        """The sets of events of values."""
         return tuple({self._waits.index(moment.events) for _, _, moment in self.at})
 
     @cached_property
     def count_waits(self) -> tuple[int, ...]:
-        """Those of counts, in their order."""
+        """The sets of events of counts."""
         return tuple([self._waits.index(events) for _, events in self.counts])
 
     @cached_property
     def needs_modes(self) -> bool:
-        """True if formulas use accelerations or forces, for which a mode solves."""
+        """True if formulas use unknowns (accelerations or forces)."""
         programs = self.observer.programs
         formulas: list[FormulaLike] = [output.value for _, output, _ in self.at]
         formulas += [*self.start.values(), *self.end.values()]
@@ -135,7 +134,7 @@ class Outputs:
     def of(self, trace: Trace) -> dict[str, OutputValue]:
         """Return the outputs of a run, in the order of the declaration.
 
-        A value at an event that never happened is None, the count of it 0, the list empty. Raises
+        For an event that never happened, values are None, counts 0, lists empty. Raises
         `StatechartError` if a formula cannot be evaluated.
         """
         if trace.outputs is not None:
@@ -153,7 +152,7 @@ class Outputs:
     def of_batch(
         self, batch: Batch, jump_of: Callable[[int, int], Jump]
     ) -> dict[str, list[OutputValue]]:
-        """Return the outputs of runs that a compiled loop made, a list of the runs each.
+        """Return the outputs of a batch, as lists over the runs.
 
         `jump_of` returns the jump of a run by the number of jumps before it.
         """
@@ -178,13 +177,13 @@ class Outputs:
         return self.values_by_run(values, *self.split(values, marks, totals))
 
     def compute(self, *arguments: Any) -> None:
-        """Call the kernel: its machine code where there is some, see `entry`."""
+        """Call the kernel; see `entry`."""
         if self._entry is None and is_ready(compute_outputs):
             self._entry = entry(compute_outputs, *arguments)
         (self._entry or compute_outputs)(*arguments)
 
     def empty_values(self, runs: int, events: int) -> OutputValues:
-        """Return the memory for the values of runs with so many events."""
+        """Allocate the values of runs with `events` events."""
         return OutputValues(
             np.empty((len(self.at), events)),
             np.empty((runs, len(self.start))),
@@ -196,10 +195,7 @@ class Outputs:
     def split(
         self, values: OutputValues, marks: _Marks, totals: Sequence[int]
     ) -> tuple[list[list[list[float]]], list[list[int]]]:
-        """Return values at events and counts of events, run by run.
-
-        `totals` (m,) are the numbers of events of the runs.
-        """
+        """Return values at events and counts of events, by run; `totals` (m,) count events."""
         columns = marks.T[:-1]
         if len(totals) == 1:
             tallies = [[sum(column)] for column in columns.tolist()]
@@ -216,7 +212,7 @@ class Outputs:
     def values_by_run(
         self, values: OutputValues, listed: Sequence[list[list[float]]], counted: Any
     ) -> dict[str, list[OutputValue]]:
-        """Return the outputs, by name a list of the runs each."""
+        """Return the outputs as lists over the runs."""
         found: dict[str, list[OutputValue]] = {}
         for (name, _, moment), runs in zip(self.at, listed, strict=True):
             chosen = [run[_selected_events(moment)] for run in runs]
@@ -232,7 +228,7 @@ class Outputs:
         return found
 
     def marks_of(self, jump: Jump) -> tuple[int, ...]:
-        """Return a mark for each set of events that outputs wait for: 1 if a jump is one."""
+        """Return 1 for each set of events that a jump belongs to, else 0."""
         key = jump.region, jump.cause, jump.source, jump.target, *jump.impulse
         marks = self._marked.get(key)
         if marks is None:
@@ -243,9 +239,9 @@ class Outputs:
         return marks
 
     def _marks(self, batch: Batch, jump_of: Callable[[int, int], Jump]) -> _Marks:
-        """Return the marks of all events of all runs, a stop being one; see `compute_outputs`.
+        """Return the marks of all events of all runs, including stops; see `compute_outputs`.
 
-        Verdicts are stored by what decides them: modes, the regions struck, and what these do.
+        Marks are cached by the modes, the regions with impulses, and their causes.
         """
         block, found = batch.block, batch.result
         verdicts = self._verdicts.setdefault(batch.zeros, {})
@@ -278,13 +274,13 @@ class Outputs:
         return np.array(marks, np.uint8).reshape(len(marks), len(self._waits) + 1)
 
     def numbers_of(self, zeros: frozenset[int]) -> dict[Kind, int]:
-        """Return the kinds of modes of runs with these zero parameters, which grow."""
+        """Return the growing kinds of modes of runs with these zero parameters."""
         return self._kinds.setdefault(zeros, {})
 
     def tapes_of(
         self, zeros: frozenset[int], mode_of: Callable[[Kind], Mode | None], *, solved: bool
     ) -> OutputTapes:
-        """Return the tapes of the kinds of modes that are known; see `_taped`."""
+        """Return the tapes of the known kinds of modes; see `_taped`."""
         kinds = tuple(self.numbers_of(zeros))
         key = False, zeros, len(kinds)
         if key not in self._tapes:
@@ -294,10 +290,10 @@ class Outputs:
     def _taped(
         self, kinds: Sequence[Kind], mode_of: Callable[[Kind], Mode | None], *, solved: bool = False
     ) -> OutputTapes:
-        """Return the formulas for kinds of modes.
+        """Return the tapes of the formulas for kinds of modes.
 
-        `mode_of` returns what solves for the unknowns of a kind, None where nothing does; `solved`:
-        the unknowns are numbers that follow the variables.
+        `mode_of` returns the solved mode of a kind, or None; with `solved` the unknowns are stored
+        after the variables.
         """
         packed, programs = Packed(), self.observer.programs
 
@@ -335,9 +331,9 @@ class Outputs:
         )
 
     def endless(self, trace: Trace) -> frozenset[str]:
-        """Return the outputs that count or list events of which a Zeno sequence has no end.
+        """Return the outputs that count or list events of a Zeno sequence.
 
-        How many of them a run resolves follows from its tolerance or step.
+        The number of resolved events depends on tolerance or step.
         """
         summed = last_resolved(trace)
         regions = self.observer.automaton.regions
@@ -351,9 +347,8 @@ class Outputs:
     def scales(self, trace: Trace) -> Scales:
         """Return the scales of variables and outputs (see `RunScales`).
 
-        The outputs' are in the form of `of`. A value has been as large as the largest magnitude of
-        its formula where a step began, up to its moment: where a body comes back to zero, the value
-        there is rounding.
+        Scales of outputs are in the form of `of`. The scale of a value is the largest magnitude of
+        its formula at starts of steps up to its moment, since a return to zero is round-off.
         """
         run, found = RunScales(self.observer, trace), dict[str, OutputValue]()
         for name, output, moment in self.at:
@@ -382,7 +377,7 @@ class Outputs:
         return Scales(run.variables, found, run.zeros, zeros)
 
     def _largest(self, trace: Trace, formula: str | int | float) -> NDArray[np.float64]:
-        """Return the largest magnitude (m + 2,) of a formula at the start, up to jumps, in all."""
+        """Return the largest magnitude (m + 2,) of a formula: at the start, up to jumps, total."""
         values = [self.observer.initial(trace, [formula])]
         if trace.jumps:
             sides = [
@@ -398,7 +393,7 @@ class Outputs:
         return np.maximum.accumulate(magnitudes)
 
     def _chosen(self, trace: Trace, moment: Moment) -> list[Jump]:
-        """Return the first, the last or each of the jumps that are one of a moment's events."""
+        """Return the jumps of a moment."""
         regions = self.observer.automaton.regions
         jumps = [
             jump
@@ -409,10 +404,9 @@ class Outputs:
 
 
 class OutputAccumulator:
-    """Accumulates the outputs of one run over its pieces: a whole run is one, a stream many.
+    """Accumulates the outputs of one run over its pieces; the result does not depend on them.
 
-    Sums and extremes go on from piece to piece in the order of the arcs, so that the outputs do not
-    depend on the pieces. Implements `statechart.automaton.time_stepper.OutputStream`.
+    Implements `statechart.automaton.time_stepper.OutputStream`.
     """
 
     def __init__(self, outputs: Outputs, *, started: bool = False) -> None:
@@ -433,19 +427,19 @@ class OutputAccumulator:
 
     @property
     def motion(self) -> bool:
-        """True if the output needs arcs and jumps between the start and the end."""
+        """True if the output needs the arcs and jumps of the whole run."""
         outputs = self._outputs
         if self.events or outputs.extremes or outputs.integrals:
             return True
-        # Forces of a step that holds an impulse are those of the steps beside it.
+        # Forces of a step with an impulse are those of adjacent steps.
         return outputs.needs_modes
 
     def add(self, piece: Trace) -> None:
-        """Take the arcs and jumps since the last call."""
+        """Process the arcs and jumps since the last call."""
         self._waiting += piece.jumps
         beside = replace(piece, arcs=(*self._last, *piece.arcs)) if self._last else piece
         if beside.arcs:
-            # Values at a jump may need what steps solved for on both sides of it.
+            # Values at a jump may need the unknowns of the steps on both sides.
             last = beside.arcs[-1].j
             known = [jump for jump in self._waiting if jump.j < last]
             self._waiting = self._waiting[len(known) :]
@@ -453,7 +447,7 @@ class OutputAccumulator:
             self._last = (beside.arcs[-1],)
 
     def end(self, piece: Trace) -> dict[str, OutputValue]:
-        """Take the end of the run, with the whole run or no arcs; return the outputs."""
+        """Process the end of the run, with the whole run or no arcs; return the outputs."""
         last = piece if piece.arcs else replace(piece, arcs=self._last)
         self.take(last, (), self._waiting, ended=True)
         return self.result
@@ -469,14 +463,14 @@ class OutputAccumulator:
     def take(
         self, trace: Trace, arcs: Sequence[Arc], jumps: Sequence[Jump], *, ended: bool
     ) -> None:
-        """Take arcs, and jumps beside arcs of a trace, the start of the run first."""
+        """Process arcs and adjacent jumps of a trace, from the start of the run on."""
         outputs, before = self._outputs, self.values
         left = {jump.j for jump in passed(trace)} if len(before.extremes) else set[int]()
         every = [(*outputs.marks_of(jump), jump.j in left) for jump in jumps]
         for place, wait in enumerate(outputs.count_waits):
             self._counted[place] += sum([own[wait] for own in every])
         needed = (*outputs.value_waits, outputs.waits)
-        # Values are needed at some of them.
+        # Jumps at which values are needed.
         chosen = [k for k, own in enumerate(every) if any(own[wait] for wait in needed)]
         marks = np.array([every[k] for k in chosen], np.uint8)
         marks = marks.reshape(len(chosen), outputs.waits + 1)
@@ -495,7 +489,7 @@ class OutputAccumulator:
     def _packed(
         self, trace: Trace, arcs: Sequence[Arc], jumps: Sequence[Jump], ended: bool
     ) -> tuple[OutputTapes, TraceBuffer, Array, BatchResult]:
-        """Return the arguments of the kernel, but for marks and values."""
+        """Return the arguments of the kernel except marks and values."""
         outputs, width = self._outputs, len(self._observer.programs.solved)
         zeros = trace.zeros
         numbers, solved = outputs.numbers_of(zeros), outputs.needs_modes and trace.step is not None
@@ -542,7 +536,7 @@ class OutputAccumulator:
         found.values[0], found.initial[0], found.final[0] = trace.values, states[0], states[-1]
         found.clock[0, loop.T_HIGH], found.spans[0] = trace.t_end, (0, len(arcs), 0, count)
         tapes = outputs.tapes_of(zeros, self._mode_of(trace), solved=solved)
-        # The last kind has no formulas: what was taken before, or is to come, adds nothing.
+        # The last kind has no formulas, so that other pieces add nothing.
         found.ends[0, loop.FIRST_MODE] = len(numbers) if self.started else kinds[0]
         found.place[0, loop.N_MODE] = kinds[-1] if ended else len(numbers)
         resolved = np.nan_to_num(coefficients) if solved else coefficients
@@ -556,7 +550,7 @@ class OutputAccumulator:
 
 
 def _selected_events(moment: Moment) -> slice:
-    """Return which of the events of a moment are chosen."""
+    """Return the selection of the events of a moment."""
     if moment.when == "each":
         return slice(None)
     most = moment.most or 1
@@ -564,7 +558,7 @@ def _selected_events(moment: Moment) -> slice:
 
 
 def outputs_of(observer: Observer) -> Outputs:
-    """Return the declared outputs of an observer's model, made ready once."""
+    """Return the compiled outputs of the model of an observer."""
     if observer.outputs is None:
         observer.outputs = Outputs(observer)
     result: Outputs = observer.outputs
@@ -577,10 +571,9 @@ def outputs(observer: Observer, trace: Trace) -> dict[str, OutputValue]:
 
 
 def extremes(observer: Observer, trace: Trace, formula: Formula) -> tuple[float, float]:
-    """Return the least and the greatest value of a formula over a run.
+    """Return minimum and maximum of a formula over a run, including modes of zero duration.
 
-    Modes of no duration belong to it, its start and its end. Places where the formula is undefined
-    do not count; both are not a number if it is everywhere.
+    Undefined values do not count; both are NaN if it is undefined everywhere.
     """
     trace.require_motion()
     infinite: set[float] = set()
@@ -605,12 +598,12 @@ def extremes(observer: Observer, trace: Trace, formula: Formula) -> tuple[float,
 def extremes_along(
     observer: Observer, trace: Trace, arc: Arc, formulas: Sequence[FormulaLike]
 ) -> Array:
-    """Return the least and the greatest values (f, 2) of formulas along an arc."""
+    """Return minima and maxima (f, 2) of formulas along an arc."""
     accumulator = OutputAccumulator(Outputs(observer, (), formulas), started=True)
     accumulator.take(trace, [arc], (), ended=False)
     return np.asarray(accumulator.values.extremes[:, 0])
 
 
 def _by_mode(formula: Formula) -> TypeGuard[Callable[[Key], FormulaLike | None]]:
-    # An expression, too, can be called.
+    # SymPy expressions are callable too.
     return not isinstance(formula, str | int | float | sp.Expr)

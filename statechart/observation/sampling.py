@@ -1,4 +1,4 @@
-"""Points of hybrid time: grids along arcs, endpoints, and the equations that hold there."""
+"""Points of hybrid time: grids along arcs, endpoints, and their roles."""
 
 from __future__ import annotations
 
@@ -21,21 +21,20 @@ from statechart.tabular import shortest
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Values along a run, one row a point of hybrid time."""
+    """Values along a run at m points of hybrid time."""
 
-    t: Array  # (m,): time, in order.
-    j: NDArray[np.int64]  # (m,): number of jumps before the point.
-    mode: NDArray[np.intp]  # (m,): place in `modes` of the mode that holds.
-    modes: tuple[Key, ...]  # The modes that occur.
-    columns: Mapping[str, Array]  # Formula -> values; not a number where it is undefined.
+    t: Array  # (m,): times, sorted
+    j: NDArray[np.int64]  # (m,): number of jumps before
+    mode: NDArray[np.intp]  # (m,): index in `modes`
+    modes: tuple[Key, ...]
+    columns: Mapping[str, Array]  # formula -> values (m,), NaN if undefined
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Rows to evaluate at: (m,) times, (m, n) states; ends[k]: where the rows of flow k end.
+    """Points of evaluation: times (m,), states (m, n); the rows of flow k end at ends[k].
 
-    Roles of the flows, and the unknowns (m, u) where they are known as numbers (else None), are
-    looked up for formulas that need them.
+    Roles of the flows, and stored unknowns (m, u) or None, are looked up on demand.
     """
 
     times: Array
@@ -50,13 +49,13 @@ class Endpoint(NamedTuple):
 
     t: float
     state: Array
-    j: int  # Number of jumps before it.
+    j: int  # number of jumps before
     mode: Key
     ends: bool
 
 
 def subdivided(arcs: Sequence[Arc], per_step: float) -> list[Array]:
-    """Return local times: `per_step` intervals in every step, both ends of each arc included."""
+    """Return local times with `per_step` intervals in every step, including the ends of arcs."""
     every, count = max(1, math.ceil(1.0 / per_step)), math.ceil(per_step)
     arcs_by_length: dict[int, list[int]] = {}
     for place, arc in enumerate(arcs):
@@ -72,7 +71,7 @@ def subdivided(arcs: Sequence[Arc], per_step: float) -> list[Array]:
 
 
 def along(arcs: Sequence[Arc], local: Sequence[Array]) -> Points:
-    """Return the points of arcs at local times, one array of them an arc."""
+    """Return the points of arcs at local times, one array per arc."""
     pairs = list(zip(arcs, local, strict=True))
 
     def unknowns() -> Array | None:
@@ -89,7 +88,7 @@ def along(arcs: Sequence[Arc], local: Sequence[Array]) -> Points:
 
 
 def at_endpoints(trace: Trace, endpoints: Sequence[Endpoint], width: int) -> Points:
-    """Return the points at ends of flows; a mode solves for, or sets, `width` numbers."""
+    """Return the points at ends of flows; modes have `width` unknowns and controls."""
     return Points(
         np.array([one.t for one in endpoints]),
         np.array([one.state for one in endpoints]).reshape(-1, len(trace.variables)),
@@ -117,7 +116,7 @@ def side_of(jump: Jump, before: bool) -> Endpoint:
 
 
 def at_times(trace: Trace, times: Array) -> tuple[list[Arc], list[Array]]:
-    """Return the arcs that hold absolute `times`, and the local times in each."""
+    """Return the arcs that contain absolute `times`, and the local times in each."""
     if times.ndim != 1 or not (np.diff(times) >= 0.0).all():
         raise ValueError("times must be one row of numbers in ascending order")
     if len(times) and not (times[0] >= 0.0 and times[-1] <= trace.t_end):
@@ -136,16 +135,16 @@ def at_times(trace: Trace, times: Array) -> tuple[list[Arc], list[Array]]:
 
 
 Where = tuple[tuple[str, str], ...]
-"""Regions, and the states or superstates that they have to be in."""
+"""Regions with required states or superstates."""
 
 
 def wanted(during: Sequence[Mapping[str, str]]) -> tuple[Where, ...]:
-    """Return regions and states as they are declared, as `places_in` takes them."""
+    """Return declared regions and states in the form of `places_in`."""
     return tuple([tuple(states.items()) for states in during])
 
 
 def places_in(regions: Sequence[Region], key: Key, where: Sequence[Where]) -> list[int]:
-    """Return which of `where` hold in the mode `key`; superstates are states, too."""
+    """Return the indices of `where` that are satisfied in the mode `key`."""
     states = {region.name: region.active(state) for region, state in zip(regions, key, strict=True)}
     return [
         place
@@ -161,31 +160,25 @@ def visible_expressions(expressions: Sequence[sp.Expr], mode: Mode | None) -> tu
 
 
 def _arc_index(arcs: Sequence[Arc], j: int, ends: bool) -> int:
-    """Return the last arc after up to `j` jumps, or the first after so many or more."""
+    """Return the last arc after at most `j` jumps (`ends`), or the first after at least `j`."""
     if ends:
         return bisect_right(arcs, j, key=lambda arc: arc.j) - 1
     return bisect_left(arcs, j, key=lambda arc: arc.j)
 
 
 def roles_at(trace: Trace, j: int, mode: Key, *, ends: bool) -> Roles:
-    """Return the roles whose equations hold after `j` jumps, in the mode shown as `mode`.
-
-    `ends`: at the end of that time, else at its start.
-    """
+    """Return the roles after `j` jumps in `mode`, at the end of that flow (`ends`) or its start."""
     arcs, place = trace.arcs, _arc_index(trace.arcs, j, ends)
     if 0 <= place < len(arcs) and arcs[place].j == j and arcs[place].mode == mode:
         return arcs[place].roles
-    # A stop, for one, changes nothing: the arc before it goes on.
+    # A jump that changes no mode, such as a stop, has the roles of the arc before.
     if j > 0 and trace.jumps[j - 1].source == trace.jumps[j - 1].target == mode:
         return roles_at(trace, j - 1, mode, ends=True)
     return roles_in(mode)
 
 
 def _solved_rows(trace: Trace, endpoints: Sequence[Endpoint], width: int) -> Array | None:
-    """Return the unknowns that time steps solved for at the ends of flows.
-
-    None where modes have to be solved for it; not a number where nothing flowed.
-    """
+    """Return the unknowns of time steps at ends of flows, NaN without a flow; else None."""
     if trace.step is None:
         return None
     rows = np.full((len(endpoints), width), np.nan)
@@ -199,10 +192,7 @@ def _solved_rows(trace: Trace, endpoints: Sequence[Endpoint], width: int) -> Arr
 
 
 def passed(trace: Trace) -> list[Jump]:
-    """Return the jumps after which nothing flowed: into modes of no duration, and the last.
-
-    None of steps, whose arcs hold all states that their jumps lead through.
-    """
+    """Return the jumps into modes of zero duration, and the last jump; none for time stepping."""
     if trace.step is not None:
         return []
     flowed = {arc.j for arc in trace.arcs}

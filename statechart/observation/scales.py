@@ -1,9 +1,7 @@
-"""Scales that errors of a run are relative to.
+"""Scales of relative errors of a run.
 
-An error is relative to the largest value of its quantity. A quantity that is zero, or nearly, has
-no such scale: its error is relative to a thousandth of the scale of its kind, for a force the
-largest force of the run, for a length the farthest way that anything goes, for a speed the largest
-speed.
+The scale of a quantity is its largest value, but at least a thousandth of the scale of its
+dimension: the largest force, the longest path, the largest velocity of the run.
 """
 
 from __future__ import annotations
@@ -21,39 +19,37 @@ from statechart.documents.quantities import Dimension
 from statechart.observation.observer import FormulaLike, Observer
 
 OutputValue = float | int | list[float] | None
-"""A number; a list for a value at `each` event; None where the event never happened."""
+"""A number; a list for a value at `each` event; None if the event never happened."""
 
 
 class Scales(NamedTuple):
-    """Scales that errors of a run are relative to, and bounds of the round-off of zero."""
+    """Scales of relative errors, and bounds of the round-off of zero."""
 
-    # (n,): of the variables at the end; None where each is relative to its own largest value.
-    variables: Array | None = None
-    # Of outputs, in their form; counts have none.
-    outputs: Mapping[str, OutputValue] = MappingProxyType({})
-    zero_variables: Array | float = 0.0  # (n,): for the variables.
-    zero_outputs: Mapping[str, float] = MappingProxyType({})  # For the outputs that have a kind.
+    variables: Array | None = None  # (n,); None: each variable is relative to itself
+    outputs: Mapping[str, OutputValue] = MappingProxyType({})  # in the form of outputs; no counts
+    zero_variables: Array | float = 0.0  # (n,)
+    zero_outputs: Mapping[str, float] = MappingProxyType({})
 
 
 NO_SCALES = Scales()
-"""Each number is relative to itself."""
+"""Every value is relative to itself."""
 
 
 _NEARLY_ZERO = 1e-3
-"""Part of the scale of its kind below which a quantity is nearly zero."""
+"""Least scale of a quantity, relative to that of its dimension."""
 
 _TRAVELLED: tuple[Dimension, ...] = ("length", "angle")
-"""Kinds whose zero is anywhere: their scale is how far they change."""
+"""Dimensions with arbitrary origin, whose scale is the change."""
 
 _TOLERANCES: Mapping[Dimension, str] = {"length": "gap", "length/time": "speed", "force": "force"}
-"""Kind -> the tolerance of a run below which it is zero."""
+"""Dimension -> the tolerance of a run below which it is zero."""
 
 
 class RunScales:
     """The scales of one run.
 
-    `variables` (n,) are their largest magnitudes, or the part `_NEARLY_ZERO` of their kinds' scales
-    where that is more; below `zeros` (n,) they are zero but for round-off.
+    `variables` (n,) are the larger of their magnitudes and `_NEARLY_ZERO` times the scales of their
+    dimensions; values below `zeros` (n,) are round-off.
     """
 
     def __init__(self, observer: Observer, trace: Trace) -> None:
@@ -68,7 +64,7 @@ class RunScales:
         for kind, size, change in zip(kinds, largest.tolist(), spread.tolist(), strict=True):
             sizes = change if kind in _TRAVELLED else size
             self._kinds[kind] = max(self._kinds.get(kind, 0.0), sizes)
-        self._kinds[""] = 0.0  # of quantities of unknown kinds each has a scale of its own
+        self._kinds[""] = 0.0  # unknown dimension
         self._leaves: dict[sp.Symbol, float] = {
             automaton.time: trace.t_end,
             **dict(zip(automaton.parameters, np.abs(trace.values).tolist(), strict=True)),
@@ -80,30 +76,29 @@ class RunScales:
         self.zeros: Array = np.array([self._zero(kind) for kind in kinds])
 
     def of(self, formula: FormulaLike, scale: float = 0.0) -> float:
-        """Return the scale of a formula that has been as large as `scale`.
+        """Return the scale of a formula with largest magnitude `scale`.
 
-        The scale of its kind is that of its terms: a difference of equal lengths is nearly zero on
-        the scale of lengths.
+        It is at least `_NEARLY_ZERO` times the scale of its terms, for differences near zero.
         """
         size = self._size(self._observer.programs.expression(formula))
         return max(scale, _NEARLY_ZERO * (size or 0.0))
 
     def zero(self, formula: FormulaLike) -> float:
-        """Return the bound below which a formula is zero to round-off."""
+        """Return the bound below which a formula is round-off."""
         return self._zero(self._kind(self._observer.programs.expression(formula)))
 
     def _zero(self, kind: Dimension) -> float:
         return self._trace.tolerances.get(_TOLERANCES.get(kind, ""), 0.0)
 
     def _kind(self, expression: sp.Expr) -> Dimension:
-        """Return the kind of an expression that is a symbol, perhaps with a sign."""
+        """Return the dimension of a symbol, possibly with a sign."""
         for name, observable in self._observer.automaton.observables.items():
             if observable in (expression, -expression) and observable.is_Symbol:
                 return self._observer.automaton.declaration.quantity(name).dimension
         return ""
 
     def _size(self, node: sp.Expr) -> float | None:
-        """Return the size of an expression from those of its terms; None where that is unknown."""
+        """Return the size of an expression from those of its terms, or None."""
         if node.free_symbols <= self._fixed:
             size = abs(float(node.xreplace(self._leaves_fixed)))
             return size if np.isfinite(size) else None

@@ -1,4 +1,4 @@
-"""Alignment of the ends of Zeno sequences that two runs summed up at different jumps."""
+"""Alignment of the ends of Zeno sequences that two runs truncate at different jumps."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Protocol, TypeVar
 
 from statechart.automaton.trace import Jump, Trace
 
-# The window in which one run sums up the jumps that the other resolves, either side.
+# Window of the truncated jumps, relative to the skipped time, before and after.
 _WINDOW = (0.5, 1.001)
 
 
 class _Timed(Protocol):
-    """Event with a time, and a time skipped behind it."""
+    """Event with a time, and the time skipped after it."""
 
     @property
     def t(self) -> float: ...
@@ -23,16 +23,16 @@ class _Timed(Protocol):
 
 Jumping = TypeVar("Jumping", bound=_Timed)
 
-# A bounce that a step takes for rest is no faster than two steps of free fall, and lasts four.
+# In time stepping, a bounce that is taken for rest has at most the velocity of two steps of free
+# fall, and lasts four steps.
 _CAPTURED = 5.0
 
 
 def last_resolved(trace: Trace) -> list[Jump]:
-    """Return the last jumps of Zeno sequences that a run resolves.
+    """Return the last resolved jumps of the Zeno sequences of a run.
 
-    One that locates events has summed up what was left. One that steps in time lets what bounces
-    too low rest: there a region, free before and after its last impact, is so no longer within the
-    steps of such a bounce.
+    Event-driven runs skip the rest. Time stepping lets low bounces rest: the region is free before
+    and after its last impact, and closed within the steps of such a bounce.
     """
     if trace.step is None:
         return [jump for jump in trace.jumps if jump.skipped > 0.0]
@@ -45,7 +45,7 @@ def last_resolved(trace: Trace) -> list[Jump]:
             if before == after or i not in bounced:
                 continue
             latest = bounced.pop(i)
-            # What was not free came to its impact, and leaves it, by another cause.
+            # A region that was not free has another cause of its last jump.
             same_cause = i != about or jump.cause == latest.cause
             if same_cause and jump.t - latest.t <= _CAPTURED * trace.step:
                 found[id(latest)] = latest
@@ -55,11 +55,11 @@ def last_resolved(trace: Trace) -> list[Jump]:
 
 
 def without_summed(runs: Sequence[Sequence[Jumping]]) -> list[list[tuple[Jumping, bool]]] | None:
-    """Leave out the jumps that at least one run summed up at the end of a Zeno sequence.
+    """Omit the jumps that at least one run skipped at the end of a Zeno sequence.
 
-    Several regions may bounce in turn, and rounding decides at which of them the sum begins.
-    Returns the jumps that are left, and whether a sequence ends there: what was before is then that
-    of the last jump resolved. None where the runs did not sum up the same sequences.
+    If regions bounce in turn, round-off decides at which of them the rest is skipped. Returns the
+    remaining jumps, and whether a sequence ends there (its state before is of the last resolved
+    jump). None if the runs did not skip the same sequences.
     """
     sums = [[jump for jump in run if jump.skipped > 0.0] for run in runs]
     if len(set(map(len, sums))) != 1:

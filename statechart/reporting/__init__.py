@@ -1,7 +1,7 @@
-"""Reports of a run: as an object, as text, as tables, as a picture.
+"""Reports of a run: object, text, tables, picture.
 
-`report` is the object that `--json` prints, `text` its summary and explanations, `tables` are
-pandas and xarray, a `run_store` is Zarr. `figure` is the plot of the panels that `curves` chooses,
-above bands of modes; `film` the motion of its bodies. `modes` lists a model's modes, `equations`
-are those of one. `partial_report` lets some of these fail.
+`report` builds the object that `--json` prints, `text` formats its summary and explanations.
+`tables` exports to pandas and xarray, `run_store` to Zarr. `curves` selects the panels that
+`figure` plots above bands of modes; `film` animates the bodies. `modes` lists the modes of a model,
+`equations` prints those of one mode. `partial_report` continues when a part fails.
 """

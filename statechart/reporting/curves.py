@@ -1,4 +1,4 @@
-"""Curves of a run: their choice, their axes, their end, and thinning of very many points."""
+"""Selection of the curves of a run, their panels, and decimation of many points."""
 
 from __future__ import annotations
 
@@ -16,28 +16,27 @@ from statechart.documents.quantities import entitled, unit_of, unit_suffix
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
 
-# Columns of a figure: more than any screen or print shows of a curve.
+# Columns of a figure, more than screens and prints resolve.
 COLUMNS = 2000
-# Of a curve with more points in a column, on average, its least and greatest there are drawn.
+# A curve with more points per column is drawn by the minimum and maximum of each column.
 _DENSE = 10
 MAX_CURVES = 5
 """Curves of a panel."""
 
 _MAX_FORCES = 3
-# Sizes of one order of magnitude are alike.
+# Sizes of one order of magnitude count as equal.
 _SAME_SCALE = 0.1
-# Columns that are not drawn are named up to so many.
-_NAMED = 2
+_MAX_NAMED = 2  # names in a remark
 _MAX_PANELS = 4
-# Relative to the largest value: below this a curve is round-off of zero.
-_NOTHING = 1e-9
-# Speed, in residuals of impulses relative to the fastest, below which it is round-off.
-_MISSED = 10.0
-# Force, in its tolerances, below which it is round-off.
-_FORCE = 10.0
-# A curve that changes by less than this part of its range is constant.
-_STILL = 2e-3
-# Part of a run shown after the last change; a cut saves at least the second part.
+# A curve below this fraction of the largest value is round-off.
+_ROUND_OFF = 1e-9
+# A velocity below this many impulse residuals is round-off.
+_VELOCITY_RESIDUALS = 10.0
+# A force below this many force tolerances is round-off.
+_FORCE_TOLERANCES = 10.0
+# A curve that changes by less than this fraction of its range is constant.
+_CONSTANT = 2e-3
+# Fraction of a run shown after the last change; a cut saves at least the second fraction.
 _REST, _SAVED = 0.08, 0.25
 _STATES = {
     "length": "position",
@@ -53,15 +52,13 @@ _ORDER = ("position", "coordinate", "angle", "velocity", "rate", "angular veloci
 class Panel:
     """Curves that share an axis."""
 
-    title: str  # Their common name.
-    names: tuple[str, ...]  # Columns that are drawn.
-    unit: str = ""  # Empty where it is unknown.
-    # Columns that are not drawn, and those that are zero all along.
-    left_out: tuple[str, ...] = ()
-    nothing: tuple[str, ...] = ()
-    # The column and the factor that make the edges of the friction cone.
-    cone: tuple[str, float | Array] | None = None
-    impulses: tuple[str, ...] = ()  # Regions whose impulses are marked.
+    title: str
+    names: tuple[str, ...]  # columns drawn
+    unit: str = ""
+    left_out: tuple[str, ...] = ()  # columns not drawn
+    zero: tuple[str, ...] = ()  # columns that are zero throughout
+    cone: tuple[str, float | Array] | None = None  # normal force and friction coefficient
+    impulses: tuple[str, ...] = ()  # regions whose impulses are marked
     impulse_unit: str = ""
 
     @property
@@ -71,23 +68,23 @@ class Panel:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Columns that are not drawn, the first by name."""
-        return remarks({"not drawn": self.left_out, "0 all along": self.nothing})
+        """Remarks on the columns that are not drawn."""
+        return remarks({"not drawn": self.left_out, "0 all along": self.zero})
 
 
 def remarks(names: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """Return remarks on names, of many the first ones and how many more there are."""
-    found = []
+    """Return remarks with the first names and the number of the others."""
+    texts = []
     for remark, those in names.items():
-        more = len(those) - _NAMED
-        shown = [*those[:_NAMED], *([f"{more} more"] if more > 0 else [])]
+        more = len(those) - _MAX_NAMED
+        shown = [*those[:_MAX_NAMED], *([f"{more} more"] if more > 0 else [])]
         if shown:
-            found.append(f"{remark}: {', '.join(shown)}")
-    return tuple(found)
+            texts.append(f"{remark}: {', '.join(shown)}")
+    return tuple(texts)
 
 
 def curves(observer: Observer, trace: Trace) -> tuple[Samples, list[Panel]]:
-    """Return a run sampled for curves, and the panels of curves that share an axis."""
+    """Return the samples of a run, and the panels that show them."""
     samples = observer.sample(trace, per_step=_per_step(trace))
     samples = without_round_off(observer.automaton, trace, samples)
     states = _variable_panels(observer.automaton, samples)
@@ -98,7 +95,7 @@ def curves(observer: Observer, trace: Trace) -> tuple[Samples, list[Panel]]:
 
 
 def busy_until(trace: Trace, samples: Samples, panels: Iterable[Panel]) -> float:
-    """Return when the last visible change is over, and a little later; at most the end."""
+    """Return the time of the last visible change plus a margin, at most the end of the run."""
     events = [jump.t for jump in trace.jumps if jump.t < trace.t_end]
     last = max(events, default=0.0)
     for panel in panels:
@@ -111,7 +108,7 @@ def busy_until(trace: Trace, samples: Samples, panels: Iterable[Panel]) -> float
         widest = max(spans[: len(panel.names)], default=np.inf)
         for place, values in enumerate(columns):
             span = spans[place] if place < len(panel.names) else widest
-            moving = np.flatnonzero(np.abs(values - values[-1]) > _STILL * span)
+            moving = np.flatnonzero(np.abs(values - values[-1]) > _CONSTANT * span)
             if len(moving):
                 last = max(last, float(samples.t[min(moving[-1] + 1, len(values) - 1)]))
     end = (1.0 + _REST) * last
@@ -124,19 +121,18 @@ def largest(values: Array) -> float:
 
 
 def impulses_of(trace: Trace, region: str) -> tuple[Array, Array]:
-    """Return the times and normal impulses of impacts in a region; of many the greatest."""
+    """Return the times and normal impulses of impacts in a region, decimated by `strongest`."""
     found = [(jump.t, jump.impulse[region][0]) for jump in trace.jumps if region in jump.impulse]
     times, impulses = np.array(found).reshape(-1, 2).T
     return strongest(times, impulses, trace.t_end)
 
 
 def impulse_label(panel: Panel, impulses: Array) -> str:
-    """Return the label of impulses on an axis of forces, which does not show their size."""
+    """Return the legend of impulses on a force axis, with their maximum."""
     return f"impulse, up to {largest(impulses):.3g} {unit_suffix(panel.impulse_unit)}".rstrip()
 
 
 def _per_step(trace: Trace) -> int:
-    """Enough points for a smooth curve, few for a run of many steps."""
     steps = sum(len(arc.coefficients) for arc in trace.arcs)
     return int(np.clip(4000 // max(steps, 1), 4, 64))
 
@@ -144,9 +140,9 @@ def _per_step(trace: Trace) -> int:
 def without_round_off(automaton: Automaton, trace: Trace, samples: Samples) -> Samples:
     """Return samples with round-off of zero replaced by zero.
 
-    A column is round-off by comparison with the largest of its kind, with a radian, and with the
-    speed that covers that length in the run. Time stepping knows speeds and angles to the residual
-    of its impulses.
+    Scales of a column: the largest column of its dimension, one radian, and the velocity that
+    covers the largest length during the run. Time stepping resolves velocities and angles to the
+    residual of its impulses.
     """
     columns = dict(samples.columns)
     groups: dict[str, list[str]] = {}
@@ -160,56 +156,53 @@ def without_round_off(automaton: Automaton, trace: Trace, samples: Samples) -> S
     if trace.t_end > 0.0:
         turning = max(1.0 / trace.t_end, speed / length if length > 0.0 else 0.0)
         scales |= {"length/time": length / trace.t_end, "angle/time": turning}
-    known = max(_NOTHING, _MISSED * trace.tolerances.get("impulse", 0.0))
+    resolved = max(_ROUND_OFF, _VELOCITY_RESIDUALS * trace.tolerances.get("impulse", 0.0))
     for dimension, names in groups.items():
         if not dimension:
             continue
-        found = max(largest(columns[name]) for name in names)
-        part = known if dimension in ("angle", "length/time", "angle/time") else _NOTHING
-        nothing = part * max(found, scales.get(dimension, 0.0))
+        size = max(largest(columns[name]) for name in names)
+        part = resolved if dimension in ("angle", "length/time", "angle/time") else _ROUND_OFF
+        round_off = part * max(size, scales.get(dimension, 0.0))
         if dimension == "force":
-            nothing = max(nothing, _FORCE * trace.tolerances.get("force", 0.0))
+            round_off = max(round_off, _FORCE_TOLERANCES * trace.tolerances.get("force", 0.0))
         for name in names:
-            if largest(columns[name]) <= nothing:
+            if largest(columns[name]) <= round_off:
                 columns[name] = np.where(np.isfinite(columns[name]), 0.0, columns[name])
     return replace(samples, columns=columns)
 
 
 def _chosen(title: str, names: Sequence[str], unit: str, samples: Samples) -> Panel:
-    """Return a panel of the curves that move most, in their order; of many alike a handful."""
+    """Return a panel of the curves with the largest range, evenly chosen if many are similar."""
     columns = {name: np.nan_to_num(samples.columns[name]) for name in names}
-    nothing = _NOTHING * max(map(largest, columns.values()))
-    moves = {name: float(np.ptp(column)) for name, column in columns.items()}
-    most = max(moves, key=moves.__getitem__)
-    # What bodies have in common, such as their heights.
-    kept = _spread(
-        {n: m for n, m in moves.items() if _quantity_of(n) == _quantity_of(most)}, nothing
+    round_off = _ROUND_OFF * max(map(largest, columns.values()))
+    spans = {name: float(np.ptp(column)) for name, column in columns.items()}
+    widest = max(spans, key=spans.__getitem__).rpartition(".")[2]
+    # One quantity of many bodies, such as their heights.
+    same = {name: span for name, span in spans.items() if name.rpartition(".")[2] == widest}
+    drawn = _evenly_chosen(same, round_off)
+    if not drawn:
+        # Constant curves by their distance from zero.
+        order = {n: (-m if m > round_off else 0.0, -largest(columns[n])) for n, m in spans.items()}
+        drawn = sorted(names, key=order.__getitem__)[:MAX_CURVES]
+    return Panel(
+        title,
+        tuple(name for name in names if name in drawn),
+        unit,
+        tuple(name for name in names if name not in drawn),
     )
-    if not kept:
-        # Of those that stand still the ones that are far off zero.
-        order = {n: (-m if m > nothing else 0.0, -largest(columns[n])) for n, m in moves.items()}
-        kept = sorted(names, key=order.__getitem__)[:MAX_CURVES]
-    drawn = tuple(name for name in names if name in kept)
-    return Panel(title, drawn, unit, tuple(name for name in names if name not in kept))
 
 
-def _quantity_of(name: str) -> str:
-    """Return what a column is of its owner: the ``y`` of ``disc7.y``."""
-    owner, _, part = name.rpartition(".")
-    return part if owner else name
-
-
-def _spread(sizes: Mapping[str, float], nothing: float = 0.0) -> list[str]:
-    """Return a handful of many that are alike, from the first to the last; else none."""
+def _evenly_chosen(sizes: Mapping[str, float], round_off: float = 0.0) -> list[str]:
+    """Return MAX_CURVES of more names of similar size, from first to last; else none."""
     most = max(sizes.values())
-    alike = [name for name, size in sizes.items() if size >= _SAME_SCALE * most > nothing]
+    alike = [name for name, size in sizes.items() if size >= _SAME_SCALE * most > round_off]
     if len(alike) <= MAX_CURVES:
         return []
     return [alike[round(k * (len(alike) - 1) / (MAX_CURVES - 1))] for k in range(MAX_CURVES)]
 
 
 def _variable_panels(automaton: Automaton, samples: Samples) -> list[Panel]:
-    """Return the variables: positions and velocities apart, and so lengths and angles."""
+    """Return panels of the variables, one per quantity and unit."""
     model = automaton.declaration
     places = {symbol: k for k, symbol in enumerate(automaton.variables)}
     speeds = {places[rate] for rate in automaton.rates if rate in places}
@@ -224,20 +217,16 @@ def _variable_panels(automaton: Automaton, samples: Samples) -> list[Panel]:
         if not title and speeds:
             title = _OTHER_STATES[0 if k in moved else 1 if k in speeds else 2]
         elif not title:
-            # Nothing tells which belong together: few get a panel each, since units may differ.
+            # Variables without dimensions: few get a panel each, since units may differ.
             title = name if few else "variables"
         groups.setdefault((title, unit), []).append(name)
     ordered = sorted(groups, key=lambda g: _ORDER.index(g[0]) if g[0] in _ORDER else len(_ORDER))
-    made = [_chosen(title, groups[title, unit], unit, samples) for title, unit in ordered]
-    return _without_nothing(made, samples)
-
-
-def _without_nothing(panels: Sequence[Panel], samples: Samples) -> list[Panel]:
-    """Return panels without those in which all is zero, but for one; it says what they are."""
-    moving = [p for p in panels if any(largest(samples.columns[name]) > 0.0 for name in p.names)]
-    kept = moving or list(panels[:1])
-    nothing = tuple(n for p in panels if p not in kept for n in (*p.names, *p.left_out))
-    return [*kept[:-1], replace(kept[-1], nothing=nothing)] if kept else []
+    panels = [_chosen(title, groups[title, unit], unit, samples) for title, unit in ordered]
+    # The last nonzero panel lists the columns of the zero panels.
+    nonzero = [p for p in panels if any(largest(samples.columns[name]) > 0.0 for name in p.names)]
+    nonzero = nonzero or panels[:1]
+    zero = tuple(n for p in panels if p not in nonzero for n in (*p.names, *p.left_out))
+    return [*nonzero[:-1], replace(nonzero[-1], zero=zero)] if nonzero else []
 
 
 def _gaps(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
@@ -247,20 +236,19 @@ def _gaps(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
     names = []
     for region in trace.regions:
         gap = columns.get(f"{region}.gap")
-        # Zero all the time, or the height that is drawn already.
-        if gap is not None and largest(gap) > _NOTHING * scale:
+        # Skipped: zero throughout, or equal to a variable drawn already.
+        if gap is not None and largest(gap) > _ROUND_OFF * scale:
             others = (largest(gap - columns[name]) for name in automaton.names)
-            if min(others, default=np.inf) > _NOTHING * scale:
+            if min(others, default=np.inf) > _ROUND_OFF * scale:
                 names.append(f"{region}.gap")
     if not names:
         return []
     changing = {
         f"{region}.gap"
         for jump in trace.jumps
-        for region, left, entered in zip(trace.regions, jump.source, jump.target, strict=True)
-        if left != entered
+        for region, source, target in zip(trace.regions, jump.source, jump.target, strict=True)
+        if source != target
     }
-    # Of many, those of contacts that do something.
     active = [name for name in names if name in changing]
     active = active if active and len(names) > MAX_CURVES else names
     panel = _chosen("gap", active, model.unit(names[0]), samples)
@@ -269,15 +257,15 @@ def _gaps(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
 
 
 def _force_panels(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
-    """Return the forces of contacts with the edges of their cones; at most some."""
+    """Return panels of contact forces with their friction cones, at most _MAX_FORCES."""
     columns, model = samples.columns, automaton.declaration
     struck = {region for jump in trace.jumps for region in jump.impulse}
-    found = []
+    panels = []
     for region in trace.regions:
         normal, tangential = f"{region}.V", f"{region}.H"
         if not (normal in columns and largest(columns[normal]) > 0.0):
             continue
-        # A column where states of regions set it.
+        # States of regions may set the coefficient.
         friction = columns.get(f"{region}.friction")
         if friction is None:
             friction = np.array(trace.parameters.get(f"{region}.friction", 0.0))
@@ -287,14 +275,14 @@ def _force_panels(automaton: Automaton, trace: Trace, samples: Samples) -> list[
         drawn = (normal, tangential) if slanted else (normal,)
         marked = (region,) if region in struck else ()
         unit = unit_of("impulse", model.units)
-        found.append(
+        panels.append(
             Panel("force", drawn, model.unit(normal), cone=cone, impulses=marked, impulse_unit=unit)
         )
-    kept, others = found[:_MAX_FORCES], found[_MAX_FORCES:]
+    first, others = panels[:_MAX_FORCES], panels[_MAX_FORCES:]
     if others:
-        left = tuple(name for panel in others for name in panel.names)
-        kept[-1] = replace(kept[-1], left_out=left)
-    return kept
+        left_out = tuple(name for panel in others for name in panel.names)
+        first[-1] = replace(first[-1], left_out=left_out)
+    return first
 
 
 def _impulses(automaton: Automaton, trace: Trace, forces: Sequence[Panel]) -> list[Panel]:
@@ -307,15 +295,15 @@ def _impulses(automaton: Automaton, trace: Trace, forces: Sequence[Panel]) -> li
     if not any(most.values()):
         return []
     ordered = {region: most[region] for region in trace.regions if region in most}
-    kept = _spread(ordered) or sorted(most, key=lambda region: -most[region])[:MAX_CURVES]
-    marked = tuple(region for region in trace.regions if region in kept)
-    left_out = tuple(region for region in trace.regions if region in most and region not in kept)
+    chosen = _evenly_chosen(ordered) or sorted(most, key=lambda r: -most[r])[:MAX_CURVES]
+    marked = tuple(region for region in trace.regions if region in chosen)
+    left_out = tuple(region for region in trace.regions if region in most and region not in chosen)
     unit = unit_of("impulse", automaton.declaration.units)
     return [Panel("impulse", (), unit, left_out, impulses=marked)]
 
 
 def _controls(automaton: Automaton, samples: Samples) -> list[Panel]:
-    # Coefficients of contacts show as the edges of their cones.
+    # Coefficients of contacts are drawn as friction cones.
     names = [
         name
         for name, expression in automaton.observables.items()
@@ -329,22 +317,22 @@ def _controls(automaton: Automaton, samples: Samples) -> list[Panel]:
 
 @dataclass(frozen=True, eq=False)
 class DrawnCurve:
-    """Polyline by which columns of samples are drawn: broken at jumps, which take no time."""
+    """Polyline of samples, with breaks at jumps."""
 
-    times: Array  # (m,): of the points drawn, not a number at breaks.
+    times: Array  # (m,), NaN at breaks
     _begins: NDArray[np.intp] | None
     _breaks: NDArray[np.intp]
 
     @classmethod
     def of(cls, samples: Samples) -> DrawnCurve:
-        """Return how samples are drawn; many by the least and the greatest in every column."""
+        """Return the polyline; of many samples the minimum and maximum of each column."""
         t, jumped = samples.t, np.flatnonzero(np.diff(samples.j)) + 1
         if len(t) <= _DENSE * COLUMNS:
             return cls(np.insert(t, jumped, np.nan), None, jumped)
         begins = _first_rows(t)
         if len(jumped) <= COLUMNS:
             begins = np.union1d(begins, jumped)
-        # Two points a column; of more jumps than columns a line shows those between two of them.
+        # Two points per column. More jumps than columns are not drawn as breaks.
         breaks = 2 * np.flatnonzero(np.isin(begins, jumped))
         return cls(np.insert(np.repeat(t[begins], 2), breaks, np.nan), begins, breaks)
 
@@ -357,7 +345,7 @@ class DrawnCurve:
 
 
 def strongest(times: Array, sizes: Array, end: float) -> tuple[Array, Array]:
-    """Return events and their sizes; of very many the one of greatest magnitude in every column."""
+    """Return events and their sizes, of many the largest in each column of the figure."""
     if len(times) <= COLUMNS:
         return times, sizes
     column = np.minimum((times * (COLUMNS / end)).astype(np.intp), COLUMNS - 1)

@@ -1,4 +1,4 @@
-"""Equations of motion of a mode, in the form that people write: as text, JSON or LaTeX."""
+"""Equations of motion of a mode as text, JSON or LaTeX."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from statechart.automaton.trace import Key
 from statechart.errors import DeclarationError, close_matches
 from statechart.tabular import ALL_DIGITS
 
-# Whole numbers below this are written without a decimal point.
+# Integers below this are written without a decimal point.
 _WHOLE = 1e6
-# Formulas of more operations are not shortened: it takes too long.
-_LONG = 400
+# Longer formulas are not simplified, which takes too long.
+_MAX_OPERATIONS = 400
 
 Equation = tuple[sp.Expr, sp.Expr]
 """Left and right side."""
@@ -58,7 +58,7 @@ def _rounded(side: sp.Expr, digits: int) -> sp.Expr:
 
 
 def mode_named(automaton: Automaton, text: object) -> Key:
-    """Return the mode that a text names: ``tip:pin``, ``A:free B:slide+``, or ``pin`` alone."""
+    """Parse the name of a mode: ``tip:pin``, ``A:free B:slide+``, or ``pin`` for one region."""
     example = automaton.label(tuple(r.states[0] for r in automaton.regions))
     if not isinstance(text, str):
         raise DeclarationError(
@@ -128,7 +128,7 @@ _FORMS = {"text": _text, "latex": _latex, "json": _json}
 
 
 def _names(automaton: Automaton) -> dict[sp.Symbol, str]:
-    """Return the names of symbols; derivatives with primes."""
+    """Return symbol -> name, with primes for derivatives."""
     found: dict[sp.Symbol, str] = {e: n for n, e in automaton.observables.items() if e.is_Symbol}
     found |= dict(zip(automaton.parameters, automaton.parameter_names, strict=True))
     coordinates = automaton.coordinates
@@ -145,7 +145,7 @@ def _names(automaton: Automaton) -> dict[sp.Symbol, str]:
 
 
 def _typeset(automaton: Automaton, name: str) -> str:
-    """Return a name in LaTeX: dots for primes, and whose it is where there are several."""
+    """Return a name in LaTeX, with dots for primes, and its owner if there are several."""
     plain = name.rstrip("'")
     owner, _, own = plain.rpartition(".")
     letter = r"\theta" if owner and own == "angle" else sp.latex(sp.Symbol(own))
@@ -164,10 +164,10 @@ def _typeset(automaton: Automaton, name: str) -> str:
 
 
 def blocks(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> list[EquationBlock]:
-    """Return the equations of a mode, in the automaton's symbols.
+    """Return the equations of a mode in the symbols of the automaton.
 
-    Eliminated coordinates, the motion of the others, their holds, and the forces that follow; of a
-    chart, the rates of its variables.
+    Blocks: eliminated coordinates, equations of motion, constraints, and forces; of a chart, the
+    rates of its variables.
     """
     if automaton.coordinates is None:
         mode = build_mode(automaton, roles_in(key), frozenset())
@@ -193,7 +193,7 @@ def blocks(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> list[
 
 
 class _Equations(NamedTuple):
-    """Equations of a mode, each = 0: motion of the coordinates left, holds, and forces."""
+    """Equations of a mode, each = 0."""
 
     elimination: Elimination | None
     motion: list[sp.Expr]
@@ -237,12 +237,11 @@ def _equation_rows(
 
 
 def _moving(row: sp.Expr, coordinates: Coordinates) -> Equation:
-    """Return an equation of motion: accelerations and centripetal terms are on the left."""
-    row = sp.expand_mul(row)
+    """Return an equation of motion with accelerations and centripetal terms on the left."""
     left: list[sp.Expr] = []
-    rest = row
+    rest = sp.expand_mul(row)
     for a in coordinates.accelerations:
-        coefficient = row.coeff(a)
+        coefficient = rest.coeff(a)
         left.append(_short(coefficient) * a)
         rest -= sp.expand_mul(coefficient * a)
     scale = sp.Dummy("scale", positive=True)
@@ -258,29 +257,28 @@ def _moving(row: sp.Expr, coordinates: Coordinates) -> Equation:
 
 
 def _force_equations(rows: _Equations, automaton: Automaton) -> tuple[Equation, ...]:
-    """Return the forces that follow from the motion, or from each other."""
+    """Solve the equations for the forces, one by one where possible."""
     assert automaton.coordinates is not None
-    left = [row for row in rows.forces if row != 0]
+    unsolved = [row for row in rows.forces if row != 0]
     forces = [u for u in automaton.unknowns if u not in automaton.coordinates.accelerations]
     found: list[Equation] = []
-    for row in list(left):
-        # A force that is alone in its equation, or one that is in proportion to another, by a law
-        # of friction or by what is at rest.
+    for row in list(unsolved):
+        # The only force of its equation, or one proportional to others, as by a law of friction.
         inside = [force for force in forces if row.has(force)]
         share = not row.has(*automaton.coordinates.accelerations) and _vanishes(row, inside)
         if inside and (len(inside) == 1 or share) and inside[-1] not in dict(found):
             last = inside[-1]
             slope = sp.diff(row, last)
             found.append((last, _short(-row.xreplace({last: sp.S.Zero}) / slope)))
-            left.remove(row)
-    left = [row.xreplace(dict(found)) for row in left]
-    open_ones = [f for f in forces if any(row.has(f) for row in left)]
-    if left and len(left) == len(open_ones):
-        matrix, right = sp.linear_eq_to_matrix(left, open_ones)
+            unsolved.remove(row)
+    unsolved = [row.xreplace(dict(found)) for row in unsolved]
+    unknown = [f for f in forces if any(row.has(f) for row in unsolved)]
+    if unsolved and len(unsolved) == len(unknown):
+        matrix, right = sp.linear_eq_to_matrix(unsolved, unknown)
         solution = matrix.LUsolve(right)
-        found += [(force, _short(e)) for force, e in zip(open_ones, solution, strict=True)]
+        found += [(force, _short(e)) for force, e in zip(unknown, solution, strict=True)]
     else:
-        found += [(_short(row), sp.S.Zero) for row in left]
+        found += [(_short(row), sp.S.Zero) for row in unsolved]
     return tuple(found)
 
 
@@ -289,12 +287,12 @@ def _vanishes(row: sp.Expr, forces: Sequence[sp.Symbol]) -> bool:
 
 
 def _short(expression: sp.Expr) -> sp.Expr:
-    if expression.count_ops() > _LONG:
+    if expression.count_ops() > _MAX_OPERATIONS:
         return expression
-    ways: list[Callable[[sp.Expr], sp.Expr]] = [
+    forms: list[Callable[[sp.Expr], sp.Expr]] = [
         lambda e: e,
         sp.factor_terms,
         lambda e: sp.factor_terms(sp.trigsimp(sp.expand(e))),
         lambda e: sp.factor_terms(sp.expand(e)),
     ]
-    return min((way(expression) for way in ways), key=sp.count_ops)
+    return min((form(expression) for form in forms), key=sp.count_ops)

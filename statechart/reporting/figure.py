@@ -37,34 +37,33 @@ from statechart.reporting.curves import (
     remarks,
 )
 
-if TYPE_CHECKING:  # imported where a figure is drawn: it takes half a second
+if TYPE_CHECKING:  # importing matplotlib takes half a second
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
 _MAX_LABELLED = 24
-# Of more the lines make a grey area, which tells nothing that bands of modes do not.
+# More event lines merge into a grey area.
 _MAX_LINES = 75
-# Between a label that ends at its event and one that begins there, of the width.
-_GAP = 0.02
-# Lines of labels, and how far apart they are in points.
-_LEVELS, _LINE = 3, 10.0
-# How high a panel is, of few and of many.
+# Space between labels, as a fraction of the width.
+_LABEL_GAP = 0.02
+# Rows of labels, and their distance in points.
+_LEVELS, _LEVEL_HEIGHT = 3, 10.0
+# Panel height in inches, for fewer than _MANY panels and for more.
 _TALL, _LOW, _MANY = 1.3, 0.95, 5
 
-# In inches: of the picture, at least of axes; around them, between them, of a line of labels.
+# In inches: width of the figure, least width of the axes; margins, gaps, and a row of labels.
 _WIDTH, _NARROWEST = 7.2, 3.2
 _LEFT, _RIGHT, _BETWEEN, _BELOW, _TITLE, _ROW = 0.08, 0.1, 0.12, 0.48, 0.28, 0.14
-# Places are on a raster of an inch: letters are, and a picture is to the bit the same.
+# Positions are rounded to this raster per inch, so that files are identical bit by bit.
 _RASTER = 100.0
-# Of a region, by the states that it is in.
-Stretches = dict[str, list[tuple[float, float]]]
 
-# Rows, and stretches of a state in a row that are named.
-_MAX_BANDS, _MAX_NAMED = 12, 24
-# Characters of a line of a legend.
-_LEGEND = 26
+Intervals = dict[str, list[tuple[float, float]]]
+"""State -> intervals of time."""
+
+_MAX_BANDS, _MAX_NAMED = 12, 24  # rows, and named intervals of a state in a row
+_LEGEND_WIDTH = 26  # characters
 
 SUFFIXES = (".svg", ".png", ".pdf")
 """Suffixes of the files that a figure can be written to."""
@@ -90,12 +89,11 @@ def figure(
 ) -> Figure:
     """Draw a run.
 
-    Panels, where there is something to show: positions, angles and their velocities (of a small
-    chart, each variable), gaps, and per contact the forces ``X.V`` and ``X.H`` with the edges of
-    the cone ``+-X.friction * X.V``, its impulses as triangles; impulses alone where there are no
-    forces; controls. Of many curves those that move most are drawn, and the others named. Below, a
-    band of modes for every region. Dotted lines and labels mark events, where they do not crowd;
-    diamonds mark modes of zero duration. Time ends where nothing happens any more.
+    Panels: positions, angles and their velocities (each variable of a small chart), gaps, per
+    contact the forces ``X.V`` and ``X.H`` with the friction cone ``+-X.friction * X.V`` and
+    impulses as triangles, impulses alone if there are no forces, and controls. Of many curves those
+    with the largest range are drawn. Below, a band of modes for every region. Dotted lines mark
+    events, diamonds modes of zero duration. The time axis ends after the last visible change.
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -133,7 +131,7 @@ def write_figure(drawing: Figure, path: Path | str) -> None:
 
 
 def render(drawing: Figure, kind: str) -> bytes:
-    """Return a figure as a file's content: `kind` svg, png or pdf; the same each time."""
+    """Return the content of a file of `kind` svg, png or pdf, reproducible bit by bit."""
     from matplotlib import rc_context
 
     stream = BytesIO()
@@ -144,7 +142,7 @@ def render(drawing: Figure, kind: str) -> bytes:
 
 
 def frame(ax: Axes, *, hidden: Sequence[str] = ("top", "right"), grid: bool = True) -> None:
-    """Give axes the look of all figures: open on some sides, and a light grid behind the curves."""
+    """Style axes: hide spines, draw a light grid behind the curves."""
     if grid:
         ax.grid(visible=True, color=GRID, linewidth=0.6)
         ax.set_axisbelow(True)
@@ -153,7 +151,7 @@ def frame(ax: Axes, *, hidden: Sequence[str] = ("top", "right"), grid: bool = Tr
 
 
 def frame_bands(ax: Axes) -> None:
-    """Give axes the look of rows of coloured stretches."""
+    """Style axes of coloured bands."""
     ax.tick_params(axis="y", length=0)
     frame(ax, hidden=("top", "right", "left"), grid=False)
 
@@ -165,7 +163,6 @@ def entitle(drawing: Figure, title: str) -> Figure:
 
 
 def _draw_panel(ax: Axes, panel: Panel, samples: Samples, trace: Trace) -> None:
-    # Broken at jumps, which take no time: a vertical line would be no part of the motion.
     line = DrawnCurve.of(samples)
     ax.axhline(0.0, color=INK, linewidth=0.6, zorder=1)
     values = [samples.columns[name] for name in panel.names]
@@ -182,7 +179,7 @@ def _draw_panel(ax: Axes, panel: Panel, samples: Samples, trace: Trace) -> None:
             ax.plot(
                 t, sign * edge, color="#777777", linewidth=0.9, linestyle=(0, (4, 2)), label=label
             )
-        # A cone much wider than the force is cut off: the force is what is looked at.
+        # A cone much wider than the force is clipped.
         reach = min(largest(edge), 2.0 * max(abs(low), abs(high)))
         low, high = min(low, -1.08 * reach), max(high, 1.08 * reach)
     if panel.impulses and panel.names:
@@ -198,7 +195,7 @@ def _draw_panel(ax: Axes, panel: Panel, samples: Samples, trace: Trace) -> None:
 
 
 def _mark_impulses(ax: Axes, panel: Panel, trace: Trace) -> None:
-    """Mark impulses on the axis of forces, which has no place for their size."""
+    """Mark the times of impulses on a force axis."""
     for region in panel.impulses:
         times, impulses = impulses_of(trace, region)
         ax.plot(
@@ -240,7 +237,7 @@ def _time(unit: str, trace: Trace, end: float) -> str:
 
 
 def _labelled(jumps: Sequence[Jump]) -> Iterator[tuple[Jump, str]]:
-    """Yield events with their labels; of more at one instant than have lines the first."""
+    """Yield events with their labels, one label for more than _LEVELS events at one instant."""
     for _, group in groupby(jumps, key=lambda jump: jump.t):
         together = list(group)
         named = [f"{jump.region}.{jump.cause}".removeprefix(".") for jump in together]
@@ -251,11 +248,11 @@ def _labelled(jumps: Sequence[Jump]) -> Iterator[tuple[Jump, str]]:
 
 
 def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> int:
-    """Draw lines at events, and label them where they do not crowd; return lines of labels."""
+    """Draw lines at events with labels that do not overlap; return the rows of labels."""
     jumps = [jump for jump in trace.jumps if jump.t <= span]
     times: list[float] = []
     for jump in jumps:
-        # Events that accumulate would make a black bar.
+        # Accumulating events would draw a black bar.
         if not times or jump.t - times[-1] > span / 250:
             times.append(jump.t)
     if len(times) > _MAX_LINES:
@@ -275,7 +272,6 @@ def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> int:
         )
     if len(jumps) > _MAX_LABELLED:
         return 0
-    # Labels on levels over the first panel; those that do not fit are left out.
     free = [-1.0] * _LEVELS
     top = axes[0].get_xaxis_transform()
     for jump, label in _labelled(jumps):
@@ -284,11 +280,11 @@ def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> int:
         level = next((k for k, last in enumerate(free) if left >= last), None)
         if level is None:
             continue
-        free[level] = left + width + (_GAP if left < place else 0.0)
+        free[level] = left + width + (_LABEL_GAP if left < place else 0.0)
         axes[0].annotate(
             label,
             (jump.t, 1.0),
-            (0.0, 2.0 + _LINE * level),
+            (0.0, 2.0 + _LEVEL_HEIGHT * level),
             xycoords=top,
             textcoords="offset points",
             fontsize=8,
@@ -300,13 +296,13 @@ def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> int:
 
 
 def banded(automaton: Automaton, trace: Trace) -> list[int]:
-    """Return the regions whose modes are shown: all, or of many the first ones that change.
+    """Return the regions with a band: at most _MAX_BANDS that change mode.
 
-    Before those that are one of many come those that have states of their own, such as controllers.
+    Regions with unique states, such as controllers, come before one of many alike.
     """
     places = list(range(len(trace.regions)))
     if len(places) > _MAX_BANDS:
-        changing = [k for k in places if len(_stretches(trace, k)) > 1 or _instants(trace, k)]
+        changing = [k for k in places if len(_intervals(trace, k)) > 1 or _instants(trace, k)]
         states = {region.name: region.states for region in automaton.regions}
         alike = Counter(states[name] for name in trace.regions)
         own = sorted(changing or places, key=lambda k: alike[states[trace.regions[k]]] > 1)
@@ -315,14 +311,14 @@ def banded(automaton: Automaton, trace: Trace) -> list[int]:
 
 
 def draw_bands(ax: Axes, automaton: Automaton, trace: Trace, end: float) -> None:
-    """Draw one row per region, the first on top, its states as coloured stretches of time."""
+    """Draw one row per region, the first on top, with its states as coloured intervals."""
     from matplotlib.patches import Patch
 
     places = banded(automaton, trace)
     unnamed: dict[str, Artist] = {}
     for y, row in zip(reversed(range(len(places))), places, strict=True):
         colours = automaton.colours[trace.regions[row]]
-        for state, stretches in _visible(_stretches(trace, row), end).items():
+        for state, stretches in _visible(_intervals(trace, row), end).items():
             ax.broken_barh(
                 [(start, last - start) for start, last in stretches],
                 (y + 0.1, 0.8),
@@ -353,19 +349,19 @@ def draw_bands(ax: Axes, automaton: Automaton, trace: Trace, end: float) -> None
 
 
 def unbanded(trace: Trace, places: Sequence[int]) -> tuple[str, ...]:
-    """Return remarks on regions that have no row, and on those that stay in one state."""
+    """Return remarks on regions without a row."""
     found: dict[str, list[str]] = {}
     for k, name in enumerate(trace.regions):
         if k not in places:
-            states = list(_stretches(trace, k))
+            states = list(_intervals(trace, k))
             still = len(states) == 1 and not _instants(trace, k)
             found.setdefault(f"always {states[0]}" if still else "not drawn", []).append(name)
     return remarks(found)
 
 
-def _stretches(trace: Trace, row: int) -> Stretches:
-    """Return state -> times that the region spends in it, adjoining ones joined."""
-    result: Stretches = {}
+def _intervals(trace: Trace, row: int) -> Intervals:
+    """Return state -> intervals of a region, adjacent ones joined."""
+    result: Intervals = {}
     last = ""
     for arc in trace.arcs:
         state, start, end = arc.mode[row], arc.start.high, arc.end.high
@@ -378,26 +374,26 @@ def _stretches(trace: Trace, row: int) -> Stretches:
     return result
 
 
-def _visible(stretches: Stretches, end: float) -> Stretches:
-    """Thin very many stretches to the state at one time of every column."""
+def _visible(stretches: Intervals, end: float) -> Intervals:
+    """Decimate many intervals to one sample per column of the figure."""
     if sum(map(len, stretches.values())) <= COLUMNS:
         return stretches
     every = sorted((start, state) for state, those in stretches.items() for start, _ in those)
     edges = np.linspace(0.0, end, COLUMNS + 1)
-    # Multiples of the golden ratio keep no step with what goes on in a regular way.
+    # Low-discrepancy offsets (golden ratio) do not alias with periodic motion.
     times = edges[:-1] + np.arange(COLUMNS) * ((5**0.5 - 1) / 2) % 1 * (end / COLUMNS)
     places = np.searchsorted([start for start, _ in every], times, side="right") - 1
     states = np.array([every[place][1] for place in places])
     begins = np.flatnonzero(states != np.roll(states, 1))
     begins = np.union1d(begins, [0])
-    seen: Stretches = {state: [] for state in stretches}
+    seen: Intervals = {state: [] for state in stretches}
     for first, after in zip(begins, [*begins[1:], COLUMNS], strict=True):
         seen[str(states[first])].append((float(edges[first]), float(edges[after])))
     return seen
 
 
 def _instants(trace: Trace, row: int) -> dict[str, list[float]]:
-    """Return state -> times at which the region passed through it in no time."""
+    """Return state -> times of modes of zero duration."""
     flowed = {arc.j for arc in trace.arcs}
     result: dict[str, list[float]] = {}
     for jump, following in zip(trace.jumps, trace.jumps[1:], strict=False):
@@ -408,15 +404,15 @@ def _instants(trace: Trace, row: int) -> dict[str, list[float]]:
 
 
 def remark_lines(texts: Sequence[str]) -> list[Artist]:
-    """Return entries of a legend for texts, in a few lines each."""
+    """Return legend entries for wrapped texts."""
     from matplotlib.lines import Line2D
 
-    wrapped = ("\n".join(textwrap.wrap(text, _LEGEND)) for text in texts)
+    wrapped = ("\n".join(textwrap.wrap(text, _LEGEND_WIDTH)) for text in texts)
     return [Line2D([], [], linestyle="none", label=text) for text in wrapped]
 
 
 def legend(ax: Axes, handles: Sequence[Artist], columns: int = 1) -> None:
-    """Write a legend; of many short entries in columns."""
+    """Draw a legend to the right of the axes."""
     ax.legend(
         handles=handles,
         loc="center left",
@@ -430,7 +426,7 @@ def legend(ax: Axes, handles: Sequence[Artist], columns: int = 1) -> None:
 
 
 def label_width(text: str) -> float:
-    """Return the width of a label as a part of the axis."""
+    """Return the width of a label as a fraction of the axis."""
     return 0.0145 * (len(text) + 1)
 
 
@@ -442,15 +438,14 @@ def stack(
     lines: int = 0,
     strip: Film | None = None,
 ) -> None:
-    """Put drawn axes in their places, and give the figure its size.
+    """Set the positions of drawn axes and the size of the figure.
 
-    Axes come from the top, ready but for their places, with legends on their right; heights are in
-    inches, and those of legends where these are higher. Above the first stand `lines` of labels,
-    and instants of a film side by side.
+    Axes are stacked from the top, with legends on their right; a row is as high as its axes
+    (`heights` in inches) or its legend. Above are `lines` rows of labels and the film strip.
     """
     dpi = figure.dpi
     figure.set_size_inches(_WIDTH, 2.0 * sum(heights))
-    for ax, height in zip(axes, heights, strict=True):  # on which the number of its ticks depends
+    for ax, height in zip(axes, heights, strict=True):  # the number of ticks depends on the height
         ax.set_position((0.15, 0.1, 0.5, height / (2.0 * sum(heights))))
         label, room = ax.yaxis.label, (height + _BETWEEN / 2.0) * dpi
         if label.get_window_extent().height > room:
@@ -464,7 +459,7 @@ def stack(
     right = max(float(size[0]) for size in legends) + _RIGHT
     left, right = np.ceil(np.array([left, right]) * _RASTER) / _RASTER
     rows = [max(h, float(size[1])) for h, size in zip(heights, legends, strict=True)]
-    # The power of ten of numbers that are very small or large stands above their axis.
+    # matplotlib writes the power of ten of tick labels above the axis.
     powers = [_ROW if ax.yaxis.get_offset_text().get_text() else 0.0 for ax in axes]
     rows = [max(r, h + 2.0 * p) for r, h, p in zip(rows, heights, powers, strict=True)]
     rows = [np.ceil(row * _RASTER) / _RASTER for row in rows]

@@ -1,4 +1,4 @@
-"""Animation of a run: instants, and the poses of its bodies at them."""
+"""Animation of a run: poses of its bodies at equidistant instants."""
 
 from __future__ import annotations
 
@@ -20,26 +20,24 @@ from statechart.pictures.film import Film
 from statechart.pictures.stage import Moments, Stage
 from statechart.reporting.curves import without_round_off
 
-# Motion below this part of the picture is rest.
-_STILL = 2e-3
-# Part of a run shown after the last motion.
-_REST = 0.08
+_STILL = 2e-3  # motion below this fraction of the picture is rest
+_REST = 0.08  # fraction of the run shown after the last motion
 _INSTANTS = 400
 
 
 def stage_of(automaton: Automaton) -> Stage:
-    """Return the stage that runs of a model are seen on."""
+    """Return the stage of a model: the shapes of its bodies and surfaces."""
     name = automaton.declaration.kind
-    made = kind(name).stage
-    if made is None:
+    stage = kind(name).stage
+    if stage is None:
         raise StatechartError(
             f"a {name} has no bodies to draw; its figure and its diagram show the run"
         )
-    return made(automaton)
+    return stage(automaton)
 
 
 def filmed(stage: Stage, observer: Observer, trace: Trace, times: ArrayLike) -> Film:
-    """Return a run at instants, after the jumps at them."""
+    """Return the film of a run at instants, after the jumps at them."""
     automaton = observer.automaton
     names = (*automaton.names, *stage.wanted)
     samples = observer.sample(trace, names, times=times)
@@ -58,7 +56,7 @@ def filmed(stage: Stage, observer: Observer, trace: Trace, times: ArrayLike) -> 
 
 
 def until_rest(stage: Stage, observer: Observer, trace: Trace) -> float:
-    """Return when the last visible motion is over, and a little later; at most the end."""
+    """Return the time of the last visible motion plus a margin, at most the end of the run."""
     times = np.linspace(0.0, trace.t_end, _INSTANTS)
     film = filmed(stage, observer, trace, times)
     moved = np.abs(film.poses[:, :, :2] - film.poses[-1:, :, :2]).max(axis=(1, 2)) / film.unit
@@ -74,8 +72,8 @@ def until_rest(stage: Stage, observer: Observer, trace: Trace) -> float:
 class Showing:
     """Options of an animation.
 
-    `speed` is units of the run's time a second, by default neither short nor long; `size` pixels of
-    the longer side; `trail` how far back in time trails of bodies reach, by default all the way.
+    `speed` is simulated time per second of the film; `size` the longer side in pixels; `trail` the
+    length of trails in simulated time, by default from the start.
     """
 
     speed: float | None = None
@@ -86,7 +84,7 @@ class Showing:
 def animate(
     observer: Observer, trace: Trace, path: Path | str, showing: Showing, *, progress: bool = False
 ) -> Path:
-    """Write a run as an animation, from its start until nothing moves any more."""
+    """Write an animation of a run, from its start until the last visible motion."""
     path = Path(path)
     animation.check(path, showing.size, showing.speed, showing.trail)
     stage = stage_of(observer.automaton)
@@ -99,7 +97,7 @@ def animate(
 
 
 def strip_of(observer: Observer, trace: Trace) -> Film | None:
-    """Return the film of a run to be seen above its curves; None where it has no bodies."""
+    """Return the film strip above the curves of a run, or None without bodies."""
     if kind(observer.automaton.declaration.kind).stage is None:
         return None
     stage = stage_of(observer.automaton)

@@ -1,4 +1,4 @@
-"""The modes of a model: its regions, and which products are possible at a configuration."""
+"""List of the modes of a model: its regions, and the feasible products at a configuration."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def listing(
     state: Mapping[str, float],
     found: Feasibility | None,
 ) -> dict[str, Any]:
-    """Return the modes of a model as one plain object, ready for JSON.
+    """Return the modes of a model as a JSON object.
 
-    `built` modes exist so far; feasibility was judged at a time and a state, or is None.
+    `built` counts the modes built so far; `found` is their feasibility at `time` and `state`.
     """
     return {
         "model": automaton.name,
@@ -49,7 +49,7 @@ def listing(
 
 
 def check_variables(automaton: Automaton, names: Iterable[str]) -> None:
-    """Raise `DeclarationError` where a name of a configuration is no variable."""
+    """Raise `DeclarationError` if a name is not a variable."""
     for name in names:
         if name not in automaton.names:
             raise DeclarationError(
@@ -59,12 +59,12 @@ def check_variables(automaton: Automaton, names: Iterable[str]) -> None:
 
 
 def text(listed: Mapping[str, Any]) -> str:
-    """Return a listing as lines of text; of modes those without direction of sliding."""
+    """Return a listing as text, without directions of sliding."""
     return plain(format_listing(listed))
 
 
 def format_listing(listed: Mapping[str, Any], digits: int = DIGITS) -> list[TextBlock]:
-    """Return the blocks of `text`: lines and tables."""
+    """Return the lines and tables of `text`."""
     count = format_count(listed["modes_declared"], listed["modes_total"])
     built = listed["modes_built"]
     head = f"{listed['model']}: {count}; {built or 'none'} built, each when a run enters it\n"
@@ -88,7 +88,7 @@ def format_listing(listed: Mapping[str, Any], digits: int = DIGITS) -> list[Text
 
 
 def format_count(declared: int, total: int) -> str:
-    """Return numbers of modes in words, without and with directions of sliding."""
+    """Return numbers of modes as text, without and with directions of sliding."""
     words = several(declared, "mode")
     return words if declared == total else f"{words} ({grouped(total)} with directions of sliding)"
 
@@ -189,7 +189,7 @@ def _edges(region: Mapping[str, Any]) -> list[TextBlock]:
 
 
 def _nested(region: Mapping[str, Any]) -> str:
-    """Return the states of a region in a line, such as `free, closed {pin, slide}`."""
+    """Return the states of a region on one line: `free, closed {pin, slide}`."""
     superstates = region["superstates"]
     members: dict[str | None, list[str]] = {}
     for state in (listed["name"] for listed in region["states"]):
@@ -208,7 +208,7 @@ def _nested(region: Mapping[str, Any]) -> str:
 
 
 def _resets(choices: Sequence[Mapping[str, str]]) -> str:
-    """Return what an edge resets: where that depends on the state chosen, with these states."""
+    """Return the resets of an edge, with the target states if they depend on these."""
     states: dict[str, list[str]] = {}
     for choice in choices:
         states.setdefault(choice["reset"], []).append(choice["to"])

@@ -1,4 +1,4 @@
-"""Work in pieces of which some may fail: the others are done all the same."""
+"""Reports in parts: a part that fails or is interrupted does not stop the others."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from statechart import interrupts
 T = TypeVar("T")
 
 SOME = 4_000
-"""Events, or rows of samples, in a short form: they take some tenths of a second."""
+"""Events, or rows of samples, in a short form; some tenths of a second."""
 
-_NUMBERS = 2**17  # in a short form of many variables, which has the fewer rows
+_NUMBERS = 2**17  # values in a short form, whatever the number of variables
 
 _INTERRUPTED = "interrupted"
 
 
 def short_length(width: int) -> int:
-    """Return how many rows of so many numbers a short form has."""
+    """Return the number of rows of `width` values in a short form."""
     return max(1, min(SOME, _NUMBERS // max(width, 1)))
 
 
 class PartialReport:
-    """Record of a work in parts: which of them are done, and which failed.
+    """Runs the parts of a report; `failed` maps the parts that failed to their reason.
 
-    A signal to end that comes now ends the piece at hand and leaves out those that follow; of those
-    to `keep` it leaves a short form. `failed` says what could not be done, and why.
+    SIGINT or SIGTERM ends the current part and skips the following ones; parts run by `keep` are
+    then written in a short form.
     """
 
     def __init__(self, *, strict: bool = False) -> None:
@@ -42,7 +42,7 @@ class PartialReport:
         return not self._strict and interrupts.arrived() > 0
 
     def attempt(self, name: str, work: Callable[[], T], otherwise: T) -> T:
-        """Do a piece of work; where it fails, note why and return `otherwise`."""
+        """Return `work()`; if it fails, record the reason and return `otherwise`."""
         if self._strict:
             return work()
         try:
@@ -60,7 +60,7 @@ class PartialReport:
         return otherwise
 
     def keep(self, name: str, work: Callable[[bool], T], otherwise: T) -> T:
-        """Do ``work(False)``; after a signal to end its short form, ``work(True)``, to its end."""
+        """Return ``work(False)``, or the short form ``work(True)`` after a signal to end."""
         if not self.hurried:
             done = self.attempt(name, partial(work, False), otherwise)
             if self.failed.get(name) != _INTERRUPTED:
@@ -74,18 +74,18 @@ class PartialReport:
             self._signals = before
 
     def some(self, what: str, items: Sequence[T], width: int = 1) -> tuple[T, ...]:
-        """Return at most `short_length` items, evenly chosen; say so where there are more."""
+        """Return at most `short_length` items, evenly chosen, and record the number of others."""
         chosen = tuple(items[:: max(1, -(-len(items) // short_length(width)))])
         if len(chosen) < len(items):
             self.leave(f"{len(items) - len(chosen)} of {len(items)} {what}")
         return chosen
 
     def leave(self, *names: str) -> None:
-        """Note what there is no time for."""
+        """Record parts as interrupted."""
         self.failed |= dict.fromkeys(names, _INTERRUPTED)
 
     def text(self) -> str:
-        """Return what could not be done, and why, such as ``a, b (disk full), c (interrupted)``."""
+        """Return the failed parts with their reasons: ``a, b (disk full), c (interrupted)``."""
         why: dict[str, list[str]] = {}
         for name, reason in self.failed.items():
             why.setdefault(reason, []).append(name)
@@ -96,7 +96,7 @@ class PartialReport:
 
 
 def reason(error: Exception) -> str:
-    """Return why something failed, in a few words."""
+    """Return a short description of an error."""
     if isinstance(error, MemoryError):
         return "out of memory"
     if isinstance(error, OSError):

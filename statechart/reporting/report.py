@@ -1,4 +1,4 @@
-"""Report of a run: the plain object that `statechart run --json` prints."""
+"""Report of a run: the object that `statechart run --json` prints."""
 
 from __future__ import annotations
 
@@ -25,14 +25,12 @@ from statechart.tabular import grouped, several
 
 
 class Computation(NamedTuple):
-    """Costs and accuracy of a run, as far as its trace does not tell."""
+    """Costs and accuracy of a run that its trace does not contain."""
 
-    error_estimate: float | None = None  # Where an accuracy was asked for.
-    timings: Mapping[str, float] = MappingProxyType({})  # Seconds that parts of the work took.
-    # The accuracy or budget that was asked for, and its cost.
-    request: Mapping[str, Any] | None = None
-    # Of every event, from `statechart.observation.condition.conditions`; shown where given.
-    conditions: Sequence[float | None] = ()
+    error_estimate: float | None = None  # if an accuracy was requested
+    timings: Mapping[str, float] = MappingProxyType({})  # seconds by part
+    request: Mapping[str, Any] | None = None  # requested accuracy or budget, and its cost
+    conditions: Sequence[float | None] = ()  # condition number of every event
 
 
 def report(
@@ -46,29 +44,27 @@ def report(
 ) -> dict[str, Any]:
     """Return a run as an object of dicts, lists, strings and numbers.
 
-    Infinite and undefined numbers are the strings ``"inf"``, ``"-inf"`` and ``"nan"``, since
-    strict JSON has no others; `float` reads all three, and ``json.dumps(..., allow_nan=False)``
-    never fails. Finite floats keep all their digits. With `explain` every event has its `margins`:
-    those of the mode left, at that instant. Of the events the first `most` are reported. What
-    cannot be evaluated goes to `pieces`, and why, instead of an error; `left_out` has it, too.
+    Infinite and undefined numbers are the strings ``"inf"``, ``"-inf"`` and ``"nan"``, which
+    `float` reads, since strict JSON has none. Finite floats keep all their digits. With `explain`
+    every event has the `margins` of its source mode at that instant. The first `most` events are
+    reported. Parts that fail are recorded in `pieces` and `left_out` instead of raising an error.
 
     Returns
     -------
     dict
         `model`, `outcome`, `message`, `t_end`, `engine`, `record`, `certified`, `evidence`,
-        `motion`, `error_estimate`, `asked`, `condition` (the largest of the events'), `modes_total`
-        (directions of sliding told apart), `modes_declared` (as users count), `modes_built`,
-        `built` (modes with unknowns, guards and evidence), `left_out` (what, and why), `modes`
-        (in the order visited), `indeterminate` (modes whose motion leaves quantities of
-        regions open, and which), `events`, `final`, `outputs`, `margins`, `invariants` (the least
-        margin of each), `warnings`, `counts`, `timings`, `parameters`, `tolerances`,
-        `units` (of outputs, variables and parameters, where they are known).
+        `motion`, `error_estimate`, `asked`, `condition` (the largest of the events), `modes_total`
+        (with directions of sliding), `modes_declared` (without), `modes_built`, `built` (modes with
+        unknowns, guards and evidence), `left_out` (`what` and `why`), `modes` (in the order
+        visited), `indeterminate` (modes with undetermined quantities, and their regions),
+        `events`, `final`, `outputs`, `margins`, `invariants` (their least margins), `warnings`,
+        `counts`, `timings`, `parameters`, `tolerances`, `units` (of outputs, variables and
+        parameters).
     """
     automaton, conditions = observer.automaton, computation.conditions
     done = PartialReport(strict=True) if pieces is None else pieces
     found_outputs: dict[str, Any] = done.attempt("outputs", lambda: outputs(observer, trace), {})
     found_margins: dict[str, float] = {}
-    # Margins of many events take long.
     left_open: tuple[str, ...] = ()
     if done.hurried:
         done.leave("margins")
@@ -117,7 +113,7 @@ def report(
 
 
 def _ended(trace: Trace) -> dict[str, Any]:
-    """Return how a run ended, and how it was computed."""
+    """Return the outcome and the settings of a run."""
     return {
         "model": trace.name,
         "outcome": trace.outcome.name,
@@ -142,7 +138,7 @@ def _event_rows(
     *,
     explain: bool,
 ) -> list[dict[str, Any]]:
-    """Return each of the jumps as an object; some of them where the time presses."""
+    """Return the jumps as objects, a selection after a signal to end."""
     explained: Sequence[dict[str, float]] = ()
     if explain and not pieces.hurried:
         explained = pieces.attempt("margins of events", lambda: observer.margins(trace, jumps), [])
@@ -160,11 +156,9 @@ def _event_rows(
 
 
 def margins(observer: Observer, trace: Trace) -> dict[str, float]:
-    """Return the least value seen of every margin, on a grid of 16 places in every step.
+    """Return the least value of every margin, sampled at 16 points per step in its modes.
 
-    A margin counts in the modes whose invariant it belongs to. Where an event ended an arc, its
-    margin is about zero, or below it by less than its tolerance. A run that noted them itself, at
-    its steps, is believed.
+    At an event the margin is zero to within its tolerance. Time stepping records its own margins.
     """
     if trace.margins is not None:
         return dict(sorted(trace.margins.items()))
@@ -179,22 +173,22 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
         found = lowest(compiled.wholes, [arc.flow for arc in arcs], trace.values)
         for margin, value in zip(whole_margins(compiled.mode.margins), found.tolist(), strict=True):
             before = least.get(margin.name, math.inf)
-            # Once undefined, always undefined: NaN compares false.
+            # NaN compares false and persists.
             least[margin.name] = before if before <= value or before != before else value
     return dict(sorted(least.items()))
 
 
 def invariants(observer: Observer, trace: Trace) -> dict[str, float]:
-    """Return the least margin of every invariant of the run: below 0 it does not hold.
+    """Return the least margin of every invariant; a negative one is violated.
 
-    Those of states that the run has not kept are missing, and all where it kept nothing.
+    Invariants on states that the run did not record are missing.
     """
     if trace.record is Record.NOTHING:
         return {}
     automaton = observer.automaton
 
     def least(one: Invariant) -> float:
-        if not one.relation.members:  # of poses, too, which know no modes
+        if not one.relation.members:  # independent of modes, which `record: poses` does not store
             return extremes(observer, trace, one.margin(automaton.active(())).expression)[0]
         return extremes(observer, trace, lambda key: one.margin(automaton.active(key)).expression)[
             0
@@ -222,12 +216,11 @@ def dumps(report: Mapping[str, Any]) -> str:
 
 def json_safe(value: Any) -> Any:
     """Return `value` with tuples as lists, keys as text, and non-finite floats as text."""
-    # Numbers and names first: most values of many events are.
     if isinstance(value, float):
         return value if math.isfinite(value) else repr(float(value))
     if isinstance(value, str | int):
         return value
-    # A safe value is returned itself: copies of many events would fill the memory.
+    # Safe values are not copied, for the memory of many events.
     if isinstance(value, list | tuple):
         items = [json_safe(item) for item in value]
         same = type(value) is list and all(map(operator.is_, items, value))
@@ -278,7 +271,6 @@ def _event(
     numbers = [*before, *after, *(energy or ()), jump.skipped, condition or 0.0]
     numbers += [size for pair in jump.impulse.values() for size in pair]
     numbers += (explained or {}).values()
-    # Of many events hardly one has a number that JSON has not.
     if all(map(math.isfinite, numbers)):
         return event
     safe: dict[str, Any] = json_safe(event)
@@ -308,7 +300,7 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
         if HELD in key or key in modes:
             continue
         mode = simulator.compiled(arc.roles, trace.zeros).mode
-        # Contacts that are open have forces that are zero: they are no unknowns.
+        # Forces of open contacts are zero and no unknowns.
         known = {s for s, e in mode.definitions if e == 0}
         known |= {mode.rates[place] for place in mode.eliminated}
         solved = {s for s, _ in mode.definitions if s in automaton.unknowns} - known
@@ -327,19 +319,19 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
 
 
 def unkept_invariants(automaton: Automaton, trace: Trace) -> list[Invariant]:
-    """Return the invariants that ask for states which the run has not kept."""
-    kept = {*trace.regions}
+    """Return the invariants on states that the run did not record."""
+    recorded = {*trace.regions}
     return [
         one
         for one in automaton.invariants
-        if not kept.issuperset(member.region for member in one.relation.members)
+        if not recorded.issuperset(member.region for member in one.relation.members)
     ]
 
 
 def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
-    """Return the parts of the model that a run did not need: `what`, and `why`."""
+    """Return the parts of the model that a run did not use: `what` and `why`."""
     found = []
-    total, made = automaton.modes_total, trace.counts.get("modes_built", 0)
+    total, n_built = automaton.modes_total, trace.counts.get("modes_built", 0)
     if trace.step is not None:
         found.append(
             {
@@ -357,10 +349,10 @@ def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
                     "why": f"record: {trace.record.value} stores none; use record: modes",
                 }
             )
-    elif made < total:
+    elif n_built < total:
         found.append(
             {
-                "what": f"the equations of {grouped(total - made)} of {several(total, 'mode')}",
+                "what": f"the equations of {grouped(total - n_built)} of {several(total, 'mode')}",
                 "why": "the run did not enter them",
             }
         )

@@ -1,4 +1,4 @@
-"""Zarr store of a run: states at every step as arrays, written piece by piece."""
+"""Zarr store of a run: states at every step as arrays, written in chunks."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from statechart.documents.declaration import TIME
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 
-# Rows are written when they hold so many bytes: a chunk.
-_CHUNK = 2**23
+_CHUNK = 2**23  # bytes
 
 
 def write_store(
@@ -26,10 +25,10 @@ def write_store(
 ) -> None:
     """Write a run to a new Zarr store.
 
-    Dimension `t`: the beginning of every step, after the jumps there, and the end. Variables
-    ``NAME.q`` that several NAMEs have, as those of bodies, are one array ``q`` over `t` and
-    `body`; the others are arrays over `t`. Dimension `event`: `event_t`, `event_region`,
-    `event_cause`. The rest of `report` is in the attribute `report`, as JSON.
+    Dimension `t`: the start of every step, after the jumps there, and the end. Variables ``NAME.q``
+    of several bodies are one array ``q`` over `t` and `body`; the others are arrays over `t`.
+    Dimension `event`: `event_t`, `event_region`, `event_cause`. The attribute `report` contains the
+    rest of `report` as JSON.
     """
     import xarray as xr
 
@@ -71,7 +70,7 @@ def write_store(
         first = first.assign_coords(body=_text(bodies))
     try:
         with warnings.catch_warnings():
-            # Consolidated metadata are no part of format 3 yet; all readers know them.
+            # Consolidated metadata are not part of Zarr format 3 yet, but all readers know them.
             warnings.simplefilter("ignore")
             first.to_zarr(path, mode="w-")
             for piece in pieces:
@@ -87,7 +86,7 @@ def _text(values: list[str]) -> np.ndarray[Any, Any]:
 
 
 def _arrays(names: tuple[str, ...]) -> tuple[list[str], dict[str, list[int]], dict[str, int]]:
-    """Return the bodies, the places of what all of them have, and those of all other variables."""
+    """Return bodies, places of the variables that all of them have, and of the others."""
     parts: dict[str, dict[str, int]] = {}
     for place, name in enumerate(names):
         owner, _, part = name.rpartition(".")
@@ -103,12 +102,12 @@ def _arrays(names: tuple[str, ...]) -> tuple[list[str], dict[str, list[int]], di
 
 
 def _chunks(trace: Trace, rows: int) -> Iterator[tuple[Array, Array]]:
-    """Yield times and states where steps begin, and at the end, about `rows` of them at once."""
+    """Yield times (m,) and states (m, n) at the starts of steps and the end, m about `rows`."""
     times: list[Array] = []
     states: list[Array] = []
     for arc in trace.arcs:
-        begun = arc.start.high + (arc.start.low + arc.times[:-1])
-        times.append(begun if trace.step is None else decimals(begun))
+        starts = arc.start.high + (arc.start.low + arc.times[:-1])
+        times.append(starts if trace.step is None else decimals(starts))
         states.append(arc.coefficients[:, :, 0])
         if sum(map(len, times)) >= rows:
             yield np.concatenate(times), np.concatenate(states)

@@ -33,18 +33,18 @@ RESERVED = frozenset(
     {"byte", "char", "short", "ushort", "int", "uint", "int64", "uint64", "float", "real"}
     | {"double", "bool", "string"}
 )
-"""Names that NetCDF keeps for itself."""
-# And those of the coordinates and dimensions.
+"""Names reserved by NetCDF."""
+
 _TAKEN = RESERVED | {"t", "j", "mode", "sample", "event"}
 _FILES = ("run.json", "trace.nc", "events.csv", "samples.csv", "figure.svg", "figure.png")
 _ADVICE = "name a place that is writable and has room, nothing was written"
-_ROWS = 8  # in every step of the integrator
+_ROWS = 8  # per step of the integrator
 
 
 def samples_table(observer: Observer, trace: Trace) -> pd.DataFrame:
     """Return a run as a table: t, j, mode, then every variable and observable.
 
-    Both ends of an arc have a row, so a jump shows as two rows of one time.
+    Both ends of an arc have a row, so a jump gives two rows of one time.
     """
     return _table(observer, observer.sample(trace, per_step=_rows_of(trace)))
 
@@ -62,7 +62,7 @@ def _table(observer: Observer, samples: Samples) -> pd.DataFrame:
         }
     )
     model = observer.automaton.declaration
-    table.attrs["units"] = _known(
+    table.attrs["units"] = _without_empty(
         {"t": model.unit(TIME), **{names[n]: model.unit(n) for n in samples.columns}}
     )
     table.attrs["long_names"] = {names[n]: model.quantity(n).words for n in samples.columns}
@@ -72,9 +72,9 @@ def _table(observer: Observer, samples: Samples) -> pd.DataFrame:
 def events_table(observer: Observer, trace: Trace) -> pd.DataFrame:
     """Return the jumps of a run as a table, one row each.
 
-    Columns: t, j, region, cause, source, target, skipped, then `X.normal` and `X.tangential`
-    (impulses) of every region X that had one, `energy before` and `energy after` where there is
-    an energy, and the state: `X before` and `X` of every variable X. Units are in `attrs`.
+    Columns: t, j, region, cause, source, target, skipped, the impulses `X.normal` and
+    `X.tangential` of regions X, `energy before` and `energy after`, and `X before` and `X` of every
+    variable X. Units are in `attrs`.
     """
     import pandas as pd
 
@@ -107,12 +107,12 @@ def events_table(observer: Observer, trace: Trace) -> pd.DataFrame:
         columns[after] = np.array([jump.after[k] for jump in jumps])
         units |= dict.fromkeys((f"{name} before", after), model.unit(name))
     table = pd.DataFrame(columns)
-    table.attrs["units"] = _known(units)
+    table.attrs["units"] = _without_empty(units)
     return table
 
 
 def to_xarray(observer: Observer, trace: Trace) -> xr.Dataset:
-    """Return a run as a data set that NetCDF can hold."""
+    """Return a run as a data set that NetCDF can store."""
     return _data_set(observer, trace, observer.sample(trace, per_step=_rows_of(trace)))
 
 
@@ -128,7 +128,7 @@ def _data_set(observer: Observer, trace: Trace, samples: Samples) -> xr.Dataset:
     }
     coordinates: dict[str, Any] = {
         "t": ("sample", samples.t, {"long_name": "time", **_unit(model.unit(TIME))}),
-        # NetCDF 3 has no integers of 64 bits.
+        # NetCDF 3 has no 64-bit integers.
         "j": ("sample", samples.j.astype(np.int32), {"long_name": "number of jumps before"}),
         "mode": ("sample", labels[samples.mode], {"long_name": "mode"}),
     }
@@ -140,8 +140,8 @@ def _data_set(observer: Observer, trace: Trace, samples: Samples) -> xr.Dataset:
         elif values.dtype != np.float64:
             values = values.astype(np.str_)
         target = coordinates if name in ("t", "j") else data
-        said = {"long_name": f"{name} of the event", **_unit(events.attrs["units"].get(name, ""))}
-        target[f"event_{name}"] = ("event", values, said)
+        attrs = {"long_name": f"{name} of the event", **_unit(events.attrs["units"].get(name, ""))}
+        target[f"event_{name}"] = ("event", values, attrs)
     attributes: dict[str, str | float] = {
         "model": trace.name,
         "outcome": trace.outcome.name,
@@ -156,7 +156,7 @@ def _data_set(observer: Observer, trace: Trace, samples: Samples) -> xr.Dataset:
 
 
 def by_time(data: xr.Dataset) -> xr.Dataset:
-    """Return a data set of `to_xarray` over the dimension t, without times that occur twice."""
+    """Return a data set of `to_xarray` over the dimension t, with one sample per time."""
     t = data["t"].to_numpy()
     last = np.append(np.diff(t) > 0.0, True)
     return data.isel(sample=last).swap_dims(sample="t")
@@ -172,14 +172,13 @@ def write_run(
 ) -> tuple[str, ...]:
     """Write a run to a folder: trace.nc, run.json, events.csv, samples.csv and its figure.
 
-    Of a run that has kept nothing, run.json and events.csv.
+    A run with `record: nothing` has run.json and events.csv only.
 
-    All is written aside first. A new folder then appears at once; in one that exists, files of
-    these names are replaced one by one and others are left alone. What cannot be written does not
-    keep the rest from it.
+    Files are staged first. A new folder then appears atomically; in an existing one, files of these
+    names are replaced one by one. A file that cannot be written does not stop the others.
 
-    `report` makes the report after the trajectory is safe; `pieces` takes parts that could not be
-    written, and why, instead of an error, where some could. Returns the names of the files.
+    `report` is called after the trajectory is written. `pieces` records parts that failed; without
+    it an error is raised. Returns the names of the files.
     """
     from statechart.reporting.figure import figure, render
 
@@ -208,19 +207,19 @@ def write_run(
             def write(name: str, content: Callable[[bool], bytes], short: bool = False) -> None:
                 write_atomic(place / name, content(short))
 
-            # First what cannot be had again; then the report, which says what is left out of it.
-            kept = trace.record is not Record.NOTHING
-            if kept:
+            # The trajectory first, since it cannot be recomputed quickly.
+            recorded_states = trace.record is not Record.NOTHING
+            if recorded_states:
                 done.keep("trace.nc", partial(write, "trace.nc", data), None)
-            made = report()
-            done.keep("run.json", partial(write, "run.json", lambda _: dumps(made).encode()), None)
+            run = report()
+            done.keep("run.json", partial(write, "run.json", lambda _: dumps(run).encode()), None)
             tables = {"events.csv": events}
-            if kept and samples:
+            if recorded_states and samples:
                 tables["samples.csv"] = sampled
             for name, table in tables.items():
                 done.attempt(name, partial(write, name, table, done.hurried), None)
             draw_it = partial(figure, observer, trace)
-            drawing = done.attempt("figure", draw_it, None) if kept else None
+            drawing = done.attempt("figure", draw_it, None) if recorded_states else None
             if drawing is not None:
                 for kind in ("svg", "png"):
                     path = place / f"figure.{kind}"
@@ -237,7 +236,6 @@ def write_run(
 
 
 def _rows_of(trace: Trace) -> int:
-    """Return the rows of a step: of poses there is one."""
     return 1 if trace.record is Record.POSES else _ROWS
 
 
@@ -246,7 +244,7 @@ def _csv(table: pd.DataFrame) -> bytes:
 
 
 def _shape(trace: Trace, pieces: PartialReport, short: bool) -> tuple[Trace, float]:
-    """Return a run and the rows of a step; in short, some of its flows and events."""
+    """Return a run and its rows per step, in short form a selection of arcs and events."""
     if not short:
         return trace, _rows_of(trace)
     width = len(trace.variables)
@@ -262,7 +260,7 @@ def _shape(trace: Trace, pieces: PartialReport, short: bool) -> tuple[Trace, flo
 
 
 def netcdf(data: xr.Dataset) -> bytes:
-    """Return a NetCDF file: without a path the scipy engine returns it, so that none is half."""
+    """Return the content of a NetCDF file, so that no partial file is written."""
     return bytes(data.to_netcdf(engine="scipy"))
 
 
@@ -284,7 +282,7 @@ def _unit(unit: str) -> dict[str, str]:
     return {"units": unit} if unit else {}
 
 
-def _known(units: Mapping[str, str]) -> dict[str, str]:
+def _without_empty(units: Mapping[str, str]) -> dict[str, str]:
     return {name: unit for name, unit in units.items() if unit}
 
 

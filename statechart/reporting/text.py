@@ -1,4 +1,4 @@
-"""The report of a run as text for people."""
+"""Report of a run as text."""
 
 from __future__ import annotations
 
@@ -22,14 +22,13 @@ from statechart.tabular import (
     table,
 )
 
-# Events listed from the start and from the end.
-_SHOWN = 20
-# Names listed in one line; characters of the name of a margin, and of a candidate in a table.
+_SHOWN = 20  # events listed from the start and from the end
+# Names per line; characters of the name of a margin, and of a candidate in a table.
 _NAMES, _CHARACTERS, _CANDIDATE = 8, 60, 80
-# Regions that an event changes alike and that are named in a list of events.
+# Regions with the same change that are named in a list of events.
 ALIKE = 4
 _ALL = "--json or --output has all"
-# Causes of an event at which no guard fired: with events, and by steps.
+# Causes of an event at which no guard fired: event-driven, and by time steps.
 _IMMEDIATE = "immediate: the mode just entered was not valid"
 _STEPPED = "no guard: found by the time step"
 
@@ -46,7 +45,7 @@ def summary(report: Mapping[str, Any], digits: int = DIGITS) -> str:
 
 
 def describe_run(report: Mapping[str, Any], digits: int = DIGITS) -> list[TextBlock]:
-    """Return the blocks of `summary`: texts and tables."""
+    """Return the texts and tables of `summary`."""
     parts: list[list[TextBlock]] = [[_head(report)], _event_blocks(report, digits)]
     units = report.get("units", {})
     parts += [
@@ -70,7 +69,7 @@ def _head(report: Mapping[str, Any]) -> str:
 
 
 def computed(report: Mapping[str, Any]) -> list[str]:
-    """Return how a run was computed, its cost, and how exact it is, in lines."""
+    """Return lines on engine, cost and accuracy of a run."""
     counts = report["counts"]
     certified = _CERTIFIED[report["certified"]]
     lines = [
@@ -146,21 +145,21 @@ def _event_blocks(report: Mapping[str, Any], digits: int) -> list[TextBlock]:
 
 
 def shown(events: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any] | int]:
-    """Return the events to list, with the number left out in the place of many."""
+    """Return the events to list, with the number of omitted ones in their place."""
     return ends(events, _SHOWN)
 
 
 def change(event: Mapping[str, Any], most: int | None = None) -> str:
-    """Return what an event changes, such as ``A: free -> pin; B, C: free again``.
+    """Return the change of mode at an event: ``A: free -> pin; B, C: free again``.
 
-    Of more than `most` regions that change alike the number stands in place of the names.
+    The number replaces the names of more than `most` regions with the same change.
     """
     before, after = event["from"], event["to"]
     changes: dict[str, list[str]] = {}
     for name in before:
         if before[name] != after[name]:
             changes.setdefault(f"{before[name]} -> {after[name]}", []).append(name)
-    # Whose velocity jumped in the state that it stays in, such as a ball that bounces.
+    # Regions with an impact that stay in their state, such as a bouncing ball.
     for name in before:
         if before[name] == after[name] and name in (event["contact"], *event["impulse"]):
             changes.setdefault(f"{after[name]} again", []).append(name)
@@ -189,7 +188,7 @@ def _alternatives(rows: Sequence[Mapping[str, Any]], digits: int) -> list[TextBl
 
 
 def _least(values: Mapping[str, Any]) -> list[tuple[str, Any] | int]:
-    """Return margins by name; of many the least, and how many others there are."""
+    """Return margins by name; of many the smallest, and the number of the others."""
     left_out = len(values) - 2 * FEW
     if left_out <= 0:
         return list(values.items())
@@ -208,10 +207,7 @@ def _values(
     units: Mapping[str, str],
     digits: int = DIGITS,
 ) -> list[TextBlock]:
-    """Return values under a title, their units in a column that no list of values pushes away.
-
-    A number stands for as many that are left out.
-    """
+    """Return a table of values and units; an integer item is a number of omitted values."""
     known = [item for item in values if not isinstance(item, int)]
     texts = iter(aligned([number(value, digits) for _, value in known]))
     lines = [("", item) if isinstance(item, int) else (item[0], next(texts)) for item in values]
@@ -230,12 +226,12 @@ def _values(
 
 
 def explanation(report: Mapping[str, Any], digits: int = DIGITS) -> str:
-    """Return the explanation of every jump: guards that fired, margins, effects, candidates."""
+    """Return for every jump the guards that fired, margins, effects and candidates."""
     return plain(explain_events(report, digits))
 
 
 def explain_events(report: Mapping[str, Any], digits: int = DIGITS) -> list[TextBlock]:
-    """Return the blocks of `explanation`: titles and tables."""
+    """Return the titles and tables of `explanation`."""
     return join_blocks(
         [f"... {event} more: --json --explain or --output has all\n"]
         if isinstance(event, int)
@@ -281,7 +277,7 @@ def _entitled(head: str, lines: list[tuple[str, ...]]) -> list[tuple[str, str]]:
 
 
 def _candidates(event: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return candidates and verdicts, without the states that all candidates share."""
+    """Return candidates and verdicts, without states common to all candidates."""
     labels = {label: label.split() for label in event["considered"]}
     common = set.intersection(*map(set, labels.values())) if len(labels) > 1 else set()
     found: list[tuple[str, ...]] = [

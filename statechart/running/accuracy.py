@@ -1,9 +1,8 @@
-"""Error estimate and control: several runs, and what their differences show.
+"""Global error estimation and control by differences of runs.
 
-`tighten` delivers an accuracy at ever tighter tolerances, `refine` at ever shorter steps, `within`
-the best accuracy in a time, `replay` a run that a study measured; `RunPlanner` chooses among them.
-`EvaluatedRun` is compared, `RunEstimate` is the run delivered with its estimated error,
-`AccuracyRequest` what a result keeps of the request.
+`tighten` reaches an accuracy by decreasing tolerances, `refine` by decreasing time steps, `within`
+the best accuracy in a time budget; `replay` repeats a run that a study measured. `RunPlanner`
+selects among them.
 """
 
 from __future__ import annotations
@@ -39,72 +38,68 @@ from statechart.observation.scales import OutputValue, Scales
 from statechart.tabular import several
 
 WITHOUT_ERROR = (Outcome.OUT_OF_BUDGET, Outcome.UNSUPPORTED)
-"""Outcomes of runs that tell nothing of their error."""
+"""Outcomes of runs without an error estimate."""
 _CUT_SHORT = (Outcome.INTERRUPTED, Outcome.OUT_OF_BUDGET)
 
 _BELOW = 1.0 / 10.0
-"""Errors of a run exceed its tolerance by about so much: where an accuracy is asked for and nothing
-was measured, the first tolerance is that far below."""
+"""First tolerance relative to the requested accuracy: errors exceed the tolerance by about this
+factor."""
 
 BRIEF = 1e-6
-"""Modes that differ for less than this part of a run are the same where no accuracy says more."""
+"""Modes that differ for less than this fraction of a run count as equal."""
 
-# The search for the best accuracy within a time: the first tolerance, and the step to the next. A
-# method of order 5 takes three times as long for it, so a third of the time is used at least.
+# Search for the best accuracy within a time: first tolerance, and factor to the next. A method of
+# order 5 takes three times as long for it, so at least a third of the time is used.
 _FIRST, _STRIDE = 1e-4, TIGHTER**2
-# The next run is expected to take at least so many times the time of the last one.
+# Least expected ratio of the times of the next run and the last one.
 _LONGER = 1.5
-# So many times the time of one run allows a second, tighter one besides.
+# This many times the time of one run allows a second, tighter one.
 _ADVISED = 5.0
-# A budget is kept to within this factor, or so many seconds.
+# Allowed overrun of a budget, as a factor and in seconds.
 _OVERRUN, _MOMENT = 1.2, 0.05
-# How far below a run another one is that tells how many events there are.
+# Tolerance ratio of the run that verifies the number of events.
 _FAR = TIGHTER**2
-# Two runs of many steps may agree to so many round-off errors by luck.
+# Two runs of many steps may agree to this by chance.
 _ROUNDED = 32.0 * float(np.finfo(float).eps)
 _NEARLY = 1.0 + 1e-9
 
-# Steps of bodies: the scheme is of first order, x(h) = x + c h, so that two runs tell the error of
-# the finer one, c h = (x(r h) - x(h)) / (r - 1). But an event falls anywhere between two steps, so
-# that c is another number in every run, and two runs agree by luck. Steps shorten by the square
-# root of 1/2, whose powers put no event at the same place between steps twice, and a run is
-# compared with four.
+# Richardson extrapolation of time stepping: order 1, x(h) = x + c h, so that the error of the finer
+# of two runs is c h = (x(r h) - x(h)) / (r - 1). The place of an event between two steps is random,
+# and so is c: a run is compared with four, whose steps are powers of sqrt(1/2) and place no event
+# alike.
 SHORTER = math.sqrt(0.5)
-"""The factor from one step size to the next."""
+"""Ratio of successive step sizes."""
 FIRST_SHARE = 1e-3
-"""Part of the run that the first step is, where nothing else says how long it is."""
+"""Default of the first step, as a fraction of the run."""
 _COMPARED = 4
-"""So many runs before tell the error of one: their steps reach to four times its own."""
+"""Number of earlier runs in an estimate; their steps reach four times its own."""
 _SAFE = 1.5
-"""Where an event falls in its step is chance. For one event, a place as good as any other, four
-first-order estimates all stay below the error in 12 of 100 cases; 1.5 times them in 3, and below a
-half of it in 0.3."""
+"""Safety factor. For one event at a random place, four first-order estimates are all below the
+error in 12 % of cases; 1.5 times them in 3 %, and below half of it in 0.3 %."""
 _MAX_STEPS = 2**20
-"""Steps of a run, beyond which none is tried: minutes, and as much as a trace can hold."""
+"""Limit of the steps of a run: minutes, and the capacity of a trace."""
 _SHORTEST = 2.0**-40
-"""Part of the longest run that a step may be, where runs end early because it is too long."""
+"""Least step, as a fraction of the run, if longer steps end runs early."""
 _PATIENCE = 10
-"""After so many runs, steps a 32nd as long, an estimate that has not even halved never will."""
+"""Number of runs, with steps down to 1/32, in which an estimate must have halved."""
 _AT_REST = 1e-3
-"""Of the tolerance of speeds at the start, 1e-9 of the scene's: where a block is stuck from the
-start on, all of its motion is round-off."""
+"""Fraction of the velocity tolerance at the start (1e-9 of the scene's scale) below which motion is
+round-off, as of a block that sticks from the start."""
 
 _STEP_TOO_LONG = (Outcome.STEP_TOO_LARGE, Outcome.UNSOLVED_IMPULSES)
 
 Once = Callable[[float, bool], tuple[Observer, Trace]]
-"""Runs a model once at a tolerance; True: from a start that is off by the tolerance."""
+"""Runs a model at a tolerance; True: from a start perturbed by the tolerance."""
 
 
 @dataclass(frozen=True)
 class Cost:
     """Cost of one or several runs."""
 
-    # Over all runs; evaluations of the rates are 0 where the engine does not count them.
     runs: int
     steps: int
-    evaluations: int
-    # Wall time, without that of kernels that were compiled meanwhile, once on a machine.
-    seconds: float
+    evaluations: int  # of the rates; 0 if not counted
+    seconds: float  # wall time without compilation of kernels
 
     def __add__(self, other: Cost) -> Cost:
         """Return the sum of two costs."""
@@ -119,15 +114,15 @@ class AccuracyRequest:
     Attributes
     ----------
     setting : Setting
-        With the accuracy or the budget allowed.
+        With the accuracy or budget.
     basis : str
-        How the first tolerance or step was chosen.
+        Source of the first tolerance or step.
     cost : Cost
         Of all runs.
     not_judged : tuple of str
         Outputs without an error estimate: the number of bounces of a Zeno sequence has no limit.
     decides : str
-        The quantity whose error is the estimate, with its values in two runs; else empty.
+        The quantity with the largest error, with its values in two runs; else empty.
     """
 
     setting: Setting
@@ -137,11 +132,11 @@ class AccuracyRequest:
     decides: str = ""
 
     def reached(self, estimate: float | None) -> bool:
-        """Return whether an error estimate satisfies the request; a budget takes any estimate."""
+        """Return whether an error estimate satisfies the request; any does for a budget."""
         return estimate is not None and estimate <= (self.setting.accuracy or math.inf)
 
     def to_dict(self, estimate: float | None) -> dict[str, Any]:
-        """Return the request as one plain object."""
+        """Return the request as a JSON object."""
         return {
             "accuracy": self.setting.accuracy,
             "budget": self.setting.budget,
@@ -157,23 +152,19 @@ class AccuracyRequest:
 class RunEstimate:
     """The best of several runs with its estimated error."""
 
-    # Of that run.
     observer: Observer
     trace: Trace
-    # Its largest difference from the run at the tolerance before; inf where the two took different
-    # modes, None where there was only one.
+    # Largest difference from the run before; inf for different modes, None without one.
     error: float | None
-    cost: Cost  # Of all runs.
-    # Reasons why the estimate misses the request; empty where it does not.
-    warnings: tuple[str, ...] = ()
-    # As of `AccuracyRequest`.
-    not_judged: tuple[str, ...] = ()
+    cost: Cost  # of all runs
+    warnings: tuple[str, ...] = ()  # why the estimate misses the request
+    not_judged: tuple[str, ...] = ()  # as of `AccuracyRequest`
     decides: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedRun:
-    """A run, its outputs, their scales, and the outputs that count events without end."""
+    """A run with outputs and scales; `endless` outputs count events of Zeno sequences."""
 
     observer: Observer
     trace: Trace
@@ -188,7 +179,7 @@ class EvaluatedRun:
         return cls(observer, trace, made.of(trace), made.scales(trace), made.endless(trace))
 
     def difference(self, other: EvaluatedRun, scales: Scales, **options: Any) -> Difference:
-        """Return the difference of another run from this one; see `compare` for the options."""
+        """Return the difference of another run; see `compare` for the options."""
         options.setdefault("endless", self.endless | other.endless)
         return compare(
             self.trace, other.trace, self.outputs, other.outputs, scales=scales, **options
@@ -202,7 +193,7 @@ class EvaluatedRun:
 
 
 class _Error(NamedTuple):
-    """An error, and the quantity that it belongs to with its values in two runs."""
+    """An error, and its quantity with the values in two runs."""
 
     size: float
     decides: str
@@ -212,7 +203,7 @@ _NO_ERROR = _Error(0.0, "")
 
 
 class _Series:
-    """Several runs of a model, with their cost and the estimated error of the last."""
+    """A series of runs, with their cost and the estimated error of the last."""
 
     def __init__(
         self,
@@ -254,13 +245,13 @@ class _Series:
         return RunEstimate(observer, trace, self.error, self.cost, warnings, endless, decides)
 
     def interrupted(self, observer: Observer, trace: Trace) -> RunEstimate:
-        """Return a run that a signal ended: its error is unknown."""
+        """Return an interrupted run, without error estimate."""
         warning = "interrupted before its error was estimated"
         return RunEstimate(observer, trace, math.inf, self.cost, (warning,))
 
 
 class _Tightened(_Series):
-    """Runs at ever tighter tolerances, and how the last two differ."""
+    """Runs at decreasing tolerances."""
 
     def __init__(
         self,
@@ -276,16 +267,14 @@ class _Tightened(_Series):
         self._merged: float | None = None
 
     def compare(self, observer: Observer, trace: Trace, *, last: bool = False) -> None:
-        """Estimate the error of a run by its difference from the last one.
+        """Estimate the error of a run by its difference from the one before.
 
-        Two runs may agree by luck, or because their flows are polynomials, on which the tolerance
-        has no influence. So where they agree well, or nothing tighter follows, a third, from a
-        start that is off by the tolerance, shows how much an error so small is magnified; it alone
-        tells the error of a first run that is the `last`.
+        Two runs may agree by chance, or because their flows are polynomials. If they agree well, or
+        this run is the `last`, a third run from a perturbed start bounds the error from below.
         """
         now = EvaluatedRun.of(observer, trace)
         if self._last is None and last:
-            # Nothing is tighter, and what is looser need not be run.
+            # The first run is at the least tolerance: no other is needed.
             self._error = self._magnified(now)
         elif self._last is not None:
             before = self._last.trace
@@ -301,10 +290,9 @@ class _Tightened(_Series):
         self._last = now
 
     def _grown(self, before: EvaluatedRun, now: EvaluatedRun, well: float) -> _Error:
-        """Return the error that the tolerance becomes at the end; 0 where it is unknown.
+        """Return the effect of a perturbation by the tolerance; 0 if unknown.
 
-        The run before is cheaper to make again than the last one, and it shows the same in
-        proportion, unless its own tolerance takes it into other modes.
+        Computed with the run before, which is cheaper, and scaled, unless its modes differ.
         """
         found = self._magnified(before)
         if found is not None:
@@ -314,22 +302,20 @@ class _Tightened(_Series):
         return self._magnified(now) or _NO_ERROR
 
     def _magnified(self, now: EvaluatedRun) -> _Error | None:
-        """Return the difference from a run whose start is off; None where that says nothing."""
+        """Return the difference from a run with a perturbed start, or None."""
         try:
             observer, trace = self.make(now.trace.tolerance, True)
         except DeclarationError:
-            # Off by so much, the start is no start.
-            return None
+            return None  # no valid initial state
         if _identical(trace, now.trace) or trace.outcome in _CUT_SHORT:
             return None
         words = "with gaps and from starts that differ by the tolerance"
         return self._difference(EvaluatedRun.of(observer, trace), now, words)
 
     def _counted(self, now: EvaluatedRun) -> _Error:
-        """Return the difference from a far tighter run; 0 where no events are counted or listed.
+        """Return the difference from a far tighter run; 0 without outputs that count events.
 
-        Impacts that follow each other within the tolerance are one, and two runs whose tolerances
-        are near each other may agree on that.
+        Impacts within the tolerance of each other merge, alike in runs of similar tolerance.
         """
         tolerance = max(now.trace.tolerance * _FAR, self._floor)
         if not (now.counts_events and tolerance < now.trace.tolerance):
@@ -342,16 +328,16 @@ class _Tightened(_Series):
 
     @property
     def stride(self) -> float:
-        """Factor to the second tolerance; far smaller where events are counted."""
+        """Ratio of the second tolerance; smaller if events are counted."""
         return _FAR if self._last is not None and self._last.counts_events else TIGHTER
 
     def _difference(self, one: EvaluatedRun, other: EvaluatedRun, how: str) -> _Error:
-        # The number of events of a Zeno sequence that are resolved follows from the tolerance.
+        # The resolved number of events of a Zeno sequence depends on the tolerance.
         self._endless = one.endless | other.endless
         found = one.difference(other, other.scales, brief=self._brief)
         runs, self.diverged = f"runs {how} {other.trace.tolerance:.2g}", ""
         if found.diverged is None:
-            # Of events that one of the runs has, and the other not, the result is the same.
+            # Events in only one of the runs that do not change the result.
             _, self._merged = paired(one.trace, other.trace)
         else:
             self.diverged = (
@@ -381,7 +367,7 @@ class _Tightened(_Series):
 def tighten(
     once: Once, accuracy: float, *, floor: float, first: float | None = None
 ) -> RunEstimate:
-    """Run at ever tighter tolerances until two runs differ by no more than `accuracy`."""
+    """Run at decreasing tolerances until two runs differ by at most `accuracy`."""
     tolerance = max(accuracy * _BELOW if first is None else first, floor)
     runs = _Tightened(once, floor, accuracy)
     observer, trace = runs.make(tolerance, False)
@@ -419,11 +405,11 @@ def within(
     first: float | None = None,
     clock: Callable[[], float] = working_time,
 ) -> RunEstimate:
-    """Return the most accurate run that a time allows.
+    """Return the most accurate run within a time budget.
 
-    `once` makes a run, and ends it with `Outcome.OUT_OF_BUDGET` once the time is up; `spent` of the
-    `budget` passed before the first. `first` is the tolerance to begin with, where the time of runs
-    is known, `floor` the least. If no run ended in time, the first is returned as far as it came.
+    `once` ends a run with `Outcome.OUT_OF_BUDGET` when the time is up; `spent` of the `budget`
+    passed before. `first` and `floor` are the first and least tolerance. If no run completes, the
+    partial first one is returned.
     """
     tolerance, stride = (_FIRST, _STRIDE) if first is None else (first, TIGHTER)
     tolerance = max(tolerance, floor)
@@ -465,11 +451,10 @@ def within(
 
 
 def replay(once: Once, chosen: Chosen) -> RunEstimate | None:
-    """Repeat a run that a study measured; None where it turns out as another one.
+    """Repeat a run that a study measured, with its measured error; None if it differs.
 
-    Its error needs no further run to be estimated: that of the same run was measured against a
-    reference. That it is the same shows in its end, its flows, steps and evaluations; a library of
-    another version, or a setting of the processor, may make it another.
+    Outcome, flows, steps and evaluations identify the run; other libraries or processors may change
+    it.
     """
     assert chosen.setting.tolerance is not None
     series = _Series(once, None)
@@ -491,7 +476,7 @@ def _identical(one: Trace, other: Trace) -> bool:
 
 
 class _Refined(_Series):
-    """Runs at ever shorter steps, of which each is compared with four before."""
+    """Runs at decreasing steps, each compared with the four before."""
 
     def __init__(self, once: Callable[[float], tuple[Observer, Trace]], accuracy: float) -> None:
         super().__init__(once, accuracy)
@@ -500,7 +485,7 @@ class _Refined(_Series):
         self._reason = ""
 
     def compare(self, observer: Observer, trace: Trace) -> RunEstimate:
-        """Return a run with its estimated error; inf where too few were made before it."""
+        """Return a run with its estimated error; inf after too few runs."""
         now, decides, error = EvaluatedRun.of(observer, trace), "", math.inf
         if len(self._before) == _COMPARED:
             self._endless = now.endless.union(*(run.endless for run in self._before))
@@ -518,7 +503,7 @@ class _Refined(_Series):
         return self.estimate(observer, trace)
 
     def missed(self, found: RunEstimate, why: str) -> RunEstimate:
-        """Return a run that is less accurate than requested, with a warning."""
+        """Return a run that misses the accuracy, with a warning."""
         warning = (
             f"the accuracy {self._accuracy:g} was not reached: at a step of {found.trace.step:.2g} "
             f"the estimated error is {found.error:.2g}, and {why}{self._reason}"
@@ -527,14 +512,14 @@ class _Refined(_Series):
 
     @property
     def stuck(self) -> bool:
-        """True if the estimate no longer falls with the step."""
+        """True if the estimate does not converge with the step."""
         known = self._estimates[_COMPARED:]
         return len(known) > _PATIENCE and not known[-1] < 0.5 * known[-1 - _PATIENCE]
 
     def _distance(
         self, coarse: EvaluatedRun, fine: EvaluatedRun
     ) -> tuple[float, str, float | None]:
-        """Return how far two runs differ, in which quantity, and when their modes first do."""
+        """Return the difference of two runs, its quantity, and the time of the first other mode."""
         found = coarse.difference(
             fine,
             fine.scales,
@@ -544,8 +529,8 @@ class _Refined(_Series):
         )
         parts = {str(found.decides): max(found.state, found.times, found.outputs)}
         if found.diverged is not None and max(parts.values()) < math.inf:
-            # How many bounces are resolved before rest follows from the step: what converges then
-            # is the path, and for how long modes are others (Moreau 1999).
+            # The number of resolved bounces depends on the step: only the path converges, and the
+            # duration of other modes (Moreau 1999).
             runs = coarse.trace, fine.trace
             parts |= {"the modes": mode_disagreement(*runs), "the path": distance(*runs)}
         quantity = max(parts, key=parts.__getitem__)
@@ -555,7 +540,7 @@ class _Refined(_Series):
 def refine(
     once: Callable[[float], tuple[Observer, Trace]], accuracy: float, *, first: float, end: float
 ) -> RunEstimate:
-    """Run at ever shorter steps until the estimated error is no more than `accuracy`."""
+    """Run at decreasing steps until the estimated error is at most `accuracy`."""
     runs = _Refined(once, accuracy)
     step = min(first, end) or first
     last: RunEstimate | None = None
@@ -590,11 +575,10 @@ def _step(run: EvaluatedRun) -> float:
 
 
 class RunPlanner:
-    """Makes the runs that a plan asks for.
+    """Runs a model by a plan.
 
-    A run is tried with the setting `first`; `setting` is that of the last run, with another engine
-    where the first choice could not make it, and `reason` says why. `searching` is whether the
-    tolerance, or the step, is searched for.
+    `first` is the setting tried first; `setting` is that of the last run, with another engine if
+    the first choice failed for `reason`. `searching` is true for an accuracy or a budget.
     """
 
     def __init__(
@@ -608,8 +592,8 @@ class RunPlanner:
         self.searching = self.first.accuracy is not None or self.first.budget is not None
 
     def run(self, overrides: Mapping[str, float], end: float) -> tuple[RunEstimate, str]:
-        """Return the run asked for, and how its first tolerance or step was chosen."""
-        # What another run could not do says nothing of this one, which may enter other modes.
+        """Return the run, and the source of its first tolerance or step."""
+        # Each run tries the first engine, since it may enter other modes.
         self.setting, self.reason = self.first, self._first_reason
         if not self.searching:
             observer, trace = self._once(self.setting, overrides, end)
@@ -628,7 +612,7 @@ class RunPlanner:
         return found, basis
 
     def certified(self, found: RunEstimate, overrides: Mapping[str, float], end: float) -> Trace:
-        """Return the trace of a run with the proved bounds of its motion."""
+        """Return the trace of a run with proved bounds of its defect."""
         trace, simulator = found.trace, found.observer.simulator
         ended = trace.outcome in (*WITHOUT_ERROR, Outcome.INTERRUPTED)
         if ended or isinstance(simulator, SteppingSimulator):
@@ -646,10 +630,10 @@ class RunPlanner:
         )
 
     def _change_engine(self, trace: Trace) -> bool:
-        """Take scipy where taylor was picked and cannot run the model; whether that is so.
+        """Fall back from taylor to scipy if it cannot run the model; return whether it did.
 
-        It cannot expand every flow, its steps collapse on stiff ones, and there may be no time to
-        compile the first.
+        Taylor cannot expand every flow, its steps collapse on stiff ones, and compilation may
+        exceed a budget.
         """
         picked = self.setting.engine == "auto" and trace.engine.startswith("taylor")
         late = trace.outcome is Outcome.OUT_OF_BUDGET and not trace.arcs
@@ -665,7 +649,7 @@ class RunPlanner:
     def _search(
         self, overrides: Mapping[str, float], end: float, spent: float = 0.0
     ) -> tuple[RunEstimate, str]:
-        """Search for the accuracy, or the best in the time of which some is `spent`."""
+        """Search for the accuracy, or the best one in the remaining budget."""
         setting, plan, basis = self.setting, self._plan, self._plan.basis
 
         def once(tolerance: float, off: bool) -> tuple[Observer, Trace]:

@@ -1,4 +1,4 @@
-"""Drawings of a model: its statechart, its scene, and its product automaton as a graph."""
+"""Drawings of a model: statechart, scene, and product automaton as a graph."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import networkx as nx
     from matplotlib.figure import Figure
 
-# Of the time in which a scene moves by its own length, as its tolerances tell it.
+# Fraction of the time in which a scene moves by its own length.
 _MOMENT = 1e-6
 
 
@@ -37,8 +37,8 @@ def draw(
 ) -> Diagram:
     """Draw the statechart of a model.
 
-    One region is drawn as its own chart, two as the grid of their product. Of more, and of two with
-    many states, what a run visits is drawn, and the chart of every region.
+    One region is drawn as its chart, two as the grid of their product. For more regions or many
+    states the modes that a run visits are drawn, and the chart of every region.
 
     Parameters
     ----------
@@ -47,21 +47,20 @@ def draw(
     path : str or Path, optional
         The file to write: .svg, .png, .pdf, .dot, .mmd, .scxml or .graphml.
     visited : bool
-        Whether the modes and the path of a run are drawn alone.
+        Draw only the modes and the path of a run.
     guards : str
-        Whether guards, resets and conditions stand once in a ``legend``, or ``inline`` at every
-        arrow.
+        Place of guards, resets and conditions: once in a ``legend``, or ``inline`` at every arrow.
 
     Returns
     -------
     Diagram
-        The drawing; a notebook shows it.
+        Notebooks show it.
 
     Raises
     ------
     StatechartError
-        If the model is wrong or cannot be run where a run is shown, the suffix or `guards` is not
-        known, or Graphviz is missing where a picture is asked for.
+        If the model is wrong, its run fails, the suffix or `guards` is unknown, or Graphviz is
+        missing for a picture.
 
     Examples
     --------
@@ -77,7 +76,7 @@ def draw(
 
 
 def draw_scene(model: Declaration | Runner | str | Path, path: str | Path) -> Path:
-    """Draw a scene where its runs start: bodies, surfaces, contacts coloured by mode, and names."""
+    """Draw the initial scene: bodies, surfaces, contacts coloured by mode, and names."""
     from statechart.reporting.figure import write_figure
 
     write_figure(_scene(model if isinstance(model, Runner) else Runner(model)), path)
@@ -85,14 +84,14 @@ def draw_scene(model: Declaration | Runner | str | Path, path: str | Path) -> Pa
 
 
 def notebook(model: Declaration) -> str:
-    """Return the scene of a model, where it has bodies, above its statechart, as HTML."""
+    """Return the scene (if any) and the statechart of a model as HTML."""
     from statechart.reporting.figure import render
 
     runner = Runner(model)
     pictures = [drawn(runner)[0].svg()]
     if kind(model.kind).stage is not None:
         pictures.insert(0, render(_scene(runner), "svg").decode())
-    # As wide as the cell at most: screens are narrower than many a picture.
+    # At most as wide as the cell.
     style = '<svg style="max-width: 100%; max-height: 420px; height: auto"'
     drawings = (svg[svg.index("<svg") :].replace("<svg", style, 1) for svg in pictures)
     frame = "background: #fff; max-width: 760px; padding: 8px"
@@ -105,7 +104,7 @@ def _scene(runner: Runner) -> Figure:
 
     stage = stage_of(runner.automaton)
     start = runner.run(until=0.0)
-    # Forces that a motion shares, and modes of steps, show after a moment.
+    # Shared forces, and modes of time stepping, are known after a short time.
     least = start.trace.tolerances
     moment = start.trace.step or _MOMENT * least["gap"] / least["speed"]
     start = runner.run(until=moment, throw=False)
@@ -130,24 +129,24 @@ def graph(
     trace : Trace, optional
         A run of it, whose visits are counted.
     around : tuple of str, optional
-        A mode, as a state of every region; by default those of the trace, or where a run starts.
+        A mode, as a state of every region; by default those of the trace, or the initial one.
     within : int, optional
-        How many edges away from there other modes may be: with 0 and a trace, the modes visited.
-        By default all modes are there, up to 4096; a product of more is never built.
+        Largest distance of modes from there in edges: with 0 and a trace, the modes visited. By
+        default all modes, up to 4096.
     directions : bool
-        Whether directions of sliding are told apart.
+        Whether directions of sliding are separate modes.
 
     Returns
     -------
     MultiDiGraph
-        Nodes are modes, with `label`; `feasible` and `reason` where they can be judged, which is
-        where a run starts; `visits`, how often the run entered the mode, where one is given.
-        Edges have `region`, `event`, `guard`, `reset`, and `visits` likewise.
+        Nodes are modes with `label`, `feasible` and `reason` at the initial state if decidable, and
+        with a trace `visits`, the number of entries. Edges have `region`, `event`, `guard`,
+        `reset`, and `visits`.
 
     Raises
     ------
     StatechartError
-        If the model is wrong, the modes are too many, or the mode or the run is not of it.
+        If the model is wrong, has too many modes, or the mode or the run is of another model.
 
     Examples
     --------
@@ -181,9 +180,9 @@ def graph(
 def drawn(
     runner: Runner, *, visited: bool = False, known: Trace | None = None
 ) -> tuple[Diagram, Trace | None]:
-    """Return the diagram of a model, and the run that it shows where one is asked for or needed.
+    """Return the diagram of a model, and the run that it shows if one is requested or needed.
 
-    That is made, unless one is known that kept its modes.
+    A `known` run with recorded modes is used, else one is computed.
     """
     start, _ = runner.start()
     trace = None

@@ -17,7 +17,7 @@ from statechart.running.runner import Runner
 
 @dataclass(frozen=True, repr=False)
 class Modes:
-    """The modes of a model where its runs start; `str` lists them with their transitions.
+    """The modes of a model at its initial state; `str` lists them with their transitions.
 
     Attributes
     ----------
@@ -35,18 +35,18 @@ class Modes:
     __repr__ = __str__
 
     def __len__(self) -> int:
-        """Return the number of modes, directions of sliding not told apart."""
+        """Return the number of modes, without directions of sliding."""
         declared: int = self.listed["modes_declared"]
         return declared
 
     @property
     def possible(self) -> tuple[Mapping[str, str], ...]:
-        """The modes that are kinematically possible, region to state."""
+        """The kinematically feasible modes: region -> state."""
         return tuple(self._feasibility["feasible"])
 
     @property
     def refused(self) -> tuple[tuple[Mapping[str, str], str], ...]:
-        """The other modes, and why they are not possible."""
+        """The infeasible modes with reasons."""
         return tuple((one["mode"], one["reason"]) for one in self._feasibility["infeasible"])
 
     @property
@@ -58,14 +58,14 @@ class Modes:
 
 @checked
 def modes(model: Declaration | str | Path, parameters: Mapping[str, float] | None = None) -> Modes:
-    """Return the modes of a model, and which are possible where its runs start.
+    """Return the modes of a model, with their feasibility at the initial state.
 
     Parameters
     ----------
     model : Declaration, str or Path
         A model, the path of its file, or the name of a shipped one.
     parameters : mapping of str to float, optional
-        Values that replace those of some parameters.
+        Values of some parameters.
 
     Examples
     --------
@@ -76,7 +76,7 @@ def modes(model: Declaration | str | Path, parameters: Mapping[str, float] | Non
     from statechart.reporting.modes import listing
 
     runner = Runner(model)
-    # Modes are listed where no mode agrees with the start, too.
+    # Modes are listed even if none is consistent with the initial state.
     with suppress(SimulationError):
         runner.start(parameters)
     setup, automaton = runner.setup(parameters), runner.automaton
@@ -102,14 +102,14 @@ def equations(
     mode : str
         A state of every region: `tip:pin`, `A:free B:slide+`, or `pin` where there is one region.
     parameters : mapping of str to float, optional
-        Values that replace those of some parameters.
+        Values of some parameters.
     latex : bool
         For amsmath.
 
     Raises
     ------
     DeclarationError
-        If there is no such mode.
+        If the mode does not exist.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The result of a run: its trace, what is evaluated along it, tables, pictures, and its page."""
+"""Result of a run: trace, outputs, tables, pictures, page."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from statechart.observation.outputs import Outputs
 from statechart.reporting.partial_report import PartialReport
 from statechart.running.accuracy import AccuracyRequest
 
-if TYPE_CHECKING:  # what only some results are asked for takes long to import
+if TYPE_CHECKING:  # slow imports
     import pandas as pd
     import xarray as xr
     from matplotlib.figure import Figure
@@ -44,8 +44,7 @@ class Reading:
     mode : mapping of str to str
         Region -> its state.
     values : mapping of str to float
-        Variables, and what else can be observed: gaps, forces, energy; not a number where it has
-        no value.
+        Variables and observables (gaps, forces, energy); NaN if undefined.
     """
 
     t: float
@@ -65,19 +64,18 @@ class Result:
     observer : Observer
         Evaluates formulas along the trace.
     error_estimate : float or None
-        Where an accuracy was asked for: the largest difference between this run and one at 20
-        times its tolerance, or what the scheme's order makes of those at up to four times its
-        step, of the final state, the times of events and the outputs, each relative to its own
-        size; inf where there is none. Of a run that a study measured, its error against the study's
-        reference, and what that may be off by. None where nothing was estimated.
+        With a requested accuracy: the largest relative difference of final state, times of events
+        and outputs from a run at 20 times the tolerance, or extrapolated from runs at up to four
+        times the step; inf if runs are not comparable. For a run that a study measured, its error
+        against the reference plus the resolution. Else None.
     timings : mapping of str to float
-        Seconds that reading, composing and running took.
+        Seconds of reading, composing and running.
     asked : AccuracyRequest or None
-        The accuracy or the budget that was asked for, and its cost.
+        The requested accuracy or budget, and its cost.
     study : Study or None
-        The study by which the engine and the tolerance were chosen.
+        The study that chose engine and tolerance.
     source : callable
-        Makes again what evaluates the run; in another process it composes the model anew.
+        Recreates the observer; in another process it composes the model.
     """
 
     trace: Trace
@@ -89,13 +87,13 @@ class Result:
     study: Measured | None = None
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle the trace and its source: the observer is made anew in the other process."""
+        """Pickle the trace and its source; the other process recreates the observer."""
         parts = (self.trace, self.error_estimate, self.timings, self.asked, self.study)
         return _restored, (self.source, *parts)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Caveats: of the run, and of guards that it leaves open."""
+        """Warnings of the run, and of guards with undecided grazes."""
         return self.trace.warnings + self._left_open
 
     @cached_property
@@ -104,21 +102,20 @@ class Result:
 
     @cached_property
     def outputs(self) -> Mapping[str, Any]:
-        """The outputs that the model declares.
+        """The declared outputs.
 
-        A number each; a list at `each` event or some of them; None where the event never happened.
-        What it is follows from the declaration, and not from its type.
+        Numbers, lists for `each` or several events, and None if an event never happened.
         """
         return self.source().of(self.trace)
 
     @property
     def endless(self) -> frozenset[str]:
-        """The outputs that count or list events of which a Zeno sequence has no end."""
+        """The outputs that count or list events of a Zeno sequence."""
         return self.source().endless(self.trace)
 
     @cached_property
     def conditions(self) -> tuple[float | None, ...]:
-        """Condition number of the time of every event with respect to errors; None if unknown."""
+        """Condition number of the time of every event; None if unknown."""
         from statechart.observation.condition import conditions
 
         return conditions(self.observer, self.trace)
@@ -132,19 +129,19 @@ class Result:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        """Return the moving page of the run in a frame, for a notebook."""
+        """Return the page of the run in a frame for notebooks."""
         from statechart.pages.page import frame, html
 
         try:
             return frame(html(_page_content(self, None)))
-        except StatechartError as error:  # what a run has not recorded is no reason to show nothing
+        except StatechartError as error:  # the run did not record enough
             return f"<pre>{escape(str(self))}</pre><p>{escape(str(error))}</p>"
 
     @property
     def events(self) -> pd.DataFrame:
-        """The jumps, a row each: when, of which region, why, from and to which state.
+        """The jumps, one per row: t, j, region, cause, source, target, skipped time.
 
-        Then the time skipped, impulses, energies, and variables before and after; units are in
+        Further columns are impulses, energies, and variables before and after; units are in
         ``attrs["units"]``.
         """
         from statechart.reporting.tables import events_table
@@ -153,9 +150,9 @@ class Result:
 
     @property
     def samples(self) -> pd.DataFrame:
-        """Variables and observables along the run, a column each, beside t, j and mode.
+        """Variables and observables along the run in columns, with t, j and mode.
 
-        A jump shows as two rows of one time; units are in ``attrs["units"]``.
+        A jump gives two rows of one time; units are in ``attrs["units"]``.
         """
         from statechart.reporting.tables import samples_table
 
@@ -167,9 +164,9 @@ class Result:
         Returns
         -------
         Dataset
-            Variables and observables over `t`, with their units and long names. Times are unique:
-            at a jump the values are those after it, and what was before it stands along `event`.
-            So ``.sel(t=0.3, method="nearest")`` finds the nearest sample.
+            Variables and observables over `t`, with units and long names. Times are unique: values
+            at a jump are those after it, values before it are along `event`. So
+            ``.sel(t=0.3, method="nearest")`` returns the nearest sample.
         """
         from statechart.reporting.tables import by_time, to_xarray
 
@@ -187,7 +184,7 @@ class Result:
         Raises
         ------
         StatechartError
-            If the run has no such instant.
+            If the instant is outside the run.
 
         Examples
         --------
@@ -207,12 +204,12 @@ class Result:
 
     @checked
     def plot(self, path: Path | str | None = None) -> Figure:
-        """Return the run as one picture: the bodies at some instants, above curves and modes.
+        """Return the figure of the run: film strip of the bodies, curves, modes.
 
         Parameters
         ----------
         path : Path or str, optional
-            Where to write it, too; svg, png or pdf by its suffix.
+            File to write, svg, png or pdf by its suffix.
         """
         from statechart.reporting.figure import figure
         from statechart.reporting.film import strip_of
@@ -222,17 +219,17 @@ class Result:
 
     @checked
     def diagram(self, path: Path | str | None = None) -> Diagram:
-        """Return the modes that the run visited, and its path through them.
+        """Return the diagram of the visited modes and the path through them.
 
         Parameters
         ----------
         path : Path or str, optional
-            Where to write it, too; see `statechart.draw` for the suffixes.
+            File to write; see `statechart.draw` for the suffixes.
 
         Raises
         ------
         StatechartError
-            If the run has kept no modes.
+            If the run did not record modes.
         """
         if self.trace.record is not Record.MODES:
             raise StatechartError(
@@ -260,20 +257,20 @@ class Result:
         trail: float | None = None,
         progress: bool = False,
     ) -> Path:
-        """Write the bodies in motion, as a film.
+        """Write an animation of the bodies.
 
         Parameters
         ----------
         path : Path or str
-            What to write: .gif, or .mp4 where the program ffmpeg is.
+            File to write: .gif, or .mp4 with the program ffmpeg.
         speed : float, optional
-            Units of the run's time that pass in a second.
+            Simulated time per second.
         size : int
-            Pixels of the longer side.
+            Longer side in pixels.
         trail : float, optional
-            How far back in time trails of bodies reach; 0 for none.
+            Length of trails in simulated time; 0 for none.
         progress : bool
-            Whether pictures are counted on stderr.
+            Whether to report progress to stderr.
         """
         from statechart.reporting.film import Showing, animate
 
@@ -282,23 +279,22 @@ class Result:
 
     @checked
     def report(self, path: Path | str, *, study: Measured | None = None) -> Path:
-        """Write the run as one HTML file that needs nothing else.
+        """Write the run as one self-contained HTML file.
 
-        The moving scene with the forces, curves, the statechart with its active mode, the events
-        with their reasons, outputs and parameters; see docs/pictures.md.
+        It has the moving scene with forces, curves, the statechart with the active mode, events
+        with reasons, outputs and parameters; see docs/pictures.md.
 
         Parameters
         ----------
         path : Path or str
-            What to write; .html.
+            File to write, .html.
         study : Study, optional
-            What speed costs in accuracy, to be shown, too: of the same model, from `trade`. By
-            default the one that the run was given.
+            Study of the same model to show, from `trade`; by default that of the run.
 
         Raises
         ------
         StatechartError
-            If the suffix is another, the study is of another model, or the file cannot be written.
+            If the suffix is wrong, the study is of another model, or the file cannot be written.
         """
         from statechart.pages.page import write_page
 
@@ -317,7 +313,7 @@ class Result:
         """The runner that made the run.
 
         .. deprecated:: 0.2
-            Keep the runner, or make one of the model, which is `observer.automaton.declaration`.
+            Use the original runner, or create one from `observer.automaton.declaration`.
         """
         warnings.warn(
             "Result.runner goes with version 0.3: keep the runner, or make one of the model, "
@@ -330,7 +326,7 @@ class Result:
     def to_dict(
         self, *, explain: bool = False, most: int | None = None, pieces: PartialReport | None = None
     ) -> dict[str, Any]:
-        """Return the run as one plain object, as ``statechart run --json`` prints it."""
+        """Return the run as the JSON object of ``statechart run --json``."""
         from statechart.reporting.report import Computation, report
 
         asked, estimate = self.asked, self.error_estimate
@@ -351,10 +347,10 @@ class Result:
         Parameters
         ----------
         folder : Path or str
-            Where to.
+            Folder to write to.
         samples : bool, optional
-            Whether samples.csv is written, which says what trace.nc says. By default it is where
-            modes were kept; that goes with version 0.3.
+            Whether to write samples.csv, which repeats trace.nc. By default if modes were recorded;
+            this default ends with version 0.3.
         """
         from statechart.reporting.tables import write_run
 
@@ -398,7 +394,7 @@ def _page_content(result: Result, study: Measured | None) -> dict[str, Any]:
 
 
 def _study_content(result: Result, study: Measured) -> Mapping[str, Any]:
-    """Return the part of a page about a study; a remark where the run had other parameters."""
+    """Return the data of a study for a page, with a remark if the run had other parameters."""
     trace, setup = result.trace, result.observer.automaton.setup
     fineness = f"{trace.tolerance:.2g}" if trace.step is None else f"step {trace.step:.3g}"
     shown = study.shown(f"{trace.engine} {fineness}")

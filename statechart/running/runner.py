@@ -1,4 +1,4 @@
-"""A model on an engine: checks its inputs, makes runs, and locates problems in its document."""
+"""Runner: a model on an engine, with checked inputs and located errors."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from statechart.running.result import Result
 class Runner:
     """A model on an engine, compiled once for many runs.
 
-    The model's settings hold for arguments that are left out.
+    Arguments default to the settings of the model.
 
     Parameters
     ----------
@@ -49,27 +49,26 @@ class Runner:
     tolerance : float, optional
         Relative tolerance of the integration.
     accuracy : float, optional
-        Error allowed, relative to the size of what is computed: tolerances are tightened, or
-        steps of the engine impulse shortened, until the estimated error is below it.
+        Allowed relative error of the result: tolerances or time steps are reduced until the
+        estimated error is below it.
     step : float, optional
-        Length of a step in time, of the engine impulse, which needs it or an accuracy; then it is
-        the longest.
+        Time step of the engine impulse, which needs it or an accuracy; then it is the longest.
     budget : float, optional
-        Seconds allowed for a run: tolerances are tightened as long as there is time.
+        Seconds for a run: tolerances are tightened as long as there is time.
     max_step : float, optional
-        Longest step in time, of the engines that choose their own.
+        Longest time step of engines with step size control.
     impulse_tolerance, impulse_bound : float, optional
-        By how much the impulses of a step of the engine impulse may miss the contact laws, in parts
-        of the step's fastest approach, 1e-6 by default: more is told, and beyond the bound, which
-        is none by default, ends the run.
+        Residuals of the contact impulses in a step of the engine impulse, relative to its fastest
+        approach velocity: above the first (1e-6 by default), steps are counted in a warning; above
+        the second (by default none) the run ends.
     record : str, optional
         Recording of a run of the engine impulse: modes, poses (states at every step) or nothing
         (start, end and outputs).
     study : Study, optional
-        Measurements of this model, by which engine and tolerance are chosen.
+        Measurements of this model, which choose engine and tolerance.
     once : bool
-        Whether the choice is the cheapest for a single run, which loads and compiles all that it
-        needs, as those of the command line; else for many runs of this runner.
+        Choose the cheapest setting for a single run with its compilation, as on the command line;
+        else for many runs of this runner.
     progress : bool
         Whether runs above about a second report to stderr.
 
@@ -104,8 +103,8 @@ class Runner:
         self._timings = {"read": read_at - began, "compose": working_time() - read_at}
         self._asked = Setting(**setting)
         self.study, self._once, self._progress = study, once, progress
-        self._turn = threading.RLock()  # the memory of what is compiled serves one run at a time
-        # The last one with another number of copies of bodies: composing takes its time.
+        self._turn = threading.RLock()  # workspaces serve one run at a time
+        # Cached runner of the last other number of copies of bodies.
         self._varied: Runner | None = None
         with located(document, {}):
             self._plan = planned(self._asked, model, self.automaton, study, once=once)
@@ -116,16 +115,16 @@ class Runner:
 
     @property
     def document(self) -> Document | None:
-        """The document that the model was read from, if there is one."""
+        """The document of the model, if any."""
         return self._inputs.document
 
     @property
     def setting(self) -> Setting:
-        """Its engine, and what that is told; another engine where the first choice could not."""
+        """The setting of the last run, which may have fallen back to another engine."""
         return self._planner.setting
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle the model and the setting: the other process compiles anew."""
+        """Pickle the model and the setting; the other process compiles them."""
         return _restored, (self.model, self._arguments(self.study), self.document)
 
     @checked
@@ -142,19 +141,19 @@ class Runner:
         Parameters
         ----------
         parameters : mapping of str to float, optional
-            Values that replace those of some parameters.
+            Values of some parameters.
         until : float, optional
             End of the run; `stop.time` of the model by default.
         certify : bool
-            Prove of every step how far it is off its differential equation, and estimate what all
-            of them amount to (see `Trace.motion`), in a second run; not on the engine impulse.
+            Bound the defect of every step with proof, and estimate the global error (see
+            `Trace.motion`), in a second run; not on the engine impulse.
         throw : bool
-            Raise where the run cannot go on; else return what there is, with its outcome.
+            Raise an error if the run cannot go on; else return the partial result.
 
         Raises
         ------
         DeclarationError
-            If a parameter or the end is wrong, or the initial state is.
+            If a parameter, the end or the initial state is wrong.
         SimulationError
             With the trace so far, if the run cannot go on and `throw` is set.
         """
@@ -166,7 +165,7 @@ class Runner:
         return fitting._run(overrides, end, certify=certify, throw=throw)
 
     def _fitting(self, overrides: Mapping[str, float]) -> Runner:
-        """Return the runner of as many copies of bodies as these values make."""
+        """Return the runner for the numbers of copies of these values."""
         if self._inputs.copies(overrides) == self._copies:
             return self
         varied = self._varied
@@ -205,9 +204,9 @@ class Runner:
         return Result(trace, found.observer, found.error, timings, source, asked, self.study)
 
     def batch(self, names: Sequence[str]) -> tuple[Observer, BatchRunner] | None:
-        """Return what runs rows of values of some parameters, and what observes such runs.
+        """Return the observer and the batch runner for values of some parameters.
 
-        None where each run is made alone: an accuracy is searched for, time is stepped.
+        None if runs cannot be batched: with an accuracy or budget, or with time stepping.
         """
         planner = self._planner
         if planner.searching or self.setting.stepped or self._plan.measured is not None:
@@ -225,24 +224,24 @@ class Runner:
         every: float = math.inf,
         control: Control | None = None,
     ) -> Iterator[Arc | Jump]:
-        """Yield the arcs and jumps of a run as they come: for a display, a logger, a controller.
+        """Yield the arcs and jumps of a run as they are computed.
 
         Parameters
         ----------
         parameters, until
             As for `run`.
         every : float, optional
-            Arcs end at multiples of this time at the latest, of the engine impulse at its steps.
+            Arcs end at multiples of this time (rounded to steps of the engine impulse).
         control : callable, optional
             Called at the start and at these multiples with a `Sample`: time, mode and variables.
-            What it returns, parameters to values, holds from there on.
+            Returns new values of parameters.
 
         Raises
         ------
         DeclarationError
-            As `run`, and where an accuracy or a budget is asked for, which take several runs.
+            As `run`, and with an accuracy or a budget, which take several runs.
         SimulationError
-            Where the run cannot go on, after all that it made.
+            If the run cannot go on, after its last item.
 
         Examples
         --------
@@ -272,18 +271,18 @@ class Runner:
             )
 
         def located_items() -> Iterator[Arc | Jump]:
-            with located(self.document, overrides):  # errors of a control come later
+            with located(self.document, overrides):  # includes errors of a control
                 yield from pieces
 
         return located_items()
 
     def alternatives(self) -> dict[str, Runner]:
-        """Return runners of the model under the other choices that its laws leave open, by name."""
+        """Return runners of the variants of the model (`Declaration.alternatives`), by name."""
         others = self.model.alternatives()
         return {choice: self._other(model, None) for choice, model in others.items()}
 
     def start(self, parameters: Mapping[str, float] | None = None) -> tuple[Key, tuple[str, ...]]:
-        """Check the initial state without running; return its mode and the warnings.
+        """Check the initial state; return its mode and warnings.
 
         Parameters
         ----------
@@ -293,7 +292,7 @@ class Runner:
         Raises
         ------
         DeclarationError, SimulationError
-            If no run can start there.
+            If no run can start.
         """
         overrides = as_overrides(parameters)
         with located(self.document, overrides):
@@ -307,7 +306,7 @@ class Runner:
         return mode, tuple(dict.fromkeys(filter(None, (self._planner.reason, *warnings))))
 
     def setup(self, parameters: Mapping[str, float] | None = None) -> Setup:
-        """Return the numbers of a run: parameters, initial state, tolerances.
+        """Return the setup of a run: parameters, initial state, tolerances.
 
         Parameters
         ----------
@@ -317,7 +316,7 @@ class Runner:
         Raises
         ------
         DeclarationError
-            If a parameter or a number that follows from it is wrong.
+            If a parameter or a derived number is wrong.
         """
         overrides = as_overrides(parameters)
         self._inputs.values(overrides)
@@ -329,7 +328,7 @@ class Runner:
     def end(
         self, parameters: Mapping[str, float] | None = None, *, until: float | None = None
     ) -> float:
-        """Return when a run ends at the latest.
+        """Return the end time of a run.
 
         Parameters
         ----------
@@ -339,12 +338,12 @@ class Runner:
         Raises
         ------
         DeclarationError
-            If a parameter or the end is wrong, or there is none.
+            If a parameter or the end is wrong or missing.
         """
         return self._inputs.end(as_overrides(parameters), until)
 
     def with_modes(self) -> Runner:
-        """Return a runner of the same that records modes: this one where it does."""
+        """Return a runner of the same model that records modes."""
         if self.setting.recorded is Record.MODES:
             return self
         return self._other(self.model, None, record=Record.MODES.value)
@@ -354,7 +353,7 @@ class Runner:
         return {**asked, "study": study, "once": self._once, "progress": self._progress}
 
     def _other(self, model: Declaration, study: Measured | None, **changed: str) -> Runner:
-        """Return a runner of another model, or with another setting, in the place of this one."""
+        """Return a runner of another model or setting, with the other arguments of this one."""
         return _restored(model, self._arguments(study, **changed), self.document)
 
 
@@ -365,7 +364,7 @@ def _restored(model: Declaration, arguments: Any, document: Document | None) -> 
 
 
 class _Source:
-    """Makes the outputs, and with them the observer, of runs of a runner at a setting."""
+    """Picklable factory of the outputs and observer of a runner at a setting."""
 
     def __init__(self, runner: Runner, setting: Setting, observer: Observer | None = None) -> None:
         self.runner, self._setting, self._observer = runner, setting, observer
@@ -393,7 +392,7 @@ def run(
 ) -> Result:
     """Run a model once; see `Runner` and `Runner.run` for the parameters.
 
-    By a study the cheapest setting is chosen as for `Runner(once=True)`.
+    A study chooses the setting as for `Runner(once=True)`.
 
     Examples
     --------
@@ -406,7 +405,7 @@ def run(
 
 
 class RunInputs:
-    """Checks the inputs of runs of a model; errors name their place in its document, if any."""
+    """Checks the inputs of runs of a model; errors have positions in its document."""
 
     def __init__(self, model: Declaration, document: Document | None) -> None:
         self.document = document
@@ -415,7 +414,7 @@ class RunInputs:
         self._end = None if model.stop.time is None else parse(model.stop.time)
 
     def check(self, overrides: Mapping[str, float]) -> None:
-        """Check that these are parameters, and their values numbers."""
+        """Check names and values of parameters."""
         for name, value in overrides.items():
             if name not in self._parameters:
                 raise DeclarationError(
@@ -432,13 +431,13 @@ class RunInputs:
                 raise DeclarationError(f"parameter {name!r} must be a number, not nan")
 
     def values(self, overrides: Mapping[str, float]) -> dict[str, float]:
-        """Return the parameters' values with `overrides`."""
+        """Return the values of the parameters with `overrides`."""
         self.check(overrides)
         with located(self.document, overrides):
             return self._constants.values(overrides)
 
     def copies(self, overrides: Mapping[str, float]) -> Mapping[str, int | None]:
-        """Return the number of copies of bodies that parameters count, with `overrides`."""
+        """Return the numbers of copies of bodies with `overrides`."""
         if self._count is None:
             return {}
         values = self.values(overrides)
@@ -446,7 +445,7 @@ class RunInputs:
             return self._count(values)
 
     def end(self, overrides: Mapping[str, float], until: float | None) -> float:
-        """Return when a run ends at the latest; see `Runner.end`."""
+        """Return the end time of a run; see `Runner.end`."""
         self.check(overrides)
         if until is not None:
             if not is_real(until) or not 0.0 <= until < math.inf:
@@ -502,7 +501,7 @@ class RunInputs:
 
 
 def as_overrides(parameters: Mapping[str, float] | None) -> dict[str, float]:
-    """Return the parameter values of a call as a dictionary."""
+    """Return the parameters of a call as a dictionary."""
     if parameters is not None and not isinstance(parameters, Mapping):
         raise DeclarationError(
             f"parameters are names and their values, not {parameters!r}",
@@ -512,5 +511,5 @@ def as_overrides(parameters: Mapping[str, float] | None) -> dict[str, float]:
 
 
 def is_real(value: object) -> bool:
-    """Return whether a value is a real number: annotations are not checked at run time."""
+    """Return whether a value is a real number."""
     return isinstance(value, Real) and not isinstance(value, bool)

@@ -1,4 +1,4 @@
-"""A study as a picture: error against what it costs and against what was asked for."""
+"""Work-precision diagram of a study: error against cost and against tolerance."""
 
 from __future__ import annotations
 
@@ -33,18 +33,17 @@ _LABELS = (
     "tolerance or accuracy (impulse: step)",
     "tolerance",
 )
-# A scale that spans less than this factor has more than one mark in a decade.
+# Shorter scales have several ticks per decade.
 _SHORT = 100.0
 
 
 def figure(study: Measurements) -> Figure:
-    """Draw a study: errors above, against the time of a run and against evaluations of the rates.
+    """Draw a study.
 
-    Below, errors and accepted steps against the tolerance (the step, where it is fixed), with the
-    slopes that were fitted and the error that equals the tolerance. On the left above, small dots
-    are first runs of a process and marks those that follow; each have their Pareto front. Hollow:
-    the run took other modes than the reference. Where the motion is chaotic, the time at which runs
-    leave the reference stands in the place of errors.
+    Above, errors against run time (small dots: first runs of a process, with their own Pareto
+    front) and against evaluations of the rates. Below, errors and accepted steps against tolerance
+    or fixed step, with fitted slopes and the line error = tolerance. Hollow marks: other modes than
+    the reference. For chaotic motion the time of separation from the reference replaces errors.
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -109,7 +108,7 @@ def write_study_figure(folder: Path | str, study: Measurements) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for kind in ("svg", "png"):
-            # Letters as text: half the size of the file.
+            # Text not as paths: half the file size.
             with rc_context({"svg.fonttype": "none"}):
                 write_atomic(folder / f"trade.{kind}", render(drawing, kind))
         write_atomic(folder / "trade.csv", _csv(study).encode())
@@ -228,7 +227,7 @@ def _front(ax: Axes, study: Measurements, *, once: bool) -> None:
 
 
 def _slope(ax: Axes, study: Measurements, slope: Slope, colour: str) -> None:
-    """Draw a fitted line through the points that it was fitted to, with its power."""
+    """Draw a fitted line over its points, with its slope."""
     x, y = np.log(np.array(fitted(study, slope.family, slope.of))).T
     ends = np.array([x.min(), x.max()])
     line = np.exp(y.mean() + slope.slope * (ends - x.mean()))

@@ -1,4 +1,4 @@
-"""Measurements of a model at many settings: errors and costs of runs against a reference."""
+"""Errors and costs of runs of a model at many settings, against a reference."""
 
 from __future__ import annotations
 
@@ -25,32 +25,29 @@ _Time = Annotated[float, Field(ge=0)]
 RESOLVED = 20.0
 """Errors below so many times the resolution of the reference are round-off."""
 MIN_POINTS = 3
-"""Of a slope."""
-# An output converges with the step if its error falls with at least this power of it: theory says
-# 1, and a quarter is beyond what chance makes of three points or more.
+"""Least number of points of a slope."""
+# Least convergence order of an output: theory gives 1, and three random points less than this.
 _CONVERGING = 0.25
 
 
 class Record(BaseModel, metaclass=Documented):
-    """Base of data that are written to a file and read back."""
+    """Base of data stored as JSON."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
 
 class Errors(Record):
-    """Errors of a run against the reference; None where there is nothing to compare."""
+    """Errors of a run against the reference; None without a comparison."""
 
-    # As in `statechart.observation.difference.Difference`; times and outputs None where the modes
+    # As in `statechart.observation.difference.Difference`; times and outputs are None if modes
     # differ.
     state: float | None = None
     times: float | None = None
     outputs: float | None = None
-    named: dict[str, float] = {}  # Of every output, whatever the modes.
-    path: float | None = None  # See `statechart.observation.difference.distance`.
-    # Largest difference of the energy at the events and the end, relative to its size.
-    energy: float | None = None
-    # Violation of constraints and cones of friction, whatever the reference.
-    violations: dict[str, float] = {}
+    named: dict[str, float] = {}  # by output, also if modes differ
+    path: float | None = None  # see `statechart.observation.difference.distance`
+    energy: float | None = None  # largest relative difference at the events and the end
+    violations: dict[str, float] = {}  # of constraints and friction cones, without reference
 
     @property
     def largest(self) -> float | None:
@@ -60,21 +57,21 @@ class Errors(Record):
 
     @property
     def decides(self) -> str:
-        """The quantity that `largest` is of."""
+        """The quantity with the largest error."""
         parts = {"the final state": self.state, "the times of events": self.times}
         parts |= {"the path": self.path} | {f"output {n}": off for n, off in self.named.items()}
         known = {what: off for what, off in parts.items() if off is not None}
         return max(known, key=known.__getitem__, default="")
 
     def without(self, names: Collection[str]) -> Errors:
-        """Return the errors without those of some outputs."""
+        """Return the errors without some outputs."""
         if self.outputs is None or not names:
             return self
         left = [error for name, error in self.named.items() if name not in names]
         return self.model_copy(update={"outputs": max(left, default=0.0)})
 
     def worse(self, other: Errors) -> Errors:
-        """Return the larger of the errors of two runs; None where one of them has none."""
+        """Return the larger errors of two runs; None if one of them has none."""
         mine, its = self.model_dump(), other.model_dump()
         found = {
             name: None if its[name] is None or value is None else max(value, its[name])
@@ -89,50 +86,43 @@ class Errors(Record):
 class Point(Record):
     """Errors and costs of the runs at one setting."""
 
-    # Of the run. A step is run four times, of which three are shorter by up to a twentieth: events
-    # fall anywhere between two steps, and the worst of the four counts.
+    # A time step is run four times, three of them up to a twentieth shorter, and the worst counts:
+    # the place of an event between two steps is random.
     setting: Setting
-    outcome: str  # Why it ended.
-    same_modes: bool  # Whether it took the modes of the reference, one by one.
-    diverged: float | None  # When it first did not.
-    # When it left the reference for good to the eye; see
-    # `statechart.observation.difference.parted`.
-    parted: float | None
-    refused: str = ""  # Why a run to an accuracy warns that it did not reach it; else empty.
-    warnings: tuple[str, ...] = ()  # Warnings of its runs, each text once.
-    errors: Errors  # Against the reference.
-    seconds: _Time  # Median time of a run that follows others in one process: warm.
-    repeats: int  # Number of runs that the median is taken of.
-    # Time of the first run of a process, see `startup_cost`; None where none could be started.
-    cold: _Time | None
-    # Of the integrator and of the rates; evaluations are 0 where they are not counted.
+    outcome: str
+    same_modes: bool  # as the reference
+    diverged: float | None  # time of the first other mode
+    parted: float | None  # see `statechart.observation.difference.parted`
+    refused: str = ""  # warning of a run that missed its accuracy
+    warnings: tuple[str, ...] = ()  # each text once
+    errors: Errors
+    seconds: _Time  # median of warm runs
+    repeats: int  # number of warm runs
+    cold: _Time | None  # first run of a process (`startup_cost`), if one could be started
     steps: int
-    evaluations: int
-    flows: int  # Number of arcs of the run.
+    evaluations: int  # of the rates; 0 if not counted
+    flows: int  # arcs of the run
 
     def cost(self, *, once: bool) -> float:
-        """Return the seconds of a run: of the first of a process, or of one that follows others."""
+        """Return the seconds of a cold (`once`) or warm run."""
         return self.seconds if self.cold is None or not once else self.cold
 
     @field_serializer("setting")
     def _plain(self, setting: Setting) -> dict[str, Any]:
-        # No run of a study has a budget, a longest step, or a bound of its impulses.
+        # Never set in a study.
         unused = ("budget", "max_step", "impulse_bound")
         return {name: value for name, value in asdict(setting).items() if name not in unused}
 
 
 class Third(Record):
-    """The third of three runs, neither reference nor check, made where two did not agree."""
+    """The third run, neither reference nor check, if the first two did not agree."""
 
-    setting: str  # Its label.
-    parted: float | None  # When it left the nearer of the two others for good.
-    errors: Errors  # Against that.
-    odd: bool  # Whether the two others agree so much better that it is taken to be wrong.
-    # Relative perturbation of the start of the reference that shows how the motion magnifies
-    # round-off: it may be as large as the errors of a run.
-    shift: float
-    # When the reference left itself by that: then one that left it need not be wrong.
-    edge: float | None
+    setting: str  # label
+    parted: float | None  # time of separation from the nearer of the others
+    errors: Errors  # against that
+    odd: bool  # whether it is taken to be wrong, since the others agree much better
+    shift: float  # relative perturbation of the initial state, as large as the errors of runs
+    edge: float | None  # time of separation of the reference from its perturbed run
 
 
 class Measurements(Record):
@@ -155,24 +145,24 @@ class Measurements(Record):
     left_out: dict[str, str] = Field(default={})
 
     def of(self, model: Declaration) -> bool:
-        """Return whether measurements belong to this model and this version."""
+        """Return whether the measurements are of this model and version."""
         return self.fingerprint == fingerprint(model)
 
     @property
     def complete(self) -> bool:
-        """True if every setting was run or left out for a reason."""
+        """True if every setting was run or skipped for a reason."""
         return len(self.points) + len(self.left_out) >= self.planned
 
     @property
     def least(self) -> float:
-        """Resolution: smaller errors may be those of the reference."""
+        """Resolution, below which errors may be those of the reference."""
         return max(self.resolution.largest or 0.0, self.shift.largest or 0.0)
 
     def error(self, point: Point) -> float | None:
-        """Return the error of a point: the largest, and no less than the resolution.
+        """Return the largest error of a point, at least the resolution.
 
-        Of steps without that of outputs that do not converge (`unsettled`).
-        None where the motion has no accuracy, or the run did not get to the end.
+        For time steps without outputs that do not converge (`unsettled`). None for chaotic motion,
+        or if the run did not reach the end.
         """
         errors = point.errors
         if point.setting.step is not None:
@@ -183,21 +173,20 @@ class Measurements(Record):
         return max(largest, self.least)
 
     def unsettled(self) -> dict[str, float]:
-        """Return the outputs that do not converge with the step -> their error at the shortest."""
+        """Return the outputs that do not converge with the step -> error at the shortest step."""
         steps = [p for p in self.points if p.setting.step is not None]
         finest = min((p.setting.impulse_tolerance or 0.0 for p in steps), default=0.0)
         steps = [p for p in steps if (p.setting.impulse_tolerance or 0.0) == finest]
         return {} if self.parted is not None else unsettled(steps, self.least)
 
     def comparable(self, point: Point) -> bool:
-        """Return whether a point took the modes of the reference and has an error."""
+        """Return whether a point has the modes of the reference and an error."""
         return point.same_modes and self.error(point) is not None
 
     def front(self, *, once: bool = False) -> tuple[Point, ...]:
-        """Return the Pareto front: no other point is at least as accurate and faster.
+        """Return the Pareto front of error and cost, from the fastest on.
 
-        Only of points that took the modes of the reference; from the fastest on. `once` asks for
-        the time of the first run of a process, not of one that follows others.
+        Only comparable points count. `once`: the cost of a cold run.
         """
         found: list[Point] = []
         least = math.inf
@@ -210,10 +199,9 @@ class Measurements(Record):
         return tuple(found)
 
     def meets_tolerance(self, point: Point) -> bool | None:
-        """Return whether the error of a run is below its tolerance; None where that is unknown.
+        """Return whether the error of a run is below its tolerance; None if unknown.
 
-        Users take a tolerance for a promise of the result. A run that warns that it failed
-        promises nothing.
+        A run that warns that it missed its accuracy counts as unknown.
         """
         promise = point.setting.promise
         if promise is None or point.refused or self.parted is not None:
@@ -226,7 +214,7 @@ class Measurements(Record):
         return error <= promise
 
     def missed(self) -> dict[str, tuple[int, int]]:
-        """Return family -> (number of points whose error exceeds the tolerance, of how many)."""
+        """Return family -> (number of points with error above tolerance, number of points)."""
         missed: Counter[str] = Counter()
         known: Counter[str] = Counter()
         for point in self.points:
@@ -237,10 +225,10 @@ class Measurements(Record):
         return {family: (missed[family], count) for family, count in known.items()}
 
     def choose(self, asked: Setting, *, once: bool) -> Chosen | None:
-        """Return the cheapest setting that was seen to reach an accuracy, or the best in a time.
+        """Return the cheapest measured setting for an accuracy, or the most accurate for a budget.
 
-        The error that the reference itself may have counts on top. A named engine or method
-        excludes all others. `once`: see `front`. None where no setting was seen to do.
+        The resolution is added to the errors. A named engine or method excludes others. `once`: see
+        `front`. None if no setting suffices.
         """
         best: tuple[float, Point] | None = None
         for point in self.points:
@@ -273,24 +261,24 @@ class Measurements(Record):
 
 
 def fingerprint(model: Declaration) -> str:
-    """Return a digest of a model and this version, without what does not move the model."""
+    """Return a digest of this version and the parts of a model that affect its motion."""
     declared = model.model_dump(mode="json", exclude={"doc", "ranges", "settings"})
     text = json.dumps([version("contact-statecharts"), declared], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def median_slope(x: Array, y: Array) -> float:
-    """Return the median slope of all pairs of points (Theil, 1950; Sen, 1968)."""
+    """Return the Theil-Sen estimator: the median slope of all pairs of points."""
     i, j = np.triu_indices(len(x), 1)
     return float(np.median((y[j] - y[i]) / (x[j] - x[i])))
 
 
 def unsettled(points: Sequence[Point], least: float) -> dict[str, float]:
-    """Return the outputs whose error does not fall with the step -> error at the shortest."""
+    """Return the outputs that do not converge with the step -> error at the shortest step."""
     found = {}
     for name in dict.fromkeys(name for point in points for name in point.errors.named):
         having = [point for point in points if name in point.errors.named]
-        # Every step rounds.
+        # Accumulated round-off.
         rounded = EPS * max(point.steps for point in having)
         pairs = [(point.setting.fineness, point.errors.named[name]) for point in having]
         if not falls(pairs, max(least, rounded / RESOLVED)):
@@ -299,7 +287,7 @@ def unsettled(points: Sequence[Point], least: float) -> dict[str, float]:
 
 
 def falls(pairs: Sequence[tuple[float, float]], least: float) -> bool:
-    """Return whether errors fall with the step, within their uncertainty."""
+    """Return whether errors converge with the step, within their uncertainty."""
     ordered = sorted(pairs)
     large = [(h, e) for h, e in ordered if e > max(RESOLVED * least, EPS)]
     if len(large) < MIN_POINTS or large[0] != ordered[0]:

@@ -1,4 +1,4 @@
-"""Reference solutions: two runs of different kinds, and a third where these disagree."""
+"""Reference solution: two runs by different methods, and a third if these disagree."""
 
 from __future__ import annotations
 
@@ -25,8 +25,7 @@ from statechart.running.accuracy import BRIEF, EvaluatedRun
 from statechart.study.measurements import RESOLVED, Errors, Third
 from statechart.study.study import Study
 
-# References, the best first; what steps in time is last, at parts of the run. Each is checked by
-# the next of another kind that can run the model.
+# By accuracy; time stepping follows. A reference is checked by the next run of another method.
 _REFERENCES = (
     Setting(engine="taylor", method=LONG_DOUBLE, tolerance=1.1e-19),
     Setting(engine="taylor", tolerance=2.2e-16),
@@ -34,15 +33,12 @@ _REFERENCES = (
     Setting(engine="scipy", method="LSODA", tolerance=1e-13),
     Setting(engine="scipy", method="Radau", tolerance=1e-9),
 )
-_STEPS = (1e-4, 3e-4)
-# How exact the impulses of many bodies are, which iterations find: as the step is, of the check
-# less, so that it tells of both.
-_IMPULSES = (1e-10, 1e-8)
-# Two runs as tight as can be that differ by more are judged by a third: those of the shipped models
-# differ by less than 1e-12.
+_STEPS = (1e-4, 3e-4)  # of reference and check, as fractions of the run
+_IMPULSES = (1e-10, 1e-8)  # impulse tolerances of reference and check for many bodies
+# A third run decides above this difference; the shipped models differ by less than 1e-12.
 _GROSS = 1e-8
-# The error of a run is up to so many tolerances behind several events (docs/speed-and-accuracy.md):
-# a start that is off by that must lead to where a run leads, or nothing can be said against it.
+# Error of a run after several events, in tolerances (docs/speed-and-accuracy.md): the perturbation
+# of the initial state that shows how the motion magnifies errors.
 _REACH = 30.0
 
 
@@ -55,50 +51,47 @@ class Run:
 
     @property
     def observer(self) -> Observer:
-        """Outputs and events as the simulator of the reference evaluates them."""
+        """The observer of the run."""
         return self.evaluated.observer
 
     @property
     def trace(self) -> Trace:
-        """Its trace."""
+        """The trace of the run."""
         return self.evaluated.trace
 
     def brief(self, other: Run) -> float:
-        """Return for which part of the run the modes of another may differ from this reference's.
-
-        Time stepping knows events to its step.
-        """
+        """Return the fraction of the run for which modes may differ: two time steps at least."""
         if self.setting.step is None:
             return BRIEF
         step = max(self.setting.step, other.setting.step or 0.0)
         return max(BRIEF, 2.0 * step / self.trace.t_end)
 
     def energies(self, jumps: Sequence[Jump]) -> Array | None:
-        """Return the energy (m + 1,) before each of some jumps and at the end, if there is one."""
+        """Return the energy (m + 1,) before jumps and at the end, or None without an energy."""
         if "energy" not in self.observer.automaton.observables:
             return None
         before = self.observer.at(self.trace, ["energy"], jumps, before=True)[:, 0]
         return np.append(before, self.observer.final(self.trace, ["energy"]))
 
     def left(self, other: Run) -> float | None:
-        """Return when another run leaves this one for good, see `parted`."""
+        """Return the time of separation of another run from this one, see `parted`."""
         return parted(self.trace, other.trace, brief=self.brief(other))
 
 
 @dataclass(frozen=True)
 class _Separation:
-    """Distance of two runs: when one left the other for good, and its errors."""
+    """Time of separation of two runs, and errors."""
 
     parted: float | None
     errors: Errors
 
     @property
     def size(self) -> float:
-        """The largest error; inf where they parted."""
+        """The largest error, inf for separated runs."""
         return math.inf if self.parted is not None else self.errors.largest or 0.0
 
     def worse(self, other: _Separation) -> _Separation:
-        """Return the larger of two: the one that parts, the earlier one where both do."""
+        """Return the earlier separation, else the larger errors."""
         if self.parted is None and other.parted is None:
             return _Separation(None, self.errors.worse(other.errors))
         return min(self, other, key=lambda one: math.inf if one.parted is None else one.parted)
@@ -112,16 +105,14 @@ class _Pair:
 
     @property
     def closeness(self) -> tuple[float, float]:
-        """Sort key of a pair of references: longer agreement first, then smaller distance."""
-        apart = self.separation
-        if apart.parted is not None:
-            return -apart.parted, 0.0
-        return -math.inf, apart.size
+        """Sort key: longer agreement first, then smaller errors."""
+        parted = self.separation.parted
+        return (-math.inf, self.separation.size) if parted is None else (-parted, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class References:
-    """Makes reference runs of a model to an end; `run` makes the trace of an observer."""
+    """Computes reference runs of a model until an end; `run` returns the trace of an observer."""
 
     model: Declaration
     automaton: Automaton
@@ -129,21 +120,18 @@ class References:
     run: Callable[[Observer], Trace]
 
     def make(self, mark: str) -> tuple[Run, Study]:
-        """Make the reference and the run that checks it; a third where these two disagree.
-
-        The study has no points.
-        """
+        """Return the reference, and a study without points."""
         failures: list[str] = []
-        some = self._runs(failures)
-        first = tuple(islice(some, 2))
+        candidates = self._runs(failures)
+        first = tuple(islice(candidates, 2))
         if len(first) < 2:
             raise SimulationError(
                 "no reference: two engines must reach the end of the run:" + "\n  ".join(failures)
             )
         found, third = self._pair(*first), None
-        made = (*first, *islice(some, int(found.separation.size > _GROSS)))
-        if len(made) > 2:
-            found, third = self._judged(made)
+        runs = (*first, *islice(candidates, int(found.separation.size > _GROSS)))
+        if len(runs) > 2:
+            found, third = self._best_of_three(runs)
         reference, check = found.reference, found.check
         setting, shift = reference.setting, Errors()
         if setting.step is None:
@@ -161,15 +149,12 @@ class References:
             third=third,
             step=check.setting.step or 0.0,
             planned=0,
-            warnings={run.setting.label: run.trace.warnings for run in made},
+            warnings={run.setting.label: run.trace.warnings for run in runs},
         )
         return reference, study
 
     def _runs(self, failures: list[str]) -> Iterator[Run]:
-        """Yield runs that came to their end, each of another kind; note those that did not.
-
-        What has a step only is checked by itself, with another step.
-        """
+        """Yield complete runs, each by another method; time stepping also checks itself."""
         settings: tuple[Setting, ...] = _REFERENCES
         if self.automaton.stepper is not None:
             bodies = self.automaton.laws is None
@@ -181,20 +166,20 @@ class References:
                 )
                 for part, tolerance in zip(_STEPS, _IMPULSES, strict=True)
             )
-        made: list[str | None] = []
+        methods: list[str | None] = []
         for setting in settings:
-            if _kind(setting) in made and (setting.step is None or len(made) > 1):
+            if _method(setting) in methods and (setting.step is None or len(methods) > 1):
                 continue
             try:
                 run = self._ended(setting, Observers(self.automaton).at(setting))
             except StatechartError as error:
                 failures.append(f"{setting.label}: {error}")
             else:
-                made.append(_kind(setting))
+                methods.append(_method(setting))
                 yield run
 
     def _ended(self, setting: Setting, observer: Observer) -> Run:
-        """Return a run that came to its end; raise where it did not."""
+        """Return a complete run; raise its error otherwise."""
         trace = self.run(observer)
         if trace.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
@@ -206,13 +191,12 @@ class References:
         errors, _ = errors_of(self.model, reference, check)
         return _Pair(reference, check, _Separation(reference.left(check), errors))
 
-    def _judged(self, runs: Sequence[Run]) -> tuple[_Pair, Third]:
+    def _best_of_three(self, runs: Sequence[Run]) -> tuple[_Pair, Third]:
         """Return the two of three runs that agree best, and the verdict on the third.
 
-        It is the odd one out where it is much farther from both than they are from each other, and
-        than the one of them is from itself with its start off by what the errors of runs amount to.
-        Else the motion magnifies errors so much that of two courses either may be right: that two
-        runs of three took the same one says nothing.
+        The third is wrong if it is much farther from both than they are from each other, and than
+        the reference is from itself with a perturbed start. Otherwise the motion magnifies errors
+        so much that the agreement of two runs proves nothing.
         """
         pairs = [self._pair(one, other) for one, other in combinations(runs, 2)]
         best = min(pairs, key=lambda pair: pair.closeness)
@@ -224,8 +208,8 @@ class References:
         part, edge = _REACH * max(map(_tolerance, runs)), None
         odd = off.size > RESOLVED * best.separation.size
         if odd:
-            shaken = self._shaken(best.reference, part)
-            odd, edge = off.size > RESOLVED * shaken.size, shaken.parted
+            perturbed = self._perturbed(best.reference, part)
+            odd, edge = off.size > RESOLVED * perturbed.size, perturbed.parted
         verdict = Third(
             setting=third.setting.label,
             parted=off.parted,
@@ -238,21 +222,19 @@ class References:
             best = _Pair(best.reference, best.check, best.separation.worse(off))
         return best, verdict
 
-    def _shaken(self, run: Run, part: float) -> _Separation:
-        """Return how far a run is at most from itself with its start off by a part.
+    def _perturbed(self, run: Run, part: float) -> _Separation:
+        """Return the largest separation of a run from itself with a perturbed initial state.
 
-        Up, down, and every other variable the one or the other way: where two things happen at
-        once, what moves them alike would leave them so.
+        Perturbations are up, down, and alternating, which separates coincident events.
         """
-        alternating = (-1.0) ** np.arange(len(run.trace.initial))
+        alternating: Array = (-1.0) ** np.arange(len(run.trace.initial), dtype=np.float64)
         found = _Separation(None, Errors(state=0.0))
         for signs in (np.ones(len(alternating)), alternating):
-            for way in (part, -part):
-                off = shifted(self.automaton, part, np.sign(way) * signs)
+            for sign in (1.0, -1.0):
+                off = shifted(self.automaton, part, sign * signs)
                 try:
                     other = self._ended(run.setting, Observers(off).at(run.setting))
-                except DeclarationError:
-                    # Off by so much, the start is no start.
+                except DeclarationError:  # no valid initial state
                     continue
                 found = found.worse(self._pair(run, other).separation)
                 if found.parted is not None:
@@ -260,17 +242,17 @@ class References:
         return found
 
 
-def _kind(setting: Setting) -> str | None:
+def _method(setting: Setting) -> str | None:
     return setting.method if setting.engine == "scipy" else setting.engine
 
 
 def _tolerance(run: Run) -> float:
-    """Return the tolerance of a run; of one that steps in time, its step as a part of the run."""
+    """Return the tolerance of a run, or its time step as a fraction of the run."""
     return run.setting.tolerance or (run.setting.step or 0.0) / run.trace.t_end
 
 
 def errors_of(model: Declaration, reference: Run, run: Run) -> tuple[Errors, float | None]:
-    """Return the errors of a run of a model, and when it took other modes than the reference."""
+    """Return the errors of a run, and the time of its first mode other than the reference's."""
     one, other = reference.evaluated, run.evaluated
     found = one.difference(other, one.scales, brief=reference.brief(run))
     pairs, _ = paired(reference.trace, run.trace, brief=reference.brief(run))

@@ -1,7 +1,4 @@
-"""Convergence orders against theory, and the warnings that explain why a family deviates.
-
-Errors and steps fall with powers of the tolerance, or of the step where it is fixed.
-"""
+"""Convergence orders of errors and steps in tolerance or step size, against theory."""
 
 from __future__ import annotations
 
@@ -29,43 +26,39 @@ SLOPES: Mapping[str, Mapping[Quantity, float]] = {
     "DOP853": {"error": 1.0, "steps": -1.0 / 8.0},
     "impulse": {"error": 1.0},
 }
-"""Powers of the tolerance (of the step, where it is fixed) that error and steps of a family follow.
+"""Theoretical powers of the tolerance (or the fixed step) for error and steps of a family.
 
-SciPy keeps the error of every step, of order p in its length, at the tolerance and goes on with
-the better of its two solutions: the steps are as long as tol^(1/p), p = 5 for RK45 and 8 for
-DOP853, and the error of all of them is of order h^p = tol (Hairer, Norsett, Wanner, "Solving
-Ordinary Differential Equations I", section II.4). Steps are those accepted: the part that is
-rejected falls with the tolerance. The theory of a fixed step is order 1 (Moreau, Jean), of the
-path that a run takes: it holds whether or not its modes are those of the reference, as where
-bounces accumulate."""
+SciPy keeps the local error, of order p in the step size, at the tolerance and continues with the
+solution of higher order: h ~ tol^(1/p), p = 5 for RK45 and 8 for DOP853, and the global error is
+~ h^p = tol (Hairer, Norsett, Wanner, "Solving Ordinary Differential Equations I", section II.4).
+Only accepted steps count, since the fraction of rejected ones falls with the tolerance. Time
+stepping has order 1 in the path (Moreau, Jean), also if modes differ, as for accumulating bounces.
+"""
 
-# Largest error that a slope is fitted to: above, the error is as large as the motion.
+# Larger errors are as large as the motion, and not fitted.
 _SATURATED = 1e-1
-# A slope of the steps is fitted where a flow takes at least so many: its first step and its last,
-# which an event cuts short, are no matter of the tolerance.
+# Least steps per flow of a fit: the first step, and the last one before an event, do not depend on
+# the tolerance.
 _STEPS_PER_FLOW = 10.0
-# The tolerance decides errors and steps where the finest run takes so many times the steps of the
-# coarsest. Flights along parabolas and bodies at rest take steps that no tolerance decides: at six
-# times they are no more than a sixth of all.
+# Least ratio of the steps of the finest and the coarsest run of a fit: the steps of parabolic
+# flight and of rest do not depend on the tolerance.
 _GROWN: Mapping[Quantity, float] = {"error": 3.0, "steps": 6.0}
 
 
 @dataclass(frozen=True)
 class Slope:
-    """A straight line, in logarithms, through points of a family of settings."""
+    """Log-log fit of a family of settings."""
 
-    family: str  # See `Setting.family`.
-    of: Quantity  # What follows the tolerance or the step: error, or steps (accepted ones).
-    slope: float  # Its power.
-    # Standard error of the slope, from the distances of points from the line. With a fixed step it
-    # is large: an event falls anywhere between two steps, and so does its error.
-    scatter: float
-    theory: float  # The power of theory, see `SLOPES`.
-    points: int  # Number of points that it was fitted to.
+    family: str  # see `Setting.family`
+    of: Quantity  # error, or accepted steps
+    slope: float
+    scatter: float  # standard error of the slope; large for a fixed step, between events
+    theory: float  # see `SLOPES`
+    points: int  # number of points
 
 
 def slopes(study: Measurements) -> tuple[Slope, ...]:
-    """Fit the slopes of the families that have enough points to fit, where a theory holds."""
+    """Fit the slopes of families with a theory and enough points."""
     found = []
     for family, theories in _theories(study).items():
         for of, theory in theories.items():
@@ -73,7 +66,7 @@ def slopes(study: Measurements) -> tuple[Slope, ...]:
             if len(points) < MIN_POINTS:
                 continue
             x, y = np.log(np.array(points)).T
-            # Where errors of steps and events happen to cancel, one point is far below the line.
+            # Robust against points where errors happen to cancel.
             slope = median_slope(x, y)
             if slope * theory <= 0.0:
                 continue
@@ -84,7 +77,7 @@ def slopes(study: Measurements) -> tuple[Slope, ...]:
 
 
 def unfitted(study: Measurements) -> dict[str, str]:
-    """Return quantities of the families run that have a theory but no slope -> why."""
+    """Return quantities with a theory but no slope -> reason."""
     known = {(slope.family, slope.of) for slope in slopes(study)}
     deviating, found = reasons(study), {}
     for family, theories in _theories(study).items():
@@ -119,7 +112,7 @@ def _theories(study: Measurements) -> dict[str, Mapping[Quantity, float]]:
 
 
 def _same(study: Measurements, family: str) -> list[Point]:
-    """Return the points of a family that took the reference's modes, or do not have to."""
+    """Return the points of a family with the modes of the reference, or of time stepping."""
     return [
         p for p in study.points if p.setting.family == family and (p.same_modes or p.setting.step)
     ]
@@ -132,7 +125,7 @@ def _grown(study: Measurements, family: str, of: Quantity) -> list[Point]:
 
 
 def fitted(study: Measurements, family: str, of: Quantity) -> list[tuple[float, float]]:
-    """Return (fineness, error or steps) of the points that a slope is fitted to."""
+    """Return (fineness, error or steps) of the points of a fit."""
     points = _grown(study, family, of)
     if of == "steps":
         return [
@@ -145,25 +138,25 @@ def fitted(study: Measurements, family: str, of: Quantity) -> list[tuple[float, 
     return [(x, e) for x, e in pairs if e is not None and least < e < _SATURATED]
 
 
-# Warnings that differ in numbers only are one.
+# Warnings that differ in numbers only are merged.
 _NUMBER = re.compile(r"(?<![\w.])\d+(\.\d+)?(e[+-]?\d+)?\b")
 
 
 @dataclass(frozen=True)
 class Note:
-    """A warning, the labels of the settings whose runs have it, and whether its numbers differ."""
+    """A warning with the labels of its settings; `differs` if its numbers do."""
 
     text: str
     settings: tuple[str, ...]
     differs: bool
 
     def says_one_of(self, texts: Collection[str]) -> bool:
-        """Return whether a warning equals one of several, apart from its numbers."""
+        """Return whether it equals one of `texts` apart from numbers."""
         return _alike(self.text) in map(_alike, texts)
 
 
 def notes(study: Measurements) -> tuple[Note, ...]:
-    """Return the warnings of the runs of all points, each text once."""
+    """Return the distinct warnings of all points."""
     found: dict[str, list[tuple[str, Point]]] = {}
     for point in study.points:
         for text in beyond(point.warnings, ()):
@@ -181,8 +174,8 @@ def notes(study: Measurements) -> tuple[Note, ...]:
 def reasons(study: Measurements) -> dict[str, tuple[str, ...]]:
     """Return the families that deviate from the reference -> the warnings that explain it.
 
-    A family deviates where the finest of its runs takes other modes, or where its error, or that of
-    an output, does not fall with the step. A warning of the reference, too, is no reason.
+    A family deviates if its finest run has other modes, or an error does not converge with the
+    step. Warnings of the reference are no reason.
     """
     families: dict[str, list[Point]] = {}
     for point in study.points:
@@ -197,7 +190,7 @@ def reasons(study: Measurements) -> dict[str, tuple[str, ...]]:
 
 
 def beyond(warnings: Sequence[str], known: Collection[str]) -> tuple[str, ...]:
-    """Return the warnings that are not known, each once, but for numbers in them."""
+    """Return the distinct warnings that are not known, apart from numbers."""
     seen = set(map(_alike, known))
     found = []
     for text in warnings:

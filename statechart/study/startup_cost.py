@@ -1,4 +1,4 @@
-"""Start-up cost: time of a run that is the first of its process, as on the command line."""
+"""Start-up cost: time of the first run of a process, as on the command line."""
 
 from __future__ import annotations
 
@@ -18,18 +18,17 @@ from statechart.documents.setting import Setting
 from statechart.loading.kind import kind
 from statechart.running.runner import Runner
 
-# A copy of a process in which nothing ran yet is as good as a new one, and comes at once. Libraries
-# of other systems do not stand it.
+# A fork of a process before its first run replaces a new one. Libraries of other systems do not
+# survive a fork.
 _COPIES = sys.platform == "linux"
 _SERVE = f"from {__name__} import serve; serve()"
 
 
 class FreshProcess:
-    """Processes that know a model and have not run it to an end, to time a first run in each.
+    """Processes that time the first run of a model.
 
-    A first run loads an engine, builds the modes that it enters, and runs. The caches of numba and
-    heyoka are there, where the setting was run before. Starting Python and composing the model,
-    which cost the same whatever the setting, are not counted.
+    A first run loads an engine, builds modes, and runs, with the disk caches of numba and heyoka.
+    Starting Python and composing the model, which do not depend on the setting, are not counted.
     """
 
     def __init__(self, model: Declaration, until: float) -> None:
@@ -45,7 +44,7 @@ class FreshProcess:
         self.close()
 
     def seconds(self, setting: Setting) -> float | None:
-        """Return the seconds of a first run; None where no process can be started."""
+        """Return the seconds of a first run, or None if no process can be started."""
         try:
             process = self._process = self._process or self._started()
             source, sink = _pipes(process)
@@ -59,11 +58,11 @@ class FreshProcess:
         return found if found >= 0.0 else None
 
     def close(self) -> None:
-        """End the process, if there is one."""
+        """End the process if there is one."""
         process, self._process = self._process, None
         if process is not None:
             if _COPIES:
-                # With the copy that is running.
+                # Including the running fork.
                 with suppress(ProcessLookupError):
                     os.killpg(process.pid, signal.SIGKILL)
             process.kill()
@@ -73,7 +72,7 @@ class FreshProcess:
             process.wait()
 
     def _started(self) -> subprocess.Popen[bytes]:
-        # Neither signals of this process reach it, nor modules of the working directory.
+        # Isolated from signals of this process and modules of the working directory.
         process = subprocess.Popen(
             [sys.executable, "-P", "-c", _SERVE],
             stdin=subprocess.PIPE,
@@ -92,12 +91,12 @@ def _pipes(process: subprocess.Popen[bytes]) -> tuple[IO[bytes], IO[bytes]]:
 
 
 def serve() -> None:
-    """Read a model and settings from stdin, write the seconds of their first runs to stdout."""
+    """Read a model and settings from stdin; write the seconds of first runs to stdout."""
     output = os.dup(sys.stdout.fileno())
-    # Libraries print to nowhere.
+    # Discard output of libraries.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     model, until = pickle.load(sys.stdin.buffer)
-    # SymPy keeps results of composing, as where the run follows in the same process.
+    # Fill SymPy's cache by composing, as in a run of the command line.
     kind(model.kind).automaton(model)
     while True:
         try:

@@ -1,4 +1,4 @@
-"""The study of a model: its measurements with their text and page; trade.json in a folder."""
+"""Study of a model: its measurements with text and page; stored as trade.json."""
 
 from __future__ import annotations
 
@@ -17,36 +17,35 @@ NAME = "trade.json"
 
 
 class Study(Measurements):
-    """Speed against accuracy of a model: its runs at many settings against a reference.
+    """Work-precision study of a model: runs at many settings against a reference.
 
     Attributes
     ----------
     model, fingerprint : str
-        Name of the model, and a digest of it.
+        Name and digest of the model.
     until : float
-        End of the runs.
+        End time of the runs.
     reference, check : str
-        The run that the others are compared with, and the independent one that checks it.
+        The reference run, and the independent run that checks it.
     resolution : Errors
         Difference of these two.
     shift : Errors
-        Of the reference from its run with twice the tolerance of forces, which all runs share.
+        Difference of the reference from its run with twice the force tolerance.
     parted : float or None
-        When these two left each other: then the motion is chaotic or on a knife's edge, and the
-        study measures when runs leave the reference, not errors.
+        Time of separation of reference and check. The motion is then chaotic or ambiguous, and the
+        study measures times of separation instead of errors.
     third : Third or None
-        A run of a third kind, where two did not agree: reference and check are the two of three
-        that agree best.
+        A third run if two did not agree: reference and check are the two of three that agree best.
     step : float
-        Of the check, where it steps in time: no finer step can be judged. Else 0.
+        Time step of the check, the finest that can be compared; 0 without time stepping.
     planned : int
         Number of settings.
     warnings : mapping of str to tuple of str
-        Warnings of reference, check and third, by their labels.
+        Label -> warnings of reference, check and third.
     points : tuple of Point
-        Errors and costs at the settings that were run.
+        Errors and costs at the settings.
     left_out : mapping of str to str
-        Setting -> why it was not run.
+        Skipped setting -> reason.
     """
 
     METHODS: ClassVar[tuple[str, ...]] = ("choose", "error", "front", "kept", "missed")
@@ -55,14 +54,14 @@ class Study(Measurements):
         return format_text(self)
 
     def shown(self, label: str) -> dict[str, Any]:
-        """Return the part of a page about the study; the run's own setting has this label."""
+        """Return the data for a page; `label` marks the setting of the run."""
         from statechart.study.figure import page_content
 
         return page_content(self, label)
 
 
 def load(folder: Path | str) -> Study | None:
-    """Return the study that a folder holds, None where there is none."""
+    """Return the study in a folder, or None."""
     path = Path(folder) / NAME
     try:
         data = path.read_bytes()
@@ -82,9 +81,9 @@ def load(folder: Path | str) -> Study | None:
 
 
 def save(folder: Path | str, study: Study) -> None:
-    """Write a study; the folder is made if it does not exist."""
+    """Write a study to a folder, created if needed."""
     path = Path(folder) / NAME
-    # Strict JSON: what is not finite is text.
+    # Strict JSON, with non-finite numbers as text.
     text = json.dumps(json.loads(study.model_dump_json()), indent=1, allow_nan=False) + "\n"
     try:
         with new_folder(path.parent):

@@ -1,4 +1,4 @@
-"""A study as text for people, and as the plain object that `--json` prints."""
+"""Study as text, and as the object that `--json` prints."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from statechart.study.measurements import Measurements, Point, Third
 from statechart.study.slopes import Note, beyond, notes, reasons, slopes, unfitted
 from statechart.tabular import Table, TextBlock, aligned, plain, several
 
-# Errors of an odd run are listed that are so much of its largest.
+# Least listed error of an odd run, relative to its largest.
 _MUCH = 0.5
 _COLUMNS = {
     "path": "mean distance from the reference over the run",
@@ -21,20 +21,19 @@ _COLUMNS = {
     "impulse": "allowed residual of impulses",
     "inexact": "part of the steps above it",
 }
-# Accuracies for which a setting is advised: the first that one reaches.
+# Accuracies for which a setting is advised: the first one reached.
 _ADVISED = (1e-6, 1e-4, 1e-3, 1e-2)
 _OPTIONS = ("engine", "method", "tolerance", "step", "accuracy")
-# Warnings that are listed in full.
-_MAX_NOTES = 8
+_MAX_NOTES = 8  # warnings listed in full
 
 
 def format_text(study: Measurements) -> str:
-    """Return a study as a table, with what follows from it below."""
+    """Return a study as text: table and conclusions."""
     return plain(describe_study(study))
 
 
 def describe_study(study: Measurements) -> list[TextBlock]:
-    """Return the blocks of `format_text`: what is above the table, the table, what is below."""
+    """Return the blocks of `format_text`: head, table, conclusions."""
     kinds = list(dict.fromkeys(name for p in study.points for name in p.errors.violations))
     front, cold = study.front(), study.front(once=True)
     head = ["error", "state", "events", "outputs", "path", "energy"]
@@ -90,7 +89,7 @@ def _head(study: Measurements) -> list[str]:
 
 
 def _odd(third: Third, study: Measurements) -> str:
-    """Return how one of three runs differs from the others, which agree."""
+    """Describe the difference of the odd run of three."""
     errors = third.errors
     worst = errors.largest or 0.0
     parts = [
@@ -114,7 +113,7 @@ def _odd(third: Third, study: Measurements) -> str:
 
 
 def _parting(study: Measurements) -> str:
-    """Return the evidence that the motion has no accuracy."""
+    """Describe the evidence that the motion is chaotic."""
     third, known = study.third, study.warnings.get(study.reference, ())
     own = beyond(study.warnings.get(study.check, ()), known)
     why = "chaotic, or at a bifurcation" + (
@@ -188,7 +187,7 @@ def _foot(study: Measurements) -> str:
 
 
 def advice(study: Measurements) -> list[str]:
-    """Return a sentence on the cheapest setting for an accuracy, against that of another family."""
+    """Return a sentence on the cheapest setting for an accuracy, against another family."""
     for accuracy in _ADVISED:
         able = [
             point
@@ -215,7 +214,7 @@ def advice(study: Measurements) -> list[str]:
 
 
 def omitted(study: Measurements) -> list[str]:
-    """Return the settings that were left out, one line a reason."""
+    """Return the skipped settings, one line per reason."""
     reasons: dict[str, dict[str, list[str]]] = {}
     for label, why in study.left_out.items():
         family, _, fineness = label.rpartition(" ")
@@ -231,7 +230,7 @@ def omitted(study: Measurements) -> list[str]:
 
 
 def _listed_warnings(study: Measurements) -> list[Note]:
-    """Return the warnings that are listed in full: all that explain a deviation, first."""
+    """Return the warnings listed in full, those that explain a deviation first."""
     why = [text for texts in reasons(study).values() for text in texts]
     found = sorted(notes(study), key=lambda note: not note.says_one_of(why))
     return found[: max(_MAX_NOTES, sum(note.says_one_of(why) for note in found))]
@@ -243,7 +242,7 @@ def _footnote(texts: Sequence[str], listed: Sequence[Note]) -> str:
 
 
 def _named(study: Measurements, labels: Sequence[str]) -> str:
-    """Return settings family by family: from one to another, or one by one."""
+    """Return settings by family, as ranges or one by one."""
     families: dict[str, list[str]] = {}
     for point in study.points:
         families.setdefault(point.setting.family, []).append(point.setting.label)
@@ -252,7 +251,7 @@ def _named(study: Measurements, labels: Sequence[str]) -> str:
         places = [place for place, label in enumerate(own) if label in labels]
         if not places:
             continue
-        # What a family shares, and how fine each is.
+        # The common part, then the fineness of each.
         head = own[0].rpartition(" ")[0]
         fine = [own[place].rpartition(" ")[2] for place in places]
         if len(fine) > 2 and places[-1] - places[0] + 1 == len(places):
@@ -262,7 +261,7 @@ def _named(study: Measurements, labels: Sequence[str]) -> str:
 
 
 def marks(point: Point, warm: Sequence[Point], cold: Sequence[Point]) -> str:
-    """Return the marks of a point that is on one of the fronts."""
+    """Return the marks of a point on a Pareto front."""
     marks = "*" * (point in warm) + "+" * (point in cold)
     return f" {marks}" if marks else ""
 
@@ -270,7 +269,7 @@ def marks(point: Point, warm: Sequence[Point], cold: Sequence[Point]) -> str:
 def _modes(point: Point) -> str:
     if point.diverged is None:
         return "same"
-    # Where both parted from the reference and failed, that it failed is more.
+    # A failure outweighs a separation from the reference.
     ended = "" if Outcome[point.outcome].succeeded else f", {point.outcome}"
     return f"others from t = {point.diverged:.6g}{ended}"
 
@@ -284,7 +283,7 @@ def _seconds(value: float) -> str:
 
 
 def to_dict(study: Measurements) -> dict[str, Any]:
-    """Return a study as one plain object, with what follows from its points."""
+    """Return a study as a JSON object, with its conclusions."""
     shown = study.model_dump(mode="json")
     shown["least"] = study.least
     front, cold = study.front(), study.front(once=True)

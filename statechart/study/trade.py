@@ -1,4 +1,4 @@
-"""Work-precision study: a model at many settings against a reference, `statechart trade`."""
+"""Work-precision study: runs of a model at many settings (`statechart trade`)."""
 
 from __future__ import annotations
 
@@ -27,34 +27,31 @@ from statechart.study.reference import References, Run, errors_of
 from statechart.study.startup_cost import FreshProcess
 from statechart.study.study import Study, load, save
 
-# Tolerances of every method, as powers of ten: from the first useful one to one that takes long.
+# Tolerances of every method, as powers of ten.
 _POWERS: Mapping[str, range] = {
     "RK45": range(3, 11),
     "DOP853": range(3, 14),
     "Radau": range(3, 9),
     "LSODA": range(3, 12),
 }
-# Of Taylor's method, which compiles anew for every one.
+# Tolerances of the Taylor method, which compiles for each.
 _TAYLOR = (1e-3, 1e-6, 1e-9, 1e-12, 2.2e-16)
-# Of time stepping, as parts of the run.
+# Time steps, as fractions of the run.
 _STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
-# Of the impulses of steps of many bodies, which iterations find.
-_IMPULSES = (1e-2, 1e-4, 1e-6, 1e-8)
+_IMPULSES = (1e-2, 1e-4, 1e-6, 1e-8)  # impulse tolerances of many bodies
 _ACCURACIES = (1e-3, 1e-6, 1e-9)
-# A family whose run takes longer than so many seconds, once compiled, is tightened no more.
-_TOO_LONG = 4.0
-# Repeats end once they took so many seconds.
-_ENOUGH = 2.0
-# Where events fall between two steps decides the error of one run: what is told of a step is the
-# worst of runs at these parts of it.
+_TOO_LONG = 4.0  # seconds of a warm run, after which a family is not tightened
+_ENOUGH = 2.0  # seconds of repeated runs
+# The error of a time step is the worst at these fractions of it, since the place of events between
+# two steps is random.
 _PARTS = (1.0, 0.983, 0.967, 0.951)
 
 
 def plan(automaton: Automaton, until: float) -> tuple[Setting, ...]:
-    """Return the settings that a model is run at, every family from coarse to fine."""
+    """Return the settings of a study, every family from coarse to fine."""
     steps = [float(f"{until * part:.3g}") for part in _STEPS]
     if automaton.laws is None:
-        # What has no events of its own are many bodies: steps alone run them.
+        # Rigid-body systems, by time stepping only.
         return tuple(
             Setting(engine="impulse", step=step, impulse_tolerance=tolerance)
             for tolerance in _IMPULSES
@@ -74,7 +71,7 @@ def plan(automaton: Automaton, until: float) -> tuple[Setting, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """Runs a model at settings, and takes the time."""
+    """Runs and times a model at settings."""
 
     model: Declaration
     automaton: Automaton
@@ -84,7 +81,7 @@ class Bench:
     cold: Callable[[Setting], float | None]
 
     def reference(self, mark: str) -> tuple[Run, Study]:
-        """Make what runs are compared with; see `References.make`."""
+        """Compute the reference; see `References.make`."""
         return References(self.model, self.automaton, self.until, self.once).make(mark)
 
     def once(self, observer: Observer) -> Trace:
@@ -94,12 +91,12 @@ class Bench:
         )
 
     def runner(self, setting: Setting) -> Callable[[], RunEstimate]:
-        """Return a function that makes the run of a setting; compiled programs are kept."""
+        """Return a function that runs a setting, with cached programs."""
         planner = RunPlanner(self.model, Observers(self.automaton), Plan(setting), None)
         return lambda: planner.run({}, self.until)[0]
 
     def measure(self, setting: Setting, reference: Run) -> Point:
-        """Run a setting and compare it."""
+        """Run a setting and compare it with the reference."""
         step = setting.step
         settings = (
             [setting] if step is None else [replace(setting, step=part * step) for part in _PARTS]
@@ -118,7 +115,7 @@ class Bench:
         found, _ = timed(makers[0])
         shown = [found]
         times: list[float] = []
-        # The first run compiles, however long it takes: times are of those that follow.
+        # The first run compiles and is not timed.
         while (len(times) < self.repeats and sum(times) < _ENOUGH) or len(shown) < len(makers):
             again, seconds = timed(makers[len(shown) % len(makers)])
             shown.append(again)
@@ -146,7 +143,7 @@ class Bench:
     def _worst(
         self, reference: Run, setting: Setting, found: Sequence[RunEstimate]
     ) -> tuple[Errors, float | None, float | None]:
-        """Return the largest errors of runs, and when the first took other modes and left."""
+        """Return the largest errors, and the earliest times of other modes and of separation."""
         runs = [Run(setting, EvaluatedRun.of(one.observer, one.trace)) for one in found]
         pairs = [errors_of(self.model, reference, run) for run in runs]
         left = [reference.left(run) for run in runs]
@@ -172,42 +169,40 @@ def trade(
     """Run a model at many settings, and compare every run with a reference.
 
     The reference is the tightest run of the most accurate engine, checked by the tightest of
-    another: their difference is what can be told. Each run is compared with the reference in its
-    final state, the times of its events, its outputs and its energy; what violates constraints
-    and cones of friction is measured on the run itself.
+    another; their difference is the resolution. Errors are of final state, times of events, outputs
+    and energy, and violations of constraints and friction cones.
 
     Parameters
     ----------
     model : Runner, Declaration, str or Path
         A model, the path of its file, the name of a shipped one, or a runner with its model.
     folder : Path or str, optional
-        Where the study is kept: it is written after every point, whole, and a study of the same
-        model that is there already is gone on with.
+        Folder of the study, written after every point. A study of the same model in it is resumed.
     settings : sequence of Setting, optional
-        What to run; `plan` by default.
+        By default `plan`.
     until : float, optional
         End of the runs.
     repeats : int
-        How often a run is repeated for its time.
+        Number of timed runs.
     clock : callable, optional
-        Tells the time in seconds; by default one that stands still while something is compiled.
+        Returns the time in seconds; by default without compilation.
     cold : callable, optional
-        Tells the seconds of a setting's first run; by default it is made, in a fresh process.
+        Returns the seconds of a first run; by default measured in a fresh process.
     progress : callable, optional
-        Gets a line for every point.
+        Receives a line for every point.
 
     Returns
     -------
     Study
-        Not `complete` where it was interrupted.
+        Not `complete` if it was interrupted.
 
     Raises
     ------
     DeclarationError
-        If the folder holds the study of another model or cannot be written, or the model cannot
+        If the folder contains the study of another model or cannot be written, or the model cannot
         start.
     StatechartError
-        If no reference can be had: no engine takes the model to its end.
+        If there is no reference, since no engine reaches the end.
     """
     if settings is not None:
         _check(settings)
@@ -250,7 +245,7 @@ def trade(
 
 
 def _check(settings: object) -> None:
-    """Check that these are settings; of none the reference alone is run."""
+    """Check that these are settings, possibly none."""
     several = settings if isinstance(settings, Sequence) else (settings,)
     wrong = next((one for one in several if not isinstance(one, Setting)), None)
     if wrong is not None or several is not settings:
@@ -261,7 +256,7 @@ def _check(settings: object) -> None:
 
 
 class _Trade:
-    """A study under way: its points so far, and what is left out of it."""
+    """A study in progress."""
 
     def __init__(
         self,
@@ -281,7 +276,7 @@ class _Trade:
             self._time(point)
 
     def skips(self, setting: Setting) -> bool:
-        """Return whether a setting is done or left out; record settings left out from now on."""
+        """Return whether a setting is done or skipped; record the reason for skipping."""
         if setting in self._points or setting.label in self._left_out:
             return True
         why = self._slow.get(setting.family)
@@ -310,7 +305,7 @@ class _Trade:
         )
 
     def stored_study(self) -> Study:
-        """Return the study as far as it has come, written to its folder."""
+        """Write the study to its folder, and return it."""
         done = tuple(self._points[s] for s in self._settings if s in self._points)
         found = self._study.model_copy(update={"points": done, "left_out": dict(self._left_out)})
         if self._folder is not None:

@@ -1,8 +1,7 @@
-"""Many runs of one model over its parameters.
+"""Parameter sweeps of a model.
 
-`ranges` reads values of parameters; `plan` is the cells of a sweep and their task; `cells` runs
-some of them, in whatever process, batched as far as possible; `store` keeps the results in Zarr,
-locked for one process, and checks that all chunks are there. `sweep` hands out blocks until every
-cell is done, to `workers` or here, and shows its progress. `results` are its report,
-`figure` its picture.
+`ranges` parses values of parameters, `plan` enumerates the cells of a sweep. `cells` runs blocks of
+cells in any process, in batches where possible. `store` writes the results to Zarr, locked for one
+process. `sweep` distributes blocks to `workers` or runs them here, and shows the progress.
+`results` reports a sweep, `figure` draws it.
 """

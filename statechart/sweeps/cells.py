@@ -1,4 +1,4 @@
-"""Runs of the cells of a sweep, in whatever process: together in compiled calls, or one by one."""
+"""Runs of the cells of a sweep, in compiled batches or one by one."""
 
 from __future__ import annotations
 
@@ -33,51 +33,44 @@ from statechart.running.runner import Runner
 from statechart.sweeps.plan import Task, lists
 
 REFUSED = "DECLARATION_ERROR"
-"""Outcome of a cell whose values the declaration does not allow."""
+"""Outcome of a cell with values that the declaration refuses."""
 FAULTY = "INTERNAL_ERROR"
-"""Outcome of a cell that a defect of this package ended."""
+"""Outcome of a cell that ended with an internal error."""
 OUTCOMES = {
     **{outcome.name: outcome.value for outcome in Outcome},
     REFUSED: "These parameter values make no valid model, or it cannot start.",
     FAULTY: "An internal error ended the run; please report it.",
 }
-"""Outcomes of a cell, in a sentence each."""
+"""Outcome -> sentence."""
 
-# Letters of a sequence of modes; a longer one is cut, with its length and a digest.
-_MAX_LETTERS = 240
-# Modes of a cycle that is searched for in it.
-_MAX_PERIOD = 12
-# Structures of a model whose compiled programs are kept, and texts of sequences.
-_MAX_STRUCTURES, _MAX_TEXTS = 8, 4096
-# Cells of one compiled call.
-_MAX_BATCH = 256
-# Once so many have been tried together, they go on so if one in so many went through: a cell that
-# does saves four fifths of its time, and one that does not has cost less than one fifth.
+_MAX_LETTERS = 240  # of a sequence of modes; a longer one is cut, with its length and a digest
+_MAX_PERIOD = 12  # modes of a repeated cycle
+_MAX_STRUCTURES, _MAX_TEXTS = 8, 4096  # cached runners and texts of sequences
+_MAX_BATCH = 256  # cells of one compiled call
+# After _MIN_TRIALS cells, batches go on if one in _WORTH completes: a complete cell saves four
+# fifths of its time, an incomplete one costs less than one fifth.
 _MIN_TRIALS, _WORTH = 64, 4
-# A runner makes one run at a time, whatever threads a worker has.
+# A runner is not thread-safe.
 _ONE_AT_A_TIME = threading.Lock()
 
 
 @dataclass
 class CellBlock:
-    """Results of some cells, cell by cell."""
+    """Results of n cells; arrays have shape (n,)."""
 
-    numbers: dict[str, Array]  # Output -> its value; not a number where there is none.
-    lists: dict[str, list[Array]]  # Output -> its values at each event.
-    # (n,): why each run ended; the message where that is no end that the declaration names.
+    numbers: dict[str, Array]  # output -> values, NaN if there is none
+    lists: dict[str, list[Array]]  # output -> values at each event
     outcome: NDArray[np.object_]
-    message: NDArray[np.object_]
-    certified: Bools  # (n,): whether every guard of every step was decided.
-    # (n,): place among `sequences`, texts of sequences of modes; -1 where nothing ran.
-    modes: Ints32
+    message: NDArray[np.object_]  # empty for a declared end
+    certified: Bools
+    modes: Ints32  # places among `sequences`, -1 for cells that did not run
     sequences: tuple[str, ...]
-    # (n,): when the run ended, the time it took, and its estimated error where that was asked for.
     t_end: Array
-    seconds: Array
-    error_estimate: Array
+    seconds: Array  # computing time
+    error_estimate: Array  # if an accuracy was requested
 
     def take(self, places: NDArray[np.intp], other: CellBlock, modes: Ints32) -> None:
-        """Take the cells of another block to places of this one, their modes coded by `modes`."""
+        """Copy another block to `places` of this one, with mode codes `modes`."""
         for name, values in self.numbers.items():
             values[places] = other.numbers[name]
         for name, rows in self.lists.items():
@@ -88,7 +81,7 @@ class CellBlock:
         self.modes[places] = modes
 
     def take_output(self, name: str, cells: Sequence[int], values: Sequence[OutputValue]) -> None:
-        """Take the values of an output in some cells."""
+        """Set the values of an output in some cells."""
         if name in self.lists:
             for k, value in zip(cells, values, strict=True):
                 self.lists[name][k] = np.array(value, dtype=float)
@@ -96,12 +89,12 @@ class CellBlock:
             self.numbers[name][cells] = [math.nan if v is None else v for v in values]
 
     def end(self, k: int, outcome: str, message: str) -> None:
-        """Set why a cell ended."""
+        """Set the outcome of a cell."""
         self.outcome[k], self.message[k] = outcome, message
 
     @classmethod
     def empty(cls, size: int, numbers: Iterable[str], lists: Iterable[str]) -> CellBlock:
-        """Return a block of cells that have not run: their outcome is the empty text."""
+        """Return a block of cells that have not run, with empty outcomes."""
         return cls(
             {name: np.full(size, math.nan) for name in numbers},
             {name: [np.empty(0)] * size for name in lists},
@@ -117,7 +110,7 @@ class CellBlock:
 
 
 def run_block(task: Task, rows: Array) -> CellBlock:
-    """Run cells, in whatever process this is."""
+    """Run cells in this process."""
     here = _version()
     if task.version != here:
         raise DeclarationError(
@@ -139,7 +132,7 @@ def _cells(task: Task) -> _Cells:
 
 
 class _Cells:
-    """Runs cells; compiled programs alone are kept between them."""
+    """Runs cells, with cached runners."""
 
     def __init__(self, task: Task) -> None:
         model = pickle.loads(task.model)
@@ -151,7 +144,7 @@ class _Cells:
         self._structures: dict[tuple[float, ...], _Structure] = {}
 
     def block(self, rows: Array) -> CellBlock:
-        """Run rows of values, those of one structure of the model one after another."""
+        """Run rows of values, ordered by the structure of the model."""
         found = CellBlock.empty(len(rows), self._numbers, self._lists)
         structures = [tuple(values) for values in rows[:, self._whole].tolist()]
         groups: dict[tuple[float, ...], list[int]] = {}
@@ -176,7 +169,7 @@ class _Cells:
         found: CellBlock,
         codes: dict[str, int],
     ) -> NDArray[np.intp]:
-        """Run some of the next rows in one compiled call; return those that did not go through."""
+        """Run the next rows in one compiled call; return the places that did not complete."""
         structure = self._structures.get(key)
         size = 1 if structure is None else structure.batch_size
         if structure is None or size == 1:
@@ -209,7 +202,7 @@ class _Cells:
         k: int,
         codes: dict[str, int],
     ) -> None:
-        """Run one cell, whatever comes of it."""
+        """Run one cell; errors become its outcome."""
         began = working_time()
         try:
             structure = self._structure(key)
@@ -223,12 +216,12 @@ class _Cells:
         except MemoryError:
             raise
         except Exception as error:
-            interrupts.check()  # in compiled code a signal becomes another error
+            interrupts.check()  # compiled code turns a signal into another error
             found.end(k, FAULTY, f"{type(error).__name__}: {error}")
         found.seconds[k] = working_time() - began
 
     def _structure(self, key: tuple[float, ...]) -> _Structure:
-        """Return the runner of the model with these numbers of copies of bodies."""
+        """Return the runner of the model with `key` numbers of copies of bodies."""
         found = self._structures.pop(key, None)
         if found is None:
             whole = {self._task.names[k]: value for k, value in zip(self._whole, key, strict=True)}
@@ -262,11 +255,7 @@ class _Cells:
 
 
 class _Structure:
-    """A runner of the model with one structure, and the evaluation of its runs.
-
-    Cells are run in compiled calls, as far as no instant of them needs more; `through` of them have
-    gone through.
-    """
+    """A runner of the model with one structure, and the evaluation of its outputs."""
 
     def __init__(self, runner: Runner, task: Task) -> None:
         self.runner, self._task = runner, task
@@ -275,7 +264,7 @@ class _Structure:
         self._texts: dict[tuple[Key, ...], str] = {}
 
     def outputs(self, observer: Observer) -> Outputs:
-        """Return the evaluation of the outputs of the sweep, made once."""
+        """Return the evaluation of the outputs of the sweep."""
         found = self._outputs.get(observer)
         if found is None:
             found = self._outputs[observer] = Outputs(observer, self._task.outputs)
@@ -287,15 +276,15 @@ class _Structure:
 
     @property
     def batch_size(self) -> int:
-        """Number of cells to take next; 1 where each is to be run alone."""
+        """Number of cells of the next batch; 1 without batches."""
         lost = self._trials >= _MIN_TRIALS and self.through * _WORTH < self._trials
         if lost or self._batches is None or not self._batches[1].ready(1):
             return 1
-        # The first of them enter modes that are not known yet.
+        # The first batches are small, since they enter modes that are not compiled yet.
         return min(2 + self._trials, _MAX_BATCH)
 
     def run_batch(self, table: Array) -> Iterator[tuple[Batch, dict[str, list[OutputValue]]]]:
-        """Run rows (m, p) of values; yield those that go through, with their outputs."""
+        """Run rows (m, p) of values; yield the complete ones with their outputs."""
         assert self._batches is not None
         observer, rows = self._batches
         outputs, until = self.outputs(observer), self._ends(table)
@@ -305,7 +294,7 @@ class _Structure:
             yield batch, outputs.of_batch(batch, partial(rows.jump, batch, table[batch.rows]))
 
     def sequence(self, modes: tuple[Key, ...]) -> str:
-        """Return the modes of a run, in order, as text."""
+        """Return the sequence of modes of a run as text."""
         found = self._texts.get(modes)
         if found is None:
             if len(self._texts) >= _MAX_TEXTS:
@@ -323,7 +312,7 @@ class _Structure:
         return f"{begin} > ... ({len(words)} modes, {digest})"
 
     def _word(self, key: Key) -> str:
-        """Return the name of a mode: its regions that have states to tell apart."""
+        """Return the name of a mode, without regions of a single state."""
         regions = self.runner.automaton.recorded_regions(key)
         states = [(r.name, s) for r, s in zip(regions, key, strict=True) if len(r.states) > 1]
         if len(states) < 2:
@@ -331,7 +320,7 @@ class _Structure:
         return " ".join(f"{name}:{state}" for name, state in states)
 
     def _ends(self, table: Array) -> Array:
-        """Return when runs (m,) end; not a number where that is refused."""
+        """Return the end times (m,) of runs, NaN if refused."""
         runner, names, until = self.runner, self._task.names, self._task.until
         time = runner.model.stop.time
         if until is not None or time is None or not parse(time).names:
@@ -344,7 +333,7 @@ class _Structure:
 
 
 def repeats(words: Sequence[str]) -> list[str]:
-    """Return a sequence in which cycles that repeat are written once: ``(a > b) x 3``."""
+    """Return a sequence with repeated cycles contracted: ``(a > b) x 3``."""
     found: list[str] = []
     k = 0
     while k < len(words):
@@ -364,7 +353,7 @@ def repeats(words: Sequence[str]) -> list[str]:
 
 
 def _modes_of(batch: Batch) -> list[tuple[Key, ...]]:
-    """Return the modes of each run of a batch, in order (see `Trace.modes`)."""
+    """Return the sequence of modes of each run of a batch (`Trace.modes`)."""
     keys = [kind[0] for kind in batch.kinds]
     sequences: dict[tuple[int, bytes], tuple[Key, ...]] = {}
     found = []

@@ -1,7 +1,7 @@
-"""A sweep as a picture: lines over one parameter, maps over two; modes in colours.
+"""Figure of a sweep: lines over one parameter, maps over two, coloured by sequences of modes.
 
-Lines join neighbours that went through the same modes: where these change, outputs may jump. A
-list is drawn as points, which makes a bifurcation diagram.
+Lines join neighbours with the same sequence of modes, since outputs may jump elsewhere. A list is
+drawn as points: a bifurcation diagram.
 """
 
 from __future__ import annotations
@@ -30,22 +30,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
-# Sequences of modes with a colour of their own; the rest are others.
-_MAX_COLOURS = 12
-# Light enough for letters, apart enough for legends: Okabe and Ito's first, then Tol's (2021).
+_MAX_COLOURS = 12  # sequences of modes; the rest share one
+# Okabe and Ito (2008), then Tol (2021): light enough for labels.
 _COLOURS = (
     "#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#F0E442", "#0072B2",
     "#D55E00", "#882255", "#999933", "#AA4499", "#332288", "#117733",
 )  # fmt: skip
 _OTHERS, _NOTHING, _BLANK = "#BBBBBB", "#FFFFFF", "#E6E6E6"
-# A second axis of so few values is drawn as lines, where the first has so many times more.
+# A second axis of at most _FEW values is drawn as lines if the first has _DENSER times as many.
 _FEW, _DENSER = 7, 3
-_WIDTH = 7.6  # of a picture of lines, in inches
-# An axis may be logarithmic where the largest value is so many times the least.
-_WIDE = 5.0
-# Letters of a sequence of modes in a legend; of one in inches, and what stands beside it.
-_MAX_LETTERS, _LETTER, _HANDLE = 96, 0.058, 0.6
-# Of so many regions in a mode those are named that are not in their usual state.
+_WIDTH = 7.6  # inches
+_WIDE = 5.0  # ratio of the largest to the least value of a logarithmic axis
+_MAX_LETTERS, _LETTER, _HANDLE = 96, 0.058, 0.6  # of a legend; widths in inches
+# Modes of at least so many regions name only the regions that are not in their usual state.
 _MANY_REGIONS = 4
 _STATE = re.compile(r"([^\s():>]+):([^\s():>]+)")
 _BETWEEN, _DIGEST = re.compile(r" > (?![^(]*\))"), re.compile(r" modes, [0-9a-f]{8}\)$")
@@ -53,7 +50,7 @@ _SUCCEEDED = [outcome.name for outcome in Outcome if outcome.succeeded]
 
 
 def check_drawable(plan: Plan) -> None:
-    """Raise `DeclarationError` where a sweep varies no parameter, or more than two."""
+    """Raise `DeclarationError` unless a sweep varies one or two parameters."""
     varied = [name for name, column in plan.columns.items() if len(np.unique(column)) > 1]
     if len(varied) not in (1, 2):
         fewer = "vary fewer, or draw what -o FILE.nc keeps"
@@ -80,11 +77,11 @@ def figure(plan: Plan, data: xr.Dataset) -> Figure:
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Cells in a row, whatever shape the sweep has.
+    """Cells of a sweep as flat arrays (n,).
 
-    `columns` (n,) are values of the parameters that vary; `good` cells came to an end that the
-    declaration names, `done` ones were run. `modes` are codes of their sequences, `kinds` places
-    among `labels` and `colours`, from the most frequent on, the rest as one; -1 for none.
+    `columns` are values of the parameters that vary; `good` cells reached a declared end, `done`
+    cells were run. `modes` are codes of their sequences, `kinds` places among `labels` and
+    `colours` by decreasing frequency, -1 for none.
     """
 
     names: tuple[str, ...]
@@ -116,7 +113,6 @@ class _Cells:
         texts = data["sequence"].to_numpy()
         good = np.isin(outcome.astype(str), _SUCCEEDED)
         codes, counts = np.unique(modes[good], return_counts=True)
-        # The most frequent first; of equals the one that came first.
         order = codes[np.argsort(-counts, kind="stable")]
         shown = order if len(order) <= _MAX_COLOURS else order[: _MAX_COLOURS - 1]
         places = np.full(len(texts) + 1, len(shown), dtype=np.int64)
@@ -132,7 +128,7 @@ class _Cells:
         return cls(names, columns, good, done, modes, kinds, tuple(labels), tuple(colours))
 
     def handles(self, *, blank: bool = False) -> list[Patch]:
-        """Return the entries of a legend: modes, failed cells, cells without a value."""
+        """Return the legend entries of modes, failed cells, and cells without a value."""
         from matplotlib.patches import Patch
 
         found = [
@@ -149,7 +145,7 @@ class _Cells:
 
 
 def shorten_alike(texts: Sequence[str]) -> list[str]:
-    """Return sequences of modes for a legend: of long ones what tells them from each other."""
+    """Return sequences of modes for a legend, long ones reduced to their differences."""
     if max(map(len, texts), default=0) <= _MAX_LETTERS:
         return list(texts)
     # Of many regions those that are in a state of their own; a digest tells people nothing.
@@ -165,7 +161,7 @@ def shorten_alike(texts: Sequence[str]) -> list[str]:
         kept = _STATE.sub(lambda found: found[0] if found.groups() in own else "", word)
         return re.sub(" +", " ", kept).replace("( ", "(").replace(" )", ")").strip()
 
-    # A cycle in parentheses stays one word.
+    # A cycle in parentheses is one word.
     split = [_BETWEEN.split(_DIGEST.sub(" modes)", text)) for text in texts]
     split = [[" > ".join(map(short, word.split(" > "))) for word in words] for words in split]
     found: list[str] = []
@@ -188,14 +184,14 @@ def _legend_columns(cells: _Cells, width: float, most: int) -> int:
 
 
 def _shared(one: Sequence[str], other: Sequence[str]) -> int:
-    """Return how many words two sequences begin with alike."""
+    """Return the length of the common prefix of two sequences."""
     pairs = zip(one, other, strict=False)
     return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
 
 
 @dataclass(frozen=True, eq=False)
 class _Axis:
-    """A parameter along an axis; `at` is the value of each cell, or its rank if one is infinite."""
+    """An axis of a parameter; `at` are the values of the cells, or ranks if one is infinite."""
 
     name: str
     at: Array
@@ -209,7 +205,7 @@ class _Axis:
             return cls(name, ranks.astype(float), False, tuple(f"{v:.4g}" for v in values))
         log = bool(values[0] > 0.0 and values[-1] > _WIDE * values[0])
         if log and len(values) > 2:
-            # Whether it is the values or their logarithms that are spread more evenly.
+            # The more evenly spaced of the values and their logarithms.
             log = _unevenness(np.log(values)) < _unevenness(values)
         return cls(name, column, log, ())
 
@@ -223,7 +219,7 @@ class _Axis:
         return np.exp(edges) if self.log else edges
 
     def put(self, ax: Axes, which: str) -> None:
-        """Name and scale the axis `which`, x or y."""
+        """Label and scale the axis `which`, x or y."""
         if self.log:
             ax.set(**{f"{which}scale": "log"})
         if self.labels:
@@ -237,7 +233,7 @@ def _unevenness(values: Array) -> float:
 
 
 def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
-    """Draw outputs over the parameter with most values, a colour for every value of the other."""
+    """Draw outputs over the parameter with most values, one colour per value of the other."""
     from matplotlib.figure import Figure
 
     axis = int(np.argmax([len(np.unique(column)) for column in cells.columns]))
@@ -279,7 +275,7 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
 
 
 def _joined_cells(ax: Axes, x: Array, y: Array, modes: NDArray[np.int32], colour: str) -> None:
-    """Join neighbours of the same modes; a cell without such a neighbour is a dot."""
+    """Join neighbours with the same modes; other cells are dots."""
     here = np.isfinite(y)
     joins = (modes[1:] == modes[:-1]) & here[1:] & here[:-1]
     breaks = np.flatnonzero(~joins) + 1
@@ -319,7 +315,7 @@ def _band(ax: Axes, x: _Axis, cells: _Cells) -> None:
 
 
 def _maps(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
-    """Draw a map of every output (of a list, of its length), and one of the modes."""
+    """Draw a map of every output (the length of a list), and one of the modes."""
     from matplotlib.colors import ListedColormap
     from matplotlib.figure import Figure
 
@@ -366,7 +362,7 @@ def _maps(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
 def _map(
     ax: Axes, x: _Axis, y: _Axis, values: Array, plan: Plan, cells: _Cells, **options: Any
 ) -> Any:
-    """Draw a number of every cell as a colour; cells that could not run are hatched."""
+    """Draw a value per cell as a colour; failed cells are hatched."""
     ax.set_facecolor(_BLANK if plan.grid else _NOTHING)
     if not plan.grid:
         size = float(np.clip(4e3 / len(values), 2.0, 40.0))

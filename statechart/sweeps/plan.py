@@ -1,4 +1,4 @@
-"""Plan of a sweep: its cells, and the task of each of them."""
+"""Plan of a sweep: its cells, their chunks, and the task of each cell."""
 
 from __future__ import annotations
 
@@ -30,13 +30,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _FORMAT = "statechart sweep 2"
-# Cells of a sweep: which of them are done is known in memory.
-_MAX_CELLS = 100_000_000
-# Cells of a chunk: so many numbers are read at once by whoever looks at one of them.
-_CHUNK = 16384
+_MAX_CELLS = 100_000_000  # their status is in memory
+_CHUNK = 16384  # cells of a Zarr chunk, the unit of reading
 SAMPLE = "sample"
 """Dimension of a table of samples."""
-# Variables and dimensions that every sweep has.
+# Variables and dimensions of every sweep.
 _OWN = frozenset(
     {"outcome", "message", "certified", "modes", "sequence", "t_end", "seconds", "error_estimate"}
 )
@@ -46,15 +44,14 @@ Slices = tuple[slice, ...]
 
 @dataclass(frozen=True)
 class Task:
-    """Task of every cell, as values that travel to any process."""
+    """Task of every cell, picklable."""
 
-    model: bytes  # The declaration, pickled.
-    setting: Setting  # Engine, and what that is told.
-    until: float | None  # End of the runs; `stop.time` of the model where None.
-    # The parameters that are swept, and the outputs that are computed.
-    names: tuple[str, ...]
+    model: bytes  # pickled declaration
+    setting: Setting
+    until: float | None  # end of the runs, by default `stop.time` of the model
+    names: tuple[str, ...]  # swept parameters
     outputs: tuple[str, ...]
-    version: str  # Of this package: another one may give other bits.
+    version: str  # of this package: another one may give other bits
 
     @classmethod
     def of(
@@ -65,7 +62,7 @@ class Task:
         names: Sequence[str],
         outputs: Sequence[str] | None,
     ) -> Task:
-        """Return a task; raise `DeclarationError` where the model has no such output."""
+        """Return a task; raise `DeclarationError` for an unknown output."""
         declared = model.outputs
         if isinstance(outputs, str):
             raise DeclarationError(
@@ -84,7 +81,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Tile:
-    """Cells that one chunk of the store holds: their slices and number along every dimension."""
+    """Cells of one chunk: slices and shape."""
 
     slices: Slices
     shape: tuple[int, ...]
@@ -98,9 +95,9 @@ class Tile:
 class Plan:
     """A sweep: parameters, their values, and the task of every cell.
 
-    Columns have the values of each parameter along its axis (`grid`), or of all along a table. Runs
-    end at `until`, else at `stop.time` of the model; all outputs of the model are computed by
-    default. `accurate`: runs estimate their error.
+    `columns` are the values of each parameter along its axis (`grid`), or the columns of a table.
+    Runs end at `until`, by default `stop.time` of the model. `outputs` are all by default. With
+    `accurate` runs estimate their error.
     """
 
     def __init__(
@@ -179,21 +176,21 @@ class Plan:
         return tuple(name for name in self.task.outputs if name not in self.lists)
 
     def named(self, name: str) -> dict[str, str]:
-        """Return the name of a parameter or an output, and its unit, as attributes."""
+        """Return name and unit of a parameter or output as attributes."""
         unit = self.model.unit(name)
         return {"long_name": name} | ({"units": unit} if unit else {})
 
     def entitled(self, name: str) -> str:
-        """Return the label of an axis of a parameter or an output."""
+        """Return the axis label of a parameter or output."""
         return entitled(name, self.model.unit(name))
 
     def declared(self, name: str) -> dict[str, str]:
-        """Return the declaration of an output, as attributes of its variable."""
+        """Return the declaration of an output as attributes of its variable."""
         found = self.model.outputs[name].model_dump(mode="json", exclude_defaults=True)
         return {key: str(value) for key, value in found.items()}
 
     def attributes(self) -> dict[str, str]:
-        """Return the identity of this sweep: in words, and as a digest."""
+        """Return the identity of this sweep as text and digest."""
         task = self.task
         varied = ", ".join(
             f"{name}: {len(column)} from {column.min():g} to {column.max():g}"
@@ -222,10 +219,10 @@ class Plan:
 
     @cached_property
     def chunk(self) -> tuple[int, ...]:
-        """Cells of a chunk along every dimension.
+        """Shape of a chunk.
 
-        Whole trailing axes as far as they fit, and one value of a parameter that changes the
-        structure of the model, so that the cells of a chunk share compiled programs.
+        It contains whole trailing axes as far as they fit, and one value of each structural
+        parameter, so that its cells share compiled programs.
         """
         found, free = [], _CHUNK
         for name, length in zip(reversed(self.columns), reversed(self.shape), strict=False):
@@ -236,10 +233,10 @@ class Plan:
         return tuple(reversed(found))
 
     def tiles(self) -> Iterator[Tile]:
-        """Yield the chunks, those of one structure of the model one after another."""
+        """Yield the chunks, ordered by the structure of the model."""
         starts = [range(0, n, k) for n, k in zip(self.shape, self.chunk, strict=True)]
         names = list(self.columns) if self.grid else [SAMPLE]
-        # The last of a product varies fastest.
+        # The last factor of a product varies fastest.
         order = sorted(range(len(names)), key=lambda axis: names[axis] not in self.model.whole)
         for corner in product(*(starts[axis] for axis in order)):
             begins = [corner[order.index(axis)] for axis in range(len(order))]
@@ -258,7 +255,7 @@ class Plan:
 
 
 def lists(model: Declaration, names: Sequence[str]) -> frozenset[str]:
-    """Return which outputs are lists: of values at several events."""
+    """Return the outputs that are lists of values at several events."""
     declared = ((name, model.outputs[name]) for name in names)
     return frozenset(
         name for name, output in declared if isinstance(output, Value) and output.moment.several
@@ -279,7 +276,7 @@ def columns_of(samples: pd.DataFrame) -> dict[str, Array]:
 
 
 def _claimed(name: str, taken: set[str], suffixes: Sequence[str] = ("",)) -> str:
-    """Return a name that is free with all of its suffixes, which are taken from here on."""
+    """Return a name that is free with all suffixes, and reserve these."""
     while name in RESERVED or not taken.isdisjoint(name + suffix for suffix in suffixes):
         name += "_"
     taken.update(name + suffix for suffix in suffixes)

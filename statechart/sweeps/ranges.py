@@ -1,4 +1,4 @@
-"""Values of a parameter as text, samples of several, and tables of them."""
+"""Values of swept parameters: ranges, Sobol sequences, tables."""
 
 from __future__ import annotations
 
@@ -22,12 +22,9 @@ if TYPE_CHECKING:
 
 _SPACINGS = ("lin", "log")
 _FORMS = "write lin:A:B:N, log:A:B:N, or the values themselves, such as 0.1,1/3,inf"
-# Values of one parameter: more than anybody waits for would only take the memory.
-_MAX_NUMBERS = 10_000_000
-# Of a table: so many numbers with all their digits, a sign, an exponent and a comma.
-_MAX_BYTES = 25 * _MAX_NUMBERS
-# So that a sequence is the same wherever and whenever it is drawn.
-_SEED = 0
+_MAX_NUMBERS = 10_000_000  # values of one parameter
+_MAX_BYTES = 25 * _MAX_NUMBERS  # of a table: 25 characters per number
+_SEED = 0  # sequences are reproducible
 
 
 @dataclass(frozen=True)
@@ -39,13 +36,12 @@ class Interval:
     greatest: float
 
     def at(self, places: Array) -> Array:
-        """Return the values at `places`, which go from 0 to 1."""
+        """Return the values at `places` in [0, 1]; the ends are exact."""
         if self.spacing == "lin":
             found = self.least + places * (self.greatest - self.least)
         else:
             low, high = math.log(self.least), math.log(self.greatest)
             found = np.exp(low + places * (high - low))
-        # The ends are those written, to the last bit.
         found = np.where(places == 1.0, self.greatest, found)
         return np.where(places == 0.0, self.least, found)
 
@@ -53,7 +49,7 @@ class Interval:
 def cells(
     over: Mapping[str, str], table: str | None, sobol: int | None
 ) -> tuple[dict[str, Array] | None, pd.DataFrame | None]:
-    """Return the grid, or the table of samples, of a command line; None for the other."""
+    """Return the grid or the table of samples of a command line; None for the other."""
     if table is not None:
         if over:
             raise DeclarationError(
@@ -71,7 +67,7 @@ def cells(
 
 
 def values(name: str, text: str) -> Array:
-    """Return the values (n,) that a text stands for: `lin:A:B:N`, `log:A:B:N`, or a list."""
+    """Parse values (n,): `lin:A:B:N`, `log:A:B:N`, or a list."""
     if ":" not in text:
         return np.array([_number_in_range(name, word) for word in text.split(",")])
     spacing, *words = text.split(":")
@@ -92,10 +88,7 @@ def values(name: str, text: str) -> Array:
 
 
 def sobol_sequence(over: Mapping[str, str], count: int) -> pd.DataFrame:
-    """Return a Sobol sequence over intervals, one row a point.
-
-    Scrambled as Owen (1998) does, always by the same random numbers.
-    """
+    """Return a scrambled Sobol sequence (Owen 1998) over intervals, one row per point."""
     import pandas as pd
     from scipy.stats import qmc
 
@@ -120,7 +113,7 @@ def sobol_sequence(over: Mapping[str, str], count: int) -> pd.DataFrame:
 
 
 def read_table(path: Path | str) -> pd.DataFrame:
-    """Return the table of a CSV file: a column for every parameter, a row for every run."""
+    """Read a CSV file with a column per parameter and a row per run."""
     import pandas as pd
 
     raw = read_bounded(Path(path), _MAX_BYTES, "name a CSV file")
@@ -138,7 +131,7 @@ def read_table(path: Path | str) -> pd.DataFrame:
             advice="write a row for every run, a column for every parameter",
         )
     try:
-        # Without a header: pandas would name two columns of one name apart.
+        # Without a header, since pandas renames duplicate columns.
         found = pd.read_csv(
             io.BytesIO(raw), dtype=str, header=None, keep_default_na=False, skipinitialspace=True
         )
@@ -164,7 +157,7 @@ def read_table(path: Path | str) -> pd.DataFrame:
 
 
 def numbers(name: str, given: Sequence[float] | Array) -> Array:
-    """Return given values (n,) of a parameter as numbers."""
+    """Return values (n,) of a parameter as floats."""
     try:
         found = np.atleast_1d(np.asarray(given, dtype=float))
     except (TypeError, ValueError):
@@ -199,7 +192,7 @@ def _number_in_range(name: str, text: str) -> float:
     try:
         found = parse(word).value({})
     except FormulaError as error:
-        # Without its advice: it speaks of formulas, and this is a range.
+        # Without its advice, which is about formulas.
         raise _wrong(name, error.message, _FORMS) from None
     if math.isnan(found):
         raise _wrong(name, f"{word!r} is not a number", _FORMS)

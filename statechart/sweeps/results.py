@@ -1,4 +1,4 @@
-"""Results of a sweep, as one plain object and in words."""
+"""Report of a sweep as JSON object and as text."""
 
 from __future__ import annotations
 
@@ -14,16 +14,15 @@ from statechart.documents.quantities import unit_suffix
 from statechart.sweeps.plan import Plan
 from statechart.tabular import DIGITS, Table, TextBlock, aligned, join_blocks, number, several
 
-if TYPE_CHECKING:  # imported where a sweep is made: it takes half a second
+if TYPE_CHECKING:  # importing xarray takes half a second
     import xarray as xr
 
-# Sequences of modes that are listed in words.
-_LISTED = 12
+_LISTED = 12  # sequences of modes
 _SUCCEEDED = frozenset(outcome.name for outcome in Outcome if outcome.succeeded)
 
 
 def to_dict(plan: Plan, data: xr.Dataset, *, where: str | None) -> dict[str, Any]:
-    """Return a sweep as one plain object."""
+    """Return the report of a sweep as a JSON object."""
     outcomes = data["outcome"].to_numpy().ravel().astype(object)
     done = outcomes != ""
     outputs: dict[str, Any] = {}
@@ -87,7 +86,7 @@ def succeeded(report: dict[str, Any]) -> bool:
 
 
 def format_text(report: dict[str, Any], digits: int = DIGITS) -> list[TextBlock]:
-    """Return the report of a sweep in words and tables."""
+    """Return the report of a sweep as texts and tables."""
     units = report["units"]
 
     def with_unit(value: float | str, name: str) -> str:
@@ -138,7 +137,7 @@ def format_text(report: dict[str, Any], digits: int = DIGITS) -> list[TextBlock]
 
 
 def _without_empty_columns(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[TextBlock]:
-    """Return a table without the columns that say nothing."""
+    """Return a table without empty columns."""
     said = [k for k in range(len(head)) if any(row[k] for row in rows)]
     columns = [[head[k], *aligned([row[k] for row in rows])] for k in said]
     return [Table(list(zip(*columns, strict=True)), headed=True)] if rows else []

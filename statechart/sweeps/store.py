@@ -1,10 +1,9 @@
-"""Results of a sweep in Zarr: on disk, where a sweep goes on from, or in memory.
+"""Zarr store of a sweep, on disk (resumable) or in memory.
 
-A cell is done where its outcome is not empty, which is written after all else of its chunk. All
-chunks are written, those of fill values, too: Zarr reads a chunk that is missing as fill values, so
-that one that is not there was lost. Modes are coded in the order in which their sequences come in;
-once all cells are done they are coded anew in the order of the cells, so that a store does not
-depend on the order in which it was made.
+A cell is done if its outcome is not empty; the outcome of a chunk is written last. Chunks of fill
+values are written too, since Zarr cannot tell a lost chunk from fill values. Modes are coded in
+order of arrival, and recoded in the order of the cells at the end, so that a store does not depend
+on the order of computation.
 """
 
 from __future__ import annotations
@@ -32,18 +31,16 @@ from statechart.errors import DeclarationError, StatechartError
 from statechart.sweeps.cells import OUTCOMES, CellBlock
 from statechart.sweeps.plan import Plan, Slices, Tile
 
-if TYPE_CHECKING:  # imported where a store is made: they take half a second
+if TYPE_CHECKING:  # importing them takes half a second
     import xarray as xr
     import zarr
 
 SEQUENCE, UNFINISHED = "sequence", "unfinished"
 """The texts of sequences of modes; the group of their codes while a sweep is under way."""
-# Values of a list along its own dimension, and sequences, that one chunk holds.
-_LIST_CHUNK, _TABLE_CHUNK = 16, 256
-# Files that zarr writes before they get their names.
-_PARTIAL = "*.partial"
+_LIST_CHUNK, _TABLE_CHUNK = 16, 256  # values of a list, and sequences, per chunk
+_PARTIAL = "*.partial"  # temporary files of zarr
 _LOCK = ".lock"
-# Errors of file systems of networks that have no locks.
+# Errors of network file systems without locks.
 _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP)
 _ALL_CHUNKS = {"array.write_empty_chunks": True}
 
@@ -57,7 +54,7 @@ class _Kind(NamedTuple):
 
 _NUMBER, _TEXT, _FLAG = _Kind(float, math.nan), _Kind(str, ""), _Kind(bool, False)
 _CODE, _COUNT = _Kind("int32", -1), _Kind("int32", 0)
-# In the order in which they are written: with its outcome a cell is done.
+# In order of writing, the outcome last.
 _OWN: Mapping[str, tuple[_Kind, Mapping[str, str]]] = {
     "message": (_TEXT, {"long_name": "what kept the run from its end"}),
     "certified": (_FLAG, {"long_name": "every guard of every step was decided by enclosure"}),
@@ -71,14 +68,14 @@ _OWN: Mapping[str, tuple[_Kind, Mapping[str, str]]] = {
 
 @contextmanager
 def locked(path: Path) -> Iterator[Callable[[], None]]:
-    """Lock a folder, which is made if it does not exist; yield a check that it is still there.
+    """Create and lock a folder; yield a check that it still exists.
 
-    Where the work in it fails before anything is written, no folder is left. The lock ends with the
-    process, however that ends.
+    The folder is removed if the work fails before anything is written. The operating system
+    releases the lock when the process ends.
     """
     from filelock import FileLock, Timeout
 
-    if path.exists() and not path.is_dir():  # it is refused later, as no store
+    if path.exists() and not path.is_dir():  # refused later
         yield lambda: None
         return
     file = path / _LOCK
@@ -123,7 +120,7 @@ def locked(path: Path) -> Iterator[Callable[[], None]]:
 
 
 class Store:
-    """A Zarr group that holds a sweep."""
+    """Zarr group of a sweep."""
 
     def __init__(
         self,
@@ -137,7 +134,7 @@ class Store:
         self._path = None if path is None else Path(path)
         self._fresh = False
         self._codes: dict[str, int] = {}
-        self._written = 0  # number of their texts
+        self._written = 0  # texts written
         self._arrays: dict[str, zarr.Array[Any]] = {}
         try:
             with self._explained():
@@ -156,11 +153,11 @@ class Store:
 
     @property
     def left(self) -> int:
-        """Number of cells that are not done."""
+        """Number of undone cells."""
         return int(self._done.size - np.count_nonzero(self._done))
 
     def undone(self, tile: Tile) -> NDArray[np.intp]:
-        """Return the places of the cells of a chunk that are not done."""
+        """Return the places of the undone cells of a chunk."""
         return np.flatnonzero(~self._done[tile.slices])
 
     def block(self, tile: Tile) -> CellBlock:
@@ -179,13 +176,13 @@ class Store:
         return block
 
     def codes(self, block: CellBlock) -> Ints32:
-        """Return the codes (n,) of the sequences of a block's cells; new sequences get one."""
+        """Return the sequence codes (n,) of the cells of a block, after adding new sequences."""
         places = [self._codes.setdefault(text, len(self._codes)) for text in block.sequences]
-        # The code of a cell without any, -1, is that of the last place.
+        # -1, the code of cells without a sequence, indexes the last place.
         return np.array([*places, -1], dtype=np.int32)[block.modes]
 
     def write(self, tile: Tile, block: CellBlock) -> None:
-        """Write the region of a chunk with the results so far; its modes are `codes`."""
+        """Write the results of a chunk; its modes are `codes`."""
         where = tile.slices
         with self._explained():
             self._write_sequences()
@@ -198,7 +195,7 @@ class Store:
         self._done[where] = (block.outcome != "").reshape(tile.shape)
 
     def finish(self) -> None:
-        """Code modes in the order of the cells, if all cells are done."""
+        """Recode modes in the order of the cells if all cells are done."""
         if self.left or self._complete:
             return
         with self._explained():
@@ -218,14 +215,14 @@ class Store:
             self._consolidate()
 
     def discard(self) -> None:
-        """Remove the store if it was made here."""
+        """Remove the store if this object created it."""
         if self._fresh and self._path is not None:
             with suppress(StatechartError):
                 self._check_lock()
                 shutil.rmtree(self._path, ignore_errors=True)
 
     def dataset(self) -> xr.Dataset:
-        """Return the sweep, read from the store piece by piece when it is used."""
+        """Return the sweep as a lazily loaded data set."""
         import xarray as xr
 
         try:
@@ -234,7 +231,7 @@ class Store:
             raise self._problem("read", error) from error
 
     def loaded(self) -> xr.Dataset:
-        """Return the sweep, read; `DeclarationError` if a part of it is damaged."""
+        """Return the sweep in memory; raise `DeclarationError` if a part is damaged."""
         found = self.dataset()
         for name, variable in found.variables.items():
             with self._whole(str(name)):
@@ -259,23 +256,23 @@ class Store:
             group = zarr.open_group(path, mode="r+", use_consolidated=False)
         except PermissionError:
             raise
-        except Exception:  # whatever the library raises for what is no store
+        except Exception:  # zarr raises various errors for other folders
             raise DeclarationError(
                 f"{path} is no sweep store", advice="name another, or remove it"
             ) from None
         self._check(group)
-        for part in path.rglob(_PARTIAL):  # of a process that was killed while it wrote them
+        for part in path.rglob(_PARTIAL):  # of a killed process
             part.unlink()
         with self._whole("outcome"):
             outcome = "outcome" in group
-        if not outcome:  # made by a process that was killed while it made it
+        if not outcome:  # of a process killed during creation
             return self._remake(path)
         self._group = group
         self._read_sequences()
         return group
 
     def _read_sequences(self) -> None:
-        """Check coordinates, and read the sequences of modes, of a sweep that goes on."""
+        """Check the coordinates of a resumed sweep, and read its sequences of modes."""
         for name in self._single:
             self._array(name)
         for name, column in self._plan.columns.items():
@@ -286,12 +283,12 @@ class Store:
             if UNFINISHED not in self._group:
                 raise self._damaged(UNFINISHED)
             texts = self._read(f"{UNFINISHED}/{SEQUENCE}")
-        # A process that ended before it wrote the last ones leaves empty texts.
+        # A killed process may have left trailing empty texts.
         known = itertools.takewhile(bool, map(str, texts))
         self._codes = {text: code for code, text in enumerate(known)}
 
     def _check_whole(self) -> None:
-        """Raise `DeclarationError` where results of cells or texts of their modes are missing."""
+        """Raise `DeclarationError` if results of cells or texts of their modes are missing."""
         plan, root, complete = self._plan, self._path, self._complete
         assert root is not None
         modes = "modes" if complete else f"{UNFINISHED}/modes"
@@ -330,7 +327,7 @@ class Store:
         )
 
     def _remake(self, path: Path) -> zarr.Group:
-        """Empty a folder but for its lock, and make the group in it."""
+        """Empty a folder except for its lock, and create the group in it."""
         for part in path.iterdir():
             if part.is_dir():
                 shutil.rmtree(part)
@@ -351,18 +348,18 @@ class Store:
 
     @property
     def _single(self) -> list[str]:
-        """The variables of one value a cell, the outcome last."""
+        """The variables of one value per cell, the outcome last."""
         return [*(self._plan.variables[name] for name in self._plan.numbers), *_own(self._plan)]
 
     def _columns(self, block: CellBlock) -> Iterator[tuple[str, NDArray[Any]]]:
-        """Yield variables of one value a cell with their values (n,), the outcome last."""
+        """Yield variables of one value per cell with their values (n,), the outcome last."""
         values = [*block.numbers.values(), *(getattr(block, name) for name in _own(self._plan))]
         yield from zip(self._single, values, strict=True)
 
     def _write_sequences(self) -> None:
         if len(self._codes) == self._written:
             return
-        # First where a sweep goes on from: a code without a text would be lost there.
+        # First the copy that a resumed sweep reads, since a code without a text would be lost.
         for place in (f"{UNFINISHED}/{SEQUENCE}", SEQUENCE):
             self._fill(self._array(place), list(self._codes), self._written)
         self._written = len(self._codes)
@@ -405,11 +402,11 @@ class Store:
             return np.asarray(self._array(name)[where])
 
     def _consolidate(self) -> None:
-        """Write the metadata of all arrays to one file: without it readers warn."""
+        """Consolidate the metadata: readers warn without it."""
         import zarr
 
         with warnings.catch_warnings():
-            # It is no part of the format's version 3 yet, but all readers know it.
+            # Not part of Zarr format 3 yet, but all readers know it.
             warnings.simplefilter("ignore")
             zarr.consolidate_metadata(self._group.store)
 
@@ -424,7 +421,7 @@ class Store:
 
     @contextmanager
     def _whole(self, name: str) -> Iterator[None]:
-        """Raise `DeclarationError` for files that are cut off, or missing."""
+        """Raise `DeclarationError` for truncated or missing files."""
         try:
             yield
         except (FileNotFoundError, ValueError, KeyError, RuntimeError):
@@ -440,12 +437,12 @@ class Store:
 
 
 def _own(plan: Plan) -> list[str]:
-    """Return the variables that every sweep has, the outcome last."""
+    """Return the variables of every sweep, the outcome last."""
     return [name for name in _OWN if name != "error_estimate" or plan.accurate]
 
 
 def _missing_chunk(root: Path, array: zarr.Array[Any], where: Slices) -> str:
-    """Return the file of the first missing chunk in a part of an array, or an empty string."""
+    """Return the file of the first missing chunk of a part of an array, or an empty string."""
     spans = (
         range(part.start // size, -(-part.stop // size))
         for part, size in zip(where, array.chunks, strict=True)
@@ -458,7 +455,7 @@ def _missing_chunk(root: Path, array: zarr.Array[Any], where: Slices) -> str:
 
 
 def create(group: zarr.Group, plan: Plan) -> None:
-    """Make the arrays of a sweep in a group; the outcome last."""
+    """Create the arrays of a sweep in a group, the outcome last."""
 
     def make(
         name: str, kind: _Kind, shape: Any, chunks: Any, dims: Any, attributes: Mapping[str, str]

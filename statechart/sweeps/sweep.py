@@ -1,4 +1,4 @@
-"""Sweeps: blocks of cells are handed out, here or to workers, and kept as they return."""
+"""Sweep driver: distributes blocks of cells and stores their results."""
 
 from __future__ import annotations
 
@@ -31,26 +31,21 @@ from statechart.sweeps.store import Store, locked
 from statechart.sweeps.workers import ClusterWatch, unguarded
 from statechart.tabular import several
 
-if TYPE_CHECKING:  # imported where a sweep is made: they take half a second
+if TYPE_CHECKING:  # importing them takes half a second
     import pandas as pd
     import xarray as xr
 
-# Seconds that a block takes: much longer than handing it out, much shorter than people wait.
-_BLOCK = 0.25
+_BLOCK = 0.25  # seconds of work in a block
 _MAX_CELLS = 4096
-# A block is no more than one part in so many of what is left, down to so many cells: workers come
-# to their end together, and cells of one compiled call are worth it.
+# A block is at most 1/_PARTS of the remaining cells, so that workers finish together, but at least
+# _MIN_CELLS, for efficient batches.
 _PARTS, _MIN_CELLS = 16, 64
-# Seconds between writes; a kill loses no more.
-_WRITTEN = 4.0
-# Blocks handed out at first, and at most; each that returns makes room for one more.
-_FIRST_BLOCKS, _MAX_BLOCKS = 64, 2048
-# Seconds between looks for a signal while workers work.
-_POLL_INTERVAL = 0.1
-# Seconds between lines of progress, where stderr is no terminal.
-_LINES = 10.0
+_WRITE_INTERVAL = 4.0  # seconds; a kill loses no more
+_FIRST_BLOCKS, _MAX_BLOCKS = 64, 2048  # in flight, at first and at most
+_POLL_INTERVAL = 0.1  # seconds between checks for a signal
+_PROGRESS_INTERVAL = 10.0  # seconds between lines of progress without a terminal
 INTERRUPTED = "interrupted"
-"""Why a sweep ended that a signal ended."""
+"""`Sweep.ended` after a signal."""
 
 
 class SweepWords(IntegrationWords, total=False):
@@ -61,14 +56,14 @@ class SweepWords(IntegrationWords, total=False):
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep as far as it has come: its plan, its store, and why not all of it is done."""
+    """State of a sweep: plan, store, and the reason why it is incomplete (else empty)."""
 
     plan: Plan
     store: Store
     ended: str
 
     def dataset(self, *, loaded: bool = False) -> xr.Dataset:
-        """Return the results, with why they are not complete among the attributes."""
+        """Return the results; attributes say why they are incomplete."""
         found = self.store.loaded() if loaded else self.store.dataset()
         return found.assign_attrs(ended=self.ended) if self.ended else found
 
@@ -93,18 +88,18 @@ def sweep(
     model : Declaration, Document, str or Path
         A model, a file, or the name of a shipped model.
     over : mapping of str to (n,) array
-        Parameter -> its values; every value is combined with all of the others.
+        Parameter -> its values, of which all combinations are run.
     samples : DataFrame, optional
-        In the place of `over`: a column for every parameter, a row for every run.
+        Instead of `over`: a column per parameter, a row per run.
     outputs : sequence of str, optional
         Outputs of the model to compute; all by default.
     executor : concurrent.futures.Executor, optional
-        Runs blocks of cells: processes, or `client.get_executor()` of a Dask cluster; this process
-        by default.
+        Runs blocks of cells: processes, or `client.get_executor()` of a Dask cluster; by default
+        this process.
     store : Path or str, optional
-        Zarr store of the result, written block by block; in memory by default.
+        Zarr store of the result, by default in memory.
     resume : bool
-        Whether to go on with the sweep that the store holds, if it does.
+        Whether to resume the sweep in the store.
     progress : bool
         Whether to report to stderr.
     until : float, optional
@@ -115,17 +110,16 @@ def sweep(
     Returns
     -------
     Dataset
-        Over the swept parameters, or over `sample`: the outputs (a list is padded with not a
-        number along its own dimension, and `NAME_count` says how many values there are),
-        `outcome` (empty where a cell has not run) and `message`, `certified`, `modes` (a place
-        along `sequence`, or -1), `t_end`, `seconds`, and with an accuracy `error_estimate`. A
-        cell that cannot run has an outcome that says so. Its attribute `complete` is 0 where the
-        sweep was interrupted.
+        Over the swept parameters, or over `sample`: the outputs (a list is padded with NaN along
+        its own dimension, with `NAME_count` values), `outcome` (empty for cells that did not run)
+        and `message`, `certified`, `modes` (a place along `sequence`, or -1), `t_end`, `seconds`,
+        and with an accuracy `error_estimate`. The attribute `complete` is 0 if the sweep was
+        interrupted.
 
     Raises
     ------
     DeclarationError
-        If the model, a parameter, a value or a setting is wrong, the store holds something else,
+        If the model, a parameter, a value or a setting is wrong, the store contains something else,
         or another process writes it.
     StatechartError
         If workers died, or the store cannot be written.
@@ -185,7 +179,7 @@ def run_plan(
     resume: bool = False,
     progress: bool = False,
 ) -> Sweep:
-    """Run the cells of a sweep that are not done; see `sweep` for parameters and errors."""
+    """Run the undone cells of a sweep; see `sweep` for parameters and errors."""
     if resume and store is None:
         raise DeclarationError("there is no store to resume", advice="give its path")
     with nullcontext(lambda: None) if store is None else locked(Path(store)) as check_lock:
@@ -208,9 +202,9 @@ def run_plan(
 
 
 class _Progress:
-    """Shows on stderr how many cells are done: as a bar on a terminal, else as lines.
+    """Progress on stderr, as a bar on a terminal, else as lines.
 
-    The rate is that since the start or the last line, without the time of compilation.
+    The rate is measured since the start or the last line, without compilation.
     """
 
     def __init__(self, total: int, done: int) -> None:
@@ -221,7 +215,7 @@ class _Progress:
     def advance(self, count: int) -> None:
         self._done += count
         now, worked = time.monotonic(), working_time()
-        if self._bar is None and now - self._shown < _LINES:
+        if self._bar is None and now - self._shown < _PROGRESS_INTERVAL:
             return
         rate = (self._done - self._said) / max(worked - self._worked, 1e-9)
         left = timedelta(seconds=round((self._total - self._done) / rate))
@@ -239,7 +233,7 @@ class _Progress:
 
 
 def _ended(work: _Work, executor: Executor | None) -> str:
-    """Do the work; return why not all of it is done, else an empty text."""
+    """Run the cells; return why the sweep is incomplete, or an empty text."""
     try:
         if executor is None:
             _run_here(work)
@@ -257,7 +251,7 @@ def _ended(work: _Work, executor: Executor | None) -> str:
 
 
 class _Lost(Exception):  # noqa: N818, workers are lost
-    """Workers cannot go on."""
+    """The workers failed."""
 
     def __init__(self, error: StatechartError) -> None:
         super().__init__(str(error))
@@ -266,7 +260,7 @@ class _Lost(Exception):  # noqa: N818, workers are lost
 
 @dataclass
 class _Chunk:
-    """A chunk some of whose cells are running."""
+    """A chunk with running cells."""
 
     tile: Tile
     block: CellBlock
@@ -275,7 +269,7 @@ class _Chunk:
 
 
 class _Job(NamedTuple):
-    """Cells of a chunk that are handed out together."""
+    """Cells of a chunk that one call runs."""
 
     chunk: _Chunk
     places: NDArray[np.intp]
@@ -283,7 +277,7 @@ class _Job(NamedTuple):
 
 
 class _Work:
-    """The cells that are not done yet, and those whose results are not written yet."""
+    """Queue of undone cells, and the results not written yet."""
 
     def __init__(self, plan: Plan, store: Store, shown: _Progress | None, *, shared: bool) -> None:
         self._plan, self._store, self._shown = plan, store, shown
@@ -296,7 +290,7 @@ class _Work:
         next(self._parts)
 
     def next(self) -> _Job | None:
-        """Return the next cells to run, as many as take a moment."""
+        """Return the next block, of about _BLOCK seconds."""
         size = self._size
         if self._shared:
             size = min(size, max(self._left // _PARTS, _MIN_CELLS))
@@ -321,16 +315,16 @@ class _Work:
                 size = yield _Job(chunk, part, self._plan.parameter_values(tile, part))
 
     def take(self, job: _Job, block: CellBlock) -> None:
-        """Take the results of cells; write them, if that is due."""
+        """Store the results of cells; write them if due."""
         chunk = job.chunk
         chunk.block.take(job.places, block, self._store.codes(block))
         chunk.left -= len(job.places)
         self.done += len(job.places)
         chunk.written = False
-        # Not the mean: a cell that compiles takes a thousand times as long as others.
+        # The median, since a cell that compiles takes a thousand times as long as others.
         each = max(float(np.median(block.seconds)), 1e-9)
         self._size = int(np.clip(_BLOCK / each, 1, _MAX_CELLS))
-        if time.monotonic() - self._written_at > _WRITTEN:
+        if time.monotonic() - self._written_at > _WRITE_INTERVAL:
             self.write()
         if self._shown is not None:
             self._shown.advance(len(job.places))
@@ -351,7 +345,7 @@ def _run_here(work: _Work) -> None:
 
 
 def _hand_out(work: _Work, executor: Executor) -> None:
-    """Let an executor run blocks; their number grows with those that return."""
+    """Run blocks on an executor; each that returns increases their number in flight by one."""
     pending: dict[Future[CellBlock], _Job] = {}
     room, watch = _FIRST_BLOCKS, ClusterWatch(executor)
     try:
@@ -383,7 +377,7 @@ def _hand_out(work: _Work, executor: Executor) -> None:
         words = str(error).strip().rstrip(".") or "the connection to them was lost"
         advice = "" if work.done else unguarded(error)
         raise _Lost(StatechartError(f"workers died: {words}{advice}")) from None
-    except Exception as error:  # whatever an executor raises for workers that fail
+    except Exception as error:  # executors raise various errors for failed workers
         problem = f"workers failed, {type(error).__name__}: {error}"
         raise _Lost(StatechartError(problem)) from None
     finally:

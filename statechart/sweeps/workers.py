@@ -1,4 +1,4 @@
-"""Workers of a sweep: processes of this machine, or those of a Dask cluster."""
+"""Workers of a sweep: local processes or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -25,19 +25,17 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
     from multiprocessing.synchronize import Semaphore
 
-# Seconds in which a scheduler has to answer.
-_ANSWER = 10.0
-# Processes for each processor: further ones cost 150 MB each and gain nothing.
-_EACH = 16
-# Seconds between looks whether a cluster has workers while nothing returns, and without any until
-# it is given up: one that died is started again in a few.
+_SCHEDULER_TIMEOUT = 10.0  # seconds
+# Processes per processor; each costs 150 MB.
+_MAX_PROCESSES = 16
+# Seconds between checks for workers of a cluster, and until a cluster without any is given up.
 _POLL_INTERVAL, _PATIENCE = 5.0, 60.0
 _NAME = "contact-statecharts"
 
 
 @contextmanager
 def crew(count: int | None, address: str | None) -> Iterator[Executor | None]:
-    """Make so many processes, or connect to the scheduler at an address; None for neither."""
+    """Start `count` processes, or connect to the scheduler at an address; None for neither."""
     if count is not None:
         with processes(count) as executor:
             yield executor
@@ -50,17 +48,17 @@ def crew(count: int | None, address: str | None) -> Iterator[Executor | None]:
 
 @contextmanager
 def processes(count: int) -> Iterator[Executor]:
-    """Make workers of this machine, which end with this process, however that ends."""
+    """Start worker processes, which end with this one."""
     here = os.cpu_count() or 1
-    if count > _EACH * here:
+    if count > _MAX_PROCESSES * here:
         raise DeclarationError(
             f"{count} workers are too many for {here} processors",
             advice=f"write --workers {here}, or take more machines with --scheduler",
         )
-    # Not forked: threads of libraries do not survive that.
+    # Not forked, since threads of libraries do not survive that.
     context = multiprocessing.get_context("spawn")
     before = set(multiprocessing.active_children())
-    # All of them compile the same: one says so, for all.
+    # One worker announces the compilation.
     says = context.Semaphore(1) if compiling.announced() else None
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin, initargs=(says,))
     try:
@@ -69,14 +67,13 @@ def processes(count: int) -> Iterator[Executor]:
         del started
         yield pool
     finally:
-        # What a worker still computes nobody waits for.
         pool.shutdown(wait=False, cancel_futures=True)
         for child in set(multiprocessing.active_children()) - before:
             child.terminate()
 
 
 def unguarded(error: Exception) -> str:
-    """Return advice where processes died since each runs the script that makes them; else none."""
+    """Return advice if workers died because the main script has no guard; else nothing."""
     file = getattr(sys.modules["__main__"], "__file__", None)
     if not isinstance(error, BrokenProcessPool) or file is None:
         return ""
@@ -99,32 +96,32 @@ def cluster(address: str) -> Iterator[Executor]:
             "a cluster needs Dask, which is not installed",
             advice='install it with: pip install "contact-statecharts[cluster]"',
         ) from None
-    # Asked first: a client that found none would go on trying, and complain as it is thrown away.
+    # A Dask client without a scheduler would retry, and log errors when deleted.
     try:
-        kind = asyncio.run(asyncio.wait_for(_identity(address), _ANSWER))
+        kind = asyncio.run(asyncio.wait_for(_identity(address), _SCHEDULER_TIMEOUT))
     except (OSError, ValueError) as error:
         raise _silent(address, str(error) or "it took too long") from None
-    except Exception:  # whatever the answer of another program raises
+    except Exception:  # the answer of another program
         raise _silent(address, "another program listens there") from None
     if kind != "Scheduler":
         raise _silent(address, f"there is a {kind}")
-    client = Client(address, timeout=_ANSWER, set_as_default=False)
+    client = Client(address, timeout=_SCHEDULER_TIMEOUT, set_as_default=False)
     try:
         _check(client, address)
         yield client.get_executor()
     finally:
-        client.close(timeout=_ANSWER)
+        client.close(timeout=_SCHEDULER_TIMEOUT)
 
 
 class ClusterWatch:
-    """Checks that a cluster still has workers: Dask waits for new ones for ever."""
+    """Checks that a cluster has workers, since Dask waits for new ones for ever."""
 
     def __init__(self, executor: Executor) -> None:
         self._client: Any = getattr(executor, "_client", None)
         self._last_check, self._last_seen = -math.inf, math.inf
 
     def check(self, returned: bool) -> None:
-        """Raise `BrokenExecutor` if for a minute nothing `returned` and no worker was there."""
+        """Raise `BrokenExecutor` if nothing `returned` and no worker existed for a minute."""
         now = time.monotonic()
         if returned:
             self._last_seen = now
@@ -133,10 +130,10 @@ class ClusterWatch:
             self._ask()
 
     def lost(self, future: Future[Any]) -> bool:
-        """Return whether a worker left just after it returned a result: run that cell again.
+        """Return whether a worker left just after it returned a result, so that the cell is rerun.
 
-        distributed asks for the status of a task after it has its result (`_cascade_future` of its
-        executor), and unpacks the result of a task that was lost meanwhile as if it were an error.
+        `distributed` reads the status of a task after its result (`_cascade_future` of its
+        executor), and unpacks the result of a task lost meanwhile like an error.
         """
         error = None if self._client is None or future.cancelled() else future.exception()
         return isinstance(error, TypeError) and "cannot unpack non-iterable" in str(error)
@@ -147,7 +144,9 @@ class ClusterWatch:
         if not isinstance(self._client, Client):
             return
         with suppress(OSError):  # its scheduler does not answer
-            if self._client.sync(self._client.scheduler.ncores, callback_timeout=_ANSWER):
+            if self._client.sync(
+                self._client.scheduler.ncores, callback_timeout=_SCHEDULER_TIMEOUT
+            ):
                 self._last_seen = self._last_check
         if self._last_check - self._last_seen > _PATIENCE:
             raise BrokenExecutor(f"the cluster has had none for {_PATIENCE:g} s")
@@ -169,7 +168,7 @@ def _silent(address: str, words: str) -> DeclarationError:
 
 
 def _check(client: object, address: str) -> None:
-    """Raise `DeclarationError` where no worker, or not every one, can run a sweep."""
+    """Raise `DeclarationError` unless there are workers, and each can run a sweep."""
     from distributed import Client
 
     assert isinstance(client, Client)
@@ -195,10 +194,7 @@ def _check(client: object, address: str) -> None:
 
 @contextmanager
 def _blocked() -> Iterator[None]:
-    """Block the signals of a terminal in processes that are started meanwhile.
-
-    They go to the whole group of processes; this process ends its workers itself.
-    """
+    """Block terminal signals in processes started meanwhile; this process ends its workers."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -210,7 +206,7 @@ def _blocked() -> Iterator[None]:
 
 
 def _begin(says: Semaphore | None) -> None:
-    """Begin a worker: it ends when the process that started it is gone."""
+    """Initialise a worker; it ends when its parent process is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if says is not None and says.acquire(block=False):
         compiling.announce(compiling.StderrLine())

@@ -1,8 +1,8 @@
-"""Properties of runs, for users' tests and for `statechart check`.
+"""Property-based tests of models, for users and for `statechart check`.
 
-`subject` compiles a model for its engines, draws its cases and makes their runs; what must hold of
-every automaton is in `properties`: of the trace of a run on hybrid time, of its `guards` and
-relations, and that two runs are in `agreement`; `checking` tests these by Hypothesis and reports.
+`subject` compiles a model for its engines, generates cases and runs them. `properties` are those of
+every automaton: a consistent trace on hybrid time, `guards` and relations, `agreement` of engines.
+`checking` tests them with Hypothesis, and reports.
 """
 
 from statechart.testing.agreement import Reading, Sensitivity, Undecidable, assert_same

@@ -1,10 +1,8 @@
-"""Comparison of two runs that should agree, as far as their tolerances allow an answer.
+"""Comparison of two runs that should agree within their errors.
 
-Two computations of one motion differ by their errors, which the motion itself makes grow. How
-much is measured: the same run with parameters changed by a relative `NUDGE` shows how far a small
-error moves every event, and the condition of every event how far the rounding of where it is
-found. Where it changes which events there are, or where grown errors are no longer small, nobody
-can tell from two runs whether they agree, and `Undecidable` says so.
+The growth of errors is measured by runs with parameters perturbed by a relative `NUDGE`, and by the
+condition numbers of events. If perturbations change the sequence of events, or errors grow too
+large, agreement cannot be decided, and `Undecidable` is raised.
 """
 
 from __future__ import annotations
@@ -22,24 +20,23 @@ from statechart.observation.zeno_tails import without_summed
 from statechart.tabular import shortest
 
 NUDGE = 1e-7
-"""Relative change of parameters that shows how errors grow; above the errors of the runs."""
+"""Relative perturbation of parameters; above the errors of the runs."""
 
-# Rounding where a run starts (as much as ten events), and of what every event is located by.
+# Round-off at the start of a run, and of the location of every event.
 _LOCATED = 1e-13
 _START_EVENTS = 10
-# Rounding of the terms of a margin where it falls, which the event's condition magnifies; the
-# error of a step is, too.
+# Round-off of a margin at an event, magnified by the condition of the event.
 _MARGIN_ROUND_OFF = 1e-14
-# Errors of steps add up to at most so many times their number times the tolerance.
+# Bound of the accumulated errors of steps, relative to their number times the tolerance.
 _STEP_ERRORS = 10.0
-# Grown to this part of a variable's size, errors cannot be told from a different motion.
+# Relative error above which runs cannot be compared.
 _CHAOTIC = 1e-2
-# An impact that changes every variable by less than this part of its size is a slow one.
+# Largest relative change of the variables in a slow impact.
 _SLOW_IMPACT = 1e-6
 
 
-class Undecidable(Exception):  # noqa: N818 -- nothing went wrong: there is no answer here
-    """The runs do not decide whether a property holds, and why."""
+class Undecidable(Exception):  # noqa: N818 -- not an error
+    """The runs do not decide whether a property holds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +46,10 @@ class Sensitivity:
     Attributes
     ----------
     nudged : sequence of Trace
-        The run with its parameters changed by a relative `NUDGE`, one way and another.
+        Runs with parameters perturbed by a relative `NUDGE` up and down.
     conditions : sequence of float or None
-        Of its events, from `statechart.observation.condition.conditions`. What a flight of a
-        millionth of the run lasts is known to a millionth of the digits: a body leaves where its
-        impact was found, to rounding, and that nudged parameters do not show.
+        Condition numbers of its events, from `statechart.observation.condition.conditions`. They
+        show the effect of round-off of an event's location on a short flight after it.
     """
 
     nudged: Sequence[Trace]
@@ -69,7 +65,7 @@ def assert_same(
     until: tuple[float, Array] | None = None,
     loosened: Callable[[], Trace] | None = None,
 ) -> None:
-    """Check that two runs take the same modes at the same times through the same states.
+    """Check that two runs have the same modes, times of events and states.
 
     Parameters
     ----------
@@ -78,29 +74,28 @@ def assert_same(
     sensitivity : Sensitivity
         Of `reference`.
     reading : Reading, optional
-        How to read `other`, where it is that of a transformed model.
+        Transformation of `other`, if it is of a transformed model.
     until : (float, (n,) array), optional
-        Compare with the reference up to this time only, when it has this state.
+        Compare up to this time, when the reference has this state.
     loosened : callable, optional
-        Makes the reference again, its modes chosen by the tolerances of `other`: what parts more
-        slowly than that run can tell stays closed in it.
+        Returns the reference with modes chosen by the tolerances of `other`, in which slower
+        separations stay closed.
 
     Raises
     ------
     AssertionError
-        If they differ by more than their errors explain.
+        If they differ by more than their errors.
     Undecidable
-        If that cannot be told.
+        If that cannot be decided.
     """
-    # Fixed steps have none.
+    # Runs with fixed steps have no tolerance.
     known = [trace.tolerance for trace in (reference, other) if trace.step is None]
     tolerance = max(known, default=0.0)
     residual = max(trace.tolerances.get("impulse", 0.0) for trace in (reference, other))
     try:
         _compare(reference, other, sensitivity, _MARGIN_ROUND_OFF, 0.0, reading, until, loosened)
     except AssertionError:
-        # What no rounding explains may be what events make of the errors of steps, or what is left
-        # of impulses that iterations find, in parts of a step's fastest approach.
+        # Beyond round-off: errors of steps magnified by events, or residuals of impulses.
         if max(tolerance, residual) <= _MARGIN_ROUND_OFF:
             raise
         located = max(tolerance, _MARGIN_ROUND_OFF)
@@ -117,10 +112,7 @@ def _compare(
     until: tuple[float, Array] | None,
     loosened: Callable[[], Trace] | None,
 ) -> None:
-    """Compare runs whose states are known to the part `known` where events are found.
-
-    Their impulses miss the laws of contact by `residual`.
-    """
+    """Compare runs with relative errors `known` of states at events, and impulse `residual`."""
     sequences = [EventSequence.of(trace, Reading()) for trace in (reference, *sensitivity.nudged)]
     sequences[0] = sequences[0].rounded(reference, sensitivity.conditions, known)
     sequences.append(EventSequence.of(other, reading or Reading()))
@@ -130,7 +122,7 @@ def _compare(
     error = bare = _STEP_ERRORS * (_error(reference) + _error(other) + residual)
     floor = np.zeros(len(first.end))
     traces = (reference,) if reading else (reference, other)
-    # The gap of steps is what they pass surfaces by, not what they are brought back by.
+    # The gap tolerance of time stepping is penetration, not a projection.
     kinds = [("speed",) if t.step is not None else ("gap", "speed") for t in traces]
     floor[1:] = sum(
         t.tolerances.get(kind, 0.0) for t, of in zip(traces, kinds, strict=True) for kind in of
@@ -148,7 +140,7 @@ def _compare(
                 f"{_event_label(i, mine)}: a change of {NUDGE:g} takes another course"
             )
         near = shaken
-        # What is found a little later has moved on until then.
+        # States at different times differ by the motion in between.
         allowed += abs(mine.t - its.t) * mine.rates
         if mine.hit != its.hit:
             _raise_undecidable_hit(first, second, i)
@@ -163,7 +155,7 @@ def _compare(
 
 
 def identical(reference: Trace, other: Trace, reading: Reading) -> bool:
-    """Return whether two runs have the same events and the same end to the last bit."""
+    """Return whether two runs have bitwise equal events and end."""
 
     def numbers(sequence: EventSequence) -> object:
         events = [(event.what, event.numbers.tolist()) for event in sequence.events]
@@ -183,7 +175,7 @@ def _error(trace: Trace) -> float:
 def _allowed(
     event: Event, near: Sequence[Array], sequence: EventSequence, error: float, floor: Array
 ) -> Array:
-    """Return how far numbers may differ: the error, grown as a nudge grows, and rounding."""
+    """Return the allowed difference: error times growth of a perturbation, and round-off."""
     grown = np.zeros(len(event.numbers))
     for numbers in near:
         grown = np.maximum(grown, np.abs(numbers - event.numbers) / NUDGE)
@@ -205,10 +197,10 @@ def _assert_close(mine: Array, its: Array, allowed: Array, trace: Trace, place: 
 
 
 def _raise_undecidable_hit(first: EventSequence, second: EventSequence, i: int) -> None:
-    """Event `i` hits other contacts in one run: raise `Undecidable` where rounding decides which.
+    """Raise `Undecidable` if round-off decides which contacts event `i` hits.
 
-    Impacts within the tolerance of a gap are one; of contacts that move together any may be hit
-    first where that is slow.
+    Impacts within the gap tolerance merge, and slow impacts of contacts that move together have no
+    definite order.
     """
     instant = NUDGE * float(first.end[0])
     for sequence in (first, second):
@@ -231,7 +223,7 @@ def _raise_undecidable_hit(first: EventSequence, second: EventSequence, i: int) 
 def _raise_if_tolerances_decide(
     loosened: Callable[[], Trace] | None, other: Trace, i: int, event: Event
 ) -> None:
-    """Raise `Undecidable` where the runs part at `event` because their tolerances differ."""
+    """Raise `Undecidable` if the runs differ at `event` because of their tolerances."""
     if loosened is None:
         return
     first, second = without_unresolved(
@@ -254,7 +246,7 @@ def _raise_difference(
     residual: float,
     traces: tuple[Trace, Trace],
 ) -> NoReturn:
-    """Event `i` differs: raise what that means."""
+    """Raise the error for a different event `i`."""
     own, others = first.events[i : i + 1], second.events[i : i + 1]
     place = _event_label(i, (own or others)[0])
     what = tuple(event.what for event in own)
@@ -289,7 +281,7 @@ def _event_label(i: int, event: Event) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Factors that turn a trace of a transformed model into one of the original.
+    """Transformation of a trace of a transformed model to the original.
 
     Attributes
     ----------
@@ -298,7 +290,7 @@ class Reading:
     time : float
         Original time per transformed one.
     states : mapping
-        State of a region as transformed -> as original, where they differ.
+        Transformed -> original state of regions, if different.
     """
 
     factors: Array | float = 1.0
@@ -308,24 +300,23 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class Event:
-    """A jump as numbers to compare."""
+    """A jump for comparison."""
 
     what: tuple[str, str, Key, Key]  # region, cause, mode before and after
     numbers: Array  # time, state before, state after
     skipped: float  # see `Jump`
-    rounded: float = 0.0  # the relative error that rounding has caused by then
-    rates: Array | float = 0.0  # how fast the numbers change
-    # The first words of its path: the contacts in the order in which they were hit.
-    hit: tuple[str, ...] = ()
+    rounded: float = 0.0  # relative error by round-off until then
+    rates: Array | float = 0.0  # time derivatives of the numbers
+    hit: tuple[str, ...] = ()  # contacts in the order of impact
 
     @property
     def t(self) -> float:
-        """Its time."""
+        """The time."""
         return float(self.numbers[0])
 
     @property
     def resolved(self) -> Event:
-        """The end of a sequence without what depends on which jump was the last resolved."""
+        """The end of a Zeno sequence without data of its last resolved jump."""
         n = len(self.numbers) // 2
         after = self.numbers[n + 1 :]
         numbers = np.concatenate([self.numbers[:1], after, after])
@@ -337,16 +328,16 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class EventSequence:
-    """The events and the end of a run, as numbers."""
+    """The events and the end of a run for comparison."""
 
-    events: tuple[Event, ...]  # in order
-    mode: Key  # the last one
-    end: Array  # where it ended (time, state, state), and how large all gets
-    sizes: Array
+    events: tuple[Event, ...]
+    mode: Key  # final mode
+    end: Array  # time, state, state
+    sizes: Array  # largest magnitudes
 
     @classmethod
     def of(cls, trace: Trace, reading: Reading) -> EventSequence:
-        """Read a trace."""
+        """Return the sequence of a trace."""
 
         def key(mode: Key) -> Key:
             return tuple(reading.states.get(state, state) for state in mode)
@@ -374,7 +365,7 @@ class EventSequence:
     def rounded(
         self, trace: Trace, conditions: Sequence[float | None], known: float
     ) -> EventSequence:
-        """Note at every event what it makes of states known to the part `known`, and its rates."""
+        """Add round-off (of states with relative error `known`) and rates to every event."""
         rounded, events = 0.0, []
         pairs = zip_longest(self.events, conditions[: len(self.events)])
         for (event, condition), rates in zip(pairs, _rates(trace), strict=True):
@@ -383,7 +374,7 @@ class EventSequence:
         return replace(self, events=tuple(events))
 
     def shortened(self, t: float, state: Array) -> EventSequence:
-        """Return it up to a time, when it has this state."""
+        """Return the sequence up to a time with this state."""
         events = tuple(event for event in self.events if event.t <= t)
         first = self.events[0].what[2] if self.events else self.mode
         mode = events[-1].what[3] if events else first
@@ -391,14 +382,14 @@ class EventSequence:
 
 
 def _rates(trace: Trace) -> list[Array]:
-    """Return how fast the numbers of every jump change, 0 for its time."""
+    """Return the time derivatives of the numbers of every jump, 0 for its time."""
     starts: dict[int, Array] = {}
     ends: dict[int, Array] = {}
     for arc in trace.arcs:
         first, last = arc.coefficients[0], arc.coefficients[-1]
         starts.setdefault(arc.j, first[:, 1:2].sum(axis=1) / arc.times[1])
         ends[arc.j] = last @ np.arange(last.shape[1]) / (arc.times[-1] - arc.times[-2])
-    # Of jumps at one instant the first has an arc before it, and the last one after it.
+    # Of simultaneous jumps, the first has an arc before it, the last one after it.
     count, still = len(trace.jumps), np.zeros(len(trace.variables))
     before = [*accumulate(range(count), lambda rates, j: ends.get(j, rates), initial=still)]
     after = [*accumulate(range(count, 0, -1), lambda r, j: starts.get(j, r), initial=still)]
@@ -407,7 +398,7 @@ def _rates(trace: Trace) -> list[Array]:
 
 
 def without_unresolved(sequences: list[EventSequence]) -> list[EventSequence]:
-    """Leave out the bounces that at least one run summed up; see `without_summed`."""
+    """Omit the bounces that at least one run skipped; see `without_summed`."""
     left = without_summed([sequence.events for sequence in sequences])
     if left is None:
         return sequences

@@ -1,4 +1,4 @@
-"""`statechart check`: the properties of a model over its ranges, with failures shrunk."""
+"""`statechart check`: property-based tests of a model over its ranges."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from statechart.testing.subject import Case, Subject, parameters, ranges
 
 @dataclass(frozen=True)
 class Failure:
-    """The simplest example found on which a property does not hold."""
+    """The simplest counterexample of a property."""
 
-    parameters: Mapping[str, float]  # those that are not as declared
-    message: str  # what does not hold
+    parameters: Mapping[str, float]  # that differ from the declared ones
+    message: str
     reproduction: str  # YAML of the model with these parameters
 
 
@@ -36,17 +36,17 @@ class PropertyReport:
     Attributes
     ----------
     name : str
-        What should hold.
+        The property.
     examples : int
-        On how many choices of parameters that was tested.
+        Number of tested choices of parameters.
     undecidable : int
-        On how many of them it could not be told.
+        Number of undecidable ones.
     reason : str
-        Why, the last time.
+        Reason of the last undecidable one.
     skipped : str
-        Why it was not tested at all; empty where it was.
+        Reason why it was not tested, or empty.
     failure : Failure or None
-        An example on which it does not hold.
+        A counterexample.
     """
 
     name: str
@@ -59,20 +59,20 @@ class PropertyReport:
 
 @dataclass(frozen=True, repr=False)
 class CheckReport:
-    """The result of a check; `str` is the report for people.
+    """The result of a check; `str` formats it.
 
     Attributes
     ----------
     model : str
-        Its name.
+        Name of the model.
     seed : int
-        Repeats the check exactly.
+        Seed that reproduces the check.
     engines : tuple of str
-        On which it was run.
+        Engines of the runs.
     ranges : mapping of str to (float, float)
-        What was varied.
+        Varied parameters.
     properties : tuple of PropertyReport
-        One for each property, in the order tested.
+        Results in order.
     """
 
     model: str
@@ -93,7 +93,7 @@ class CheckReport:
         return next((failure.reproduction for failure in failures if failure is not None), "")
 
     def to_json(self) -> dict[str, Any]:
-        """Return the report as one plain object."""
+        """Return the report as a JSON object."""
         properties = [asdict(result) for result in self.properties]
         for result in properties:
             if result["failure"] is not None:
@@ -108,13 +108,13 @@ class CheckReport:
         }
 
     def text(self) -> str:
-        """Return the report for people: a table of the properties, then what fails."""
+        """Return the report as text: a table of the properties, then failures."""
         return plain(self.blocks())
 
     __repr__ = __str__ = text
 
     def blocks(self) -> list[TextBlock]:
-        """Return the report as `text` does, its table as such."""
+        """Return the text and table of `text`."""
         varied = ", ".join(f"{n} {a:g} to {b:g}" for n, (a, b) in self.ranges.items())
         head = (
             f"{self.model} on {' and '.join(self.engines)}, seed {self.seed}\n"
@@ -159,9 +159,9 @@ def check(
     model : Declaration, str or Path
         A model, the path of its file, or the name of a shipped one.
     examples : int
-        On how many choices of parameters each property is tested.
+        Number of choices of parameters per property.
     seed : int, optional
-        Repeats a check exactly; a new one by default.
+        Reproduces a check; random by default.
     progress : callable, optional
         Called with the name of every property before it is tested.
 
@@ -172,7 +172,7 @@ def check(
     Raises
     ------
     DeclarationError
-        If the model does not say when a run ends, or `examples` is no number of them.
+        If the model has no end time, or `examples` is wrong.
 
     Examples
     --------
@@ -200,10 +200,9 @@ def examine(
     seed: int,
     progress: Callable[[str], None] | None = None,
 ) -> CheckReport:
-    """Test some properties of a subject; see `check`.
+    """Test properties of a subject; see `check`.
 
-    A property is tested on every example, whatever became of the others: they tell apart what is
-    wrong. Runs are shared among them.
+    Every property is tested on all examples, on shared runs.
     """
     results = []
     for item in properties:
@@ -220,7 +219,7 @@ def examine(
 
 @dataclass(eq=False)
 class _Record:
-    """Examples on which one property was tested."""
+    """Tested examples of one property."""
 
     tested: set[tuple[tuple[str, float], ...]] = field(default_factory=set)
     undecidable: set[tuple[tuple[str, float], ...]] = field(default_factory=set)
@@ -236,10 +235,10 @@ def _tested(subject: Subject, item: Property, examples: int, seed: int) -> Prope
 
     @hypothesis.settings(
         max_examples=examples,
-        database=None,  # a check leaves nothing behind
+        database=None,  # no files
         deadline=None,  # the first run of a mode compiles it
         phases=(Phase.generate, Phase.shrink),
-        # Runs may be slow, and derived ranges may hold choices that are no model.
+        # Runs may be slow, and derived ranges may contain invalid models.
         suppress_health_check=list(HealthCheck),
         report_multiple_bugs=False,
         verbosity=Verbosity.quiet,
@@ -271,7 +270,7 @@ def _tested(subject: Subject, item: Property, examples: int, seed: int) -> Prope
     try:
         on()
     except AssertionError:
-        assert record.failing is not None  # raised by what holds, or by nothing of ours
+        assert record.failing is not None
     except hypothesis.errors.Unsatisfiable:
         return PropertyReport(
             item.name, skipped="no tried values of the parameters make a valid model"
@@ -285,7 +284,7 @@ def _tested(subject: Subject, item: Property, examples: int, seed: int) -> Prope
 
 
 def _hold(case: Case, item: Property) -> None:
-    """Ask a property; what a run cannot even begin with is a finding, too."""
+    """Test a property; an invalid start fails it too."""
     try:
         item.holds(case)
     except (Undecidable, AssertionError, DeclarationError):

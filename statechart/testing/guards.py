@@ -1,9 +1,8 @@
-"""Guards, invariants and relations between events, checked at times that no integrator used.
+"""Checks of guards, invariants and relations between events, independent of the run's search.
 
-Margins are checked on a grid of multiples of the golden ratio. Relations are evaluated in floats
-without the margins of the run, their tolerances and what its search has found: a relation may
-disagree with its mode only where an error of the state, of its evaluation, or of an event's time
-explains that.
+Margins are checked on a grid of multiples of the golden ratio. Relations are evaluated in floats:
+they may disagree with the mode only within errors of the state, the evaluation, and the time of an
+event.
 """
 
 from __future__ import annotations
@@ -38,14 +37,12 @@ from statechart.testing.agreement import NUDGE
 from statechart.testing.subject import Subject
 
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
-"""The ratio whose multiples come to no place twice."""
+"""The golden ratio, whose multiples modulo 1 are a low-discrepancy sequence."""
 _PER_STEP = 9
 
 
 def dense(trace: Trace) -> Iterator[tuple[Arc, Array]]:
-    """Yield every arc with local times that no integrator used.
-
-    The places in the steps are multiples of the golden ratio: never an end, never the same ones.
+    """Yield every arc with local times at multiples of the golden ratio in its steps.
 
     Parameters
     ----------
@@ -55,7 +52,7 @@ def dense(trace: Trace) -> Iterator[tuple[Arc, Array]]:
     Yields
     ------
     (Arc, (m,) array)
-        Times are since the start of the arc, in the model's unit of time.
+        Arc, and times since its start.
     """
     for arc in trace.arcs:
         steps = np.diff(arc.times)
@@ -65,7 +62,7 @@ def dense(trace: Trace) -> Iterator[tuple[Arc, Array]]:
 
 
 def assert_margins(subject: Subject, trace: Trace) -> None:
-    """Check that no guard's margin is negative between events, on a grid of its own.
+    """Check that no margin is negative between events, on a grid of its own.
 
     Parameters
     ----------
@@ -80,9 +77,9 @@ def assert_margins(subject: Subject, trace: Trace) -> None:
 
 
 def assert_invariants(subject: Subject, trace: Trace) -> None:
-    """Check that declared invariants hold, of states in these: everywhere, peaks included.
+    """Check the declared invariants of the run and of active states, including extrema.
 
-    Of a run by steps they hold to what a variable changes by in a step.
+    For time stepping they hold up to the change of a variable in a step.
 
     Parameters
     ----------
@@ -115,7 +112,7 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
 
 
 def _invariants(subject: Subject, arc: Arc) -> list[Margin]:
-    """Return the margins of the invariants of a mode, but for those that hold by its states."""
+    """Return the margins of the invariants of a mode, without those decided by its states."""
     automaton = subject.automaton
     active = automaton.active(arc.mode)
     margins = [one.margin(active) for one in invariants_of(automaton, arc.mode)]
@@ -131,7 +128,7 @@ def _invariants(subject: Subject, arc: Arc) -> list[Margin]:
 def _assert_at(
     observer: Observer, trace: Trace, jump: Jump, margin: Margin, *, before: bool
 ) -> None:
-    """Check an invariant of the run beside a jump, where it may be in a mode of no duration."""
+    """Check an invariant at a jump, possibly in a mode of zero duration."""
     expression = margin.expression
     mode = observer.automaton.label(jump.source if before else jump.target)
     if expression == -sp.oo:
@@ -155,10 +152,7 @@ def _assert_at(
 def _assert_margins(
     subject: Subject, trace: Trace, arc: Arc, tau: Array, margins: Sequence[Margin], by: Array
 ) -> Array:
-    """Check margins at local times of an arc; return what each may be below zero there.
-
-    `by`: see `_variation`.
-    """
+    """Check margins at local times of an arc; return their tolerances (`by`: `_variation`)."""
     expressions = [margin.expression for margin in margins]
     states = arc.states(tau)
     values = subject.solved(trace, arc, tau, expressions)
@@ -169,14 +163,14 @@ def _assert_margins(
             changed[:, i] *= 1.0 + NUDGE
             moved = subject.solved(trace, arc, tau, expressions, changed)
             rounding += np.abs(moved - values) * (max(trace.tolerance, ROUND_OFF) / NUDGE)
-        # What a jump leaves of a variable carries the rounding of what it was before.
+        # A variable after a jump has the round-off of its value before.
         changed[:, i] = states[:, i] + change
         moved = subject.solved(trace, arc, tau, expressions, changed)
         rounding += np.nan_to_num(np.abs(moved - values), nan=0.0)
     allowed = rounding + [trace.tolerances.get(margin.kind, 0.0) for margin in margins]
     holds, known = values >= -allowed, arc.unknowns(tau)
     if known is not None:
-        # Of steps with an impulse some forces have no value.
+        # Steps with an impulse have NaN forces.
         holds |= np.isnan(values) & np.isnan(known).any(axis=1, keepdims=True)
     if not holds.all():
         short = np.where(holds, np.inf, values + allowed)
@@ -191,7 +185,7 @@ def _assert_margins(
 
 
 def _variation(trace: Trace) -> Array:
-    """Return by how much variables (n,) may be off: rounding, and what a time step moves."""
+    """Return the uncertainty (n,) of variables: round-off, and the change in a time step."""
     sizes, steps = np.zeros((2, len(trace.variables)))
     for arc in trace.arcs:
         sizes = np.fmax(sizes, np.abs(arc.coefficients[:, :, 0]).max(axis=0, initial=0.0))
@@ -201,18 +195,18 @@ def _variation(trace: Trace) -> Array:
     return ROUND_OFF * sizes + steps
 
 
-# Places between the ends of an arc, the fewest of them in runs of many arcs, and all of a run.
+# Samples of an arc, at least, and of a run.
 _UNIFORM, _FEWEST, _ALL = 256, 16, 100_000
-# Distances to an end, each half of the one before, and as many places about every event.
+# Samples at geometrically decreasing distances from the ends of an arc.
 _HALVINGS = 36
-# An event may be late by this part of the run: some units in the last place of time.
+# Relative error of the time of an event.
 _TIME_ERROR = 2.0 * STATE_ROUND_OFF
-# A solved force or acceleration is off by this part of it.
+# Relative error of a solved force or acceleration.
 _SOLVED = 1e-9
 
 
 def truth(term: Term, sides: Iterator[tuple[Array, Array]], active: Active, count: int) -> Bools:
-    """Return where a relation is true, in `count` states."""
+    """Return the truth of a relation in `count` states."""
     match term:
         case Comparison():
             return np.asarray(term.holds(*next(sides)))
@@ -226,7 +220,7 @@ def truth(term: Term, sides: Iterator[tuple[Array, Array]], active: Active, coun
 
 
 def assert_relations(subject: Subject, trace: Trace) -> None:
-    """Check that guards and stop conditions are false between events, and conditions true.
+    """Check that guards and stop conditions are false between events, and invariants true.
 
     Parameters
     ----------
@@ -237,7 +231,7 @@ def assert_relations(subject: Subject, trace: Trace) -> None:
 
 
 def assert_invariant_relations(subject: Subject, trace: Trace) -> None:
-    """Check that invariants, of the run and of states, are true."""
+    """Check that invariants of the run and of states are true."""
 
     def claims(subject: Subject, arc: Arc) -> Iterator[Claim]:
         invariants = invariants_of(subject.automaton, arc.mode)
@@ -249,7 +243,7 @@ def assert_invariant_relations(subject: Subject, trace: Trace) -> None:
 def _assert_claims(
     subject: Subject, trace: Trace, claims: Callable[[Subject, Arc], Iterable[Claim]]
 ) -> None:
-    judge = _Judge(subject, trace)
+    judge = _ClaimChecker(subject, trace)
     for arc, tau in _grids(trace):
         for claim in claims(subject, arc):
             wrong = judge.unexplained(claim, arc, tau)
@@ -273,17 +267,14 @@ def _claims(subject: Subject, arc: Arc) -> Iterator[Claim]:
 
 
 def invariants_of(automaton: Automaton, mode: Key) -> list[Invariant]:
-    """Return the invariants of the states of a mode, and of the run."""
+    """Return the invariants of the run and of the states of a mode."""
     states = zip(automaton.regions, mode, strict=True)
     own = [one for region, state in states for one in region.build(Role(state)).invariants]
     return [*own, *automaton.invariants]
 
 
 def _grids(trace: Trace) -> Iterator[tuple[Arc, Array]]:
-    """Yield every arc with local times: evenly spaced, and ever closer to both ends.
-
-    None is as near to an end as an event may be late.
-    """
+    """Yield every arc with local times, evenly spaced and graded towards both ends."""
     late = _TIME_ERROR * trace.t_end
     count = int(np.clip(_ALL // max(len(trace.arcs), 1), _FEWEST, _UNIFORM))
     even = (np.arange(count) + 0.5) / count
@@ -295,10 +286,7 @@ def _grids(trace: Trace) -> Iterator[tuple[Arc, Array]]:
 
 
 def _state_errors(trace: Trace) -> Array:
-    """Return by how much each variable (n,) may be off.
-
-    One that no flow changes is exact, unless jumps give it values that are not whole.
-    """
+    """Return the errors (n,) of the variables; constants of flows with integer values are exact."""
     errors = max(STATE_TOLERANCES * trace.tolerance, STATE_ROUND_OFF) * sizes(trace)
     moves = np.zeros(len(errors), np.bool_)
     for arc in trace.arcs:
@@ -310,8 +298,8 @@ def _state_errors(trace: Trace) -> Array:
     return errors
 
 
-class _Judge:
-    """Evaluates claims about the arcs of a run."""
+class _ClaimChecker:
+    """Evaluates claims along the arcs of a run."""
 
     def __init__(self, subject: Subject, trace: Trace) -> None:
         self._subject, self._trace = subject, trace
@@ -319,7 +307,7 @@ class _Judge:
         self._sides: dict[Claim, tuple[Term, list[sp.Expr], bool]] = {}
 
     def unexplained(self, claim: Claim, arc: Arc, tau: Array) -> Array:
-        """Return those of local times where a claim is wrong, and no error explains it."""
+        """Return the local times at which a claim is wrong beyond errors."""
         states = arc.states(tau)
         tau = tau[self._wrong(claim, arc, tau, states)]
         for later in (-self._late, self._late):
@@ -335,7 +323,7 @@ class _Judge:
         return tau
 
     def _wrong(self, claim: Claim, arc: Arc, tau: Array, states: Array) -> Bools:
-        """Return where a claim is wrong, at local times (m,) in states (m, n)."""
+        """Return whether a claim is wrong, at local times (m,) in states (m, n)."""
         term, expressions, solved = self._compiled(claim)
         count, regions = len(tau), self._subject.automaton.regions
         values = self._subject.solved(self._trace, arc, tau, expressions, states)
@@ -349,7 +337,7 @@ class _Judge:
         return (held != claim.holds) & ~near
 
     def _compiled(self, claim: Claim) -> tuple[Term, list[sp.Expr], bool]:
-        """Return the relation of a claim, its sides, and whether a mode solves for them."""
+        """Return the relation of a claim, its sides, and whether these need unknowns."""
         found = self._sides.get(claim)
         if found is None:
             automaton = self._subject.automaton

@@ -1,16 +1,16 @@
-"""Properties that every run of every automaton has, for the tests of models.
+"""Properties of every run of every automaton, for tests of models.
 
 ::
 
     from statechart.testing import Subject, generic
 
-    subject = Subject(load("my_model.yaml"))        # compiled once, for any number of cases
-    case = subject.case({"k": 0.5})                 # runs are made when a property asks for them
+    subject = Subject(load("my_model.yaml"))        # compiled once
+    case = subject.case({"k": 0.5})                 # runs are computed on demand
     for item in generic(subject):
         item.holds(case)                            # AssertionError or Undecidable
 
-`parameters` is the Hypothesis strategy over what a model declares under `ranges`. Nothing here
-knows of bodies; `contacts.testing` has what holds for contacts.
+`parameters` is the Hypothesis strategy over the declared `ranges`. `contacts.testing` has
+properties of contacts.
 """
 
 from __future__ import annotations
@@ -30,23 +30,22 @@ from statechart.testing.agreement import Undecidable, assert_same
 from statechart.testing.guards import GOLDEN, assert_invariants, assert_margins, assert_relations
 from statechart.testing.subject import Case, Subject
 
-# A start that is inside a constraint by so little is brought onto it.
+# Relative projection of an initial state onto constraints.
 _START = 1e-8
 
 
 @dataclass(frozen=True)
 class Property:
-    """Something that must hold for every choice of the parameters.
+    """A property of all choices of the parameters.
 
     Attributes
     ----------
     name : str
-        What holds, in words.
+        Description.
     holds : callable
-        Case -> None; raises AssertionError where it does not hold, `Undecidable` where that
-        cannot be told.
+        Case -> None; raises AssertionError if violated, `Undecidable` if that cannot be decided.
     skipped : str
-        Why the model has nothing that it could be tested on; empty where it has.
+        Reason why it does not apply to the model, or empty.
     """
 
     name: str
@@ -55,7 +54,7 @@ class Property:
 
 
 def assert_ended(case: Case) -> None:
-    """Check that every run comes to an end that the model declares.
+    """Check that every run reaches a declared end.
 
     Parameters
     ----------
@@ -70,7 +69,7 @@ def assert_ended(case: Case) -> None:
 
 
 def assert_start(case: Case) -> None:
-    """Check that runs start in the declared state, but for rounding on constraints.
+    """Check that runs start in the declared state, up to projection onto constraints.
 
     Parameters
     ----------
@@ -91,7 +90,7 @@ def assert_start(case: Case) -> None:
 
 
 def assert_engines_agree(case: Case) -> None:
-    """Check that all engines take the same modes at the same times through the same states.
+    """Check that all engines agree in modes, times of events and states.
 
     Parameters
     ----------
@@ -105,7 +104,7 @@ def assert_engines_agree(case: Case) -> None:
 
 
 def assert_prefix(case: Case) -> None:
-    """Check that a shorter run is the beginning of the run: the future changes nothing.
+    """Check causality: a shorter run is the beginning of the run.
 
     Parameters
     ----------
@@ -127,7 +126,7 @@ def assert_prefix(case: Case) -> None:
 
 
 def _assert_same_steps(trace: Trace, shorter: Trace) -> None:
-    """Check that the steps of a run are, to the last bit, the first of another."""
+    """Check that the steps of a run are bitwise the first of another."""
     for ours, theirs in zip(shorter.jumps, trace.jumps, strict=False):
         place = f"jump {ours.j} at t = {shortest(ours.t)} ({ours.region} {ours.cause})"
         assert (ours.t, ours.source, ours.target) == (theirs.t, theirs.source, theirs.target), (
@@ -140,7 +139,7 @@ def _assert_same_steps(trace: Trace, shorter: Trace) -> None:
 
 
 def each(check: Callable[[Subject, Trace], None]) -> Callable[[Case], None]:
-    """Return the check of every run of a case."""
+    """Return a check of every run of a case."""
 
     def holds(case: Case) -> None:
         for trace in case.traces.values():
@@ -153,7 +152,7 @@ def each(check: Callable[[Subject, Trace], None]) -> Callable[[Case], None]:
 
 
 def generic(subject: Subject) -> tuple[Property, ...]:
-    """Return what holds for every automaton.
+    """Return the properties of every automaton.
 
     Parameters
     ----------
@@ -193,7 +192,7 @@ _CONTINUOUS = 100.0
 
 
 def assert_ordered(trace: Trace) -> None:
-    """Check that arcs and jumps follow one another on hybrid time (t, j).
+    """Check that arcs and jumps are contiguous on hybrid time (t, j).
 
     Parameters
     ----------
@@ -201,7 +200,7 @@ def assert_ordered(trace: Trace) -> None:
         A run.
     """
     t, j = 0.0, 0
-    # Steps of one length add up to it with their roundings.
+    # Sums of fixed steps have round-off.
     allowed = ROUND_OFF * trace.t_end if trace.step is not None else 0.0
     points = sorted(
         [(arc.j, 1, arc.start.high, arc.end.high) for arc in trace.arcs]
@@ -226,7 +225,7 @@ def assert_edges(automaton: Automaton, trace: Trace) -> None:
     Parameters
     ----------
     automaton : Automaton
-        That of the model.
+        Automaton of the model.
     trace : Trace
         A run of it.
     """
@@ -251,7 +250,7 @@ def assert_edges(automaton: Automaton, trace: Trace) -> None:
 
 
 def assert_continuous(trace: Trace) -> None:
-    """Check that states change only by jumps, and that steps of an arc join.
+    """Check that states are continuous except at jumps.
 
     Parameters
     ----------
@@ -292,7 +291,7 @@ def _join(trace: Trace, before: Array, after: Array, t: float, allowed: Array) -
 
 
 def projected(trace: Trace) -> float:
-    """Return how far states may be moved where they are brought back onto constraints."""
+    """Return the largest relative projection of states onto constraints."""
     if trace.step is not None:
         return 0.0
     return trace.tolerances.get("gap", 0.0) + trace.tolerances.get("speed", 0.0)

@@ -1,4 +1,4 @@
-"""A model compiled once for its engines, and its runs: what properties are tested on."""
+"""Subject of property tests: a model compiled for its engines, and its runs."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from statechart.testing.agreement import NUDGE, Sensitivity, Undecidable
 if TYPE_CHECKING:
     from hypothesis.strategies import SearchStrategy
 
-_FINER_TOLERANCE = 1e-3 * NUDGE  # still well above rounding, which iterations cannot pass
-_MAX_CASES = 64  # cases whose runs are kept for the next property
+_FINER_TOLERANCE = 1e-3 * NUDGE  # well above the round-off of iterations
+_MAX_CASES = 64  # cached cases
 
 
 class Subject:
@@ -44,9 +44,9 @@ class Subject:
     Parameters
     ----------
     model : Declaration
-        What to test.
+        The model.
     automaton : Automaton, optional
-        That of the model by default.
+        By default that of the model.
     """
 
     def __init__(self, model: Declaration, automaton: Automaton | None = None) -> None:
@@ -54,11 +54,10 @@ class Subject:
         self.observers: dict[str, Observer] = {}
         self.missing: dict[str, str] = {}
         made = Observers(self.automaton)
-        # What is tested are modes and events, too.
         asked = planned(Setting(record="modes"), model, self.automaton).setting
         self.model, self.step = model, asked.step
         if self.step is not None:
-            # Images of the model are run by its step, not by one of their own.
+            # Transformed models are run with the step of the original.
             chosen = model.settings.model_copy(update={"engine": "impulse", "step": self.step})
             self.model = model.model_copy(update={"settings": chosen})
             self.observers["impulse"] = made.at(asked)
@@ -81,7 +80,7 @@ class Subject:
         return tuple(self.observers)
 
     def case(self, parameters: Mapping[str, float]) -> Case:
-        """Return the case of some parameters; the same one when asked for again soon."""
+        """Return the cached case of some parameters."""
         key = tuple(sorted(parameters.items()))
         found = self._cases.pop(key, None) or self.fresh(parameters)
         self._cases[key] = found
@@ -90,11 +89,11 @@ class Subject:
         return found
 
     def fresh(self, parameters: Mapping[str, float]) -> Case:
-        """Return a case of some parameters that nobody keeps."""
+        """Return a new case of some parameters."""
         variant = self.model.variant(parameters)
         if variant is self.model:
             return Case(self, dict(parameters))
-        # Only what changes what the model has makes another subject.
+        # Only structural parameters need another subject.
         key = repr([parameters[name] for name in sorted(self.model.whole & {*parameters})])
         if key not in self._variants:
             self._variants[key] = Subject(variant)
@@ -104,14 +103,14 @@ class Subject:
         """Return the most accurate engine's simulator of modes chosen as at `relative`."""
         if relative not in self._loosened:
             simulator = next(iter(self.observers.values())).simulator
-            assert isinstance(simulator, Simulator)  # steps have no other engine beside them
+            assert isinstance(simulator, Simulator)  # there are several engines
             automaton = loosened(self.automaton, relative)
             self._loosened[relative] = Simulator(automaton, simulator.engine)
         return self._loosened[relative]
 
     @cached_property
     def finer(self) -> Subject | None:
-        """The same with impulses that miss less than `NUDGE` shows, if its own may miss more."""
+        """The subject with impulse residuals well below `NUDGE`, if its own may be larger."""
         settings = self.model.settings
         if (
             self.step is None
@@ -122,21 +121,21 @@ class Subject:
         return Subject(self.model.model_copy(update={"settings": chosen}))
 
     def end(self, parameters: Mapping[str, float]) -> float:
-        """Return when a run ends.
+        """Return the end time of a run.
 
         Raises
         ------
         DeclarationError
-            If the model does not say so.
+            If the model has none.
         """
         if self.model.stop.time is None:
             raise DeclarationError("the run has no end", advice="write stop: {time: 10}")
         return parse(self.model.stop.time).value(self.model.values(parameters))
 
     def mode(self, trace: Trace, arc: Arc) -> Mode:
-        """Return the equations that moved an arc."""
+        """Return the solved mode of an arc."""
         simulator = self.observers[trace.engine.split()[0]].simulator
-        assert isinstance(simulator, Simulator)  # steps have no equations of modes
+        assert isinstance(simulator, Simulator)  # time stepping solves no modes
         return simulator.compiled(arc.roles, trace.zeros).mode
 
     def solved(
@@ -147,9 +146,7 @@ class Subject:
         expressions: Sequence[sp.Expr],
         states: Array | None = None,
     ) -> Array:
-        """Evaluate expressions that may use unknowns at local times (m,) of an arc.
-
-        With `states` (m, n) as if these were those of the arc.
+        """Evaluate expressions with unknowns at local times (m,) of an arc, or in `states` (m, n).
 
         Returns
         -------
@@ -171,19 +168,19 @@ class Subject:
         times: Array,
         mode: Mode | None = None,
     ) -> Array:
-        """Evaluate expressions in the automaton's symbols.
+        """Evaluate expressions in the symbols of the automaton.
 
         Parameters
         ----------
         trace : Trace
-            Whose parameters.
+            Run with the parameters.
         expressions : sequence of Expr
             In variables, parameters and time; with `mode` also in unknowns.
         states : (m, n) array
         times : (m,) array
             Absolute.
         mode : Mode, optional
-            What solves for the unknowns.
+            Solved mode, for the unknowns.
 
         Returns
         -------
@@ -194,14 +191,14 @@ class Subject:
 
 
 class Case:
-    """One choice of parameters of a subject, and its runs, made when asked for.
+    """A choice of parameters of a subject, with runs computed on demand.
 
     Parameters
     ----------
     subject : Subject
-        What is run.
+        The subject.
     parameters : mapping of str to float
-        What replaces the declared values.
+        Values of some parameters.
     """
 
     def __init__(self, subject: Subject, parameters: Mapping[str, float]) -> None:
@@ -216,8 +213,8 @@ class Case:
 
     @property
     def traces(self) -> Mapping[str, Trace]:
-        """Engine -> run, the most accurate first; engines that cannot run the model left out."""
-        first = self.engine  # one at least
+        """Engine -> run, the most accurate first, without engines that cannot run the model."""
+        first = self.engine  # raises an error if there is none
         made = {first: None, **dict.fromkeys(self.subject.observers)}
         runs = {name: self._run_by(name) for name in made}
         return {name: trace for name, trace in runs.items() if trace is not None}
@@ -232,19 +229,19 @@ class Case:
 
     @property
     def trace(self) -> Trace:
-        """The run of the most accurate engine, made without those of the others."""
+        """The run of the most accurate engine."""
         trace = self._run_by(self.engine)
-        assert trace is not None  # or it could not run the model
+        assert trace is not None
         return trace
 
     @property
     def sound(self) -> tuple[Trace, ...]:
-        """The runs that came to their end, all or none.
+        """The runs, if all are complete.
 
         Raises
         ------
         Undecidable
-            If one did not: `assert_ended` reports it.
+            If one is not; `assert_ended` reports it.
         """
         for trace in self.traces.values():
             if not trace.outcome.succeeded:
@@ -253,7 +250,7 @@ class Case:
 
     @cached_property
     def sensitivity(self) -> Sensitivity:
-        """Runs with parameters (but counts) changed by `NUDGE`, and conditions of events."""
+        """Runs with parameters (except counts) perturbed by `NUDGE`, and conditions of events."""
         values = self.subject.model.values(self.parameters)
         names = [
             name
@@ -271,13 +268,13 @@ class Case:
             try:
                 trace = self._run(self.engine, changed)
             except (DeclarationError, DeclarationProblem):
-                continue  # an edge of what the model allows: the other ways tell
+                continue  # beyond the bounds of the model
             if trace is not None and trace.outcome.succeeded:
                 found.append(trace)
         if not found:
             raise Undecidable("no run with slightly changed parameters comes to its end")
         trace = self.trace
-        if trace.step is not None:  # no event is located
+        if trace.step is not None:  # events are not located
             return Sensitivity(found, ())
         observer = self.subject.observers[self.engine]
         return Sensitivity(found, conditions(observer, trace))
@@ -288,7 +285,7 @@ class Case:
         return self._uninterrupted(simulator, self.parameters, until)
 
     def loosened(self, relative: float) -> Trace:
-        """Return the run of the most accurate engine whose modes are chosen as at `relative`."""
+        """Return the run of the most accurate engine with modes chosen at tolerance `relative`."""
         subject = self.subject
         return self._uninterrupted(
             subject.loosened(relative), self.parameters, subject.end(self.parameters)
@@ -300,7 +297,7 @@ class Case:
         parameters: Mapping[str, float],
         until: float,
     ) -> Trace:
-        """Return a run, unless the user interrupted it: that ends all of them."""
+        """Return a run; an interruption ends the check."""
         limit = self.subject.model.settings.max_jumps
         trace = simulator.run(parameters, until=until, max_jumps=limit, throw=False)
         if trace.outcome is Outcome.INTERRUPTED:
@@ -313,18 +310,17 @@ class Case:
         trace = self._uninterrupted(simulator, parameters, subject.end(parameters))
         if trace.outcome is not Outcome.UNSUPPORTED:
             return trace
-        # Taylor series do not exist for every formula.
+        # Some formulas have no Taylor series.
         subject.missing[name] = trace.message
         del subject.observers[name]
         return None
 
 
 def ranges(model: Declaration) -> dict[str, tuple[float, float]]:
-    """Return what a check varies: parameter -> least and greatest value.
+    """Return the ranges of a check: parameter -> least and greatest value.
 
-    Those that the model declares; if it declares none, from half to twice the value of every
-    parameter that is a number other than 0 and inf, less far where the model would be wrong
-    there (a restitution of 0.9 cannot be 1.8).
+    The declared ranges. Without any, from half to twice the value of every parameter that is a
+    number other than 0 and inf, reduced to valid models (a restitution of 0.9 cannot be 1.8).
 
     Parameters
     ----------
@@ -361,8 +357,7 @@ def _valid_towards(model: Declaration, name: str, value: float, end: float) -> f
 def parameters(model: Declaration) -> SearchStrategy[dict[str, float]]:
     """Return the strategy over the `ranges` of a model.
 
-    Shrinking leads to the declared values: what differs from them in a failing example matters.
-    Ends of ranges are drawn often: what grows with a parameter is largest there.
+    Shrinking leads to the declared values. Ends of ranges are drawn often.
 
     Parameters
     ----------
@@ -383,7 +378,7 @@ def parameters(model: Declaration) -> SearchStrategy[dict[str, float]]:
         if name in model.whole:
             choices[name] = st.integers(math.ceil(least), math.floor(greatest)).map(float)
             continue
-        # Numbers below 2e-308 in size have few digits, and measure nothing.
+        # Subnormal numbers have few digits.
         within = st.floats(least, greatest, allow_subnormal=False)
         drawn = [within, st.sampled_from((least, greatest))]
         if least <= declared <= greatest:

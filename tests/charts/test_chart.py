@@ -325,7 +325,7 @@ def test_guards_with_kinks_are_watched_as_well() -> None:
     assert times(run(chart, TAYLOR, 5.0)) == pytest.approx([1.0], abs=1e-12)
 
 
-def test_an_update_without_a_value_ends_the_run_and_says_which() -> None:
+def test_an_update_without_a_value_ends_the_run_with_its_name() -> None:
     chart = compose(
         {"x": 0, "y": 0},
         {"r": region({"a": {"x": "1"}, "b": {}}, go("a", "b", "x >= 1", y="1/y"))},

@@ -179,9 +179,7 @@ def test_a_margin_leaves_its_boundary_by_its_first_derivative_that_is_not_zero(
         ("x**3 - x**5", 1),
     ],
 )
-def test_guards_of_any_form_leave_their_boundary_likewise(
-    name: str, margin: str, jumps: int
-) -> None:
+def test_guards_of_any_form_leave_their_boundary_alike(name: str, margin: str, jumps: int) -> None:
     chart = compose(
         {"x": 0}, {"r": region({"a": {"x": "1"}, "b": {}}, go("a", "b", f"{margin} <= 0"))}
     )
@@ -266,7 +264,7 @@ def test_events_exactly_at_the_end_happen(of: str, rate: float, way: float) -> N
 
 
 @both
-def test_a_self_transition_is_judged_again_and_does_not_enter(name: str) -> None:
+def test_a_self_transition_is_evaluated_again_without_entry(name: str) -> None:
     hear: dict[str, Any] = {"name": "hear", "from": "on", "to": "on", "updates": {"m": "m + 1"}}
     chart = compose(
         {"x": 0, "n": 0, "m": 0},

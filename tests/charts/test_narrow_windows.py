@@ -107,7 +107,7 @@ def test_a_window_as_narrow_as_round_off_is_reported(engine: str, guard: str) ->
 
 
 @both
-def test_every_window_of_a_swing_is_found(engine: str) -> None:
+def test_a_run_locates_every_window_of_a_swing(engine: str) -> None:
     text = chart("x**2 <= 1e-16", "x: 1, v: 0, n: 0", "x: v, v: -x", 20).replace(
         'transitions: [{name: hit, from: w, to: d, guard: "x**2 <= 1e-16"}]',
         "transitions:\n"

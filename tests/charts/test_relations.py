@@ -228,7 +228,7 @@ def test_check_judges_invariants_by_the_states_that_they_ask_for(where, invarian
     assert message in failures.get("declared invariants hold", "")
 
 
-def test_an_invariant_of_a_mode_of_no_duration_is_judged_by_its_states():
+def test_an_invariant_of_a_mode_of_zero_duration_is_evaluated_in_its_states():
     # Both transitions are taken at one instant, one after the other.
     twins = """
   one: {initial: a, states: {a: {}, b: {}}, transitions: [

@@ -138,7 +138,7 @@ def test_names_of_regions_are_apart_from_those_of_the_model(tmp_path: Path) -> N
     assert {"mod2.count", "mod3.count", "floor.count"} <= {*result.trace.variables}
 
 
-def test_calls_are_found_with_their_arguments() -> None:
+def test_wraps_yields_calls_with_their_arguments() -> None:
     found = list(wraps("a.mod + 2*mod( (time + min(p, q)) , T/2) - mod(p, q) + floor(w*time)"))
     assert [wrap.key for wrap in found] == [
         ("mod", "(time + min(p, q))", "T/2"),

@@ -155,7 +155,7 @@ def test_wrong_input_is_one_message(
     words: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("statechart.sweeps.workers._ANSWER", 1.0)
+    monkeypatch.setattr("statechart.sweeps.workers._SCHEDULER_TIMEOUT", 1.0)
     (tmp_path / "here.nc").write_text("")
     (tmp_path / "here.zarr").mkdir()
     (tmp_path / "here.zarr" / "notes.txt").write_text("")
@@ -173,7 +173,7 @@ from statechart.cli import main
 from statechart.sweeps import sweep
 from statechart.sweeps.cells import run_block
 
-sweep._BLOCK = sweep._WRITTEN = 0.0
+sweep._BLOCK = sweep._WRITE_INTERVAL = 0.0
 calls, number = [], getattr(signal, sys.argv.pop())
 
 def run(task, rows):

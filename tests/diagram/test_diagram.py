@@ -265,7 +265,7 @@ def test_no_picture_is_larger_than_2000_pixels(tmp_path):
         assert 1800 < max(picture.size) <= 2000
 
 
-def test_every_renderer_tells_the_path():
+def test_every_renderer_shows_the_path():
     assert "pin → slide+ → pin" in dot(one_contact())
     assert "pin → slide+ → pin" in mermaid(one_contact())
 
@@ -280,7 +280,7 @@ def test_long_path_is_cut(render):
     assert f"({1000 - told} more)" in text
 
 
-def test_infeasible_state_is_dashed_and_says_why():
+def test_infeasible_state_is_dashed_with_its_reason():
     line = next(line for line in dot(one_contact()).splitlines() if "tip_slide_minus [" in line)
     assert 'style="rounded,dashed,filled"' in line
     assert 'tooltip="the wall is in the way"' in line

@@ -250,7 +250,7 @@ def test_regions_that_differ_by_a_number_share_one_chart():
     ]
 
 
-def test_the_legend_tells_regions_apart_whose_event_does_different_things() -> None:
+def test_the_legend_names_regions_whose_events_have_different_effects() -> None:
     runner = Runner("woodpecker")
     trace = runner.run(until=0.1).trace
     rows = legend(build(runner.automaton, trace.start_mode, trace)).events

@@ -269,7 +269,7 @@ def test_joints_that_contradict_are_named(path: str, at: str, words: str) -> Non
     assert words in str(refused(("contacts:", f"{joints}contacts:")))
 
 
-def test_a_joint_that_does_not_hold_at_the_start_says_which_velocities_would() -> None:
+def test_a_joint_violated_at_the_start_suggests_velocities() -> None:
     error = refused(("contacts:", "joints: {j: @{point: {body: rod}, to: [time, 1]}}\ncontacts:"))
     assert error.message == (
         "joints.j: joint 'j' does not hold at the start: its point of 'rod' and its place in the "
@@ -278,7 +278,7 @@ def test_a_joint_that_does_not_hold_at_the_start_says_which_velocities_would() -
     assert error.advice == "velocities that it allows: rod.dx = 1"
 
 
-def test_a_loop_that_cannot_close_says_how_near_it_comes() -> None:
+def test_a_loop_that_cannot_close_reports_its_least_distance() -> None:
     error = refused(CHAIN)
     assert "'c' is open at the start" in error.message
     assert "no position near the start closes all joints (least distance found" in str(error)
@@ -294,7 +294,7 @@ def test_a_loop_that_cannot_close_says_how_near_it_comes() -> None:
         ("g", math.nan, "parameter 'g' must be a number"),
     ],
 )
-def test_values_that_are_set_are_judged_too(parameter: str, value: float, words: str) -> None:
+def test_overridden_values_are_checked(parameter: str, value: float, words: str) -> None:
     with pytest.raises(DeclarationError, match=words):
         Runner(read_text(SCENE)).run({parameter: value})
 

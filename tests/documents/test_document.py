@@ -382,7 +382,7 @@ def test_an_unknown_kind_is_refused(line: str, place: str, words: str) -> None:
 
 
 @pytest.mark.usefixtures("_installed")
-def test_models_are_found_by_path_or_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_load_accepts_a_path_or_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     own = tmp_path / "own.yaml"
     own.write_text(BALL, encoding="utf-8")
     assert find(str(own)) == own

@@ -64,7 +64,7 @@ GATES = {
 
 
 @pytest.mark.parametrize("condition", GATES)
-def test_a_condition_that_is_zero_at_the_start_is_judged_by_the_way_it_goes(condition: str) -> None:
+def test_a_condition_that_is_zero_at_the_start_follows_its_derivative(condition: str) -> None:
     run = Runner(read_text(_gate(condition)))
     for g, holds in zip((0.0, 9.81), GATES[condition], strict=True):
         trace = run.run({"g": g}).trace
@@ -75,7 +75,9 @@ def test_a_condition_that_is_zero_at_the_start_is_judged_by_the_way_it_goes(cond
 
 @pytest.mark.parametrize("engine", ["scipy", "impulse"])
 @pytest.mark.parametrize("condition", ["time <= 0", "cos(time) >= 1", "time**3 <= 0", "q > 1"])
-def test_on_other_engines_it_is_judged_alike(condition: str, engine: str) -> None:
+def test_other_engines_agree_on_a_condition_that_is_zero_at_the_start(
+    condition: str, engine: str
+) -> None:
     trace = _run(_gate(condition), engine).trace
     assert trace.outcome.succeeded
     assert trace.start_mode == (("free",) if GATES[condition][0] else ("off",))

@@ -241,7 +241,7 @@ def test_a_landing_damper_moves_a_braked_body(engine: str, step: float | None, l
         ("{y: 0.36, x: 0.2, dy: 1}", "apart at 1; velocities that it allows: load.dy = 0"),
     ],
 )
-def test_joints_beside_compliant_contacts_say_what_would_hold(start: str, told: str) -> None:
+def test_joints_beside_compliant_contacts_suggest_a_consistent_start(start: str, told: str) -> None:
     text = f"""
 kind: scene
 name: cart

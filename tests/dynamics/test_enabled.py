@@ -202,7 +202,7 @@ def test_undecidable_conditions_are_refused(fields: dict[str, Any], message: str
     assert text is None
 
 
-def test_a_start_inside_the_surface_says_how_to_be_off() -> None:
+def test_a_start_inside_the_surface_suggests_mode_off() -> None:
     scene = _scene(Surface(height=0), {"y": -1}, enabled="time >= 0")
     with pytest.raises(DeclarationProblem) as caught:
         _run(scene)

@@ -393,7 +393,7 @@ def test_a_joint_open_at_the_start_is_named_with_the_position_that_closes_it() -
     assert "rod.y = " in problem.advice
 
 
-def test_a_loop_that_cannot_close_says_so() -> None:
+def test_a_loop_that_cannot_close_is_refused() -> None:
     third = "  far: {point: {body: other, at: [1, 0]}, to: [9, 0]}\n"
     near = "  near: {point: {body: rod, at: [0, 0]}, to: [0, 0]}\n"
     problem = _refused(_DOCUMENT + third + near)
@@ -574,7 +574,7 @@ def test_a_hinged_table_on_more_feet_than_needed_lands_flat_and_rests(name: str)
         ("{y: 2}", "pin", "its gap is open or opening"),
     ],
 )
-def test_a_declared_mode_that_the_start_contradicts_says_why(
+def test_a_declared_mode_inconsistent_with_the_start_is_refused_with_a_reason(
     start: str, mode: str, why: str
 ) -> None:
     text = f"""\

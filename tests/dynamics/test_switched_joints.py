@@ -198,7 +198,7 @@ def test_steps_come_nearer_to_the_closed_form_of_a_joint(name: str) -> None:
             assert found[output] == pytest.approx(value, abs=8.0 * step * scale), output
 
 
-def test_a_joint_that_closes_where_its_points_are_apart_says_so() -> None:
+def test_a_joint_that_closes_with_separate_points_warns() -> None:
     apart = _WELD.replace("    rest: captured\n", "")
     with pytest.raises(NoConsistentMode, match="rest: captured"):
         statechart.run(interpret(read_text(apart, "joint.yaml")))
@@ -222,6 +222,11 @@ def test_a_broken_joint_does_not_close_again() -> None:
         ("rope: 1,", "rope: 1, angle: held,", "a rope has no angle"),
         ("rope: 1,", "rope: -1,", "must be positive"),
         ("rope: 1,", "rope: 0.1,", "shorter than the distance of its ends"),
+        (
+            "x: 0.5, dx: 1",
+            "dx: 1",
+            "joints.rope: rope 'rope' has both ends at one place at the start",
+        ),
         ("rope: 1, restitution: 0.5", "restitution: 0.5", "restitution is for a rope"),
         ("rope: 1, restitution: 0.5", "rest: captured", "write enabled"),
         ("rope: 1, restitution: 0.5", "limits: [0, 1]", "a particle, which has no angle"),
@@ -234,6 +239,17 @@ def test_a_mistake_in_a_joint_is_reported(old: str, new: str, told: str) -> None
     assert old in _ROPE
     with pytest.raises(DeclarationError, match=re.escape(told)):
         statechart.run(interpret(read_text(_ROPE.replace(old, new), "joint.yaml")))
+
+
+def test_a_joint_that_starts_closed_and_is_implied_by_others_says_so() -> None:
+    # Its equations were singular: the state was not finite.
+    again = "again: {point: {body: b}, to: {body: a}, rod: 0.5, enabled: time < 1}"
+    rod = "rod: {point: {body: a}, to: {body: b}, rod: 0.5}"
+    joints = _ROPE.partition("joints:\n")[2].partition("stop:")[0]
+    text = _ROPE.partition("outputs:")[0].replace(joints, f"  {rod}\n  {again}\n")
+    text = text.replace("dx: 1", "dy: 1")
+    with pytest.raises(DeclarationError, match="starts closed, and other closed joints imply"):
+        statechart.run(interpret(read_text(text, "joint.yaml")))
 
 
 _SWAP = """

@@ -102,7 +102,7 @@ def test_a_run_may_pass_the_zero_of_a_root(seed: int) -> None:
         assert found == pytest.approx(sum(parts), rel=1e-8)
 
 
-def test_at_zero_taylor_says_which_root_has_no_series() -> None:
+def test_at_zero_taylor_names_the_root_without_a_series() -> None:
     result = run(read_text(CHART.format(x0=0, dx=1, flow="sqrt(x**2)")))
     assert result.trace.engine.startswith("scipy")
     assert "sqrt(x**2) has no Taylor series at t = 0" in result.trace.warnings[0]

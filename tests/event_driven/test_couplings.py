@@ -856,7 +856,7 @@ outputs: {a: {value: a.M}, b: {value: b.M}, p: {value: p}, q: {value: q}}
     assert result.outputs == pytest.approx(expected, abs=1e-12)
 
 
-def test_a_limit_without_end_is_told_what_to_write() -> None:
+def test_an_infinite_limit_is_refused_with_advice() -> None:
     text = ROTOR.replace("limit: T", "limit: inf")
     assert text != ROTOR
     with pytest.raises(statechart.DeclarationError, match="a joint with angle: held"):

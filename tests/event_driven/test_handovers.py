@@ -41,7 +41,7 @@ def run(text, step=None):
     ("begin", "rise"),
     [(0.0, 1e-6), (0.0, 1e-4), (-0.1, 1e-6), (1e-3, 0.0)],
 )
-def test_a_warning_says_how_deep_a_point_is_below_the_next_edge(begin, rise, step):
+def test_a_warning_reports_the_depth_of_a_point_below_the_next_edge(begin, rise, step):
     height, told = run(planks(begin, rise), step)
     assert height < -0.5
     assert len(told) == 1
@@ -109,7 +109,7 @@ stop: {time: 1}
 @pytest.mark.parametrize(
     ("begin", "rise", "meets"), [(0, 1e-6, False), (1e-4, 0, False), (0, 0, True), (0, 0.1, True)]
 )
-def test_validation_says_where_ends_of_edges_nearly_meet(begin, rise, meets):
+def test_validation_reports_ends_of_edges_that_nearly_meet(begin, rise, meets):
     scene = interpret(read_text(planks(begin, rise)))
     told = list(nearly_meeting_ends(scene))
     assert bool(told) != meets

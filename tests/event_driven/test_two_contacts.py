@@ -268,7 +268,7 @@ def test_a_falling_body_closes_its_gap_without_projection() -> None:
     assert ends[0] == pytest.approx(ends[1], abs=30 * found[0].trace.tolerances["gap"])
 
 
-def test_a_sum_of_impacts_that_is_cut_short_says_so() -> None:
+def test_a_truncated_sum_of_impacts_warns() -> None:
     text = SQUEEZED.replace("restitution: 0.85", "restitution: 0.98").replace("36821", "613333")
     trace = Runner(interpret(read_text(text))).run().trace
     assert any("the sequence of impacts does not end" in warning for warning in trace.warnings)

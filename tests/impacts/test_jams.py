@@ -81,7 +81,7 @@ def test_a_force_without_bound_stops_the_slip_where_p_vanishes(k: float) -> None
     assert any("without bound" in warning for warning in trace.warnings)
 
 
-def test_stop_says_that_the_force_grew_without_bound() -> None:
+def test_the_stop_message_reports_an_unbounded_force() -> None:
     stopping = simulator(ROD + "paradox: stop\n", "taylor")
     trace = stopping.run({}, until=2.0, throw=False)
     assert trace.outcome is Outcome.NO_CONSISTENT_MODE

@@ -271,7 +271,7 @@ def rod(impact):
 
 
 @pytest.mark.parametrize("impact", ["stronge", "newton", "poisson", "moreau"])
-def test_a_run_says_where_it_applies_another_law_than_the_one_declared(impact):
+def test_a_run_warns_if_it_applies_another_law_than_the_declared_one(impact):
     events = Runner(rod(impact)).run()
     steps = Runner(rod(impact), engine="impulse", step=1e-5).run()
     ours, theirs = (r.trace.jumps[0].impulse["tip"] for r in (steps, events))

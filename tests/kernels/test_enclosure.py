@@ -206,7 +206,7 @@ def test_a_clear_margin_is_proved_clear():
     assert margin(2 + sp.sin(50 * X)).verdict is Verdict.NONE
 
 
-def test_a_transversal_crossing_is_found_to_the_last_bits():
+def test_search_locates_a_transversal_crossing_to_the_last_bits():
     found = margin(sp.cos(P * X), coeffs=[[0.0, 1.0]])
     assert found.verdict is Verdict.CROSSING
     assert found.undecided is None
@@ -286,7 +286,7 @@ def test_a_double_root_is_flagged_and_a_shade_more_is_decided(place):
     assert below.crossing.time == pytest.approx(place - math.sqrt(1e-13), abs=1e-9)
 
 
-def test_a_triple_root_that_falls_is_found():
+def test_search_finds_a_falling_triple_root():
     found = margin(-((X - 0.3) ** 3), tolerance=1e-12)
     assert found.verdict is Verdict.CROSSING
     assert found.crossing.time == pytest.approx(0.3, abs=2e-4)
@@ -294,7 +294,7 @@ def test_a_triple_root_that_falls_is_found():
 
 
 @pytest.mark.parametrize("place", [0.5, 0.25, 0.75, 0.8125])
-def test_a_crossing_exactly_between_two_boxes_is_found(place):
+def test_search_finds_a_crossing_exactly_between_two_boxes(place):
     for tolerance in (0.0, 0.125):
         found = margin((place - tolerance - X) * (2 + X), tolerance=tolerance * (2 + place))
         assert found.verdict is Verdict.CROSSING

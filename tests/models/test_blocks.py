@@ -99,7 +99,7 @@ def test_great_friction_stops_a_block_soon(engine: str, mu: float) -> None:
     assert modes(trace) == ["slide+", "pin"]
 
 
-def test_a_slip_soon_after_the_start_of_a_long_step_is_found_to_rounding(engine: str) -> None:
+def test_a_slip_soon_after_the_start_of_a_long_step_is_located_to_round_off(engine: str) -> None:
     values = {"F0": 32.0, "omega": 25.0, "mu": 0.0035, "m": 0.03}
     trace = run("stick_slip_block", engine, until=7.0, **values)
     expected = math.asin(0.0035 * 0.03 * 9.81 / 32.0) / 25.0

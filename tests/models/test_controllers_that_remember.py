@@ -38,7 +38,7 @@ def test_integral_control_identifies_the_load() -> None:
     assert found["angle"] == pytest.approx(0.0, abs=0.002)
 
 
-def test_a_torque_is_held_between_samples() -> None:
+def test_a_torque_is_constant_between_samples() -> None:
     runner = Runner("sampled_balance")
     found = runner.run(until=0.1)
     place = runner.automaton.names.index("held")

@@ -21,7 +21,7 @@ NOTE = "the forces of A, B, C, D are indeterminate: the smallest are shown"
 pytestmark = pytest.mark.parametrize("engine", ENGINES)
 
 
-def test_at_rest_every_leg_bears_a_quarter_and_says_that_it_might_not(engine: str) -> None:
+def test_at_rest_every_leg_bears_a_quarter_with_a_warning_of_indeterminacy(engine: str) -> None:
     trace = run(MODEL, engine)
     assert trace.outcome is Outcome.HORIZON
     assert trace.certified

@@ -139,7 +139,7 @@ def test_vanishing_friction_equals_none(engine: str, mu: float) -> None:
 
 
 @pytest.mark.parametrize("inertia", [1e-18, 1e-14, 1e-300])
-def test_tiny_inertia_is_a_point_mass_and_says_so(engine: str, inertia: float) -> None:
+def test_tiny_inertia_is_a_point_mass_with_a_warning(engine: str, inertia: float) -> None:
     tiny, none = (run(MODEL, engine, mu=0.5, I_G=i) for i in (inertia, 0.0))
     assert np.abs(tiny.final - none.final).max() < 1e-11
     assert any("point mass" in warning for warning in tiny.warnings)

@@ -39,7 +39,7 @@ def test_identical_balls_are_both_thrown_up_in_one_jump(engine: str) -> None:
 
 
 @pytest.mark.parametrize("apart", [0.0, 1e-16, 1e-15, 1e-14, 1e-13, 1e-12, 1e-10, 1e-6])
-def test_nearly_simultaneous_impacts_are_both_found(engine: str, apart: float) -> None:
+def test_nearly_simultaneous_impacts_are_both_located(engine: str, apart: float) -> None:
     rng = np.random.default_rng(7)
     for height in rng.uniform(0.5, 2.0, 12).tolist():
         for other in (height * (1.0 + apart), height * (1.0 - apart)):

@@ -320,7 +320,7 @@ def test_sampling_finds_all_that_is_feasible(case: dict) -> None:
     assert found == {mode for mode, possible in verdicts(jacobians).items() if possible}
 
 
-def test_twenty_contacts_are_judged_mode_by_mode() -> None:
+def test_feasibility_of_twenty_contacts_is_decided_mode_by_mode() -> None:
     place = np.linspace(-1.0, 1.0, 20)
     table = planar([(x, 0.0) for x in place], [(0, 1)] * 20)
     labels = [f"leg{i}" for i in range(20)]

@@ -270,7 +270,7 @@ def test_above_four_contacts_the_mode_found_is_that_of_enumeration(seed: int) ->
     )
 
 
-def test_lemke_says_so_where_it_finds_no_mode() -> None:
+def test_lemke_reports_that_it_finds_no_mode() -> None:
     snapshot, setup = numbers(standing([-1.0, -0.5, 0.0, 0.5, 1.0]))
     options = [("slide+",)] * 5  # at rest on a level floor nothing slides
     true = [True] * 5

@@ -37,7 +37,7 @@ def flight(request: pytest.FixtureRequest) -> Runner:
 
 
 @given(a=st.floats(0.01, 0.99), power=st.floats(-5.0, -0.5))
-def test_kinks_jumps_and_peaks_are_found(flight: Runner, a: float, power: float) -> None:
+def test_integrals_resolve_kinks_jumps_and_peaks(flight: Runner, a: float, power: float) -> None:
     w = 10.0**power
     found = flight.run({"a": a, "w": w}).outputs
     exact = {

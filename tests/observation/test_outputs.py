@@ -137,7 +137,7 @@ def test_states_are_matched_by_their_declared_name_too(stick: Observer) -> None:
     assert slide == pytest.approx(time - pin, abs=1e-14)
 
 
-def test_extremes_inside_steps_are_found_to_rounding(stick: Observer) -> None:
+def test_extremes_inside_steps_are_located_to_round_off(stick: Observer) -> None:
     trace = run(stick)
     # Constructed extremes, sharper than the grid: 1 at time 1.2345, -1 at time 4.321.
     for centre, sign in ((1.2345, 1.0), (4.321, -1.0)):

@@ -145,7 +145,7 @@ def test_curves_and_cones_stay_in_their_panels_and_times_on_a_line(browser, resu
 
 
 @in_browser
-def test_an_event_leads_to_its_instant_and_says_why(browser, result):
+def test_an_event_leads_to_its_instant_and_reason(browser, result):
     for place, jump in enumerate(result.trace.jumps, start=1):
         browser.click(f"#events tbody tr:nth-child({place})")
         assert agree(browser, result) == jump.t

@@ -237,9 +237,9 @@ def test_curves_that_stay_zero_have_no_axis_and_are_named() -> None:
     (position,) = panels
     assert position.title == "position"
     names = {name for name in result.observer.automaton.names if name.endswith("angle")}
-    assert names < set(position.nothing)
+    assert names < set(position.zero)
     assert position.remarks[-1].startswith("0 all along: box0.")
-    assert position.remarks[-1].endswith(f"{len(position.nothing) - 2} more")
+    assert position.remarks[-1].endswith(f"{len(position.zero) - 2} more")
 
 
 def test_regions_that_change_have_a_row() -> None:
@@ -305,7 +305,7 @@ def test_figures_omit_timers_of_transitions() -> None:
     timers = result.observer.automaton.declaration.timers
     assert timers == {"controller.sample_clock", "controller.sample_count"}
     _, panels = curves(result.observer, result.trace)
-    told = {name for p in panels for name in (*p.names, *p.left_out, *p.nothing)}
+    told = {name for p in panels for name in (*p.names, *p.left_out, *p.zero)}
     assert not told & timers
     assert {"held", "sum"} <= told
 

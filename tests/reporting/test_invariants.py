@@ -41,7 +41,7 @@ def test_the_least_margin_of_an_invariant_is_reported(tmp_path: Path) -> None:
     assert found["in time"] == 0.0
 
 
-def test_check_tells_which_invariant_fails(tmp_path: Path) -> None:
+def test_check_names_the_invariant_that_fails(tmp_path: Path) -> None:
     kept = ball(tmp_path, "  above: height >= -1e-6\n")
     assert statechart.check(load(kept), examples=3, seed=1).passed
     broken = statechart.check(load(ball(tmp_path, "  low: height <= 0.05\n")), examples=3, seed=1)

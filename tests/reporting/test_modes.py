@@ -150,7 +150,7 @@ def test_a_chart_knows_no_reason_against_a_mode(listed) -> None:
     assert feasibility(runner.automaton, setup, setup.initial, 0.0) is None
 
 
-def test_every_product_mode_is_judged_once() -> None:
+def test_every_product_mode_has_one_verdict() -> None:
     runner = Runner(read_text(BAR))
     setup = runner.setup()
     found = feasibility(runner.automaton, setup, setup.initial, 0.0)

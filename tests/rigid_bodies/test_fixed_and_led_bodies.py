@@ -236,7 +236,7 @@ regions:
 """
 
 
-def test_a_path_that_jumps_is_judged_again() -> None:
+def test_a_path_that_jumps_is_checked_again() -> None:
     bodies = f"""
   box: {{{MOVED}, start: {{x: 0, y: 0.1}}}}
   shelf: {{position: [u, -0.1], shape: {{polygon: [[-1, -0.1], [1, -0.1], [1, 0.1], [-1, 0.1]]}}}}

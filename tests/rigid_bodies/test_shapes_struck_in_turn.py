@@ -302,7 +302,7 @@ collisions: {{all: {{bodies: [one, up, down], friction: 0, restitution: 1}}}}
 
 @pytest.mark.parametrize(("e", "told"), [(1.0, True), (0.6, True), (0.4, False), (0.0, False)])
 @pytest.mark.parametrize("record", ["modes", "nothing"])
-def test_a_run_says_where_the_order_of_impacts_would_matter(e, told, record):
+def test_a_run_warns_where_the_order_of_impacts_matters(e, told, record):
     text = row([1, 1, 1], e, [0.0] * 3, [1.0, 0.0, 0.0])
     result = run(text + f"settings: {{record: {record}}}", law="capped")
     news = [warning for warning in result.warnings if NEWS in warning]

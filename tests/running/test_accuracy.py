@@ -71,7 +71,7 @@ def test_the_condition_grows_as_a_graze_is_approached(margin: float) -> None:
     assert kappa == pytest.approx(0.5 / math.sqrt(2.0 * margin), rel=1e-5)
 
 
-def test_the_condition_tells_how_far_an_error_moves_an_event() -> None:
+def test_the_condition_number_predicts_the_shift_of_an_event() -> None:
     trace = run("bouncing_ball_hills", accuracy=1e-9)
     kappa = trace.conditions[0]
     assert kappa is not None
@@ -154,7 +154,7 @@ def test_the_tightest_run_ends_a_budget_early() -> None:
     assert answer.trace.tolerance == pytest.approx(1e-9)
 
 
-def test_one_run_in_time_has_no_estimate_and_says_so() -> None:
+def test_a_single_run_within_the_budget_warns_of_no_estimate() -> None:
     once, clock = slow(Runner("toppling_stick"), lambda tolerance: 1.0)
     answer = within(once, 1.5, floor=1e-13, clock=clock)
     assert answer.error is None
@@ -360,7 +360,7 @@ def test_an_exceeded_budget_gives_a_warning() -> None:
 
 
 @pytest.mark.parametrize("accuracy", [1e-3, 1e-10])
-def test_taylor_begins_at_its_least_tolerance_and_one_run_with_another_tells_its_error(
+def test_taylor_starts_at_its_least_tolerance_and_one_perturbed_run_estimates_its_error(
     accuracy: float,
 ) -> None:
     result = run("hopper", accuracy=accuracy)

@@ -45,7 +45,7 @@ def test_a_model_draws_and_checks_itself(tmp_path: object) -> None:
     assert SCENE.check(examples=1, seed=1).passed
 
 
-def test_the_initial_mode_is_found_by_either_name() -> None:
+def test_the_initial_mode_has_two_names() -> None:
     fields = SCENE.model_dump(by_alias=True)
     assert fields["modes"] == {"base": "pin"}
     assert Scene(**fields) == SCENE

@@ -85,7 +85,7 @@ def test_a_run_that_turns_out_another_one_is_estimated(measured: Study) -> None:
 
 
 @pytest.mark.parametrize("what", ["outcome", "flows", "steps", "evaluations"])
-def test_any_count_tells_another_run(measured: Study, what: str) -> None:
+def test_any_different_count_identifies_another_run(measured: Study, what: str) -> None:
     runner = Runner(read_text(MODEL), engine="scipy", method="DOP853", tolerance=1e-6)
     result = runner.run()
     counts = result.trace.counts
@@ -104,7 +104,7 @@ def test_any_count_tells_another_run(measured: Study, what: str) -> None:
     assert replay(once, replace(chosen, **{what: other})) is None  # type: ignore[arg-type]
 
 
-def test_the_command_line_says_that_it_is_the_measured_run(
+def test_the_command_line_reports_the_measured_run(
     tmp_path: Path, measured: Study, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip

@@ -27,7 +27,7 @@ def test_events_and_samples_are_tables(result):
     assert {"stick.angle", "tip.V", "mode"} <= set(result.samples.columns)
 
 
-def test_times_of_a_data_set_are_unique_and_are_found(result):
+def test_times_of_a_data_set_are_unique_and_selectable(result):
     data = result.to_xarray()
     assert data.indexes["t"].is_unique
     slip = result.trace.jumps[0].t

@@ -48,7 +48,7 @@ def ball(*changes: tuple[str, str]) -> str:
     return text
 
 
-def test_auto_takes_taylor_where_heyoka_is_and_says_so_where_not(
+def test_auto_takes_taylor_if_heyoka_is_installed_and_warns_otherwise(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("statechart.engines.request._has_heyoka", lambda: False)
@@ -135,7 +135,7 @@ def test_the_difference_of_runs_is_relative_to_each_quantity() -> None:
     assert compare(trace, trace, {"a": 1.0}, {"a": math.nan}).largest == math.inf
 
 
-def test_a_flow_without_a_taylor_series_falls_back_to_scipy_and_says_so() -> None:
+def test_a_flow_without_a_taylor_series_falls_back_to_scipy_with_a_reason() -> None:
     text = ball(("v: -g", "v: -g - sqrt(v**2)"))
     result = run(read_text(text))
     assert result.trace.engine.startswith("scipy")

@@ -179,7 +179,7 @@ def test_runs_that_do_not_converge_end_with_exit_code_1(
     assert "reduce the difference. Runs at two steps differ most in output distance (" in said.err
 
 
-def test_a_force_that_falls_to_zero_is_judged_on_the_scale_of_forces() -> None:
+def test_the_error_of_a_force_that_falls_to_zero_is_relative_to_the_scale_of_forces() -> None:
     # The run ends where the tip lifts off, so that the least force is zero.
     result = run("no_slip_pencil", engine="impulse", accuracy=1e-3, throw=False)
     assert result.asked is not None

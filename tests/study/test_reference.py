@@ -94,7 +94,9 @@ def test_the_odd_one_of_three_runs_is_named_and_ignored(
     assert to_dict(found)["third"]["odd"] is True
 
 
-def test_runs_are_judged_by_the_two_that_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_three_runs_the_two_that_agree_are_the_reference(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     still = Runner(read_text(THRUST.replace("10*(1+", "0*(1+")))
     lying(monkeypatch, "long double", still.automaton)
     settings = [Setting(engine="scipy", method="RK45", tolerance=1e-9)]

@@ -60,7 +60,7 @@ def test_an_interrupted_sweep_resumes_to_the_same_bits(
     whole, store = sweep(STICK, GRID, store=tmp_path / "whole.zarr"), tmp_path / "a.zarr"
     monkeypatch.setattr(plans, "_CHUNK", tile)
     monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
-    monkeypatch.setattr(sweeps, "_WRITTEN", 0.0)
+    monkeypatch.setattr(sweeps, "_WRITE_INTERVAL", 0.0)
     with monkeypatch.context() as patched:
         patched.setattr(sweeps, "run_block", interrupting(9))
         part = sweep(STICK, GRID, store=store)

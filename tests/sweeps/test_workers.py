@@ -106,7 +106,7 @@ def test_a_cluster_without_workers_is_reported_and_the_sweep_goes_on(
     same(sweep(STICK, GRID, store=store, resume=True), sweep(STICK, GRID))
 
 
-def test_a_cluster_is_found_by_its_address(machines: Any) -> None:
+def test_a_cluster_is_reached_by_its_address(machines: Any) -> None:
     with cluster(machines.scheduler_address) as executor:
         same(sweep(STICK, GRID, executor=executor), sweep(STICK, GRID))
 

@@ -265,7 +265,7 @@ stop: {time: 3, conditions: {far: x >= 19.5}}
     assert "the margin of 'it' is -" in found.message
 
 
-def test_a_failure_in_a_corner_of_the_ranges_is_found():
+def test_check_finds_a_failure_in_a_corner_of_the_ranges():
     # In 5e-5 of the square that is varied, by the largest of both.
     faulty = GROWING.replace("IN_STATE", "x >= -1").replace("IN_RUN", "x <= 99.5")
     found = check(model(faulty), examples=200, seed=1).properties[6].failure

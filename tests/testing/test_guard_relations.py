@@ -128,19 +128,19 @@ def test_relations_of_a_right_run_hold(text: str) -> None:
         (SLIDES, "far", "far holds at t = 1."),
     ],
 )
-def test_an_event_that_comes_late_is_found(text: str, name: str, message: str, by: float) -> None:
+def test_check_detects_a_late_event(text: str, name: str, message: str, by: float) -> None:
     subject = changed(text.replace("x > 2}", "x > 1.9}"), name, later(by))
     found = failure(subject)
     assert found.startswith(f"taylor: {message}")
 
 
-def test_a_contact_that_stays_off_is_found() -> None:
+def test_check_detects_a_contact_that_stays_off() -> None:
     text = SLIDES.replace("ball.x < 1", "ball.x > 1")
     found = failure(changed(text.replace("dx: 1", "y: 5, dx: 3"), "b.off: ball.x > 1", later(0.5)))
     assert found.startswith("taylor: b is enabled holds at t = 0.3")
 
 
-def test_a_guard_that_is_passed_while_its_margin_stays_at_zero_is_found() -> None:
+def test_check_detects_a_guard_passed_with_its_margin_at_zero() -> None:
     # As a margin max(x, n) stays at zero once it is there; with its tolerance it never falls.
     text = FALLS.replace("x <= n", "max(x, n) <= 0").replace("{invariants: {high: x >= 0}}", "{}")
     subject = changed(text, "e.hit", lambda margin: sp.Max(margin, 0) + sp.Float(1e-9))
@@ -151,7 +151,7 @@ def test_a_guard_that_is_passed_while_its_margin_stays_at_zero_is_found() -> Non
         assert_relations(subject, run)
 
 
-def test_an_invariant_that_fails_is_found() -> None:
+def test_check_detects_a_violated_invariant() -> None:
     text = FALLS.replace("x <= n", "x <= -0.5")
     subject = changed(text, "", later(0))
     with pytest.raises(AssertionError, match=r"^e\.high does not hold at t = 1"):

@@ -378,7 +378,7 @@ outputs: {n: {value: n}}
 
 
 @pytest.mark.parametrize("h", [1e-3, 2.5e-4])
-def test_a_surface_that_stops_strikes_before_guards_are_asked(h: float) -> None:
+def test_a_surface_that_stops_strikes_before_guards_are_evaluated(h: float) -> None:
     model = interpret(read_text(STOPPING_PLATE, "f.yaml"))
     exact, found = by_events(model), by_steps(model, h)
     stopped = [("plate", "stop"), ("c", "touchdown"), ("plate", "hit")]

@@ -90,7 +90,7 @@ def test_a_perfectly_elastic_ball_keeps_its_energy():
     assert np.ptp(energy) <= 1e-11 * energy.max()
 
 
-def test_infinite_friction_holds_and_says_how(capsys):
+def test_infinite_friction_sticks_with_a_warning(capsys):
     assert main(["run", "toppling_stick", "--set", "mu=inf", "--set", "I_G=0.1",
                  "--engine", "impulse", "--step", "1e-3", "--json"]) == 0  # fmt: skip
     printed = capsys.readouterr()
@@ -102,7 +102,7 @@ def test_infinite_friction_holds_and_says_how(capsys):
     assert report["modes_built"] == 0
 
 
-def test_a_point_mass_has_a_small_inertia_and_it_says_so():
+def test_a_point_mass_has_a_small_inertia_with_a_warning():
     exact = run("toppling_stick", parameters={"I_G": 0})
     found = run("toppling_stick", parameters={"I_G": 0}, engine="impulse", step=1e-3)
     assert np.abs(found.trace.final - exact.trace.final).max() <= 1e-3

@@ -44,7 +44,7 @@ def runner():
         {"F": -12, "mu": 0.3, "b": 0.3},
     ],
 )
-def test_a_pulled_box_that_neither_slips_nor_tips_tells_no_event(runner, values):
+def test_a_pulled_box_that_neither_slips_nor_tips_has_no_event(runner, values):
     known = {"b": 0.2, "a": 0.15625, "g": 13, "F": 40, "mu": 2, "m": 5, **values}
     weight = known["m"] * known["g"]
     # It slips above mu m g, and tips above m g b/(2 a).

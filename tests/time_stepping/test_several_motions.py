@@ -59,7 +59,7 @@ def test_indeterminate_motion_gives_a_warning_with_its_time() -> None:
     assert any(f"the first at t = 0.01, {TOLD}" in warning for warning in found.warnings)
 
 
-def test_check_tells_of_several_motions_at_the_start(
+def test_check_reports_several_motions_at_the_start(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "rod.yaml"

@@ -1,6 +1,6 @@
-"""Layout of the parts of a chart, so that no line runs through words.
+"""Layout of charts without lines through text.
 
-A chart is a `flow` of boxes in boxes, which Graphviz places as clusters; the product of two is a
-`grid`, and the path of a run a `ring`, whose places Graphviz is given (``neato -n2``). Each is a
-`block`; `markup` says how its boxes look, and `graphviz_program` draws and measures.
+`flow` lays out a chart with Graphviz clusters, `grid` the product of two, `ring` the path of a run;
+Graphviz draws these at fixed positions (``neato -n2``). Each returns a `block`. `markup` has labels
+and attributes, `graphviz_program` draws and measures.
 """

@@ -1,4 +1,4 @@
-"""Pieces of a page whose places are known: boxes, text and arrows in points, y upwards."""
+"""Blocks of a page: boxes, text and arrows with positions in points, y upwards."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ Attributes = Mapping[str, str]
 Point = tuple[float, float]
 
 _POINT = re.compile(r"(-?[\d.]+(?:e[+-]?\d+)?),(-?[\d.]+(?:e[+-]?\d+)?)")
-# End of an arrow's head, which is no point of its curve.
+# End point of an arrowhead in a splineType.
 _ENDS = re.compile(r"[es],\S+")
-# Length of an arrow's head, which its line stops short of (Graphviz: 10 pt times arrowsize).
+# Length of an arrowhead (Graphviz: 10 pt times arrowsize).
 _HEAD = 7.0
-# Points a curve that are looked at; how far into a box a line may reach by round-off, in points.
+# Samples of a curve, and allowed overlap with a box in points.
 _SAMPLES, _TOUCH = 40, 0.6
-# The dot of a start: its width, its distance, and the radius of a state's corner, in points.
+# Initial dot: width, distance, and radius of the corner of a state, in points.
 _DOT, _OFF, _ROUND = 9.4, 13.0, 2.5
 
 
 @dataclass(frozen=True)
 class Box:
-    """A state, what encloses states, or text; `name` in DOT, that of text with an underscore."""
+    """A state, a frame, or text; `name` in DOT begins with an underscore for text."""
 
     name: str
     centre: Point
@@ -52,14 +52,14 @@ class Arrow:
 
 @dataclass(frozen=True)
 class LayoutBlock:
-    """Boxes, those that enclose others first, and arrows, in a rectangle from (0, 0)."""
+    """Boxes, frames first, and arrows, in a rectangle from (0, 0)."""
 
     size: Point
     boxes: tuple[Box, ...] = ()
     arrows: tuple[Arrow, ...] = ()
 
     def moved(self, x: float, y: float) -> LayoutBlock:
-        """Return the same elsewhere."""
+        """Return the translated block."""
         return LayoutBlock(
             self.size,
             tuple(replace(b, centre=(b.centre[0] + x, b.centre[1] + y)) for b in self.boxes),
@@ -68,7 +68,7 @@ class LayoutBlock:
 
 
 def bounded(boxes: Sequence[Box], arrows: Sequence[Arrow]) -> LayoutBlock:
-    """Return a block just as large as its boxes and arrows."""
+    """Return the block with the bounding box of boxes and arrows."""
     centres, sizes = np.array([box.centre for box in boxes]), np.array([box.size for box in boxes])
     corners = [centres - sizes / 2, centres + sizes / 2]
     places = np.concatenate([*corners, *(samples(one.curve) for one in arrows)])
@@ -81,14 +81,14 @@ def _translated(course: str, x: float, y: float) -> str:
 
 
 def written(name: str, label: str) -> LayoutBlock:
-    """Return a text as a block of its own."""
+    """Return a text as a block."""
     look = {"shape": "plain", "label": label}
     size = measured({name: look})[name]
     return LayoutBlock(size, (Box(name, (size[0] / 2, size[1] / 2), size, look),))
 
 
 def side_by_side(blocks: Sequence[LayoutBlock], gap: float) -> LayoutBlock:
-    """Put blocks side by side, their tops at one height."""
+    """Return blocks in a row, aligned at the top."""
     height = max(block.size[1] for block in blocks)
     placed, x = [], 0.0
     for block in blocks:
@@ -98,7 +98,7 @@ def side_by_side(blocks: Sequence[LayoutBlock], gap: float) -> LayoutBlock:
 
 
 def stacked(blocks: Sequence[LayoutBlock], gap: float, *, centred: bool = True) -> LayoutBlock:
-    """Put blocks below each other."""
+    """Return blocks in a column."""
     width = max(block.size[0] for block in blocks)
     placed, y = [], 0.0
     for block in reversed(blocks):
@@ -144,7 +144,7 @@ def _on_frame(block: LayoutBlock, dot: str) -> bool:
 
 
 def polyline(points: Iterable[Point], *, head: bool = True) -> str:
-    """Return straight lines through points as curves; the last ends in an arrow's head."""
+    """Return a polyline as Bezier curves, ending in an arrowhead."""
     places = list(points)
     start = ""
     if head:
@@ -159,7 +159,7 @@ def polyline(points: Iterable[Point], *, head: bool = True) -> str:
 
 
 def covered(block: LayoutBlock) -> int:
-    """Return how often an arrow runs through text, a dot or a state that is not at its ends."""
+    """Return the number of overlaps of arrows with text, dots or other states."""
     solid = [
         box for box in block.boxes if box.attributes["label"] or box.attributes["shape"] == "circle"
     ]
@@ -175,7 +175,7 @@ def covered(block: LayoutBlock) -> int:
 
 
 def samples(course: str) -> Array:
-    """Return points along curves, close enough that no word fits between two."""
+    """Return dense samples of curves."""
     curves = [
         curve[k : k + 4]
         for piece in course.split(";")

@@ -1,8 +1,7 @@
-"""A chart as boxes in boxes, laid out by Graphviz' ``dot`` (Gansner et al. 1993).
+"""Layered layout of a chart by Graphviz' ``dot`` (Gansner et al. 1993).
 
-The words on an arrow are a node of their own between its ends, so that dot makes room for them and
-leads no other line through them. So is the dot from which the first arrow of a chart, or of a state
-that holds others, comes. Regions side by side have a dashed line between them (UML 2.5, 14.2.4).
+Labels of arrows and initial dots are nodes, so that dot leads no line through them. Orthogonal
+regions are separated by a dashed line (UML 2.5, 14.2.4).
 """
 
 from __future__ import annotations
@@ -40,34 +39,34 @@ from statechart.palette import FAINT, FRAME
 if TYPE_CHECKING:
     import graphviz
 
-# Width and height that a chart may take of a slide.
+# Width and height of a chart on a slide, in points.
 _SLIDE = (740.0, 430.0)
-# Ways to go from rank to rank, and space between neighbours in inches.
+# Rank directions, and spacing in inches.
 _WAYS = [(way, gap) for way in ("TB", "LR") for gap in ("0.25", "0.5")]
-# A region in a state has no frame of its own.
+# Regions in a state have no frame.
 _REGION = {"shape": "box", "style": "invis", "label": ""}
 _DIVIDER = {"style": "dashed", "arrowhead": "none", "color": FRAME, "tooltip": " "}
 
 
 def flow(chart: Chart, style: Style, prefix: str) -> LayoutBlock:
-    """Lay a chart out, the way that fits a slide best of those that lead no line through text."""
+    """Return the layout with the fewest lines through text, and the best fit on a slide."""
     drawn = _Flow(chart, style, prefix)
     found = [drawn.block(way, gap, "l") for way, gap in _WAYS]
     if all(map(covered, found)):
-        # Names of states that hold others, on the left of their frames, may be in the way.
+        # Titles of frames on the left may overlap lines.
         found += [drawn.block(way, gap, "r") for way, gap in _WAYS]
     return min(found, key=_badness)
 
 
 def _badness(block: LayoutBlock) -> tuple[float, ...]:
-    """Return lines through text, by how much a block must shrink to fit, and its height."""
+    """Return the cost of a block: lines through text, scale to fit, height."""
     width, height = block.size
     shrink = max(width / _SLIDE[0], height / _SLIDE[1], 1.0)
     return covered(block), round(4 * shrink), height
 
 
 class _Flow:
-    """A chart in DOT: `looks` of its boxes by identifier, those of text with an underscore."""
+    """A chart in DOT; `looks` are attributes of boxes by identifier (text with an underscore)."""
 
     def __init__(self, chart: Chart, style: Style, prefix: str) -> None:
         self.chart, self.names, self.prefix = chart, style.names, prefix
@@ -96,11 +95,11 @@ class _Flow:
                 self.words.setdefault(common, []).append(f"{prefix}{k}")
 
     def title(self, node: Node) -> str:
-        """Return the identifier of the name of a state that holds others."""
+        """Return the identifier of the title of a frame."""
         return f"{self.prefix}in_{self.names[node.name]}"
 
     def source(self, way: str, gap: str, side: str) -> str:
-        """Return the chart as DOT; words and starts are nodes."""
+        """Return the chart as DOT; labels and initial dots are nodes."""
         import graphviz
 
         graph = graphviz.Digraph(
@@ -147,7 +146,7 @@ class _Flow:
             part.node(name, **self.looks[name])
 
     def _end(self, name: str, end: str) -> dict[str, str]:
-        """Return an end of an edge; a frame cuts off an edge to a state in it."""
+        """Return an end of an edge, clipped at a frame."""
         leaf = name
         while inner := self.chart.within(leaf):
             leaf = inner[0].name
@@ -157,7 +156,7 @@ class _Flow:
         return found
 
     def block(self, way: str, gap: str, side: str) -> LayoutBlock:
-        """Return the chart as dot lays it out, names of frames on a side (l, r)."""
+        """Return the chart laid out by dot, with titles of frames on a side (l, r)."""
         laid = laid_out(self.source(way, gap, side))
         items = {item["name"].removeprefix("cluster_"): item for item in laid["objects"]}
         frames = sorted(
@@ -199,7 +198,7 @@ class _Flow:
         return Box(name, ((x0 + x1) / 2, (y0 + y1) / 2), (x1 - x0, y1 - y0), look)
 
     def _dividers(self, node: Node, places: dict[str, Box]) -> list[Arrow]:
-        """Return the dashed lines between the regions of a state, which dot puts in a row."""
+        """Return the dashed lines between the regions of a state, placed in a row by dot."""
         frame = places[self.names[node.name]]
         names = (self.names[inner.name] for inner in self.chart.within(node.name))
         regions = [places[name] for name in names if name in places]

@@ -1,12 +1,10 @@
-"""The product of two regions as a grid: the first goes down the columns, the second along the rows.
+"""Layout of the product of two regions as a grid: the first down, the second along.
 
-An arrow changes one region, so that arrows along a row are the second region's chart, and those
-down a column the first's: every row has the same, and so has every column. Frames around states
-are bands through the whole grid. Words have a place of their own, which no line crosses.
+An arrow changes one region: arrows along a row are the chart of the second region, arrows down a
+column that of the first. Frames around states are bands through the grid.
 
-Axis 0 goes along, axis 1 down; `u` is a place on an axis and `v` one across it, both from the upper
-left corner. An arrow between neighbours is a straight line; one that skips states has a lane beside
-them.
+Axis 0 goes along, axis 1 down; `u` is a coordinate on an axis and `v` across it, both from the
+upper left corner. An arrow between neighbours is straight; one that skips states has a lane.
 """
 
 from __future__ import annotations
@@ -37,16 +35,15 @@ from statechart.diagram.model import Chart, Link, Node
 from statechart.palette import FAINT, FRAME
 
 _BAND = {"shape": "box", "style": "rounded,dashed", "label": ""}
-# At most so many orders of states are tried.
-_MAX_ORDERS = 5040
-# Points: between a state and the frame around it; beside words; between two lines; an arrow's
-# head with some of its line.
+_MAX_ORDERS = 5040  # permutations of states that are tried
+# Points: between a state and its frame; beside labels; between two lines; an arrowhead with some
+# of its line.
 _MARGIN, _AIR, _LINE, _HEAD = 9.0, 4.0, 14.0, 12.0
-# Gaps of lanes down and along: from the line to its words, and around both.
+# Gaps of lanes down and along: from line to label, and around both.
 _LANES = ((_AIR, 3 * _AIR), (1.0, _AIR))
 
 Span = tuple[int, int]
-"""First and last place of a state, or of a frame around states."""
+"""First and last index of a state or frame."""
 
 
 class _Bond(NamedTuple):
@@ -71,9 +68,9 @@ class _Bond(NamedTuple):
 
 
 class _Axis:
-    """The states of a chart in the order in which its arrows skip the fewest.
+    """The states of a chart in the order with the fewest skips of arrows.
 
-    `frames` are nodes that hold several states, with their span and the depth of frames in them.
+    `frames` are nodes of several states, with span and depth of nesting.
     """
 
     def __init__(self, chart: Chart) -> None:
@@ -97,17 +94,17 @@ class _Axis:
         self.lanes = [k for k, bond in enumerate(self.bonds) if bond.skips]
 
     def margin(self, place: int, side: int) -> int:
-        """Return how deep frames are that end at a side (-1, 1) of a place."""
+        """Return the depth of frames that end at a side (-1, 1) of a place."""
         ends = ((span[side > 0], deep) for _, span, deep in self.frames)
         return max((deep for end, deep in ends if end == place), default=0)
 
     def between(self, place: int) -> list[int]:
-        """Return the bonds from one place to the next, or back, by their numbers."""
+        """Return the indices of the bonds between a place and the next."""
         return [k for k, bond in enumerate(self.bonds) if bond.gap == (place, place + 1)]
 
 
 def _orders(chart: Chart, inside: str | None) -> Iterator[tuple[Node, ...]]:
-    """Yield orders in which states of one state stay together, first the one declared."""
+    """Yield orders with contiguous substates, first the declared one."""
     for order in permutations(chart.within(inside)):
         parts = [list(_orders(chart, n.name)) if chart.within(n.name) else [(n,)] for n in order]
         for chosen in product(*parts):
@@ -137,11 +134,11 @@ def grid(chart: Chart, style: Style, prefix: str) -> LayoutBlock:
 
 
 class _Grid:
-    """A grid with its measures, all by axis.
+    """A grid with its measures by axis.
 
-    `cell` is the size of a state, `places` the middles of states, `sides` how far states with
-    their words reach before and behind their middle, `reach` how far with their lanes before it,
-    and `tracks` where, across, an arrow and its words are from the middle of its states.
+    `cell` is the size of a state, `places` are the centres of states, `sides` the extents of states
+    with labels before and after the centre, `reach` the extent with lanes before it, and `tracks`
+    the offsets of arrows and labels across.
     """
 
     def __init__(self, chart: Chart, style: Style, prefix: str) -> None:
@@ -193,7 +190,7 @@ class _Grid:
         behind = max([width / 2, *(half + words for words, half in halves)])
         self.sides = (before, behind), (height / 2, height / 2)
         self.tracks = stacks, bundles
-        # Lanes of arrows down stand to the left of a column, those along above a row.
+        # Lanes of arrows down are left of a column, lanes along are above a row.
         self.reach = [self.sides[k][0] + _MARGIN * self.axes[k].deepest + _AIR for k in (0, 1)]
         for axis, across in ((1, 0), (0, 1)):
             near, clear = _LANES[across]
@@ -207,7 +204,7 @@ class _Grid:
         self.size = [self.places[k][-1] + self.sides[k][1] + edge[k] for k in (0, 1)]
 
     def _places(self, k: int, lane: float) -> list[float]:
-        """Return the middles of states; words stand between these, or frames around them."""
+        """Return the centres of states, with space for labels or frames between them."""
         axis, half, (before, behind) = self.axes[k], self.cell[k] / 2, self.sides[k]
         places = [self.reach[k]]
         for place in range(len(axis.states) - 1):
@@ -221,7 +218,7 @@ class _Grid:
         return places
 
     def _bundle(self, bonds: list[int]) -> dict[int, Point]:
-        """Return tracks of arrows down beside each other: the first has its words on the left."""
+        """Return tracks of adjacent arrows down; the label of the first is on the left."""
         tracks: dict[int, Point] = {}
         at = -_LINE / 2 if len(bonds) > 1 else 0.0
         for k in bonds:
@@ -232,7 +229,7 @@ class _Grid:
         return tracks
 
     def _stack(self, bonds: list[int]) -> tuple[dict[int, Point], float]:
-        """Return tracks of arrows along, each below its words, and the height of all."""
+        """Return tracks of arrows along, each below its label, and the total height."""
         heights = [self._size(0, k)[1] for k in bonds]
         total = sum(heights) + _AIR * len(bonds)
         tracks, v = {}, -total / 2
@@ -255,7 +252,7 @@ class _Grid:
                 yield Box(name, (x, -y), self.cell, self.cells[name])
 
     def bands(self, k: int) -> Iterator[Box]:
-        """Yield the frames through the grid, and their names outside them."""
+        """Yield the frames through the grid, and their titles."""
         across = 1 - k
         for number, (node, span, deep) in enumerate(self.axes[k].frames):
             low, high = self._side(k, span[0], -1, deep), self._side(k, span[1], 1, deep)
@@ -271,7 +268,7 @@ class _Grid:
             yield Box(name, centre, size, self.looks[name])
 
     def words(self, k: int) -> Iterator[Box]:
-        """Yield the words on arrows, in the middle of the free space."""
+        """Yield the labels of arrows, centred in the free space."""
         axis, across = self.axes[k], 1 - k
         for number, bond in enumerate(axis.bonds):
             name, place = self._key(k, number), bond.gap[0]
@@ -296,7 +293,7 @@ class _Grid:
                 yield Arrow(tail, head, polyline(course), look)
 
     def _end(self, k: int, span: Span, across: int) -> tuple[str, bool]:
-        """Return the box at an arrow's end, and whether no motion can be there."""
+        """Return the box at the end of an arrow, and whether it is infeasible."""
         nodes = [self._node(k, place, across) for place in range(span[0], span[1] + 1)]
         impossible = all(node.infeasible is not None for node in nodes)
         if span[0] == span[1]:
@@ -305,7 +302,7 @@ class _Grid:
         return self._key(k, f"_{number}"), impossible
 
     def _corners(self, k: int, number: int, v: float) -> list[Point]:
-        """Return the corners of an arrow as (u, v): one in a lane turns into its states."""
+        """Return the corners (u, v) of an arrow, with turns from and to a lane."""
         bond = self.axes[k].bonds[number]
         way = 1 if bond.onward else -1
         start, end = self._border(k, bond.tail, way), self._border(k, bond.head, -way)

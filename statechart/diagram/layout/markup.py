@@ -1,4 +1,4 @@
-"""Labels and looks of boxes and arrows: HTML-like tables in which every character is literal."""
+"""Labels and attributes of boxes and arrows in HTML-like markup, with all text escaped."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SMALL, LABEL, STATE, TITLE = 9, 10, 12, 16
 FRAMES = {
     "shape": "box", "style": "rounded,filled", "label": "", "color": FRAME, "fillcolor": CLOSED,
 }  # fmt: skip
-"""Look of a box that holds states."""
+"""Attributes of a frame."""
 
 BULLS_EYE = "\N{FISHEYE}"
 """A final state, as in UML."""
@@ -25,12 +25,12 @@ START = {
     "shape": "circle", "style": "filled", "label": "", "width": "0.13", "fillcolor": INK,
     "color": INK, "tooltip": "start",
 }  # fmt: skip
-"""Look of the dot from which the first arrow comes."""
+"""Attributes of the initial dot."""
 
 
 @dataclass(frozen=True)
 class Style:
-    """Identifiers by names of nodes, the place of guards, and the numbered reasons."""
+    """Identifiers by names of nodes, place of guards, numbered reasons."""
 
     names: Mapping[str, str]
     guards: Guards
@@ -42,7 +42,7 @@ def text(
 ) -> str:
     """Return text as part of an HTML-like label."""
     lines = printable(words).split("\n")
-    # Graphviz expands \N, \G, ... in HTML-like labels too, and refuses an empty element.
+    # Graphviz expands \N, \G, ... in HTML-like labels, and refuses empty elements.
     body = "<BR/>".join(html.escape(line).replace("\\", "&#92;&#8203;") or " " for line in lines)
     body = f"<B>{body}</B>" if bold else body
     body = f"<I>{body}</I>" if italic else body
@@ -50,7 +50,7 @@ def text(
 
 
 def table(rows: Iterable[Sequence[str] | str], *, padding: int = 1, align: str = "") -> str:
-    """Return rows of cells as a label; a row that is no list is one cell, perhaps a whole one."""
+    """Return rows of cells as a label; a row of text is one cell."""
     side = f' ALIGN="{align}" BALIGN="{align}" VALIGN="TOP"' if align else ""
     cells = "".join(
         "<TR>"
@@ -65,10 +65,10 @@ def table(rows: Iterable[Sequence[str] | str], *, padding: int = 1, align: str =
 
 
 def plain(words: str) -> str:
-    """Return text as an attribute that is no markup."""
+    """Return text as an attribute without markup."""
     import graphviz
 
-    # A plain copy would lose its type, by which graphviz knows that <...> is not markup.
+    # The type marks <...> as literal text for graphviz.
     literal: str = graphviz.escape(printable(words))
     return literal
 
@@ -123,7 +123,7 @@ def arrow_attributes(
 
 
 def arrow(links: Sequence[Link]) -> dict[str, str]:
-    """Return the look of an arrow's line."""
+    """Return the attributes of the line of an arrow."""
     tooltip = "\n".join(f"{x.event} [{x.guard}] / {x.reset}" for x in links)
     return {
         "arrowsize": "0.7",
@@ -140,9 +140,9 @@ def _details(node: Node, chart: Chart, style: Style, ink: str) -> list[str]:
 
 
 def _self_links(node: Node, chart: Chart, style: Style) -> list[str]:
-    """Return lines on links from a state to itself, or to a state around it or in it.
+    """Return lines for links from a state to itself, its superstates or substates.
 
-    A sign stands before those that leave the state.
+    A sign precedes links that exit the state.
     """
     if chart.axes is not None:
         loops = [x for x in chart.links if x.source == x.target == node.name]

@@ -1,7 +1,7 @@
-"""The path of a run through few modes: a chain, or rounds of a cycle as a gait makes them.
+"""Layout of the path of a run: a chain of modes, followed by a cycle as of a gait.
 
-A mode that is passed twice stands in two places. One round is drawn as a ring, with the number of
-rounds in the middle; what came before leads to it. Rows are no wider than a slide.
+A mode visited twice in the chain has two nodes. The cycle is drawn once as a ring, with the number
+of rounds in the middle. Rows are no wider than a slide.
 """
 
 from __future__ import annotations
@@ -36,24 +36,20 @@ from statechart.diagram.model import Chart
 from statechart.palette import RUN
 from statechart.tabular import several
 
-# Points: what a row may take, and in a picture that were higher than that; a line on each side of
-# its words; between words and a line's end.
+# Points: width of a row, and of a picture that would be higher; line beside a label; its gap.
 _WIDTH, _WIDEST, _PADDING, _AIR = 740.0, 980.0, 16.0, 3.0
-# A ring has at least so many modes.
-_MIN_RING = 3
-# A sequence repeated so often counts as rounds.
-_ROUNDS = 1.5
+_MIN_RING = 3  # modes of a ring
+_ROUNDS = 1.5  # least repetitions of a cycle
 
 MAX_STEPS = 16
-"""A path of more modes is no longer seen at a glance."""
+"""Limit of the modes of a path."""
 
 
 class Round(NamedTuple):
-    """The course of a path.
+    """A path with contracted cycle.
 
-    `order` has the names of modes, each round once; `back` is the place in it that the last leads
-    back to (None where nothing repeats), and `rounds` how often the path went from there to the
-    last.
+    `order` are the modes, with the cycle once; `back` is the index of the first mode of the cycle
+    (None without one), and `rounds` the number of repetitions.
     """
 
     order: tuple[str, ...]
@@ -62,9 +58,9 @@ class Round(NamedTuple):
 
 
 def find_rounds(path: Sequence[str]) -> Round | None:
-    """Return a path as rounds of a cycle from the earliest possible start, or as a chain.
+    """Return a path as a chain, or with a cycle from the earliest possible start.
 
-    None where modes come again, and not in rounds for at least half of the path.
+    None if modes repeat without a cycle of at least half of the path.
     """
     length = len(path)
     if len(set(path)) == length:
@@ -80,7 +76,7 @@ def find_rounds(path: Sequence[str]) -> Round | None:
 
 
 def ring(chart: Chart, style: Style, prefix: str) -> LayoutBlock | None:
-    """Lay out the path of a run; None where it has more steps than can be seen, or next to none."""
+    """Return the layout of the path of a run; None if it is too long or too short."""
     found = find_rounds(chart.path) or Round(chart.path, None, 1)
     order, back = found.order, found.back
     lone = back is not None and len(order) - back < _MIN_RING
@@ -131,7 +127,7 @@ def ring(chart: Chart, style: Style, prefix: str) -> LayoutBlock | None:
 
 
 def _spots(found: Round, most: int) -> list[Point]:
-    """Return columns and rows, counted from the upper left corner of the ring, or of the chain."""
+    """Return columns and rows from the upper left corner of the ring or chain."""
     if found.back is None:
         return [_snake(k, most) for k in range(len(found.order))]
     lead = [(x, -1.0 - y) for x, y in (_snake(k, most) for k in reversed(range(found.back)))]
@@ -150,7 +146,7 @@ def _spots(found: Round, most: int) -> list[Point]:
 
 
 def _snake(place: int, most: int) -> Point:
-    """Return the column and row of a place in rows that turn at their ends."""
+    """Return column and row of a place in boustrophedon order."""
     row, column = divmod(place, most)
     return float(column if row % 2 == 0 else most - 1 - column), float(row)
 
@@ -161,7 +157,7 @@ def _middle(spots: Sequence[Point]) -> Point:
 
 
 def _line(one: Point, other: Point, cell: Point, middle: Point, gap: Point | None) -> str:
-    """Return a straight line between two states, broken where its words stand."""
+    """Return a straight line between two states, with a gap for its label."""
     start, end = _edge(one, other, cell), _edge(other, one, cell)
     if gap is None:
         return polyline([start, end])
@@ -171,7 +167,7 @@ def _line(one: Point, other: Point, cell: Point, middle: Point, gap: Point | Non
 
 
 def _edge(centre: Point, toward: Point, size: Point) -> Point:
-    """Return where the line from the middle of a rectangle to a point leaves it."""
+    """Return the intersection of a rectangle with the line from its centre to a point."""
     way = toward[0] - centre[0], toward[1] - centre[1]
     reach = min(size[k] / 2 / abs(way[k]) for k in (0, 1) if way[k])
     return centre[0] + reach * way[0], centre[1] + reach * way[1]
