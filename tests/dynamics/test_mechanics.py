@@ -17,7 +17,7 @@ def snapshot(scene: Scene, state: list[float]):
     laws = built.laws
     assert isinstance(laws, SceneLaws)
     setup = built.setup({}, 1e-16)
-    return laws._tape.at(setup.values, np.array(state), 0.3)
+    return laws.tape.at(setup.values, np.array(state), 0.3)
 
 
 def test_a_two_link_walker_has_the_published_equations() -> None:

@@ -29,7 +29,7 @@ def rod(phi: float, omega: float, speed: float, mu: float, inertia: float) -> tu
     s, c = math.sin(phi), math.cos(phi)
     # The lean is clockwise, the body's angle counter-clockwise.
     state = np.array([s, c, -phi, speed + c * omega, -s * omega, -omega])
-    return laws._tape.at(setup.values, state, 0.0), setup
+    return laws.tape.at(setup.values, state, 0.0), setup
 
 
 def consistent(snapshot: Snapshot, setup: SceneSetup, options: tuple, still: bool) -> dict:

@@ -69,7 +69,7 @@ def numbers(scene: Scene, time: float = 0.0) -> tuple[Snapshot, SceneSetup]:
     laws = built.laws
     assert isinstance(laws, SceneLaws)
     setup = built.setup({}, 2.2e-16)
-    return laws._tape.at(setup.values, setup.initial, time), setup
+    return laws.tape.at(setup.values, setup.initial, time), setup
 
 
 def least(edges: Array, reach: Array, load: Array, limits: Array) -> Array:

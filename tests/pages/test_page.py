@@ -285,7 +285,7 @@ def test_reasons_have_no_digits_of_rounding_and_changes_of_many_are_short(tmp_pa
             assert float(number) == float(f"{float(number):.7g}")
         for part in event["change"].split("; "):
             assert part.count(",") <= 3
-    assert any(" more: " in event["change"] for event in shown["events"])
+    assert any(" regions: " in event["change"] for event in shown["events"])
 
 
 @in_browser
