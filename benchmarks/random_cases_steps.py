@@ -265,7 +265,7 @@ def next_plank(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:
 
 
 def drawings(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:
-    """Nested statecharts, parts of which nothing enters: each state is drawn, those grey."""
+    """Nested statecharts, partly unreachable: each state is drawn (grey if so), or noted."""
     count = 0
 
     def region(depth: int, pad: str) -> str:
@@ -299,7 +299,7 @@ def drawings(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "chart.svg")
         write(drawn(runner)[0], path)
-        shown = set(re.findall(r"\b(n\d+)(?=[<¹])", path.read_text(encoding="utf-8")))
+        shown = set(re.findall(r"\b(n\d+)(?=[<¹:]| in )", path.read_text(encoding="utf-8")))
     missing = {f"n{i}" for i in range(99) if f" n{i}:" in text} - shown
 
     def draw() -> Sibling:

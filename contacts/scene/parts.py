@@ -184,7 +184,10 @@ class Body(Part):
         if "mass" not in self.model_fields_set and (self.position is None or not self.shape):
             raise DeclarationProblem(
                 "a body needs a mass",
-                advice="write mass: 1, or of a body with a shape that nothing moves fixed: true",
+                advice="write mass: 1, or of a body with a shape that nothing moves fixed: true"
+                if self.position is None
+                else "write mass: 1, or give a body that is led along its position a shape; a "
+                "joint holds another body to a path by itself: to: [x, y]",
             )
         if self.position is None:
             if self.angle is not None:

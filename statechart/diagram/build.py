@@ -84,8 +84,17 @@ def _moving(automaton: Automaton) -> list[Region]:
 
 
 def _is_composed(region: Region) -> bool:
-    """Return whether a region has parallel states or histories, which do not fit in a grid."""
-    return bool(region.nesting.histories) or not {*region.states} <= {*region.innermost}
+    """Return whether a region does not fit in a grid.
+
+    A grid has no place for parallel states, histories, and declared frames around a single state.
+    """
+    leaves = region.innermost
+    around = Counter(name for leaf in leaves for name in _around(region, leaf))
+    return (
+        bool(region.nesting.histories)
+        or not {*region.states} <= {*leaves}
+        or any(around[name] == 1 for name in region.nesting.names)
+    )
 
 
 def _charts(automaton: Automaton, mode: Key | None) -> tuple[Chart, ...]:
@@ -295,6 +304,11 @@ def _notes(automaton: Automaton) -> tuple[str, ...]:
     notes = [automaton.declaration.doc] if automaton.declaration.doc else []
     if automaton.stops:
         notes.append(f"stops when: {', '.join(stop.name for stop in automaton.stops)}")
+    moving = _moving(automaton)
+    for region in automaton.regions:
+        if region.nesting.names and region not in moving:
+            (state,) = region.innermost
+            notes.append(f"always {' in '.join((state, *_around(region, state)))}: {region.name}")
     return tuple(notes)
 
 

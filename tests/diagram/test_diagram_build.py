@@ -13,6 +13,7 @@ from statechart.diagram.dot import dot
 from statechart.diagram.legend import GUARDS, legend
 from statechart.diagram.mermaid import mermaid
 from statechart.documents.yaml_reader import read_text
+from statechart.running.drawing import drawn
 from statechart.running.runner import Runner
 
 SWITCH = """
@@ -411,3 +412,26 @@ def test_mermaid_separates_regions_and_begins_each() -> None:
         "[*] --> w1", "[*] --> w2", "[*] --> written",
     ]  # fmt: skip
     assert lines.index("[*] --> w1") < lines.index("--") < lines.index("[*] --> w2")
+
+
+ALONE = """
+kind: chart
+name: alone
+variables: {x: 0}
+regions:
+  m0: {initial: n0, states: {n0: {flows: {x: 1}}}}
+  m1:
+    initial: n1
+    states: {n1: {initial: n2, states: {n2: {}}}, n3: {}}
+    transitions: [{name: go, from: n1, to: n3, guard: x > 1}]
+stop: {time: 2}
+"""
+
+
+def test_regions_of_one_state_are_noted_and_frames_around_one_state_drawn():
+    diagram = drawn(Runner(read_text(ALONE)))[0]
+    assert diagram.notes == ("always n0: m0",)
+    text = ALONE.replace("n0: {flows: {x: 1}}}", "n0: {flows: {x: 1}}, n4: {}}")
+    diagram = drawn(Runner(read_text(text)))[0]
+    names = {node.name.rpartition(":")[2] for chart in diagram.charts for node in chart.nodes}
+    assert names == {"n0", "n1", "n2", "n3", "n4"}
