@@ -102,11 +102,11 @@ class ControlledLaws:
             if jump is None:
                 flow_on = self._joined(setup, clock, following, controllers, state, flow)
                 # The contacts' laws have decided which conditions of contacts are watched.
-                of = laws.conditions
-                watched = {name for name in (*of.names, *of.back, *of.gaps) if name}
-                own = {name: following.tolerances[name] for name in watched}
-                own = {**flow_on.tolerances, **own}
-                return None, flow_on._replace(settled=following.settled, tolerances=own)
+                conditions = laws.conditions
+                names = filter(None, (*conditions.names, *conditions.back, *conditions.gaps))
+                watched = {name: following.tolerances[name] for name in names}
+                joined = {**flow_on.tolerances, **watched}
+                return None, flow_on._replace(settled=following.settled, tolerances=joined)
             after = self._memory.joined(jump.after, state)
             jump = replace(
                 jump,

@@ -84,21 +84,29 @@ class Handovers:
         """Yield a warning for each contact that is off by next to nothing as its gap closes."""
         names = [*self._mechanics.scene.contacts]
         points = [self._mechanics.scene.contacts[name].point for name in names]
-        for place, (contact, name) in enumerate(self._gated.items()):
-            same = [i for i, point in enumerate(points) if point == points[contact]]
-            for k, table in tables.items():
-                arc, gaps = arcs[k], table[:, 2 * place + 1]
-                through = np.flatnonzero((gaps[:-1] > near) & (gaps[1:] < -near))
+        gated, beside = list(self._gated.items()), _BESIDE * setup.scales.length
+        warned: set[str] = set()
+        for k, table in tables.items():
+            arc, gaps = arcs[k], table[:, 1::2]
+            through = (gaps[:-1] > near) & (gaps[1:] < -near)
+            for place in np.flatnonzero(through.any(axis=0)).tolist():
+                contact, name = gated[place]
+                same = (i for i, point in enumerate(points) if point == points[contact])
                 # Another contact of the point that is closed takes its place.
-                if not through.size or any(arc.mode[i] not in OPEN for i in same):
+                if (
+                    name in warned
+                    or arc.mode[contact] != OFF
+                    or any(arc.mode[i] not in OPEN for i in same)
+                ):
                     continue
-                if arc.mode[contact] != OFF:
-                    continue
-                sample = int(through[0]) + 1
-                margin = self._begin(setup, arc, place, sample, gap=True)
-                if -_BESIDE * setup.scales.length <= margin <= 0.0:
+                sample = int(through[:, place].argmax()) + 1
+                around = table[sample - 1 : sample + 1, 2 * place]
+                low, high = around.min(), around.max()
+                if 2.0 * high - low < -beside or 2.0 * low - high > 0.0:
+                    continue  # Far from its boundary before and after
+                if -beside <= self._begin(setup, arc, place, sample, gap=True) <= 0.0:
+                    warned.add(name)
                     yield passes_end(name)
-                    break
 
     def _let_through(
         self, setup: SceneSetup, arcs: Sequence[Arc], gap_tolerance: float

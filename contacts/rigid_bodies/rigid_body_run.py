@@ -286,7 +286,7 @@ class RigidBodyRun(SteppedSystem):
         found = self.detect(after, time, _INSTANT * self._length)
         struck = found.keys[self._workspace.active.hit[: len(found.keys)]]
         if len(struck):
-            # As if all had moved so before: between two midpoints there would be half of it.
+            # The rate between two midpoints would be half of the one that has just been set.
             self._prescribed.restart()
             met = int(self._warm.n_contacts[0])
             self._warm.keys[:met, 1][np.isin(self._warm.keys[:met, 0], struck)] = _NO_FEATURE
