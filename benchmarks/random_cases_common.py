@@ -1,4 +1,4 @@
-"""What the families of random cases share: runners, readings, comparisons.
+"""Shared runners, readings and comparisons of the families of random cases.
 
 A family returns a runner and a function that draws siblings: parameters, and a check of the run.
 """

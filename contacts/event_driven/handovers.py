@@ -71,9 +71,9 @@ class Handovers:
                     elif depths:
                         depths.append(-gap)
                     else:
-                        gap_at_begin = self._begin(setup, arc, place, sample) if sample else gap
-                        if -gap_at_begin > gap_tolerance:
-                            depths += (-gap_at_begin, -gap)
+                        first = self._at_crossing(setup, arc, place, sample) if sample else gap
+                        if -first > gap_tolerance:
+                            depths += (-first, -gap)
             end()
         late = (stays_off(self._mechanics.scene, name, d) for name, d in missed.items())
         return (*early, *beside, *late)
@@ -104,7 +104,7 @@ class Handovers:
                 low, high = around.min(), around.max()
                 if 2.0 * high - low < -beside or 2.0 * low - high > 0.0:
                     continue  # Far from its boundary before and after
-                if -beside <= self._begin(setup, arc, place, sample, gap=True) <= 0.0:
+                if -beside <= self._at_crossing(setup, arc, place, sample, gap=True) <= 0.0:
                     warned.add(name)
                     yield passes_end(name)
 
@@ -170,12 +170,12 @@ class Handovers:
             self._tapes[states] = self._mechanics.whole_tape(outputs)
         return self._tapes[states]
 
-    def _begin(
+    def _at_crossing(
         self, setup: SceneSetup, arc: Arc, place: int, sample: int, *, gap: bool = False
     ) -> float:
-        """Return the gap when the gate begins to hold before a sample of an arc.
+        """Return the gap where the gate's margin rises through zero before a sample of an arc.
 
-        With `gap`, the margin of the gate when the gap closes.
+        With `gap`, return the margin where the gap falls through zero.
         """
         tape = self._tape(arc.mode[len(self._mechanics.scene.frictional) :])
 

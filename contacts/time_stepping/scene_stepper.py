@@ -192,7 +192,7 @@ class SteppedScene(SteppedSystem):
 
     @property
     def filled(self) -> bool:
-        """Whether coordinates without inertia received a small one."""
+        """True if coordinates without inertia received a small one."""
         return bool(self._step_state.contacts.light[0])
 
     def press(self, closed: Bools) -> None:
