@@ -31,6 +31,7 @@ from contacts.rigid_bodies.own_step import forced_speed, led_speed, own_step
 from contacts.rigid_bodies.prescribed_motion import Paths, PrescribedMotion
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts, RigidBodyRun
 from contacts.scene.checks import check_physical
+from contacts.scene.couplings import coupling_region
 from contacts.scene.lint import lint
 from contacts.scene.parts import Simultaneous
 from contacts.scene.regions import BODY_EDGES, BODY_IMPACT, BODY_STATES
@@ -46,6 +47,8 @@ from statechart.automaton.time_stepper import DEFAULT_IMPULSES
 from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
 from statechart.formulas.formula import parse
 
+# Duration of a step that shows a state, relative to the scene's.
+_SOON = 1e-9
 # Overlap at the start, relative to the scene, without a warning; and opening of joints.
 _START_DEPTH = 1e-6
 # Round-off of the inertia of a motion, relative to the diagonal.
@@ -70,8 +73,12 @@ def bodies_automaton(scene: Scene) -> Automaton:
         )
         for name in declared.moving()
     )
+    of_couplings = (
+        coupling_region(name, coupling, lambda role: State(), (mechanics.couples[name],))
+        for name, coupling in scene.couplings.items()
+    )
     controllers = scene.controlled.flat
-    regions = (*of_bodies, *(controller(n, r, mechanics) for n, r in controllers.items()))
+    regions = (*of_bodies, *of_couplings, *(controller(n, r, mechanics) for n, r in controllers.items()))
     rates = mechanics.controller_rates
 
     def stepper() -> BodyStepper:
@@ -116,7 +123,7 @@ class BodyStepper(Stepper):
             Controllers(mechanics),
             again=BODY_IMPACT,
             forces=None,
-            sticks=np.zeros(len(declared.moving()), dtype=np.bool_),
+            sticks=np.repeat([False, True], [len(declared.moving()), len(declared.couplings)]),
         )
         self._declared, self._bodies = declared, mechanics
         self._paths = Paths(mechanics.scene)
@@ -169,6 +176,9 @@ class BodyStepper(Stepper):
                 f"{size:.3g}; take {longest:.1g} or less"
             )
         free = np.full(len(bodies.numbers.inverse), FREE)
+        if self._scene.couplings and failure is None:
+            soon = _SOON * setup.scales.length / setup.scales.speed
+            free = np.append(free, bodies.detect(setup.initial, 0.0, soon).couplings)
         control = None
         if self._scene.regions:
             control = StepControl(self._bodies, self._controllers, setup, bodies, self._regions)
@@ -293,7 +303,7 @@ class BodyStepper(Stepper):
         bodies = bodies._replace(joints=joints)
 
         def detect(numbers: BodyNumbers, start: Array) -> DetectedContacts:
-            return run_of(numbers).detect(start, 0.0, 1e-9 * length / speed)
+            return run_of(numbers).detect(start, 0.0, _SOON * length / speed)
 
         near = _START_DEPTH * length
         try:

@@ -11,7 +11,7 @@ import numpy as np
 import sympy as sp
 
 from contacts.collision_detection.body_numbers import BodyNumbers
-from contacts.collision_detection.midpoint import ForceProgram
+from contacts.collision_detection.midpoint import ForceProgram, LimitProgram
 from contacts.dynamics.controllers import control_values, controlled_symbols, flows_in
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.mechanics import Mechanics
@@ -196,6 +196,7 @@ class BodyMechanics(Mechanics):
         self.starts = Starts(scene, parameters)
         # Tapes per combination of controller states, compiled on demand.
         self._forces: dict[Key, tuple[Ints, Tape]] = {}
+        self._limits: dict[Key, Tape] = {}
         self._given: dict[Key, Tape] = {}
         self._flows: dict[Key, Tape] = {}
 
@@ -279,6 +280,21 @@ class BodyMechanics(Mechanics):
         if key not in self._forces:
             self._forces[key] = self._force_tape(states)
         return Forces(*self._forces[key], values)
+
+    def limits_at(self, states: Mapping[str, str], values: Array) -> LimitProgram:
+        """Return the limits of couplings in these controller states, and whether they are closed.
+
+        See `contacts.collision_detection.couplings.STATIC`.
+        """
+        key = tuple(states.values())
+        if key not in self._limits:
+            found: list[sp.Expr] = []
+            for name in self.scene.couplings:
+                gate = self.gate(name)
+                found += [*self.limits(name), sp.S.One if gate is None else gate.by_steps({})]
+            self._limits[key] = self.whole_tape(found, definitions=self.controlled(states))
+        tape = self._limits[key]
+        return LimitProgram(tape.code, tape.constants, tape.outputs, values)
 
     def _force_tape(self, states: Mapping[str, str]) -> tuple[Ints, Tape]:
         """Return the bodies on which forces act, and the tape of the forces."""

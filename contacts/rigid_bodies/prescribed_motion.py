@@ -186,6 +186,7 @@ class PrescribedMotion:
         """Change the states of the controllers."""
         self._states = states
         self.forces = self._mechanics.forces_at(states, self._values)
+        self.limits = self._mechanics.limits_at(states, self._values)
         self._controls = self._mechanics.control_values(states)
 
     def captured(self, joint: str, remembered: Array) -> dict[str, float]:
@@ -230,7 +231,7 @@ class PrescribedMotion:
         variables = np.concatenate([memories[:1], memories[1::2]])
         if not self._paths.any:
             return (
-                Prescribed(*self._paths.none(count + 2), variables, forces),
+                Prescribed(*self._paths.none(count + 2), variables, forces, self.limits),
                 memories[2::2],
                 count + 1,
             )
@@ -257,7 +258,7 @@ class PrescribedMotion:
             )
         for paths in rows if known < len(midpoints.frames) else ():
             paths[known + 1 :] = 2.0 * paths[known] - paths[known - 1]
-        return Prescribed(*rows, variables, forces), memories[2::2], known
+        return Prescribed(*rows, variables, forces, self.limits), memories[2::2], known
 
     def jumped(self, start: float, remembered: Array) -> list[str]:
         """Return the names whose path at an instant differs from the end of the last step."""

@@ -22,6 +22,7 @@ from contacts.collision_detection.body_numbers import (
     WarmStart,
 )
 from contacts.collision_detection.find_contacts import LANDED
+from contacts.collision_detection.joints import joint_forces
 from contacts.collision_detection.surfaces import GRAPH
 from contacts.rigid_bodies.body_step import StepOptions, step_bodies
 from contacts.rigid_bodies.island_step import ratio_remarks
@@ -71,7 +72,7 @@ class Penetration:
 
     def add(self, start: float, chunk: Chunk) -> None:
         """Note the deepest penetration in the steps of a chunk."""
-        depths = -np.minimum(chunk.gaps, 0.0)
+        depths = -np.minimum(chunk.gaps[:, : len(self._radii)], 0.0)
         parts = np.where(depths > self._start_depth, depths / self._radii, 0.0)
         if not parts.max(initial=0.0) > self._part:
             return
@@ -180,11 +181,14 @@ class DetectedContacts(NamedTuple):
     normal: Held
     tangential: Held
     joints: Held
+    couplings: Ints  # (c,): their modes.
 
     @classmethod
-    def of(cls, gaps: Array, active: ActiveContacts, warm: WarmStart, holds: Ints) -> Self:
-        """Return the contacts of a step, which joints follow."""
-        many = int(warm.n_contacts[0])
+    def of(
+        cls, gaps: Array, active: ActiveContacts, warm: WarmStart, holds: Ints, couplings: Ints
+    ) -> Self:
+        """Return the contacts of a step, which joints and couplings follow."""
+        many = int(warm.n_contacts[0]) - len(couplings)
         bodies, rows, contacts_end = active.bodies[:many].copy(), active.rows, many - len(holds)
         both, firm = holds == BOTH, active.materials[contacts_end:many, 0] < 0.0
         joints = [rows[contacts_end:many][firm, 0], rows[contacts_end:many][both & firm, 1]]
@@ -200,6 +204,7 @@ class DetectedContacts(NamedTuple):
                 np.concatenate([bodies[contacts_end:][firm], bodies[contacts_end:][both & firm]]),
                 np.concatenate(joints),
             ),
+            couplings,
         )
 
     def deepest_of(
@@ -376,7 +381,8 @@ class RigidBodyRun(SteppedSystem):
         chunk, status = self._taken(time, h, state, 1, math.inf)
         self._check_finite(chunk, status)
         holds, gaps = self.numbers.joints.holds, self._workspace.mid.gaps.copy()
-        detected = DetectedContacts.of(gaps, self._workspace.active, self._warm, holds)
+        modes = chunk.codes[0, self._moving :]
+        detected = DetectedContacts.of(gaps, self._workspace.active, self._warm, holds, modes)
         self._warm, self._prescribed = before.enlarged_to(self._warm), prescribed
         return detected
 
@@ -443,7 +449,8 @@ class RigidBodyRun(SteppedSystem):
             chunk = self._without_gain(chunk)
             if not len(chunk.codes) and self._gain_error is not None:
                 raise self._gain_error
-        self._min_gaps = np.minimum(self._min_gaps, chunk.gaps.min(axis=0, initial=np.inf))
+        gaps = chunk.gaps[:, : self._moving]
+        self._min_gaps = np.minimum(self._min_gaps, gaps.min(axis=0, initial=np.inf))
         self._penetration.add(start, chunk)
         self._prescribed.passed(len(chunk.codes))
         turns = chunk.h * np.abs(self.numbers.motion(chunk.states[1:])[1][:, self._angular, 2])
@@ -513,14 +520,13 @@ class RigidBodyRun(SteppedSystem):
     ) -> tuple[Chunk, int]:
         """Return the accepted steps, and the status of their end."""
         bodies, n = self._moving, self.numbers.size
-        holds = self.numbers.joints.holds
-        joint_forces = int((1 + np.isin(holds, (BOTH, ROPE)) - (holds == GREATEST)).sum())
-        solved = n + joint_forces
+        couplings = len(self.numbers.couplings.holds)
+        solved = n + joint_forces(self.numbers) + couplings
         # One more, for the last detection.
         ahead, remembered, known = self._prescribed.prescribe(start, h, state[2 * n :], count + 1)
         count = min(count, known)
         remembered = remembered[: count + 1]
-        chunk = Chunk.allocate(h, state, solved + self._prescribed.count, bodies, count)
+        chunk = Chunk.allocate(h, state, solved + self._prescribed.count, bodies + couplings, count)
         done, status = 0, DONE
         while status == FULL or (status == DONE and done < count):
             if done and interrupts.arrived():

@@ -721,8 +721,6 @@ def check_collisions(scene: SceneFields) -> None:
             f"{{disc: {contact.radius or 0.01}, at: [{x}, {y}]}}, and list it with "
             f"{contact.surface!r} in collisions"
         )
-    if scene.couplings:
-        absent["couplings"] = "brake by a moment among the forces: -c*NAME.dangle"
     if scene.initial_modes:
         absent["modes"] = "remove it: bodies start in the modes of what they touch"
     for section, advice in absent.items():
