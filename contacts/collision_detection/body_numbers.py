@@ -65,6 +65,8 @@ class CouplingNumbers(NamedTuple):
     signs: Array
     holds: Ints  # (c,): `TURN`; or `ALONG_X`, `ALONG_Y`: friction along the free direction.
     at: Array  # (c, 2): point of a guide in the body frame.
+    # (c,): radius of gyration of the first body, so that the row is a velocity; 1 along a guide.
+    levers: Array
 
 
 class LinkNumbers(NamedTuple):

@@ -6,11 +6,9 @@ impulse of the static limit: the friction law of coefficient 1 then bounds the c
 
 from __future__ import annotations
 
-import numpy as np
-
 from contacts.collision_detection.active_contacts import ActiveContacts, restore_impulses, velocity
 from contacts.collision_detection.body_numbers import ALONG_X, TURN, BodyNumbers, WarmStart
-from contacts.collision_detection.midpoint import Midpoint
+from contacts.collision_detection.midpoint import LimitProgram, Midpoint
 from contacts.collision_detection.surfaces import to_world
 from statechart.arrays import Array
 from statechart.kernels.jit import kernel
@@ -18,8 +16,23 @@ from statechart.kernels.jit import kernel
 COUPLED = -2
 """In `ActiveContacts.laws`: the coupling 0; one less for each of the next."""
 
-STATIC, KINETIC_LIMIT, ENABLED = range(3)
-"""Columns of limits: bounds of the couple at rest and in motion; above 0 while it is enabled."""
+STATIC, KINETIC_LIMIT, ENABLED, DECLARED = range(4)
+"""Columns of limits: bounds at rest and in motion of the couple over its lever, 0 where they have
+no value or are negative; above 0 while it is enabled; the smaller bound as declared."""
+
+
+@kernel
+def read_limits(numbers: BodyNumbers, program: LimitProgram, values: Array, limits: Array) -> None:
+    """Write the limits (c, 4) of couplings from the registers of their tape."""
+    for c in range(len(limits)):
+        for d in range(ENABLED + 1):
+            limits[c, d] = values[program.outputs[3 * c + d], 0]
+        static, kinetic = limits[c, STATIC], limits[c, KINETIC_LIMIT]
+        # Without a value if one of them has none.
+        limits[c, DECLARED] = min(static, kinetic) + 0.0 * (static + kinetic)
+        for d in range(ENABLED):
+            bound = limits[c, d] / numbers.couplings.levers[c]
+            limits[c, d] = bound if bound > 0.0 else 0.0
 
 
 @kernel
@@ -48,7 +61,8 @@ def _slip_row(
     """Write the slip of coupling c as the tangential row of contact m; return its response."""
     couplings, rows, response = numbers.couplings, active.rows[m, 1], 0.0
     for side in range(2):
-        b, sign, at = couplings.bodies[c, side], 1.0 - 2.0 * side, 3 * side
+        b, at = couplings.bodies[c, side], 3 * side
+        sign = couplings.levers[c] * (1.0 - 2.0 * side)
         active.bodies[m, side] = b if b < len(numbers.inverse) else -1
         if b < 0:
             continue
@@ -80,7 +94,7 @@ def add_couplings(
 ) -> int:  # fmt: skip
     """Append the couplings to the contacts of a step; return the number of rows.
 
-    `limits` (c, 3) are those at its midpoint; see `STATIC`.
+    `limits` (c, 4) are those at its midpoint; see `STATIC`.
     """
     pieces, at_old, m = len(numbers.pieces.sizes), 0, count
     first = pieces * (pieces + len(numbers.surfaces.kinds)) + len(numbers.joints.holds)

@@ -20,7 +20,12 @@ from contacts.collision_detection.body_numbers import (
     BodyNumbers,
     WarmStart,
 )
-from contacts.collision_detection.couplings import ENABLED, add_couplings
+from contacts.collision_detection.couplings import (
+    DECLARED,
+    ENABLED,
+    add_couplings,
+    read_limits,
+)
 from contacts.collision_detection.find_contacts import DetectionResult, find_contacts
 from contacts.collision_detection.ground import Ground
 from contacts.collision_detection.joints import add_joints, is_bound, joint_forces
@@ -251,6 +256,7 @@ def _store_couplings(
 ) -> None:  # fmt: skip
     """Store the couplings, behind the joints, in the warm start; write their modes and couples."""
     active, bodies, signs = space.active, len(numbers.inverse), numbers.couplings.signs
+    levers = numbers.couplings.levers
     # Controls fill the rest.
     at = 3 * (bodies - numbers.links.bodies) + numbers.links.size + joint_forces(numbers)
     for c in range(len(limits)):
@@ -265,7 +271,9 @@ def _store_couplings(
         if not limits[c, ENABLED] > 0.0:
             mode = OPEN_CODE
         chunk.codes[k, bodies + c] = chunk.modes[k, bodies + c] = mode
-        chunk.solved[k, at + c] = signs[c] * space.steady[i, 1] / chunk.h
+        # A limit below zero, or without a value, ends the run.
+        chunk.gaps[k, bodies + c] = 0.0 if mode == OPEN_CODE else limits[c, DECLARED]
+        chunk.solved[k, at + c] = signs[c] * levers[c] * space.steady[i, 1] / chunk.h
         warm.keys[i, 0], warm.keys[i, 1] = active.keys[i]
         for d in range(WARM_START_COLUMNS):
             warm.contacts[i, d] = 0.0
@@ -374,7 +382,7 @@ def step_bodies(
     linking = filled(links.code, links.constants, links.values, 2 * links.size, 1)
     bounding, limits = (
         filled(bounds.code, bounds.constants, bounds.values, width, 1),
-        np.zeros((len(numbers.couplings.holds), 3)),
+        np.zeros((len(numbers.couplings.holds), 4)),
     )
     steps, rates, forced = len(chunk.codes), np.empty_like(loose), np.empty_like(loose)
     early, fall = np.empty_like(loose), math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
@@ -390,9 +398,7 @@ def step_bodies(
         time, memories = start + (done + k + 0.5) * h, prescribed.controller_states[k + 1]
         if len(limits) > 0:
             run_at(numbers, bounds.code, bounding, memories, state, time)
-            for c in range(len(limits)):
-                for d in range(3):
-                    limits[c, d] = bounding[1][bounds.outputs[3 * c + d], 0]
+            read_limits(numbers, bounds, bounding[1], limits)
         if len(applied.bodies) > 0:
             apply_forces(numbers, applied, acting, memories, state, time, h, space.mid)
             for b in applied.bodies:

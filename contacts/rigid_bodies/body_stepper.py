@@ -14,9 +14,11 @@ from typing import get_args
 import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers
+from contacts.collision_detection.couplings import ENABLED
 from contacts.dynamics.controllers import Controllers, controlled_symbols, controller
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.starting import check_limits
 from contacts.rigid_bodies.body_step import StepOptions
 from contacts.rigid_bodies.declared_numbers import (
     body_numbers,
@@ -78,7 +80,11 @@ def bodies_automaton(scene: Scene) -> Automaton:
         for name, coupling in scene.couplings.items()
     )
     controllers = scene.controlled.flat
-    regions = (*of_bodies, *of_couplings, *(controller(n, r, mechanics) for n, r in controllers.items()))
+    regions = (
+        *of_bodies,
+        *of_couplings,
+        *(controller(n, r, mechanics) for n, r in controllers.items()),
+    )
     rates = mechanics.controller_rates
 
     def stepper() -> BodyStepper:
@@ -205,6 +211,10 @@ class BodyStepper(Stepper):
             names, surfaces = self._names, self._surfaces
             return RigidBodyRun(names, surfaces, bodies, prescribed, options, start_depth)
 
+        if self._scene.couplings:
+            tape = self._bodies.limits_at(self._scene.controlled.initial)
+            bounds = tape.table(setup.initial[None], values, np.zeros(1)).reshape(-1, 3)
+            check_limits([*self._scene.couplings], bounds[:, :ENABLED])
         bodies, depth, remarks = self._started(setup, bodies, known, run_of)
         setup = replace(setup, start_depth=depth, warnings=(*setup.warnings, *remarks))
         options = StepOptions(defaults.law, forces, tolerance, DEEPEST * setup.scales.length)

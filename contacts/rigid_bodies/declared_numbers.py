@@ -169,7 +169,7 @@ def coupling_numbers(
     scene: Scene, names: Sequence[str], known: Mapping[str, float]
 ) -> CouplingNumbers:
     """Evaluate the couplings of a scene; `names` are its bodies, copies one by one."""
-    bodies, signs, holds, at = [], [], [], []
+    bodies, signs, holds, at, levers = [], [], [], [], []
     single = scene.single_bodies()
     for name, coupling in scene.couplings.items():
         guide, own = scene.along_guide(name), scene.coupled(name)
@@ -181,9 +181,13 @@ def coupling_numbers(
         signs.append(-1.0 if backward else 1.0)
         holds.append({"X": ALONG_X, "Y": ALONG_Y}.get(guide, TURN))
         at.append([parse(text).value(known) for text in point])
+        first = single[own[-1] if backward else own[0]]
+        mass, inertia = (parse(text or 0).value(known) for text in (first.mass, first.inertia))
+        levers.append(1.0 if guide or not inertia > 0.0 else math.sqrt(inertia / mass))
     return CouplingNumbers(
         np.array(bodies, dtype=np.int64).reshape(-1, 2), np.array(signs),
         np.array(holds, dtype=np.int64), np.array(at, dtype=float).reshape(-1, 2),
+        np.array(levers),
     )  # fmt: skip
 
 

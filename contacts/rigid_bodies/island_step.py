@@ -566,7 +566,7 @@ def solve_islands(
 ) -> None:  # fmt: skip
     """Solve the impulses of a step with `count` contacts, island by island.
 
-    `limits` (c, 3) are those of couplings.
+    `limits` (c, 4) are those of couplings.
 
     Writes impulses and the next warm start to `space`, and statistics `effort` (see `Chunk.stats`).
     For `law`, `forces` and `tolerance` see `contacts.rigid_bodies.body_step.StepOptions`.

@@ -11,7 +11,7 @@ import numpy as np
 import sympy as sp
 
 from contacts.collision_detection.body_numbers import BodyNumbers
-from contacts.collision_detection.midpoint import ForceProgram, LimitProgram
+from contacts.collision_detection.midpoint import ForceProgram
 from contacts.dynamics.controllers import control_values, controlled_symbols, flows_in
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.mechanics import Mechanics
@@ -281,8 +281,8 @@ class BodyMechanics(Mechanics):
             self._forces[key] = self._force_tape(states)
         return Forces(*self._forces[key], values)
 
-    def limits_at(self, states: Mapping[str, str], values: Array) -> LimitProgram:
-        """Return the limits of couplings in these controller states, and whether they are closed.
+    def limits_at(self, states: Mapping[str, str]) -> Tape:
+        """Return the tape of the limits of couplings in these controller states.
 
         See `contacts.collision_detection.couplings.STATIC`.
         """
@@ -293,8 +293,7 @@ class BodyMechanics(Mechanics):
                 gate = self.gate(name)
                 found += [*self.limits(name), sp.S.One if gate is None else gate.by_steps({})]
             self._limits[key] = self.whole_tape(found, definitions=self.controlled(states))
-        tape = self._limits[key]
-        return LimitProgram(tape.code, tape.constants, tape.outputs, values)
+        return self._limits[key]
 
     def _force_tape(self, states: Mapping[str, str]) -> tuple[Ints, Tape]:
         """Return the bodies on which forces act, and the tape of the forces."""
