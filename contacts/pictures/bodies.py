@@ -199,7 +199,8 @@ class BodyShapes:
     def _couplings(self) -> list[Shape]:
         """Return couplings, at the joint of their bodies if there is one, else between them."""
         scene, shapes = self._scene, []
-        for region, name in enumerate(scene.couplings, len(scene.contacts)):
+        first_region = len(scene.moving()) if scene.collisions else len(scene.contacts)
+        for region, name in enumerate(scene.couplings, first_region):
             bodies = scene.coupled(name)
             own = scene.couplings[name].joint
             joint = next(
