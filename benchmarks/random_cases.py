@@ -15,6 +15,7 @@ import time
 from collections import Counter
 
 import random_cases_laws as laws
+import random_cases_layouts as pictures
 import random_cases_motions as motions
 import random_cases_steps as steps
 from random_cases_common import Family
@@ -47,6 +48,7 @@ FAMILIES: dict[str, Family] = {
     "flush planks by steps": steps.planks,
     "planks that nearly meet": steps.next_plank,
     "drawings": steps.drawings,
+    "layouts": pictures.layouts,
 }
 
 
@@ -61,7 +63,7 @@ def main(count: int = 1000, seed: int = 0, *names: str) -> int:
         found: Counter[str] = Counter()
         sentences: Counter[str] = Counter()
         for index in range(count):
-            if name == "drawings" or index % max(count // STRUCTURES, 1) == 0:
+            if name in ("drawings", "layouts") or index % max(count // STRUCTURES, 1) == 0:
                 runner, draw = family(r)
             values, check = draw()
             try:

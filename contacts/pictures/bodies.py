@@ -78,7 +78,9 @@ class BodyShapes:
         frame = self._frames[name]
         if part.disc is not None:
             centre, radius = np.array([self._pair(part.at)]), self._number(part.disc)
-            return Shape("disc", centre, frame, frame, radius, region, shown)
+            _, angle = self._mechanics.body_frame(name)
+            turns = angle.has(*self._mechanics.q, self._mechanics.time)
+            return Shape("disc", centre, frame, frame, radius, region, shown, turns=turns)
         points = np.array([self._pair(corner) for corner in part.polygon or ()])
         return Shape("outline", points, frame, frame, region=region, name=shown)
 

@@ -32,8 +32,7 @@ class Force(Part):
         **dict.fromkeys(("stiffness", "spring", "k"), "force: [-k*rod.x, 0]"),
         **dict.fromkeys(("damping", "c"), "force: [-c*rod.dx, 0]"),
         "rest_length": "it into the force: [-k*(rod.x - L), 0]",
-        "fx": "force: [fx, fy]",
-        "fy": "force: [fx, fy]",
+        **dict.fromkeys(("fx", "fy", "x", "y"), "force: [fx, fy]"),
     }
 
     body: str = declare("What it acts on.", "rod")

@@ -266,7 +266,7 @@ class Surface(Part):
     """
 
     OTHER_WORDS: ClassVar = {
-        "slope": "incline",
+        **dict.fromkeys(("slope", "angle"), "incline"),
         "plane": "line: [[0, 0], [1, 0]]",
         "velocity": "displacement: [v*time, 0]",
     }

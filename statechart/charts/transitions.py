@@ -32,7 +32,7 @@ class Transition(Part):
         **dict.fromkeys(("when", "if", "cond", "condition"), "guard"),
         **dict.fromkeys(("event", "trigger"), "on: REGION.EVENT, or guard: RELATION"),
         **dict.fromkeys(
-            ("reset", "action", "actions", "assign", "do"), "updates: {VARIABLE: FORMULA}"
+            ("reset", "action", "actions", "assign", "do", "set"), "updates: {VARIABLE: FORMULA}"
         ),
         **dict.fromkeys(("timeout", "delay"), "after"),
         "priority": "the transitions in their order: of those that are due the first is taken",

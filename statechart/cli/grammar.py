@@ -123,13 +123,18 @@ def _unknown(argument: str, verb: argparse.ArgumentParser) -> str:
     if name != argument and assigned and not name.startswith("-"):
         return f"{argument!r} is left over; write {assigned[0]} before each"
     if not name.startswith("-"):
-        return f"{argument!r} is left over; put arguments with blanks in quotes"
+        files = [a.metavar for a in verb._actions if not a.option_strings and a.metavar]
+        takes = f"one {files[0]}, with blanks in quotes" if files else "options only"
+        return f"{argument!r} is left over; {verb.prog} takes {takes}"
     if name in verb._option_string_actions:
         return f"write {name} after the verb"
     if (written := _OPTIONS.get(name, "")) in verb._option_string_actions:
         return f"no option {name}; write {written}"
-    advice = close_matches(name, (o for o in verb._option_string_actions if o.startswith("--")))
-    return f"no option {name}; {advice.partition(' known:')[0]}"
+    known = (o for o in verb._option_string_actions if o.startswith("--") and o != "--help")
+    advice = close_matches(name, known).partition(" known:")[0]
+    if assigned and not advice.startswith("did you mean"):
+        advice = f"a parameter is written {assigned[0]} {name.lstrip('-')}=VALUE"
+    return f"no option {name}; {advice}"
 
 
 def _value(
@@ -328,7 +333,9 @@ def _number_argument(text: str) -> float:
 def _assignment(text: str) -> tuple[str, float]:
     name, equals, value = text.partition("=")
     if not equals or not name.strip():
-        raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE, such as mu=0.3")
+    if "=" in value and "," in value:
+        raise argparse.ArgumentTypeError(f"{text!r} has several values; write --set before each")
     return name.strip(), _number_argument(value)
 
 

@@ -31,7 +31,7 @@ class Stop(Part):
     """End of a run: at a time, or when a condition becomes true."""
 
     OTHER_WORDS: ClassVar = {
-        **dict.fromkeys(("duration", "until", "end", "t"), "time"),
+        **dict.fromkeys(("duration", "until", "end", "t", "t_end", "tmax", "t_max"), "time"),
         **dict.fromkeys(("when", "if", "condition"), "conditions: {fallen: RELATION}"),
     }
 

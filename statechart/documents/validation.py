@@ -223,6 +223,9 @@ def _of_key(details: ErrorDetails, model: type[BaseModel], known: Collection[str
         return f"write {written}"
     if key and not NAME.fullmatch(key):
         if details["input"] is None and not key.isdecimal():
+            word, _, value = key.partition(" ")
+            if word in known and value:
+                return f"write {word}: {value}"
             return f"a comma in braces ends a value; a list stands in brackets: [..., {key}]"
         return no_name(key)
     return sections_with_key(model, loc, known)

@@ -167,6 +167,7 @@ def _shape(film: Film, shape: Shape, part: float) -> dict[str, Any]:
         "region": shape.region,
         "name": shape.name,
         "aside": shape.aside,
+        "turns": shape.turns,
     }
     if shape.slack is not None:
         made["slack"] = _packed(part * shape.slack, np.float32)

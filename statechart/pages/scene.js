@@ -81,7 +81,7 @@ function shaped(scene, shape) {
   } else if (shape.kind === "disc") {
     const [x, y] = shape.points[0];
     made(group, "circle", { class: "filled", cx: x, cy: -y, r: shape.radius });
-    if (shape.region >= 0) made(group, "path", { class: "link", d: path([[x, y], [x + shape.radius, y]]) });
+    if (shape.turns) made(group, "path", { class: "link", d: path([[x, y], [x + shape.radius, y]]) });
   } else if (shape.kind === "bar") {
     const d = path(shape.points);
     const around = made(group, "path", { d, "stroke-linecap": "round", style: "stroke: var(--frame); fill: none" });

@@ -301,7 +301,7 @@ def _lines(film: Film) -> Array:
         points = placed(shape.points, poses[shape.frame])
         if shape.kind == "disc":
             rim = np.column_stack([np.cos(_CORNERS), np.sin(_CORNERS)])
-            if shape.region >= 0:
+            if shape.turns:
                 spoke = shape.points + np.array([[0.0, 0.0], [shape.radius, 0.0]])
                 found.append(placed(spoke, poses[shape.frame])[None])
             points = points + shape.radius * rim

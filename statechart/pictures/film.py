@@ -50,7 +50,7 @@ class Shape:
     The last point of what joins two frames is in the frame `other`; `radius` is that of a disc. The
     state of `region` (a number in the film, -1 for none) colours it, and `name` is its owner's. A
     spring or damper is drawn `aside` of its line, in half widths of a spring, to the left; a rope
-    is longer by `slack` (k,) than the distance of its ends.
+    is longer by `slack` (k,) than the distance of its ends. A disc that `turns` has a radius.
     """
 
     kind: ShapeKind
@@ -62,6 +62,7 @@ class Shape:
     name: str = ""
     aside: float = 0.0
     slack: Array | None = None
+    turns: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -191,7 +191,7 @@ class _Bodies:
         self._regions = [shape.region for shape in shapes]
         # By a radius one sees a disc turn.
         self._turning = [
-            k for k, shape in enumerate(shapes) if shape.kind == "disc" and shape.region >= 0
+            k for k, shape in enumerate(shapes) if shape.kind == "disc" and shape.turns
         ]
         turning = [shapes[k] for k in self._turning]
         radii = [one.points[0] + np.array([[0.0, 0.0], [one.radius, 0.0]]) for one in turning]

@@ -342,6 +342,9 @@ class Runner:
         """
         return self._inputs.end(as_overrides(parameters), until)
 
+    def __repr__(self) -> str:
+        return f"<runner of {self.model.name}>"
+
     def with_modes(self) -> Runner:
         """Return a runner of the same model that records modes."""
         if self.setting.recorded is Record.MODES:

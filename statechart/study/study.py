@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from html import escape
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -52,6 +53,14 @@ class Study(Measurements):
 
     def __str__(self) -> str:
         return format_text(self)
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        """Return the figure and the text for notebooks."""
+        from statechart.study.figure import picture_url
+
+        return f'<img src="{picture_url(self)}" alt="{self.model}"><pre>{escape(str(self))}</pre>'
 
     def shown(self, label: str) -> dict[str, Any]:
         """Return the data for a page; `label` marks the setting of the run."""

@@ -180,6 +180,134 @@ def test_no_arrow_leaves_the_area_of_its_chart() -> None:
     assert max(heights) < heading.low
 
 
+TALL = """\
+kind: chart
+name: tall
+variables: {x: 0}
+regions:
+  m:
+    initial: both
+    states:
+      both:
+        regions:
+          one: {initial: a, states: {a: {entry: {x: x + 1}}}}
+          two:
+            initial: b
+            states: {b: {}, c: {}, d: {}, e: {}}
+            transitions:
+              - {name: waits_for_the_operator1, from: b, to: c, guard: x > 1}
+              - {name: waits_for_the_operator2, from: c, to: d, guard: x > 2}
+              - {name: waits_for_the_operator3, from: d, to: e, guard: x > 3}
+stop: {time: 1}
+"""
+
+
+def test_regions_side_by_side_are_divided_between_them() -> None:
+    source = dot(drawn(Runner(read_text(TALL)))[0], "inline")
+    assert clashes_of(source) == []
+    laid = json.loads(render(source, "json"))
+    (divider,) = (edge for edge in laid["edges"] if edge.get("style") == "dashed")
+    boxes = {item["name"]: border(item) for item in laid["objects"]}
+    points = [*line(divider)]
+    axis = 0 if len({round(x, 1) for x, _ in points}) == 1 else 1
+    at, *others = {round(point[axis], 1) for point in points}
+    assert not others
+    low, high = 1 + axis, 3 + axis
+    sides = {name: (boxes[name][low] > at) - (boxes[name][high] < at) for name in "abcde"}
+    assert {sides["a"]} == {-sides[name] for name in "bcde"}
+    assert sides["a"] != 0
+
+
+NESTED = """\
+kind: chart
+name: nested
+variables: {x: 0}
+regions:
+  one: {initial: a, states: {a: {}, b: {}}, transitions: [{name: go, from: a, to: b, guard: x > 1}]}
+  two:
+    initial: outer
+    states:
+      outer:
+        entry: {x: x + 1}
+        initial: inner
+        states:
+          inner:
+            entry: {x: x + 1}
+            exit: {x: x + 2}
+            initial: c
+            states: {c: {}, d: {}}
+            transitions: [{name: back, from: c, to: d, guard: x > 3}]
+          e: {}
+        transitions: [{name: leave, from: inner, to: e, guard: x > 5}]
+      f: {}
+    transitions: [{name: end, from: outer, to: f, guard: x > 7}]
+stop: {time: 1}
+"""
+
+
+@pytest.mark.parametrize("order", [("one", "two"), ("two", "one")])
+@pytest.mark.parametrize("guards", ["legend", "inline"])
+def test_titles_of_nested_frames_of_a_grid_are_clear_of_each_other(order, guards) -> None:
+    head, one, two = NESTED.replace("  one:", "@  one:").replace("  two:", "@  two:").split("@")
+    two, stop = two.split("stop:")
+    parts = {"one": one, "two": two}
+    text = head + "".join(parts[name] for name in order) + "stop:" + stop
+    diagram = drawn(Runner(read_text(text)))[0]
+    assert any(chart.axes for chart in diagram.charts)
+    assert clashes(diagram, guards) == []
+
+
+TRIANGLE = """\
+kind: chart
+name: triangle
+variables: {x: 0}
+regions:
+  m:
+    initial: a
+    states: {a: {flows: {x: 1}}, b: {flows: {x: 1}}, c: {flows: {x: 1}}}
+    transitions:
+      - {name: first, from: a, to: b, guard: x >= 1 and cos(x)**2 + sin(x)**2 > 0}
+      - {name: second, from: b, to: c, guard: x >= 2 and cos(x)**2 + sin(x)**2 > 0}
+      - {name: third, from: c, to: a, guard: x >= 3 and cos(x)**2 + sin(x)**2 > 0, updates: {x: 0}}
+stop: {time: 20}
+"""
+
+
+def test_the_count_of_rounds_is_clear_of_the_guards_of_a_triangle() -> None:
+    diagram = drawn(Runner(read_text(TRIANGLE)), visited=True)[0]
+    assert "rounds" in dot(diagram, "inline")
+    assert clashes(diagram, "inline") == []
+
+
+LANES = """\
+kind: chart
+name: lanes
+variables: {x: 0}
+regions:
+  one:
+    initial: a
+    states: {a: {}, b: {}}
+    transitions:
+      - {name: rise, from: a, to: b, guard: x > 7 and x < 2*7}
+      - {name: fall, from: b, to: a, guard: abs(sin(3*x) + cos(x)**2 - 10) > 4 or x > 3*10 + 2}
+  two:
+    initial: c
+    states: {c: {}, d: {}, e: {}}
+    transitions:
+      - {name: far, from: c, to: e, guard: abs(sin(3*x) + cos(x)**2 - 16) > 4 or x > 3*16 + 2}
+      - {name: farther, from: c, to: e, guard: x > 18}
+      - {name: on, from: c, to: d, guard: abs(sin(3*x) + cos(x)**2 - 17) > 4 or x > 3*17 + 2}
+      - {name: up, from: d, to: e, guard: abs(sin(3*x) + cos(x)**2 - 20) > 4 or x > 3*20 + 2}
+stop: {time: 1}
+"""
+
+
+def test_guards_of_a_lane_are_clear_of_those_of_arrows_down() -> None:
+    diagram = drawn(Runner(read_text(LANES)))[0]
+    assert any(chart.axes for chart in diagram.charts)
+    assert clashes(diagram, "inline") == []
+
+
 def test_a_clash_is_seen() -> None:
     near = 'graph [layout=nop2]; a [shape=none label=slide pos="0,0"]; b [shape=none label=pin'
     assert clashes_of(f'digraph {{{near} pos="90,0"]}}') == []

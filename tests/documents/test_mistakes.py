@@ -27,6 +27,9 @@ outputs:
 """
 
 MISTAKES = {
+    "end of a stop": ("{time: 1, ", "{t_end: 1, ", "unknown key 't_end'; write time"),
+    "no colon in braces": ("{mass: m, ", "{mass 1, ", "7:9: unknown key 'mass 1'; write mass: 1"),
+    "angle of a surface": ("{height: 0}", "{angle: 0.1}", "unknown key 'angle'; write incline"),
     "no kind": ("kind: scene\n", "", "1:1: 'kind' is missing; begin with kind: scene"),
     "wrong kind": ("kind: scene", "kind: scenes", "1:7: unknown kind 'scenes'; did you mean 's"),
     "no name": ("name: thrown\n", "", "'name' is missing; such as name: toppling_stick"),
@@ -271,6 +274,7 @@ regions:
 stop: {time: 10}
 """
 OF_CHARTS = {
+    "set": ("updates:", "set:", "unknown key 'set'; write updates: {VARIABLE: FORMULA}"),
     "source": ("from: on", "source: on", "9:21: unknown key 'source'; write from"),
     "target": ("to: off", "target: off", "9:31: unknown key 'target'; write to"),
     "condition": ("guard: T", "when: T", "9:40: unknown key 'when'; write guard"),

@@ -111,6 +111,7 @@ def test_reactions_of_two_bodies_are_a_spring():
     # Of the hopper where its leg acts: in the air a constant force holds it at its full length.
     (spring,) = shapes(film_of("hopper", [0.0], until=0.0), "spring")
     assert spring.frame != spring.other
+    assert spring.aside == 0.0
     assert not shapes(film_of("hopper", [0.0], until=0.0), "damper")
     # Raibert's leg has both, beside each other.
     film = film_of("raibert_hopper", [0.0], until=0.0)
@@ -160,7 +161,9 @@ stop: {time: 1}
 
 @pytest.mark.parametrize("shape", ["", ", shape: {disc: 0.1}"])
 def test_ropes_are_drawn_at_their_length_up_to_ends_that_are_led(shape):
-    collisions = "collisions: {all: {bodies: [ball, bob], friction: 0, restitution: 0}}\n" if shape else ""
+    collisions = (
+        "collisions: {all: {bodies: [ball, bob], friction: 0, restitution: 0}}\n" if shape else ""
+    )
     film = film_of(read_text(ROPES.replace("SHAPE", shape) + collisions), [0.0, 0.1, 1.0])
     ropes = {rope.name: rope for rope in shapes(film, "rope")}
     for name, length in (("rope", 1.2), ("tether", 1.6), ("led", 1.3)):
@@ -263,6 +266,18 @@ def test_a_film_is_finite_and_shows_all_bodies(name):
             for k in range(7):
                 points = placed(shape.points, film.poses[k, shape.frame])
                 assert (np.abs(points - film.centres[k]) <= film.half).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "turns"), [("soft_landing", True), ("rope_swing", False), ("granular_column", True)]
+)
+def test_discs_that_turn_have_a_radius(name, turns):
+    film = film_of(name, [0.0], until=0.0)
+    discs = shapes(film, "disc")
+    assert {disc.turns for disc in discs} == {turns}
+    (ax,) = picture(film).axes
+    radii = [path for lines in ax.collections for path in lines.get_paths() if len(path) == 2]
+    assert sum(len(path.vertices) == 2 for path in radii) >= (len(discs) if turns else 0)
 
 
 @pytest.mark.parametrize("name", ["drum", "dice"])

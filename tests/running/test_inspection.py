@@ -64,6 +64,7 @@ def test_a_model_prints_as_the_file_that_it_could_be_read_from() -> None:
 def test_inspection_results_print_their_text() -> None:
     found = check("bouncing_ball_chart", examples=1, seed=1)
     assert str(found) == repr(found) == found.text()
+    assert repr(statechart.Runner("toppling_stick")) == "<runner of toppling_stick>"
     drawn = SCENE.diagram()
     counts = f"{len(drawn.nodes)} states, {len(drawn.links)} transitions"
     assert repr(drawn) == f"<diagram of block: {counts}>"

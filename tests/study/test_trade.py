@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+from base64 import b64decode
 from collections.abc import Callable
 from pathlib import Path
 
@@ -82,6 +84,10 @@ def test_many_bodies_trade_steps_and_how_exact_impulses_are(tmp_path: Path) -> N
     assert [point.setting for point in found.points] == settings
     assert found.points == load(tmp_path).points
     assert "impulse to 1e-08 step 0.001" in format_text(found)
+    assert repr(found) == format_text(found)
+    shown = found._repr_html_()
+    assert b"<svg" in b64decode(re.search(r"base64,([^\"]*)", shown)[1])
+    assert "impulse to 1e-08 step 0.001" in shown
     write_study_figure(tmp_path, found)
     assert "1e-08" in (tmp_path / "trade.csv").read_text()
     loose, tight = (point.errors for point in found.points)

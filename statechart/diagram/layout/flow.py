@@ -6,10 +6,9 @@ regions are separated by a dashed line (UML 2.5, 14.2.4).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from statechart.diagram.layout.block import (
     Arrow,
@@ -202,8 +201,8 @@ class _Flow:
         frame = places[self.names[node.name]]
         names = (self.names[inner.name] for inner in self.chart.within(node.name))
         regions = [places[name] for name in names if name in places]
-        spread = np.ptp([box.centre for box in regions], axis=0) if regions else (0.0, 0.0)
-        axis = int(spread[1] > spread[0])
+        # Regions may differ more in height than in place: the axis with space between them.
+        axis = max((0, 1), key=lambda k: min(_gaps(regions, k), default=0.0))
         regions.sort(key=lambda box: box.centre[axis])
         middle, half = frame.centre[1 - axis], frame.size[1 - axis] / 2
         found = []
@@ -216,6 +215,14 @@ class _Flow:
             first, second = (f"{self.prefix}in_{box.name}" for box in (one, other))
             found.append(Arrow(first, second, polyline(line, head=False), _DIVIDER))
         return found
+
+
+def _gaps(boxes: Sequence[Box], axis: int) -> list[float]:
+    """Return the space between neighbours along an axis, negative where they overlap."""
+    ends = sorted(
+        (b.centre[axis] - b.size[axis] / 2, b.centre[axis] + b.size[axis] / 2) for b in boxes
+    )
+    return [other[0] - one[1] for one, other in pairwise(ends)]
 
 
 def _point(place: str) -> tuple[float, float]:

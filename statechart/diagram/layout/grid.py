@@ -137,8 +137,8 @@ class _Grid:
     """A grid with its measures by axis.
 
     `cell` is the size of a state, `places` are the centres of states, `sides` the extents of states
-    with labels before and after the centre, `reach` the extent with lanes before it, and `tracks`
-    the offsets of arrows and labels across.
+    with labels before and after the centre, `reach` the extent with lanes before it, `tracks` the
+    offsets of arrows and labels across, and `tops` the extent with frames across, by their depth.
     """
 
     def __init__(self, chart: Chart, style: Style, prefix: str) -> None:
@@ -200,8 +200,18 @@ class _Grid:
                 self.reach[across] += size + clear
         line = max((-bundles[k][0] for k in down.lanes), default=width / 2)
         self.places = self._places(0, line), self._places(1, self.reach[1])
+        self.tops = [self._tops(0), self._tops(1)]
         edge = _MARGIN * along.deepest + _AIR, _MARGIN * max(along.deepest, down.deepest, 1)
         self.size = [self.places[k][-1] + self.sides[k][1] + edge[k] for k in (0, 1)]
+
+    def _tops(self, k: int) -> list[float]:
+        """Return the extents, each frame above the titles of those inside."""
+        tops = [self.reach[1 - k]]
+        for deep in range(self.axes[k].deepest):
+            inner = (n for n, (_, _, depth) in enumerate(self.axes[k].frames) if depth == deep)
+            titles = [self.sizes[self._key(k, f"in{number}")][1 - k] for number in inner]
+            tops.append(tops[-1] + max(_MARGIN, *titles, 0.0))
+        return tops
 
     def _places(self, k: int, lane: float) -> list[float]:
         """Return the centres of states, with space for labels or frames between them."""
@@ -256,7 +266,7 @@ class _Grid:
         across = 1 - k
         for number, (node, span, deep) in enumerate(self.axes[k].frames):
             low, high = self._side(k, span[0], -1, deep), self._side(k, span[1], 1, deep)
-            top = self.places[across][0] - self.reach[across] - _MARGIN * deep
+            top = self.places[across][0] - self.tops[k][deep]
             end = self.size[across] + _MARGIN * deep
             colour = FRAME if node.infeasible is None else FAINT
             size = _along_axis(k, high - low, end - top)
@@ -276,11 +286,16 @@ class _Grid:
                 continue
             low = self._side(k, place, 1, axis.margin(place, 1))
             high = self._side(k, place + 1, -1, axis.margin(place + 1, -1))
-            lanes = (self.tracks[across][lane][0] for lane in self.axes[across].lanes)
-            high = min([high, *(self.places[k][place + 1] + at for at in lanes)])
+            high = min(high, self.places[k][place + 1] - self._lane(across))
             for other, v in enumerate(self.places[across]):
                 centre = _point(k, (low + high) / 2, v + self.tracks[k][number][1])
                 yield Box(f"{name}_{other}", centre, self.sizes[name], self.looks[name])
+
+    def _lane(self, axis: int) -> float:
+        """Return how far lanes are before a state: along, their labels are in the way, too."""
+        tracks = ((self.tracks[axis][k], self._size(axis, k)[1]) for k in self.axes[axis].lanes)
+        reach = [-line if axis else size / 2 - words for (line, words), size in tracks]
+        return max(reach, default=0.0)
 
     def arrows(self, k: int) -> Iterator[Arrow]:
         for number, bond in enumerate(self.axes[k].bonds):

@@ -108,6 +108,10 @@ def ring(chart: Chart, style: Style, prefix: str) -> LayoutBlock | None:
     wide, high = (
         cell[k] + max((sizes[n][k] for n in labels), default=0.0) + 2 * _PADDING for k in (0, 1)
     )
+    if back is not None and len(order) - back == 3:
+        # In a triangle the count is between the labels of the slanted arrows.
+        beside = max((sizes[n][0] for n in labels), default=0.0) + sizes[f"{prefix}rounds"][0]
+        wide = max(wide, 2 * (beside + 2 * _PADDING))
     most = 1 + int((_WIDTH - cell[0]) // wide)
     if ceil(len(names) / max(most, 2)) * high > _WIDTH:
         most = 1 + int((_WIDEST - cell[0]) // wide)
