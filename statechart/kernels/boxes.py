@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints32
-from statechart.kernels.intervals import EPS, INF, LIBM, TINY, add, or_whole_line, wide
+from statechart.kernels.intervals import EPS, INF, LIBM, TINY, add, or_whole_line, round_outward
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
-from statechart.kernels.tapes import TapeCode, filled
+from statechart.kernels.tapes import TapeCode, allocate_registers
 
-Along = tuple[Ints32, int, int, int, Ints32, Array, Array, float]
-"""A tape along steps: code, the register of its first operation, the operations to run (from, to),
+StepTape = tuple[Ints32, int, int, int, Ints32, Array, Array, float]
+"""A tape bound to steps: code, register of its first operation, operations to run (first, last),
 reads, times, coeffs, start."""
 
 
@@ -28,9 +28,11 @@ class Steps(NamedTuple):
 
 
 @kernel
-def along_steps(tape: TapeCode, steps: Steps, width: int) -> tuple[Along, Array]:
-    """Return a tape along steps, and registers of `width` columns with constants filled in."""
-    base, regs = filled(tape.code, tape.constants, steps.parameters, steps.coeffs.shape[1], width)
+def bind_tape(tape: TapeCode, steps: Steps, width: int) -> tuple[StepTape, Array]:
+    """Bind a tape to steps; return it, and `width` columns of registers with the constants."""
+    base, regs = allocate_registers(
+        tape.code, tape.constants, steps.parameters, steps.coeffs.shape[1], width
+    )
     last = tape.code.shape[0]
     times, coeffs, start = steps.times, steps.coeffs, steps.start
     return (tape.code, base, tape.n_fixed, last, tape.reads, times, coeffs, start), regs
@@ -56,8 +58,8 @@ def prepare(coeffs: Array, step: int, reads: Ints32, bounds: Array) -> bool:
 
 
 @kernel
-def place(
-    along: Along, step: int, bounds: Array, m: float, w: float, order: int, jets: Array
+def write_variable_jets(
+    step_tape: StepTape, step: int, bounds: Array, m: float, w: float, order: int, jets: Array
 ) -> None:
     """Jets of the variables and of time over the places [m - w, m + w] of a step.
 
@@ -67,7 +69,7 @@ def place(
     of Numerical Algorithms", 2002, 5.1), its derivatives through 2 k + 2 and 2 k + 4; the sums of
     absolute values are taken at m, so that they are small near the start of a long step.
     """
-    _, _, _, _, reads, times, coeffs, start = along
+    _, _, _, _, reads, times, coeffs, start = step_tape
     for r in range(reads.shape[0]):
         v = reads[r]
         row = jets[v]
@@ -78,7 +80,7 @@ def place(
             size = abs(start) + abs(times[step]) + m * (abs(times[step]) + abs(times[step + 1]))
             radius = w * abs(span) * (1.0 + 4.0 * EPS) + 4.0 * EPS * size + TINY
             row[0], row[1] = value - radius, value + radius
-            row[2], row[3] = wide((span, span), EPS)
+            row[2], row[3] = round_outward((span, span), EPS)
             row[4], row[5] = 0.0, 0.0
             continue
         p0 = p1 = p2 = q0 = q1 = q2 = 0.0
@@ -102,23 +104,23 @@ def place(
         grow = 1.0 + 64.0 * EPS
         d1, d2 = abs(p1) + r1, abs(p2) + r2
         radius = grow * (r0 + w * (d1 + w * (0.5 * d2 + w * b3 / 6.0)))
-        row[0], row[1] = or_whole_line(wide((p0 - radius, p0 + radius), EPS))
+        row[0], row[1] = or_whole_line(round_outward((p0 - radius, p0 + radius), EPS))
         if order > 0:
             radius = grow * (r1 + w * (d2 + w * 0.5 * b3))
-            row[2], row[3] = or_whole_line(wide((p1 - radius, p1 + radius), EPS))
+            row[2], row[3] = or_whole_line(round_outward((p1 - radius, p1 + radius), EPS))
             radius = grow * (r2 + w * b3)
-            row[4], row[5] = or_whole_line(wide((p2 - radius, p2 + radius), EPS))
+            row[4], row[5] = or_whole_line(round_outward((p2 - radius, p2 + radius), EPS))
 
 
 @kernel
-def place_whole(along: Along, step: int, jets: Array) -> bool:
+def write_step_jets(step_tape: StepTape, step: int, jets: Array) -> bool:
     """Values of the variables and of time over a whole step; False if one is not finite.
 
-    A polynomial lies within the sizes of its terms from the third power on of the parabola of
-    those below. Of a Taylor step, whose terms shrink by a factor of about exp(2) each, that is as
-    narrow as what `place` gives, and a fifth of the work.
+    The parabola of the first terms, plus and minus the absolute sum of the others. The terms of a
+    Taylor step shrink by a factor of about exp(2) each: the enclosure is as narrow as the one of
+    `write_variable_jets`, at a fifth of the work.
     """
-    reads, times, coeffs, start = along[4:]
+    reads, times, coeffs, start = step_tape[4:]
     finite = abs(start) < INF and abs(times[step]) < INF and abs(times[step + 1]) < INF
     for r in range(reads.shape[0]):
         v = reads[r]
@@ -149,11 +151,11 @@ def place_whole(along: Along, step: int, jets: Array) -> bool:
 
 @kernel
 def enclose(
-    along: Along, step: int, bounds: Array, m: float, w: float, order: int, jets: Array
+    step_tape: StepTape, step: int, bounds: Array, m: float, w: float, order: int, jets: Array
 ) -> None:
     """Jets of all registers over the places [m - w, m + w] of a step."""
-    code, base, first, last = along[:4]
-    place(along, step, bounds, m, w, order, jets)
+    code, base, first, last = step_tape[:4]
+    write_variable_jets(step_tape, step, bounds, m, w, order, jets)
     run_jets(code, first, last, base, jets, order)
 
 
@@ -186,7 +188,7 @@ def _least_parabola(slope: float, bend: float, length: float) -> float:
 
 @kernel
 def judge(
-    along: Along,
+    step_tape: StepTape,
     outputs: Ints32,
     step: int,
     bounds: Array,
@@ -203,11 +205,11 @@ def judge(
     """
     m = 0.5 * (a + b)
     w = max(b - m, m - a)
-    enclose(along, step, bounds, m, 0.0, 1, jets)
+    enclose(step_tape, step, bounds, m, 0.0, 1, jets)
     for i in range(outputs.shape[0]):
         for c in range(4):
             work[i, c] = jets[outputs[i], c]
-    enclose(along, step, bounds, m, w, 2, jets)
+    enclose(step_tape, step, bounds, m, w, 2, jets)
     for i in range(outputs.shape[0]):
         box, row = jets[outputs[i]], work[i]
         bend = max(abs(box[4]), abs(box[5])) * w * (1.0 + LIBM)
@@ -220,7 +222,7 @@ def judge(
         row[8] = box[4]
     if a == 0.0:
         # A margin that leaves zero (a slip that begins) is bounded best from where it leaves.
-        enclose(along, step, bounds, 0.0, 0.0, 1, jets)
+        enclose(step_tape, step, bounds, 0.0, 0.0, 1, jets)
         for i in range(outputs.shape[0]):
             at, row = jets[outputs[i]], work[i]
             row[9], row[10] = at[0], at[1]
@@ -245,7 +247,7 @@ def unclear_by_values(
 
 @kernel
 def unclear_by_slopes(
-    along: Along,
+    step_tape: StepTape,
     outputs: Ints32,
     tolerances: Array,
     step: int,
@@ -259,10 +261,10 @@ def unclear_by_slopes(
     Where terms cancel (the slip of a point) a natural enclosure is wide, and this is not; it takes
     half of what all evidence does.
     """
-    enclose(along, step, bounds, 0.5, 0.0, 0, jets)
+    enclose(step_tape, step, bounds, 0.5, 0.0, 0, jets)
     for i in range(outputs.shape[0]):
         work[i, 0] = jets[outputs[i], 0]
-    enclose(along, step, bounds, 0.5, 0.5, 1, jets)
+    enclose(step_tape, step, bounds, 0.5, 0.5, 1, jets)
     unclear = 0
     for i in range(outputs.shape[0]):
         if state[i] != 0:

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from statechart.arrays import Array, Ints32
-from statechart.kernels.boxes import Along, Steps, along_steps, prepare
+from statechart.kernels.boxes import Steps, StepTape, bind_tape, prepare
 from statechart.kernels.intervals import INF
 from statechart.kernels.jit import kernel
-from statechart.kernels.polynomials import reaches, slopes_at
+from statechart.kernels.polynomials import slopes_at, write_sizes
 from statechart.kernels.resolution import (
     NARROW,
     PLACES,
-    at,
     bound_box,
     bound_box_tightly,
+    evaluate_at_places,
     jet_registers,
 )
 from statechart.kernels.tapes import TapeCode
@@ -49,8 +49,8 @@ def find_defect(
     """
     outputs, reads, times, coeffs = tape.outputs, tape.reads, steps.times, steps.coeffs
     n = coeffs.shape[1]
-    along, regs = along_steps(tape, steps, PLACES.shape[0])
-    jets = jet_registers(along, regs)
+    step_tape, regs = bind_tape(tape, steps, PLACES.shape[0])
+    jets = jet_registers(step_tape, regs)
     bounds, sizes, rounding = np.zeros(n), np.empty(n), np.empty(n)
     lefts, rights = np.empty(64), np.empty(64)
     boxes = 0
@@ -59,7 +59,7 @@ def find_defect(
         if not h > 0.0:
             continue
         prepare(coeffs, step, reads, bounds)
-        reaches(coeffs, step, floors, sizes)
+        write_sizes(coeffs, step, floors, sizes)
         top, looked, known = 1, 0, False
         rounding[:] = 0.0
         lefts[0], rights[0] = 0.0, 1.0
@@ -67,10 +67,10 @@ def find_defect(
             top -= 1
             a, b = lefts[top], rights[top]
             m, looked = 0.5 * (a + b), looked + 1
-            bound_box(along, step, bounds, a, b, jets)
+            bound_box(step_tape, step, bounds, a, b, jets)
             rough = is_unresolved(outputs, jets, h * (b - a), allowed, sizes)
             if rough:
-                bound_box_tightly(along, step, bounds, a, b, jets)
+                bound_box_tightly(step_tape, step, bounds, a, b, jets)
                 rough = is_unresolved(outputs, jets, h * (b - a), allowed, sizes)
             if rough:
                 if b - a <= NARROW:
@@ -81,11 +81,11 @@ def find_defect(
                 lefts[top + 1], rights[top + 1] = a, m
                 top += 2
                 continue
-            off = _defect(along, outputs, step, a, b, sizes, rounding, regs)
+            off = _defect(step_tape, outputs, step, a, b, sizes, rounding, regs)
             if not (off <= allowed or known):
                 known = True
-                _round(along, outputs, step, h, rounding, regs)
-                off = _defect(along, outputs, step, a, b, sizes, rounding, regs)
+                _round(step_tape, outputs, step, h, rounding, regs)
+                off = _defect(step_tape, outputs, step, a, b, sizes, rounding, regs)
             if not off <= allowed:
                 return step, b, off, boxes + looked
         boxes += looked
@@ -94,7 +94,7 @@ def find_defect(
 
 @kernel
 def _defect(
-    along: Along,
+    step_tape: StepTape,
     outputs: Ints32,
     step: int,
     a: float,
@@ -104,9 +104,9 @@ def _defect(
     regs: Array,
 ) -> float:
     """Return the largest defect at places of a box, beyond round-off, relative to sizes."""
-    times, coeffs, worst = along[5], along[6], 0.0
+    times, coeffs, worst = step_tape[5], step_tape[6], 0.0
     h = times[step + 1] - times[step]
-    at(along, step, a, b, PLACES, regs)
+    evaluate_at_places(step_tape, step, a, b, PLACES, regs)
     w = b - a
     places = a + PLACES[0] * w, a + PLACES[1] * w, a + PLACES[2] * w
     for v in range(coeffs.shape[1]):
@@ -122,11 +122,11 @@ def _defect(
 
 @kernel
 def _round(
-    along: Along, outputs: Ints32, step: int, h: float, rounding: Array, regs: Array
+    step_tape: StepTape, outputs: Ints32, step: int, h: float, rounding: Array, regs: Array
 ) -> None:
     """Write the round-off of slopes; near the beginning of a step these are the rates."""
-    coeffs = along[6]
-    at(along, step, 0.0, _NEXT, PLACES, regs)
+    coeffs = step_tape[6]
+    evaluate_at_places(step_tape, step, 0.0, _NEXT, PLACES, regs)
     for v in range(coeffs.shape[1]):
         rounding[v] = 0.0
         for j in range(PLACES.shape[0]):

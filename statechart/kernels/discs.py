@@ -120,7 +120,7 @@ def _cos(a: Disc) -> Disc:
 
 
 @kernel
-def _turned(a: Disc, by: complex) -> Disc:
+def _rotate(a: Disc, by: complex) -> Disc:
     """Product with a number of size one."""
     return a[0] * by, a[1]
 
@@ -231,13 +231,13 @@ def _one(op: int, exponent: int, a: Disc) -> Disc:
     if op == COS:
         return _cos(a)
     if op == SINH:
-        return _turned(_sin(_turned(a, _I)), -_I)
+        return _rotate(_sin(_rotate(a, _I)), -_I)
     if op == COSH:
-        return _cos(_turned(a, _I))
+        return _cos(_rotate(a, _I))
     if op == TANH:
         return _tanh(a)
     if op == TAN:
-        return _turned(_tanh(_turned(a, _I)), -_I)
+        return _rotate(_tanh(_rotate(a, _I)), -_I)
     if op == ATAN:
         return _atan(a)
     if op == ASIN:

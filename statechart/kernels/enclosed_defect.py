@@ -16,13 +16,13 @@ import math
 import numpy as np
 
 from statechart.arrays import Array, Complexes, Ints32
-from statechart.kernels.boxes import Along, Steps, along_steps, place, prepare
+from statechart.kernels.boxes import Steps, StepTape, bind_tape, prepare, write_variable_jets
 from statechart.kernels.copies import put
 from statechart.kernels.discs import run_discs
 from statechart.kernels.intervals import EPS, INF, mul, sub
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
-from statechart.kernels.polynomials import reaches
+from statechart.kernels.polynomials import write_sizes
 from statechart.kernels.resolution import NARROW
 from statechart.kernels.tapes import TapeCode, run_tape
 
@@ -71,7 +71,7 @@ _ALL = float(_BOUNDS.sum())
 
 @kernel
 def _spread(
-    along: Along,
+    step_tape: StepTape,
     outputs: Ints32,
     step: int,
     m: float,
@@ -85,7 +85,7 @@ def _spread(
     radii of registers, `work` a shifted polynomial and the result (n, 2).
     """
     (centres, radii), (shifted, found) = discs, work
-    code, base, first, last, _, times, coeffs, start = along
+    code, base, first, last, _, times, coeffs, start = step_tape
     n, terms = coeffs.shape[1], coeffs.shape[2]
     h, reach = times[step + 1] - times[step], w * _REACH
     for v in range(n):
@@ -130,9 +130,9 @@ def enclosed_defect(
     n = coeffs.shape[1]
     tail = 4.0 / (_RHO - 1.0) * _RHO ** (1.0 - _POINTS)
     every = np.arange(n + 1).astype(np.int32)
-    along, regs = along_steps(TapeCode(code, constants, outputs, every, n_fixed), steps, 1)
-    run_tape(code, 0, n_fixed, along[1], regs, 1)
-    jets, centres, radii = _prepared(along, regs)
+    step_tape, regs = bind_tape(TapeCode(code, constants, outputs, every, n_fixed), steps, 1)
+    run_tape(code, 0, n_fixed, step_tape[1], regs, 1)
+    jets, centres, radii = _prepared(step_tape, regs)
     thirds, sizes = np.zeros(n), np.empty(n)
     shifted, spread = np.empty(coeffs.shape[2]), np.empty((n, 2))
     worst, wide = np.empty(n), np.empty(n)
@@ -144,7 +144,7 @@ def enclosed_defect(
         if not h > 0.0:
             continue
         prepare(coeffs, step, every, thirds)
-        reaches(coeffs, step, floors, sizes)
+        write_sizes(coeffs, step, floors, sizes)
         top, looked = 1, 0
         lefts[0], rights[0] = 0.0, 1.0
         while top > 0:
@@ -152,7 +152,7 @@ def enclosed_defect(
             a, b = lefts[top], rights[top]
             m, looked = 0.5 * (a + b), looked + 1
             w = max(b - m, m - a)
-            _spread(along, outputs, step, m, w, (centres, radii), (shifted, spread))
+            _spread(step_tape, outputs, step, m, w, (centres, radii), (shifted, spread))
             smooth = True
             for v in range(n):
                 smooth = smooth and tail * spread[v, 0] <= _SHARE * allowed * sizes[v]
@@ -160,7 +160,7 @@ def enclosed_defect(
             if smooth:
                 for j in range(_POINTS):
                     s = min(max(m + w * _PLACES[j], a), b)
-                    _at(along, outputs, step, thirds, s, 0.0, h, jets)
+                    _at(step_tape, outputs, step, thirds, s, 0.0, h, jets)
                     for v in range(n):
                         low, high = jets[v, 4], jets[v, 5]
                         worst[v] += _BOUNDS[j] * max(-low, high)
@@ -171,12 +171,12 @@ def enclosed_defect(
                             share *= 1.0 - s
                 for v in range(n):
                     # The points are off by a rounding, and so the values there.
-                    moved = 8.0 * EPS / w * (spread[v, 0] + spread[v, 1]) / (_REACH - 1.0)
+                    displacement = 8.0 * EPS / w * (spread[v, 0] + spread[v, 1]) / (_REACH - 1.0)
                     rest = tail * spread[v, 0]
-                    worst[v] += _ALL * moved + rest
-                    wide[v] += moved + rest
+                    worst[v] += _ALL * displacement + rest
+                    wide[v] += displacement + rest
             else:
-                _at(along, outputs, step, thirds, m, w, h, jets)
+                _at(step_tape, outputs, step, thirds, m, w, h, jets)
                 small = True
                 for v in range(n):
                     worst[v] = max(-jets[v, 4], jets[v, 5])
@@ -194,10 +194,10 @@ def enclosed_defect(
 
 
 @kernel
-def _prepared(along: Along, regs: Array) -> tuple[Array, Complexes, Array]:
+def _prepared(step_tape: StepTape, regs: Array) -> tuple[Array, Complexes, Array]:
     """Return registers of intervals and of discs with what does not change along steps."""
-    code, base, fixed = along[:3]
-    n = along[6].shape[1]
+    code, base, fixed = step_tape[:3]
+    n = step_tape[6].shape[1]
     jets = np.zeros((regs.shape[0], 6))
     centres, radii = np.zeros(regs.shape[0], np.complex128), np.zeros(regs.shape[0])
     for r in range(n + 1, base):
@@ -212,7 +212,7 @@ def _prepared(along: Along, regs: Array) -> tuple[Array, Complexes, Array]:
 
 @kernel
 def _at(
-    along: Along,
+    step_tape: StepTape,
     outputs: Ints32,
     step: int,
     thirds: Array,
@@ -222,11 +222,11 @@ def _at(
     jets: Array,
 ) -> None:
     """Enclose the defects over [m - w, m + w], in columns 4 and 5 of the variables."""
-    code, base, first, last = along[:4]
-    place(along, step, thirds, m, w, 1, jets)
+    code, base, first, last = step_tape[:4]
+    write_variable_jets(step_tape, step, thirds, m, w, 1, jets)
     # A piece may begin at the end of a domain: its points are in it.
     run_jets(code, first, last, base, jets, -1 if w > 0.0 else 0)
-    for v in range(along[6].shape[1]):
+    for v in range(step_tape[6].shape[1]):
         row = jets[outputs[v]]
         rate = mul((row[0], row[1]), (h, h))
         low, high = sub((jets[v, 2], jets[v, 3]), rate)

@@ -33,7 +33,9 @@ def values_along(tape: TapeCode, steps: Steps, low: float, tau: Array, values: A
 
 
 @kernel
-def widen(tape: TapeCode, steps: Steps, resolved: Array, low: float, extremes: Array) -> None:
+def update_extremes(
+    tape: TapeCode, steps: Steps, resolved: Array, low: float, extremes: Array
+) -> None:
     """Bring the least and the greatest value up to date by those along an arc.
 
     Of one output, along the steps of an arc; `resolved` (k, n, d + 1) are its polynomials without

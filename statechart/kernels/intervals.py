@@ -27,7 +27,7 @@ HALF, MINUS_ONE = (0.5, 0.5), (-1.0, -1.0)
 
 
 @kernel
-def wide(a: Interval, ulps: float) -> Interval:
+def round_outward(a: Interval, ulps: float) -> Interval:
     """Return an interval with its bounds moved outwards by so many ulp."""
     return a[0] - abs(a[0]) * ulps - TINY, a[1] + abs(a[1]) * ulps + TINY
 
@@ -70,7 +70,7 @@ def _hull4(p: float, q: float, r: float, s: float) -> Interval:
     total = p + q + r + s
     if total != total:
         return WHOLE_LINE
-    return wide(hull(p, q, r, s), EPS)
+    return round_outward(hull(p, q, r, s), EPS)
 
 
 @kernel
@@ -95,7 +95,7 @@ def even(a: Interval, p: float, q: float, ulps: float) -> Interval:
     small = 0.0 if a[0] <= 0.0 <= a[1] else min(p, q)
     if a[0] == 0.0 == a[1]:
         return ZERO
-    low, high = wide((small, max(p, q)), ulps)
+    low, high = round_outward((small, max(p, q)), ulps)
     return max(0.0, low), high
 
 
@@ -124,14 +124,14 @@ def power(a: Interval, exponent: int) -> Interval:
     n = float(exponent)
     p, q = a[0] ** n, a[1] ** n
     if exponent % 2 == 1:
-        return wide((p, q), LIBM)
+        return round_outward((p, q), LIBM)
     return even(a, p, q, LIBM)
 
 
 @kernel
 def exp(a: Interval) -> Interval:
     """Exponential function; what is beyond all floats lies above the largest."""
-    p, q = wide((min(math.exp(a[0]), LARGEST), math.exp(a[1])), LIBM)
+    p, q = round_outward((min(math.exp(a[0]), LARGEST), math.exp(a[1])), LIBM)
     return max(0.0, p), q
 
 
@@ -158,7 +158,7 @@ def wave(a: Interval, sine: bool) -> Interval:
         p, q = math.sin(a[0]), math.sin(a[1])
     else:
         p, q = math.cos(a[0]), math.cos(a[1])
-    p, q = wide((min(p, q), max(p, q)), LIBM)
+    p, q = round_outward((min(p, q), max(p, q)), LIBM)
     if count >= 1.0:
         if last % 2.0 == 0.0:
             q = 1.0
@@ -171,7 +171,7 @@ def wave(a: Interval, sine: bool) -> Interval:
 def sinh(a: Interval) -> Interval:
     """Hyperbolic sine."""
     low, high = min(math.sinh(a[0]), LARGEST), max(math.sinh(a[1]), -LARGEST)
-    return wide((low, high), LIBM)
+    return round_outward((low, high), LIBM)
 
 
 @kernel
@@ -179,7 +179,7 @@ def cosh(a: Interval) -> Interval:
     """Hyperbolic cosine."""
     p, q = math.cosh(a[0]), math.cosh(a[1])
     least = 1.0 if a[0] <= 0.0 <= a[1] else min(p, q, LARGEST)
-    p, q = wide((least, max(p, q)), LIBM)
+    p, q = round_outward((least, max(p, q)), LIBM)
     return max(1.0, p), q
 
 

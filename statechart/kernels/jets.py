@@ -32,13 +32,13 @@ from statechart.kernels.intervals import (
     neg,
     or_whole_line,
     power,
+    round_outward,
     scaled,
     sinh,
     sqrt,
     square,
     sub,
     wave,
-    wide,
 )
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import (
@@ -114,7 +114,7 @@ def _inverse(op: int, a: Interval) -> Jet:
     """Enclosures of atan, asin or acos and of their derivatives."""
     f = d = e = WHOLE_LINE
     if op == ATAN:
-        f = wide((math.atan(a[0]), math.atan(a[1])), LIBM)
+        f = round_outward((math.atan(a[0]), math.atan(a[1])), LIBM)
         d = div(ONE, add(square(a), ONE))
         e = mul(scaled(2.0, neg(a)), square(d))
     elif a[0] >= -1.0 and a[1] <= 1.0:
@@ -122,9 +122,9 @@ def _inverse(op: int, a: Interval) -> Jet:
         d = div(ONE, sqrt(p))
         e = div(mul(a, d), p)
         if op == ASIN:
-            f = wide((math.asin(a[0]), math.asin(a[1])), LIBM)
+            f = round_outward((math.asin(a[0]), math.asin(a[1])), LIBM)
         else:
-            f = wide((math.acos(a[1]), math.acos(a[0])), LIBM)
+            f = round_outward((math.acos(a[1]), math.acos(a[0])), LIBM)
             d, e = neg(d), neg(e)
     return f, d, e
 
@@ -140,7 +140,7 @@ def _hyperbolic(op: int, a: Interval) -> Jet:
         f = e = cosh(a)
         d = sinh(a)
     else:
-        f = wide((math.tanh(a[0]), math.tanh(a[1])), LIBM)
+        f = round_outward((math.tanh(a[0]), math.tanh(a[1])), LIBM)
         f = (max(f[0], -1.0), min(f[1], 1.0))
         d = sub(ONE, square(f))
         e = mul(scaled(2.0, neg(f)), d)
@@ -177,14 +177,14 @@ def _unary(op: int, exponent: int, a: Interval, order: int) -> Jet:
             e = mul(power(a, exponent - 2), (n, n))
     elif op == LOG:
         if a[0] > 0.0:
-            f = wide((math.log(a[0]), math.log(a[1])), LIBM)
+            f = round_outward((math.log(a[0]), math.log(a[1])), LIBM)
             d = div(ONE, a)
             e = neg(square(d))
         elif order < 0 and a[0] == 0.0:
-            f = wide((-INF, math.log(a[1]) if a[1] > 0.0 else -INF), LIBM)
+            f = round_outward((-INF, math.log(a[1]) if a[1] > 0.0 else -INF), LIBM)
     elif op == TAN:
         if extrema(a, 0.5)[0] < 1.0:
-            f = wide((math.tan(a[0]), math.tan(a[1])), LIBM)
+            f = round_outward((math.tan(a[0]), math.tan(a[1])), LIBM)
             d = add(square(f), ONE)
             e = mul(scaled(2.0, f), d)
     elif op in (ABS, SIGN):
@@ -205,7 +205,7 @@ def _polar(op: int, y: Jet, x: Jet) -> Jet:
     half = add(mul(x0, x1), mul(y0, y1))
     if op == HYPOT:
         p, q = even(y0, abs(y0[0]), abs(y0[1]), 0.0), even(x0, abs(x0[0]), abs(x0[1]), 0.0)
-        f = wide((math.hypot(p[0], q[0]), math.hypot(p[1], q[1])), LIBM)
+        f = round_outward((math.hypot(p[0], q[0]), math.hypot(p[1], q[1])), LIBM)
         f = (max(0.0, f[0]), f[1])
         # r r' = x x' + y y';  r r'' = x'^2 + x x'' + y'^2 + y y'' - r'^2
         d = div(half, f)
@@ -220,7 +220,7 @@ def _polar(op: int, y: Jet, x: Jet) -> Jet:
     q = add(square(y0), square(x0))
     d = div(sub(mul(x0, y1), mul(y0, x1)), q)
     n = sub(mul(x0, y2), mul(y0, x2))
-    return wide(hull(a, b, c, r), LIBM), d, div(sub(n, mul(scaled(2.0, d), half)), q)
+    return round_outward(hull(a, b, c, r), LIBM), d, div(sub(n, mul(scaled(2.0, d), half)), q)
 
 
 @kernel
@@ -258,7 +258,7 @@ def _power_jet(x: Jet, y: Jet, order: int) -> Jet:
     if not (x0[0] > 0.0 or (x0[0] == 0.0 and y0[0] > 0.0)):
         return WHOLE_LINE, WHOLE_LINE, WHOLE_LINE
     f = hull(x0[0] ** y0[0], x0[0] ** y0[1], x0[1] ** y0[0], x0[1] ** y0[1])
-    f = wide(f, LIBM)
+    f = round_outward(f, LIBM)
     f = (max(0.0, f[0]), f[1])
     n, r, m = _unary(LOG, 0, x0, 2)
     g = mul(r, x1)  # (log x)'

@@ -50,7 +50,7 @@ def slopes_at(
 
 
 @kernel
-def reaches(coeffs: Array, step: int, floors: Array, sizes: Array) -> None:
+def write_sizes(coeffs: Array, step: int, floors: Array, sizes: Array) -> None:
     """Write how large each variable (n,) is and moves in a step, and no less than its floor."""
     for v in range(coeffs.shape[1]):
         reach = abs(coeffs[step, v, 0])

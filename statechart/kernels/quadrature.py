@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from statechart.arrays import Array, Bools, Ints32
-from statechart.kernels.boxes import Steps, along_steps, prepare
+from statechart.kernels.boxes import Steps, bind_tape, prepare
 from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import local_time
 from statechart.kernels.resolution import (
     NARROW,
     PLACES,
-    at,
     bound_box,
     bound_step,
+    evaluate_at_places,
     jet_registers,
-    roughen_by_places,
+    refine_roughness,
 )
 from statechart.kernels.tapes import TapeCode
 
@@ -58,8 +58,8 @@ def integrate_outputs(
     """
     outputs, reads, times, coeffs = tape.outputs, tape.reads, steps.times, steps.coeffs
     count = _NODES.shape[0]
-    along, regs = along_steps(tape, steps, count)
-    jets, bounds = jet_registers(along, regs), np.zeros(coeffs.shape[1])
+    step_tape, regs = bind_tape(tape, steps, count)
+    jets, bounds = jet_registers(step_tape, regs), np.zeros(coeffs.shape[1])
     sums = np.zeros((4, outputs.shape[0]))
     result, largest, rough, noise = sums[0], sums[1], sums[2], sums[3]
     undefined = np.empty(outputs.shape[0], np.bool_)
@@ -76,20 +76,20 @@ def integrate_outputs(
             top -= 1
             a, b = lefts[top], rights[top]
             looked += 1
-            at(along, step, a, b, _NODES, regs)
+            evaluate_at_places(step_tape, step, a, b, _NODES, regs)
             for i in range(outputs.shape[0]):
                 undefined[i] = False
                 for j in range(count):
                     value = abs(regs[outputs[i], j])
                     undefined[i] = undefined[i] or value != value
                     largest[i] = max(largest[i], value)
-            whole = b - a == 1.0 and bound_step(along, step, jets)
+            whole = b - a == 1.0 and bound_step(step_tape, step, jets)
             halve = not whole or _is_unresolved(outputs, jets, b - a, undefined, largest, rough)
             if halve:
                 if not prepared:
                     prepare(coeffs, step, reads, bounds)
                     prepared = True
-                bound_box(along, step, bounds, a, b, jets)
+                bound_box(step_tape, step, bounds, a, b, jets)
                 halve = _is_unresolved(outputs, jets, b - a, undefined, largest, rough)
             if halve:
                 # A register as rough at places as in the box, or no rougher than its values are
@@ -97,14 +97,14 @@ def integrate_outputs(
                 halve, rounded = False, np.empty(jets.shape[0])
                 for j in range(2):
                     s = a + PLACES[j + 1] * (b - a)
-                    bound_box(along, step, bounds, s, s, jets)
+                    bound_box(step_tape, step, bounds, s, s, jets)
                     for r in range(jets.shape[0]):
                         rounded[r] = max(jets[r, 1] - jets[r, 0], rounded[r] if j == 1 else 0.0)
                     for i in range(outputs.shape[0]):
                         here = jets[outputs[i], 2] + _ROUNDINGS * rounded[outputs[i]]
                         noise[i] = min(noise[i], here) if j == 1 else here
-                bound_box(along, step, bounds, a, b, jets)
-                roughen_by_places(along, regs, count, rounded, jets)
+                bound_box(step_tape, step, bounds, a, b, jets)
+                refine_roughness(step_tape, regs, count, rounded, jets)
                 for i in range(outputs.shape[0]):
                     more = min(rough[i], jets[outputs[i], 2]) - noise[i]
                     missed = (b - a) * more if more > 0.0 else 0.0

@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from statechart.arrays import Array, Ints32
-from statechart.kernels.boxes import Along, place, place_whole
+from statechart.kernels.boxes import StepTape, write_step_jets, write_variable_jets
 from statechart.kernels.intervals import INF, LIBM, TINY, Interval
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
@@ -120,7 +120,7 @@ def _power_resolved(x: Interval, y: Interval) -> bool:
 
 
 @kernel
-def _roughen(code: Ints32, first: int, last: int, base: int, jets: Array) -> None:
+def _write_roughness(code: Ints32, first: int, last: int, base: int, jets: Array) -> None:
     """Fill in the roughness, column 2, of operations whose ranges stand in columns 0 and 1."""
     for k in range(first, last):
         op, i = code[k, 0], code[k, 1]
@@ -170,9 +170,9 @@ def _roughen(code: Ints32, first: int, last: int, base: int, jets: Array) -> Non
 
 
 @kernel
-def jet_registers(along: Along, regs: Array) -> Array:
+def jet_registers(step_tape: StepTape, regs: Array) -> Array:
     """Return registers of jets, with constants and parameters filled in."""
-    code, base, fixed, _, _, _, coeffs, _ = along
+    code, base, fixed, _, _, _, coeffs, _ = step_tape
     n = coeffs.shape[1]
     run_tape(code, 0, fixed, base, regs, regs.shape[1])
     jets = np.zeros((regs.shape[0], 8))
@@ -184,54 +184,56 @@ def jet_registers(along: Along, regs: Array) -> Array:
 
 
 @kernel
-def roughen(along: Along, jets: Array) -> None:
+def write_roughness(step_tape: StepTape, jets: Array) -> None:
     """Fill in the roughness of all registers, whose ranges are known."""
-    code, base, first, last, reads = along[:5]
+    code, base, first, last, reads = step_tape[:5]
     for v in reads:
         jets[v, 2] = 0.0
-    _roughen(code, first, last, base, jets)
+    _write_roughness(code, first, last, base, jets)
 
 
 @kernel
-def bound_box(along: Along, step: int, bounds: Array, a: float, b: float, jets: Array) -> None:
+def bound_box(
+    step_tape: StepTape, step: int, bounds: Array, a: float, b: float, jets: Array
+) -> None:
     """Fill in ranges and roughness of all registers over the box [a, b] of a step."""
-    code, base, first, last = along[:4]
+    code, base, first, last = step_tape[:4]
     m = 0.5 * (a + b)
-    place(along, step, bounds, m, max(b - m, m - a), 0, jets)
+    write_variable_jets(step_tape, step, bounds, m, max(b - m, m - a), 0, jets)
     run_jets(code, first, last, base, jets, 0)
-    roughen(along, jets)
+    write_roughness(step_tape, jets)
 
 
 @kernel
-def bound_step(along: Along, step: int, jets: Array) -> bool:
+def bound_step(step_tape: StepTape, step: int, jets: Array) -> bool:
     """Do what `bound_box` does on a whole step, by ranges of its variables that cost little.
 
     False where one is not finite.
     """
-    code, base, first, last = along[:4]
-    if not place_whole(along, step, jets):
+    code, base, first, last = step_tape[:4]
+    if not write_step_jets(step_tape, step, jets):
         return False
     run_jets(code, first, last, base, jets, 0)
-    roughen(along, jets)
+    write_roughness(step_tape, jets)
     return True
 
 
 @kernel
 def bound_box_tightly(
-    along: Along, step: int, bounds: Array, a: float, b: float, jets: Array
+    step_tape: StepTape, step: int, bounds: Array, a: float, b: float, jets: Array
 ) -> None:
     """Do what `bound_box` does, by the mean value form, too: its ranges shrink with the square.
 
     The determinant of a mode that nears its end is a small difference of large numbers.
     """
-    code, base, first, last = along[:4]
+    code, base, first, last = step_tape[:4]
     m = 0.5 * (a + b)
     w = max(b - m, m - a)
-    place(along, step, bounds, m, 0.0, 0, jets)
+    write_variable_jets(step_tape, step, bounds, m, 0.0, 0, jets)
     run_jets(code, first, last, base, jets, 0)
     for k in range(base + first, base + last):
         jets[k, 6], jets[k, 7] = jets[k, 0], jets[k, 1]
-    place(along, step, bounds, m, w, 1, jets)
+    write_variable_jets(step_tape, step, bounds, m, w, 1, jets)
     run_jets(code, first, last, base, jets, 1)
     for k in range(base + first, base + last):
         reach = w * max(abs(jets[k, 2]), abs(jets[k, 3])) * (1.0 + LIBM) + TINY
@@ -240,11 +242,11 @@ def bound_box_tightly(
             jets[k, 0] = low
         if high < jets[k, 1]:
             jets[k, 1] = high
-    roughen(along, jets)
+    write_roughness(step_tape, jets)
 
 
 @kernel
-def _by_places(r: int, count: int, regs: Array, rounded: Array, jets: Array) -> None:
+def _narrow_range(r: int, count: int, regs: Array, rounded: Array, jets: Array) -> None:
     """Narrow the range of a resolved register to that of its values, and as far about it again."""
     low, high = INF, -INF
     for j in range(count):
@@ -257,7 +259,9 @@ def _by_places(r: int, count: int, regs: Array, rounded: Array, jets: Array) -> 
 
 
 @kernel
-def roughen_by_places(along: Along, regs: Array, count: int, rounded: Array, jets: Array) -> None:
+def refine_roughness(
+    step_tape: StepTape, regs: Array, count: int, rounded: Array, jets: Array
+) -> None:
     """Fill in roughness again, from values of resolved registers at sampled places.
 
     Enclosures do not see that terms cancel (``cos(x)**2 + sin(x)**2 - 1``), however short a box is:
@@ -265,11 +269,11 @@ def roughen_by_places(along: Along, regs: Array, count: int, rounded: Array, jet
     `count` places of the box, `rounded` (r,) how wide ranges of single places are, `jets` (r, 8)
     the ranges over the box (see `bound_box`).
     """
-    code, base, first, last, reads = along[:5]
+    code, base, first, last, reads = step_tape[:5]
     for v in reads:
-        _by_places(v, count, regs, rounded, jets)
+        _narrow_range(v, count, regs, rounded, jets)
     for k in range(first, last):
-        _roughen(code, k, k + 1, base, jets)
+        _write_roughness(code, k, k + 1, base, jets)
         op, i, r = code[k, 0], code[k, 1], base + k
         if op == ABS and jets[i, 2] == 0.0:
             jets[r, 2] = min(jets[r, 2], _size((jets[i, 0], jets[i, 1])))
@@ -280,13 +284,15 @@ def roughen_by_places(along: Along, regs: Array, count: int, rounded: Array, jet
             size = math.hypot(_size((jets[i, 0], jets[i, 1])), _size((jets[j, 0], jets[j, 1])))
             jets[r, 2] = min(jets[r, 2], size)
         if jets[r, 2] == 0.0:
-            _by_places(r, count, regs, rounded, jets)
+            _narrow_range(r, count, regs, rounded, jets)
 
 
 @kernel
-def at(along: Along, step: int, a: float, b: float, places: Array, regs: Array) -> None:
+def evaluate_at_places(
+    step_tape: StepTape, step: int, a: float, b: float, places: Array, regs: Array
+) -> None:
     """Run the tape at places in the box [a, b] of a step, given in parts of it."""
-    code, base, first, last, reads, times, coeffs, start = along
+    code, base, first, last, reads, times, coeffs, start = step_tape
     n, count = coeffs.shape[1], places.shape[0]
     clock = regs[n]
     for j in range(count):

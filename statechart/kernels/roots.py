@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from statechart.arrays import Array
-from statechart.kernels.boxes import Along, enclose
+from statechart.kernels.boxes import StepTape, enclose
 from statechart.kernels.intervals import EPS, INF, TINY
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import horner, local_time
@@ -11,9 +11,9 @@ from statechart.kernels.tapes import run_tape
 
 
 @kernel
-def value_at(along: Along, step: int, output: int, s: float, regs: Array) -> float:
+def value_at(step_tape: StepTape, step: int, output: int, s: float, regs: Array) -> float:
     """Value of an output at one place of a step."""
-    code, base, first, last, reads, times, coeffs, start = along
+    code, base, first, last, reads, times, coeffs, start = step_tape
     n = coeffs.shape[1]
     for r in range(reads.shape[0]):
         v = reads[r]
@@ -33,19 +33,21 @@ _WEIGHTS = (
 
 
 @kernel
-def _risen(along: Along, step: int, output: int, place: float, bounds: Array, jets: Array) -> float:
+def _integrate_slope(
+    step_tape: StepTape, step: int, output: int, place: float, bounds: Array, jets: Array
+) -> float:
     """Integral of the slope of an output over [0, place] of a step."""
     total = 0.0
     for k in range(len(_NODES)):
-        enclose(along, step, bounds, place * _NODES[k], 0.0, 1, jets)
+        enclose(step_tape, step, bounds, place * _NODES[k], 0.0, 1, jets)
         total += _WEIGHTS[k] * 0.5 * (jets[output, 2] + jets[output, 3])
     return place * total
 
 
 @kernel
 def return_to_zero(
-    along: Along, step: int, output: int, place: float, below: float, bounds: Array, regs: Array,
-    jets: Array,
+    step_tape: StepTape, step: int, output: int, place: float, below: float, bounds: Array,
+    regs: Array, jets: Array,
 ) -> float:  # fmt: skip
     """Improve the place where an output comes back to zero that starts the step at exactly zero.
 
@@ -54,16 +56,16 @@ def return_to_zero(
     is, by Newton's method from a place where the output is `below` zero. The place moves within
     the round-off of the value only: over a long step the quadrature may be worse.
     """
-    if value_at(along, step, output, 0.0, regs) != 0.0:
+    if value_at(step_tape, step, output, 0.0, regs) != 0.0:
         return place
-    enclose(along, step, bounds, place, 0.0, 0, jets)
+    enclose(step_tape, step, bounds, place, 0.0, 0, jets)
     noise, found = jets[output, 1] - jets[output, 0], below
-    if not abs(_risen(along, step, output, place, bounds, jets)) <= noise:
+    if not abs(_integrate_slope(step_tape, step, output, place, bounds, jets)) <= noise:
         return place
     last = INF
     for _ in range(64):
-        height = _risen(along, step, output, found, bounds, jets)
-        enclose(along, step, bounds, found, 0.0, 1, jets)
+        height = _integrate_slope(step_tape, step, output, found, bounds, jets)
+        enclose(step_tape, step, bounds, found, 0.0, 1, jets)
         slope = 0.5 * (jets[output, 2] + jets[output, 3])
         if not slope < 0.0:
             return place
@@ -80,7 +82,13 @@ def return_to_zero(
 
 @kernel
 def last_place(
-    along: Along, step: int, output: int, shift: float, left: float, right: float, regs: Array
+    step_tape: StepTape,
+    step: int,
+    output: int,
+    shift: float,
+    left: float,
+    right: float,
+    regs: Array,
 ) -> float:
     """Last place, to a few ulp, with output + shift >= 0 before it falls in [left, right].
 
@@ -88,8 +96,8 @@ def last_place(
     28 (1997) 145-149. Returns `left` where the fall is already done there, and `right` where
     float64 sees none.
     """
-    a, fa = right, shift + value_at(along, step, output, right, regs)
-    b, fb = left, shift + value_at(along, step, output, left, regs)
+    a, fa = right, shift + value_at(step_tape, step, output, right, regs)
+    b, fb = left, shift + value_at(step_tape, step, output, left, regs)
     if not fb > 0.0:
         return left
     if not fa < 0.0:
@@ -99,7 +107,7 @@ def last_place(
     c, fc = a, fa
     for _ in range(1200):  # halvings from 1 to the least place, and some
         x = a + t * (b - a)
-        fx = shift + value_at(along, step, output, x, regs)
+        fx = shift + value_at(step_tape, step, output, x, regs)
         if (fx > 0.0) == (fa > 0.0):
             c, fc = a, fa
         else:

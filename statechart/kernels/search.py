@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints32
 from statechart.kernels.boxes import (
-    Along,
     Steps,
+    StepTape,
     enclose,
     judge,
-    place_whole,
     prepare,
     unclear_by_slopes,
     unclear_by_values,
+    write_step_jets,
 )
 from statechart.kernels.intervals import INF, LIBM
 from statechart.kernels.jets import run_jets
@@ -43,7 +43,12 @@ BoxWorkspace = tuple[Array, Array, Array, Array]
 
 @kernel
 def _descent(
-    along: Along, guard: Ints32, step: int, left: float, right: float, workspace: BoxWorkspace
+    step_tape: StepTape,
+    guard: Ints32,
+    step: int,
+    left: float,
+    right: float,
+    workspace: BoxWorkspace,
 ) -> tuple[int, float]:
     """Return the root of the margin itself, on the descent that ends at `right` below tolerance.
 
@@ -51,14 +56,14 @@ def _descent(
     slope is proved negative, over the joints of steps too; if the margin is not positive on all
     of it, the answer is where it starts.
     """
-    reads, coeffs = along[4], along[6]
+    reads, coeffs = step_tape[4], step_tape[6]
     bounds, regs, jets, work = workspace
     p, q = right, left
-    if value_at(along, step, guard[0], p, regs) >= 0.0:
+    if value_at(step_tape, step, guard[0], p, regs) >= 0.0:
         return step, p
     for _ in range(1000):
-        if value_at(along, step, guard[0], q, regs) > 0.0:
-            return step, last_place(along, step, guard[0], 0.0, q, p, regs)
+        if value_at(step_tape, step, guard[0], q, regs) > 0.0:
+            return step, last_place(step_tape, step, guard[0], 0.0, q, p, regs)
         p = q
         if p == 0.0:
             if step == 0:
@@ -69,7 +74,7 @@ def _descent(
             continue
         reach = p
         while reach >= NARROW:
-            judge(along, guard, step, bounds, p - reach, p, jets, work)
+            judge(step_tape, guard, step, bounds, p - reach, p, jets, work)
             if work[0, 7] < 0.0:
                 break
             reach *= 0.5
@@ -81,7 +86,7 @@ def _descent(
 
 @kernel
 def _falls(
-    along: Along,
+    step_tape: StepTape,
     guard: Ints32,
     tolerance: float,
     step: int,
@@ -99,10 +104,10 @@ def _falls(
     for shrink in (0.0, 1.0, 0.0625):
         if shrink > 0.0:
             end = min(1.0, b + shrink * (b - a))
-            judge(along, guard, step, bounds, a, end, jets, work)
+            judge(step_tape, guard, step, bounds, a, end, jets, work)
             if not work[0, 7] < 0.0:
                 continue
-        enclose(along, step, bounds, end, 0.0, 0, jets)
+        enclose(step_tape, step, bounds, end, 0.0, 0, jets)
         if jets[guard[0], 0] + tolerance > 0.0:
             return 0, end
         if jets[guard[0], 1] + tolerance <= 0.0 or end == 1.0:
@@ -112,7 +117,7 @@ def _falls(
 
 @kernel
 def _clear_at_edge(
-    along: Along,
+    step_tape: StepTape,
     output: int,
     tolerance: float,
     step: int,
@@ -129,13 +134,13 @@ def _clear_at_edge(
     """
     m = 0.5 * (a + b)
     for s in (a, m, b):
-        enclose(along, step, bounds, s, 0.0, 0, jets)
+        enclose(step_tape, step, bounds, s, 0.0, 0, jets)
         if b - a > NARROW and jets[output, 0] > -INF and jets[output, 1] < INF:
             return False
-        enclose(along, step, bounds, s, 0.0, -1, jets)
+        enclose(step_tape, step, bounds, s, 0.0, -1, jets)
         if s > 0.0 and not (jets[output, 0] > -INF and jets[output, 1] < INF):
             return False
-    enclose(along, step, bounds, m, max(b - m, m - a), -1, jets)
+    enclose(step_tape, step, bounds, m, max(b - m, m - a), -1, jets)
     return jets[output, 0] + tolerance > 0.0
 
 
@@ -146,20 +151,20 @@ box is too narrow to look closer."""
 
 @kernel
 def _certain_end(
-    along: Along, guard: Ints32, tolerance: float, step: int, here: float, end: float,
+    step_tape: StepTape, guard: Ints32, tolerance: float, step: int, here: float, end: float,
     workspace: BoxWorkspace,
 ) -> float:  # fmt: skip
     """Return a place where an output that falls from `here` to `end` is surely below -tolerance."""
     bounds, _, jets, aside = workspace
     # The slope carries the round-off left at the float root below 0.
-    enclose(along, step, bounds, here, 0.0, 0, jets)
+    enclose(step_tape, step, bounds, here, 0.0, 0, jets)
     rest = max(0.0, jets[guard[0], 1] + tolerance) / -aside[0, 7]
     far = min(end, (here + rest * (1.0 + LIBM)) * (1.0 + LIBM))
     if far > here + NARROW:
         # Nearly flat at the end of where it falls: it is below long before.
         near = here + NARROW
         while near < far:
-            enclose(along, step, bounds, near, 0.0, 0, jets)
+            enclose(step_tape, step, bounds, near, 0.0, 0, jets)
             if jets[guard[0], 1] + tolerance <= 0.0:
                 far = near
             near = here + 2.0 * (near - here)
@@ -168,7 +173,7 @@ def _certain_end(
 
 @kernel
 def _judge_box(
-    along: Along, guard: Ints32, tolerance: float, step: int, a: float, b: float,
+    step_tape: StepTape, guard: Ints32, tolerance: float, step: int, a: float, b: float,
     evidence: Array, workspace: BoxWorkspace,
 ) -> tuple[int, float, float]:  # fmt: skip
     """Judge by the evidence whether an output falls on [a, b]; return where, and a certain end."""
@@ -183,27 +188,31 @@ def _judge_box(
         return CLEAR, INF, INF
     if evidence[7] < 0.0:
         aside[0, 7] = evidence[7]
-        falls, end = _falls(along, guard, tolerance, step, a, b, workspace)
+        falls, end = _falls(step_tape, guard, tolerance, step, a, b, workspace)
         if falls == 0:
             return CLEAR, INF, INF
         if falls == 1:
-            here = last_place(along, step, output, tolerance, a, end, regs)
-            return FALLS, here, _certain_end(along, guard, tolerance, step, here, end, workspace)
+            here = last_place(step_tape, step, output, tolerance, a, end, regs)
+            return (
+                FALLS,
+                here,
+                _certain_end(step_tape, guard, tolerance, step, here, end, workspace),
+            )
     bounded = evidence[4] > -INF and evidence[5] < INF
     edge = b - a <= FLAT and not bounded
-    if edge and _clear_at_edge(along, output, tolerance, step, a, b, bounds, jets):
+    if edge and _clear_at_edge(step_tape, output, tolerance, step, a, b, bounds, jets):
         return CLEAR, INF, INF
     if b - a > NARROW:
         return OPEN, INF, INF
     # A jump, say: positive at a, and negative at b or, where that is the place of the jump to
     # within rounding, a little beyond.
     for end in (b, min(1.0, b + 4.0 * NARROW)):
-        enclose(along, step, bounds, end, 0.0, 0, jets)
+        enclose(step_tape, step, bounds, end, 0.0, 0, jets)
         if bounded and jets[output, 1] + tolerance < 0.0:
             return FALLS, a, end
     if a == 0.0 and bounded and not evidence[7] < INF:
         # A margin that jumps as it starts (an angle at the origin) has its value behind.
-        enclose(along, step, bounds, b, 0.0, 0, jets)
+        enclose(step_tape, step, bounds, b, 0.0, 0, jets)
         if jets[output, 0] + tolerance > 0.0:
             return CLEAR, INF, INF
     return STUCK, INF, INF
@@ -232,16 +241,16 @@ def search(
 
 
 @kernel
-def clear_whole(
+def is_step_clear(
     ready: PreparedTape, outputs: Ints32, tolerances: Array, step: int, jets: Array
 ) -> bool:
     """Return whether the ranges of the variables in a step exclude that an output falls.
 
     Writes the ranges of all registers to `jets`, and the first marks for `search_step`.
     """
-    along, marks = ready[0], ready[7]
-    code, base, first, last = along[:4]
-    finite, clear = place_whole(along, step, jets), True
+    step_tape, marks = ready[0], ready[7]
+    code, base, first, last = step_tape[:4]
+    finite, clear = write_step_jets(step_tape, step, jets), True
     if finite:
         run_jets(code, first, last, base, jets, 0)
     for i in range(outputs.shape[0]):
@@ -269,7 +278,7 @@ def search_along(
     """Search steps (see `search`)."""
     boxes, jets = 0, ready[4]
     for step in range(first, last):
-        if clear_whole(ready, outputs, tolerances, step, jets) and boxes < budget:
+        if is_step_clear(ready, outputs, tolerances, step, jets) and boxes < budget:
             boxes += 1
             continue
         verdict, guard, event_step, place, at, sure, looked = search_step(
@@ -285,9 +294,9 @@ def search_along(
 def search_step(
     ready: PreparedTape, outputs: Ints32, tolerances: Array, step: int, budget: int
 ) -> tuple[int, int, int, float, float, float, int]:
-    """Search a step (see `search`) for the fall of an output that `clear_whole` has marked."""
-    along, needs, bounds, regs, jets, work, ends, marks = ready
-    reads, times, coeffs, start = along[4:]
+    """Search a step (see `search`) for the fall of an output that `is_step_clear` has marked."""
+    step_tape, needs, bounds, regs, jets, work, ends, marks = ready
+    reads, times, coeffs, start = step_tape[4:]
     n_out = outputs.shape[0]
     aside, state = work[n_out:], marks[BOXES]
     workspace = (bounds, regs, jets, aside)
@@ -308,7 +317,7 @@ def search_step(
             return BUDGET, -1, step, a, at, end, boxes - 1
         for i in range(n_out):
             state[i] = marks[top, i]
-        few = select_outputs(needs, along, _undecided(state, n_out))
+        few = select_outputs(needs, step_tape, _undecided(state, n_out))
         if b - a == 1.0:
             unclear = unclear_by_slopes(few, outputs, tolerances, step, bounds, jets, state, work)
         else:
@@ -318,13 +327,13 @@ def search_step(
             unclear = unclear_by_values(outputs, tolerances, jets, state)
         if unclear == 0:
             continue
-        few = select_outputs(needs, along, _undecided(state, n_out))
+        few = select_outputs(needs, step_tape, _undecided(state, n_out))
         judge(few, outputs, step, bounds, a, b, jets, work)
         unclear, improved = 0, False
         for i in range(n_out):
             if state[i] == 0:
                 continue
-            alone, guard = select_outputs(needs, along, bit(i)), outputs[i : i + 1]
+            alone, guard = select_outputs(needs, step_tape, bit(i)), outputs[i : i + 1]
             verdict, here, far = _judge_box(
                 alone, guard, tolerances[i], step, a, b, work[i], workspace
             )
@@ -356,7 +365,7 @@ def search_step(
             marks[max(top - 2, 0), i] = marks[top - 1, i] = state[i]
     if found >= 0:
         guard = outputs[found : found + 1]
-        alone = select_outputs(needs, along, bit(found))
+        alone = select_outputs(needs, step_tape, bit(found))
         event_step, event = _descent(alone, guard, step, found_left, root, workspace)
         below = root if event_step == step else 1.0
         event = return_to_zero(alone, event_step, guard[0], event, below, bounds, regs, jets)

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints, Ints32
-from statechart.kernels.boxes import Along, Steps
+from statechart.kernels.boxes import Steps, StepTape
 from statechart.kernels.intervals import INF
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
-from statechart.kernels.tapes import POW, SKIP, TapeCode, fill, run_tape
+from statechart.kernels.tapes import POW, SKIP, TapeCode, run_tape, write_inputs
 
 BOXES = 64
 """Largest number of pending boxes: halves of halves down to the narrowest."""
@@ -28,8 +28,8 @@ are chosen; for which outputs, where the last operation is, how many variables."
 # Bits of a set; the outputs beyond share the last.
 _BITS = 62
 
-PreparedTape = tuple[Along, Needed, Array, Array, Array, Array, Array, NDArray[np.uint8]]
-"""A tape that is evaluated along steps, with what depends on parameters alone: see `Along`, and
+PreparedTape = tuple[StepTape, Needed, Array, Array, Array, Array, Array, NDArray[np.uint8]]
+"""A tape that is evaluated along steps, with what depends on parameters alone: see `StepTape`, and
 `Needed`; bounds of third derivatives, registers, jets; evidence on the outputs; boxes still to see,
 and the outputs that are undecided in them."""
 
@@ -77,8 +77,8 @@ def prepare_tape(tape: TapeCode, steps: Steps, workspace: SearchWorkspace) -> Pr
     times, coeffs, parameters, start = steps
     n, regs, jets = coeffs.shape[1], workspace.registers, workspace.jets
     base = n + 1 + parameters.shape[0] + constants.shape[0]
-    fill(constants, parameters, n, regs)
-    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
+    write_inputs(constants, parameters, n, regs)
+    step_tape = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
     run_tape(code, 0, n_fixed, base, regs, 1)
     for r in range(base + code.shape[0]):
         for c in range(6):
@@ -91,9 +91,9 @@ def prepare_tape(tape: TapeCode, steps: Steps, workspace: SearchWorkspace) -> Pr
     for v in range(n):
         workspace.bounds[v] = 0.0
     needs = workspace.needs, workspace.code, workspace.variables, workspace.selection
-    mark_needed(along, outputs, needs)
+    mark_needed(step_tape, outputs, needs)
     return (
-        along,
+        step_tape,
         needs,
         workspace.bounds,
         regs,
@@ -111,10 +111,10 @@ def bit(output: int) -> int:
 
 
 @kernel
-def mark_needed(along: Along, outputs: Ints32, needed: Needed) -> None:
-    """Mark the registers that each output needs, over the operations that `along` runs."""
+def mark_needed(step_tape: StepTape, outputs: Ints32, needed: Needed) -> None:
+    """Mark the registers that each output needs, over the operations that `step_tape` runs."""
     needs, chosen, _, selection = needed
-    code, base, first, last = along[:4]
+    code, base, first, last = step_tape[:4]
     for r in range(base + code.shape[0]):
         needs[r] = 0
     for i in range(outputs.shape[0]):
@@ -129,10 +129,10 @@ def mark_needed(along: Along, outputs: Ints32, needed: Needed) -> None:
 
 
 @kernel
-def select_outputs(needed: Needed, along: Along, outputs: int) -> Along:
-    """Return `along` with the operations and variables that a set of outputs needs alone."""
+def select_outputs(needed: Needed, step_tape: StepTape, outputs: int) -> StepTape:
+    """Return `step_tape` with the operations and variables that a set of outputs needs alone."""
     needs, chosen, variables, selection = needed
-    code, base, first, last, reads, times, coeffs, start = along
+    code, base, first, last, reads, times, coeffs, start = step_tape
     if selection[0] != outputs:
         end, count = first, 0
         for k in range(first, last):

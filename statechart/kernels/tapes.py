@@ -131,18 +131,18 @@ def run_tape(code: Ints32, first: int, last: int, base: int, regs: Array, count:
 
 
 @kernel
-def filled(
+def allocate_registers(
     code: Ints32, constants: Array, parameters: Array, n_variables: int, width: int
 ) -> tuple[int, Array]:
     """Return the first register of the operations, and registers with constants and parameters."""
     base = n_variables + 1 + parameters.shape[0] + constants.shape[0]
     regs = np.empty((base + code.shape[0], width))
-    fill(constants, parameters, n_variables, regs)
+    write_inputs(constants, parameters, n_variables, regs)
     return base, regs
 
 
 @kernel
-def fill(constants: Array, parameters: Array, n_variables: int, regs: Array) -> None:
+def write_inputs(constants: Array, parameters: Array, n_variables: int, regs: Array) -> None:
     """Write constants and parameters to their registers."""
     n_parameters = parameters.shape[0]
     for j in range(regs.shape[1]):
@@ -167,7 +167,7 @@ def tape_values(
     Filling an array costs a third of what returning one does.
     """
     n = state.shape[0]
-    base, regs = filled(code, constants, parameters, n, 1)
+    base, regs = allocate_registers(code, constants, parameters, n, 1)
     for v in range(n):
         regs[v, 0] = state[v]
     regs[n, 0] = time
@@ -188,7 +188,7 @@ def tape_table(
 ) -> Array:
     """Values of the outputs at m points; shape (m, n_out)."""
     m, n = states.shape
-    base, regs = filled(code, constants, parameters, n, BLOCK)
+    base, regs = allocate_registers(code, constants, parameters, n, BLOCK)
     first = 0
     result = np.empty((m, outputs.shape[0]))
     for begin in range(0, m, BLOCK):

@@ -44,8 +44,8 @@ def jets_over(tape, coeffs, parameters, times, start, m, w, order=2):
     bounds = np.zeros(n)
     assert prepare(coeffs, 0, tape.reads, bounds)
     code = tape.code
-    along = (code, len(values), tape.n_fixed, len(code), tape.reads, times, coeffs, start)
-    enclose(along, 0, bounds, m, w, order, jets)
+    step_tape = (code, len(values), tape.n_fixed, len(code), tape.reads, times, coeffs, start)
+    enclose(step_tape, 0, bounds, m, w, order, jets)
     return jets[tape.outputs]
 
 
@@ -56,13 +56,13 @@ def exact_jet(tape, coeffs, parameters, times, start, s):
     def series(*coefficients):
         return flint.arb_series(list(coefficients), 3)
 
-    def along(polynomial):
+    def step_tape(polynomial):
         p = flint.arb_poly([flint.arb(float(c)) for c in polynomial])
         at = flint.arb(s)
         return series(p(at), p.derivative()(at), p.derivative().derivative()(at) / 2)
 
     span = flint.arb(times[1]) - flint.arb(times[0])
-    registers = [along(c) for c in coeffs[0]]
+    registers = [step_tape(c) for c in coeffs[0]]
     registers.append(series(flint.arb(start) + flint.arb(times[0]) + flint.arb(s) * span, span, 0))
     registers += [series(flint.arb(float(c))) for c in [*parameters, *tape.constants]]
     for op, left, right in tape.code.tolist():
@@ -176,7 +176,7 @@ def test_the_enclosure_converges_with_the_third_power_of_the_width():
     tape = compile_tape([expression], variables=[X], parameters=[P], time=T)
     coeffs, times = np.array([[[0.0, 1.0]]]), np.array([0.0, 1.0])
     base, last = 2 + 1 + len(tape.constants), len(tape.code)
-    along = (tape.code, base, tape.n_fixed, last, tape.reads, times, coeffs, 0.0)
+    step_tape = (tape.code, base, tape.n_fixed, last, tape.reads, times, coeffs, 0.0)
     misses = []
     for w in (0.08, 0.04, 0.02):
         jets = np.zeros((base + last, 6))
@@ -184,7 +184,7 @@ def test_the_enclosure_converges_with_the_third_power_of_the_width():
         run_jets(tape.code, 0, tape.n_fixed, base, jets, 2)
         bounds, work = np.zeros(1), np.empty((1, 11))
         prepare(coeffs, 0, tape.reads, bounds)
-        judge(along, tape.outputs, 0, bounds, 0.3 - w, 0.3 + w, jets, work)
+        judge(step_tape, tape.outputs, 0, bounds, 0.3 - w, 0.3 + w, jets, work)
         s = np.linspace(0.3 - w, 0.3 + w, 2001)
         misses.append(np.min(s**3 * np.cos(3 * s) - s) - work[0, 4])
     assert min(misses) > 0

@@ -19,16 +19,16 @@ PARAMETERS = contiguous([1.3])
 
 
 @kernel
-def _enclosed(along, outputs, chosen, bounds, w, order, jets, ran):
-    registers, operations = jets.shape[0], along[0].shape[0]
+def _enclosed(step_tape, outputs, chosen, bounds, w, order, jets, ran):
+    registers, operations = jets.shape[0], step_tape[0].shape[0]
     needed = (
         np.empty(registers, np.int64),
         np.empty((operations, 3), np.int32),
         np.empty(3, np.int32),
         np.empty(3, np.int64),
     )
-    mark_needed(along, outputs, needed)
-    few = select_outputs(needed, along, chosen)
+    mark_needed(step_tape, outputs, needed)
+    few = select_outputs(needed, step_tape, chosen)
     ran[0], ran[1] = 0, few[4].shape[0]
     for k in range(few[2], few[3]):
         if few[0][k, 0] >= 0:
@@ -51,8 +51,8 @@ def enclosed(tape, chosen, w, order):
     run_jets(tape.code, 0, tape.n_fixed, base, jets, 2)
     bounds, ran = np.zeros(2), np.zeros(2, np.int64)
     assert prepare(COEFFS, 0, tape.reads, bounds)
-    along = (tape.code, base, tape.n_fixed, len(tape.code), tape.reads, TIMES, COEFFS, 0.0)
-    _enclosed(along, tape.outputs, chosen, bounds, w, order, jets, ran)
+    step_tape = (tape.code, base, tape.n_fixed, len(tape.code), tape.reads, TIMES, COEFFS, 0.0)
+    _enclosed(step_tape, tape.outputs, chosen, bounds, w, order, jets, ran)
     return jets[tape.outputs], *ran.tolist()
 
 

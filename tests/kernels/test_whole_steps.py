@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from statechart.arrays import Array
-from statechart.kernels.boxes import place_whole
+from statechart.kernels.boxes import write_step_jets
 
 # It calls no other kernel, and is run as it is written.
-_PLACE = place_whole.py_func  # type: ignore[attr-defined]
+_PLACE = write_step_jets.py_func  # type: ignore[attr-defined]
 
 
 def placed(terms: Array, start: float = 0.0) -> tuple[bool, Array]:
@@ -20,9 +20,9 @@ def placed(terms: Array, start: float = 0.0) -> tuple[bool, Array]:
     jets = np.zeros((n + 1, 6))
     reads = np.arange(n + 1, dtype=np.int32)
     code, times = np.zeros((0, 3), np.int32), np.array([0.5, 0.75])
-    along = (code, n + 1, 0, 0, reads, times, terms[None], start)
+    step_tape = (code, n + 1, 0, 0, reads, times, terms[None], start)
     with np.errstate(all="ignore"):  # as compiled
-        return bool(_PLACE(along, 0, jets)), jets
+        return bool(_PLACE(step_tape, 0, jets)), jets
 
 
 def values(terms: Array, places: list[Fraction]) -> list[Fraction]:

@@ -9,7 +9,7 @@ from random_bodies import heap
 from contacts.rigid_bodies import rigid_body_run
 from contacts.rigid_bodies.body_step import step_bodies
 from contacts.rigid_bodies.declared_numbers import body_numbers
-from contacts.rigid_bodies.island_step import ratio_remarks
+from contacts.rigid_bodies.island_step import mass_ratio_warnings
 from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
 from statechart.automaton.trace import Outcome
 from statechart.cli.main import main
@@ -146,6 +146,6 @@ def test_wrong_tolerances_of_impulses_are_refused(asked, words):
     ],
 )
 def test_extreme_mass_ratios_are_advised_an_allowed_tolerance(ratio, missed, looser):
-    (said,) = ratio_remarks(np.array([ratio, 0.0, 1.0, missed]), ["box", "ball"], 1e-6)
+    (said,) = mass_ratio_warnings(np.array([ratio, 0.0, 1.0, missed]), ["box", "ball"], 1e-6)
     assert f"leaves a residual of {missed:g}" in said
     assert said.endswith(f"or {looser}" if looser else "within 1 to 7e+07")
