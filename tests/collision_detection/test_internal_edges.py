@@ -176,7 +176,7 @@ outputs: {{x: {{value: box.x}}, turned: {{maximum: abs(box.angle)}}}}
 
 
 @pytest.mark.parametrize("above", [-1e-11, 0.0, 1e-11, 1e-6])
-def test_a_plate_ahead_is_met_at_its_end_and_not_where_a_side_is_cut(above):
+def test_plate_is_hit_at_its_end_not_at_a_cut_side(above):
     # Its start is as high as the leading corner to rounding, and it rises by rounding: cut to the
     # width of the box's side it began somewhere along itself.
     plate = np.array([[0.0, 0.0], [0.2, 1e-7]])

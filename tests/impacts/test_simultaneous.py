@@ -199,7 +199,7 @@ def test_two_identical_balls_exchange_their_velocities(choice: Any) -> None:
         assert result.impulses[0] == pytest.approx([2.0 * (speeds[0] - speeds[1]), 0.0])
 
 
-def test_newtons_cradle_needs_the_sequence() -> None:
+def test_newtons_cradle_needs_sequential_impacts() -> None:
     for hitting in (1, 2, 3):
         speeds = [1.0] * hitting + [0.0] * (5 - hitting)
         snapshot = row([1.0] * 5, speeds)
@@ -278,7 +278,7 @@ def test_closed_contacts_that_are_not_hit_cause_nothing() -> None:
 # --- the cap, redundancy, and what vanishes
 
 
-def test_the_cap_ends_where_energy_would_grow() -> None:
+def test_energy_cap_limits_restitution() -> None:
     # Newton's law on two oblique ends of a bar, one of which hardly approaches.
     random = np.random.default_rng(3)
     capped = 0
@@ -491,7 +491,7 @@ def test_impulses_hidden_by_round_off_are_not_replaced(place: int) -> None:
         impacts(snapshot, laws, [True] * len(laws), "plastic")
 
 
-def test_rods_that_lie_flat_on_their_hinge_feel_no_rounding() -> None:
+def test_round_off_does_not_move_rods_flat_on_their_hinge() -> None:
     # The masses that couple the angles to the way along the floor are the cosine of a right angle.
     rounding = 6.1e-17
     mass = [

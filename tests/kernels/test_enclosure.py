@@ -274,7 +274,7 @@ def test_a_margin_that_was_never_positive_is_timed_from_its_descent():
 
 
 @pytest.mark.parametrize("place", [0.3, 0.5, 1 / 3, 0.75])
-def test_a_double_root_is_flagged_and_a_shade_more_is_decided(place):
+def test_double_root_is_flagged_and_its_neighbourhood_decided(place):
     touch = margin((X - sp.Float(place)) ** 2)
     assert touch.verdict is Verdict.GRAZE
     assert touch.crossing is None

@@ -46,14 +46,14 @@ def test_every_value_lies_in_the_range(shrink: float) -> None:
         assert max(found) <= Fraction(jet[1])
 
 
-def test_parabolas_are_no_wider_than_they_are() -> None:
+def test_enclosure_of_a_parabola_is_tight() -> None:
     terms = np.array([[1.0, -1.0, 0.75], [0.0, 2.0, -2.0], [3.0, 0.0, 0.0]])
     _, jets = placed(terms)
     ends = [[1.0 - 1.0 / 3.0, 1.0], [0.0, 0.5], [3.0, 3.0]]
     np.testing.assert_allclose(jets[:3, :2], ends, atol=1e-14)
 
 
-def test_time_lasts_from_the_first_to_the_last_instant() -> None:
+def test_time_range_covers_the_step() -> None:
     _, jets = placed(np.zeros((1, 2)), start=7.0)
     assert jets[1, 0] <= 7.5 < 7.75 <= jets[1, 1]
     np.testing.assert_allclose(jets[1, :2], [7.5, 7.75], rtol=1e-14)

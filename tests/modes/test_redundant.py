@@ -329,7 +329,7 @@ def test_contacts_at_one_point_move_as_one(name: str) -> None:
 
 
 @pytest.mark.parametrize("mu", [0.5, 6e3, 3e4])
-def test_a_rod_upright_in_a_corner_is_known_to_stand_whatever_the_friction(mu: float) -> None:
+def test_upright_rod_in_a_corner_stands_at_any_friction(mu: float) -> None:
     scene = Scene(
         name="corner",
         gravity=1,
@@ -363,7 +363,7 @@ def test_without_friction_only_normal_forces_are_shared() -> None:
 
 
 @pytest.mark.parametrize("mu", [0.0, math.inf])
-def test_the_ends_of_friction_are_ordinary(mu: float) -> None:
+def test_extreme_friction_coefficients_are_handled(mu: float) -> None:
     trace = run(standing([-1.0, 0.1, 1.0], mu=mu if mu < 1 else "inf", push="time/2"), until=2.5)
     if mu == 0.0:
         assert trace.modes == (("pin",) * 3, ("slide+",) * 3)

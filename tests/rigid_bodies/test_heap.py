@@ -409,7 +409,7 @@ settings: {{engine: impulse, step: 1e-3}}
                 assert trace.final[3:] == pytest.approx(rates, abs=1e-9)
 
 
-def test_friction_that_is_rounding_of_the_impulses_is_none():
+def test_round_off_friction_is_ignored():
     smooth, rough = (fallen("capped", 1e-3).run({"mu": mu, "u": 1.0}) for mu in (0.0, 1e-14))
     assert smooth.trace.final.tolist() == rough.trace.final.tolist()
 

@@ -41,7 +41,7 @@ settings: {engine: impulse, step: 1e-3, record: nothing}
 
 
 @pytest.mark.parametrize("seed", range(24))
-def test_heaps_come_to_their_end_and_keep_their_energy(seed):
+def test_heaps_settle_with_bounded_energy(seed):
     subject = Subject(interpret(read_text(heap(seed, most=20))))
     trace = subject.case({}).trace
     assert trace.outcome is Outcome.HORIZON, trace.message
@@ -63,7 +63,7 @@ def test_penetration_after_a_step_decides_whether_it_was_too_long(seed):
 
 
 @pytest.mark.parametrize("seed", [144, 249, 274, 390, 412, 468, 860, 939])
-def test_heaps_of_six_decades_of_masses_miss_no_law(seed):
+def test_heaps_with_mass_ratio_1e6_satisfy_the_laws(seed):
     """Each of them had steps above the tolerance, at up to 1 of the fastest approach."""
     trace = Runner(interpret(read_text(heap(seed)))).run().trace
     assert trace.counts["inexact_steps"] == 0
