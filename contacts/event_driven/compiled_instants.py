@@ -44,7 +44,7 @@ from statechart.engines.compiled_flow import (
 from statechart.execution import compiled_loop as runs
 from statechart.execution.livelock import STEADY
 from statechart.kernels.accumulation import add_jump
-from statechart.kernels.copies import put
+from statechart.kernels.copies import copy_numbers
 from statechart.kernels.jit import kernel
 
 # Contacts within this many tolerances of gaps may meet in a corner.
@@ -226,7 +226,7 @@ def solve_impact_instant(
         flying = target.copy()
         if not classify(rules_of(scene), numbers, n, False, flying, lowest, target):
             return -1, 0, 0
-    put(after, state)
+    copy_numbers(after, state)
     return c, path, bits
 
 
@@ -426,7 +426,7 @@ def jump_instant(
             place[runs.N_RETRY] = 0
             return GOES_ON, fired, 0.0
     if target_mode < 0 or (target_mode == mode and struck < 0):
-        put(before, state)
+        copy_numbers(before, state)
         return runs.FELL, margin, 0.0
     event = block.used[EVENTS]
     block.events[event, 0], block.events[event, 1] = mode, target_mode
@@ -437,8 +437,8 @@ def jump_instant(
     block.numbers[event, 3:] = 0.0
     if struck >= 0:
         block.numbers[event, 4], block.numbers[event, 5] = impulse[struck]
-    put(before, block.states[event, 0])
-    put(state, block.states[event, 1])
+    copy_numbers(before, block.states[event, 0])
+    copy_numbers(state, block.states[event, 1])
     block.used[EVENTS] += 1
     place[runs.N_MODE] = target_mode
     place[runs.N_JUMPS] += 1

@@ -77,7 +77,7 @@ from statechart.execution.execution import FARTHEST
 from statechart.execution.finding import AT_END
 from statechart.execution.flow import LEAST
 from statechart.kernels.accumulation import HIGH, WIDTH
-from statechart.kernels.copies import put, put_counts
+from statechart.kernels.copies import copy_counts, copy_numbers
 from statechart.kernels.jit import entry, kernel
 
 # Numbers of a contact among the constraints: gap, its rate, slip, point.
@@ -125,13 +125,13 @@ def _write_inputs(
     length, speed = numbers.scales[0], numbers.scales[1]
     acceleration, force = numbers.scales[2], numbers.scales[3]
     gap, slow, weak = watch.kinds[GAP], watch.kinds[SPEED], watch.kinds[FORCE]
-    put(numbers.values, watch.parameters)
+    copy_numbers(numbers.values, watch.parameters)
     for i in range(scene.sources.shape[0]):
         source = scene.sources[i]
         watch.bands[i] = numbers.bands[source] if source >= 0 else -1.0
     for i in range(watch.floors.shape[0]):
         watch.floors[i] = max(LEAST * numbers.sizes[i], floor)
-    put(numbers.sizes, instants.sizes[:-1])
+    copy_numbers(numbers.sizes, instants.sizes[:-1])
     instants.sizes[-1] = length / speed
     for c in range(scene.places.shape[0]):
         for k in range(3):
@@ -422,7 +422,7 @@ def run_batch(
         ends, clock, place = result.ends[row], result.clock[row], result.place[row]
         state = result.final[row]
         ends[runs.HOW] = runs.UNUSUAL
-        put_counts(used, before)
+        copy_counts(used, before)
         if not batch.has_numbers:
             if not batch.until[row] >= 0.0 or not run_numbers(
                 program, scene.tapes[INSTANTS:], scene.rules, batch.code, batch.constants,
@@ -435,7 +435,7 @@ def run_batch(
             _tolerances(scene, numbers.scales, first_watch.kinds)
         watch, instants = _write_inputs(scene, batch.floor, first_watch, first_instants)
         if not batch.resumed:
-            put(numbers.initial, state)
+            copy_numbers(numbers.initial, state)
             mode = _first_mode(program, scene, watch, instants, numbers.scales, state, states)
             if mode < 0:
                 continue
@@ -445,8 +445,8 @@ def run_batch(
             )
             place[runs.N_MODE], place[runs.N_MOST] = mode, batch.most_jumps
             ends[runs.FIRST_MODE] = mode
-            put(numbers.values, result.values[row])
-            put(numbers.initial, result.initial[row])
+            copy_numbers(numbers.values, result.values[row])
+            copy_numbers(numbers.initial, result.initial[row])
             _no_series(scene.series)
         pauses, run = 0, RunState(clock, place, state, scene.series, run_states)
         while True:
@@ -457,7 +457,7 @@ def run_batch(
             if ends[runs.REASON] != runs.PAUSED or pauses == _MAX_PAUSES or batch.single:
                 break
         if ends[runs.REASON] == runs.FULL and row > 0:
-            put_counts(before, used)
+            copy_counts(before, used)
             return row
         outcome = runs.HANDED
         if not batch.resumed:
@@ -470,9 +470,9 @@ def run_batch(
         ends[runs.HOW] = outcome
         if outcome == runs.HANDED:
             # The parameters of the current flow.
-            put(watch.parameters, result.values[row])
+            copy_numbers(watch.parameters, result.values[row])
         if outcome == runs.UNUSUAL:
-            put_counts(before, used)
+            copy_counts(before, used)
             continue
         spans = result.spans[row]
         spans[0], spans[1] = before[ARCS], used[ARCS]

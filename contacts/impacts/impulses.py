@@ -29,7 +29,7 @@ from contacts.solvers.saddle_point import SOLVED
 from contacts.solvers.step_impulses import project_into_cone
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SLIDING
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import put
+from statechart.kernels.copies import copy_numbers
 from statechart.kernels.jit import kernel
 
 # Contacts up to which all modes are enumerated, which finds every solution; above, Lemke's
@@ -311,7 +311,7 @@ def strike_group(
             return 0
         total *= counts[g]
         jacobians[g] = numbers[at + 2 * n * c : at + 2 * n * (c + 1)].reshape((2, n))
-        put(edges[c], cones[g])
+        copy_numbers(edges[c], cones[g])
         place = scalars + SCALARS * c
         start[g, 0], start[g, 1] = numbers[place + 1], numbers[place + 2]
         for i in range(n):

@@ -39,7 +39,7 @@ from contacts.time_stepping.chunk import (
     Chunk,
 )
 from statechart.arrays import Array
-from statechart.kernels.copies import put, put_rows
+from statechart.kernels.copies import copy_numbers, copy_rows
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import BLOCK, allocate_registers
 
@@ -150,7 +150,7 @@ def _without_impacts(
 
     Solving for these would take a quarter of a run with continual landings.
     """
-    put_rows(mid.free_rates, early)
+    copy_rows(mid.free_rates, early)
     for i in range(count):
         for d in range(2):
             if not active.hit[i] and active.pushes[i, d] != 0.0:
@@ -266,10 +266,10 @@ def _remember(warm: WarmStart, copy: WarmStart) -> None:
     count = warm.n_contacts[0]
     for i in range(count):
         copy.keys[i, 0], copy.keys[i, 1] = warm.keys[i]
-    put_rows(warm.contacts[:count], copy.contacts)
+    copy_rows(warm.contacts[:count], copy.contacts)
     copy.n_contacts[0] = count
-    put(warm.last_step, copy.last_step)
-    put_rows(warm.landings, copy.landings)
+    copy_numbers(warm.last_step, copy.last_step)
+    copy_rows(warm.landings, copy.landings)
     for b in range(len(warm.modes)):
         copy.modes[b, 0], copy.modes[b, 1] = warm.modes[b]
 
@@ -375,8 +375,8 @@ def step_bodies(
             _without_impacts(numbers, active, space.mid, count, early)
         space.joint_energy[1] = 1.0 if deepest < math.inf else 0.0
         solve_islands(numbers, law, forces, h, space, count, allowed, chunk.stats[k])
-        put_rows(loose, rates)
-        put_rows(loose, forced)
+        copy_rows(loose, rates)
+        copy_rows(loose, forced)
         for i in range(count):
             for d in range(2):
                 if space.pressed[i, d] != 0.0:
@@ -413,5 +413,5 @@ def step_bodies(
                 state[at] += chunk.impact_delay[k] * (early[b, d] - rates[b, d])
             if not math.isfinite(state[at]):
                 return k, NOT_FINITE
-        put(state, chunk.states[k + 1])
+        copy_numbers(state, chunk.states[k + 1])
     return steps, DONE

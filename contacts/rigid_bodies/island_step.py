@@ -54,7 +54,7 @@ from contacts.time_stepping.chunk import (
     WORK,
 )
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import put, put_rows
+from statechart.kernels.copies import copy_numbers, copy_rows
 from statechart.kernels.jit import kernel
 
 PLASTIC, CAPPED, SEQUENTIAL = range(3)
@@ -505,22 +505,22 @@ def close_joints(
         if work < least_work:
             idle = 0 if work < _SHRINKS * least_work else idle
             least_work, energy, best_residual, best_softened = work, moving, residual, softened
-            put_rows(chosen, best)
+            copy_rows(chosen, best)
         if residual > tolerance or idle == _IDLE:
             break
         residual, further, softened = island_impulses(
             contacts, start, unforced, bias, island.rebounds, chosen, tolerance, bound, True
         )
         iterations += further
-    put_rows(best, chosen)
+    copy_rows(best, chosen)
     if best_residual > tolerance or least_work <= _OPEN * energy:
         return best_residual, iterations, best_softened
     space.joint_energy[0] = max(space.joint_energy[0], least_work / energy)
     if space.joint_energy[1] == 0.0:
         # Wedged joints press without bound: extrapolate arms from the step's start, without work.
-        put_rows(first, bias)
+        copy_rows(first, bias)
         for a in range(len(chosen)):
-            put(space.active.pushes[island.members[a]], chosen[a])
+            copy_numbers(space.active.pushes[island.members[a]], chosen[a])
         best_residual, further, best_softened = island_impulses(
             contacts, start, unforced, bias, island.rebounds, chosen, tolerance, bound, False
         )
@@ -598,13 +598,13 @@ def solve_islands(
             touching += 1 if materials[members[a], 0] >= 0.0 else 0
         for a in range(size):
             i = members[a]
-            put(active.before[i], start[a])
-            put(active.free[i], unforced[a])
-            put(active.pushes[i], chosen[a])
+            copy_numbers(active.before[i], start[a])
+            copy_numbers(active.free[i], unforced[a])
+            copy_numbers(active.pushes[i], chosen[a])
             rebounds[a] = active.hit[i] and materials[i, 2] > 0.0
             if law == PLASTIC and touching > 1 and rebounds[a]:
                 rebounds[a], active.bias[i, 0] = False, 0.0
-            put(active.bias[i], bias[a])
+            copy_numbers(active.bias[i], bias[a])
             space.bounces[i] = rebounds[a]
             lively = lively or (rebounds[a] and materials[i, 2] >= LIVELY)
             hit[a] = active.hit[i]
@@ -667,8 +667,8 @@ def solve_islands(
         for a in range(size):
             i = members[a]
             space.known[i] = max(residual, tolerance) * fast
-            put(chosen[a], space.pressed[i])
-            put(chosen[a], space.steady[i])
+            copy_numbers(chosen[a], space.pressed[i])
+            copy_numbers(chosen[a], space.steady[i])
             active.hit[i] = hit[a]
             if splits:
                 # A slip without remainder has ended under kinetic friction.
@@ -679,12 +679,12 @@ def solve_islands(
             # The previous impulse of a lasting contact is a better warm start than one during
             # impacts.
             if quiet or hit[a]:
-                put(chosen[a], active.pushes[i])
+                copy_numbers(chosen[a], active.pushes[i])
         if forces and not quiet:
             least, pushes = active.free[members] + active.bias[members], active.pushes[members]
             pushes = forces_without_impacts(contacts, hit, least, pushes, tolerance, fast)
             for a in range(size):
-                put(pushes[a], space.steady[members[a]])
+                copy_numbers(pushes[a], space.steady[members[a]])
         effort[RESIDUAL] = max(effort[RESIDUAL], residual)
         effort[ITERATIONS] += iterations
         effort[CALMED] = max(effort[CALMED], 1.0 if softened else 0.0)

@@ -14,7 +14,7 @@ import numpy as np
 
 from contacts.solvers.saddle_point import SMALLEST
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import put, put_rows
+from statechart.kernels.copies import copy_numbers, copy_rows
 from statechart.kernels.jit import kernel
 
 HELD, GUIDED = -1.0, -2.0
@@ -335,13 +335,13 @@ def gauss_seidel(
         spare[CHANGE, :m],
         spare[DIRECTION, :m],
     )
-    put_rows(impulses, best)
-    put_rows(impulses, current)
+    copy_rows(impulses, best)
+    copy_rows(impulses, current)
     direction[:] = 0.0
     rates, direction_rates = contacts.rates[0, : 3 * contacts.moving + 3], zero_rates(contacts, 1)
     last_rates, last_energy, count = contacts.rates[2, : len(rates)], 0.0, 0
     while count < most and lowest > tolerance:
-        put(rates, last_rates)
+        copy_numbers(rates, last_rates)
         energy, largest = _sweep(contacts, q, current, rates, change)
         count += 1
         # The residual costs half a sweep: evaluate it only when the tolerance may be met.
@@ -349,7 +349,7 @@ def gauss_seidel(
             error = residual(contacts, q, size, current, rates)
             if error < lowest:
                 lowest = error
-                put_rows(current, best)
+                copy_rows(current, best)
             if energy == 0.0:
                 break
         # Fletcher-Reeves, restarted where the changes grow.
@@ -363,5 +363,5 @@ def gauss_seidel(
             for d in range(2):
                 current[i, d] += beta * direction[i, d]
                 direction[i, d] = beta * direction[i, d] + change[i, d]
-    put_rows(best, impulses)
+    copy_rows(best, impulses)
     return lowest, count

@@ -34,7 +34,7 @@ from contacts.solvers.proximal_points import (
     solve_by_proximal_points,
 )
 from statechart.arrays import Array
-from statechart.kernels.copies import put_rows
+from statechart.kernels.copies import copy_rows
 from statechart.kernels.jit import kernel
 
 # Residual up to which a body at rest keeps its warm start: the error accumulates over the steps to
@@ -96,21 +96,21 @@ def solve_rows(
             impulse_residual(contacts, q, size, trial)
             error, iterations = gauss_seidel(contacts, q, size, math.inf, trial, goal, 1)
         elif impulses[:, 0].max() > 0.0:
-            put_rows(impulses, trial)
+            copy_rows(impulses, trial)
             error, iterations = solve_by_last_status(contacts, q, trial)
         if error > enough and count > 1 and pivots:
             error, steps = _by_lemke(contacts, q, enough, trial)
             iterations, pivots = iterations + steps, False
         if error <= enough or error < best:
             best = error
-            put_rows(trial, impulses)
+            copy_rows(trial, impulses)
         if error <= enough:
             return error, iterations
     for anew in (False, True):
         if anew:
             trial[:] = 0.0
         else:
-            put_rows(impulses, trial)
+            copy_rows(impulses, trial)
         error = impulse_residual(contacts, q, size, trial)
         # Newton costs no more than sweeps in a small problem; at rest the status is known. The
         # first sweep solves a single contact exactly.
@@ -122,7 +122,7 @@ def solve_rows(
             iterations += steps
         if error < best:
             best = error
-            put_rows(trial, impulses)
+            copy_rows(trial, impulses)
         if best <= tolerance:
             return best, iterations
     if use_lemke and pivots:
@@ -130,7 +130,7 @@ def solve_rows(
         iterations += steps
         if error < best:
             best = error
-            put_rows(trial, impulses)
+            copy_rows(trial, impulses)
     return best, iterations
 
 
@@ -165,12 +165,12 @@ def _by_lemke(
         if contacts.shared == 1:
             error, steps = solve_by_last_status(contacts, q, exact)
         if error <= tolerance:
-            put_rows(exact, candidate)
+            copy_rows(exact, candidate)
         else:
             error, more = solve_by_proximal_points(contacts, q, candidate, tolerance)
             steps += more
         iterations += steps
         if error < best:
             best = error
-            put_rows(candidate, impulses)
+            copy_rows(candidate, impulses)
     return best, iterations

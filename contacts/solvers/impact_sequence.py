@@ -18,7 +18,7 @@ from contacts.solvers.contact_rows import (
 )
 from contacts.solvers.island_impulses import island_impulses
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import put
+from statechart.kernels.copies import copy_numbers
 from statechart.kernels.jit import kernel
 
 LONGEST_SEQUENCE = 10_000
@@ -72,7 +72,7 @@ def _solve_impact(
     rebounds, pushes = np.zeros(size, np.bool_), np.zeros((size, 2))
     for a in range(size):
         i = chosen[a]
-        put(now[i], before[a])
+        copy_numbers(now[i], before[a])
         joint = friction_coefficient(contacts.cones[i]) < 0.0
         if not joint and -now[i, 0] > slow[i] and restitution[i] > 0.0:
             wanted[a, 0], rebounds[a] = restitution[i] * now[i, 0], True

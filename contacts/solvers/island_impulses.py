@@ -24,7 +24,7 @@ from contacts.solvers.contact_rows import (
 )
 from contacts.solvers.contact_solver import solve_rows
 from statechart.arrays import Array, Bools
-from statechart.kernels.copies import put_rows
+from statechart.kernels.copies import copy_rows
 from statechart.kernels.jit import kernel
 
 # Iterations for the largest stabilisation whose work is within the bound; and the relative excess
@@ -37,7 +37,7 @@ _WORK_ROUNDING = 64.0 * 2.0**-52
 
 
 @kernel
-def _work_at(before: Array, free: Array, impulses: Array, velocity_changes: Array) -> float:
+def _impulse_work(before: Array, free: Array, impulses: Array, velocity_changes: Array) -> float:
     """Return ``p . (u- + u+) / 2``, the work of impulses with these velocity changes."""
     # Sums and products of whole arrays take seconds to compile.
     work = 0.0
@@ -81,7 +81,7 @@ def work_bounded_factor(
         for d in range(2):
             curvature += impulses[i, d] * velocity_changes[i, d]
     curvature *= 0.5
-    end = _work_at(before, free, impulses, velocity_changes)
+    end = _impulse_work(before, free, impulses, velocity_changes)
     limit = bound + _WORK_ROUNDING * _velocity_scale(before, free, impulses)
     return parabola_root(-limit, end - limit, curvature)[1] if end > limit else 1.0
 
@@ -97,8 +97,8 @@ def energy_bounded_impulses(
     the plastic impulses, or a bound >= 0. `before`, `free`: contact velocities before the step, and
     after it without impulses; `moved_plastic`, `moved_elastic`: velocity changes W p; all (m, 2).
     """
-    begin = _work_at(before, free, plastic, moved_plastic)
-    end = _work_at(before, free, elastic, moved_elastic)
+    begin = _impulse_work(before, free, plastic, moved_plastic)
+    end = _impulse_work(before, free, elastic, moved_elastic)
     limit = max(begin, bound) + _WORK_ROUNDING * _velocity_scale(before, free, elastic)
     if end <= limit:
         return elastic, 1.0
@@ -164,12 +164,12 @@ def _solve_restitution(
     # Plastic impulses bound the energy that restitution may return.
     plastic_error, further = solve_rows(contacts, q, plastic, tolerance, False, use_lemke)
     if error > enough and plastic_error < error:
-        put_rows(plastic, impulses)
+        copy_rows(plastic, impulses)
         return plastic_error, iterations + further, True
     chosen, share = energy_bounded_impulses(
         before, free, plastic, impulses, _velocities(contacts, plastic), changes, 0.0
     )
-    put_rows(chosen, impulses)
+    copy_rows(chosen, impulses)
     return error if share == 1.0 else max(error, plastic_error), iterations + further, False
 
 
@@ -221,10 +221,10 @@ def _stabilise_partly(
             break
         within = work_share(contacts, chosen, before, free, bound)
         if within >= 1.0 - _AT_BOUND:
-            put_rows(chosen, impulses)
+            copy_rows(chosen, impulses)
             return new_error, iterations, soft
         # If the status changes, the work follows another parabola.
-        put_rows(chosen, full)
+        copy_rows(chosen, full)
     return error, iterations, softened
 
 
@@ -266,7 +266,7 @@ def island_impulses(
         joined = joined or friction_coefficient(contacts.cones[i]) < 0.0
         stores = stores or is_compliant(contacts, i)
     trial = contacts.spare[SAVED, :count]
-    put_rows(impulses, trial)
+    copy_rows(impulses, trial)
     error, iterations, softened = _solve_restitution(
         contacts,
         before,
@@ -297,7 +297,7 @@ def island_impulses(
                 )  # fmt: skip
                 iterations += further
             error, softened = calm_error, soft
-            put_rows(trial, impulses)
+            copy_rows(trial, impulses)
             share = work_share(contacts, impulses, before, free, bound)
     if joined and error > tolerance:
         # Bodies stuck between joints and contacts can only rest: joints get no stabilisation, and
@@ -310,7 +310,7 @@ def island_impulses(
         iterations += further
         if calm_error < error:
             error, softened = calm_error, soft
-            put_rows(trial, impulses)
+            copy_rows(trial, impulses)
             share = work_share(contacts, impulses, before, free, bound)
     if share < 1.0:
         for i in range(count):

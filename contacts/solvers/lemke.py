@@ -14,7 +14,7 @@ import numpy as np
 
 from contacts.solvers.contact_rows import STEEPEST
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import put_rows
+from statechart.kernels.copies import copy_rows
 from statechart.kernels.jit import kernel
 
 FOUND, RAY, SPENT = range(3)
@@ -140,7 +140,7 @@ def _write_initial_tableau(
 ) -> None:  # fmt: skip
     """Write the initial tableau."""
     size = len(vector)
-    put_rows(matrix, table)
+    copy_rows(matrix, table)
     for i in range(size):
         table[i, size], right[i] = cover[i], vector[i]
         basic[i], nonbasic[i], column_of[i], column_of[size + i] = i, size + i, -1, i

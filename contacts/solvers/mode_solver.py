@@ -28,7 +28,7 @@ from contacts.states import (
     SLIP_PLUS,
 )
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import put, put_rows
+from statechart.kernels.copies import copy_numbers, copy_rows
 from statechart.kernels.jit import kernel
 
 INTO, PULLS, OUTSIDE, AGAINST, BEYOND, NEGATIVE = range(6)
@@ -257,9 +257,9 @@ def solve_modes(
                 continue
             if rank < m:
                 first, bearing = row_order, order
-        put_rows(mass, matrix)
+        copy_rows(mass, matrix)
         _write_rows(rows, columns, first, bearing, rank, matrix)
-        put(right, b)
+        copy_numbers(right, b)
         for c in range(contacts):
             if is_coupling(code[c]) and code[c] != LOCKED and carriers[c] < 0:
                 for i in range(n):

@@ -31,7 +31,7 @@ from contacts.solvers.sparse_blocks import (
     solve_blocks,
 )
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import put_rows
+from statechart.kernels.copies import copy_rows
 from statechart.kernels.jit import kernel
 
 OPEN, STICKS, SLIDES = range(3)
@@ -404,7 +404,7 @@ def solve_by_proximal_points(
         )
         iterations += taken
         if not converged and has_last:
-            put_rows(centre, now)
+            copy_rows(centre, now)
             status[:], edges[:] = last_status, last_edges
             converged, taken = follow_point(
                 contacts, equations, q, now, centre, shift, compliance, rates, status, edges
@@ -417,18 +417,18 @@ def solve_by_proximal_points(
             falls = exact and compliance > _LEAST and error < _FURTHER * lowest
             if error < lowest:
                 lowest, idle = error, 0
-                put_rows(now, impulses)
+                copy_rows(now, impulses)
             for i in range(count):
                 for d in range(2):
                     away = now[i, d] - centre[i, d]
                     shift[i, d] = compliance * contacts.own[i, d] * away
-            put_rows(now, centre)
+            copy_rows(now, centre)
             last_status[:], last_edges[:], has_last = status, edges, True
             compliance = max(_FALLS * compliance, _LEAST)
         elif compliance >= _LARGEST or lowest <= tolerance:
             break
         else:
             compliance = min(_GROWS * compliance, _LARGEST)
-            put_rows(centre, now)
+            copy_rows(centre, now)
             write_velocity_change(contacts, now, rates)
     return lowest, iterations

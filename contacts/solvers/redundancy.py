@@ -12,7 +12,7 @@ from contacts.solvers.dependence import independent_rows
 from contacts.solvers.smallest_forces import smallest_forces
 from contacts.states import FREE, LOCKED, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SLIP_MINUS, SLIP_PLUS
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import indices, put
+from statechart.kernels.copies import copy_numbers, indices
 from statechart.kernels.jit import kernel
 
 
@@ -28,14 +28,14 @@ def mode_columns(codes: Ints, cones: Array, jacobians: Array, left_out: int) -> 
         n, t = jacobians[i, 0], jacobians[i, 1]
         owners[m] = i
         if codes[i] == PIN:
-            put(n, rows[m])
-            put(t, rows[m + 1])
+            copy_numbers(n, rows[m])
+            copy_numbers(t, rows[m + 1])
             owners[m + 1] = i
             m += 1
         elif codes[i] == SLIDE:
-            put(n, rows[m])
+            copy_numbers(n, rows[m])
         elif codes[i] == LOCKED:
-            put(t, rows[m])
+            copy_numbers(t, rows[m])
         else:
             edge = -cones[i, 1] if codes[i] == SLIDE_PLUS else cones[i, 1]
             for k in range(len(n)):

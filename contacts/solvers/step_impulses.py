@@ -31,7 +31,7 @@ from contacts.solvers.contact_solver import solve_rows
 from contacts.solvers.island_impulses import island_impulses, work_share
 from contacts.solvers.saddle_point import largest_size
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import indices, put
+from statechart.kernels.copies import copy_numbers, indices
 from statechart.kernels.jit import kernel
 
 # Relative round-off: of velocities and impulses to the largest, of sums to their terms.
@@ -77,7 +77,7 @@ def _write_friction(contacts: ContactRows, island: Island, a: int, way: int) -> 
     island.slip_directions[a], at = way, 0
     if way not in (0, ON_TRIAL):
         at = 1 if way > 0 else 2
-    put(island.frictions[a, at], contacts.cones[a])
+    copy_numbers(island.frictions[a, at], contacts.cones[a])
     write_law(contacts.own[a], friction_coefficient(contacts.cones[a]), contacts.laws[a])
 
 
@@ -173,7 +173,7 @@ def forces_without_impacts(
         near = rescale_tolerance(tolerance, velocity_scale(quiet, quiet_q), fast)
         solve_rows(quiet, quiet_q, alone, near, False, True)
         for a in range(len(others)):
-            put(alone[a], forces[others[a]])
+            copy_numbers(alone[a], forces[others[a]])
     return forces
 
 

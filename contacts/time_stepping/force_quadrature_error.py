@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.kernels.boxes import Steps, bind_tape, prepare
+from statechart.kernels.boxes import Steps, bind_tape, bound_third_derivatives
 from statechart.kernels.intervals import INF
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import local_time
@@ -38,7 +38,7 @@ def force_quadrature_error(tape: TapeCode, steps: Steps) -> tuple[Array, Array]:
     middle, mean = np.empty(count), np.empty(count)
     lefts, rights = np.empty(64), np.empty(64)
     for step in range(coeffs.shape[0]):
-        prepare(coeffs, step, reads, bounds)
+        bound_third_derivatives(coeffs, step, reads, bounds)
         h = local_time(times, step, 1.0) - local_time(times, step, 0.0)
         evaluate_at_places(step_tape, step, 0.0, 1.0, _PLACES, regs)
         for i in range(count):

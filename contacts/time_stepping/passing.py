@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from statechart.arrays import Bools
-from statechart.kernels.boxes import Steps, bind_tape, enclose, prepare
+from statechart.kernels.boxes import Steps, bind_tape, bound_third_derivatives, enclose
 from statechart.kernels.jit import kernel
 from statechart.kernels.resolution import jet_registers
 from statechart.kernels.tapes import TapeCode
@@ -35,7 +35,7 @@ def find_passage(tape: TapeCode, lines: Steps, seen: Bools, near: float) -> tupl
     is_open, depths = np.empty(count, np.bool_), np.empty(count)
     lefts, rights = np.empty(64), np.empty(64)
     for line in range(coeffs.shape[0]):
-        prepare(coeffs, line, reads, bounds)
+        bound_third_derivatives(coeffs, line, reads, bounds)
         enclose(step_tape, line, bounds, 0.0, 0.0, 0, jets)
         for i in range(count):
             is_open[i] = not seen[line, i] and jets[outputs[i], 0] > 0.0

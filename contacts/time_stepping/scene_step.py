@@ -59,7 +59,7 @@ from contacts.time_stepping.step_contacts import (
     write_modes,
 )
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import indices, put
+from statechart.kernels.copies import copy_numbers, indices
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
@@ -462,7 +462,7 @@ def keep_leaving(
                 # Landing gaps also move the point, to where it rests.
                 if not met.hit[members[a]]:
                     island.bias[a, 0] = 0.0
-                put(memory.impulses[members[a]], island.chosen[a])
+                copy_numbers(memory.impulses[members[a]], island.chosen[a])
             error, _ = coordinate_impulses(contacts, island, scene.impulse_tolerance)
             share_loads(scene, island, contacts)
             for a in range(len(members)):
@@ -474,7 +474,7 @@ def keep_leaving(
         for a in range(len(members)):
             for d in range(2):
                 pushes[members[a], d] = island.chosen[a, d]
-                put(columns[2 * a + d, :n], moves[members[a], d])
+                copy_numbers(columns[2 * a + d, :n], moves[members[a], d])
     for j in range(n):
         there[n + j] = state[n + j] + change[j]
         for i in which:
@@ -521,7 +521,7 @@ def keep_leaving(
         gap = tape.numbers[tape.first + tape.per * i + 2 * n + 2]
         chunk.gaps[k, i] = math.inf if memory.disabled[i] else gap
         memory.closed[i] = closed[i]
-    put(level, memory.target_gap)
+    copy_numbers(level, memory.target_gap)
     chunk.approach[k] = chunk.closing[k] = chunk.energy_gain[k] = 0.0
     return stays
 
@@ -533,7 +533,7 @@ def _settle(
 ) -> None:  # fmt: skip
     """Write the modes of settling contacts, for the velocities after the step."""
     n, there = tape.size, instant.middle.copy()
-    put(instant.state[n : 2 * n], there[n : 2 * n])
+    copy_numbers(instant.state[n : 2 * n], there[n : 2 * n])
     tape_values(*scene.equations, there, scene.parameters, instant.time, tape.numbers)
     settle(scene, memory, tape, equations, k, chunk)
 
@@ -600,8 +600,8 @@ def step_scene(
         find_active(scene, memory, tape, equations.change, k, met, chunk)
         close_opposed(scene, memory, tape, h, met)
         total, lasting = equations.change, equations.lasting
-        put(total, lasting)
-        put(-lasting[:n], memory.contact_change)
+        copy_numbers(total, lasting)
+        copy_numbers(-lasting[:n], memory.contact_change)
         which, blurred = indices(met.active), False
         chunk.stats[k, CONTACTS] = len(which)
         clear_contacts(scene, memory.disabled, forces, k, chunk)
@@ -630,5 +630,5 @@ def step_scene(
         for i in range(2 * n, len(state)):
             if not math.isfinite(state[i]):
                 return k, NOT_FINITE
-        put(state, chunk.states[k + 1])
+        copy_numbers(state, chunk.states[k + 1])
     return len(chunk.codes), DONE

@@ -48,7 +48,7 @@ from contacts.time_stepping.step_contacts import (
     write_cone,
 )
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import indices, put
+from statechart.kernels.copies import copy_numbers, indices
 from statechart.kernels.jit import kernel
 
 # Steps of acceleration that explain a velocity, and of that velocity that explain a gap.
@@ -253,8 +253,8 @@ def settle(
         against, brakes = np.zeros(m, np.bool_), np.zeros(m, np.bool_)
         for a in range(m):
             i = which[a]
-            put(free[i], alone[a])
-            put(sizes[i], terms[a])
+            copy_numbers(free[i], alone[a])
+            copy_numbers(sizes[i], terms[a])
             slips[a] = tape.numbers[tape.first + tape.per * i + 2 * n + 4]
             if abs(slips[a]) > rounding:
                 slides[a] = 1.0 if slips[a] > 0.0 else -1.0
@@ -281,7 +281,7 @@ def settle(
             for a in range(m):
                 if brakes[a]:
                     # Contact forces rotate the coupled bodies.
-                    put(sums[a], terms[a])
+                    copy_numbers(sums[a], terms[a])
             if ended or not (solved and end_slips(slips, forced, against, terms, h, slides)):
                 break
             ended = True

@@ -64,7 +64,7 @@ from contacts.time_stepping.equations import (
     solve_factored,
 )
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import indices, put, put_rows
+from statechart.kernels.copies import copy_numbers, copy_rows, indices
 from statechart.kernels.jit import kernel
 
 
@@ -243,7 +243,9 @@ def unit_responses(tape: TapeValues, equations: FactoredEquations, which: Ints) 
         for d in range(2):
             for j in range(n):
                 push[j] = tape.numbers[row + d * n + j]
-            put(solve_factored(equations.factors, equations.order, push), columns[2 * a + d])
+            copy_numbers(
+                solve_factored(equations.factors, equations.order, push), columns[2 * a + d]
+            )
     return columns
 
 
@@ -365,7 +367,7 @@ def group_members(met: ContactRoles, label: int) -> Ints:
 @kernel
 def write_cone(scene: StepConstants, tape: TapeValues, i: int, direction: int, cone: Array) -> None:
     """Write the unit cone edge (2,) of contact i that slips in a direction, or rests (0)."""
-    put(scene.cones[i], cone)
+    copy_numbers(scene.cones[i], cone)
     if direction != 0 and (scene.coefficient_places[i] >= 0 or is_coupling(scene, i)):
         at = tape.first + tape.per * i + 2 * tape.size + (EDGES if direction > 0 else EDGES + 2)
         cone[0], cone[1] = tape.numbers[at], tape.numbers[at + 1]
@@ -408,9 +410,9 @@ def group_island(
             island.rebounds[a], met.bias[i, 0] = False, 0.0
         island.hit[a] = met.hit[i if scene.carriers[i] < 0 else scene.carriers[i]]
         struck = struck or island.hit[a]
-        put(memory.impulses[i], island.chosen[a])
+        copy_numbers(memory.impulses[i], island.chosen[a])
     for a in range(m):
-        put(met.bias[members[a]], island.bias[a])
+        copy_numbers(met.bias[members[a]], island.bias[a])
         # The slip bias assumes the old rotation, which an impact changes.
         if struck:
             island.bias[a, 1] = 0.0
@@ -558,7 +560,7 @@ def write_modes(
     used_at = scene.size + scene.joints + 2 * len(scene.cones)
     for a in range(len(pushes)):
         i, slip = island.members[a], island.after[a, 1]
-        put(pushes[a], memory.impulses[i])
+        copy_numbers(pushes[a], memory.impulses[i])
         memory.slipped[i] = slip != 0.0
         if is_coupling(scene, i):
             memory.closed[i] = True
@@ -567,7 +569,7 @@ def write_modes(
         if struck:
             for d in range(2):
                 chunk.impulses[k, i, d] = pushes[a, d] - steady[a, d]
-            put(project_into_cone(chunk.impulses[k, i], cones[a]), chunk.impulses[k, i])
+            copy_numbers(project_into_cone(chunk.impulses[k, i], cones[a]), chunk.impulses[k, i])
         pressed = pushes[a, 0] > 0.0
         if scene.coefficient_places[i] >= 0:
             mu = cones[a, 1] / cones[a, 0] if cones[a, 0] > 0.0 else math.inf
@@ -616,7 +618,7 @@ def share_loads(scene: StepConstants, island: Island, contacts: ContactRows) -> 
         if pushes[a, 0] > 0.0 or island.after[a, 0] == 0.0:
             sliding = slip != 0.0 and (pushes[a, 0] <= 0.0 or is_sliding(cones[a], pushes[a], slip))
             modes[a] = mode_of_impulse(pushes[a], slip, sliding, cones[a], directed)
-    put_rows(shared_forces(modes, cones, contacts.rows, pushes)[1], pushes)
+    copy_rows(shared_forces(modes, cones, contacts.rows, pushes)[1], pushes)
 
 
 @kernel

@@ -25,7 +25,7 @@ from statechart.engines.taylor_loop import (
     slope_error,
 )
 from statechart.kernels.boxes import Steps, StepTape
-from statechart.kernels.copies import put
+from statechart.kernels.copies import copy_numbers
 from statechart.kernels.defect import find_defect, is_unresolved
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import cut_steps, horner
@@ -273,7 +273,7 @@ def _start_integrator(
 ) -> None:
     """Reset the integrator to a state and time."""
     workspace.clock[:] = 0.0
-    put(state, workspace.state)
+    copy_numbers(state, workspace.state)
     if row[PARS] > 0:
         workspace.pars[0] = time
         fixed = row[PARAMETER_TAPE : PARAMETER_TAPE + TAPE]
@@ -411,7 +411,7 @@ def flow_to_event(
     ):  # fmt: skip
         return UNRESOLVED, -1, 0, boxes
     if verdict == NONE:
-        put(final, initial)
+        copy_numbers(final, initial)
         return DURATION_ENDED, -1, n_steps, boxes
     kind = program.ints[row[MARGINS_AT] + 2 * guard]
     if kind == PLAIN:

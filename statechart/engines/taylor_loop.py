@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.kernels.copies import put
+from statechart.kernels.copies import copy_numbers
 from statechart.kernels.jit import intrinsic, kernel
 from statechart.kernels.polynomials import horner
 from statechart.kernels.reconstruction import ReconstructionProgram, reconstruct_any
@@ -213,7 +213,7 @@ def taylor_steps(
     h, last_time, last_round_off, last_total, last_remaining = 0.0, 0.0, 0.0, 0.0, remaining
     while True:
         reconstruct_any(dependent, state, start + times[n_steps])
-        put(state, current)
+        copy_numbers(state, current)
         step[0] = 0.0 if done else min(remaining, step_limit)
         call_step(address, state, parameters, clock, step, series)
         # The step before a repeated one is already checked.
@@ -233,8 +233,8 @@ def taylor_steps(
                     last_time,
                     last_round_off,
                 )
-                put(last_start, state)
-                put(last_start, end)
+                copy_numbers(last_start, state)
+                copy_numbers(last_start, end)
                 if halvings > MAX_HALVINGS:
                     return n_steps, n_steps, 0.0, remaining
                 continue
@@ -242,7 +242,7 @@ def taylor_steps(
         if done:
             return n_steps, n_steps, h, remaining
         h, repeats = step[0], False
-        put(current, last_start)
+        copy_numbers(current, last_start)
         scale_series(series, h, coeffs[n_steps], powers)
         bounded = _finite(coeffs[n_steps])
         n_steps += 1

@@ -1,6 +1,6 @@
-"""Tapes run on jets: enclosures of values and of their derivatives with respect to time.
+"""Interval jets of tapes: enclosures of values and of their derivatives with respect to time.
 
-A jet is the value, first and second derivative with respect to the step's own time s in [0, 1],
+A jet is the value, first and second derivative with respect to the step's local time s in [0, 1],
 as three intervals in a row of six numbers; see Moore, Kearfott and Cloud, "Introduction to
 Interval Analysis", 2009, chapters 5 and 9, for the centred forms built on it.
 """
@@ -24,7 +24,7 @@ from statechart.kernels.intervals import (
     add,
     cosh,
     div,
-    even,
+    even_power,
     exp,
     extrema,
     hull,
@@ -34,11 +34,11 @@ from statechart.kernels.intervals import (
     power,
     round_outward,
     scaled,
+    sine_or_cosine,
     sinh,
     sqrt,
     square,
     sub,
-    wave,
 )
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import (
@@ -72,7 +72,7 @@ from statechart.kernels.tapes import (
 
 Jet = tuple[Interval, Interval, Interval]
 
-_MAX_EXPONENT = 1024.0  # whole exponents beyond have no use
+_MAX_EXPONENT = 1024.0  # larger exponents are useless
 
 
 @kernel
@@ -154,13 +154,13 @@ def _unary(op: int, exponent: int, a: Interval, order: int) -> Jet:
         a = _defined(op, a)
     f = d = e = WHOLE_LINE
     if op == SIN:
-        f = wave(a, True)
+        f = sine_or_cosine(a, True)
         if order > 0:
-            d, e = wave(a, False), neg(f)
+            d, e = sine_or_cosine(a, False), neg(f)
     elif op == COS:
-        f = wave(a, False)
+        f = sine_or_cosine(a, False)
         if order > 0:
-            d, e = neg(wave(a, True)), neg(f)
+            d, e = neg(sine_or_cosine(a, True)), neg(f)
     elif op == SQRT:
         f = sqrt(a)
         if order > 0:
@@ -204,7 +204,10 @@ def _polar(op: int, y: Jet, x: Jet) -> Jet:
     # (q / 2)' = x x' + y y' with q = x^2 + y^2
     half = add(mul(x0, x1), mul(y0, y1))
     if op == HYPOT:
-        p, q = even(y0, abs(y0[0]), abs(y0[1]), 0.0), even(x0, abs(x0[0]), abs(x0[1]), 0.0)
+        p, q = (
+            even_power(y0, abs(y0[0]), abs(y0[1]), 0.0),
+            even_power(x0, abs(x0[0]), abs(x0[1]), 0.0),
+        )
         f = round_outward((math.hypot(p[0], q[0]), math.hypot(p[1], q[1])), LIBM)
         f = (max(0.0, f[0]), f[1])
         # r r' = x x' + y y';  r r'' = x'^2 + x x'' + y'^2 + y y'' - r'^2
@@ -225,7 +228,7 @@ def _polar(op: int, y: Jet, x: Jet) -> Jet:
 
 @kernel
 def _whole_power(x: Jet, n: int) -> Jet:
-    """Jets of a power, whatever the sign of x."""
+    """Jets of an integer power, for x of any sign."""
     x0, x1, x2 = x
     if n == 0:
         return ONE, ZERO, ZERO
@@ -244,9 +247,9 @@ def _whole_power(x: Jet, n: int) -> Jet:
 
 @kernel
 def _power_jet(x: Jet, y: Jet, order: int) -> Jet:
-    """Jets of x**y = exp(y log x), x >= 0; the value from its corners, where its extremes are.
+    """Jets of x**y = exp(y log x), x >= 0; the extremes of the value are at the corners.
 
-    An exponent that is whole to within the rounding of how it was computed is taken for whole.
+    An exponent within round-off of an integer counts as the integer.
     """
     x0, x1, x2 = x
     y0, y1, y2 = y
@@ -270,7 +273,7 @@ def _power_jet(x: Jet, y: Jet, order: int) -> Jet:
 
 @kernel
 def _extreme(op: int, u: Jet, v: Jet) -> Jet:
-    """Jets of min(u, v) and max(u, v): one of them, or the hull with a second derivative lost."""
+    """Jets of min(u, v) and max(u, v): one of them, or the hull without a second derivative."""
     if u[0][1] <= v[0][0]:
         return u if op == MIN else v
     if v[0][1] <= u[0][0]:
@@ -288,9 +291,9 @@ def _jet(jets: Array, r: int) -> Jet:
 
 @kernel
 def run_jets(code: Ints32, first: int, last: int, base: int, jets: Array, order: int) -> None:
-    """Run the operations [first, last) on jets: the values alone for order 0.
+    """Run the operations [first, last) on jets, up to the derivatives of this order.
 
-    For order -1 they are those on the part of the intervals where the operations are defined.
+    Order -1: values on the part of the intervals where the operations are defined.
     """
     for k in range(first, last):
         op = code[k, 0]
@@ -361,8 +364,8 @@ def tape_ranges(
 ) -> None:
     """Write the enclosures (n_out, 2) of the outputs over the times [0, end].
 
-    Natural interval extension: bounds of outputs that name the time more than once may be wide,
-    and are infinite where an output is undefined.
+    Natural interval extension: bounds may be wide if an output depends on the time more than once,
+    and are infinite where it is undefined.
     """
     n, p = state.shape[0], parameters.shape[0]
     base = n + 1 + p + constants.shape[0]

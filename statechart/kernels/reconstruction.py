@@ -7,8 +7,8 @@ from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import allocate_registers, run_tape
 
 ReconstructionProgram = tuple[Ints32, int, Ints32, Ints32, int, Array]
-"""Code of a tape, the register of its first operation, its outputs; their places (k,) in a state
-(n,); the register of the time; registers, with what does not change in a flow filled in."""
+"""Code of a tape, register of its first operation, its outputs; their indices (k,) in a state (n,);
+register of the time; registers, with the constants of the flow filled in."""
 
 
 @kernel
@@ -23,8 +23,8 @@ def reconstruction_program(
 ) -> ReconstructionProgram:
     """Return the program that reconstructs the dependent variables of a flow.
 
-    `places` (k,) are those of the tape's outputs in a state of so many `variables`; the tape reads
-    the `anchors` (a,) of the flow behind the state.
+    `places` (k,): indices of the tape's outputs in a state with `variables` numbers; the inputs of
+    the tape are the state and the `anchors` (a,) of the flow.
     """
     clock = variables + anchors.shape[0]
     base, registers = allocate_registers(code, constants, parameters, clock, 1)

@@ -1,4 +1,4 @@
-"""Roots of an output of a tape along a step, in floats."""
+"""Roots of an output of a tape along a step, in floating point."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ def return_to_zero(
     step_tape: StepTape, step: int, output: int, place: float, below: float, bounds: Array,
     regs: Array, jets: Array,
 ) -> float:  # fmt: skip
-    """Improve the place where an output comes back to zero that starts the step at exactly zero.
+    """Refine the return to zero of an output that is exactly zero at the start of the step.
 
-    Its values are differences of coordinates, and known to the round-off of these; its slope is
-    not. The integral of the slope therefore gives the duration of a low flight wherever the origin
-    is, by Newton's method from a place where the output is `below` zero. The place moves within
-    the round-off of the value only: over a long step the quadrature may be worse.
+    The values are differences of coordinates with their round-off; the slope is more accurate.
+    Newton's method on the integral of the slope gives the duration of a low flight independently
+    of the origin, from a place where the output is `below` zero. The root moves within the
+    round-off of the value only: over a long step the quadrature may be less accurate.
     """
     if value_at(step_tape, step, output, 0.0, regs) != 0.0:
         return place
@@ -73,7 +73,7 @@ def return_to_zero(
         found -= move
         if not found > 0.0:
             return place
-        # The moves shrink, at first to half, down to the round-off of the slope.
+        # The corrections shrink, at first by half, down to the round-off of the slope.
         if abs(move) <= EPS * found or abs(move) > 0.75 * last:
             return found
         last = abs(move)
@@ -81,7 +81,7 @@ def return_to_zero(
 
 
 @kernel
-def last_place(
+def locate_fall(
     step_tape: StepTape,
     step: int,
     output: int,
@@ -93,8 +93,8 @@ def last_place(
     """Last place, to a few ulp, with output + shift >= 0 before it falls in [left, right].
 
     Chandrupatla, "A new hybrid quadratic/bisection algorithm", Advances in Engineering Software
-    28 (1997) 145-149. Returns `left` where the fall is already done there, and `right` where
-    float64 sees none.
+    28 (1997) 145-149. Returns `left` if the output is already below there, and `right` if
+    float64 resolves no fall.
     """
     a, fa = right, shift + value_at(step_tape, step, output, right, regs)
     b, fb = left, shift + value_at(step_tape, step, output, left, regs)
@@ -102,10 +102,10 @@ def last_place(
         return left
     if not fa < 0.0:
         return right
-    # By the secant first: where one end is near the root, as on a descent, that is nearly it.
+    # The secant first: on a descent one end is near the root.
     t = min(max(fa / (fa - fb), EPS), 1.0 - EPS)
     c, fc = a, fa
-    for _ in range(1200):  # halvings from 1 to the least place, and some
+    for _ in range(1200):  # enough halvings from 1 to the smallest float
         x = a + t * (b - a)
         fx = shift + value_at(step_tape, step, output, x, regs)
         if (fx > 0.0) == (fa > 0.0):

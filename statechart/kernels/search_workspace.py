@@ -1,7 +1,7 @@
 """Workspace of searches, and tapes prepared in it for evaluation along steps.
 
-A search asks for all outputs of a tape where a step is clear, and for one or two where it is not:
-then the others' operations are skipped.
+A search evaluates all outputs on a whole step, and only undecided ones on smaller boxes: the
+operations of the others are then skipped.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import POW, SKIP, TapeCode, run_tape, write_inputs
 
 BOXES = 64
-"""Largest number of pending boxes: halves of halves down to the narrowest."""
+"""Largest number of pending boxes: the bisections down to the narrowest box."""
 
 Needed = tuple[Ints, Ints32, Ints32, Ints]
-"""For every register the outputs that need it, a bit each; the operations and the variables that
-are chosen; for which outputs, where the last operation is, how many variables."""
+"""For every register the set of outputs that need it; the selected operations and variables; the
+selected set of outputs, the end of the operations, the number of variables."""
 
-# Bits of a set; the outputs beyond share the last.
+# Bits of a set; further outputs share the last bit.
 _BITS = 62
 
 PreparedTape = tuple[StepTape, Needed, Array, Array, Array, Array, Array, NDArray[np.uint8]]
-"""A tape that is evaluated along steps, with what depends on parameters alone: see `StepTape`, and
-`Needed`; bounds of third derivatives, registers, jets; evidence on the outputs; boxes still to see,
-and the outputs that are undecided in them."""
+"""A tape bound to steps, with evaluated functions of parameters: `StepTape`, `Needed`; bounds of
+third derivatives, registers, jets; enclosures of the outputs (see `judge`); pending boxes, and the
+outputs undecided in them."""
 
 
 class SearchWorkspace(NamedTuple):
@@ -44,8 +44,8 @@ class SearchWorkspace(NamedTuple):
     # See `Needed`.
     variables: Ints32  # shape (n + 1,)
     selection: Ints  # shape (3,)
-    bounds: Array  # (n,): of third derivatives.
-    # Evidence on the outputs; pending boxes, and the outputs that are undecided in each.
+    bounds: Array  # (n,): bounds of third derivatives.
+    # Enclosures of the outputs; pending boxes, and the undecided outputs of each.
     evidence: Array  # shape (o + 1, 11)
     ends: Array  # shape (2, b)
     marks: NDArray[np.uint8]  # shape (b + 1, o)
@@ -105,8 +105,8 @@ def prepare_tape(tape: TapeCode, steps: Steps, workspace: SearchWorkspace) -> Pr
 
 
 @kernel
-def bit(output: int) -> int:
-    """Return the set of one output."""
+def output_bit(output: int) -> int:
+    """Return the set that contains one output."""
     return 1 << min(output, _BITS)
 
 
@@ -118,7 +118,7 @@ def mark_needed(step_tape: StepTape, outputs: Ints32, needed: Needed) -> None:
     for r in range(base + code.shape[0]):
         needs[r] = 0
     for i in range(outputs.shape[0]):
-        needs[outputs[i]] |= bit(i)
+        needs[outputs[i]] |= output_bit(i)
     for k in range(code.shape[0]):
         chosen[k, 0], chosen[k, 1], chosen[k, 2] = code[k, 0], code[k, 1], code[k, 2]
     for k in range(last - 1, first - 1, -1):
@@ -130,7 +130,7 @@ def mark_needed(step_tape: StepTape, outputs: Ints32, needed: Needed) -> None:
 
 @kernel
 def select_outputs(needed: Needed, step_tape: StepTape, outputs: int) -> StepTape:
-    """Return `step_tape` with the operations and variables that a set of outputs needs alone."""
+    """Return `step_tape` with only the operations and variables that a set of outputs needs."""
     needs, chosen, variables, selection = needed
     code, base, first, last, reads, times, coeffs, start = step_tape
     if selection[0] != outputs:

@@ -14,8 +14,8 @@ from statechart.automaton.trace import integrals, lowest, sample
 from statechart.engines.event_location import Verdict
 from statechart.formulas.tape import contiguous
 from statechart.formulas.writer import compile_tape
-from statechart.kernels.boxes import enclose, judge, prepare
-from statechart.kernels.intervals import wave
+from statechart.kernels.boxes import bound_third_derivatives, enclose, write_enclosures
+from statechart.kernels.intervals import sine_or_cosine
 from statechart.kernels.jets import run_jets
 from statechart.kernels.tapes import OPCODES
 
@@ -42,7 +42,7 @@ def jets_over(tape, coeffs, parameters, times, start, m, w, order=2):
     jets[: len(values), 0] = jets[: len(values), 1] = values
     run_jets(tape.code, 0, tape.n_fixed, len(values), jets, 2)
     bounds = np.zeros(n)
-    assert prepare(coeffs, 0, tape.reads, bounds)
+    assert bound_third_derivatives(coeffs, 0, tape.reads, bounds)
     code = tape.code
     step_tape = (code, len(values), tape.n_fixed, len(code), tape.reads, times, coeffs, start)
     enclose(step_tape, 0, bounds, m, w, order, jets)
@@ -158,7 +158,7 @@ def test_sine_and_cosine_are_enclosed_near_and_far(centre, radius):
     flint.ctx.prec = 1400
     low, high = centre - radius, centre + radius
     for sine in (True, False):
-        found = wave((low, high), sine)
+        found = sine_or_cosine((low, high), sine)
         assert -1.0 <= found[0] <= found[1] <= 1.0
         for x in np.linspace(low, high, 101):
             ball = flint.arb(float(x))
@@ -183,8 +183,8 @@ def test_the_enclosure_converges_with_the_third_power_of_the_width():
         jets[3:base, 0] = jets[3:base, 1] = tape.constants
         run_jets(tape.code, 0, tape.n_fixed, base, jets, 2)
         bounds, work = np.zeros(1), np.empty((1, 11))
-        prepare(coeffs, 0, tape.reads, bounds)
-        judge(step_tape, tape.outputs, 0, bounds, 0.3 - w, 0.3 + w, jets, work)
+        bound_third_derivatives(coeffs, 0, tape.reads, bounds)
+        write_enclosures(step_tape, tape.outputs, 0, bounds, 0.3 - w, 0.3 + w, jets, work)
         s = np.linspace(0.3 - w, 0.3 + w, 2001)
         misses.append(np.min(s**3 * np.cos(3 * s) - s) - work[0, 4])
     assert min(misses) > 0

@@ -9,10 +9,10 @@ from test_enclosure import jets_over
 
 from statechart.formulas.tape import contiguous
 from statechart.formulas.writer import compile_tape
-from statechart.kernels.boxes import enclose, prepare
+from statechart.kernels.boxes import bound_third_derivatives, enclose
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
-from statechart.kernels.search_workspace import bit, mark_needed, select_outputs
+from statechart.kernels.search_workspace import mark_needed, output_bit, select_outputs
 
 COEFFS, TIMES = contiguous([[[0.7, 0.2, -0.1], [0.4, -0.3, 0.2]]]), contiguous([0.0, 0.5])
 PARAMETERS = contiguous([1.3])
@@ -39,7 +39,7 @@ def _enclosed(step_tape, outputs, chosen, bounds, w, order, jets, ran):
 @kernel
 def _bits(count, found):
     for i in range(count):
-        found[i] = bit(i)
+        found[i] = output_bit(i)
 
 
 def enclosed(tape, chosen, w, order):
@@ -50,7 +50,7 @@ def enclosed(tape, chosen, w, order):
     jets[3:base, 0] = jets[3:base, 1] = values
     run_jets(tape.code, 0, tape.n_fixed, base, jets, 2)
     bounds, ran = np.zeros(2), np.zeros(2, np.int64)
-    assert prepare(COEFFS, 0, tape.reads, bounds)
+    assert bound_third_derivatives(COEFFS, 0, tape.reads, bounds)
     step_tape = (tape.code, base, tape.n_fixed, len(tape.code), tape.reads, TIMES, COEFFS, 0.0)
     _enclosed(step_tape, tape.outputs, chosen, bounds, w, order, jets, ran)
     return jets[tape.outputs], *ran.tolist()
