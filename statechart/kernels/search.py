@@ -210,8 +210,9 @@ def _judge_box(
         enclose(step_tape, step, bounds, end, 0.0, 0, jets)
         if bounded and jets[output, 1] + tolerance < 0.0:
             return FALLS, a, end
-    if a == 0.0 and bounded and not evidence[7] < INF:
-        # A margin that jumps at the start (an angle at the origin) has its value after it.
+    if a == 0.0 and not evidence[7] < INF:
+        # A margin that jumps at the start (an angle at the origin), or leaves the boundary with an
+        # infinite slope (a root at zero), has its value after it.
         enclose(step_tape, step, bounds, b, 0.0, 0, jets)
         if jets[output, 0] + tolerance > 0.0:
             return CLEAR, INF, INF
