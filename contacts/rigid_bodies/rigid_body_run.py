@@ -416,8 +416,8 @@ class RigidBodyRun(SteppedSystem):
             joints = ", or joints would not close" if len(self.numbers.joints.kinds) else ""
             warnings += (
                 f"in {pluralise(self._parted, 'step')} of {self._length:g} bodies would pass "
-                f"through each other, or turn by more than half a turn{joints}: these were taken in "
-                f"up to "
+                f"through each other, or turn by more than half a turn{joints}: these were taken "
+                f"in up to "
                 f"{self._most_parts} parts; a step of {self._length / self._most_parts:.1g} needs "
                 "none",
             )
