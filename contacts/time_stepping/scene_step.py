@@ -604,7 +604,8 @@ def step_scene(
             if len(members) > 0:
                 mixed = _step_group(scene, memory, tape, equations, members, met, k, chunk)
                 blurred = blurred or mixed
-        _write_held(scene, equations, blurred, k, chunk)
+        # The steps after an impact bring joints to the violation of the new velocity.
+        _write_held(scene, equations, blurred or memory.fresh.any(), k, chunk)
         for i in range(n):
             memory.pushed[i] += lasting[i]
             chunk.solved[k, i] = lasting[i] / h
