@@ -56,6 +56,19 @@ class JointNumbers(NamedTuple):
     passes: Bools  # (j,): whether its bodies collide while it is off.
 
 
+class CouplingNumbers(NamedTuple):
+    """The couplings of a scene."""
+
+    # (c, 2): the two bodies; -1: the world. The first one moves by itself; `signs` (c,) is -1 where
+    # it was declared as the second.
+    bodies: Ints
+    signs: Array
+    holds: Ints  # (c,): `TURN`; or `ALONG_X`, `ALONG_Y`: friction along the free direction.
+    at: Array  # (c, 2): point of a guide in the body frame.
+    # (c,): radius of gyration of the first body, so that the row is a velocity; 1 along a guide.
+    levers: Array
+
+
 class LinkNumbers(NamedTuple):
     """The linked bodies (l), the last of the moving ones, and their coordinates (c)."""
 
@@ -103,6 +116,7 @@ class BodyNumbers(NamedTuple):
     # compliant contacts, rolling resistance.
     materials: Array
     joints: JointNumbers
+    couplings: CouplingNumbers
     links: LinkNumbers
 
     @property
@@ -170,7 +184,7 @@ class BodyNumbers(NamedTuple):
     @property
     def padded(self) -> int:
         """1 if contacts may have pads (see `contacts.rigid_bodies.island_step`), else 0."""
-        return int(self.materials[:, STIFFNESS:].any())
+        return int(self.materials[:, STIFFNESS:].any() or len(self.couplings.holds) > 0)
 
 
 class WarmStart(NamedTuple):

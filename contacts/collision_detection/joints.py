@@ -318,6 +318,17 @@ def bent_on(
 
 
 @kernel
+def joint_forces(numbers: BodyNumbers) -> int:
+    """Return the number of joint forces: both limits of an angle share one torque."""
+    count, holds = 0, numbers.joints.holds
+    for j in range(len(holds)):
+        count += 2 if holds[j] in (BOTH, ROPE) else 1
+        if holds[j] == GREATEST:
+            count -= 1
+    return count
+
+
+@kernel
 def is_joined(joints: JointNumbers, one: int, other: int) -> bool:
     """Return whether a joint connects two bodies, which then do not collide."""
     for j in range(len(joints.holds)):

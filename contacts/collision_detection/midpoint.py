@@ -30,6 +30,15 @@ class ForceProgram(NamedTuple):
     values: Array
 
 
+class LimitProgram(NamedTuple):
+    """Limits of couplings: a tape of `contacts.collision_detection.couplings.STATIC` and so on."""
+
+    code: Ints32
+    constants: Array
+    outputs: Ints32
+    values: Array
+
+
 class Prescribed(NamedTuple):
     """Prescribed motion and forces of the next steps."""
 
@@ -40,6 +49,7 @@ class Prescribed(NamedTuple):
     poses: Array  # shape (k + 2, l, 3)
     controller_states: Array  # shape (k + 2, w)
     forces: ForceProgram
+    limits: LimitProgram
 
     def after(self, count: int) -> Prescribed:
         """Return the prescribed motion after so many steps."""
@@ -247,6 +257,25 @@ def move_to_midpoint(
 
 
 @kernel
+def run_at(
+    numbers: BodyNumbers, code: Ints32, registers: tuple[int, Array], memory: Array, state: Array,
+    time: float,
+) -> None:  # fmt: skip
+    """Run a tape over a state, controller variables (w,) and time in its registers.
+
+    For `registers` see `statechart.kernels.tapes.filled`.
+    """
+    base, values = registers
+    at = 2 * (3 * (len(numbers.inverse) - numbers.links.bodies) + numbers.links.size)
+    for i in range(at):
+        values[i, 0] = state[i]
+    for j in range(len(memory)):
+        values[at + j, 0] = memory[j]
+    values[at + len(memory), 0] = time
+    run_tape(code, 0, len(code), base, values, 1)
+
+
+@kernel
 def apply_forces(
     numbers: BodyNumbers, forces: ForceProgram, registers: tuple[int, Array], memory: Array,
     state: Array, time: float, h: float, mid: Midpoint,
@@ -256,15 +285,9 @@ def apply_forces(
     `registers` are those of the forces (see `statechart.kernels.tapes.filled`), `memory` (w,) the
     controller variables at the midpoint.
     """
-    free = len(numbers.inverse) - numbers.links.bodies
-    (base, values), at = registers, 2 * (3 * free + numbers.links.size)
-    for i in range(at):
-        values[i, 0] = state[i]
-    for j in range(len(memory)):
-        values[at + j, 0] = memory[j]
-    values[at + len(memory), 0] = time
-    run_tape(forces.code, 0, len(forces.code), base, values, 1)
-    linked = False
+    free, linked = len(numbers.inverse) - numbers.links.bodies, False
+    run_at(numbers, forces.code, registers, memory, state, time)
+    values = registers[1]
     for i in range(len(forces.bodies)):
         b, linked = forces.bodies[i], linked or forces.bodies[i] >= free
         if b >= free:

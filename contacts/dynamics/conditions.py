@@ -295,7 +295,9 @@ class ConditionsAt:
         return verdicts if signs is None or min(signs) < 0.0 else union
 
     def _judge_staying(self, k: int, fired: Collection[str], closed: Sequence[bool]) -> int:
-        """Judge an atom all of whose derivatives are zero."""
+        """Judge an atom whose derivatives are all zero, or undefined."""
+        if not self._is_zero[k]:
+            return HOLDS if self._margins[0][k] > 0.0 else FAILS
         condition = self._of._conditions[k]
         if condition.atom.name in fired:
             return FAILS

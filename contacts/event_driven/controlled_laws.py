@@ -257,8 +257,11 @@ class ControlledLaws:
         rows = guarded.rows(setup, clock.high, state)
         watched = tolerances < np.inf
         # The first flow in a mode watches all atoms of a guard, and is evaluated in any case.
-        if (rows[watched, 0] > tolerances[watched]).all() and (
-            guarded.watch.single or not watched.all()
+        # A margin that jumps as its mode starts (an angle at the origin) has its value behind.
+        if (
+            (rows[watched, 0] > tolerances[watched]).all()
+            and (guarded.watch.single or not watched.all())
+            and not {*fired}.intersection(guarded.watch.margins)
         ):
             return None, rows
         solved = self._solved(setup, clock, flow, state)

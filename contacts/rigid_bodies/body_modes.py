@@ -81,6 +81,10 @@ def _count_contacts(numbers: BodyNumbers, active: ActiveContacts, count: int, co
         for side in range(2):
             if numbers.joints.bodies[j, side] >= 0:
                 counts[numbers.joints.bodies[j, side]] = -1
+    for c in range(len(numbers.couplings.holds)):
+        for b in numbers.couplings.bodies[c]:
+            if 0 <= b < len(counts):
+                counts[b] = -1
     for b in range(len(counts) - numbers.links.bodies, len(counts)):
         counts[b] = -1
     for i in range(count):

@@ -12,10 +12,23 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.collision_detection.active_contacts import RESISTS, ActiveContacts, velocity
-from contacts.collision_detection.body_numbers import BOTH, GREATEST, ROPE, BodyNumbers, WarmStart
+from contacts.collision_detection.body_numbers import (
+    BOTH,
+    GREATEST,
+    ROPE,
+    WARM_START_COLUMNS,
+    BodyNumbers,
+    WarmStart,
+)
+from contacts.collision_detection.couplings import (
+    DECLARED,
+    ENABLED,
+    add_couplings,
+    read_limits,
+)
 from contacts.collision_detection.find_contacts import DetectionResult, find_contacts
 from contacts.collision_detection.ground import Ground
-from contacts.collision_detection.joints import add_joints, is_bound
+from contacts.collision_detection.joints import add_joints, is_bound, joint_forces
 from contacts.collision_detection.midpoint import (
     Midpoint,
     Prescribed,
@@ -24,11 +37,12 @@ from contacts.collision_detection.midpoint import (
     fastest_turn,
     move_to_midpoint,
     place_links,
+    run_at,
 )
 from contacts.rigid_bodies.body_modes import finish_settling, settle_bodies, unsettle_bodies
 from contacts.rigid_bodies.island_step import PLASTIC, push, solve_islands
 from contacts.rigid_bodies.workspace import Workspace
-from contacts.states import FREE, PIN, SLIDE
+from contacts.states import FREE, LOCKED, OPEN_CODE, PIN, SLIDE, SLIP_MINUS, SLIP_PLUS
 from contacts.time_stepping.chunk import (
     BAD_INERTIA,
     COARSE,
@@ -236,6 +250,40 @@ def _store_joints(
 
 
 @kernel
+def _store_couplings(
+    numbers: BodyNumbers, limits: Array, warm: WarmStart, space: Workspace, first: int, k: int,
+    rates: Array, chunk: Chunk,
+) -> None:  # fmt: skip
+    """Store the couplings, behind the joints, in the warm start; write their modes and couples."""
+    active, bodies, signs = space.active, len(numbers.inverse), numbers.couplings.signs
+    levers = numbers.couplings.levers
+    # Controls fill the rest.
+    at = 3 * (bodies - numbers.links.bodies) + numbers.links.size + joint_forces(numbers)
+    for c in range(len(limits)):
+        i = first + c
+        slip = active.free[i, 1] + active.wanted[i, 1]
+        slip += velocity(active.bodies, active.rows, rates, i, 1)
+        slip -= velocity(active.bodies, active.rows, space.mid.loose, i, 1)
+        slips = abs(slip) > max(space.known[i], active.levels[i, 2])
+        mode = LOCKED
+        if slips:
+            mode = SLIP_PLUS if signs[c] * slip > 0.0 else SLIP_MINUS
+        if not limits[c, ENABLED] > 0.0:
+            mode = OPEN_CODE
+        chunk.codes[k, bodies + c] = chunk.modes[k, bodies + c] = mode
+        # A limit below zero, or without a value, ends the run.
+        chunk.gaps[k, bodies + c] = 0.0 if mode == OPEN_CODE else limits[c, DECLARED]
+        chunk.solved[k, at + c] = signs[c] * levers[c] * space.steady[i, 1] / chunk.h
+        warm.keys[i, 0], warm.keys[i, 1] = active.keys[i]
+        for d in range(WARM_START_COLUMNS):
+            warm.contacts[i, d] = 0.0
+        warm.contacts[i, 2], warm.contacts[i, 3] = space.pressed[i]
+        warm.contacts[i, 8] = space.known[i]
+        warm.contacts[i, 9] = 1.0 if slips else 0.0
+    warm.n_contacts[0] = first + len(limits)
+
+
+@kernel
 def _shown(rates: Array, old: Array, forced: Array) -> None:
     """Bound the change of rates by forces by the change in the step.
 
@@ -328,9 +376,14 @@ def step_bodies(
     registers = filled(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
     registers[1][1] = 0.0
     frames, still, applied = np.zeros((3, 3)), np.zeros((3, 3)), prescribed.forces
+    bounds = prescribed.limits
     width = 2 * n + prescribed.controller_states.shape[1]
     acting = filled(applied.code, applied.constants, applied.values, width, 1)
     linking = filled(links.code, links.constants, links.values, 2 * links.size, 1)
+    bounding, limits = (
+        filled(bounds.code, bounds.constants, bounds.values, width, 1),
+        np.zeros((len(numbers.couplings.holds), 4)),
+    )
     steps, rates, forced = len(chunk.codes), np.empty_like(loose), np.empty_like(loose)
     early, fall = np.empty_like(loose), math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     # The detection after the last step decides on its acceptance.
@@ -342,17 +395,18 @@ def step_bodies(
         if links.bodies > 0 and not place_links(numbers, state, h, linking, space.mid):
             return k, BAD_INERTIA if k < steps else DONE
         move_to_midpoint(numbers, state, poses, h, warm.past[0], space.mid)
+        time, memories = start + (done + k + 0.5) * h, prescribed.controller_states[k + 1]
+        if len(limits) > 0:
+            run_at(numbers, bounds.code, bounding, memories, state, time)
+            read_limits(numbers, bounds, bounding[1], limits)
         if len(applied.bodies) > 0:
-            time = start + (done + k + 0.5) * h
-            memories = prescribed.controller_states[k + 1]
             apply_forces(numbers, applied, acting, memories, state, time, h, space.mid)
             for b in applied.bodies:
                 if not math.isfinite(loose[b, 0] + loose[b, 1] + loose[b, 2]):
                     return k, NOT_FINITE if k < steps else DONE
         detected = find_contacts(numbers, ground, warm, space.mid, space.grid, h, active)
-        full = detected.contacts < 0 or detected.contacts + len(numbers.joints.holds) >= len(
-            active.hit
-        )
+        others = len(numbers.joints.holds) + len(limits)
+        full = detected.contacts < 0 or detected.contacts + others >= len(active.hit)
         if full and k < steps:
             return k, FULL
         coarse = detected.passed > 0.0 or detected.sunk > 0.0 or detected.closing > deepest
@@ -368,11 +422,13 @@ def step_bodies(
         if joins:
             places = prescribed.places[k : k + 3]
             count = add_joints(numbers, places, warm, space.mid, h, count, active)
+        first_coupling = count
+        count = add_couplings(numbers, limits, warm, space.mid, h, count, active)
         lands = _may_land(active, law, detected.contacts)
         if lands:
             _without_impacts(numbers, active, space.mid, count, early)
         space.joint_energy[1] = 1.0 if deepest < math.inf else 0.0
-        solve_islands(numbers, law, forces, h, space, count, allowed, chunk.stats[k])
+        solve_islands(numbers, limits, law, forces, h, space, count, allowed, chunk.stats[k])
         put_rows(loose, rates)
         put_rows(loose, forced)
         for i in range(count):
@@ -398,6 +454,7 @@ def step_bodies(
             chunk.approach[k] = max(chunk.approach[k], _shown_approach(active, old, forced, count))
         if joins:
             _store_joints(numbers, warm, space, detected.contacts, k, rates, chunk)
+        _store_couplings(numbers, limits, warm, space, first_coupling, k, rates, chunk)
         for at in range(n):
             # Rates of coordinates follow those of all bodies.
             b, d = (

@@ -20,6 +20,7 @@ from contacts.collision_detection.body_numbers import (
     ROPE,
     TURN,
     BodyNumbers,
+    CouplingNumbers,
     JointNumbers,
     LinkNumbers,
     PieceNumbers,
@@ -162,6 +163,32 @@ def joint_numbers(scene: Scene, names: Sequence[str], known: Mapping[str, float]
         np.array([initial.get(name, CLOSED) == CLOSED for name in scene.joints], dtype=np.bool_),
         np.array([joint.rest is not None for joint in scene.joints.values()], dtype=np.bool_),
     )
+
+
+def coupling_numbers(
+    scene: Scene, names: Sequence[str], known: Mapping[str, float]
+) -> CouplingNumbers:
+    """Evaluate the couplings of a scene; `names` are its bodies, copies one by one."""
+    bodies, signs, holds, at, levers = [], [], [], [], []
+    single = scene.single_bodies()
+    for name, coupling in scene.couplings.items():
+        guide, own = scene.along_guide(name), scene.coupled(name)
+        backward = single[own[0]].prescribed
+        pair = [names.index(body) for body in own] if not guide else [names.index(own[0])]
+        pair = (pair[::-1] if backward else pair) + [-1] * (2 - len(pair))
+        point = scene.joints[coupling.joint or ""].point.at if guide else (0, 0)
+        bodies.append(pair)
+        signs.append(-1.0 if backward else 1.0)
+        holds.append({"X": ALONG_X, "Y": ALONG_Y}.get(guide, TURN))
+        at.append([parse(text).value(known) for text in point])
+        first = single[own[-1] if backward else own[0]]
+        mass, inertia = (parse(text or 0).value(known) for text in (first.mass, first.inertia))
+        levers.append(1.0 if guide or not inertia > 0.0 else math.sqrt(inertia / mass))
+    return CouplingNumbers(
+        np.array(bodies, dtype=np.int64).reshape(-1, 2), np.array(signs),
+        np.array(holds, dtype=np.int64), np.array(at, dtype=float).reshape(-1, 2),
+        np.array(levers),
+    )  # fmt: skip
 
 
 # Allowed violation of angle limits at the start, radians.
@@ -350,6 +377,7 @@ def body_numbers(
         laws,
         materials,
         joint_numbers(scene, [*owners], known),
+        coupling_numbers(scene, [*owners], known),
         link_numbers(linked_mechanics(scene), known) if links is None else links,
     )
 
@@ -385,7 +413,7 @@ def linked_mechanics(scene: Scene) -> LinkedMechanics | None:
     linked = {name: body for name, body in scene.bodies.items() if body.linked}
     if not linked:
         return None
-    emptied = ("collisions", "joints", "forces", "surfaces", "regions", "controls")
+    emptied = ("collisions", "joints", "couplings", "forces", "surfaces", "regions", "controls")
     fields = {name: getattr(scene, name) for name in type(scene).model_fields}
     fields |= {"bodies": linked, **{name: {} for name in emptied}}
     return LinkedMechanics(type(scene).model_construct(**fields))

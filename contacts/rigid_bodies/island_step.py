@@ -15,6 +15,7 @@ from contacts.collision_detection.active_contacts import (
     rolling_share,
 )
 from contacts.collision_detection.body_numbers import KINETIC, BodyNumbers
+from contacts.collision_detection.couplings import COUPLED, KINETIC_LIMIT, STATIC, bound_in
 from contacts.collision_detection.joints import bent_on
 from contacts.collision_detection.midpoint import Midpoint, push_link
 from contacts.rigid_bodies.workspace import Workspace
@@ -34,6 +35,7 @@ from contacts.solvers.impact_sequence import in_turn
 from contacts.solvers.impulse_coupling import root
 from contacts.solvers.island_impulses import island_impulses
 from contacts.solvers.step_impulses import (
+    LIMIT,
     ONE,
     TWO,
     Island,
@@ -522,12 +524,21 @@ def close_joints(
 
 
 @kernel
-def _write_frictions(numbers: BodyNumbers, active: ActiveContacts, island: Island) -> bool:
+def _write_frictions(
+    numbers: BodyNumbers, limits: Array, active: ActiveContacts, island: Island
+) -> bool:
     """Write the frictions of an island; return whether any has two coefficients."""
     splits = False
     for a in range(len(island.members)):
         i = island.members[a]
         used, island.kinds[a], island.ways[a] = active.laws[i], ONE, active.ways[i]
+        if used <= COUPLED and active.materials[i, 1] > 0.0:
+            bounds = limits[COUPLED - used]
+            if bounds[STATIC] != bounds[KINETIC_LIMIT]:
+                splits, island.kinds[a] = True, LIMIT
+            for way in range(3):
+                island.frictions[a, way, 0] = 1.0
+                island.frictions[a, way, 1] = bound_in(bounds, way)
         if used < 0 or not has_two_coefficients(numbers.materials[used]):
             continue
         splits, island.kinds[a] = True, TWO
@@ -550,10 +561,12 @@ def _write_slips(contacts: ContactRows, island: Island, none: float) -> None:
 
 @kernel
 def solve_islands(
-    numbers: BodyNumbers, law: int, forces: bool, h: float, space: Workspace, count: int,
-    tolerance: float, effort: Array,
+    numbers: BodyNumbers, limits: Array, law: int, forces: bool, h: float, space: Workspace,
+    count: int, tolerance: float, effort: Array,
 ) -> None:  # fmt: skip
     """Solve the impulses of a step with `count` contacts, island by island.
+
+    `limits` (c, 4) are those of couplings.
 
     Writes impulses and the next warm start to `space`, and statistics `effort` (see `Chunk.stats`).
     For `law`, `forces` and `tolerance` see `contacts.rigid_bodies.body_step.StepOptions`.
@@ -581,17 +594,19 @@ def solve_islands(
             space.island[5, :size], space.island[6, :size], rebounds, hit, space.kinds[:size],
             space.ways[:size], space.frictions[:size],
         )  # fmt: skip
-        quiet, lively, touching = True, False, 0
-        splits = _write_frictions(numbers, active, together)
+        quiet, lively, joined, rigid = True, False, False, 0
+        splits = _write_frictions(numbers, limits, active, together)
         for a in range(size):
-            touching += 1 if materials[members[a], 0] >= 0.0 else 0
+            joint = materials[members[a], 0] < 0.0
+            joined = joined or joint
+            rigid += 0 if joint or active.yields[members[a]] > 0.0 else 1
         for a in range(size):
             i = members[a]
             put(active.before[i], start[a])
             put(active.free[i], unforced[a])
             put(active.pushes[i], chosen[a])
             rebounds[a] = active.hit[i] and materials[i, 2] > 0.0
-            if law == PLASTIC and touching > 1 and rebounds[a]:
+            if law == PLASTIC and rigid > 1 and rebounds[a]:
                 rebounds[a], active.wanted[i, 0] = False, 0.0
             put(active.wanted[i], bias[a])
             space.bounces[i] = rebounds[a]
@@ -632,7 +647,7 @@ def solve_islands(
                 contacts, start, unforced, bias, rebounds, chosen, island_tolerance, bound, True
             )
             iterations += further
-        if touching < size:
+        if joined:
             bounds, result = (island_tolerance, bound, tolerance), (residual, iterations, softened)
             residual, iterations, softened = close_joints(
                 numbers, space, contacts, together, h, sequential, bounds, result

@@ -14,14 +14,13 @@ from contacts.collision_detection.body_numbers import (
     ALONG_X,
     ALONG_Y,
     BOTH,
-    GREATEST,
     ROD,
-    ROPE,
     TURN,
     BodyNumbers,
     WarmStart,
 )
 from contacts.collision_detection.find_contacts import LANDED
+from contacts.collision_detection.joints import joint_forces
 from contacts.collision_detection.surfaces import GRAPH
 from contacts.rigid_bodies.body_step import StepOptions, step_bodies
 from contacts.rigid_bodies.island_step import ratio_remarks
@@ -40,7 +39,7 @@ from contacts.time_stepping.chunk import (
     SteppedSystem,
 )
 from contacts.time_stepping.stability import UNSTABLE, Held, check_stiffness
-from contacts.time_stepping.step_rejection import depth_left
+from contacts.time_stepping.step_rejection import depth_left, invalid_limit
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode, StepTooLarge
@@ -71,7 +70,7 @@ class Penetration:
 
     def add(self, start: float, chunk: Chunk) -> None:
         """Note the deepest penetration in the steps of a chunk."""
-        depths = -np.minimum(chunk.gaps, 0.0)
+        depths = -np.minimum(chunk.gaps[:, : len(self._radii)], 0.0)
         parts = np.where(depths > self._start_depth, depths / self._radii, 0.0)
         if not parts.max(initial=0.0) > self._part:
             return
@@ -180,11 +179,14 @@ class DetectedContacts(NamedTuple):
     normal: Held
     tangential: Held
     joints: Held
+    couplings: Ints  # (c,): their modes.
 
     @classmethod
-    def of(cls, gaps: Array, active: ActiveContacts, warm: WarmStart, holds: Ints) -> Self:
-        """Return the contacts of a step, which joints follow."""
-        many = int(warm.n_contacts[0])
+    def of(
+        cls, gaps: Array, active: ActiveContacts, warm: WarmStart, holds: Ints, couplings: Ints
+    ) -> Self:
+        """Return the contacts of a step, which joints and couplings follow."""
+        many = int(warm.n_contacts[0]) - len(couplings)
         bodies, rows, contacts_end = active.bodies[:many].copy(), active.rows, many - len(holds)
         both, firm = holds == BOTH, active.materials[contacts_end:many, 0] < 0.0
         joints = [rows[contacts_end:many][firm, 0], rows[contacts_end:many][both & firm, 1]]
@@ -200,6 +202,7 @@ class DetectedContacts(NamedTuple):
                 np.concatenate([bodies[contacts_end:][firm], bodies[contacts_end:][both & firm]]),
                 np.concatenate(joints),
             ),
+            couplings,
         )
 
     def deepest_of(
@@ -376,7 +379,8 @@ class RigidBodyRun(SteppedSystem):
         chunk, status = self._taken(time, h, state, 1, math.inf)
         self._check_finite(chunk, status)
         holds, gaps = self.numbers.joints.holds, self._workspace.mid.gaps.copy()
-        detected = DetectedContacts.of(gaps, self._workspace.active, self._warm, holds)
+        modes = chunk.codes[0, self._moving :]
+        detected = DetectedContacts.of(gaps, self._workspace.active, self._warm, holds, modes)
         self._warm, self._prescribed = before.enlarged_to(self._warm), prescribed
         return detected
 
@@ -439,11 +443,14 @@ class RigidBodyRun(SteppedSystem):
             else:
                 self._parted, self._most_parts = self._parted + 1, max(self._most_parts, most)
         self._check_finite(chunk, status)
+        if len(self.numbers.couplings.holds):
+            chunk = self._with_limits(chunk, start)
         if len(self.numbers.joints.holds):
             chunk = self._without_gain(chunk)
             if not len(chunk.codes) and self._gain_error is not None:
                 raise self._gain_error
-        self._min_gaps = np.minimum(self._min_gaps, chunk.gaps.min(axis=0, initial=np.inf))
+        gaps = chunk.gaps[:, : self._moving]
+        self._min_gaps = np.minimum(self._min_gaps, gaps.min(axis=0, initial=np.inf))
         self._penetration.add(start, chunk)
         self._prescribed.passed(len(chunk.codes))
         turns = chunk.h * np.abs(self.numbers.motion(chunk.states[1:])[1][:, self._angular, 2])
@@ -451,6 +458,22 @@ class RigidBodyRun(SteppedSystem):
         self._turned = max(self._turned, float(np.max(turns, where=struck, initial=0.0)))
         self._length = max(self._length, h)
         return chunk
+
+    def _with_limits(self, chunk: Chunk, start: float) -> Chunk:
+        """Return the steps before a coupling has no valid limit.
+
+        Raises
+        ------
+        NoConsistentMode
+            If the first step has none.
+        """
+        wrong = ~(chunk.gaps[:, self._moving :] >= 0.0)
+        if not wrong.any():
+            return chunk
+        k, c = (int(i) for i in np.argwhere(wrong)[0])
+        if k == 0:
+            raise invalid_limit(self._prescribed.couplings[c], start + chunk.h)
+        return chunk.first(k)
 
     def _without_gain(self, chunk: Chunk) -> Chunk:
         """Return the steps before joints have added too much energy, relative to the kinetic one.
@@ -513,14 +536,13 @@ class RigidBodyRun(SteppedSystem):
     ) -> tuple[Chunk, int]:
         """Return the accepted steps, and the status of their end."""
         bodies, n = self._moving, self.numbers.size
-        holds = self.numbers.joints.holds
-        joint_forces = int((1 + np.isin(holds, (BOTH, ROPE)) - (holds == GREATEST)).sum())
-        solved = n + joint_forces
+        couplings = len(self.numbers.couplings.holds)
+        solved = n + joint_forces(self.numbers) + couplings
         # One more, for the last detection.
         ahead, remembered, known = self._prescribed.prescribe(start, h, state[2 * n :], count + 1)
         count = min(count, known)
         remembered = remembered[: count + 1]
-        chunk = Chunk.allocate(h, state, solved + self._prescribed.count, bodies, count)
+        chunk = Chunk.allocate(h, state, solved + self._prescribed.count, bodies + couplings, count)
         done, status = 0, DONE
         while status == FULL or (status == DONE and done < count):
             if done and interrupts.arrived():

@@ -49,7 +49,7 @@ from contacts.time_stepping.scene_step import step_scene
 from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.solver_residual import INDETERMINATE
 from contacts.time_stepping.stability import Swings, check_swing, remarks
-from contacts.time_stepping.step_rejection import depth_left
+from contacts.time_stepping.step_rejection import depth_left, invalid_limit
 from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
@@ -425,10 +425,7 @@ class SteppedScene(SteppedSystem):
         """Return the error of a contact that does not declare a mode of a step."""
         name, state = self._source.names[contact], STATES[code]
         if contact >= len(self._source.names) - self._source.couplings:
-            return NoConsistentMode(
-                f"coupling {name!r}: its limit is below zero by t = {end:.9g}; a coupling that "
-                "lets go is one with enabled: RELATION"
-            )
+            return invalid_limit(name, end)
         if contact in self._source.hauled:
             return hauled_in(name, end)
         if not self._undeclared[contact, code]:

@@ -12,7 +12,7 @@ import numpy as np
 from contacts.states import OFF_CODE
 from contacts.time_stepping.chunk import RESIDUAL, Chunk
 from statechart.arrays import Array, Ints
-from statechart.errors import StepTooLarge, UnsolvedImpulses
+from statechart.errors import NoConsistentMode, StepTooLarge, UnsolvedImpulses
 
 DEEPEST = 0.1
 """Largest gap that a step may close, relative to the scene."""
@@ -177,3 +177,11 @@ def depth_left(gaps: Array, rows: Array, held: Array) -> tuple[float, Array]:
 def _gaps(chunk: Chunk) -> Array:
     found: Array = np.where(chunk.codes == OFF_CODE, math.inf, chunk.gaps)
     return found
+
+
+def invalid_limit(name: str, end: float) -> NoConsistentMode:
+    """Return the error of a coupling whose limit is negative, or has no value."""
+    return NoConsistentMode(
+        f"coupling {name!r}: its limit is below zero or has no value by t = {end:.9g}; a coupling "
+        "that lets go is one with enabled: RELATION"
+    )

@@ -24,23 +24,16 @@ from statechart.formulas.tape import Tape
 from statechart.kernels.polynomials import append_steps
 from statechart.tabular import several
 
-# Compiling 250 operations unrolled takes 1.7 s and 42 MB, in compact mode 0.4 s and 8 MB. Formulas
-# of at most _FEW operations on tape are unrolled.
-_COMPACT, _FEW = 240, 100
-# Compile time in seconds: constant, and per operation; above the times of the shipped models.
-_COMPILE_TIME, _TIME_PER_OPERATION = 0.01, 2e-4
+# Unrolled and unoptimised, 250 operations compile in 0.13 s, and a step takes 11 us; optimised, 2 s
+# and 5 us; in heyoka's compact mode 0.45 s and 11 us. Above _LARGE operations on tape, compact mode
+# compiles faster and steps as fast.
+_LARGE = 500
 # This to the power -20, the order of the method, is near the largest float.
 _LEAST_BASE = 1e-12
 # Allowed slope error, relative to the motion and in tolerances: ten times the maximum over the
 # shipped models.
 _SLOPE, _ORDERS = 1e-12, 1e3
 _SHOWN = 80  # characters of a formula in a message
-
-
-def _many(mode: Mode, rates: Tape) -> bool:
-    """Return whether a mode has too many operations to be unrolled."""
-    written = sp.count_ops([*(value for _, value in mode.definitions), *mode.rates])
-    return bool(len(rates.code) > _FEW and written > _COMPACT)
 
 
 def has_long_double() -> bool:
@@ -110,9 +103,7 @@ class Taylor(Engine):
         form = tuple(convert.rate(rate) for rate in mode.rates)
         cached = self._programs.get(form)
         if cached is None:
-            # Compact mode costs small modes up to half of their speed; unrolled, two thousand
-            # operations take half a minute to compile, with long doubles several times as long.
-            compact = extended or _many(mode, rates)
+            compact = extended or len(rates.code) > _LARGE
             with whole(f"the equations of a mode ({several(len(states), 'variable')})"):
                 integrator = hy.taylor_adaptive(
                     list(zip(states, form, strict=True)),
@@ -120,6 +111,7 @@ class Taylor(Engine):
                     tol=self._number(self.tolerance),
                     fp_type=self._number,
                     compact_mode=compact,
+                    opt_level=3 if compact else 0,
                 )
             cached = self._programs[form] = integrator, None if extended else Step.of(integrator)
         integrator, compiled = cached
@@ -149,10 +141,6 @@ class Taylor(Engine):
             return None
         pace = Pace(self.tolerance, self.max_step, self.allowed, stepper.shape[1])
         return Entry(stepper.compiled.address, stepper.fixed, len(stepper.pars), pace)
-
-    def compiling(self, rates: Tape) -> float:
-        """Return the estimated seconds of `compile`."""
-        return _COMPILE_TIME + _TIME_PER_OPERATION * len(rates.code)
 
     def check(self, stepper: object, state: Array, parameters: Array, time: float) -> None:
         """Raise `Unsupported` at a non-integer power with base zero."""

@@ -201,8 +201,9 @@ def _judge_box(
         enclose(along, step, bounds, end, 0.0, 0, jets)
         if bounded and jets[output, 1] + tolerance < 0.0:
             return FALLS, a, end
-    if a == 0.0 and bounded and not evidence[7] < INF:
-        # A margin that jumps as it starts (an angle at the origin) has its value behind.
+    if a == 0.0 and not evidence[7] < INF:
+        # A margin that jumps as it starts (an angle at the origin), or leaves the boundary with an
+        # infinite slope (a root at zero), has its value behind.
         enclose(along, step, bounds, b, 0.0, 0, jets)
         if jets[output, 0] + tolerance > 0.0:
             return CLEAR, INF, INF

@@ -141,6 +141,14 @@ def test_a_timeout_that_leaves_no_state_comes_once_an_entry(tmp_path: Path, engi
     assert found["ts"] == pytest.approx([0.8 + 1.2 * k for k in range(5)], rel=1e-13)
 
 
+def test_an_internal_timeout_comes_once_an_entry(tmp_path: Path) -> None:
+    # It ended as EVENT_LOOP: the time since the entry of `busy`, which it does not leave, is over.
+    text = REMIND.replace("from: busy, after", "from: busy, to: fast, internal: true, after")
+    found = run(tmp_path, text).outputs
+    assert found["n"] == 5
+    assert found["ts"] == pytest.approx([0.8 + 1.2 * k for k in range(5)], rel=1e-13)
+
+
 ORDER = """
 variables: {x: 1, y: 0, z: 0}
 regions:

@@ -40,6 +40,15 @@ def test_no_operation_of_a_step_depends_on_parameters_alone(model):
         assert still(integrator.decomposition, integrator.dim) == []
 
 
+def test_a_mode_of_many_operations_steps_in_compiled_loops():
+    engine = Taylor(2.2e-16)
+    simulator = Simulator(automaton("raibert_hopper"), engine)
+    setup, trace = simulator.automaton.setup({}, 2.2e-16), simulator.run(until=0.5)
+    modes = {arc.mode: simulator.compiled(roles_in(arc.mode), setup.zeros) for arc in trace.arcs}
+    assert max(len(mode.rates.code) for mode in modes.values()) > 150
+    assert all(engine.entry(mode.stepper) for mode in modes.values())
+
+
 @pytest.mark.parametrize("folds", [True, False])
 def test_a_formula_is_the_same_with_parameters_put_together(folds):
     formula = (P + Q * X + 3) * sp.sin(X) / (P**2 + 1) + sp.sqrt(Q) * D * Y**2 + P * T
