@@ -181,6 +181,7 @@ class PrescribedMotion:
         # end.
         self._ends: tuple[Array, Array] | None = None
         self._end: tuple[float, Positions] | None = None
+        self._saved_end: tuple[float, Positions] | None = None
         self.switch(mechanics.scene.controlled.initial)
 
     def switch(self, states: Mapping[str, str]) -> None:
@@ -204,7 +205,7 @@ class PrescribedMotion:
 
     def forget(self) -> None:
         """Revert the last steps."""
-        self._last = self._saved
+        self._last, self._end = self._saved, self._saved_end
 
     def restart(self) -> None:
         """Let surfaces and led bodies move from here on as if they had always moved so."""
@@ -246,7 +247,7 @@ class PrescribedMotion:
         )
         if self._last is not None and self._last[1] == h and not self.jumped(start, remembered):
             before = self._last[0]
-        self._saved = self._last
+        self._saved, self._saved_end = self._last, self._end
         self._looks, self._h, self._ends = midpoints, h, (times[2::2], memories[2::2])
         rows = Positions(*(np.concatenate(pair) for pair in zip(before, midpoints, strict=True)))
         known = len(midpoints.frames)
