@@ -11,6 +11,9 @@ from browser import FOUND, Browser
 import statechart
 from statechart import StatechartError
 from statechart.cli.main import main
+from statechart.documents.yaml_reader import read_text
+from statechart.pictures.drawing import picture
+from statechart.reporting.film import filmed, stage_of
 
 in_browser = pytest.mark.skipif(FOUND is None, reason="no Chromium is installed here")
 
@@ -365,3 +368,41 @@ def test_a_wide_page_shows_reasons_next_to_the_scene(page, tmp_path):
 @in_browser
 def test_the_console_is_empty(browser):
     assert browser.said == []
+
+
+ROPE = """\
+kind: scene
+name: hanging
+gravity: 9.81
+parameters: {k: 30, c: 0.5}
+bodies:
+  ball: {mass: 1, start: {x: 0.4, y: 1.5}}
+  bob: {mass: 1, start: {x: -0.5, y: 1}}
+forces:
+  on_ball: {body: ball, force: [pull_x, pull_y]}
+  on_bob: {body: bob, force: [-(pull_x), -(pull_y)]}
+joints:
+  rope: {point: {body: ball}, to: [0, 2], rope: 1.2}
+stop: {time: 0.1}
+"""
+
+
+@in_browser
+def test_a_page_draws_ropes_and_springs_as_a_picture_does(tmp_path):
+    text = ROPE
+    for axis in "xy":
+        pull = f"k*(bob.{axis} - ball.{axis}) + c*(bob.d{axis} - ball.d{axis})"
+        text = text.replace(f"pull_{axis}", pull)
+    result = statechart.run(read_text(text))
+    film = filmed(stage_of(result.observer.automaton), result.observer, result.trace, [0.0])
+    (ax,) = picture(film).axes
+    lines = [line.get_xydata() for line in ax.lines]
+    drawn = {len(xy): xy[np.isfinite(xy[:, 0])] for xy in lines}
+    with Browser(tmp_path / "browser") as opened:
+        opened.open(result.report(tmp_path / "rope.html"))
+        opened.value("go(0)")
+        for kind, count in (("rope", 41), ("spring", 21), ("damper", 17)):
+            d = opened.value(f"document.querySelector('path.{kind}').getAttribute('d')")
+            shown = np.array(re.findall(r"(-?[\d.e-]+) (-?[\d.e-]+)", d), float) * (1.0, -1.0)
+            shown *= opened.value("film.length / film.unit")
+            np.testing.assert_allclose(shown, drawn[count], atol=1e-3 * film.unit)

@@ -36,6 +36,15 @@ def test_slopes_are_those_of_theory(model: str) -> None:
         assert slope.points >= (5 if slope.of == "error" else 3)
         assert slope.slope == pytest.approx(slope.theory, rel=0.15)
     assert "steps of RK45: the tolerance to the power -0." in format_text(found)
+    # The figure lists them apart from its marks, which a number beside a line would hide.
+    _, _, promises, steps = (drawn := figure(found)).axes
+    drawn.canvas.draw()
+    for ax, of in ((promises, "error"), (steps, "steps")):
+        written = {text.get_text() for text in ax.get_legend().get_texts()}
+        assert written == {f"slope {slope.slope:.2f}" for slope in fits.values() if slope.of == of}
+        box = ax.get_legend().get_window_extent()
+        marks = [line.get_xydata() for line in ax.lines if line.get_marker() != "None"]
+        assert not any(box.contains(*ax.transData.transform(xy)) for line in marks for xy in line)
 
 
 @pytest.mark.parametrize("model", ["stick_slip_block", "two_balls", "hopper", "bouncing_ball"])
