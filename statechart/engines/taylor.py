@@ -18,7 +18,13 @@ from statechart.automaton.regions import Mode
 from statechart.compiling import whole
 from statechart.documents.setting import LONG_DOUBLE
 from statechart.engines.engine import Begin, Engine, Entry, FlowWatch, Pace, Path
-from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, STRAY, Step, taylor_steps
+from statechart.engines.taylor_loop import (
+    MAX_HALVINGS,
+    MAX_SLOPE_ERROR,
+    MIN_MOTION,
+    Step,
+    taylor_steps,
+)
 from statechart.errors import NonFinite, StepFailure, Unsupported
 from statechart.formulas.tape import Tape
 from statechart.kernels.polynomials import append_steps
@@ -227,15 +233,15 @@ def _one_by_one(
     while steps_taken < count:
         started, began = stepper.state.copy(), stepper.integrator.time
         longest = min(remaining, type(remaining)(max_step))
-        for _ in range(HALVINGS):
+        for _ in range(MAX_HALVINGS):
             stepper.state[:], stepper.integrator.time = started, began
             h = step(longest, True)[1]
             slopes = now * (order * h**order)
             ends = stepper.state.astype(float)
             rates = stepper.rates.values(ends, watch.parameters, time + float(h))
             distance = np.abs(slopes.sum(axis=1) - h * rates).max()
-            if not distance > STRAY * max(
-                LEAST_MOTION, np.abs(started).max(), np.abs(slopes).sum(axis=1).max()
+            if not distance > MAX_SLOPE_ERROR * max(
+                MIN_MOTION, np.abs(started).max(), np.abs(slopes).sum(axis=1).max()
             ):
                 break
             longest = h / 2

@@ -50,7 +50,7 @@ def test_a_mode_of_many_operations_steps_in_compiled_loops():
 
 
 @pytest.mark.parametrize("folds", [True, False])
-def test_a_formula_is_the_same_with_parameters_put_together(folds):
+def test_grouping_parameters_keeps_the_formula(folds):
     formula = (P + Q * X + 3) * sp.sin(X) / (P**2 + 1) + sp.sqrt(Q) * D * Y**2 + P * T
     convert = Converter(HERE, {D: P * Q - 1}, folds=folds)
     found = convert(formula)

@@ -84,14 +84,14 @@ def test_floors_of_discs_are_below_their_centres():
     assert film.poses[0, 1, 1] - below.places[0, 1] == pytest.approx(radius)
 
 
-def test_a_wheel_without_inertia_has_a_spoke_for_every_contact_that_is_ever_on():
+def test_massless_wheel_has_a_spoke_per_used_contact():
     film = film_of("rimless_wheel", [0.0, 1.0], until=1.0)
     spokes = shapes(film, "bar")
     assert len(spokes) == 8
     np.testing.assert_allclose([np.hypot(*spoke.points[1]) for spoke in spokes], 1.0)
 
 
-def test_two_corners_and_their_images_make_a_block():
+def test_two_corners_and_their_mirror_images_draw_a_block():
     film = film_of("rocking_block", [0.0], until=0.1)
     (block,) = shapes(film, "outline")
     known = statechart.load("rocking_block").values()
@@ -160,7 +160,9 @@ stop: {time: 1}
 
 @pytest.mark.parametrize("shape", ["", ", shape: {disc: 0.1}"])
 def test_ropes_are_drawn_at_their_length_up_to_ends_that_are_led(shape):
-    collisions = "collisions: {all: {bodies: [ball, bob], friction: 0, restitution: 0}}\n" if shape else ""
+    collisions = (
+        "collisions: {all: {bodies: [ball, bob], friction: 0, restitution: 0}}\n" if shape else ""
+    )
     film = film_of(read_text(ROPES.replace("SHAPE", shape) + collisions), [0.0, 0.1, 1.0])
     ropes = {rope.name: rope for rope in shapes(film, "rope")}
     for name, length in (("rope", 1.2), ("tether", 1.6), ("led", 1.3)):
@@ -221,12 +223,12 @@ def test_dampers_written_by_components_are_drawn_as_dampers():
     assert kinds == {"mass", "spring", "damper"}
 
 
-def test_reactions_that_are_a_couple_are_no_link():
+def test_couples_are_not_drawn_as_links():
     film = pair_of("k", PAIR.replace("TENSION*(b.y - a.y)/LENGTH", "0"))
     assert {shape.kind for shape in film.shapes} == {"mass"}
 
 
-def test_strokes_are_on_the_right_at_even_distances():
+def test_ground_hatching_is_even_and_on_the_solid_side():
     line = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0]])
     found = strokes(line, 0.25)
     assert len(found) == 12
@@ -321,7 +323,7 @@ def test_arrows_of_forces_are_within_the_picture(name):
 @pytest.mark.parametrize(
     "name", ["hopper", "sliding_ladder", "compass_walker", "newtons_cradle", "rimless_wheel"]
 )
-def test_names_are_whole_and_apart(name):
+def test_labels_do_not_overlap(name):
     film = film_of(name, [0.0], until=0.0)
     (ax,) = picture(film).axes
     boxes = [t.get_window_extent() for t in ax.texts if t.get_text()]
@@ -374,12 +376,12 @@ def test_a_chart_has_no_bodies_to_draw(tmp_path, capsys):
     assert not target.exists()
 
 
-def test_a_scene_is_no_text(tmp_path, capsys):
+def test_scene_cannot_be_drawn_as_text(tmp_path, capsys):
     assert main(["draw", "toppling_stick", "--scene", "-o", str(tmp_path / "a.dot")]) == 2
     assert ".svg, .png, .pdf" in capsys.readouterr().err
 
 
-def test_balls_that_hang_side_by_side_press_on_none_of_the_others():
+def test_hanging_balls_have_no_contact_forces():
     # Newton's cradle at rest: each weight is on its own string, and rounding is no force.
     film = film_of("newtons_cradle", np.linspace(0.0, 4.0, 41))
     for touch in film.touches:

@@ -172,7 +172,7 @@ def test_wrong_mode_names_are_refused_with_known_states() -> None:
         mode_named(bar, "A:pim B:free")
 
 
-def test_the_verb_prints_them(capsys: pytest.CaptureFixture[str]) -> None:
+def test_equations_verb_prints_equations(capsys: pytest.CaptureFixture[str]) -> None:
     path = "toppling_stick"
     assert main(["modes", path, "--equations", "pin", "--latex"]) == 0
     assert re.search(r"% motion\n\\begin{align\*}", capsys.readouterr().out)

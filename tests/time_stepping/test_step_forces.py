@@ -145,7 +145,7 @@ def landing(engine, step=None):
     st.sampled_from([1e-3, 1.3e-4]),
 )
 @examples(15)
-def test_the_largest_force_is_none_of_the_landing(values, step):
+def test_largest_force_excludes_the_landing_impulse(values, step):
     # At whatever step: what an impact bears over a step is not a force.
     outputs = landing("impulse", step).run(values).outputs
     weight = values["m"] * 9.81 * math.cos(values["a"])
@@ -178,6 +178,6 @@ def steepest(result, force):
     return np.abs(np.diff(values)[np.diff(jumps) == 0]).max() / times[1]
 
 
-def test_the_force_after_a_landing_is_that_of_the_contact_that_lasts():
+def test_force_after_a_landing_is_the_lasting_one():
     outputs = landing("impulse", 1e-3).run({"e": 0.0}).outputs
     assert outputs["landed"] == pytest.approx(9.81 * math.cos(0.3), rel=1e-9)
