@@ -612,7 +612,8 @@ def step_scene(
             if len(members) > 0:
                 mixed = _step_group(scene, memory, tape, equations, members, met, k, chunk)
                 blurred = blurred or mixed
-        _write_held(scene, equations, blurred, k, chunk)
+        # The steps after an impact bring joints to the violation of the new velocity.
+        _write_held(scene, equations, blurred or bool(memory.landing_steps.any()), k, chunk)
         for i in range(n):
             memory.contact_change[i] += lasting[i]
             chunk.solved[k, i] = lasting[i] / h

@@ -272,6 +272,29 @@ outputs:
     assert result.trace.outcome == Outcome.HORIZON
 
 
+def test_a_joint_that_closed_rests_when_steps_up_to_a_transition_are_repeated():
+    """Steps beyond the transition are reverted; the joint still rests where it closed."""
+    text = """
+kind: scene
+name: caught
+bodies: {box: {mass: 1, inertia: 0.01, shape: {disc: 0.05}, start: {x: 0.3, dx: 1}}}
+collisions: {all: {bodies: [box], friction: 0, restitution: 0}}
+joints:
+  link: {point: {body: box}, to: {x: 0}, rest: captured, enabled: time >= 0.11}
+regions:
+  later:
+    initial: a
+    variables: {w: 0}
+    states: {a: {flows: {w: 1}}, b: {}}
+    transitions: [{name: go, from: a, to: b, guard: w >= 0.15}]
+stop: {time: 0.2}
+outputs: {x: {value: box.x}}
+"""
+    result = Runner(read_text(text), engine="impulse", step=1e-3).run()
+    assert [jump.cause for jump in result.trace.jumps] == ["enable", "go"]
+    assert result.outputs["x"] == pytest.approx(0.41, abs=1e-3)
+
+
 def test_mistakes_are_reported():
     for joint, message in {
         "{point: {body: bar}, to: [0, 0], rope: 1}": "ends are 2 apart",
