@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 _AFTER = 1.0  # seconds before a compilation is reported, and between two reports
 _ONCE = "this happens once"  # numba's kernels and heyoka's modules are cached on disk
@@ -108,7 +108,7 @@ def end(counts: bool = True) -> None:
         # calls; the outermost function is still to come.
         total = max(_now.total, _now.done + 1)
         _report(
-            f"compiling {_now.name}: {_now.done} of {several(total, 'function')}, "
+            f"compiling {_now.name}: {_now.done} of {pluralise(total, 'function')}, "
             f"{now - _now.began:.0f} s; {_ONCE}",
             last=False,
         )

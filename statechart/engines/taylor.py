@@ -30,7 +30,7 @@ from statechart.engines.taylor_loop import (
 from statechart.errors import NonFinite, StepFailure, Unsupported
 from statechart.formulas.tape import Tape
 from statechart.kernels.polynomials import append_steps
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 # Unrolled and unoptimised, 250 operations compile in 0.13 s, and a step takes 11 us; optimised, 2 s
 # and 5 us; in heyoka's compact mode 0.45 s and 11 us. Above _LARGE operations on tape, compact mode
@@ -113,7 +113,7 @@ class Taylor(Engine):
         if cached is None:
             compact = extended or len(rates.code) > _LARGE
             states = [hy.expression(f"v{i}") for i in range(rates.n_variables)]
-            with whole(f"the equations of a mode ({several(len(states), 'variable')})"):
+            with whole(f"the equations of a mode ({pluralise(len(states), 'variable')})"):
                 integrator = hy.taylor_adaptive(
                     list(zip(states, found.expressions, strict=True)),
                     [self._number(0)] * len(states),

@@ -210,7 +210,7 @@ def test_long_work_is_a_bar_on_a_terminal_and_lines_elsewhere(
     bar.close()
     shown = capsys.readouterr().err
     assert "50%" in shown
-    assert list(progress.counted("abc", 3, "letters")) == ["a", "b", "c"]
+    assert list(progress.count_items("abc", 3, "letters")) == ["a", "b", "c"]
     assert "letters" in capsys.readouterr().err
 
 

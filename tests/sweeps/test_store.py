@@ -26,7 +26,7 @@ from statechart.sweeps import store as stores
 from statechart.sweeps import sweep as sweeps
 from statechart.sweeps.cells import CellBlock, run_block
 from statechart.sweeps.plan import Task
-from statechart.sweeps.store import create, locked
+from statechart.sweeps.store import create, lock_folder
 
 pytestmark = pytest.mark.usefixtures("default_signals")
 
@@ -188,7 +188,7 @@ def test_store_being_written_is_not_touched(
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes that are forked")
 def test_forked_process_does_not_hold_the_lock(tmp_path: Path) -> None:
     heard, said = os.pipe()
-    with locked(tmp_path / "a.zarr"):
+    with lock_folder(tmp_path / "a.zarr"):
         child = os.fork()
         if child == 0:
             os.write(said, b".")
@@ -196,7 +196,7 @@ def test_forked_process_does_not_hold_the_lock(tmp_path: Path) -> None:
             os._exit(0)
         os.read(heard, 1)
     try:
-        with locked(tmp_path / "a.zarr"):
+        with lock_folder(tmp_path / "a.zarr"):
             pass
     finally:
         os.kill(child, signal.SIGKILL)
