@@ -33,9 +33,9 @@ from statechart.kernels.polynomials import append_steps
 from statechart.tabular import pluralise
 
 # Unrolled and unoptimised, 250 operations compile in 0.13 s, and a step takes 11 us; optimised, 2 s
-# and 5 us; in heyoka's compact mode 0.45 s and 11 us. Above _LARGE operations on tape, compact mode
-# compiles faster and steps as fast.
-_LARGE = 500
+# and 5 us; in heyoka's compact mode 0.45 s and 11 us. Up to _FEW operations on tape are optimised,
+# which takes little time; above _LARGE, compact mode compiles faster and steps as fast.
+_FEW, _LARGE = 100, 500
 # This to the power -20, the order of the method, is near the largest float.
 _LEAST_BASE = 1e-12
 # Allowed slope error, relative to the motion and in tolerances: ten times the maximum over the
@@ -120,7 +120,7 @@ class Taylor(Engine):
                     tol=self._number(self.tolerance),
                     fp_type=self._number,
                     compact_mode=compact,
-                    opt_level=3 if compact else 0,
+                    opt_level=3 if compact or len(rates.code) <= _FEW else 0,
                 )
             step = None if extended else Step.of(integrator)
             cached = self._programs[found.expressions] = integrator, step
