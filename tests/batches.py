@@ -9,7 +9,7 @@ from statechart.arrays import Array, Ints
 def contact_rows(
     bodies: Ints, moving: int, rows: Array, columns: Array, cones: Array
 ) -> ContactRows:
-    """Return contacts of `bodies` bodies, with derived numbers."""
+    """Return contacts of `moving` bodies, with derived numbers."""
     contacts = ContactRows.allocate(len(bodies), moving)._replace(
         bodies=bodies, moving=moving, rows=rows, columns=columns, cones=cones
     )
