@@ -1,17 +1,17 @@
-"""Contacts as rows, for tests of what solves them."""
+"""Contact rows for tests of the solvers."""
 
 from __future__ import annotations
 
-from contacts.solvers.contact_rows import ContactRows, complete
+from contacts.solvers.contact_rows import ContactRows, write_diagonal_blocks
 from statechart.arrays import Array, Ints
 
 
 def contact_rows(
     bodies: Ints, moving: int, rows: Array, columns: Array, cones: Array
 ) -> ContactRows:
-    """Return contacts of so many bodies, with what follows from their rows."""
+    """Return contacts of `moving` bodies, with derived numbers."""
     contacts = ContactRows.allocate(len(bodies), moving)._replace(
         bodies=bodies, moving=moving, rows=rows, columns=columns, cones=cones
     )
-    complete(contacts)
+    write_diagonal_blocks(contacts)
     return contacts

@@ -47,8 +47,8 @@ class JointNumbers(NamedTuple):
     """The joint rows of a scene: first one of each joint, then those of angles."""
 
     bodies: Ints  # (j, 2): the two bodies; -1: the world.
-    at: Array  # (j, 2, 2): joint points in body frames.
-    holds: Ints  # shape (j,)
+    points: Array  # (j, 2, 2): joint points in body frames.
+    kinds: Ints  # shape (j,)
     owners: Ints  # (j,): joint of the row.
     # (j, 2): distance or angle, and restitution of a bound.
     sizes: Array
@@ -196,13 +196,13 @@ class WarmStart(NamedTuple):
     n_contacts: Ints  # (1,)
     # (3,): previous step size; fastest approach so far, and largest approach in a step, half of
     # which is the allowed penetration.
-    past: Array
+    last_step: Array
     # (b, 2): mode of each body in the last step, and 1 if it follows from accelerations; see
     # `contacts.rigid_bodies.body_modes`.
-    shown: Ints
+    modes: Ints
     # (b, 6): landing of a body that settles: largest gap, normal (2), its offset at gap zero,
     # corner in the body frame (2).
-    landed: Array
+    landings: Array
 
     @classmethod
     def allocate(cls, numbers: BodyNumbers) -> WarmStart:

@@ -69,21 +69,21 @@ def _slip_row(
         if couplings.holds[c] == TURN:
             rows[at + 2] = sign
         else:
-            x, y = to_world(mid.places[b], couplings.at[c, 0], couplings.at[c, 1])
-            rx, ry = x - mid.places[b, 0], y - mid.places[b, 1]
+            x, y = to_world(mid.poses[b], couplings.at[c, 0], couplings.at[c, 1])
+            rx, ry = x - mid.poses[b, 0], y - mid.poses[b, 1]
             ux, uy = (1.0, 0.0) if couplings.holds[c] == ALONG_X else (0.0, 1.0)
             rows[at], rows[at + 1], rows[at + 2] = ux, uy, rx * uy - ry * ux
             # The point's acceleration towards the centre.
-            active.wanted[m, 1] = -0.5 * h * mid.old[b, 2] ** 2 * (rx * ux + ry * uy)
+            active.bias[m, 1] = -0.5 * h * mid.old_rates[b, 2] ** 2 * (rx * ux + ry * uy)
         if active.bodies[m, side] >= 0:
             response += turn_response(numbers, mid, b, rows[at : at + 3])
         else:
             # A led body turns as prescribed.
-            active.before[m, 1] += sign * mid.old[b, 2]
-            active.free[m, 1] += sign * mid.loose[b, 2]
+            active.before[m, 1] += sign * mid.old_rates[b, 2]
+            active.free[m, 1] += sign * mid.free_rates[b, 2]
             rows[at + 2] = 0.0
-    active.before[m, 1] += velocity(active.bodies, active.rows, mid.old, m, 1)
-    active.free[m, 1] += velocity(active.bodies, active.rows, mid.loose, m, 1)
+    active.before[m, 1] += velocity(active.bodies, active.rows, mid.old_rates, m, 1)
+    active.free[m, 1] += velocity(active.bodies, active.rows, mid.free_rates, m, 1)
     return response if response > 0.0 else 1.0
 
 
@@ -97,27 +97,27 @@ def add_couplings(
     `limits` (c, 4) are those at its midpoint; see `STATIC`.
     """
     pieces, at_old, m = len(numbers.pieces.sizes), 0, count
-    first = pieces * (pieces + len(numbers.surfaces.kinds)) + len(numbers.joints.holds)
+    first = pieces * (pieces + len(numbers.surfaces.kinds)) + len(numbers.joints.kinds)
     for c in range(len(limits)):
         on, static = limits[c, ENABLED] > 0.0, limits[c, STATIC]
         for d in range(2):
-            active.before[m, d] = active.free[m, d] = active.wanted[m, d] = 0.0
+            active.before[m, d] = active.free[m, d] = active.bias[m, d] = 0.0
             for k in range(6):
                 active.rows[m, d, k] = 0.0
         while at_old < warm.n_contacts[0] and warm.keys[at_old, 0] < first + c:
             at_old += 1
         _, _, place = restore_impulses(warm, at_old, first + c, 0, h, m, active)
         active.keys[m, 0], active.keys[m, 1] = first + c, 0
-        active.yields[m] = _slip_row(numbers, c, mid, h, m, active)
-        active.free[m, 0] = -active.yields[m] * h * static if on else 0.0
-        active.laws[m], active.twins[m], active.hit[m] = COUPLED - c, 0, False
-        active.ways[m] = 0
+        active.compliances[m] = _slip_row(numbers, c, mid, h, m, active)
+        active.free[m, 0] = -active.compliances[m] * h * static if on else 0.0
+        active.laws[m], active.rolling_roles[m], active.hit[m] = COUPLED - c, 0, False
+        active.slip_directions[m] = 0
         if on and (place < 0 or warm.contacts[place, 9] != 0.0):
             slip = active.before[m, 1]
             if abs(slip) > active.levels[m, 2]:
-                active.ways[m] = 1 if slip > 0.0 else -1
+                active.slip_directions[m] = 1 if slip > 0.0 else -1
         active.materials[m, 0], active.materials[m, 2] = 1.0, 0.0
-        active.materials[m, 1] = bound_in(limits[c], active.ways[m]) if on else 0.0
+        active.materials[m, 1] = bound_in(limits[c], active.slip_directions[m]) if on else 0.0
         for d in range(2):
             active.closing[m, 0, d] = active.closing[m, 1, d] = 0.0
             active.pushes[m, d] = active.pushes[m, d] if on else 0.0

@@ -32,8 +32,8 @@ from contacts.scene.friction import coefficients
 from contacts.scene.parts import Body, Point, Surface
 from contacts.scene.scene import Scene
 from contacts.scene.shapes import INDEX
-from contacts.solvers.dependence import column_scales, implied, rank
-from contacts.solvers.step_impulses import smoothed
+from contacts.solvers.dependence import column_scales, dependent_rows, rank
+from contacts.solvers.step_impulses import drop_round_off_friction
 from contacts.states import CLOSED, implied_joints
 from statechart.arrays import Array, Ints
 from statechart.automaton.margin_derivatives import derivative
@@ -47,7 +47,7 @@ Number = Callable[[FormulaText], float]
 _Numbers = tuple[float, float, float, float]
 
 
-def touched(scene: Scene) -> list[str]:
+def touchable_surfaces(scene: Scene) -> list[str]:
     """Return the names of the surfaces that bodies with shapes can touch."""
     used = {name for collision in scene.collisions.values() for name in collision.surfaces}
     return [name for name in scene.surfaces if name in used]
@@ -61,7 +61,7 @@ def surface_numbers(
     def number(text: FormulaText) -> float:
         return parse(text).value(known)
 
-    surfaces = [scene.surfaces[name] for name in touched(scene)]
+    surfaces = [scene.surfaces[name] for name in touchable_surfaces(scene)]
     forms = [_form(surface, number) for surface in surfaces]
     heights = tuple(
         str(surface.height)
@@ -220,9 +220,9 @@ def closed_joints(
     DeclarationProblem
         At the first joint that is open, or whose points move apart.
     """
-    (at, rates), own = moved, joints.at.copy()
+    (at, rates), own = moved, joints.points.copy()
     sizes = joints.sizes.copy()
-    for j in np.flatnonzero(joints.holds == TURN).tolist():
+    for j in np.flatnonzero(joints.kinds == TURN).tolist():
         one, other = joints.bodies[j].tolist()
         sizes[j, 0] = at[one, 2] - (at[other, 2] if other >= 0 else 0.0)
     for j, name in enumerate(scene.joints):
@@ -232,14 +232,14 @@ def closed_joints(
         for side in (0, 1):
             b = int(joints.bodies[j, side])
             if b >= 0:
-                arm = _arm(at[b, 2], joints.at[j, side])
+                arm = _arm(at[b, 2], joints.points[j, side])
                 ends.insert(side, at[b, :2] + arm)
                 moving.insert(side, rates[b, :2] + rates[b, 2] * np.array([-arm[1], arm[0]]))
         _check_angles(joints, j, name, at)
-        if joints.holds[j] in (ROD, ROPE):
+        if joints.kinds[j] in (ROD, ROPE):
             _check_distance(joints, j, name, ends, moving, near, slow)
             continue
-        components = _COMPONENTS[int(joints.holds[j])]
+        components = _COMPONENTS[int(joints.kinds[j])]
         apart = float(np.hypot.reduce((ends[0] - ends[1])[components]))
         if apart > near:
             u, v = ends[0].tolist()
@@ -261,7 +261,7 @@ def closed_joints(
         missing = np.zeros(2)
         missing[components] = (ends[1] - ends[0])[components]
         own[j, 0] += _arm(-at[joints.bodies[j, 0], 2], missing)
-    return joints._replace(at=own, sizes=sizes)
+    return joints._replace(points=own, sizes=sizes)
 
 
 def _check_distance(
@@ -270,7 +270,7 @@ def _check_distance(
 ) -> None:  # fmt: skip
     """Check the initial length of a rod, or that a rope is not longer."""
     way, length = ends[0] - ends[1], float(joints.sizes[j, 0])
-    far, rod = float(np.hypot(*way)), joints.holds[j] == ROD
+    far, rod = float(np.hypot(*way)), joints.kinds[j] == ROD
     if far > length + near or (rod and far < length - near):
         raise DeclarationProblem(
             f"joint {name!r} is {length:.7g} long, and its ends are {far:.7g} apart at the start",
@@ -291,7 +291,7 @@ def _check_angles(joints: JointNumbers, owner: int, name: str, at: Array) -> Non
     for j in np.flatnonzero(joints.owners == owner).tolist():
         one, other = joints.bodies[j].tolist()
         angle = float(at[one, 2] - (at[other, 2] if other >= 0 else 0.0))
-        sign = {LEAST: 1.0, GREATEST: -1.0}.get(int(joints.holds[j]), 0.0)
+        sign = {LEAST: 1.0, GREATEST: -1.0}.get(int(joints.kinds[j]), 0.0)
         if sign * (angle - float(joints.sizes[j, 0])) < -_ANGLE_NEAR:
             raise DeclarationProblem(
                 f"the relative angle of joint {name!r} is {angle:.7g} at the start, beyond its "
@@ -305,7 +305,7 @@ def implied_remarks(scene: Scene, joints: JointNumbers, at: Array) -> tuple[str,
     """Return a warning of redundant joints for bodies `at` (b, 3)."""
     rows, names = [], []
     every = [*scene.joints]
-    for j, holds in enumerate(joints.holds.tolist()):
+    for j, holds in enumerate(joints.kinds.tolist()):
         name = every[joints.owners[j]]
         if not joints.on[joints.owners[j]] or holds not in _COMPONENTS:
             continue
@@ -313,9 +313,9 @@ def implied_remarks(scene: Scene, joints: JointNumbers, at: Array) -> tuple[str,
         for side in (0, 1):
             b = int(joints.bodies[j, side])
             if b >= 0:
-                x, y = _arm(at[b, 2], joints.at[j, side]).tolist()
+                x, y = _arm(at[b, 2], joints.points[j, side]).tolist()
                 both[:, b] += (1 - 2 * side) * np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])
-        constrained = both[_COMPONENTS[int(joints.holds[j])]]
+        constrained = both[_COMPONENTS[int(joints.kinds[j])]]
         rows.append(constrained.reshape(len(constrained), -1))
         names += [name] * len(constrained)
     if not rows:
@@ -325,7 +325,7 @@ def implied_remarks(scene: Scene, joints: JointNumbers, at: Array) -> tuple[str,
     _, sizes, _ = np.linalg.svd(matrix * column_scales(matrix), full_matrices=False)
     if rank(sizes) == len(matrix):
         return ()
-    dependent = implied(matrix)
+    dependent = dependent_rows(matrix)
     return (implied_joints(n for n, more in zip(names, dependent.tolist(), strict=True) if more),)
 
 
@@ -465,7 +465,7 @@ def _pieces(outlines: Sequence[Sequence[_Piece]], kinds: Ints) -> PieceNumbers:
     pieces = [piece for outline in outlines for piece in outline]
     first = np.cumsum(counts) - counts
     # Index of the declared piece for every piece of every body.
-    which = _runs(first[kinds], counts[kinds])
+    which = _concatenated_ranges(first[kinds], counts[kinds])
     many = np.array([len(piece.corners) for piece in pieces], dtype=np.int64)
     corners = np.concatenate([np.empty((0, 2)), *(piece.corners for piece in pieces)])
     middles = np.array([piece.middle for piece in pieces], dtype=float).reshape(-1, 2)
@@ -473,14 +473,14 @@ def _pieces(outlines: Sequence[Sequence[_Piece]], kinds: Ints) -> PieceNumbers:
     return PieceNumbers(
         np.repeat(np.arange(len(kinds)), counts[kinds]),
         np.concatenate([[0], np.cumsum(counts[kinds])]),
-        corners[_runs((np.cumsum(many) - many)[which], many[which])],
+        corners[_concatenated_ranges((np.cumsum(many) - many)[which], many[which])],
         np.concatenate([[0], np.cumsum(many[which])]),
         middles[which],
         *numbers,
     )
 
 
-def _runs(firsts: Ints, counts: Ints) -> Ints:
+def _concatenated_ranges(firsts: Ints, counts: Ints) -> Ints:
     """Return the concatenated ranges of `counts` integers from `firsts` on."""
     ends = np.cumsum(counts)
     runs: Ints = np.arange(counts.sum()) + np.repeat(firsts - ends + counts, counts)
@@ -525,7 +525,7 @@ def _core(corners: Sequence[Sequence[float]]) -> float:
 def _laws(scene: Scene, owners: Sequence[str], number: Number) -> tuple[Ints, Ints, Array]:
     """Return kinds of bodies (b,), contact law of each pair (k, k + s), and the laws (m, 8)."""
     kinds = {name: kind for kind, name in enumerate(scene.bodies)}
-    surfaces = touched(scene)
+    surfaces = touchable_surfaces(scene)
     laws = np.full((len(kinds), len(kinds) + len(surfaces)), -1, dtype=np.int64)
     materials = []
     for law, collision in enumerate(scene.collisions.values()):
@@ -546,6 +546,11 @@ def _laws(scene: Scene, owners: Sequence[str], number: Number) -> tuple[Ints, In
         np.array([kinds[owner] for owner in owners], dtype=np.int64),
         laws,
         np.column_stack(
-            [smoothed(edges[:, :2]), edges[:, 2], smoothed(edges[:, 3:5]), edges[:, 5:]]
+            [
+                drop_round_off_friction(edges[:, :2]),
+                edges[:, 2],
+                drop_round_off_friction(edges[:, 3:5]),
+                edges[:, 5:],
+            ]
         ),
     )

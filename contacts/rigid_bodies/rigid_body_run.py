@@ -23,7 +23,7 @@ from contacts.collision_detection.find_contacts import LANDED
 from contacts.collision_detection.joints import joint_forces
 from contacts.collision_detection.surfaces import GRAPH
 from contacts.rigid_bodies.body_step import StepOptions, step_bodies
-from contacts.rigid_bodies.island_step import ratio_remarks
+from contacts.rigid_bodies.island_step import mass_ratio_warnings
 from contacts.rigid_bodies.mechanics import energy_root
 from contacts.rigid_bodies.own_step import inner_radii
 from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
@@ -44,7 +44,7 @@ from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode, StepTooLarge
 from statechart.kernels.tapes import ACOS, ASIN, DIV, LOG, POW, POWI, SQRT, TAN, tape_table
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 # Depth, relative to the inscribed radius, from which a body may leave through another side.
 _DEEP = 0.1
@@ -255,7 +255,7 @@ class RigidBodyRun(SteppedSystem):
         count = self._moving = len(numbers.inverse)
         self._warm = self._saved = WarmStart.allocate(numbers)
         # As after an impact.
-        self._warm.past[2] = start_depth / LANDED
+        self._warm.last_step[2] = start_depth / LANDED
         self._workspace = Workspace.of(self.numbers, self._warm)
         self._min_gaps = np.full(count, np.inf)
         self._turned = self._length = 0.0
@@ -305,22 +305,22 @@ class RigidBodyRun(SteppedSystem):
         """
         joints, remembered = self.numbers.joints, state[2 * self.numbers.size :]
         pose = self._prescribed.captured(joint, remembered)
-        joints.sizes[(joints.owners == j) & (joints.holds == TURN), 0] = pose.get("turn", 0.0)
+        joints.sizes[(joints.owners == j) & (joints.kinds == TURN), 0] = pose.get("turn", 0.0)
         if "x" in pose or "y" in pose:
             if joints.bodies[j, 1] >= 0:
-                joints.at[j, 1] = pose["x"], pose["y"]
+                joints.points[j, 1] = pose["x"], pose["y"]
             return
         poses, rates = (part[0] for part in self.numbers.motion(state[None]))
         ends = [self._prescribed.place_of(j, time, remembered)] * 2
         speed = 0.0
         for side, b in enumerate(joints.bodies[j].tolist()):
             if b >= 0:
-                (x, y, turn), (u, v) = poses[b], joints.at[j, side]
+                (x, y, turn), (u, v) = poses[b], joints.points[j, side]
                 c, s = math.cos(turn), math.sin(turn)
                 ends[side] = np.array([x + c * u - s * v, y + s * u + c * v])
                 speed += math.hypot(*rates[b, :2]) + abs(rates[b, 2]) * math.hypot(u, v)
         way = np.abs(ends[0] - ends[1])
-        holds = int(joints.holds[j])
+        holds = int(joints.kinds[j])
         if holds == ROD:
             apart = abs(math.hypot(*way) - float(joints.sizes[j, 0]))
         else:
@@ -378,7 +378,7 @@ class RigidBodyRun(SteppedSystem):
         self._warm, self._prescribed = WarmStart.allocate(self.numbers), copy(prescribed)
         chunk, status = self._taken(time, h, state, 1, math.inf)
         self._check_finite(chunk, status)
-        holds, gaps = self.numbers.joints.holds, self._workspace.mid.gaps.copy()
+        holds, gaps = self.numbers.joints.kinds, self._workspace.mid.gaps.copy()
         modes = chunk.codes[0, self._moving :]
         detected = DetectedContacts.of(gaps, self._workspace.active, self._warm, holds, modes)
         self._warm, self._prescribed = before.enlarged_to(self._warm), prescribed
@@ -394,7 +394,7 @@ class RigidBodyRun(SteppedSystem):
                 "the inertia of the coordinates does not determine their motion, or has no value"
             )
         if status == NOT_FINITE and not len(chunk.codes):
-            lost = np.argwhere(~np.isfinite(self._workspace.mid.loose))[:, 0].tolist()
+            lost = np.argwhere(~np.isfinite(self._workspace.mid.free_rates))[:, 0].tolist()
             known = lost and lost[0] < len(self._names)
             what = f"a force on body {self._names[lost[0]]!r}" if known else "a coordinate"
             raise NonFinite(f"{what} became infinite or undefined")
@@ -409,14 +409,15 @@ class RigidBodyRun(SteppedSystem):
                 f"{self._length:g}, too much to follow how they touch; take "
                 f"{_FOLLOWED * self._length / self._turned:.1g} or less",
             )
-        warnings += ratio_remarks(self._workspace.worst, self._names, self._options.allowed)
+        warnings += mass_ratio_warnings(self._workspace.worst, self._names, self._options.allowed)
         warnings += self._no_ground.remarks
         warnings += self._penetration.remarks(self._deepest_at)
         if self._parted:
-            joints = ", or joints would not close" if len(self.numbers.joints.holds) else ""
+            joints = ", or joints would not close" if len(self.numbers.joints.kinds) else ""
             warnings += (
-                f"in {several(self._parted, 'step')} of {self._length:g} bodies would pass through "
-                f"each other, or turn by more than half a turn{joints}: these were taken in up to "
+                f"in {pluralise(self._parted, 'step')} of {self._length:g} bodies would pass "
+                f"through each other, or turn by more than half a turn{joints}: these were taken "
+                f"in up to "
                 f"{self._most_parts} parts; a step of {self._length / self._most_parts:.1g} needs "
                 "none",
             )
@@ -445,7 +446,7 @@ class RigidBodyRun(SteppedSystem):
         self._check_finite(chunk, status)
         if len(self.numbers.couplings.holds):
             chunk = self._with_limits(chunk, start)
-        if len(self.numbers.joints.holds):
+        if len(self.numbers.joints.kinds):
             chunk = self._without_gain(chunk)
             if not len(chunk.codes) and self._gain_error is not None:
                 raise self._gain_error
@@ -481,8 +482,8 @@ class RigidBodyRun(SteppedSystem):
         Joints do no work: they return stored energy, or steps are too long for the oscillation that
         they couple. The error of the next step is stored.
         """
-        added = self._added + np.append(0.0, np.cumsum(chunk.gained))
-        chunk.gained[:] = 0.0
+        added = self._added + np.append(0.0, np.cumsum(chunk.energy_gain))
+        chunk.energy_gain[:] = 0.0
         rates = self.numbers.motion(chunk.states[1:])[1]
         moving = 0.5 * (rates**2 / self.numbers.inverse).sum(axis=(1, 2))
         moved = np.maximum.accumulate(np.append(self._moved, moving))
@@ -506,7 +507,7 @@ class RigidBodyRun(SteppedSystem):
         if not jumped:
             return
         met = self.detect(state, start, _INSTANT * self._length)
-        landed = LANDED * float(self._warm.past[2]) + _JUMPED_INTO * self.numbers.sizes
+        landed = LANDED * float(self._warm.last_step[2]) + _JUMPED_INTO * self.numbers.sizes
         deep = met.gaps[: self._moving] + landed[: self._moving]
         b = int(np.argmin(deep))
         if deep[b] < 0.0:
@@ -545,7 +546,7 @@ class RigidBodyRun(SteppedSystem):
         chunk = Chunk.allocate(h, state, solved + self._prescribed.count, bodies + couplings, count)
         done, status = 0, DONE
         while status == FULL or (status == DONE and done < count):
-            if done and interrupts.arrived():
+            if done and interrupts.signal_count():
                 break
             some = chunk.after(done).first(count - done)
             taken, status = step_bodies(

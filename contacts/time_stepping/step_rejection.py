@@ -45,7 +45,7 @@ def too_large(
     h = chunk.h
     turn: Array = h * np.max(np.abs(chunk.states[1:, angles]), axis=1, initial=0.0)
     wrong = (turn > math.pi) | (chunk.closing > DEEPEST * size) | (chunk.passed > 0.0)
-    wrong |= chunk.gained > _MOST_ADDED
+    wrong |= chunk.energy_gain > _MOST_ADDED
     if not wrong.any():
         return None
     k = int(np.argmax(wrong))
@@ -61,9 +61,9 @@ def too_large(
         ))  # fmt: skip
     if chunk.closing[k] <= DEEPEST * size:
         # The energy gain grows with the square of the step.
-        part = math.sqrt(_MOST_ADDED / chunk.gained[k])
+        part = math.sqrt(_MOST_ADDED / chunk.energy_gain[k])
         return Rejection(k, StepTooLarge(
-            f"contacts would add {chunk.gained[k]:.2g} of the kinetic energy in one step of "
+            f"contacts would add {chunk.energy_gain[k]:.2g} of the kinetic energy in one step of "
             f"{h:g}, in which surfaces or bodies turn too far; take "
             f"{0.1 * h * part:.1g} or less"
         ))  # fmt: skip

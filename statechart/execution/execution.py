@@ -33,12 +33,12 @@ from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.filippov import Filippov
 from statechart.execution.finding import closing, from_here, only_stops
 from statechart.execution.flow import FOLLOWED, UNFOLLOWED, Advance
-from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, looping
+from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, loop_error
 from statechart.execution.outcome import Progress, error_of
 from statechart.execution.zeno import Accumulation
 from statechart.formulas.series import sizes_at
-from statechart.kernels.polynomials import summands
-from statechart.tabular import several
+from statechart.kernels.polynomials import term_sizes
+from statechart.tabular import pluralise
 
 if TYPE_CHECKING:
     from statechart.automaton.constraints import Constraints
@@ -257,7 +257,7 @@ class Execution:
             terms = flow.terms
             if flew and record.arcs[-1].j == place[runs.N_JUMPS]:
                 arc = record.arcs[-1]
-                terms = summands(arc.times, arc.coefficients)
+                terms = term_sizes(arc.times, arc.coefficients)
             flow = flow._replace(settled=False, terms=terms, warning="", notes=(), start=None)
         self.flow = flow
 
@@ -372,7 +372,7 @@ class Execution:
         elapsed, terms = 0.0, flow.terms
         if path.count > 0:
             times, coefficients = path.arc()
-            elapsed, terms = times.item(-1), summands(times, coefficients)
+            elapsed, terms = times.item(-1), term_sizes(times, coefficients)
             self.record.add_arc(flow.mode, flow.moving, self.clock, times, coefficients)
             if self.certificate is not None:
                 self.certificate.flow(self.record.arcs[-1], self._enter(flow.moving))
@@ -509,7 +509,7 @@ class Execution:
             if self.flow.settled and self._filippov is None:
                 break
         else:
-            raise looping(self.record.jumps[-6:], self.clock, self.automaton)
+            raise loop_error(self.record.jumps[-6:], self.clock, self.automaton)
         if fired and not moved:
             if self.failure is not None:
                 if fired != (UNBOUNDED,) or not (last := self._fell_at_last()):
@@ -546,7 +546,7 @@ class Execution:
         if not self.automaton.stops:
             check_pace(self.record.jumps, self.clock, self.until, self.max_jumps)
         if too_many := len(self.record.jumps) >= self.max_jumps:
-            self._end(Outcome.TOO_MANY_JUMPS, several(self.max_jumps, "jump"))
+            self._end(Outcome.TOO_MANY_JUMPS, pluralise(self.max_jumps, "jump"))
         return too_many
 
     def _skip(self, jump: Jump) -> None:

@@ -1,4 +1,4 @@
-"""The product automaton as a graph: what is in it, and that no more is built than asked for."""
+"""The product automaton as a graph: its contents, built on demand."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import networkx as nx
 import pytest
 
 import statechart
-from statechart.automaton.product import explored
+from statechart.automaton.product import explore
 from statechart.running.runner import Runner
 
 BAR = "double_contact_bar"
@@ -66,12 +66,12 @@ def test_a_jump_of_both_contacts_is_an_edge_without_guard() -> None:
     assert (both["region"], both["event"], both["visits"]) == ("B", "touchdown", 1)
 
 
-def test_jumps_of_two_regions_alike_are_counted_apart() -> None:
+def test_equal_jumps_of_two_regions_are_counted_separately() -> None:
     runner = Runner("two_balls")
     trace = runner.run().trace
     start = trace.start_mode
     one = next(jump for jump in trace.jumps if jump.region == "floor1" and jump.target == start)
-    modes = explored(runner.automaton, trace=replace(trace, jumps=(one,))).graph()
+    modes = explore(runner.automaton, trace=replace(trace, jumps=(one,))).graph()
     touched = {d["region"]: d["visits"] for _, t, d in modes.edges(start, data=True) if t == start}
     assert touched == {"floor1": 1, "floor2": 0, "pair": 0}
 
@@ -99,7 +99,7 @@ def test_too_many_modes_or_none_of_the_model_are_refused() -> None:
         statechart.graph(BAR, trace=statechart.run("bouncing_ball").trace)
 
 
-def test_without_more_the_start_is_the_centre() -> None:
+def test_start_mode_is_the_default_centre() -> None:
     assert list(statechart.graph("toppling_stick", within=0)) == [("pin",)]
 
 

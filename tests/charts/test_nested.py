@@ -55,7 +55,7 @@ outputs: {x: {value: x}, u: {value: K*(r - x) + I*integral}}
 """
 
 
-def test_an_integrator_takes_the_error_away(tmp_path: Path) -> None:
+def test_integral_controller_removes_the_steady_error(tmp_path: Path) -> None:
     found = run(tmp_path, PI)
     assert found.outputs == {"x": pytest.approx(1.0, abs=1e-8), "u": pytest.approx(1.0, abs=1e-8)}
 
@@ -135,7 +135,7 @@ outputs: {n: {value: n}, ts: {value: time, at: each remind}}
 
 
 @ENGINES
-def test_a_timeout_that_leaves_no_state_comes_once_an_entry(tmp_path: Path, engine: str) -> None:
+def test_internal_timeout_fires_once_per_entry(tmp_path: Path, engine: str) -> None:
     found = run(tmp_path, REMIND, engine).outputs
     assert found["n"] == 5
     assert found["ts"] == pytest.approx([0.8 + 1.2 * k for k in range(5)], rel=1e-13)
@@ -171,7 +171,7 @@ outputs: {x: {value: x}, y: {value: y}, z: {value: z}}
 
 
 def test_exits_come_before_updates_and_these_before_entries(tmp_path: Path) -> None:
-    # Within a block all values are those before it; a block sees what the one before it left.
+    # A block uses the values before it; the next block uses its results.
     assert run(tmp_path, ORDER).outputs == {"x": 112345.0, "y": 112.0, "z": 0.0}
 
 

@@ -331,7 +331,7 @@ def test_a_mistake_in_a_chart_is_reported_with_advice(mistake: str) -> None:
     assert told in str(caught.value)
 
 
-def test_there_are_more_than_twenty_and_the_scene_itself_is_right() -> None:
+def test_base_scene_of_the_mistakes_is_valid() -> None:
     assert len(MISTAKES) >= 130
     assert Runner(read_text(SCENE)).start()[0] == ("free",)
 
@@ -363,7 +363,7 @@ def test_likely_mistakes_give_warnings(old: str, new: str, told: str) -> None:
     assert [told in warning for warning in warnings] == ([True] if told else [])
 
 
-def test_a_contact_that_is_off_at_the_start_may_be_behind_its_line() -> None:
+def test_disabled_contact_may_start_behind_its_line() -> None:
     text = SCENE.replace("height: 0", "line: [[1, 0.8], [-1, 0.8]]")
     text = text.replace("restitution: e", "restitution: e, enabled: time > 0.1")
     _, warnings = Runner(read_text(text, "f.yaml")).start()
@@ -375,24 +375,24 @@ def test_a_contact_that_is_off_at_the_start_may_be_behind_its_line() -> None:
 @pytest.mark.parametrize(
     ("changes", "places"),
     [
-        # What has the wrong form.
+        # Wrong forms.
         (
             (("mass: m", "mas: m"), ("height: 0", "hight: 0"), ("friction: mu", "friction: true")),
             ("7:9", "9:12", "11:69"),
         ),
-        # What means nothing.
+        # Keys without effect.
         (
             (("m*L**2", "M*L**2"), ("body: rod", "body: stick"), ("surface: ground", "surface: a"),
              ("friction: mu", "friction: nu"), ("height: 0", "height: z")),
             ("7:27", "9:20", "11:23", "11:53", "11:66"),
         ),
-        # What no number may be.
+        # Values that are not allowed.
         (
             (("mass: m", "mass: -1"), ("friction: mu", "friction: -1"),
              ("restitution: e", "restitution: 3")),
             ("7:15", "11:69", "11:86"),
         ),
-        # What is watched and reported.
+        # Conditions and outputs.
         (
             (("rod.angle", "rod.a"), ("value: time", "value: tip.F")),
             ("12:36", "14:14"),

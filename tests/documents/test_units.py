@@ -1,4 +1,4 @@
-"""Units: what is declared, what follows, and where they are shown."""
+"""Units: declared ones, inferred ones, and their display."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 import models
 from statechart import Chart, load, run
-from statechart.documents.quantities import entitled, unit_of
+from statechart.documents.quantities import axis_label, unit_of
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.running.result import Result
@@ -93,7 +93,7 @@ def test_summaries_show_units(result: Result) -> None:
     assert result.to_dict()["units"]["top"] == "m"
 
 
-def test_units_are_of_names_that_exist() -> None:
+def test_units_refer_to_existing_names() -> None:
     wrong = SCENE.replace("heat: J}", "heart: J}")
     with pytest.raises(
         DeclarationError, match=r"f\.yaml:3:39: units\.heart: nothing is called"
@@ -161,7 +161,7 @@ def test_parameters_have_the_units_of_their_uses() -> None:
     assert [bar.unit(n) for n in ("tilt_deg", "tilt", "L")] == ["", "rad", "m"]
 
 
-def test_words_stand_for_units_of_all_bases() -> None:
+def test_unit_words_exist_for_all_bases() -> None:
     assert measures("x").units == SI
     without = measures("x", "dimensionless")
     assert (without.unit("z"), without.unit("time"), without.unit("k")) == ("1", "1", "1")
@@ -171,7 +171,7 @@ def test_words_stand_for_units_of_all_bases() -> None:
 
 
 def test_quantities_without_a_unit_show_none() -> None:
-    assert (entitled("x", "1"), entitled("x", ""), entitled("x", "m")) == ("x", "x", "x in m")
+    assert (axis_label("x", "1"), axis_label("x", ""), axis_label("x", "m")) == ("x", "x", "x in m")
     shown = str(run("toppling_stick", until=0.5))
     assert not re.search(r"stick\.x .* 1$", shown, re.M)
     assert re.search(r"stick\.angle .* rad$", shown, re.M)

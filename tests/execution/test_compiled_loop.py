@@ -1,4 +1,4 @@
-"""Loops in compiled code do what flows and instants do that are made one by one, to the bit."""
+"""The compiled loop is bit-identical to single flows and instants."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def traced(
 
 
 @pytest.mark.parametrize(("model", "values"), CASES)
-def test_a_run_is_the_same_to_the_bit(
+def test_compiled_run_is_bit_identical(
     model: str, values: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Else it is taken at once where it lies compiled on disk.

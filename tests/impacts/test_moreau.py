@@ -24,9 +24,9 @@ from contacts.scene.scene import Scene
 from statechart.documents.settings import Stop
 from statechart.running.runner import Runner
 
-# What is left of steps after an impact, all of one step long: the error is of this order.
+# Remaining part of the step after an impact; the error is of this order.
 STEP = 1e-7
-# Solutions nearer to a change of mode than this are not told apart by a step.
+# A step does not distinguish solutions closer to a change of mode than this.
 MARGIN = 1e-4
 
 
@@ -120,7 +120,7 @@ def capped(mass, before, plastic, target):
 
 @cache
 def runner(contacts, simultaneous, engine):
-    """Return what runs a body of so many contacts, each with a line through its point."""
+    """Return a runner of a body with these contacts, each with a line through its point."""
     numbers = range(contacts)
     parameters = {"m": 1.0, "inertia": 1.0, "u": 0.0, "v": 0.0, "w": 0.0}
     for i in numbers:
@@ -211,7 +211,7 @@ def test_both_engines_give_the_velocities_of_the_law(throw, simultaneous):
 
 
 @pytest.mark.parametrize(("place", "warned"), [(-1.0, False), (-0.5, True)])
-def test_impacts_that_do_not_feel_each_other_have_no_order(place, warned):
+def test_uncoupled_impacts_have_no_order(place, warned):
     # A turning body is struck in directions that are across each other, as its inertia counts.
     values = {
         "w": 1.0, "x0": 1.0, "a0": 1.0 + math.pi, "mu0": 0.0, "e0": 1.0, "x1": place, "y1": 0.0,

@@ -116,7 +116,7 @@ def test_a_hexagon_that_rolls_down_slips_before_each_blow(engine: str) -> None:
 
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
-def test_two_masses_on_a_slack_rope_come_to_turn_about_each_other(engine: str) -> None:
+def test_masses_on_a_rope_end_in_mutual_rotation(engine: str) -> None:
     # Beside their centre they move straight, and along chords of the circle that the rope lets.
     # Each blow leaves 0.3 of the speed apart, whose sequence ends; the speed across stays.
     reach, place, speed = 0.5, np.array([0.2, 0.0]), np.array([-2.0, -2.0])
@@ -133,7 +133,7 @@ def test_two_masses_on_a_slack_rope_come_to_turn_about_each_other(engine: str) -
     turned += across / reach * (3.0 - times[-1])
     found = statechart.run(interpret(read_text(_ROPE, "rope.yaml")), engine=engine).outputs
     assert found["t"] == pytest.approx(times[:5], rel=1e-10)
-    # What the last bounces take is summed as if they were alike.
+    # The last bounces are summed as if they were equal.
     assert found["taut"] == pytest.approx(times[-1], rel=3e-9)
     wanted = [reach * math.cos(turned), reach * math.sin(turned)]
     assert [found["x"], found["y"]] == pytest.approx(wanted, abs=1e-9)

@@ -44,12 +44,12 @@ CHARTS = ("bouncing_ball_chart", "simplest_walker")
 SEQUENTIAL = "newtons_cradle"
 # Has couplings, which steps refuse.
 COUPLED = "braking_car"
-# Modes differ where a few steps slide before they stick, or what slides lifts off within a step.
+# Modes differ if a few steps slide before they stick, or a sliding contact lifts off within a step.
 SLIDES_ON = ("double_contact_bar", "raibert_hopper")
 
 
 @pytest.mark.parametrize(("name", "parameters", "until", "step", "constant"), SCENES)
-def test_a_scene_moves_as_with_events(name, parameters, until, step, constant):
+def test_impulse_engine_agrees_with_events(name, parameters, until, step, constant):
     exact = Runner(name).run(parameters, until=until, throw=False).trace
     found = Runner(name, engine="impulse", step=step).run(parameters, until=until, throw=False)
     trace = found.trace
@@ -61,14 +61,14 @@ def test_a_scene_moves_as_with_events(name, parameters, until, step, constant):
     assert all(s in d for key in trace.modes for s, d in zip(key, declared, strict=True))
 
 
-def test_no_shipped_model_is_left_out():
+def test_every_shipped_model_is_tested():
     folder = Path(models.__file__).parent
     shipped = {path.stem for path in folder.glob("*.yaml")}
     stepped = {name for name in shipped if Runner(name).setting.step is not None}
     assert shipped == {name for name, *_ in SCENES} | {*CHARTS, SEQUENTIAL, COUPLED} | stepped
 
 
-def test_blows_resolved_together_give_a_warning():
+def test_simultaneously_resolved_impacts_give_a_warning():
     found = Runner(SEQUENTIAL, engine="impulse", step=1e-3).run(until=0.6)
     assert any("simultaneous impacts follow" in warning for warning in found.warnings)
     # Newton's law at all contacts at once: the four that touch are hit as one.
@@ -105,7 +105,7 @@ def test_lasting_contact_shares_an_impact_as_with_events():
     )
     (strike,) = [jump for jump in found.trace.jumps if jump.region == "B" and jump.impulse]
     (other,) = [jump for jump in exact.trace.jumps if jump.region == "B" and jump.impulse]
-    # How two contacts of one bar share what acts along it the motion does not tell.
+    # The motion does not determine how two contacts of a bar share an axial force.
     ours, theirs = (np.array([jump.impulse[c] for c in ("A", "B")]) for jump in (strike, other))
     assert ours[:, 0] == pytest.approx(theirs[:, 0], rel=1e-3)
     assert ours[:, 1].sum() == pytest.approx(theirs[:, 1].sum(), rel=1e-3)
@@ -130,6 +130,6 @@ def test_controllers_act_at_the_ends_of_steps():
     for jump in result.trace.jumps:
         if jump.region == "leg":
             assert abs(jump.t / step - round(jump.t / step)) < 1e-6
-    # What a state sets acts from there on.
+    # The values that a state sets act from its entry on.
     push = result.observer.sample(result.trace, ["push", "l"], times=[0.1, 0.3]).columns
     assert push["push"] == pytest.approx([1.0, 200.0 * (1.0 - push["l"][1])], rel=1e-2)

@@ -1,4 +1,4 @@
-"""Newton's cradle: what goes through its balls, by every law for simultaneous impacts."""
+"""Newton's cradle by every law for simultaneous impacts."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def at_once(e: float) -> list[float]:
 
 
 @pytest.mark.parametrize("name", ENGINES)
-def test_the_blow_goes_through_and_back(name: str) -> None:
+def test_impact_passes_through_the_cradle_and_back(name: str) -> None:
     trace = run(MODEL, name, until=4.0)
     assert trace.certified
     found = outputs(MODEL, name, trace)
@@ -93,7 +93,7 @@ def test_the_first_blow_by_every_law(
     assert after == pytest.approx(rates(e), abs=1e-11)
     assert after.sum() == pytest.approx(SPEED, abs=1e-11)
     assert (np.diff(after) >= -1e-13).all()
-    # What the balls do then: those that move off together stay closed.
+    # Outcome: balls that move off together stay closed.
     together = tuple("slide" if step < 1e-12 else "free" for step in np.diff(after))
     assert trace.jumps[0].target == together
 
@@ -111,7 +111,7 @@ def subject() -> Subject:
     return Subject(load(MODEL))
 
 
-def test_a_parting_that_one_engine_cannot_tell_from_rest_is_undecidable() -> None:
+def test_separation_within_tolerance_is_undecidable() -> None:
     case = subject().case({"e": 0.99999})
     first, other = case.sound
     parting = float(np.diff(first.jumps[0].after[RATES])[0])
@@ -130,7 +130,7 @@ def test_a_parting_that_one_engine_cannot_tell_from_rest_is_undecidable() -> Non
 
 
 @pytest.mark.parametrize("e", [0.992, 0.993])
-def test_balls_that_meet_slowly_do_so_within_the_error_of_a_step(e: float) -> None:
+def test_slow_meetings_are_within_the_step_error(e: float) -> None:
     case = subject().case({"e": e})
     first, other = case.sound
     assert abs(first.jumps[6].t - other.jumps[6].t) > 1e-8  # at a speed of 3e-7

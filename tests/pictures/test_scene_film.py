@@ -11,9 +11,9 @@ from contacts.pictures.stage import grounds
 from contacts.scene.scene import Scene
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
-from statechart.pictures.drawing import crossing, picture
-from statechart.pictures.film import Film, arrows, catenary, cones, ends_of, placed, strokes
-from statechart.reporting.film import filmed, stage_of, until_rest
+from statechart.pictures.drawing import crosses_boxes, picture
+from statechart.pictures.film import Film, arrows, catenary, cones, ends_of, hatching, place_points
+from statechart.reporting.film import film_at, stage_of, until_rest
 from statechart.running.drawing import draw_scene
 
 FILES = sorted((Path(__file__).parents[2] / "models").glob("*.yaml"))
@@ -22,7 +22,7 @@ SCENES = [file.stem for file in FILES if "kind: scene" in file.read_text(encodin
 
 def film_of(model: object, times: object, **options: object) -> Film:
     result = statechart.run(model, throw=False, **options)  # type: ignore[arg-type]
-    return filmed(stage_of(result.observer.automaton), result.observer, result.trace, times)
+    return film_at(stage_of(result.observer.automaton), result.observer, result.trace, times)
 
 
 def shapes(film: Film, kind: str) -> list:
@@ -66,9 +66,9 @@ def test_pendulums_hang_from_their_pivots_and_touch_at_their_rims():
     assert len(links) == 5
     for link in links:
         for pose in film.poses[:, link.frame]:
-            assert np.hypot(*(placed(link.points[:1], pose)[0] - link.points[-1])) == pytest.approx(
-                known["L"]
-            )
+            assert np.hypot(
+                *(place_points(link.points[:1], pose)[0] - link.points[-1])
+            ) == pytest.approx(known["L"])
     assert {disc.radius for disc in shapes(film, "disc")} == {known["radius"]}
     second = next(touch for touch in film.touches if touch.name == "c23")
     middle = (film.poses[0, 2, :2] + film.poses[0, 3, :2]) / 2.0
@@ -84,14 +84,14 @@ def test_floors_of_discs_are_below_their_centres():
     assert film.poses[0, 1, 1] - below.places[0, 1] == pytest.approx(radius)
 
 
-def test_a_wheel_without_inertia_has_a_spoke_for_every_contact_that_is_ever_on():
+def test_massless_wheel_has_a_spoke_per_used_contact():
     film = film_of("rimless_wheel", [0.0, 1.0], until=1.0)
     spokes = shapes(film, "bar")
     assert len(spokes) == 8
     np.testing.assert_allclose([np.hypot(*spoke.points[1]) for spoke in spokes], 1.0)
 
 
-def test_two_corners_and_their_images_make_a_block():
+def test_two_corners_and_their_mirror_images_draw_a_block():
     film = film_of("rocking_block", [0.0], until=0.1)
     (block,) = shapes(film, "outline")
     known = statechart.load("rocking_block").values()
@@ -108,7 +108,7 @@ def test_legs_reach_from_feet_to_hip():
 
 
 def test_reactions_of_two_bodies_are_a_spring():
-    # Of the hopper where its leg acts: in the air a constant force holds it at its full length.
+    # The leg of the hopper acts on the ground; in the air a constant force extends it fully.
     (spring,) = shapes(film_of("hopper", [0.0], until=0.0), "spring")
     assert spring.frame != spring.other
     assert spring.aside == 0.0
@@ -224,18 +224,18 @@ def test_dampers_written_by_components_are_drawn_as_dampers():
     assert kinds == {"mass", "spring", "damper"}
 
 
-def test_reactions_that_are_a_couple_are_no_link():
+def test_couples_are_not_drawn_as_links():
     film = pair_of("k", PAIR.replace("TENSION*(b.y - a.y)/LENGTH", "0"))
     assert {shape.kind for shape in film.shapes} == {"mass"}
 
 
-def test_strokes_are_on_the_right_at_even_distances():
+def test_ground_hatching_is_even_and_on_the_solid_side():
     line = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0]])
-    found = strokes(line, 0.25)
+    found = hatching(line, 0.25)
     assert len(found) == 12
     assert (found[:8, 1, 1] < 0.0).all()
     assert (found[8:, 1, 0] > 2.0).all()
-    assert len(strokes(line[[0, 0]], 0.25)) == 0
+    assert len(hatching(line[[0, 0]], 0.25)) == 0
 
 
 def test_walls_end_at_floors():
@@ -254,7 +254,7 @@ def test_a_film_is_finite_and_shows_all_bodies(name):
     stage = stage_of(result.observer.automaton)
     end = until_rest(stage, result.observer, result.trace)
     assert 0.0 < end <= result.trace.t_end
-    film = filmed(stage, result.observer, result.trace, np.linspace(0.0, end, 7))
+    film = film_at(stage, result.observer, result.trace, np.linspace(0.0, end, 7))
     assert np.isfinite(film.poses).all()
     assert np.isfinite(film.centres).all()
     for touch in film.touches:
@@ -264,7 +264,7 @@ def test_a_film_is_finite_and_shows_all_bodies(name):
     for shape in film.shapes:
         if shape.kind in ("outline", "disc", "bar", "mass"):
             for k in range(7):
-                points = placed(shape.points, film.poses[k, shape.frame])
+                points = place_points(shape.points, film.poses[k, shape.frame])
                 assert (np.abs(points - film.centres[k]) <= film.half).all()
 
 
@@ -336,7 +336,7 @@ def test_arrows_of_forces_are_within_the_picture(name):
 @pytest.mark.parametrize(
     "name", ["hopper", "sliding_ladder", "compass_walker", "newtons_cradle", "rimless_wheel"]
 )
-def test_names_are_whole_and_apart(name):
+def test_labels_do_not_overlap(name):
     film = film_of(name, [0.0], until=0.0)
     (ax,) = picture(film).axes
     boxes = [t.get_window_extent() for t in ax.texts if t.get_text()]
@@ -361,7 +361,7 @@ def test_a_few_bodies_with_shapes_are_named_and_many_are_not(name, bodies):
 def test_a_line_crosses_a_box_or_passes_it():
     low, high = np.array([[0.0, 0.0], [2.0, 0.0]]), np.array([[1.0, 1.0], [3.0, 1.0]])
     crossed = [
-        crossing(low, high, np.array(one), np.array(two)).tolist()
+        crosses_boxes(low, high, np.array(one), np.array(two)).tolist()
         for one, two in (
             ((-1.0, 0.5), (1.5, 0.5)),
             ((-1.0, 0.5), (4.0, 0.5)),
@@ -389,12 +389,12 @@ def test_a_chart_has_no_bodies_to_draw(tmp_path, capsys):
     assert not target.exists()
 
 
-def test_a_scene_is_no_text(tmp_path, capsys):
+def test_scene_cannot_be_drawn_as_text(tmp_path, capsys):
     assert main(["draw", "toppling_stick", "--scene", "-o", str(tmp_path / "a.dot")]) == 2
     assert ".svg, .png, .pdf" in capsys.readouterr().err
 
 
-def test_balls_that_hang_side_by_side_press_on_none_of_the_others():
+def test_hanging_balls_have_no_contact_forces():
     # Newton's cradle at rest: each weight is on its own string, and rounding is no force.
     film = film_of("newtons_cradle", np.linspace(0.0, 4.0, 41))
     for touch in film.touches:
@@ -439,7 +439,7 @@ def test_short_arrows_point_where_forces_do():
     from statechart.pictures.drawing import Drawing
 
     result = statechart.run("hopper", until=0.1)
-    film = filmed(stage_of(result.observer.automaton), result.observer, result.trace, [0.0, 0.1])
+    film = film_at(stage_of(result.observer.automaton), result.observer, result.trace, [0.0, 0.1])
     figure = plt.figure(figsize=(1.4, 1.8))
     film = dataclasses.replace(film, force=60.0)
     drawing = Drawing(figure.add_axes((0, 0, 1, 1)), film)

@@ -20,7 +20,7 @@ from statechart.loading.load import load
 from statechart.observation.observer import Observer
 from statechart.palette import region_colours, state_colours
 from statechart.reporting.curves import curves
-from statechart.reporting.figure import banded, figure, render
+from statechart.reporting.figure import figure, regions_with_bands, render
 from statechart.running.runner import Runner
 
 
@@ -176,7 +176,7 @@ def test_similar_curves_are_represented_by_some_of_the_whole_range(height: int) 
     runner = Runner(read_text(FALLING.replace("HEIGHT", str(height))))
     result = runner.run()
     _, panels = curves(result.observer, result.trace)
-    # Where the big one falls on for longer it is still of their order.
+    # While the big one still falls, its speed is of their order.
     every = [n.rpartition(".")[0] for n in runner.automaton.names if n.endswith(".y")]
     spread = [every[k] for k in (0, 6, 11, 16, 22)]  # quarters of 22, half to even
     for panel in panels:
@@ -198,7 +198,7 @@ def test_gaps_of_contacts_that_change_are_drawn_first() -> None:
     rolled = {jump.region for jump in result.trace.jumps}
     assert len(gaps.names) == 5
     assert {name.removesuffix(".gap") for name in gaps.names} <= rolled
-    # Of those that stay off all along nothing is lost but the curve.
+    # Contacts that stay off lose only their curve.
     assert {*gaps.names, *gaps.left_out} == {f"{r}.gap" for r in result.trace.regions}
 
 
@@ -244,7 +244,9 @@ def test_curves_that_stay_zero_have_no_axis_and_are_named() -> None:
 
 def test_regions_that_change_have_a_row() -> None:
     result = Runner("rimless_wheel").run()
-    rows = [result.trace.regions[k] for k in banded(result.observer.automaton, result.trace)]
+    rows = [
+        result.trace.regions[k] for k in regions_with_bands(result.observer.automaton, result.trace)
+    ]
     assert rows == [f"s{k}" for k in range(8)]  # the others are off all the time
     band = figure(result.observer, result.trace).axes[-1]
     (said,) = [text.get_text() for text in band.get_legend().get_texts()]
@@ -290,7 +292,7 @@ def test_panels_do_not_depend_on_the_unit_of_length() -> None:
 
 
 @pytest.mark.parametrize("name", ["sampled_balance", "rocking_block"])
-def test_words_at_axes_are_apart(name: str) -> None:
+def test_axis_labels_do_not_overlap(name: str) -> None:
     drawing = Runner(name).run().plot()
     drawing.draw_without_rendering()
     labelled = [ax.yaxis.label for ax in drawing.axes if ax.get_ylabel()]
@@ -313,7 +315,9 @@ def test_figures_omit_timers_of_transitions() -> None:
 def test_a_controller_among_many_bodies_has_a_row() -> None:
     result = Runner("silo").run(until=0.1)
     assert len(result.trace.regions) == 152
-    rows = [result.trace.regions[k] for k in banded(result.observer.automaton, result.trace)]
+    rows = [
+        result.trace.regions[k] for k in regions_with_bands(result.observer.automaton, result.trace)
+    ]
     assert len(rows) == 12
     assert rows[-1] == "valve"
 
@@ -372,7 +376,7 @@ def test_an_empty_run_can_be_drawn(observer: Observer) -> None:
     assert render(figure(observer, trace), "png").startswith(b"\x89PNG")
 
 
-def test_files_are_by_suffix_and_the_same_each_time(
+def test_figure_files_follow_the_suffix_and_are_reproducible(
     observer: Observer, trace: Trace, tmp_path: Path
 ) -> None:
     for name, begin in (("a.svg", b"<?xml"), ("a.pdf", b"%PDF"), ("a.png", b"\x89PNG")):
@@ -382,7 +386,7 @@ def test_files_are_by_suffix_and_the_same_each_time(
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
 
 
-def test_another_suffix_or_place_is_an_error(
+def test_unknown_suffix_or_folder_is_an_error(
     observer: Observer, trace: Trace, tmp_path: Path
 ) -> None:
     with pytest.raises(StatechartError, match="svg, png or pdf"):

@@ -112,7 +112,7 @@ def test_a_copy_without_a_finite_start_is_reported_with_its_formula(angle, said,
     assert f"of grain{copy}" in str(error)
 
 
-def test_other_copies_are_composed_once_for_all_that_they_run_with(monkeypatch):
+def test_each_number_of_copies_is_composed_once(monkeypatch):
     composed = []
     whole = Kind.__getattribute__
 
@@ -127,6 +127,6 @@ def test_other_copies_are_composed_once_for_all_that_they_run_with(monkeypatch):
     for speed in (4, 5):
         final = runner.run({"k": 3, "v": speed}).trace.initial
         assert final.reshape(2, 7, 3)[1, 1:, 0].tolist() == [speed] * 6
-    # What another run was given is not left behind.
+    # Parameters of another run do not persist.
     assert runner.run({"k": 3}).trace.initial.reshape(2, 7, 3)[1, 1, 0] == 3
     assert len(composed) == 2

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from contacts.rigid_bodies.own_step import inscribed
+from contacts.rigid_bodies.own_step import inscribed_radius
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
@@ -48,7 +48,7 @@ def test_colliding_bodies_take_steps_by_their_scales_and_say_so(tmp_path, monkey
         assert main(verb) == 0, verb
 
 
-def test_the_step_follows_the_scales_and_gives_way_to_one_that_is_given():
+def test_default_step_follows_the_scales_unless_set():
     own = Runner(read_text(DISCS)).setting.step
     # Falling takes twice the time at four times the size.
     larger = Runner(read_text(DISCS.replace("{scale: 1}", "{scale: 4}"))).setting.step
@@ -154,4 +154,4 @@ def test_the_chosen_step_follows_the_speed_that_forces_reach(force, speed):
     ],
 )
 def test_the_largest_circle_in_a_polygon_touches_three_edges(corners, radius):
-    assert inscribed(np.array(corners, dtype=float)) == pytest.approx(radius, rel=1e-9)
+    assert inscribed_radius(np.array(corners, dtype=float)) == pytest.approx(radius, rel=1e-9)

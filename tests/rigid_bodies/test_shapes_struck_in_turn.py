@@ -149,7 +149,7 @@ def test_friction_of_impacts_in_turn_is_coulombs(mu):
     for step in (1e-3, 1e-5):
         result = run(row(masses, e, [0.0] * 3, [1.0, 0.0, 0.0], mu, spins), step, until=0.6)
         found = result.trace.final.reshape(2, 3, 3)[1]
-        # Rims meet half of what is left between them from where they touch.
+        # The rims meet half of their gap away from the contact point.
         np.testing.assert_allclose(found, np.stack([u, y, w], 1), rtol=5 * step, atol=1e-9)
 
 
@@ -278,7 +278,7 @@ collisions: {{all: {{bodies: [box], surfaces: [floor], friction: {mu}, restituti
 
 
 def test_equal_approaches_at_two_places_are_resolved_together():
-    """A disc between two: that it does not swerve is no matter of who is first."""
+    """A disc between two does not swerve, in either order of impacts."""
     x, y = 2 * R * math.cos(math.pi / 6), 2 * R * math.sin(math.pi / 6)
     text = f"""
 kind: scene
@@ -316,7 +316,7 @@ def test_a_run_warns_where_the_order_of_impacts_matters(e, told, record):
     ).warnings)  # fmt: skip
 
 
-def test_the_other_choices_of_a_scene_of_shapes_are_alternatives():
+def test_other_simultaneous_laws_are_alternatives():
     text = row([1, 1, 1], 1, [0.0] * 3, [1, 0, 0]) + "stop: {time: 1}\n"
     runner = Runner(interpret(read_text(text)), engine="impulse", step=1e-3)
     others = {name: speeds_of(other.run()) for name, other in runner.alternatives().items()}

@@ -7,19 +7,19 @@ import pytest
 from batches import contact_rows
 
 from contacts.solvers.contact_solver import solve_rows
-from contacts.solvers.proximal_points import by_proximal_points
+from contacts.solvers.proximal_points import solve_by_proximal_points
 from statechart.kernels.jit import kernel
 
 
 @kernel
 def solved(contacts, least, impulses, allowed):
-    """Call from Python what kernels alone call."""
+    """Call a function from Python that only kernels call."""
     return solve_rows(contacts, least, impulses, allowed, False, True)
 
 
 @kernel
 def improved(contacts, least, impulses, allowed):
-    return by_proximal_points(contacts, least, impulses, allowed)
+    return solve_by_proximal_points(contacts, least, impulses, allowed)
 
 
 def wall(rows, across, mu, generator):

@@ -16,7 +16,7 @@ from statechart import sweep
 from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError
 from statechart.running.runner import Runner
-from statechart.sweeps.cells import repeats
+from statechart.sweeps.cells import contract_cycles
 from statechart.sweeps.figure import check_drawable, figure, shorten_alike
 from statechart.sweeps.plan import Plan
 
@@ -33,8 +33,8 @@ STICK = "toppling_stick"
         ("a b c a b c a", "(a > b > c) x 2 > a"),
     ],
 )
-def test_cycles_are_written_once(words: str, told: str) -> None:
-    assert " > ".join(repeats(words.split())) == told
+def test_repeated_cycles_are_abbreviated(words: str, told: str) -> None:
+    assert " > ".join(contract_cycles(words.split())) == told
 
 
 def unfolded(text: str) -> list[str]:
@@ -46,9 +46,9 @@ def unfolded(text: str) -> list[str]:
 
 
 @given(st.lists(st.sampled_from("abc"), min_size=1, max_size=60))
-def test_cycles_stand_for_the_whole_sequence(words: list[str]) -> None:
+def test_abbreviated_cycles_expand_to_the_sequence(words: list[str]) -> None:
     words = [word for k, word in enumerate(words) if k == 0 or word != words[k - 1]]
-    assert unfolded(" > ".join(repeats(words))) == words
+    assert unfolded(" > ".join(contract_cycles(words))) == words
 
 
 def drawn(columns: dict[str, np.ndarray], *, grid: bool = True, **options: object):  # type: ignore[no-untyped-def]
@@ -114,7 +114,7 @@ def test_more_than_two_parameters_have_no_picture() -> None:
     check_drawable(Plan(Runner(STICK).model, Setting(), columns))
 
 
-def test_a_dozen_sequences_have_colours_and_the_rest_are_others() -> None:
+def test_twelve_sequences_have_colours_and_others_share_one() -> None:
     columns = {"mu": np.linspace(0.1, 1.0, 30)}
     plan = Plan(Runner(STICK).model, Setting(), columns, outputs=[])
     data = sweep(STICK, columns, outputs=[]).load()

@@ -1,4 +1,4 @@
-"""Checks of models that run by time stepping: what holds, what is caught, what is undecidable."""
+"""Checks of models that run by time stepping: passed, failed and undecidable properties."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def test_impulses_outside_the_cone_are_caught(heap):
         assert_impulses_of_bodies(numbers._replace(materials=smooth), trace)
 
 
-def test_impulses_that_are_rounding_of_the_largest_are_none():
+def test_round_off_impulses_are_ignored():
     edge, where = (0.6, 0.8), "of it"
     assert_in_cone((-2e-19, 3e-19), edge, 1e-3, where)
     with pytest.raises(AssertionError, match="pulls"):
@@ -176,7 +176,7 @@ def test_impulses_that_are_rounding_of_the_largest_are_none():
         assert_in_cone((0.0, 2e-17), edge, 1e-3, where)
 
 
-def test_energy_from_nowhere_is_caught(heap):
+def test_energy_gain_is_caught(heap):
     subject, trace, numbers = heap
     assert_energy_of_steps(numbers, subject, trace)
     last = trace.arcs[-1]
@@ -271,7 +271,7 @@ settings: {engine: impulse, step: 1e-3}
 @pytest.mark.parametrize(
     ("mu", "e", "boxes"),
     [
-        # Pushed by another, with friction beside what bears it: whose impulses are free in part.
+        # Pushed by another, with friction beside its support: its impulses are partly undetermined.
         (0.1, 0.5, [(0.8, 0.011, 0.1, 0.1, -0.1, 2), (0.6, 0.034, 0.075, 0.1, -0.44, 2.989)]),
         (0.1, 0.248, [(2, 0.046, 0.1, 0.1, -0.1, 2), (0.8, 0.033, 0.069, 0.1, -0.411, 2)]),
         # About to tip as it passes from one plate to the next.
@@ -293,7 +293,7 @@ def test_boxes_that_slide_into_each_other_and_a_wall_move_as_their_image(mu, e, 
     image_property("mirror", scene, mirrored).holds(Subject(scene).case({}))
 
 
-def test_an_image_that_moves_otherwise_is_caught():
+def test_broken_mirror_symmetry_is_caught():
     def other(scene):
         image, reading = mirrored(scene)
         return image.model_copy(update={"gravity": (1e-3, image.gravity[1])}), reading
@@ -316,7 +316,7 @@ settings: {engine: impulse, step: 1e-3}
 """
 
 
-def test_modes_of_steps_that_all_hold_impulses_have_no_force_to_judge():
+def test_steps_with_impacts_have_no_force_check():
     subject = Subject(model(LANDING))
     trace = subject.case({}).trace
     assert trace.final_mode == ("pin",)
@@ -347,7 +347,7 @@ def test_energy_counts_the_work_of_a_plate_that_catches_a_ball_slowly(u, step):
     trace = statechart.run(scene, parameters={"u": u}, engine="impulse", step=step).trace
     mechanics = Mechanics(scene)
     assert_energy(mechanics, subject, trace)
-    # Whatever is faster than the plate after the catch has no work to come from.
+    # A speed above the plate's after the catch would need extra work.
     last = trace.arcs[-1]
     faster = last.coefficients.copy()
     faster[len(faster) // 2 :, 3] *= 1.1

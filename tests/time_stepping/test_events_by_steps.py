@@ -1,4 +1,4 @@
-"""Events by steps are those of the engines with events, at times that differ by some steps."""
+"""Events by steps equal the events of the event-driven engines, up to some steps in time."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ regions:
 
 @cache
 def runners(simultaneous: str, event: str) -> tuple[Runner, Runner]:
-    """Return what runs it with events, and by steps."""
+    """Return runners with events and by steps."""
     model = interpret(read_text(THROWN.format(simultaneous=simultaneous, event=event), "f.yaml"))
     return Runner(model, engine="scipy", tolerance=1e-10), Runner(model, engine="impulse", step=H)
 
@@ -224,7 +224,7 @@ def test_fast_point_in_a_bowl_stops_bouncing(h: float) -> None:
 
 
 def modes(trace: Trace) -> dict[str, list[tuple[float, str]]]:
-    """Return when each region changes, and to what; of what lasts no time, its end alone."""
+    """Return the changes of each region; for modes without duration the end alone."""
     found: dict[str, list[tuple[float, str]]] = {name: [] for name in trace.regions}
     for place, (name, changes) in enumerate(found.items()):
         last, hit = trace.start_mode[place], False
@@ -248,7 +248,7 @@ def distinct(trace: Trace, apart: float) -> float:
 
 
 @pytest.mark.parametrize("seed", range(24))
-def test_thrown_bars_and_controllers_that_listen(seed: int) -> None:
+def test_controllers_receive_events_of_thrown_bars(seed: int) -> None:
     simultaneous = ("plastic", "capped")[seed % 2]
     event = ("touchdown", "slip")[seed // 2 % 2]
     exact, found = (r.run(throw(seed)).trace for r in runners(simultaneous, event))
@@ -411,7 +411,7 @@ outputs: {slips: {count: c.slip}}
 @pytest.mark.parametrize(
     "law", [("0", "restitution: 0"), ("-0.005", "stiffness: 2000, damping: 20")]
 )
-def test_a_surface_that_stops_under_what_it_carries_lets_it_slide_in_the_same_jump(law) -> None:
+def test_stopping_surface_lets_its_load_slide_in_the_same_jump(law) -> None:
     model = interpret(read_text(BRAKED_PLATE % law, "f.yaml"))
     for run, late in (by_events(model), 0.0), (by_steps(model, H), 2 * H):
         stop, stick = run.trace.jumps
@@ -422,7 +422,7 @@ def test_a_surface_that_stops_under_what_it_carries_lets_it_slide_in_the_same_ju
         assert run.outputs["slips"] == 1
 
 
-def test_steps_say_that_they_have_no_event_of_bounces_that_accumulate():
+def test_stepped_zeno_event_is_reported_as_unavailable():
     model = interpret(
         read_text("""
 kind: scene
