@@ -86,7 +86,7 @@ class Handovers:
     def _past_ends(
         self, setup: SceneSetup, arcs: Sequence[Arc], tables: Mapping[int, Array], near: float
     ) -> Iterator[str]:
-        """Yield a warning for each contact that is off by next to nothing as its gap closes."""
+        """Yield a warning for each contact that just misses its condition as its gap closes."""
         names = [*self._mechanics.scene.contacts]
         points = [self._mechanics.scene.contacts[name].point for name in names]
         gated, beside = list(self._gated.items()), _BESIDE * setup.scales.length

@@ -164,7 +164,7 @@ _PARTS = (4, 16, 64, 256)
 _JUMPED_INTO = 1e-6
 # Cutting planes against overlap; part of a step that a detection takes.
 _MOVES, _INSTANT = 20, 1e-6
-# Contacts of the warm start with this feature are found anew.
+# Contacts of the warm start with this feature are detected again.
 _NO_FEATURE = np.iinfo(np.int64).min
 
 

@@ -83,7 +83,7 @@ class Drawing:
             self._show(touch, artists, instant)
 
     def moving(self) -> list[Artist]:
-        """Return all that has to be drawn anew at another instant, from back to front.
+        """Return the artists to redraw at another instant, from back to front.
 
         That is what moves, and what is drawn upon it. What is seen by an eye that moves does, too.
         """
@@ -97,7 +97,7 @@ class Drawing:
     def _move_window(self, instant: int) -> None:
         (x, y), (width, height) = self._film.centres[instant], self._film.half
         limits = (x - width, x + width), (y - height, y + height)
-        # To set them, though they are the same, places everything anew.
+        # Setting equal limits would trigger a new layout.
         if limits != self._limits:
             self._limits = limits
             self._ax.set(xlim=limits[0], ylim=limits[1])
@@ -141,7 +141,7 @@ class Drawing:
 
 
 _SIZE = 8  # points
-# What is in the way of a name, from what must not be to what is not nice.
+# Costs of covering other parts by a name, from forbidden to undesirable.
 _OUTSIDE, _TEXT, _MARK, _LINE, _FARTHER = 1000.0, 500.0, 30.0, 4.0, 0.4
 # Around a point a name is tried in so many directions and distances, these in points of the paper.
 _ROUND, _DISTANCES = 12, (3.0, 8.0, 16.0, 28.0)

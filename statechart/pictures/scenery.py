@@ -219,7 +219,7 @@ class _Bodies:
 
 
 def state_colour(film: Film, instant: int, region: int) -> str:
-    """Return the colour of the state of a region at an instant; a body's where there is none."""
+    """Return the colour of a region's state at an instant; the colour of bodies without one."""
     if region < 0:
         return BODY
     return state_colours(film.states[region])[film.state(instant, region)]

@@ -329,7 +329,7 @@ def unkept_invariants(automaton: Automaton, trace: Trace) -> list[Invariant]:
 
 
 def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
-    """Return the parts of the model that a run did not use: `what` and `why`."""
+    """Return the unused parts of the model (`what`), with reasons (`why`)."""
     found = []
     total, n_built = automaton.modes_total, trace.counts.get("modes_built", 0)
     if trace.step is not None:

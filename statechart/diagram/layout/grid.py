@@ -59,7 +59,7 @@ class _Bond(NamedTuple):
 
     @property
     def gap(self) -> Span:
-        """The last place before what it crosses, and the first behind."""
+        """The last place before the crossed line, and the first one after it."""
         return (self.tail[1], self.head[0]) if self.onward else (self.head[1], self.tail[0])
 
     @property
