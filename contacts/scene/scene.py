@@ -321,8 +321,8 @@ class Scene(SceneFields):
         names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.forces}
         names |= {f"{name}.{quantity}" for name in self.couplings for quantity in ("M", "slip")}
         names |= {"energy", *self.controls} | self.placed_names
-        kept = {v for region in self.regions.values() for v in region.variables}
-        changing = names - {*self.parameters, *(kept - {*self.controlled.flowing})}
+        variables = {v for region in self.regions.values() for v in region.variables}
+        changing = names - {*self.parameters, *(variables - {*self.controlled.flowing})}
         gates = {c: expanded.gate(c) for c in expanded.contacts}
         found = {c: {*_active(states(x, gate=gates[c]))} for c, x in expanded.contacts.items()} | {
             name: {*region.named} for name, region in expanded.controlled.flat.items()

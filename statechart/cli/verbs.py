@@ -99,8 +99,12 @@ def run(arguments: argparse.Namespace) -> int:
     # From here on nothing is lost: a part that fails is left out, with a message.
     with interrupts.held(), interrupts.limit_time(PATIENCE):
         complete = _deliver(runner, result, parameters, arguments)
-    asked = result.asked
-    met = asked is None or asked.setting.accuracy is None or asked.reached(result.error_estimate)
+    request = result.asked
+    met = (
+        request is None
+        or request.setting.accuracy is None
+        or request.reached(result.error_estimate)
+    )
     return 0 if complete and met and result.trace.outcome.succeeded else 1
 
 
