@@ -10,7 +10,7 @@ import re
 import tempfile
 from collections.abc import Callable
 from itertools import pairwise
-from math import cos, inf, pi, sin, sqrt
+from math import cos, exp, inf, log, pi, sin, sqrt
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,7 @@ from random_cases_common import (
 from statechart import Runner
 from statechart.diagram.write import write
 from statechart.documents.yaml_reader import read_text
+from statechart.errors import StatechartError
 from statechart.running.drawing import drawn
 from statechart.running.result import Result
 
@@ -262,6 +263,106 @@ def next_plank(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:
         return q, check
 
     return runner, draw
+
+
+def ratchets(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:
+    """A pawl holds a wheel that is driven forth and back, at the step that the run chooses."""
+    n, s = r.choice([6, 8, 10, 12]), power(r, -0.5, 0.5)
+    pitch = 2 * pi / n
+
+    def tooth(k: int) -> str:
+        corners = (0.095, 0.0), (0.12, 0.0), (0.1, 0.9 * pitch)
+        turned = [(s * a, b + k * pitch) for a, b in corners]
+        return f"{{polygon: {[[a * cos(b), a * sin(b)] for a, b in turned]}}}"
+
+    runner = scene(
+        f"parameters: {{T: 0.3, k: 0.2, J: 0.005, mu: 0.2, s: {s}}}\nbodies:\n  wheel:\n"
+        f"    mass: 1\n    inertia: J\n    shape: [{{disc: 0.1*s}}, "
+        f"{', '.join(tooth(k) for k in range(n))}]\n  pawl:\n    mass: 0.05\n"
+        f"    inertia: 1e-4*s**2\n    shape: {{polygon: [[{-0.04 * s}, {-0.004 * s}],"
+        f" [{0.04 * s}, {-0.004 * s}], [{0.04 * s}, {0.004 * s}], [{-0.04 * s}, {0.004 * s}]]}}\n"
+        "    start: {x: s*(0.17 - 0.04*cos(0.2)), y: s*(0.06 + 0.04*sin(0.2)), angle: -0.2}\n"
+        "joints:\n  axle: {point: {body: wheel}, to: [0, 0]}\n"
+        "  pin: {point: {body: pawl, at: [0.04*s, 0]}, to: [0.17*s, 0.06*s]}\n"
+        "collisions: {all: {bodies: [wheel, pawl], friction: mu, restitution: 0}}\n"
+        "controls: {drive: 0}\nforces:\n  motor: {body: wheel, moment: drive - 2*J*wheel.dangle}\n"
+        "  spring: {body: pawl, moment: -k*(pawl.angle - 0.5) - 0.005*k*pawl.dangle}\nregions:\n"
+        "  hand:\n    initial: forth\n"
+        "    states: {forth: {sets: {drive: T}}, back: {sets: {drive: -T}}}\n"
+        "    transitions: [{name: turn, from: forth, to: back, after: 0.5}]\n"
+        "outputs: {most: {maximum: wheel.angle}, end: {value: wheel.angle}}\n",
+        1.5,
+    )  # fmt: skip
+
+    def draw() -> Sibling:
+        J, push = 0.005 * s * s, r.uniform(20, 80)
+        q = {"T": push * J, "J": J, "k": 0.2 * s * s * power(r, -0.3, 0.3), "mu": r.uniform(0, 0.3)}
+        # Without the pawl: turned after 0.5 s, and on to the stop.
+        rate, e = 0.5 * push * (1 - exp(-1.0)), 0.25 * push * exp(-1.0)
+        free = e + 0.5 * rate - 0.25 * push * log(1 + rate / (0.5 * push))
+
+        def check(result: Result) -> float:
+            most, back = result.outputs["most"], result.outputs["most"] - result.outputs["end"]
+            moved = 0.3 * free - pitch < most < 1.01 * free
+            return 0.0 if moved and 0.0 <= back < 1.1 * pitch else inf
+
+        return q, check
+
+    return runner, draw
+
+
+def formulas(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:
+    """Numbers of settings as formulas: the run of the number itself, or a message."""
+
+    def number(value: float) -> str:
+        a, b = r.randrange(2, 99), r.uniform(0.1, 9)
+        return r.choice([
+            f"1/{1 / value!r}", f"{a * value!r}/{a}", f"sqrt({value * value!r})", f"{value!r}*1",
+            f"{value + b!r} - {b!r}", f"({value / 2!r} + {value / 2!r})", f"exp(log({value!r}))",
+            f"{a}**2*{value / a**2!r}", f"{value / pi!r}*pi", f"min({value!r}, {a})", f"{value!r}",
+        ])  # fmt: skip
+
+    settings: dict[str, object] = r.choice([
+        {"engine": "impulse", "step": power(r, -3, -2)},
+        {"engine": "impulse", "step": 1e-3, "impulse_tolerance": power(r, -8, -5)},
+        {"engine": "impulse", "step": 1e-3, "impulse_bound": power(r, -3, -1)},
+        {"engine": "scipy", "max_step": power(r, -2, -1)}, {"tolerance": power(r, -10, -6)},
+        {"engine": "impulse", "accuracy": power(r, -2, -1)}, {"max_jumps": 9},
+    ])  # fmt: skip
+    key = [*settings][-1]
+    end = r.choice([1.0, 0.75])
+
+    def of(settings: dict[str, object], end: object) -> Runner:
+        words = ", ".join(f"{name}: {value}" for name, value in settings.items())
+        return scene(
+            "bodies: {b: {mass: 1, start: {y: 0.3, dx: 2}}}\nsurfaces: {f: {height: 0}}\ncontacts:"
+            " {c: {point: {body: b}, surface: f, friction: 0.2, restitution: 0.6, impact: moreau}}"
+            f"\nforces: {{f: {{body: b, force: [-b.x, 0]}}}}\nsettings: {{{words}}}\n", end,
+        )  # fmt: skip
+
+    def numbers_of(run: Result) -> list[float]:
+        trace = run.trace
+        step = trace.step or 0.0
+        return [step, trace.tolerance, trace.t_end, len(trace.jumps), *trace.final]
+
+    want = of(dict(settings), end).run(throw=False)
+    written: dict[str, object] = {**settings, key: number(float(str(settings[key])))}
+
+    def draw() -> Sibling:
+        def check(_: Result) -> float:
+            try:
+                found = of(written, number(end)).run(throw=False)
+            except StatechartError:
+                return 0.0
+            return (
+                0.0
+                if np.allclose(numbers_of(want), numbers_of(found), rtol=1e-6, equal_nan=True)
+                else inf
+            )
+
+        return {}, check
+
+    return of(dict(settings), end), draw
 
 
 def drawings(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:
