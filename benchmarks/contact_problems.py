@@ -24,13 +24,13 @@ from contacts.solvers.contact_rows import (
     LAW,
     PAIR,
     ContactRows,
-    complete,
-    measured,
-    scale,
-    swept,
+    gauss_seidel,
+    impulse_residual,
+    velocity_scale,
+    write_diagonal_blocks,
 )
 from contacts.solvers.contact_solver import _by_lemke, solve_rows
-from contacts.solvers.proximal_points import by_proximal_points
+from contacts.solvers.proximal_points import solve_by_proximal_points
 from contacts.time_stepping.scene_stepper import SteppedScene
 from contacts.time_stepping.scene_tape import SteppedTape
 from statechart.arrays import Array, Ints
@@ -324,12 +324,12 @@ def solve(
     """Improve impulses by one of the `METHODS`; return their residual, and iterations."""
     if method == 0:
         return solve_rows(contacts, least, impulses, allowed, False, True)
-    size = scale(contacts, least)
-    left = measured(contacts, least, size, impulses)
+    size = velocity_scale(contacts, least)
+    left = impulse_residual(contacts, least, size, impulses)
     if method == 1:
-        return swept(contacts, least, size, left, impulses, allowed, 64)
+        return gauss_seidel(contacts, least, size, left, impulses, allowed, 64)
     if method == 2:
-        return by_proximal_points(contacts, least, impulses, allowed)
+        return solve_by_proximal_points(contacts, least, impulses, allowed)
     if len(impulses) <= 64:
         return _by_lemke(contacts, least, allowed, impulses)
     return left, 0
@@ -344,7 +344,7 @@ def contacts_of(problem: Problem) -> ContactRows:
         int(problem.bodies.shape[1] != PAIR), 0,
     )  # fmt: skip
     with np.errstate(all="ignore"):
-        complete(contacts)
+        write_diagonal_blocks(contacts)
     return contacts
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contacts.solvers.contact_rows import ContactRows, complete
+from contacts.solvers.contact_rows import ContactRows, write_diagonal_blocks
 from statechart.arrays import Array, Ints
 
 
@@ -13,5 +13,5 @@ def contact_rows(
     contacts = ContactRows.allocate(len(bodies), moving)._replace(
         bodies=bodies, moving=moving, rows=rows, columns=columns, cones=cones
     )
-    complete(contacts)
+    write_diagonal_blocks(contacts)
     return contacts

@@ -39,18 +39,18 @@ class ActiveContacts(NamedTuple):
     laws: Ints  # (c,): row of `BodyNumbers.materials`; -1: a joint.
     materials: Array  # (c, 3): current cone edge (2), restitution.
     # (c,): slip direction, 1 or -1, of kinetic friction; 0, `BEGINS` or `ON_TRIAL`.
-    ways: Ints
+    slip_directions: Ints
     # (c, 2): velocities before the step, and after it without impulses; bias (required velocities,
     # negated).
     before: Array
     free: Array
-    wanted: Array
+    bias: Array
     pushes: Array  # (c, 2): impulses of the previous step.
     hit: Bools  # (c,): whether there is an impact.
     # (c,): compliance of a compliant contact in a step; 0 if rigid.
-    yields: Array
+    compliances: Array
     # (c,): `ROLLS` for a contact with rolling resistance, `RESISTS` for the row after it.
-    twins: Ints
+    rolling_roles: Ints
     # (c, 2, 2): remaining error of joints in both directions, and its decrease per time.
     closing: Array
 
@@ -84,7 +84,7 @@ def write_contact(
     mid: Midpoint, b: int, c: int, point: Array, m: int, active: ActiveContacts
 ) -> None:
     """Write the Jacobian rows of a contact point, and its velocities."""
-    bodies, rows, centres = active.bodies, active.rows, mid.places
+    bodies, rows, centres = active.bodies, active.rows, mid.poses
     nx, ny, x, y = point[0], point[1], point[2], point[3]
     bodies[m, 0], bodies[m, 1] = b, c
     for d in range(2):
@@ -94,8 +94,8 @@ def write_contact(
         if c >= 0:
             rx, ry = x - centres[c, 0], y - centres[c, 1]
             rows[m, d, 3], rows[m, d, 4], rows[m, d, 5] = -ux, -uy, -(rx * uy - ry * ux)
-        active.before[m, d] = velocity(bodies, rows, mid.old, m, d)
-        active.free[m, d] = velocity(bodies, rows, mid.loose, m, d)
+        active.before[m, d] = velocity(bodies, rows, mid.old_rates, m, d)
+        active.free[m, d] = velocity(bodies, rows, mid.free_rates, m, d)
 
 
 @kernel
@@ -103,12 +103,12 @@ def remove_body_motion(
     mid: Midpoint, c: int, point: Array, m: int, active: ActiveContacts
 ) -> float:
     """Subtract a prescribed body's motion from a contact's velocities; return its speed change."""
-    nx, ny, x, y = point[0], point[1], point[2] - mid.places[c, 0], point[3] - mid.places[c, 1]
-    for rates, velocities in ((mid.old, active.before), (mid.loose, active.free)):
+    nx, ny, x, y = point[0], point[1], point[2] - mid.poses[c, 0], point[3] - mid.poses[c, 1]
+    for rates, velocities in ((mid.old_rates, active.before), (mid.free_rates, active.free)):
         u, v = rates[c, 0] - rates[c, 2] * y, rates[c, 1] + rates[c, 2] * x
         velocities[m, 0] -= nx * u + ny * v
         velocities[m, 1] -= ny * u - nx * v
-    u, v, turning = mid.loose[c] - mid.old[c]
+    u, v, turning = mid.free_rates[c] - mid.old_rates[c]
     return math.hypot(u - turning * y, v + turning * x)
 
 
@@ -123,7 +123,7 @@ def restore_impulses(
     active.pushes[m, 0] = active.pushes[m, 1] = active.levels[m, 2] = 0.0
     level, lasting, at, place = 0.0, False, first, -1
     # Forces persist: impulses scale with the step size.
-    longer = h / warm.past[0] if warm.past[0] > 0.0 else 1.0
+    longer = h / warm.last_step[0] if warm.last_step[0] > 0.0 else 1.0
     while at < warm.n_contacts[0] and warm.keys[at, 0] == pair:
         if warm.keys[at, 1] == feature:
             level, lasting, place = warm.contacts[at, 0], warm.contacts[at, 1] > 0.0, at
@@ -143,14 +143,14 @@ def has_two_coefficients(law: Array) -> bool:
 @kernel
 def rolling_share(active: ActiveContacts, i: int) -> float:
     """Return the load of a contact relative to that of its row."""
-    return 2.0 if active.twins[i] == ROLLS else 1.0
+    return 2.0 if active.rolling_roles[i] == ROLLS else 1.0
 
 
 @kernel
 def write_friction(numbers: BodyNumbers, i: int, way: int, active: ActiveContacts) -> None:
     """Write the cone of a contact at rest (0) or slipping this `way`."""
     law, at = numbers.materials[active.laws[i]], 0 if way in (0, ON_TRIAL) else KINETIC
-    active.ways[i] = way
+    active.slip_directions[i] = way
     active.materials[i, 0] = law[at]
     active.materials[i, 1] = law[at + 1] * rolling_share(active, i)
 
@@ -168,8 +168,8 @@ def write_compliance(
     """
     start = gap - 0.5 * h * active.before[m, 0]
     softness = h * law[STIFFNESS] + law[DAMPING]
-    active.yields[m] = 1.0 / (h * softness)
-    active.wanted[m, 0], active.wanted[m, 1] = law[STIFFNESS] * start / softness, shift
+    active.compliances[m] = 1.0 / (h * softness)
+    active.bias[m, 0], active.bias[m, 1] = law[STIFFNESS] * start / softness, shift
     return min(start, gap, start + h * active.free[m, 0]) <= 0.0
 
 
@@ -197,10 +197,14 @@ def write_resistance(
     for k in range(4):
         active.levels[m, k] = active.levels[i, k]
     active.before[m, 0], active.free[m, 0] = active.before[i, 0], active.free[i, 0]
-    active.wanted[m, 0], active.wanted[m, 1] = active.wanted[i, 0], 0.0
+    active.bias[m, 0], active.bias[m, 1] = active.bias[i, 0], 0.0
     active.before[m, 1], active.free[m, 1] = -length * turns[0], -length * turns[1]
-    active.hit[m], active.yields[m], active.twins[m] = active.hit[i], active.yields[i], RESISTS
-    active.laws[m], active.ways[m] = -1, 0
+    active.hit[m], active.compliances[m], active.rolling_roles[m] = (
+        active.hit[i],
+        active.compliances[i],
+        RESISTS,
+    )
+    active.laws[m], active.slip_directions[m] = -1, 0
     # The torque is at most `length` times the whole load, which is twice that of this row.
     active.materials[m, 0], active.materials[m, 1] = 1.0, 2.0
     active.materials[m, 2] = active.materials[i, 2]

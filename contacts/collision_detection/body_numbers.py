@@ -47,13 +47,26 @@ class JointNumbers(NamedTuple):
     """The joint rows of a scene: first one of each joint, then those of angles."""
 
     bodies: Ints  # (j, 2): the two bodies; -1: the world.
-    at: Array  # (j, 2, 2): joint points in body frames.
-    holds: Ints  # shape (j,)
+    points: Array  # (j, 2, 2): joint points in body frames.
+    kinds: Ints  # shape (j,)
     owners: Ints  # (j,): joint of the row.
     # (j, 2): distance or angle, and restitution of a bound.
     sizes: Array
     on: Bools  # (j,): whether a joint is closed now; changed in place.
     passes: Bools  # (j,): whether its bodies collide while it is off.
+
+
+class CouplingNumbers(NamedTuple):
+    """The couplings of a scene."""
+
+    # (c, 2): the two bodies; -1: the world. The first one moves by itself; `signs` (c,) is -1 where
+    # it was declared as the second.
+    bodies: Ints
+    signs: Array
+    holds: Ints  # (c,): `TURN`; or `ALONG_X`, `ALONG_Y`: friction along the free direction.
+    at: Array  # (c, 2): point of a guide in the body frame.
+    # (c,): radius of gyration of the first body, so that the row is a velocity; 1 along a guide.
+    levers: Array
 
 
 class LinkNumbers(NamedTuple):
@@ -103,6 +116,7 @@ class BodyNumbers(NamedTuple):
     # compliant contacts, rolling resistance.
     materials: Array
     joints: JointNumbers
+    couplings: CouplingNumbers
     links: LinkNumbers
 
     @property
@@ -170,7 +184,7 @@ class BodyNumbers(NamedTuple):
     @property
     def padded(self) -> int:
         """1 if contacts may have pads (see `contacts.rigid_bodies.island_step`), else 0."""
-        return int(self.materials[:, STIFFNESS:].any())
+        return int(self.materials[:, STIFFNESS:].any() or len(self.couplings.holds) > 0)
 
 
 class WarmStart(NamedTuple):
@@ -182,13 +196,13 @@ class WarmStart(NamedTuple):
     n_contacts: Ints  # (1,)
     # (3,): previous step size; fastest approach so far, and largest approach in a step, half of
     # which is the allowed penetration.
-    past: Array
+    last_step: Array
     # (b, 2): mode of each body in the last step, and 1 if it follows from accelerations; see
     # `contacts.rigid_bodies.body_modes`.
-    shown: Ints
+    modes: Ints
     # (b, 6): landing of a body that settles: largest gap, normal (2), its offset at gap zero,
     # corner in the body frame (2).
-    landed: Array
+    landings: Array
 
     @classmethod
     def allocate(cls, numbers: BodyNumbers) -> WarmStart:

@@ -57,7 +57,7 @@ def _bucket(across: int, up: int, most: int) -> int:
 
 
 @kernel
-def _sorted_in(grid: Grid) -> int:
+def _sort_into_cells(grid: Grid) -> int:
     """Sort bodies into cells (counting sort); return the number of large bodies."""
     cells, large, circles = grid.cells, grid.large, grid.circles
     heads, order = grid.heads, grid.order
@@ -99,7 +99,7 @@ def _sorted_in(grid: Grid) -> int:
 def _list_pairs(grid: Grid) -> int:
     """List pairs (one < other) of overlapping enlarged circles; return their number, -1: full."""
     count, most = len(grid.circles), len(grid.heads) - 1
-    many = _sorted_in(grid)
+    many = _sort_into_cells(grid)
     cells, large, heads, order, pairs = grid.cells, grid.large, grid.heads, grid.order, grid.listed
     n_pairs, next_large = 0, 0
     for b in range(count):
@@ -110,12 +110,12 @@ def _list_pairs(grid: Grid) -> int:
             for c in range(b + 1, count):
                 if n_pairs == len(pairs):
                     return -1
-                n_pairs = _if_near(grid.circles, b, c, n_pairs, pairs)
+                n_pairs = _append_if_near(grid.circles, b, c, n_pairs, pairs)
             continue
         for i in range(next_large, many):
             if n_pairs == len(pairs):
                 return -1
-            n_pairs = _if_near(grid.circles, b, large[i], n_pairs, pairs)
+            n_pairs = _append_if_near(grid.circles, b, large[i], n_pairs, pairs)
         for across in range(cells[b, 0] - 1, cells[b, 0] + 2):
             first = _bucket(across, cells[b, 1] - 1, most)
             # Buckets wrap around.
@@ -127,7 +127,7 @@ def _list_pairs(grid: Grid) -> int:
                     if c > b and cells[c, 0] == across and abs(cells[c, 1] - cells[b, 1]) <= 1:
                         if n_pairs == len(pairs):
                             return -1
-                        n_pairs = _if_near(grid.circles, b, c, n_pairs, pairs)
+                        n_pairs = _append_if_near(grid.circles, b, c, n_pairs, pairs)
         for i in range(begin + 1, n_pairs):
             c, k = pairs[i, 1], i
             while k > begin and pairs[k - 1, 1] > c:
@@ -138,7 +138,7 @@ def _list_pairs(grid: Grid) -> int:
 
 
 @kernel
-def _if_near(circles: Array, b: int, c: int, n_pairs: int, pairs: Ints) -> int:
+def _append_if_near(circles: Array, b: int, c: int, n_pairs: int, pairs: Ints) -> int:
     """Append a pair if its circles overlap; return the number of pairs."""
     x, y = circles[b, 0] - circles[c, 0], circles[b, 1] - circles[c, 1]
     both = circles[b, 2] + circles[c, 2]
@@ -149,7 +149,7 @@ def _if_near(circles: Array, b: int, c: int, n_pairs: int, pairs: Ints) -> int:
 
 
 @kernel
-def _all_within(centres: Array, sizes: Array, reach: Array, circles: Array) -> bool:
+def _are_circles_valid(centres: Array, sizes: Array, reach: Array, circles: Array) -> bool:
     """Return whether all bodies with their reach are within their enlarged circles."""
     for b in range(len(sizes)):
         x, y = centres[b, 0] - circles[b, 0], centres[b, 1] - circles[b, 1]
@@ -163,7 +163,7 @@ def _all_within(centres: Array, sizes: Array, reach: Array, circles: Array) -> b
 def near_pairs(centres: Array, sizes: Array, reach: Array, grid: Grid) -> int:
     """Find pairs (one < other) of overlapping circles; return their number, -1: full."""
     circles, listed, pairs, n_pairs = grid.circles, grid.listed, grid.pairs, 0
-    if grid.n_listed[0] < 0 or not _all_within(centres, sizes, reach, circles):
+    if grid.n_listed[0] < 0 or not _are_circles_valid(centres, sizes, reach, circles):
         for b in range(len(sizes)):
             circles[b, 0], circles[b, 1] = centres[b]
             circles[b, 2] = sizes[b] + reach[b]

@@ -53,15 +53,15 @@ def write_contact(point: Array, nx: float, ny: float, x: float, y: float, gap: f
 
 
 @kernel
-def place(vertices: Array, x: float, y: float, angle: float) -> Array:
+def place_vertices(vertices: Array, x: float, y: float, angle: float) -> Array:
     """Return vertices (k, 2) of a body frame in the world."""
     world = np.empty_like(vertices)
-    placed(vertices, 0, len(vertices), x, y, math.cos(angle), math.sin(angle), world)
+    write_placed_vertices(vertices, 0, len(vertices), x, y, math.cos(angle), math.sin(angle), world)
     return world
 
 
 @kernel
-def placed(
+def write_placed_vertices(
     vertices: Array, first: int, end: int, x: float, y: float, c: float, s: float, world: Array
 ) -> None:
     """Write some of the vertices (k, 2) of body frames in the world."""
@@ -71,7 +71,7 @@ def placed(
 
 
 @kernel
-def _farthest(one: Array, other: Array) -> tuple[float, int]:
+def _separating_edge(one: Array, other: Array) -> tuple[float, int]:
     """Return the largest separation along an edge normal of `one`, and that edge."""
     best, edge = -math.inf, 0
     for i in range(len(one)):
@@ -88,7 +88,7 @@ def _farthest(one: Array, other: Array) -> tuple[float, int]:
 
 
 @kernel
-def _clipped(
+def _clip_edges(
     one: Array, edge: int, other: Array, within: float, flip: bool, manifold: Array, features: Ints
 ) -> int:
     j = (edge + 1) % len(one)
@@ -144,7 +144,9 @@ def _clipped(
 
 
 @kernel
-def _corner(one: Array, other: Array, within: float, manifold: Array, features: Ints) -> int:
+def _nearest_corners(
+    one: Array, other: Array, within: float, manifold: Array, features: Ints
+) -> int:
     """Write the nearest corners of polygons whose facing edges do not overlap."""
     best, a, b = math.inf, 0, 0
     for i in range(len(one)):
@@ -195,7 +197,7 @@ def _disc_and_polygon(
 
 
 @kernel
-def between(
+def shape_contacts(
     one: ConvexShape, other: ConvexShape, within: float, manifold: Array, features: Ints
 ) -> int:
     """Find the contact points of two shapes up to a gap `within`; return their number.
@@ -222,13 +224,13 @@ def between(
 
 
 @kernel
-def against_faces(one: Array, other: Array, flip: bool, manifold: Array, features: Ints) -> int:
-    """Find contact points with the faces of `one` only, not its corners; see `between`.
+def face_contacts(one: Array, other: Array, flip: bool, manifold: Array, features: Ints) -> int:
+    """Find contact points with the faces of `one` only, not its corners; see `shape_contacts`.
 
     Polygons are (k, 2); `flip`: the first is the second body.
     """
-    _, edge = _farthest(one, other)
-    return _clipped(one, edge, other, 0.0, flip, manifold, features)
+    _, edge = _separating_edge(one, other)
+    return _clip_edges(one, edge, other, 0.0, flip, manifold, features)
 
 
 @kernel
@@ -250,12 +252,12 @@ def _edge_length(corners: Array, edge: int) -> float:
 def _polygons(
     shape: ConvexShape, other_shape: ConvexShape, within: float, manifold: Array, features: Ints
 ) -> int:
-    """Find the contact points of two polygons; see `between`."""
+    """Find the contact points of two polygons; see `shape_contacts`."""
     one, other = shape.corners, other_shape.corners
-    first, edge = _farthest(one, other)
+    first, edge = _separating_edge(one, other)
     if first > within:
         return 0
-    second, edge_of_other = _farthest(other, one)
+    second, edge_of_other = _separating_edge(other, one)
     if second > within:
         return 0
     width = min(_reach(one, shape.centre), _reach(other, other_shape.centre))
@@ -264,9 +266,9 @@ def _polygons(
         length = _edge_length(one, edge)
         farther = _edge_length(other, edge_of_other) > (1.0 + _SAME_LENGTH) * length
     if farther:
-        count = _clipped(other, edge_of_other, one, within, True, manifold, features)
+        count = _clip_edges(other, edge_of_other, one, within, True, manifold, features)
     else:
-        count = _clipped(one, edge, other, within, False, manifold, features)
+        count = _clip_edges(one, edge, other, within, False, manifold, features)
     if count == 0 and max(first, second) > 0.0:
-        return _corner(one, other, within, manifold, features)
+        return _nearest_corners(one, other, within, manifold, features)
     return count

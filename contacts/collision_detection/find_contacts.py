@@ -28,7 +28,7 @@ from contacts.collision_detection.body_numbers import (
     WarmStart,
 )
 from contacts.collision_detection.broad_phase import Grid, near_pairs
-from contacts.collision_detection.convex import FOUND, ConvexShape, between
+from contacts.collision_detection.convex import FOUND, ConvexShape, shape_contacts
 from contacts.collision_detection.ground import (
     POINTS,
     Ground,
@@ -39,7 +39,7 @@ from contacts.collision_detection.ground import (
 from contacts.collision_detection.internal_edges import (
     COVERING,
     Neighbours,
-    Touched,
+    TouchedSide,
     drop_internal_edges,
     find_face_contacts,
     list_neighbours,
@@ -52,14 +52,14 @@ from contacts.collision_detection.surfaces import PLATE, ROUND
 from contacts.collision_detection.time_of_impact import (
     ARRIVED,
     entered_other_side,
-    nearby,
-    overlap,
+    is_relatively_slow,
+    overlap_interval,
     passing_time,
     time_of_impact,
     turning_speed,
     will_collide,
 )
-from contacts.time_stepping.chunk import HIT, SEPARATED, SLOW, TIME_MARGIN, arriving
+from contacts.time_stepping.chunk import HIT, SEPARATED, SLOW, TIME_MARGIN, contact_role
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
@@ -106,7 +106,7 @@ def candidate_pair(
         turns = since * turning_speed(numbers, mid, p, q) > CROSSED * min(
             pieces.cores[p], pieces.cores[q]
         )
-        slowly = not turns and nearby(mid.drifts, pieces.sizes, p, q, CROSSED / since)
+        slowly = not turns and is_relatively_slow(mid.drifts, pieces.sizes, p, q, CROSSED / since)
         rolls = pieces.radii[p] + pieces.radii[q] > 0.0
         return CandidatePair(
             p, q, b, other, key, material, True, discs, False, slowly, turns, rolls, size
@@ -148,7 +148,7 @@ class DetectionResult(NamedTuple):
     # Largest unexplained depth: of a new contact, beyond two detections' motion; of an impact, if
     # large relative to the piece; of an approaching contact, if more than a step at the fastest
     # approach.
-    sunk: float
+    unexplained_depth: float
     # Twice the largest change of a lasting contact's normal velocity by rotation: over a step, the
     # allowed depth.
     turned: float
@@ -168,7 +168,7 @@ class _Times(NamedTuple):
 class _Points(NamedTuple):
     """Contact points of a pair, and the workspace of their search."""
 
-    # See `contacts.collision_detection.convex.between`.
+    # See `contacts.collision_detection.convex.shape_contacts`.
     manifold: Array
     features: Ints
     buffer: Array  # (m, FOUND): buffer for other times.
@@ -176,7 +176,7 @@ class _Points(NamedTuple):
 
 
 @kernel
-def _note(points: _Points, what: int, value: float) -> None:
+def _update_maximum(points: _Points, what: int, value: float) -> None:
     """Update the largest value of a detection."""
     points.worst[what] = max(points.worst[what], value)
 
@@ -189,15 +189,17 @@ def _piece_points(
     pieces, p, q, since = numbers.pieces, pair.p, pair.q, times.since
     radii, cores, firsts, centres = pieces.radii, pieces.cores, pieces.firsts, mid.centres
     core = _CORE if pair.slowly else _WHOLE
-    if not pair.turns and (pair.discs or nearby(mid.drifts, cores, p, q, CROSSED / since)):
-        begin, end = overlap(centres, mid.drifts, p, q, core * (cores[p] + cores[q]))
+    if not pair.turns and (
+        pair.discs or is_relatively_slow(mid.drifts, cores, p, q, CROSSED / since)
+    ):
+        begin, end = overlap_interval(centres, mid.drifts, p, q, core * (cores[p] + cores[q]))
         if -since < begin and begin + end < 0.0:
-            _note(points, PASSED, (end - begin) / times.h)
+            _update_maximum(points, PASSED, (end - begin) / times.h)
     else:
         deep = (1.0 - core) * (cores[p] + cores[q])
         past = passing_time(numbers, mid, (p, q), min(since, times.h), deep, points.buffer)
-        _note(points, PASSED, past / times.h)
-    return between(
+        _update_maximum(points, PASSED, past / times.h)
+    return shape_contacts(
         ConvexShape(mid.world[firsts[p] : firsts[p + 1]], centres[p], radii[p]),
         ConvexShape(mid.world[firsts[q] : firsts[q + 1]], centres[q], radii[q]),
         mid.reach[p] + mid.reach[q], points.manifold, points.features,
@@ -216,7 +218,7 @@ def _pair_points(
     else:
         s = pair.q - len(pieces.sizes)
         count, crosses = on_surface(numbers, ground, mid, pair.p, s, times.h, manifold, features)
-        _note(points, PASSED, crosses)
+        _update_maximum(points, PASSED, crosses)
     # The depth counts even if internal edges remove all contacts, but not that of compliant ones.
     rigid = numbers.materials[pair.material, STIFFNESS] == 0.0
     for at in range(count if rigid else 0):
@@ -227,12 +229,14 @@ def _pair_points(
         several = turn == 0 and pieces.begins[pair.body + 1] - pieces.begins[pair.body] > 1
         # A half-plane has one normal, which others do not take away.
         if pair.whole or several or numbers.surfaces.kinds[s] in (PLATE, ROUND):
-            count = _drop_covered(numbers, ground, mid, pair, turn, times.h, points, near, count)
+            count = _drop_ghost_contacts(
+                numbers, ground, mid, pair, turn, times.h, points, near, count
+            )
     return count
 
 
 @kernel
-def _drop_covered(
+def _drop_ghost_contacts(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, turn: int, h: float,
     points: _Points, near: Neighbours, count: int,
 ) -> int:  # fmt: skip
@@ -246,7 +250,7 @@ def _drop_covered(
     many = near_obstacles(numbers, ground, mid, sides, near, h, manifold, count)
     if many <= 1:
         return count
-    touched = Touched(sides[0], sides[1], 2.0 * turn - 1.0, near.covering[:many])
+    touched = TouchedSide(sides[0], sides[1], 2.0 * turn - 1.0, near.covering[:many])
     count, barred = drop_internal_edges(numbers, ground, mid, touched, manifold, features, count)
     if count == 0 and barred:
         count = find_face_contacts(numbers, ground, mid, touched, pair.whole, manifold, features)
@@ -256,7 +260,7 @@ def _drop_covered(
 
 
 @kernel
-def _strikes(
+def _will_strike(
     numbers: BodyNumbers, mid: Midpoint, pair: CandidatePair, times: _Times, point: Array,
     nearing: float, certain: bool, points: _Points,
 ) -> bool:  # fmt: skip
@@ -268,7 +272,7 @@ def _strikes(
     if gap > 0.0 and pair.discs:
         radii = numbers.pieces.radii
         apart = radii[pair.p] + radii[pair.q]
-        touch, _ = overlap(mid.centres, mid.drifts, pair.p, pair.q, apart)
+        touch, _ = overlap_interval(mid.centres, mid.drifts, pair.p, pair.q, apart)
         if touch > h:
             return False
     if certain:
@@ -280,7 +284,7 @@ def _strikes(
     meets, crossed = will_collide(
         numbers, mid, (pair.p, pair.q), (nx, ny), gap, nearing, h, points.buffer
     )
-    _note(points, PASSED, crossed)
+    _update_maximum(points, PASSED, crossed)
     return meets
 
 
@@ -305,8 +309,8 @@ def _write_velocity_bounds(
     if above < 0.0:
         above = min(above - 0.5 * since * min(turn, 0.0), 0.0)
     back, part = max(0.5 * gained, -active.before[m, 0]), 0.5 * h / since
-    active.wanted[m, 0] = max(above / h + part * turn, -back)
-    active.wanted[m, 1] = part * shift
+    active.bias[m, 0] = max(above / h + part * turn, -back)
+    active.bias[m, 1] = part * shift
     return turn
 
 
@@ -326,7 +330,7 @@ def _move_between(radii: Array, pair: CandidatePair, point: Array, feature: int)
 
 
 @kernel
-def _takes_part(
+def _write_if_active(
     numbers: BodyNumbers, ground: Ground, warm: WarmStart, mid: Midpoint, pair: CandidatePair,
     times: _Times, at: int, at_old: int, m: int, points: _Points, active: ActiveContacts,
 ) -> bool:  # fmt: skip
@@ -344,23 +348,23 @@ def _takes_part(
     write_contact(mid, pair.body, -1 if prescribed else pair.other, point, m, active)
     if prescribed:
         pull = remove_body_motion(mid, pair.other, point, m, active)
-        mid.pull[pair.body] = max(mid.pull[pair.body], pull)
+        mid.force_speed[pair.body] = max(mid.force_speed[pair.body], pull)
     if pair.moves:
         s = pair.q - len(numbers.pieces.sizes)
         pull = remove_surface_motion(ground, numbers.surfaces, s, point, h, m, active)
-        mid.pull[pair.body] = max(mid.pull[pair.body], pull)
+        mid.force_speed[pair.body] = max(mid.force_speed[pair.body], pull)
     nearing = -active.before[m, 0]
     gained = max(abs(active.free[m, 0] - active.before[m, 0]), times.fall)
     law = numbers.materials[pair.material]
-    active.yields[m], active.laws[m] = 0.0, pair.material
-    active.twins[m] = ROLLS if pair.rolls and law[ROLLING] > 0.0 else 0
+    active.compliances[m], active.laws[m] = 0.0, pair.material
+    active.rolling_roles[m] = ROLLS if pair.rolls and law[ROLLING] > 0.0 else 0
     if law[STIFFNESS] > 0.0:
         shift = turning_change(warm, place, m, active)[1] if lasting else 0.0
         active.hit[m], active.materials[m, 2] = False, 0.0
         active.keys[m, 0], active.keys[m, 1] = pair.key, feature
         for k in range(4):
             active.levels[m, k] = 0.0
-        _write_way(numbers, warm, place, lasting, gained, m, active)
+        _write_slip_direction(numbers, warm, place, lasting, gained, m, active)
         return write_compliance(law, gap, h, 0.5 * h / times.since * shift, m, active)
     turned = 0.0
     if place >= 0 and warm.contacts[place, 1] == 0.0:
@@ -369,39 +373,41 @@ def _takes_part(
     forced = abs(active.free[m, 0] - active.before[m, 0] + turned)
     slow = SLOW * max(gained, forced, TOUCH_TOLERANCE * pair.size / h)
     if gap < 0.0 and not known:
-        explained = times.since * max(warm.past[1], nearing, slow)
+        explained = times.since * max(warm.last_step[1], nearing, slow)
         if times.first:
-            explained += _STARTED * pair.size + LANDED * warm.past[2]
-        _note(points, SUNK, -gap - explained)
+            explained += _STARTED * pair.size + LANDED * warm.last_step[2]
+        _update_maximum(points, SUNK, -gap - explained)
     # The impact is in the step whose middle is nearest to the touch.
     closing, reached = h * (slow - active.free[m, 0]), (0.5 + TIME_MARGIN) * h * nearing
-    role, level, above = arriving(gap, level, lasting, nearing, slow, closing, reached, 0.0)
+    role, level, above = contact_role(gap, level, lasting, nearing, slow, closing, reached, 0.0)
     certain = known or pair.slowly
-    if role == HIT and not _strikes(numbers, mid, pair, times, point, nearing, certain, points):
+    if role == HIT and not _will_strike(numbers, mid, pair, times, point, nearing, certain, points):
         role = SEPARATED
     if gap < 0.0 and -nearing > slow and not certain:
         # It leaves: if it was outside before, it entered by another side. A shorter step than the
         # last one was checked at its end.
         which_normal, since = ((pair.p, pair.q), (point[0], point[1])), min(times.since, h)
-        _note(points, PASSED, entered_other_side(numbers, mid, *which_normal, since, points.buffer))
+        _update_maximum(
+            points, PASSED, entered_other_side(numbers, mid, *which_normal, since, points.buffer)
+        )
     if role == SEPARATED:
         return False
     active.levels[m, 3] = above
-    _note(points, APPROACH, nearing)
-    if nearing > slow and -gap > max(warm.past[2], h * nearing):
-        _note(points, SUNK, -gap)
+    _update_maximum(points, APPROACH, nearing)
+    if nearing > slow and -gap > max(warm.last_step[2], h * nearing):
+        _update_maximum(points, SUNK, -gap)
     if role == HIT:
-        active.wanted[m, 0] = -numbers.materials[pair.material, RESTITUTION] * nearing
-        active.wanted[m, 1] = 0.0
-        _note(points, CLOSING, -gap)
+        active.bias[m, 0] = -numbers.materials[pair.material, RESTITUTION] * nearing
+        active.bias[m, 1] = 0.0
+        _update_maximum(points, CLOSING, -gap)
         if -gap > _SUNK * pair.size:
-            _note(points, SUNK, -gap)
+            _update_maximum(points, SUNK, -gap)
     else:
         # The target is no deeper than impacts leave a contact.
         above, level = min(above, gap + times.lowest), max(level, -times.lowest)
         turn = _write_velocity_bounds(warm, place, lasting, m, times, gained, above, active)
         # Half remains, half is corrected by the next detection.
-        _note(points, TURNED, 2.0 * abs(turn))
+        _update_maximum(points, TURNED, 2.0 * abs(turn))
     if not lasting:
         # Impulses of an impact are no warm start.
         active.pushes[m, 0] = active.pushes[m, 1] = 0.0
@@ -410,12 +416,12 @@ def _takes_part(
     active.levels[m, 0] = level
     active.levels[m, 1] = 0.0 if lasting and role != HIT else above
     active.materials[m, 2] = law[RESTITUTION]
-    _write_way(numbers, warm, place, lasting, gained, m, active)
+    _write_slip_direction(numbers, warm, place, lasting, gained, m, active)
     return True
 
 
 @kernel
-def _write_way(
+def _write_slip_direction(
     numbers: BodyNumbers, warm: WarmStart, place: int, lasting: bool, gained: float, m: int,
     active: ActiveContacts,
 ) -> None:  # fmt: skip
@@ -437,14 +443,14 @@ def _add_resistance(
     """Write the rolling resistance of contact m - 1 as contact m."""
     before = after = 0.0
     if pair.other >= len(numbers.inverse):
-        before, after = mid.old[pair.other, 2], mid.loose[pair.other, 2]
+        before, after = mid.old_rates[pair.other, 2], mid.free_rates[pair.other, 2]
     elif pair.moves:
         frames = ground.frames
         before = (frames[1, 2] - frames[0, 2]) / times.h
         after = (frames[2, 2] - frames[1, 2]) / times.h
     write_resistance(numbers, warm, at_old, (before, after), times.h, m, active)
-    active.before[m, 1] += velocity(active.bodies, active.rows, mid.old, m, 1)
-    active.free[m, 1] += velocity(active.bodies, active.rows, mid.loose, m, 1)
+    active.before[m, 1] += velocity(active.bodies, active.rows, mid.old_rates, m, 1)
+    active.free[m, 1] += velocity(active.bodies, active.rows, mid.free_rates, m, 1)
 
 
 @kernel
@@ -460,10 +466,10 @@ def find_contacts(
     count, others = len(sizes), len(sizes) + len(numbers.surfaces.kinds)
     manifold, buffer, worst = np.empty((POINTS, FOUND)), np.empty((POINTS, FOUND)), np.zeros(5)
     points = _Points(manifold, np.empty(POINTS, np.int64), buffer, worst)
-    first = not warm.past[0] > 0.0
+    first = not warm.last_step[0] > 0.0
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
-    lowest = math.inf if first else LANDED * warm.past[2]
-    times = _Times(h, 0.5 * (h + (h if first else warm.past[0])), fall, first, lowest)
+    lowest = math.inf if first else LANDED * warm.last_step[2]
+    times = _Times(h, 0.5 * (h + (h if first else warm.last_step[0])), fall, first, lowest)
     m, at_old, end = 0, 0, 0
     many = near_pairs(mid.centres, sizes, mid.reach, grid)
     # Discs have no internal edges.
@@ -493,11 +499,11 @@ def find_contacts(
             while at_old < warm.n_contacts[0] and keys[at_old, 0] < pair.key:
                 at_old += 1
             for at in range(met):
-                if _takes_part(
+                if _write_if_active(
                     numbers, ground, warm, mid, pair, times, at, at_old, m, points, active
                 ):
                     m += 1
-                    if m < len(active.hit) and active.twins[m - 1] == ROLLS:
+                    if m < len(active.hit) and active.rolling_roles[m - 1] == ROLLS:
                         _add_resistance(numbers, ground, warm, mid, pair, times, at_old, m, active)
                         m += 1
                 if m == len(active.hit):

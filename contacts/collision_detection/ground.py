@@ -15,9 +15,9 @@ from contacts.collision_detection.surfaces import (
     HOLLOW,
     ROUND,
     SurfaceNumbers,
-    against_surface,
     crossing_time,
     distance,
+    surface_contacts,
     to_frame,
     to_world,
 )
@@ -40,7 +40,7 @@ class Ground(NamedTuple):
 
     # (3, s, 3): frames at the previous detection, this one and the next; unused if none moves.
     paths: Array
-    # Registers of the height tape (see `statechart.kernels.tapes.filled`).
+    # Registers of the height tape (see `statechart.kernels.tapes.allocate_registers`).
     registers: tuple[int, Array]
     frames: Array  # (3, 3): buffer.
     still: Array  # (3, 3): zero.
@@ -52,8 +52,8 @@ def _write_frames(ground: Ground, s: int, carrier: int, mid: Midpoint, h: float)
     for at in range(3):
         for d in range(3):
             if carrier >= 0:
-                moved = (at - 1) * h * mid.old[carrier, d]
-                ground.frames[at, d] = mid.places[carrier, d] + moved
+                moved = (at - 1) * h * mid.old_rates[carrier, d]
+                ground.frames[at, d] = mid.poses[carrier, d] + moved
             else:
                 ground.frames[at, d] = ground.paths[at, s, d]
 
@@ -62,7 +62,7 @@ def _write_frames(ground: Ground, s: int, carrier: int, mid: Midpoint, h: float)
 def pose_of(numbers: BodyNumbers, ground: Ground, mid: Midpoint, s: int) -> Array:
     """Return the frame (3,) of a surface at this detection."""
     if numbers.surfaces.carriers[s] >= 0:
-        return mid.places[numbers.surfaces.carriers[s]]
+        return mid.poses[numbers.surfaces.carriers[s]]
     return ground.paths[1, s] if numbers.surfaces.moves[s] else ground.still[1]
 
 
@@ -104,12 +104,12 @@ def on_surface(
     after = to_frame(frames[1], x, y)
     passed = crossing_time(surfaces, s, before, after, pieces.cores[p])
     first, end = pieces.firsts[p], pieces.firsts[p + 1]
-    points = against_surface(
+    points = surface_contacts(
         surfaces, s, frames[1], ground.registers,
         ConvexShape(mid.world[first:end], mid.centres[p], pieces.radii[p]), within, manifold,
         features,
     )  # fmt: skip
-    turned = h * mid.old[pieces.bodies[p], 2] - (frames[1, 2] - frames[0, 2])
+    turned = h * mid.old_rates[pieces.bodies[p], 2] - (frames[1, 2] - frames[0, 2])
     way = norm(after[0] - before[0], after[1] - before[1]) + pieces.spans[p] * abs(turned)
     if passed == 0.0 and way > _STRIDE * pieces.cores[p]:
         clear = True
@@ -137,10 +137,10 @@ def _passed_over(
     frame, within, was_clear, inside = np.empty(3), 0.0, False, 0
     for i in range(samples):
         back = 1.0 - i / samples
-        shape = shape_at(pieces, p, mid.places[b] - back * h * mid.old[b])
+        shape = shape_at(pieces, p, mid.poses[b] - back * h * mid.old_rates[b])
         for d in range(3):
             frame[d] = frames[1, d] + back * (frames[0, d] - frames[1, d])
-        points = against_surface(
+        points = surface_contacts(
             numbers.surfaces, s, frame, ground.registers, shape, within, manifold, features
         )
         deepest = 0.0

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
-from contacts.collision_detection.convex import against_faces, norm, write_contact
+from contacts.collision_detection.convex import face_contacts, norm, write_contact
 from contacts.collision_detection.ground import Ground, pose_of
 from contacts.collision_detection.joints import is_joined
 from contacts.collision_detection.midpoint import Midpoint
@@ -57,7 +57,7 @@ class Obstacle(NamedTuple):
 
 
 @kernel
-def obstacle(
+def make_obstacle(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, q: int, x: float, y: float
 ) -> Obstacle:
     """Return a piece, or a surface (indices behind the pieces), as an obstacle near a point."""
@@ -83,7 +83,7 @@ def obstacle(
 
 
 @kernel
-def edges(one: Obstacle) -> int:
+def edge_count(one: Obstacle) -> int:
     """Return the number of edges; a sheet has one on each side."""
     return 1 if one.sort == HALF else len(one.corners)
 
@@ -104,13 +104,13 @@ def distance_to(one: Obstacle, x: float, y: float) -> float:
     if one.sort == DISC:
         return norm(x - one.centre[0], y - one.centre[1]) - one.radius
     most = -math.inf
-    for i in range(edges(one)):
+    for i in range(edge_count(one)):
         ax, ay, ux, uy, length = edge_of(one, i)
-        beside = uy * (x - ax) - ux * (y - ay)
+        offset = uy * (x - ax) - ux * (y - ay)
         if one.sort == SHEET:
             along = ux * (x - ax) + uy * (y - ay)
-            beside = norm(beside, max(0.0, -along, along - length))
-        most = max(most, beside)
+            offset = norm(offset, max(0.0, -along, along - length))
+        most = max(most, offset)
     return most
 
 
@@ -125,11 +125,11 @@ def add_rays(one: Obstacle, x: float, y: float, near: float, rays: Array, count:
                 rays[count, 2] = one.radius
                 count += 1
         return count
-    for i in range(1 if one.sort == SHEET else edges(one)):
+    for i in range(1 if one.sort == SHEET else edge_count(one)):
         ax, ay, ux, uy, length = edge_of(one, i)
-        along, beside = ux * (x - ax) + uy * (y - ay), uy * (x - ax) - ux * (y - ay)
+        along, offset = ux * (x - ax) + uy * (y - ay), uy * (x - ax) - ux * (y - ay)
         endless = one.sort == HALF
-        if abs(beside) > near or not (endless or -near <= along <= length + near):
+        if abs(offset) > near or not (endless or -near <= along <= length + near):
             continue
         if along < length - near and count < RAYS:
             rays[count, 0], rays[count, 1], rays[count, 2] = ux, uy, length - along
@@ -142,7 +142,7 @@ def add_rays(one: Obstacle, x: float, y: float, near: float, rays: Array, count:
 
 
 @kernel
-def between_normals(
+def is_in_normal_cone(
     one: Obstacle, place: tuple[float, float], outward: tuple[float, float]
 ) -> bool:
     """Return whether a direction is in the normal cone of a piece at a boundary point."""
@@ -150,24 +150,24 @@ def between_normals(
     if one.sort == DISC:
         ux, uy = x - one.centre[0], y - one.centre[1]
         return abs(ux * ny - uy * nx) <= FLUSH * one.radius and ux * nx + uy * ny > 0.0
-    near, many = FLUSH * one.size, 0
+    near, n_near = FLUSH * one.size, 0
     ax = ay = bx = by = 0.0
-    for i in range(edges(one)):
+    for i in range(edge_count(one)):
         cx, cy, ex, ey, _ = edge_of(one, i)
         if abs(ey * (x - cx) - ex * (y - cy)) <= near:
-            if many == 0:
+            if n_near == 0:
                 ax, ay = ey, -ex
             bx, by = ey, -ex
-            many += 1
+            n_near += 1
     # Counter-clockwise order; the normals differ by less than a half turn.
     if ax * by - ay * bx < 0.0:
         ax, ay, bx, by = bx, by, ax, ay
     ahead = (ax + bx) * nx + (ay + by) * ny > 0.0
-    return many > 0 and ahead and ax * ny - ay * nx >= -FLUSH and nx * by - ny * bx >= -FLUSH
+    return n_near > 0 and ahead and ax * ny - ay * nx >= -FLUSH and nx * by - ny * bx >= -FLUSH
 
 
 @kernel
-def chord(
+def chord_interval(
     one: Obstacle, x: float, y: float, ux: float, uy: float, near: float
 ) -> tuple[float, float]:
     """Return the interval of a line from x, y along a unit vector inside a solid obstacle."""
@@ -180,32 +180,32 @@ def chord(
         inside = half * half - (dx * dx + dy * dy - one.radius * one.radius)
         root = math.sqrt(max(inside, 0.0))
         return (-half - root, -half + root) if inside > 0.0 else (math.inf, -math.inf)
-    for i in range(edges(one)):
+    for i in range(edge_count(one)):
         ax, ay, ex, ey, _ = edge_of(one, i)
-        beside, rate = ey * (x - ax) - ex * (y - ay), ey * ux - ex * uy
+        offset, rate = ey * (x - ax) - ex * (y - ay), ey * ux - ex * uy
         if abs(rate) <= FLUSH:
-            if beside > near:
+            if offset > near:
                 return math.inf, -math.inf
         elif rate > 0.0:
-            high = min(high, -beside / rate)
+            high = min(high, -offset / rate)
         else:
-            low = max(low, -beside / rate)
+            low = max(low, -offset / rate)
     return low, high
 
 
 @kernel
 def continues_face(one: Obstacle, x: float, y: float, ux: float, uy: float, near: float) -> bool:
     """Return whether an obstacle has a collinear face in the same direction: it covers nothing."""
-    for i in range(edges(one) if one.sort != DISC else 0):
+    for i in range(edge_count(one) if one.sort != DISC else 0):
         ax, ay, ex, ey, _ = edge_of(one, i)
-        beside = abs(uy * (ax - x) - ux * (ay - y))
-        if beside <= near and abs(ux * ey - uy * ex) <= FLUSH and ux * ex + uy * ey > 0.0:
+        offset = abs(uy * (ax - x) - ux * (ay - y))
+        if offset <= near and abs(ux * ey - uy * ex) <= FLUSH and ux * ex + uy * ey > 0.0:
             return True
     return False
 
 
 @kernel
-def collide(numbers: BodyNumbers, one: int, other: int) -> bool:
+def have_contact_law(numbers: BodyNumbers, one: int, other: int) -> bool:
     """Return whether two pieces, or a piece and a surface, have a contact law."""
     count = len(numbers.pieces.sizes)
     if one >= count:
@@ -229,9 +229,9 @@ def _velocity(
     count, surfaces = len(numbers.pieces.sizes), numbers.surfaces
     b = numbers.pieces.bodies[q] if q < count else surfaces.carriers[q - count]
     if b >= 0:
-        turning = mid.old[b, 2]
-        u, v = x - mid.places[b, 0], y - mid.places[b, 1]
-        return mid.old[b, 0] - turning * v, mid.old[b, 1] + turning * u, turning
+        turning = mid.old_rates[b, 2]
+        u, v = x - mid.poses[b, 0], y - mid.poses[b, 1]
+        return mid.old_rates[b, 0] - turning * v, mid.old_rates[b, 1] + turning * u, turning
     if not surfaces.moves[q - count]:
         return 0.0, 0.0, 0.0
     now, then = ground.paths[1, q - count], ground.paths[2, q - count]
@@ -261,7 +261,7 @@ COVERING = 64
 _AROUND = 2e-3
 
 
-class Touched(NamedTuple):
+class TouchedSide(NamedTuple):
     """One side of a pair, as touched by the other."""
 
     which: int  # A piece, or a plate (indices behind the pieces).
@@ -283,16 +283,16 @@ class Neighbours(NamedTuple):
 
 
 @kernel
-def sort_pairs(pairs: Ints, many: int, count: int, near: Neighbours) -> None:
+def sort_pairs(pairs: Ints, n_near: int, count: int, near: Neighbours) -> None:
     """Sort pairs by their second piece (counting sort)."""
     heads = near.heads
     for p in range(count + 1):
         heads[p] = 0
-    for i in range(many):
+    for i in range(n_near):
         heads[pairs[i, 1]] += 1
     for p in range(count):
         heads[p + 1] += heads[p]
-    for i in range(many - 1, -1, -1):
+    for i in range(n_near - 1, -1, -1):
         q = pairs[i, 1]
         heads[q] -= 1
         near.lower[heads[q]] = pairs[i, 0]
@@ -301,14 +301,14 @@ def sort_pairs(pairs: Ints, many: int, count: int, near: Neighbours) -> None:
 @kernel
 def list_neighbours(pairs: Ints, begin: int, end: int, p: int, near: Neighbours) -> None:
     """List the pieces near p, whose pairs with later pieces are from `begin` to `end`."""
-    many = 0
+    n_near = 0
     for i in range(near.heads[p], near.heads[p + 1]):
-        near.others[many] = near.lower[i]
-        many += 1
+        near.others[n_near] = near.lower[i]
+        n_near += 1
     for i in range(begin, end):
-        near.others[many] = pairs[i, 1]
-        many += 1
-    near.n_others[0] = many
+        near.others[n_near] = pairs[i, 1]
+        n_near += 1
+    near.n_others[0] = n_near
 
 
 @kernel
@@ -323,7 +323,7 @@ def near_obstacles(
     has `count` contact points.
     """
     pieces, surfaces, (one, touched_by) = numbers.pieces, numbers.surfaces, pair
-    all_pieces, many = len(pieces.sizes), 1
+    all_pieces, n_near = len(pieces.sizes), 1
     others, covering = near_pieces.others, near_pieces.covering
     count_others = near_pieces.n_others[0]
     covering[0] = one
@@ -339,16 +339,16 @@ def near_obstacles(
             )
         # Several pieces may cover a face.
         for q in range(first, end if is_compound else first):
-            if q != one and many < len(covering):
-                covering[many] = q
-                many += 1
+            if q != one and n_near < len(covering):
+                covering[n_near] = q
+                n_near += 1
     solid = touched_by >= all_pieces and surfaces.kinds[touched_by - all_pieces] not in (
         PLATE,
         ROUND,
     )
     if solid or (not plate and pieces.radii[one] > 0.0):
         # Half-planes and rims have one normal, which others do not take away.
-        return many
+        return n_near
     for k in range(count_others + len(surfaces.kinds)):
         is_piece = k < count_others
         q = others[k] if is_piece else all_pieces + k - count_others
@@ -361,7 +361,7 @@ def near_obstacles(
         near = FLUSH * (min(size, pieces.sizes[q]) if is_piece else size)
         if (
             at < 0
-            or many == len(covering)
+            or n_near == len(covering)
             or not is_relatively_still(
                 numbers, ground, mid, (one, q), manifold[at, 2], manifold[at, 3], h, near
             )
@@ -369,10 +369,10 @@ def near_obstacles(
             continue
         if is_piece and _near_obstacle(numbers, ground, mid, q, manifold, count, size) < 0:
             continue
-        if collide(numbers, touched_by, q):
-            covering[many] = q
-            many += 1
-    return many
+        if have_contact_law(numbers, touched_by, q):
+            covering[n_near] = q
+            n_near += 1
+    return n_near
 
 
 @kernel
@@ -401,7 +401,7 @@ def _near_obstacle(
         if still:
             away = distance(numbers.surfaces, s, ground.still[1], x, y)
         else:
-            away = distance_to(obstacle(numbers, ground, mid, q, x, y), x, y)
+            away = distance_to(make_obstacle(numbers, ground, mid, q, x, y), x, y)
         if away <= _AROUND * size + 2.0 * abs(manifold[i, 4]):
             return i
     return -1
@@ -422,7 +422,7 @@ _OF_FACE, _OF_CORNER, _COVERED, _BARRED = range(4)
 
 
 @kernel
-def _beyond(
+def _point_beyond(
     one: Obstacle, place: tuple[float, float], outward: tuple[float, float], far: float
 ) -> tuple[float, float]:
     """Return an interior point of the touching obstacle, or one far out for a surface."""
@@ -438,7 +438,7 @@ def _beyond(
 
 
 @kernel
-def _face(
+def _face_at(
     one: Obstacle, place: tuple[float, float], outward: tuple[float, float], leans: float
 ) -> int:
     """Return the face with this normal at a point; -1: a corner or a rim.
@@ -446,7 +446,7 @@ def _face(
     With a tolerance `leans` above round-off, the point must be between the ends.
     """
     near, inset = FLUSH * one.size, FLUSH * one.size if leans > FLUSH else -math.inf
-    for i in range(edges(one) if one.sort != DISC else 0):
+    for i in range(edge_count(one) if one.sort != DISC else 0):
         ax, ay, ux, uy, length = edge_of(one, i)
         away = uy * (place[0] - ax) - ux * (place[1] - ay)
         along = ux * (place[0] - ax) + uy * (place[1] - ay)
@@ -458,8 +458,8 @@ def _face(
 
 
 @kernel
-def _covered_to(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched,
+def _covered_length(
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: TouchedSide,
     start: tuple[float, float], way: tuple[float, float], along_face: float, length: float,
 ) -> float:  # fmt: skip
     """Return how far solid obstacles cover a face from its end.
@@ -468,18 +468,18 @@ def _covered_to(
     the direction with the solid on the left, else -1.
     """
     (x, y), (ux, uy), covered, grows = start, way, 0.0, True
-    size = obstacle(numbers, ground, mid, touched.which, x, y).size
+    size = make_obstacle(numbers, ground, mid, touched.which, x, y).size
     while grows and covered < length - FLUSH * size:
         grows = False
         for q in touched.covering:
             at = x + covered * ux, y + covered * uy
-            other = obstacle(numbers, ground, mid, q, at[0], at[1])
+            other = make_obstacle(numbers, ground, mid, q, at[0], at[1])
             near = FLUSH * min(size, other.size)
             if q == touched.which or continues_face(
                 other, x, y, along_face * ux, along_face * uy, near
             ):
                 continue
-            low, high = chord(other, x, y, ux, uy, near)
+            low, high = chord_interval(other, x, y, ux, uy, near)
             if low <= covered + near and high > covered + near:
                 covered, grows = high, True
     return covered
@@ -487,22 +487,22 @@ def _covered_to(
 
 @kernel
 def _is_covered(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: TouchedSide,
     place: tuple[float, float], outward: tuple[float, float],
 ) -> bool:  # fmt: skip
     """Return whether a point is on a face that solid obstacles cover entirely."""
-    one = obstacle(numbers, ground, mid, touched.which, place[0], place[1])
-    i = _face(one, place, outward, FLUSH)
+    one = make_obstacle(numbers, ground, mid, touched.which, place[0], place[1])
+    i = _face_at(one, place, outward, FLUSH)
     if i < 0:
         return False
     ax, ay, ux, uy, length = edge_of(one, i)
-    covered = _covered_to(numbers, ground, mid, touched, (ax, ay), (ux, uy), 1.0, length)
+    covered = _covered_length(numbers, ground, mid, touched, (ax, ay), (ux, uy), 1.0, length)
     return covered >= length - FLUSH * one.size
 
 
 @kernel
-def _stands_between(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched, i: int,
+def _separates(
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: TouchedSide, i: int,
     place: tuple[float, float], middle: tuple[float, float], rays: Array,
 ) -> bool:  # fmt: skip
     """Return whether an obstacle at an end of a face stands between the face and a body.
@@ -511,29 +511,29 @@ def _stands_between(
     face turns outward. The body's middle is beyond it, and the segment from there to the contact
     point crosses it, or the face, or the continuation of the obstacle.
     """
-    one = obstacle(numbers, ground, mid, touched.which, place[0], place[1])
+    one = make_obstacle(numbers, ground, mid, touched.which, place[0], place[1])
     ax, ay, ex, ey, length = edge_of(one, i)
     nx, ny, (u, v), (cx, cy) = ey, -ex, place, middle
     for way in (1.0, -1.0):
         x, y = (ax, ay) if way > 0.0 else (ax + length * ex, ay + length * ey)
         tx, ty = way * ex, way * ey
-        covered = _covered_to(numbers, ground, mid, touched, (x, y), (tx, ty), way, length)
-        x, y, many = x + covered * tx, y + covered * ty, 0
+        covered = _covered_length(numbers, ground, mid, touched, (x, y), (tx, ty), way, length)
+        x, y, n_near = x + covered * tx, y + covered * ty, 0
         for q in touched.covering:
-            other = obstacle(numbers, ground, mid, q, x, y)
+            other = make_obstacle(numbers, ground, mid, q, x, y)
             near = FLUSH * min(one.size, other.size)
             # A disc curves away from its rays, and may leave the face visible.
             if q != touched.which and other.sort != DISC and distance_to(other, x, y) <= near:
-                many = add_rays(other, x, y, near, rays, many)
+                n_near = add_rays(other, x, y, near, rays, n_near)
         turned = math.atan2((cx - x) * nx + (cy - y) * ny, (cx - x) * tx + (cy - y) * ty)
         if turned < 0.0:
             turned += 2.0 * math.pi
         along, before, crossed = (u - x) * tx + (v - y) * ty, False, turned > math.pi
-        for k in range(many):
+        for k in range(n_near):
             dx, dy, reach = rays[k]
             angle = math.atan2(dx * nx + dy * ny, dx * tx + dy * ty)
             before = before or FLUSH < angle < min(turned, math.pi) - FLUSH
-            crossed = crossed or _crosses(
+            crossed = crossed or _crosses_ray(
                 (u, v), (cx, cy), (x, y), (dx, dy), reach, FLUSH * one.size
             )
         if before and (crossed or along <= FLUSH * one.size):
@@ -542,7 +542,7 @@ def _stands_between(
 
 
 @kernel
-def _crosses(
+def _crosses_ray(
     place: tuple[float, float], middle: tuple[float, float], start: tuple[float, float],
     ray: tuple[float, float], reach: float, near: float,
 ) -> bool:  # fmt: skip
@@ -559,7 +559,7 @@ def _crosses(
 
 @kernel
 def drop_internal_edges(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched, manifold: Array,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: TouchedSide, manifold: Array,
     features: Ints, count: int,
 ) -> tuple[int, bool]:  # fmt: skip
     """Remove contacts with internal edges, in place; return the number of remaining ones.
@@ -584,7 +584,12 @@ def drop_internal_edges(
 
 @kernel
 def _classify_point(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched, point: Array, rays: Array
+    numbers: BodyNumbers,
+    ground: Ground,
+    mid: Midpoint,
+    touched: TouchedSide,
+    point: Array,
+    rays: Array,
 ) -> int:
     """Classify a contact point on the touched obstacle; see `_OF_FACE`."""
     which, by, side, covering = touched
@@ -592,32 +597,32 @@ def _classify_point(
     body = numbers.pieces.bodies[which] if which < all_pieces else -1
     nx, ny, x, y, gap = point
     out = side * nx, side * ny
-    one = obstacle(numbers, ground, mid, which, x, y)
+    one = make_obstacle(numbers, ground, mid, which, x, y)
     # The point is on either body.
     u, v = x - gap * out[0], y - gap * out[1]
     here, there, face = abs(distance_to(one, x, y)), abs(distance_to(one, u, v)), -1
     # Beside the end of a face both projections are on it, up to round-off: take the one on the
     # face.
     if max(here, there) <= FLUSH * one.size:
-        face = _face(one, (u, v), out, FLUSH)
+        face = _face_at(one, (u, v), out, FLUSH)
     if face < 0:
         if there >= here - FLUSH * one.size:
             u, v = x, y
-        face = _face(one, (u, v), out, FLUSH)
-    beside = False
+        face = _face_at(one, (u, v), out, FLUSH)
+    offset = False
     for q in covering:
         if q == which:
             continue
-        other = obstacle(numbers, ground, mid, q, u, v)
+        other = make_obstacle(numbers, ground, mid, q, u, v)
         near = FLUSH * min(one.size, other.size)
         away = distance_to(other, u, v)
         if away > near:
             continue
-        beside = True
+        offset = True
         same = q < all_pieces and numbers.pieces.bodies[q] == body
-        if same and away >= -near and between_normals(other, (u, v), out):
+        if same and away >= -near and is_in_normal_cone(other, (u, v), out):
             # Two pieces share a contact: the first has it, unless another piece covers it there.
-            first = Touched(q, by, side, covering)
+            first = TouchedSide(q, by, side, covering)
             if q < which and not _is_covered(numbers, ground, mid, first, (u, v), out):
                 return _COVERED
         elif face < 0 and one.sort == DISC:
@@ -630,11 +635,11 @@ def _classify_point(
             return _COVERED if same else _BARRED
     if face < 0:
         # Two faces in contact share a normal.
-        return _OF_CORNER if _face(one, (u, v), out, _LEANS) < 0 else _OF_FACE
-    if beside and _is_covered(numbers, ground, mid, touched, (u, v), out):
+        return _OF_CORNER if _face_at(one, (u, v), out, _LEANS) < 0 else _OF_FACE
+    if offset and _is_covered(numbers, ground, mid, touched, (u, v), out):
         return _COVERED
-    middle = _beyond(obstacle(numbers, ground, mid, by, u, v), (u, v), out, one.size)
-    if _stands_between(numbers, ground, mid, touched, face, (u, v), middle, rays):
+    middle = _point_beyond(make_obstacle(numbers, ground, mid, by, u, v), (u, v), out, one.size)
+    if _separates(numbers, ground, mid, touched, face, (u, v), middle, rays):
         return _COVERED
     return _OF_FACE
 
@@ -656,20 +661,20 @@ def _in_cone(
 
 @kernel
 def find_face_contacts(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched, whole: bool,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: TouchedSide, whole: bool,
     manifold: Array, features: Ints,
 ) -> int:  # fmt: skip
     """Find contact points of a face overlap; return their number.
 
     `whole`: whether both are pieces; `manifold` (m, FOUND) and `features` (m,) are written.
     """
-    one = obstacle(numbers, ground, mid, touched.which, 0.0, 0.0)
-    other = obstacle(numbers, ground, mid, touched.by, 0.0, 0.0)
+    one = make_obstacle(numbers, ground, mid, touched.which, 0.0, 0.0)
+    other = make_obstacle(numbers, ground, mid, touched.by, 0.0, 0.0)
     if len(one.corners) == 0 or len(other.corners) == 0 or HALF in (one.sort, other.sort):
         return 0
     # Plates come first in a pair (see `contacts.collision_detection.surfaces`).
     flip = touched.side > 0.0 if whole else touched.side < 0.0
-    count = against_faces(one.corners, other.corners, flip, manifold, features)
+    count = face_contacts(one.corners, other.corners, flip, manifold, features)
     for i in range(count if not whole else 0):
         manifold[i, 0], manifold[i, 1] = -manifold[i, 0], -manifold[i, 1]
     return count

@@ -27,7 +27,7 @@ from contacts.collision_detection.body_numbers import (
 from contacts.collision_detection.midpoint import Midpoint
 from contacts.collision_detection.surfaces import to_world
 from contacts.solvers.contact_rows import GUIDED, HELD
-from contacts.time_stepping.chunk import HIT, LASTING, SLOW, TIME_MARGIN, arriving
+from contacts.time_stepping.chunk import HIT, LASTING, SLOW, TIME_MARGIN, contact_role
 from statechart.arrays import Array
 from statechart.kernels.jit import kernel
 
@@ -48,14 +48,14 @@ def is_bound(holds: int) -> bool:
 
 
 @kernel
-def _bent(x: float, y: float, across: bool, turn: float) -> float:
+def _nonlinear_displacement(x: float, y: float, across: bool, turn: float) -> float:
     """Return the displacement of an arm's end in a turn beyond the linear term."""
     c, s = math.cos(turn) - 1.0, math.sin(turn) - turn
     return s * x + c * y if across else c * x - s * y
 
 
 @kernel
-def _leave_open(apart: float, d: int, h: float, past: float, closing: Array) -> None:
+def _write_remaining_error(apart: float, d: int, h: float, past: float, closing: Array) -> None:
     """Write the remaining error of a joint along d in a step of size h after one of size past.
 
     Between detections arms curve, so that joints are open when a step is split: closed in its first
@@ -77,17 +77,17 @@ def _joint_rows(
     Velocities are relative to the path. `paths` (3, j, 2): the world anchors of all joints at the
     last detection, this one and the next; `h`, `past`: size of this step and the previous one.
     """
-    places, old, loose = mid.places, mid.old, mid.loose
+    places, old, loose = mid.poses, mid.old_rates, mid.free_rates
     rows, before, free = active.rows[m], active.before[m], active.free[m]
-    wanted, closing = active.wanted[m], active.closing[m]
+    wanted, closing = active.bias[m], active.closing[m]
     for d in range(2):
         before[d] = free[d] = wanted[d] = 0.0
         apart = size = 0.0
         for k in range(6):
             rows[d, k] = 0.0
-        if d == 1 and joints.holds[j] != BOTH:
+        if d == 1 and joints.kinds[j] != BOTH:
             continue
-        across = joints.holds[j] == ALONG_Y or d == 1
+        across = joints.kinds[j] == ALONG_Y or d == 1
         ux, uy = (0.0, 1.0) if across else (1.0, 0.0)
         for side in range(2):
             b, sign = joints.bodies[j, side], 1.0 - 2.0 * side
@@ -98,7 +98,7 @@ def _joint_rows(
                 free[d] -= (paths[2, joints.owners[j], axis] - now) / h
                 apart, size = apart - now, size + abs(now)
                 continue
-            x, y = to_world(places[b], joints.at[j, side, 0], joints.at[j, side, 1])
+            x, y = to_world(places[b], joints.points[j, side, 0], joints.points[j, side, 1])
             rx, ry = x - places[b, 0], y - places[b, 1]
             at = 3 * side
             rows[d, at], rows[d, at + 1] = sign * ux, sign * uy
@@ -106,14 +106,14 @@ def _joint_rows(
             for k in range(3):
                 before[d] += rows[d, at + k] * old[b, k]
                 free[d] += rows[d, at + k] * loose[b, k]
-            wanted[d] += sign * _bent(rx, ry, across, h * old[b, 2]) / h
+            wanted[d] += sign * _nonlinear_displacement(rx, ry, across, h * old[b, 2]) / h
             apart += sign * (ux * x + uy * y)
             size += abs(ux * x + uy * y) + abs(rx) + abs(ry)
         # Redundant joints cannot close round-off.
         if not abs(apart) > _ANGLE_ROUND_OFF * size:
             closing[0, d] = 0.0
             continue
-        _leave_open(apart, d, h, past, closing)
+        _write_remaining_error(apart, d, h, past, closing)
         wanted[d] += (apart - closing[0, d]) / h
     return _path_bend(paths, joints.owners[j]) / h
 
@@ -145,14 +145,14 @@ def _distance_row(
                 rates[0, d] -= (now - paths[0, owner, d]) / h
                 rates[1, d] -= (paths[2, owner, d] - now) / h
             continue
-        x, y = to_world(mid.places[b], joints.at[j, side, 0], joints.at[j, side, 1])
-        rx, ry = x - mid.places[b, 0], y - mid.places[b, 1]
+        x, y = to_world(mid.poses[b], joints.points[j, side, 0], joints.points[j, side, 1])
+        rx, ry = x - mid.poses[b, 0], y - mid.poses[b, 1]
         ends[side, 0], ends[side, 1], arms[side, 0], arms[side, 1] = x, y, rx, ry
-        for k, bodies in ((0, mid.old), (1, mid.loose)):
+        for k, bodies in ((0, mid.old_rates), (1, mid.free_rates)):
             rates[k, 0] += sign * (bodies[b, 0] - bodies[b, 2] * ry)
             rates[k, 1] += sign * (bodies[b, 1] + bodies[b, 2] * rx)
-        bent[0] += sign * _bent(rx, ry, False, h * mid.old[b, 2]) / h
-        bent[1] += sign * _bent(rx, ry, True, h * mid.old[b, 2]) / h
+        bent[0] += sign * _nonlinear_displacement(rx, ry, False, h * mid.old_rates[b, 2]) / h
+        bent[1] += sign * _nonlinear_displacement(rx, ry, True, h * mid.old_rates[b, 2]) / h
     far = math.hypot(ends[0, 0] - ends[1, 0], ends[0, 1] - ends[1, 1])
     ux, uy = 1.0, 0.0
     if far > 0.0:
@@ -176,19 +176,19 @@ def _angle_row(
     joints: JointNumbers, j: int, mid: Midpoint, m: int, active: ActiveContacts
 ) -> float:
     """Write the rate of a relative angle as contact m; return the angle minus its bound."""
-    sign, angle = -1.0 if joints.holds[j] == GREATEST else 1.0, 0.0
+    sign, angle = -1.0 if joints.kinds[j] == GREATEST else 1.0, 0.0
     for side in range(2):
         b, way = joints.bodies[j, side], sign * (1.0 - 2.0 * side)
         if b >= 0:
             active.rows[m, 0, 3 * side + 2] = way
-            angle += way * mid.places[b, 2]
-            active.before[m, 0] += way * mid.old[b, 2]
-            active.free[m, 0] += way * mid.loose[b, 2]
+            angle += way * mid.poses[b, 2]
+            active.before[m, 0] += way * mid.old_rates[b, 2]
+            active.free[m, 0] += way * mid.free_rates[b, 2]
     return angle - sign * joints.sizes[j, 0]
 
 
 @kernel
-def _bounded(
+def _write_bounded_bias(
     gap: float, bend: float, lasting: bool, level: float, h: float, e: float, fall: float, m: int,
     active: ActiveContacts,
 ) -> None:  # fmt: skip
@@ -199,47 +199,47 @@ def _bounded(
     nearing = -active.before[m, 0]
     slow = SLOW * max(abs(active.free[m, 0] - active.before[m, 0]), fall)
     closing, reached = h * (slow - active.free[m, 0] + bend), (0.5 + TIME_MARGIN) * h * nearing
-    role, level, above = arriving(gap, level, lasting, nearing, slow, closing, reached, 0.0)
+    role, level, above = contact_role(gap, level, lasting, nearing, slow, closing, reached, 0.0)
     active.levels[m, 0], active.levels[m, 1] = level, max(above, 0.0)
     active.levels[m, 3] = above
     active.hit[m] = role == HIT
-    active.wanted[m, 0] = _OFF
+    active.bias[m, 0] = _OFF
     if role == LASTING:
-        active.wanted[m, 0] = above / h - bend
+        active.bias[m, 0] = above / h - bend
     elif role == HIT:
-        active.wanted[m, 0] = -e * nearing
+        active.bias[m, 0] = -e * nearing
     if not lasting:
         active.pushes[m, 0] = 0.0
 
 
 @kernel
-def _other_row(
+def _write_scalar_row(
     joints: JointNumbers, j: int, mid: Midpoint, paths: Array, warm: WarmStart, place: int,
     h: float, fall: float, m: int, active: ActiveContacts,
 ) -> float:  # fmt: skip
     """Write a distance or angle row as contact m; see `_joint_rows`."""
-    holds, bend = joints.holds[j], 0.0
+    holds, bend = joints.kinds[j], 0.0
     for d in range(2):
-        active.before[m, d] = active.free[m, d] = active.wanted[m, d] = 0.0
+        active.before[m, d] = active.free[m, d] = active.bias[m, d] = 0.0
         for k in range(6):
             active.rows[m, d, k] = 0.0
     if holds in (ROD, ROPE):
         gap, bend = _distance_row(joints, j, mid, paths, h, m, active)
     else:
         gap = _angle_row(joints, j, mid, m, active)
-    past, closing = warm.past[0], active.closing[m]
+    past, closing = warm.last_step[0], active.closing[m]
     if past > 0.0:
-        _leave_open(gap, 0, h, past, closing)
+        _write_remaining_error(gap, 0, h, past, closing)
     gap -= closing[0, 0]
     if holds in (ROD, TURN):
         if place < 0 and past > 0.0:
             # A closing joint keeps its remaining error.
             closing[0, 0], gap = gap, 0.0
-        active.wanted[m, 0] = gap / h - bend
+        active.bias[m, 0] = gap / h - bend
     else:
         lasting = place >= 0 and warm.contacts[place, 1] == 1.0
         level = warm.contacts[place, 0] if place >= 0 else 0.0
-        _bounded(gap, bend, lasting, level, h, joints.sizes[j, 1], fall, m, active)
+        _write_bounded_bias(gap, bend, lasting, level, h, joints.sizes[j, 1], fall, m, active)
     return _path_bend(paths, joints.owners[j]) / h
 
 
@@ -255,17 +255,17 @@ def add_joints(
     """
     joints, pieces = numbers.joints, len(numbers.pieces.sizes)
     first, at_old, m = pieces * (pieces + len(numbers.surfaces.kinds)), 0, count
-    past, fall = warm.past[0], math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
-    for j in range(len(joints.holds)):
+    past, fall = warm.last_step[0], math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
+    for j in range(len(joints.kinds)):
         b = joints.bodies[j, 0]
         active.bodies[m, 0], active.bodies[m, 1] = b, joints.bodies[j, 1]
-        on, bounds = joints.on[joints.owners[j]], is_bound(joints.holds[j])
-        active.materials[m, 0] = HELD if joints.holds[j] == BOTH else GUIDED
+        on, bounds = joints.on[joints.owners[j]], is_bound(joints.kinds[j])
+        active.materials[m, 0] = HELD if joints.kinds[j] == BOTH else GUIDED
         active.materials[m, 1] = active.materials[m, 2] = 0.0
         if bounds or not on:
             active.materials[m, 0], active.materials[m, 2] = 1.0, joints.sizes[j, 1]
-        active.laws[m], active.ways[m] = -1, 0
-        active.yields[m], active.twins[m] = 0.0, 0
+        active.laws[m], active.slip_directions[m] = -1, 0
+        active.compliances[m], active.rolling_roles[m] = 0.0, 0
         active.hit[m] = False
         while at_old < warm.n_contacts[0] and warm.keys[at_old, 0] < first + j:
             at_old += 1
@@ -277,22 +277,22 @@ def add_joints(
             active.closing[m, 0, d] = warm.contacts[place, 4 + d] if place >= 0 else 0.0
             active.closing[m, 1, d] = warm.contacts[place, 6 + d] if place >= 0 else 0.0
         active.levels[m, 0] = active.levels[m, 1] = 0.0
-        if joints.holds[j] >= ROD:
-            pull = _other_row(joints, j, mid, places, warm, place, h, fall, m, active)
+        if joints.kinds[j] >= ROD:
+            pull = _write_scalar_row(joints, j, mid, places, warm, place, h, fall, m, active)
         else:
             pull = _joint_rows(joints, j, mid, places, h, past, m, active)
             if place < 0 and past > 0.0:
                 # A closing joint keeps its remaining error.
                 for d in range(2):
-                    open_by = h * active.wanted[m, d]
+                    open_by = h * active.bias[m, d]
                     active.closing[m, 0, d] += open_by
-                    active.wanted[m, d] = 0.0
+                    active.bias[m, d] = 0.0
         if on:
-            mid.pull[b] += pull
+            mid.force_speed[b] += pull
         else:
             active.hit[m] = False
             for d in range(2):
-                active.wanted[m, d] = _OFF
+                active.bias[m, d] = _OFF
                 active.pushes[m, d] = 0.0
         active.keys[m, 0], active.keys[m, 1] = first + j, 0
         m += 1
@@ -300,27 +300,40 @@ def add_joints(
 
 
 @kernel
-def bent_on(
+def arm_bend(
     joints: JointNumbers, j: int, d: int, places: Array, side: int, turn: float, than: float
 ) -> tuple[float, float]:
     """Return how much farther a joint arm's end goes along row d if its body turns by `turn`.
 
     Relative to a turn `than`, beyond the linear term, with the row's sign; and its arc length.
     """
-    if joints.holds[j] >= ROD:
+    if joints.kinds[j] >= ROD:
         return 0.0, 0.0
     b = joints.bodies[j, side]
-    x, y = to_world(places[b], joints.at[j, side, 0], joints.at[j, side, 1])
+    x, y = to_world(places[b], joints.points[j, side, 0], joints.points[j, side, 1])
     rx, ry = x - places[b, 0], y - places[b, 1]
-    across = d == 1 or joints.holds[j] == ALONG_Y
-    further = _bent(rx, ry, across, turn) - _bent(rx, ry, across, than)
+    across = d == 1 or joints.kinds[j] == ALONG_Y
+    further = _nonlinear_displacement(rx, ry, across, turn) - _nonlinear_displacement(
+        rx, ry, across, than
+    )
     return (1.0 - 2.0 * side) * further, math.hypot(rx, ry) * abs(turn)
+
+
+@kernel
+def joint_forces(numbers: BodyNumbers) -> int:
+    """Return the number of joint forces: both limits of an angle share one torque."""
+    count, holds = 0, numbers.joints.kinds
+    for j in range(len(holds)):
+        count += 2 if holds[j] in (BOTH, ROPE) else 1
+        if holds[j] == GREATEST:
+            count -= 1
+    return count
 
 
 @kernel
 def is_joined(joints: JointNumbers, one: int, other: int) -> bool:
     """Return whether a joint connects two bodies, which then do not collide."""
-    for j in range(len(joints.holds)):
+    for j in range(len(joints.kinds)):
         a, b = joints.bodies[j]
         if joints.passes[joints.owners[j]] and not joints.on[joints.owners[j]]:
             continue

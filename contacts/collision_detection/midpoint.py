@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers, LinkNumbers
-from contacts.collision_detection.convex import norm, placed
+from contacts.collision_detection.convex import norm, write_placed_vertices
 from contacts.solvers.saddle_point import factorise, substitute
 from statechart.arrays import Array, Ints, Ints32
 from statechart.kernels.jit import kernel
@@ -30,6 +30,15 @@ class ForceProgram(NamedTuple):
     values: Array
 
 
+class LimitProgram(NamedTuple):
+    """Limits of couplings: a tape of `contacts.collision_detection.couplings.STATIC` and so on."""
+
+    code: Ints32
+    constants: Array
+    outputs: Ints32
+    values: Array
+
+
 class Prescribed(NamedTuple):
     """Prescribed motion and forces of the next steps."""
 
@@ -40,6 +49,7 @@ class Prescribed(NamedTuple):
     poses: Array  # shape (k + 2, l, 3)
     controller_states: Array  # shape (k + 2, w)
     forces: ForceProgram
+    limits: LimitProgram
 
     def after(self, count: int) -> Prescribed:
         """Return the prescribed motion after so many steps."""
@@ -73,9 +83,9 @@ class Midpoint(NamedTuple):
 
     # (b, 3): poses; (b + k, 3): rates before the step, and after it without contacts. Rates of led
     # bodies are differences between midpoints.
-    places: Array
-    old: Array
-    loose: Array
+    poses: Array
+    old_rates: Array
+    free_rates: Array
     # In the world: centres of pieces, their velocities before the step, polygon corners.
     centres: Array  # shape (p, 2)
     drifts: Array  # shape (p, 2)
@@ -84,7 +94,7 @@ class Midpoint(NamedTuple):
     reach: Array
     gaps: Array  # (b,): smallest gap found.
     # (b,): speed that gravity, forces or prescribed motion give in the step.
-    pull: Array
+    force_speed: Array
     links: LinkMotion
 
     @classmethod
@@ -100,7 +110,7 @@ class Midpoint(NamedTuple):
 
 
 @kernel
-def carry(numbers: BodyNumbers, mid: Midpoint, rates: Array) -> None:
+def write_linked_rates(numbers: BodyNumbers, mid: Midpoint, rates: Array) -> None:
     """Write the rates G q' of linked bodies, in place."""
     count, size, whole = numbers.links.bodies, numbers.links.size, len(numbers.sizes)
     free, gradients = len(numbers.inverse) - count, mid.links.gradients
@@ -113,7 +123,7 @@ def carry(numbers: BodyNumbers, mid: Midpoint, rates: Array) -> None:
 
 
 @kernel
-def push_link(
+def apply_link_impulse(
     numbers: BodyNumbers, mid: Midpoint, b: int, x: float, y: float, turn: float, rates: Array
 ) -> None:
     """Apply an impulse (x, y, moment) on linked body b to the rates of the coordinates."""
@@ -137,20 +147,20 @@ def place_links(
     count, size, free = links.bodies, links.size, len(numbers.inverse) - links.bodies
     first, n = 3 * free, 3 * free + size
     outputs, gradients, compliance = links.outputs, mid.links.gradients, mid.links.compliance
-    for row in range(whole, len(mid.old)):
+    for row in range(whole, len(mid.old_rates)):
         for d in range(3):
-            mid.old[row, d] = mid.loose[row, d] = 0.0
+            mid.old_rates[row, d] = mid.free_rates[row, d] = 0.0
     for j in range(size):
         rate = state[n + first + j]
         state[first + j] += 0.5 * h * rate
         values[j, 0], values[size + j, 0] = state[first + j], rate
-        mid.old[whole + j // 3, j % 3] = rate
+        mid.old_rates[whole + j // 3, j % 3] = rate
     values[2 * size, 0] = 0.0
     run_tape(links.code, 0, len(links.code), base, values, 1)
     at, mass = 3 * count, np.empty((size, size))
     for i in range(count):
         for d in range(3):
-            mid.places[free + i, d] = values[outputs[3 * i + d], 0]
+            mid.poses[free + i, d] = values[outputs[3 * i + d], 0]
             for j in range(size):
                 gradients[i, d, j] = values[outputs[at], 0]
                 at += 1
@@ -172,19 +182,21 @@ def place_links(
             compliance[k, j] = column[k]
     for k in range(size):
         row, d = whole + k // 3, k % 3
-        mid.loose[row, d] = mid.old[row, d]
+        mid.free_rates[row, d] = mid.old_rates[row, d]
         for j in range(size):
-            mid.loose[row, d] += h * compliance[k, j] * values[outputs[at + j], 0]
-    carry(numbers, mid, mid.old)
-    carry(numbers, mid, mid.loose)
+            mid.free_rates[row, d] += h * compliance[k, j] * values[outputs[at + j], 0]
+    write_linked_rates(numbers, mid, mid.old_rates)
+    write_linked_rates(numbers, mid, mid.free_rates)
     return True
 
 
 @kernel
-def _pull(numbers: BodyNumbers, mid: Midpoint, b: int) -> float:
+def _equivalent_speed(numbers: BodyNumbers, mid: Midpoint, b: int) -> float:
     """Return the translational speed with the energy of a body's change of rates."""
-    sped = norm(mid.loose[b, 0] - mid.old[b, 0], mid.loose[b, 1] - mid.old[b, 1])
-    turned, inverse = mid.loose[b, 2] - mid.old[b, 2], numbers.inverse[b]
+    sped = norm(
+        mid.free_rates[b, 0] - mid.old_rates[b, 0], mid.free_rates[b, 1] - mid.old_rates[b, 1]
+    )
+    turned, inverse = mid.free_rates[b, 2] - mid.old_rates[b, 2], numbers.inverse[b]
     return math.sqrt(sped**2 + turned**2 * inverse[0] / inverse[2])
 
 
@@ -227,8 +239,10 @@ def move_to_midpoint(
         # A centred disc needs no rotation.
         if end - first != 1 or pieces.spans[first] != pieces.radii[first]:
             c, s = math.cos(angle), math.sin(angle)
-        placed(pieces.middles, first, end, x, y, c, s, centres)
-        placed(pieces.vertices, pieces.firsts[first], pieces.firsts[end], x, y, c, s, world)
+        write_placed_vertices(pieces.middles, first, end, x, y, c, s, centres)
+        write_placed_vertices(
+            pieces.vertices, pieces.firsts[first], pieces.firsts[end], x, y, c, s, world
+        )
         sped = 0.0
         if b < free:
             loose[b, 0] += h * gx
@@ -243,7 +257,29 @@ def move_to_midpoint(
                 next_speed = norm(loose[b, 0], loose[b, 1]) + pieces.spans[p] * abs(loose[b, 2])
                 speed = max(speed, next_speed)
             reach[p] = max(2.0 * h, 0.5 * (h + past)) * speed + TOUCH_TOLERANCE * pieces.sizes[p]
-        gaps[b], pull[b] = math.inf, _pull(numbers, mid, b) if free <= b < count else sped
+        gaps[b], pull[b] = (
+            math.inf,
+            _equivalent_speed(numbers, mid, b) if free <= b < count else sped,
+        )
+
+
+@kernel
+def run_at(
+    numbers: BodyNumbers, code: Ints32, registers: tuple[int, Array], memory: Array, state: Array,
+    time: float,
+) -> None:  # fmt: skip
+    """Run a tape over a state, controller variables (w,) and time in its registers.
+
+    For `registers` see `statechart.kernels.tapes.allocate_registers`.
+    """
+    base, values = registers
+    at = 2 * (3 * (len(numbers.inverse) - numbers.links.bodies) + numbers.links.size)
+    for i in range(at):
+        values[i, 0] = state[i]
+    for j in range(len(memory)):
+        values[at + j, 0] = memory[j]
+    values[at + len(memory), 0] = time
+    run_tape(code, 0, len(code), base, values, 1)
 
 
 @kernel
@@ -253,31 +289,25 @@ def apply_forces(
 ) -> None:  # fmt: skip
     """Apply forces on bodies in a step, and extend their reach.
 
-    `registers` are those of the forces (see `statechart.kernels.tapes.filled`), `memory` (w,) the
-    controller variables at the midpoint.
+    `registers`: of the force tape (see `statechart.kernels.tapes.allocate_registers`); `memory`
+    (w,): controller variables at the midpoint.
     """
-    free = len(numbers.inverse) - numbers.links.bodies
-    (base, values), at = registers, 2 * (3 * free + numbers.links.size)
-    for i in range(at):
-        values[i, 0] = state[i]
-    for j in range(len(memory)):
-        values[at + j, 0] = memory[j]
-    values[at + len(memory), 0] = time
-    run_tape(forces.code, 0, len(forces.code), base, values, 1)
-    linked = False
+    free, linked = len(numbers.inverse) - numbers.links.bodies, False
+    run_at(numbers, forces.code, registers, memory, state, time)
+    values = registers[1]
     for i in range(len(forces.bodies)):
         b, linked = forces.bodies[i], linked or forces.bodies[i] >= free
         if b >= free:
             x, y = values[forces.outputs[3 * i], 0], values[forces.outputs[3 * i + 1], 0]
             turn = values[forces.outputs[3 * i + 2], 0]
-            push_link(numbers, mid, b, h * x, h * y, h * turn, mid.loose)
+            apply_link_impulse(numbers, mid, b, h * x, h * y, h * turn, mid.free_rates)
             continue
         for d in range(3):
             force = values[forces.outputs[3 * i + d], 0]
-            mid.loose[b, d] += h * numbers.inverse[b, d] * force
+            mid.free_rates[b, d] += h * numbers.inverse[b, d] * force
         _extend_reach(numbers, mid, b, h)
     if linked:
-        carry(numbers, mid, mid.loose)
+        write_linked_rates(numbers, mid, mid.free_rates)
         for b in range(free, len(numbers.inverse)):
             _extend_reach(numbers, mid, b, h)
 
@@ -285,11 +315,13 @@ def apply_forces(
 @kernel
 def _extend_reach(numbers: BodyNumbers, mid: Midpoint, b: int, h: float) -> None:
     """Extend the reach of a body by its motion under forces."""
-    sped = norm(mid.loose[b, 0] - mid.old[b, 0], mid.loose[b, 1] - mid.old[b, 1])
-    turned = abs(mid.loose[b, 2] - mid.old[b, 2])
+    sped = norm(
+        mid.free_rates[b, 0] - mid.old_rates[b, 0], mid.free_rates[b, 1] - mid.old_rates[b, 1]
+    )
+    turned = abs(mid.free_rates[b, 2] - mid.old_rates[b, 2])
     for p in range(numbers.pieces.begins[b], numbers.pieces.begins[b + 1]):
         mid.reach[p] += 2.0 * h * (sped + numbers.pieces.spans[p] * turned)
-    mid.pull[b] = _pull(numbers, mid, b)
+    mid.force_speed[b] = _equivalent_speed(numbers, mid, b)
 
 
 @kernel

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collision_detection.convex import ConvexShape, between, norm, write_contact
+from contacts.collision_detection.convex import ConvexShape, norm, shape_contacts, write_contact
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import run_tape
@@ -113,14 +113,14 @@ def crossing_time(
 
 
 @kernel
-def against_surface(
+def surface_contacts(
     surfaces: SurfaceNumbers, s: int, pose: Array, registers: tuple[int, Array], shape: ConvexShape,
     within: float, manifold: Array, features: Ints,
 ) -> int:  # fmt: skip
     """Find the contact points of a piece with a surface, up to a gap; return their number.
 
-    `pose` (3,): frame of the surface; `registers`: of the height tape
-    (`statechart.kernels.tapes.filled`); outputs: `manifold` (m, FOUND), `features` (m,).
+    `pose` (3,): frame of the surface; `registers`: of the height tape (see
+    `statechart.kernels.tapes.allocate_registers`); outputs: `manifold` (m, FOUND), `features` (m,).
     """
     body, centre, radius = shape
     moved = pose[0] != 0.0 or pose[1] != 0.0 or pose[2] != 0.0
@@ -139,12 +139,12 @@ def against_surface(
         origin[0], origin[1] = (a, b) if kind == ROUND else (0.5 * (a + c), 0.5 * (b + d))
         if kind == ROUND:
             disc = ConvexShape(np.empty((0, 2)), origin, c)
-            count = between(piece, disc, within, manifold, features)
+            count = shape_contacts(piece, disc, within, manifold, features)
         else:
             # The plate comes first: if a body's corner is beside the plate's end, in a valley, the
             # body's face is as near to that end as the plate is to the corner, which touches.
             plate = ConvexShape(ends, origin, 0.0)
-            count = between(plate, piece, within, manifold, features)
+            count = shape_contacts(plate, piece, within, manifold, features)
             for i in range(count):
                 manifold[i, 0], manifold[i, 1] = -manifold[i, 0], -manifold[i, 1]
     elif kind == GRAPH:
@@ -180,7 +180,9 @@ def against_surface(
 
 
 @kernel
-def _at(surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], count: int) -> int:
+def _evaluate_graph(
+    surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], count: int
+) -> int:
     """Evaluate a graph at the first columns of the registers; return its place in the outputs."""
     base, numbers = registers
     run_tape(surfaces.code, 0, len(surfaces.code), base, numbers, count)
@@ -198,7 +200,7 @@ def tangent_at(
     if kind == GRAPH:
         numbers, outputs = registers[1], surfaces.outputs
         numbers[0, 0] = u
-        at = _at(surfaces, s, registers, 1)
+        at = _evaluate_graph(surfaces, s, registers, 1)
         height, slope = numbers[outputs[at], 0], numbers[outputs[at + 1], 0]
         unit = 1.0 / math.sqrt(1.0 + slope * slope)
         a, b, c, d = u, height, -slope * unit, unit
@@ -218,7 +220,7 @@ def _distance_to_disc(
     """Return height and slope at x, and two derivatives of half the squared distance."""
     numbers, outputs = registers[1], surfaces.outputs
     numbers[0, 0] = x
-    at = _at(surfaces, s, registers, 1)
+    at = _evaluate_graph(surfaces, s, registers, 1)
     height, slope = numbers[outputs[at], 0], numbers[outputs[at + 1], 0]
     bend, above = numbers[outputs[at + 2], 0], height - middle[1]
     return height, slope, x - middle[0] + above * slope, 1.0 + slope * slope + above * bend
@@ -241,7 +243,7 @@ def _disc_on_graph(
     reach, away = radius + within, np.empty(_INTERVALS + 1)
     for j in range(_INTERVALS + 1):
         numbers[0, j] = middle[0] + reach * (2.0 * j / _INTERVALS - 1.0)
-    at = _at(surfaces, s, registers, _INTERVALS + 1)
+    at = _evaluate_graph(surfaces, s, registers, _INTERVALS + 1)
     for j in range(_INTERVALS + 1):
         x, y = reach * (2.0 * j / _INTERVALS - 1.0), numbers[surfaces.outputs[at], j] - middle[1]
         away[j] = x * x + y * y
@@ -281,7 +283,7 @@ def _polygon_on_graph(
     numbers, outputs = registers[1], surfaces.outputs
     for i in range(len(corners)):
         numbers[0, i] = corners[i, 0]
-    at = _at(surfaces, s, registers, len(corners))
+    at = _evaluate_graph(surfaces, s, registers, len(corners))
     count = 0
     for i in range(len(corners)):
         slope = numbers[outputs[at + 1], i]
@@ -302,7 +304,7 @@ def _polygon_on_graph(
         away = np.empty(_INTERVALS + 1)
         for j in range(_INTERVALS + 1):
             numbers[0, j] = x + ex * j / _INTERVALS
-        at = _at(surfaces, s, registers, _INTERVALS + 1)
+        at = _evaluate_graph(surfaces, s, registers, _INTERVALS + 1)
         for j in range(_INTERVALS + 1):
             away[j] = nx * (ex * j / _INTERVALS) + ny * (numbers[outputs[at], j] - y)
         crests = 0
@@ -313,7 +315,7 @@ def _polygon_on_graph(
             place = 0.5 * (low + high)
             for _ in range(_STEPS):
                 numbers[0, 0] = place
-                at = _at(surfaces, s, registers, 1)
+                at = _evaluate_graph(surfaces, s, registers, 1)
                 rate = nx + ny * numbers[outputs[at + 1], 0]
                 if rate > 0.0:
                     high = place
@@ -325,11 +327,11 @@ def _polygon_on_graph(
                 if done:
                     break
             numbers[0, 0] = place
-            at = _at(surfaces, s, registers, 1)
+            at = _evaluate_graph(surfaces, s, registers, 1)
             height = numbers[outputs[at], 0]
             gap = nx * (place - x) + ny * (height - y)
-            beside = min(place - x, x + ex - place)
-            if gap <= within and beside > _SAME_NORMAL * length:
+            offset = min(place - x, x + ex - place)
+            if gap <= within and offset > _SAME_NORMAL * length:
                 write_contact(manifold[count], -nx, -ny, place, height, gap)
                 features[count] = len(corners) + _INTERVALS * i + crests
                 count += 1

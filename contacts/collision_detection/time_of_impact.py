@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
-from contacts.collision_detection.convex import ConvexShape, between, norm, place
+from contacts.collision_detection.convex import ConvexShape, norm, place_vertices, shape_contacts
 from contacts.collision_detection.midpoint import Midpoint
 from statechart.arrays import Array
 from statechart.kernels.jit import kernel
@@ -23,7 +23,9 @@ _CROSSED_PART = 0.5
 
 
 @kernel
-def overlap(centres: Array, velocities: Array, b: int, c: int, apart: float) -> tuple[float, float]:
+def overlap_interval(
+    centres: Array, velocities: Array, b: int, c: int, apart: float
+) -> tuple[float, float]:
     """Return the interval in which two pieces in straight motion are nearer than `apart`.
 
     The pieces are at `centres` at time zero; (inf, inf) if they never are.
@@ -40,7 +42,7 @@ def overlap(centres: Array, velocities: Array, b: int, c: int, apart: float) -> 
 
 
 @kernel
-def nearby(velocities: Array, sizes: Array, one: int, other: int, rate: float) -> bool:
+def is_relatively_slow(velocities: Array, sizes: Array, one: int, other: int, rate: float) -> bool:
     """Return whether the relative speed is below `rate` times the smaller size."""
     x = velocities[one, 0] - velocities[other, 0]
     y = velocities[one, 1] - velocities[other, 1]
@@ -53,7 +55,7 @@ def turning_speed(numbers: BodyNumbers, mid: Midpoint, one: int, other: int) -> 
     """Return the approach speed by rotation of two pieces; discs add none."""
     pieces, total = numbers.pieces, 0.0
     for p in (one, other):
-        total += abs(mid.old[pieces.bodies[p], 2]) * (pieces.spans[p] - pieces.cores[p])
+        total += abs(mid.old_rates[pieces.bodies[p], 2]) * (pieces.spans[p] - pieces.cores[p])
     return total
 
 
@@ -61,8 +63,8 @@ def turning_speed(numbers: BodyNumbers, mid: Midpoint, one: int, other: int) -> 
 def shape_at(pieces: PieceNumbers, p: int, pose: Array) -> ConvexShape:
     """Return a piece of a body in a pose."""
     x, y, angle = pose
-    corners = place(pieces.vertices[pieces.firsts[p] : pieces.firsts[p + 1]], x, y, angle)
-    middle = place(pieces.middles[p : p + 1], x, y, angle)[0]
+    corners = place_vertices(pieces.vertices[pieces.firsts[p] : pieces.firsts[p + 1]], x, y, angle)
+    middle = place_vertices(pieces.middles[p : p + 1], x, y, angle)[0]
     return ConvexShape(corners, middle, pieces.radii[p])
 
 
@@ -74,9 +76,9 @@ def _points(
     """Find the points where two pieces are within a distance at a later time."""
     pieces, (p, q) = numbers.pieces, pair
     b, c = pieces.bodies[p], pieces.bodies[q]
-    one = shape_at(pieces, p, mid.places[b] + later * mid.old[b])
-    other = shape_at(pieces, q, mid.places[c] + later * mid.old[c])
-    return between(one, other, within, manifold, np.empty(len(manifold), np.int64))
+    one = shape_at(pieces, p, mid.poses[b] + later * mid.old_rates[b])
+    other = shape_at(pieces, q, mid.poses[c] + later * mid.old_rates[c])
+    return shape_contacts(one, other, within, manifold, np.empty(len(manifold), np.int64))
 
 
 @kernel
@@ -90,7 +92,7 @@ def _gap_and_cosine(
     overwritten.
     """
     one, other = numbers.pieces.bodies[pair[0]], numbers.pieces.bodies[pair[1]]
-    fastest = np.abs(mid.old[one]).max() + np.abs(mid.old[other]).max()
+    fastest = np.abs(mid.old_rates[one]).max() + np.abs(mid.old_rates[other]).max()
     count = _points(numbers, mid, pair, later, 2.0 * abs(later) * fastest, buffer)
     gap, along = math.inf, 1.0 if count == 0 else -1.0
     for p in range(count):
@@ -110,7 +112,7 @@ def time_of_impact(
     so that the gap bounds the time. Backwards if `end` < `begin`.
     """
     pieces, p, q = numbers.pieces, pair[0], pair[1]
-    u, v = mid.old[pieces.bodies[p]], mid.old[pieces.bodies[q]]
+    u, v = mid.old_rates[pieces.bodies[p]], mid.old_rates[pieces.bodies[q]]
     fastest = norm(u[0] - v[0], u[1] - v[1])
     fastest += abs(u[2]) * pieces.spans[p] + abs(v[2]) * pieces.spans[q]
     way, time = math.copysign(1.0, end - begin), begin

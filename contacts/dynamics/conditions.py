@@ -28,11 +28,11 @@ from contacts.dynamics.gates import (
     UNSURE,
     GateAtom,
     conditions_at,
+    gate_trees,
     judge_atoms,
     margin_bands,
     round_off,
-    tree,
-    truths,
+    write_node_verdicts,
 )
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.snapshot import PerContact, Snapshot
@@ -94,7 +94,7 @@ class Conditions:
         self.names = tuple(condition.atom.name for condition in self._conditions)
         self.back = tuple(condition.atom.back for condition in self._conditions)
         self.gaps = tuple("" if gate is None else gate.gap for gate in gates)
-        self.nodes = tree(gates)
+        self.nodes = gate_trees(gates)
         self._roles = roles_in(tuple((initial if states is None else states).values()))
         self._memory = len(mechanics.controller_state)
         self._moving = {*mechanics.variables}
@@ -136,7 +136,7 @@ class Conditions:
         """Return the first relation that fails in the gate of every contact, or ""."""
         result = [""] * self._count
         node_verdicts = np.empty(len(self.nodes), np.int64)
-        truths(self.nodes, np.array(verdicts, np.int64), node_verdicts)
+        write_node_verdicts(self.nodes, np.array(verdicts, np.int64), node_verdicts)
         top = -1
         for k, (kind, above, contact) in enumerate(self.nodes.tolist()):
             top = k if above < 0 else top
@@ -295,7 +295,9 @@ class ConditionsAt:
         return verdicts if signs is None or min(signs) < 0.0 else union
 
     def _judge_staying(self, k: int, fired: Collection[str], closed: Sequence[bool]) -> int:
-        """Judge an atom all of whose derivatives are zero."""
+        """Judge an atom whose derivatives are all zero, or undefined."""
+        if not self._is_zero[k]:
+            return HOLDS if self._margins[0][k] > 0.0 else FAILS
         condition = self._of._conditions[k]
         if condition.atom.name in fired:
             return FAILS

@@ -28,7 +28,7 @@ from statechart.kernels.tapes import tape_values
 HOLDS, FAILS, UNSURE = 1, -1, 0
 """Verdicts of an atom and of a gate; derivatives decide an UNSURE one."""
 EVERY, SOME = -1, -2
-"""Kinds of nodes of `tree`: conjunction and disjunction."""
+"""Kinds of nodes of `gate_trees`: conjunction and disjunction."""
 
 PER_CONDITION = 4
 """Numbers of a condition: its margin, the first derivative in time, the sizes of their terms."""
@@ -155,7 +155,7 @@ def gate_of(
     return Gate(contact, off, tuple(atoms), And(tuple(parts)), wholes)
 
 
-def tree(gates: Sequence[Gate | None]) -> Ints:
+def gate_trees(gates: Sequence[Gate | None]) -> Ints:
     """Return the trees of gates as nodes (m, 3), parents before children.
 
     Columns: the index of an atom among those of all gates, or `EVERY`, `SOME`; the parent, -1 for
@@ -181,8 +181,8 @@ def tree(gates: Sequence[Gate | None]) -> Ints:
 
 
 @kernel
-def truths(nodes: Ints, verdicts: Ints, node_verdicts: Ints) -> None:
-    """Write the verdict of every node (m,) of `tree`, from those of the atoms (k,)."""
+def write_node_verdicts(nodes: Ints, verdicts: Ints, node_verdicts: Ints) -> None:
+    """Write the verdict of every node (m,) of `gate_trees`, from those of the atoms (k,)."""
     for i in range(nodes.shape[0]):
         kind = nodes[i, 0]
         node_verdicts[i] = HOLDS if kind == EVERY else FAILS if kind == SOME else verdicts[kind]
@@ -198,7 +198,7 @@ def truths(nodes: Ints, verdicts: Ints, node_verdicts: Ints) -> None:
 
 
 @kernel
-def opens(verdict: int, gap: float, gap_tolerance: float) -> bool:
+def watches_gap(verdict: int, gap: float, gap_tolerance: float) -> bool:
     """Return whether the gap of a contact that is off is watched, given its gate's verdict.
 
     An unsure gate fails if the contact is off although its gap is not below -`gap_tolerance`.
@@ -207,7 +207,7 @@ def opens(verdict: int, gap: float, gap_tolerance: float) -> bool:
 
 
 @kernel
-def certificates(nodes: Ints, node_verdicts: Ints, on: Ints, off: Ints) -> None:
+def mark_certificates(nodes: Ints, node_verdicts: Ints, on: Ints, off: Ints) -> None:
     """Mark the atoms (k,) that certify that gates hold (`on`), and that they fail (`off`).
 
     A contact that is on watches an atom that fails only if its whole gate fails: then the margin
@@ -246,7 +246,10 @@ def judge(value: float, rate: float, size: float, rate_size: float, relative: fl
     """Judge a condition by its margin and its first derivative.
 
     The sizes of their terms are `size` and `rate_size`, their round-off is `relative` times these.
+    A margin without a derivative may be about to jump, as an angle at the origin.
     """
+    if rate != rate or size != size:
+        return UNSURE
     band = round_off(size, relative)
     if value > band:
         return HOLDS
@@ -279,10 +282,10 @@ def conditions_at(
     for i in range(n):
         state_and_sizes[i], state_and_sizes[n + i] = state[i], max(abs(state[i]), sizes[i])
     tape_values(code, constants, outputs, state_and_sizes, parameters, time, numbers)
-    moved = relative**_OFFSET_POWER
+    displaced = relative**_OFFSET_POWER
     for i in range(n):
-        state_and_sizes[i] += moved * state_and_sizes[n + i]
-    later = time + moved * max(abs(time), sizes[n])
+        state_and_sizes[i] += displaced * state_and_sizes[n + i]
+    later = time + displaced * max(abs(time), sizes[n])
     tape_values(code, constants, outputs, state_and_sizes, parameters, later, shifted)
     for k in range(2, numbers.shape[0], PER_CONDITION):
         numbers[k] = max(numbers[k], shifted[k])
@@ -312,14 +315,14 @@ def margin_bands(
     """Write the tolerances `bands` (2 k + c,) of the margins of conditions in a flow.
 
     A tolerance is the round-off of the margin, or infinite if no certificate needs it. The margins
-    are those of atoms that hold, of atoms that fail, and of gaps. `nodes` (m, 3) are from `tree`,
-    `values` (4 (k + c),) from `conditions_at`; `relative` is the round-off.
+    are those of atoms that hold, of atoms that fail, and of gaps. `nodes` (m, 3) are from
+    `gate_trees`, `values` (4 (k + c),) from `conditions_at`; `relative` is the round-off.
     """
     count = verdicts.shape[0]
     node_verdicts = np.empty(nodes.shape[0], np.int64)
     on, off = np.empty(count, np.int64), np.empty(count, np.int64)
-    truths(nodes, verdicts, node_verdicts)
-    certificates(nodes, node_verdicts, on, off)
+    write_node_verdicts(nodes, verdicts, node_verdicts)
+    mark_certificates(nodes, node_verdicts, on, off)
     for k in range(count):
         band = round_off(values[PER_CONDITION * k + 2], relative)
         bands[k] = band if on[k] == 1 else math.inf
@@ -329,5 +332,5 @@ def margin_bands(
     for i in range(nodes.shape[0]):
         if nodes[i, 1] < 0:
             gap = values[PER_CONDITION * (count + nodes[i, 2])]
-            if opens(node_verdicts[i], gap, gap_tolerance):
+            if watches_gap(node_verdicts[i], gap, gap_tolerance):
                 bands[2 * count + nodes[i, 2]] = UNDERFLOW

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.solvers.dependence import CANCELLING, DEAD_POINT, column_scales, independent
-from contacts.solvers.redundancy import connected
+from contacts.solvers.dependence import CANCELLING, DEAD_POINT, column_scales, independent_rows
+from contacts.solvers.redundancy import connected_components
 from contacts.solvers.saddle_point import SMALLEST
 from statechart.arrays import Array, Bools
 from statechart.automaton.regions import Hold
@@ -104,7 +104,7 @@ class Motions:
 
 def joint_groups(pattern: Bools) -> tuple[JointGroup, ...]:
     """Return the groups of coupled rows; `pattern` (m, n) marks nonzeros of the Jacobian."""
-    labels = connected(pattern.T @ pattern)
+    labels = connected_components(pattern.T @ pattern)
     groups = []
     for label in np.unique(labels):
         columns = np.flatnonzero(labels == label)
@@ -159,7 +159,7 @@ def redundant_rows(jacobian: Array, redundant: Bools) -> Bools:
     )
     if count == 0 or kept[-1] >= DECAYED * every[-1]:
         return redundant
-    _, order, _ = independent(scaled)
+    _, order, _ = independent_rows(scaled)
     result = np.ones(len(redundant), np.bool_)
     result[order[:count]] = False
     return result

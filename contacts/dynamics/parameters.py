@@ -165,7 +165,7 @@ def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]
         if body.inertia is not None:
             result[f"{name}.inertia"] = parse(body.inertia).to_sympy(known)
     for name, joint in scene.joints.items():
-        # Set at the start of a run by `contacts.solvers.dependence.implied`.
+        # Set at the start of a run by `contacts.solvers.dependence.dependent_rows`.
         result |= {f"{name}.redundant_{c.lower()}": sp.S.Zero for c in joint.components}
         if joint.angle is not None and not joint.enabled:
             ends = (joint.point, joint.to)

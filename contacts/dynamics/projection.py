@@ -14,7 +14,7 @@ from contacts.dynamics.joints import JointNumbers, dependent, redundant_rows
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape, answer
-from contacts.solvers.dependence import well_posed
+from contacts.solvers.dependence import reduce_to_independent
 from contacts.states import COUPLING_STATES, OPEN, STICKING
 from statechart.arrays import EPS, Array
 from statechart.automaton.constraints import Constraints
@@ -296,7 +296,7 @@ def _brought(
             residuals.append((-moved, -contact.slip))
     if not rows:
         return state
-    jacobian, sides = well_posed(np.array(rows), np.array(residuals))
+    jacobian, sides = reduce_to_independent(np.array(rows), np.array(residuals))
     shift = answer(snapshot, jacobian, jacobian, sides[:, 0].copy())
     change = answer(snapshot, jacobian, jacobian, sides[:, 1].copy())
     if shift is None or change is None:

@@ -30,12 +30,12 @@ from contacts.scene.checks import check_finite, check_physical, limits
 from contacts.scene.couplings import Rolling, coupling_states
 from contacts.scene.lint import lint
 from contacts.scene.regions import states as states_of
-from contacts.solvers.dependence import implied
+from contacts.solvers.dependence import dependent_rows
 from contacts.states import implied_joints
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.regions import StopCondition
 from statechart.documents.fields import FormulaText
-from statechart.engines.compiled_flow import Program, tape_of
+from statechart.engines.compiled_flow import ModeTable, tape_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
@@ -203,7 +203,7 @@ class SceneNumbers:
             return values, ()
         rows = self._joint_tape.at(initial, _known(memory, values), 0.0)
         rows = rows.reshape(len(self._redundant), -1)
-        redundant = implied(rows)
+        redundant = dependent_rows(rows)
         if not redundant.any():
             return values, ()
         values = values.copy()
@@ -371,7 +371,7 @@ def run_buffer(parameters: int, variables: int, rules: SetupRules) -> Numbers:
 
 @kernel
 def run_numbers(
-    program: Program,
+    program: ModeTable,
     tapes: NDArray[np.int64],
     rules: SetupRules,
     code: Ints32,

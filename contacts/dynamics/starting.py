@@ -16,7 +16,7 @@ from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.scene.expansion import Reach, Stop, reach_of
 from contacts.scene.parts import Point, Surface
 from contacts.scene.scene import Scene
-from contacts.solvers.dependence import implied, least
+from contacts.solvers.dependence import dependent_rows, least_squares
 from contacts.states import OFF
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem, NoConsistentMode
@@ -35,13 +35,15 @@ _HOVERING = 1e-6
 
 
 @kernel
-def hovers(gap: float, rate: float, gap_tolerance: float, length: float, speed: float) -> bool:
+def starts_hovering(
+    gap: float, rate: float, gap_tolerance: float, length: float, speed: float
+) -> bool:
     """Return whether a contact starts above its surface by a gap that looks like round-off."""
     slow = rate * rate <= _HOVERING * (speed * speed)
     return gap_tolerance < gap and gap <= _HOVERING * length and slow
 
 
-def hovering(
+def hovering_warnings(
     scene: Scene,
     scales: Scales,
     gap_tolerance: float,
@@ -56,7 +58,7 @@ def hovering(
         f"contact {name!r} starts {gap:.3g} off surface {scene.contacts[name].surface!r}: "
         "write the exact coordinate if it should rest there"
         for name, (gap, rate, *_) in zip(names, gaps_and_rates, strict=True)
-        if hovers(gap, rate, gap_tolerance, scales.length, scales.speed)
+        if starts_hovering(gap, rate, gap_tolerance, scales.length, scales.speed)
     ]
 
 
@@ -190,7 +192,7 @@ def check_joints(
             advice=_nearest(mechanics, snapshots, setup),
             loc=("joints", worst),
         )
-    change, residual = least(joints.jacobian, -joints.rates)
+    change, residual = least_squares(joints.jacobian, -joints.rates)
     speed_tolerance = max(allowed * scales.speed, tolerances["speed"])
     if np.abs(residual).max() > speed_tolerance:
         raise _contradiction(names, residual, "velocity")
@@ -206,13 +208,13 @@ def check_joints(
             advice="velocities that it allows: " + _format_values(rate_names, rates, change),
             loc=("joints", worst),
         )
-    _, residual = least(joints.jacobian, -joints.biases)
+    _, residual = least_squares(joints.jacobian, -joints.biases)
     largest = max(scales.acceleration, float(np.abs(joints.biases).max()))
     if np.abs(residual).max() > _MAX_ACCELERATION_RESIDUAL * largest:
         raise _contradiction(names, residual, "acceleration")
     # Rows of joints that never open are marked where others imply them.
     if any(row.closed is not None for row in mechanics.joint_rows):
-        spare = implied(joints.jacobian[~joints.redundant])
+        spare = dependent_rows(joints.jacobian[~joints.redundant])
         if spare.any():
             name = np.array(names)[~joints.redundant][spare][0].item()
             raise DeclarationProblem(
@@ -245,7 +247,7 @@ def check_closing(
             "rest: captured, or enable it where they meet"
         )
     names = np.array([row.joint for row in mechanics.joint_rows])[~reduction.joints.redundant]
-    spare = implied(reduction.joints.jacobian[~reduction.joints.redundant])
+    spare = dependent_rows(reduction.joints.jacobian[~reduction.joints.redundant])
     if spare.any():
         raise NoConsistentMode(
             f"joint {joint!r} closes, and closed joints imply a component of "
@@ -308,7 +310,7 @@ def _nearest(mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup) -
             return "a position that closes all: " + _format_values(
                 mechanics.names, state[:size], shift
             )
-        state[:size] += least(joints.jacobian, -gaps)[0]
+        state[:size] += least_squares(joints.jacobian, -gaps)[0]
     return (
         f"no position near the start closes all joints (least distance found: {closest:.6g}); "
         "compare lengths and places"
@@ -325,7 +327,7 @@ def _format_values(names: Sequence[str], values: Array, changes: Array) -> str:
     return ", ".join(f"{names[k]} = {values[k]:.6g}" for k in changed) + ellipsis
 
 
-def torn(surface: str, contact: str, state: str) -> NoConsistentMode:
+def surface_jump_error(surface: str, contact: str, state: str) -> NoConsistentMode:
     """Return the error of a velocity jump of a surface under a contact."""
     return NoConsistentMode(
         f"the velocity of surface {surface!r} jumps, and {contact!r} would "
@@ -333,7 +335,7 @@ def torn(surface: str, contact: str, state: str) -> NoConsistentMode:
     )
 
 
-def jumped_in(surface: str, contact: str, depth: float) -> NoConsistentMode:
+def displaced_surface_error(surface: str, contact: str, depth: float) -> NoConsistentMode:
     """Return the error of a transition that displaces a surface into a point."""
     problem = f"surface {surface!r} jumps {depth:.3g} deep into the point of {contact!r}"
     if surface == reach_of(contact):

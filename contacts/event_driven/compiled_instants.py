@@ -21,10 +21,10 @@ from contacts.dynamics.gates import (
     judge_atoms,
     margin_bands,
     round_off,
-    truths,
+    write_node_verdicts,
 )
 from contacts.dynamics.snapshot import SCALARS
-from contacts.impacts.impact import ENDED, MEANINGS, RAISES, strike
+from contacts.impacts.impact import ENDED, MEANINGS, RAISES, solve_impact
 from contacts.impacts.impulses import strike_group
 from contacts.modes.compiled_classification import ModeRules, classify, write_edges
 from contacts.scene.parts import MOREAU
@@ -36,15 +36,15 @@ from statechart.engines.compiled_flow import (
     LAWS_AT,
     MARGINS_AT,
     SPEED,
-    Program,
-    Watch,
+    FlowInputs,
+    ModeTable,
     evaluate,
     tape_of,
 )
 from statechart.execution import compiled_loop as runs
 from statechart.execution.livelock import STEADY
 from statechart.kernels.accumulation import add_jump
-from statechart.kernels.copies import put
+from statechart.kernels.copies import copy_numbers
 from statechart.kernels.jit import kernel
 
 # Contacts within this many tolerances of gaps may meet in a corner.
@@ -57,15 +57,16 @@ _PER_CAUSE = len(CAUSES)
 GOES_ON = -1
 
 
-class SceneWatch(NamedTuple):
+class InstantConstants(NamedTuple):
     """Constants of a run for compiled instants (see `contacts.modes.classification.classify`)."""
 
     # (9,): tapes of the snapshot, and of the margins of contacts' conditions.
     numbers: NDArray[np.int64]
     conditions: NDArray[np.int64]
-    nodes: Ints  # (m, 3): trees of the contacts' conditions; see `contacts.dynamics.gates.tree`.
-    # (2 k + c,): indices in `Watch.bands` of the margins that fall as conditions cease to hold, as
-    # they begin to hold, and as gaps of contacts that are off open; -1 for none.
+    # (m, 3): trees of the contacts' conditions; see `contacts.dynamics.gates.gate_trees`.
+    nodes: Ints
+    # (2 k + c,): indices in `FlowInputs.bands` of the margins that fall as conditions cease to
+    # hold, as they begin to hold, and as gaps of contacts that are off open; -1 for none.
     slots: Ints
     sizes: Array  # (n + 1,): of the state, and of time.
     relative: float  # Round-off of margins, relative to their terms.
@@ -97,7 +98,7 @@ class RunState(NamedTuple):
 
 
 @kernel
-def rules_of(scene: SceneWatch) -> ModeRules:
+def rules_of(scene: InstantConstants) -> ModeRules:
     """Return the constants of the classification of modes."""
     return ModeRules(
         scene.allowed, scene.cones, scene.gap_drift, scene.speed_drift, scene.gap, scene.speed,
@@ -107,7 +108,7 @@ def rules_of(scene: SceneWatch) -> ModeRules:
 
 @kernel
 def _closed(
-    scene: SceneWatch, states: Ints, numbers: Array, scalars: int, group: Ints
+    scene: InstantConstants, states: Ints, numbers: Array, scalars: int, group: Ints
 ) -> tuple[int, int]:
     """List the closed contacts; return their number and the first that strikes, else -1.
 
@@ -134,8 +135,8 @@ def _closed(
 
 @kernel
 def _single_impact(
-    scene: SceneWatch, mass: Array, numbers: Array, jacobians_at: int, scalars_at: int, c: int,
-    velocity: Array, impulse: Array,
+    scene: InstantConstants, mass: Array, numbers: Array, jacobians_at: int, scalars_at: int,
+    c: int, velocity: Array, impulse: Array,
 ) -> int:  # fmt: skip
     """Compute the impact of one contact; return the code of its path, 0 if it has none."""
     if scene.meanings[c] < 0:
@@ -145,7 +146,7 @@ def _single_impact(
     approach, slip = numbers[scalars_at + 1], numbers[scalars_at + 2]
     edges = np.empty((scene.cones.shape[0], 6))
     write_edges(scene.cones, numbers, scalars_at - SCALARS * c, edges)
-    status, normal, tangential, path, _, _ = strike(
+    status, normal, tangential, path, _, _ = solve_impact(
         mass,
         jacobian,
         (approach, slip),
@@ -172,8 +173,8 @@ def _single_impact(
 
 
 @kernel
-def hit(
-    program: Program, watch: Watch, scene: SceneWatch, run: RunState, numbers: Array,
+def solve_impact_instant(
+    program: ModeTable, watch: FlowInputs, scene: InstantConstants, run: RunState, numbers: Array,
     impulse: Array, target: Ints,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Compute an impact of the closed contacts that approach.
@@ -225,18 +226,18 @@ def hit(
         flying = target.copy()
         if not classify(rules_of(scene), numbers, n, False, flying, lowest, target):
             return -1, 0, 0
-    put(after, state)
+    copy_numbers(after, state)
     return c, path, bits
 
 
-def meaning(law: ContactLaw) -> int:
+def restitution_meaning(law: ContactLaw) -> int:
     """Return the kind of restitution of a path's impact; -1 for Moreau's law."""
     return -1 if law.impact == MOREAU else MEANINGS[law.impact]
 
 
 @kernel
 def conditions(
-    program: Program, watch: Watch, scene: SceneWatch, state: Array, time: float
+    program: ModeTable, watch: FlowInputs, scene: InstantConstants, state: Array, time: float
 ) -> Array:
     """Return the numbers (4 k,) of the conditions in a state."""
     code, constants, outputs, _, _ = tape_of(program, scene.conditions)
@@ -247,12 +248,17 @@ def conditions(
 
 @kernel
 def hold_conditions(
-    program: Program, watch: Watch, scene: SceneWatch, state: Array, time: float, fired: int
+    program: ModeTable,
+    watch: FlowInputs,
+    scene: InstantConstants,
+    state: Array,
+    time: float,
+    fired: int,
 ) -> None:
     """Write the tolerances of the conditions' margins for a flow from a state.
 
-    `fired` is the condition that has just been decided on its boundary (see `switched`), or 0. See
-    `contacts.dynamics.conditions.ConditionsAt.tolerances`.
+    `fired` is the condition that was just decided on its boundary (see `switch_contacts`), or 0.
+    See `contacts.dynamics.conditions.ConditionsAt.tolerances`.
     """
     count = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
     verdicts, bands = np.empty(count, np.int64), np.empty(scene.slots.shape[0])
@@ -265,8 +271,8 @@ def hold_conditions(
 
 
 @kernel
-def switched(
-    scene: SceneWatch, values: Array, numbers: Array, scalars: int, fired: int, source: Ints,
+def switch_contacts(
+    scene: InstantConstants, values: Array, numbers: Array, scalars: int, fired: int, source: Ints,
     target: Ints,
 ) -> int:  # fmt: skip
     """Disable and enable contacts by their conditions; return the first that changes, else -1.
@@ -281,7 +287,7 @@ def switched(
     count = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
     verdicts, node_verdicts = np.empty(count, np.int64), np.empty(scene.nodes.shape[0], np.int64)
     judge_atoms(values, scene.relative, fired, verdicts)
-    truths(scene.nodes, verdicts, node_verdicts)
+    write_node_verdicts(scene.nodes, verdicts, node_verdicts)
     for c in range(source.shape[0]):
         target[c] = source[c]
     for i in range(scene.nodes.shape[0]):
@@ -323,7 +329,7 @@ def _cause(before: int, after: int) -> int:
 
 
 @kernel
-def row_of(program: Program, states: Ints) -> int:
+def mode_row(program: ModeTable, states: Ints) -> int:
     """Return the mode of these states of the contacts; -1 if it is not compiled."""
     modes = program.modes
     for row in range(modes.shape[0]):
@@ -339,7 +345,7 @@ def row_of(program: Program, states: Ints) -> int:
 
 
 @kernel
-def _in_turn(block: TraceBuffer, row: int, jumps: int) -> bool:
+def _struck_in_sequence(block: TraceBuffer, row: int, jumps: int) -> bool:
     """Return whether other contacts may have been struck since the last impact of a contact."""
     if row % _PER_CAUSE != TOUCHDOWN:
         return False
@@ -358,16 +364,16 @@ def _in_turn(block: TraceBuffer, row: int, jumps: int) -> bool:
 
 
 @kernel
-def instant(
-    program: Program, watch: Watch, scene: SceneWatch, block: TraceBuffer, run: RunState,
-    margin: int, fired: int, flowed: bool,
+def jump_instant(
+    program: ModeTable, watch: FlowInputs, scene: InstantConstants, block: TraceBuffer,
+    run: RunState, margin: int, fired: int, flowed: bool,
 ) -> tuple[int, int, float]:  # fmt: skip
     """Compute the jump of an unambiguous instant, and update the run.
 
     `margin` fell (-1 if the instant continues after a jump), and the condition `fired` (see
-    `switched`; 0 for none, and after an impact); `flowed` is true if time has passed since the last
-    instant. Returns the reason to leave the loop and its margin, or `GOES_ON` and the condition
-    `fired` if the mode continues without a jump, else 0.
+    `switch_contacts`; 0 for none, and after an impact); `flowed` is true if time has passed since
+    the last instant. Returns the reason to leave the loop and its margin, or `GOES_ON` and the
+    condition `fired` if the mode continues without a jump, else 0.
     """
     clock, place, state, source = run.clock, run.place, run.state, run.states
     contacts, n = source.shape[0], state.shape[0] // 2
@@ -384,7 +390,7 @@ def instant(
         for k in range((scene.slots.shape[0] - contacts) // 2):
             band = round_off(values[PER_CONDITION * k + 2], scene.relative)
             boundary = boundary or abs(values[PER_CONDITION * k]) <= band
-        switching = switched(scene, values, numbers, scalars, fired, source, target)
+        switching = switch_contacts(scene, values, numbers, scalars, fired, source, target)
         if switching == -2:
             return runs.FELL, margin, 0.0
         unambiguous = switching >= 0
@@ -404,8 +410,10 @@ def instant(
         if margin >= 0 and program.ints[program.modes[mode, MARGINS_AT] + 2 * margin] == SPEED:
             # Python decides whether the slip has ended within the resolution of time.
             return runs.FELL, margin, 0.0
-        struck, path, group = hit(program, watch, scene, run, numbers, impulse, target)
-    target_mode = row_of(program, target) if unambiguous or struck >= 0 else -1
+        struck, path, group = solve_impact_instant(
+            program, watch, scene, run, numbers, impulse, target
+        )
+    target_mode = mode_row(program, target) if unambiguous or struck >= 0 else -1
     if target_mode == mode and struck < 0 and margin < 0:
         place[runs.N_RETRY] = 0
         return GOES_ON, 0, 0.0
@@ -418,7 +426,7 @@ def instant(
             place[runs.N_RETRY] = 0
             return GOES_ON, fired, 0.0
     if target_mode < 0 or (target_mode == mode and struck < 0):
-        put(before, state)
+        copy_numbers(before, state)
         return runs.FELL, margin, 0.0
     event = block.used[EVENTS]
     block.events[event, 0], block.events[event, 1] = mode, target_mode
@@ -429,8 +437,8 @@ def instant(
     block.numbers[event, 3:] = 0.0
     if struck >= 0:
         block.numbers[event, 4], block.numbers[event, 5] = impulse[struck]
-    put(before, block.states[event, 0])
-    put(state, block.states[event, 1])
+    copy_numbers(before, block.states[event, 0])
+    copy_numbers(state, block.states[event, 1])
     block.used[EVENTS] += 1
     place[runs.N_MODE] = target_mode
     place[runs.N_JUMPS] += 1
@@ -455,7 +463,7 @@ def instant(
             watch.parameters[scene.offsets[c]] = gap if abs(gap) <= scene.gap else 0.0
         source[c] = target[c]
     remaining = add_jump(run.series[row], high, clock[runs.T_LOW], margin >= 0, scene.short)
-    if remaining >= 0.0 and _in_turn(block, row, place[runs.N_JUMPS]):
+    if remaining >= 0.0 and _struck_in_sequence(block, row, place[runs.N_JUMPS]):
         return runs.ACCUMULATES, row, remaining
     count = place[runs.N_JUMPS]
     steady = count >= STEADY and count & (count - 1) == 0

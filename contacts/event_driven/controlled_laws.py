@@ -19,7 +19,7 @@ from contacts.dynamics.held_forces import HeldForces
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot, SnapshotTape
-from contacts.dynamics.starting import jumped_in, torn
+from contacts.dynamics.starting import displaced_surface_error, surface_jump_error
 from contacts.event_driven.laws import SceneLaws
 from contacts.modes.candidates import Case, candidates
 from contacts.scene.scene import Scene
@@ -257,8 +257,11 @@ class ControlledLaws:
         rows = guarded.rows(setup, clock.high, state)
         watched = tolerances < np.inf
         # The first flow in a mode watches all atoms of a guard, and is evaluated in any case.
-        if (rows[watched, 0] > tolerances[watched]).all() and (
-            guarded.watch.single or not watched.all()
+        # A margin that jumps as its mode starts (an angle at the origin) has its value behind.
+        if (
+            (rows[watched, 0] > tolerances[watched]).all()
+            and (guarded.watch.single or not watched.all())
+            and not {*fired}.intersection(guarded.watch.margins)
         ):
             return None, rows
         solved = self._solved(setup, clock, flow, state)
@@ -372,14 +375,14 @@ def displaced(scene: Scene, setup: SceneSetup, mode: Key, before: Snapshot, afte
         )
         separates, is_closed = separates and rigid, state not in OPEN
         if rigid and state != OFF and moved.gap < min(contact.gap, 0.0) - gap_tolerance:
-            raise jumped_in(scene.contacts[law.name].surface, law.name, -moved.gap)
+            raise displaced_surface_error(scene.contacts[law.name].surface, law.name, -moved.gap)
         target = state
         if is_closed and separates:
             target = "free"
         elif is_closed and abs(moved.slip - contact.slip) > speed_tolerance:
             target = _slipping(state, moved, speed_tolerance)
         if target != state and target not in law.states:
-            raise torn(scene.contacts[law.name].surface, law.name, target)
+            raise surface_jump_error(scene.contacts[law.name].surface, law.name, target)
         modes.append(target)
     return tuple(modes)
 

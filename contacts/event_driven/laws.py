@@ -23,7 +23,7 @@ from contacts.dynamics.starting import (
     check_limits,
     check_places,
     check_start,
-    hovering,
+    hovering_warnings,
 )
 from contacts.event_driven.accumulation import closed_at_once
 from contacts.event_driven.compiled_laws import CompiledSceneLaws
@@ -192,7 +192,7 @@ class SceneLaws:
         contacts = self.tape.at(setup.values, state, 0.0).contacts
         on = [i for i, name in enumerate(mode[: self._count]) if name != OFF]
         return "; ".join(
-            hovering(
+            hovering_warnings(
                 self._mechanics.scene, setup.scales, setup.tolerances["gap"],
                 [self._names[i] for i in on], [contacts[i][:2] for i in on],
             )

@@ -29,19 +29,19 @@ from contacts.dynamics.setup_evaluation import (
     run_numbers,
 )
 from contacts.dynamics.snapshot import SCALARS
-from contacts.dynamics.starting import hovers
+from contacts.dynamics.starting import starts_hovering
 from contacts.event_driven.compiled_instants import (
     CAUSES,
     GOES_ON,
+    InstantConstants,
     RunState,
-    SceneWatch,
     conditions,
     hold_conditions,
-    instant,
-    meaning,
-    row_of,
+    jump_instant,
+    mode_row,
+    restitution_meaning,
     rules_of,
-    switched,
+    switch_contacts,
 )
 from contacts.modes.compiled_classification import allowed, classify
 from contacts.states import CODES, FREE, OFF, OFF_CODE, PIN, superstates_of
@@ -49,26 +49,26 @@ from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.laws import Setup
 from statechart.automaton.trace_store import ARCS, EVENTS, TERMS, TIMES, TraceBuffer
 from statechart.engines.compiled_flow import (
+    DURATION_ENDED,
+    FIRST_STOP,
     FORCE,
     GAP,
     HOLD,
-    IN_VAIN,
     KINDS,
     LAWS_AT,
+    MARGIN_TAPE,
     MARGINS,
     MARGINS_AT,
     PLAIN,
     SPEED,
-    STOPS,
     TAPE,
-    WATCHED,
-    WHOLE,
+    UNRESOLVED,
+    FlowInputs,
     FlowWorkspace,
-    Program,
-    Watch,
+    ModeTable,
     evaluate,
     flow_to_event,
-    stands,
+    is_on_stop_boundary,
 )
 from statechart.execution import compiled_loop as runs
 from statechart.execution.compiled_loop import LOOK_AHEAD as NEXT_LOOK
@@ -77,7 +77,7 @@ from statechart.execution.execution import FARTHEST
 from statechart.execution.finding import AT_END
 from statechart.execution.flow import LEAST
 from statechart.kernels.accumulation import HIGH, WIDTH
-from statechart.kernels.copies import put, put_counts
+from statechart.kernels.copies import copy_counts, copy_numbers
 from statechart.kernels.jit import entry, kernel
 
 # Numbers of a contact among the constraints: gap, its rate, slip, point.
@@ -93,7 +93,7 @@ INSTANTS = 3
 """Number of tapes for the jumps (snapshot, constraints, conditions), before those of the setup."""
 
 
-class SceneBatch(NamedTuple):
+class SceneConstants(NamedTuple):
     """Constants that all runs of a batch share."""
 
     tapes: NDArray[np.int64]  # (7, 9): of the jumps and of the setup.
@@ -114,9 +114,9 @@ class SceneBatch(NamedTuple):
 
 
 @kernel
-def _watches(
-    scene: SceneBatch, floor: float, watch: Watch, instants: SceneWatch
-) -> tuple[Watch, SceneWatch]:
+def _write_inputs(
+    scene: SceneConstants, floor: float, watch: FlowInputs, instants: InstantConstants
+) -> tuple[FlowInputs, InstantConstants]:
     """Return the watches of a run for its setup and tolerances `watch.kinds`.
 
     Their arrays are reused.
@@ -125,13 +125,13 @@ def _watches(
     length, speed = numbers.scales[0], numbers.scales[1]
     acceleration, force = numbers.scales[2], numbers.scales[3]
     gap, slow, weak = watch.kinds[GAP], watch.kinds[SPEED], watch.kinds[FORCE]
-    put(numbers.values, watch.parameters)
+    copy_numbers(numbers.values, watch.parameters)
     for i in range(scene.sources.shape[0]):
         source = scene.sources[i]
         watch.bands[i] = numbers.bands[source] if source >= 0 else -1.0
     for i in range(watch.floors.shape[0]):
         watch.floors[i] = max(LEAST * numbers.sizes[i], floor)
-    put(numbers.sizes, instants.sizes[:-1])
+    copy_numbers(numbers.sizes, instants.sizes[:-1])
     instants.sizes[-1] = length / speed
     for c in range(scene.places.shape[0]):
         for k in range(3):
@@ -141,10 +141,10 @@ def _watches(
                 instants.cones[c, k] = value
             else:
                 instants.restitution[c] = value
-    return Watch(
-        watch.parameters, watch.kinds, watch.bands, watch.floors, watch.off, watch.targets,
+    return FlowInputs(
+        watch.parameters, watch.kinds, watch.bands, watch.floors, watch.constraints, watch.targets,
         watch.weights, max(BLIND_GAP * length, gap), watch.tolerance, watch.max_step, watch.allowed,
-    ), SceneWatch(
+    ), InstantConstants(
         instants.numbers, instants.conditions, instants.nodes, instants.slots, instants.sizes,
         scene.gap, instants.allowed,
         instants.cones, instants.restitution, instants.meanings, instants.offsets,
@@ -155,9 +155,9 @@ def _watches(
 
 
 @kernel
-def _start(
-    program: Program, scene: SceneBatch, watch: Watch, instants: SceneWatch, scales: Array,
-    state: Array, states: Ints,
+def _first_mode(
+    program: ModeTable, scene: SceneConstants, watch: FlowInputs, instants: InstantConstants,
+    scales: Array, state: Array, states: Ints,
 ) -> int:  # fmt: skip
     """Return the first mode; -1 if it is ambiguous or not compiled."""
     contacts = states.shape[0]
@@ -168,7 +168,9 @@ def _start(
     if instants.nodes.shape[0] > 0:
         values = conditions(program, watch, instants, state, 0.0)
         if (
-            switched(instants, values, numbers, scalars, 0, np.full(contacts, FREE), states_at_rest)
+            switch_contacts(
+                instants, values, numbers, scalars, 0, np.full(contacts, FREE), states_at_rest
+            )
             == -2
         ):
             return -1
@@ -176,18 +178,18 @@ def _start(
         return -1
     for c in range(contacts):
         gap, rate = numbers[scalars + SCALARS * c], numbers[scalars + SCALARS * c + 1]
-        above = hovers(gap, rate, instants.gap, scales[0], scales[1])
+        above = starts_hovering(gap, rate, instants.gap, scales[0], scales[1])
         if not scene.starts[c, states[c]] or (above and states[c] != OFF_CODE):
             return -1
-    mode = row_of(program, states)
-    if mode >= 0 and stands(program, mode, watch.parameters, watch.floors, state, 0.0):
+    mode = mode_row(program, states)
+    if mode >= 0 and is_on_stop_boundary(program, mode, watch.parameters, watch.floors, state, 0.0):
         return -1
     return mode
 
 
 @kernel
-def _end(
-    program: Program, reason: int, margin: int, mode: int, entered: Bools, watch: Watch,
+def _end_outcome(
+    program: ModeTable, reason: int, margin: int, mode: int, entered: Bools, watch: FlowInputs,
     state: Array, time: float,
 ) -> int:  # fmt: skip
     """Return the outcome of a run of the batch after its loop has ended.
@@ -196,13 +198,13 @@ def _end(
     `statechart.execution.finding.closing`.
     """
     row = program.modes[mode]
-    stopped = reason == runs.FELL and margin >= row[STOPS]
+    stopped = reason == runs.FELL and margin >= row[FIRST_STOP]
     if reason != runs.OVER and not stopped:
         return runs.UNUSUAL
     if not entered[mode]:
         return runs.ENDED
-    margins, certified = np.empty(row[STOPS] if stopped else row[MARGINS]), False
-    evaluate(program, row[WATCHED : WATCHED + TAPE], state, watch.parameters, time, margins)
+    margins, certified = np.empty(row[FIRST_STOP] if stopped else row[MARGINS]), False
+    evaluate(program, row[MARGIN_TAPE : MARGIN_TAPE + TAPE], state, watch.parameters, time, margins)
     for i in range(margins.shape[0]):
         kind = program.ints[row[MARGINS_AT] + 2 * i]
         band = watch.bands[program.ints[row[MARGINS_AT] + 2 * i + 1]]
@@ -219,7 +221,7 @@ def _end(
 
 
 @kernel
-def _other(values: Array, zeros: Bools) -> bool:
+def _zeros_differ(values: Array, zeros: Bools) -> bool:
     """Return whether the pattern of zero parameters differs from `zeros`."""
     differs = False
     for i in range(values.shape[0]):
@@ -258,8 +260,13 @@ def _record_arc(
 
 
 @kernel
-def _hold(
-    program: Program, watch: Watch, scene: SceneWatch, states: Ints, state: Array, time: float
+def _write_constraints(
+    program: ModeTable,
+    watch: FlowInputs,
+    scene: InstantConstants,
+    states: Ints,
+    state: Array,
+    time: float,
 ) -> None:
     """Write targets and weights of the constraints of a flow that begins in this state."""
     watch.weights[:] = 0.0
@@ -275,7 +282,7 @@ def _hold(
             watch.weights[at + 3] = watch.weights[at + 4] = 1.0 / scene.gap
     if not pinned:
         return
-    evaluate(program, watch.off, state, watch.parameters, time, watch.targets)
+    evaluate(program, watch.constraints, state, watch.parameters, time, watch.targets)
     for c in range(states.shape[0]):
         at = _PER_CONTACT * c
         for k in range(at, at + _PER_CONTACT):
@@ -296,8 +303,8 @@ def _advance(clock: Array, elapsed: float) -> None:
 
 @kernel
 def _run(
-    program: Program, watch: Watch, workspace: FlowWorkspace, scene: SceneWatch, block: TraceBuffer,
-    run: RunState, entered: Bools,
+    program: ModeTable, watch: FlowInputs, workspace: FlowWorkspace, scene: InstantConstants,
+    block: TraceBuffer, run: RunState, entered: Bools,
 ) -> tuple[int, int, float]:  # fmt: skip
     """Flow and jump up to an ambiguous instant or the end.
 
@@ -334,14 +341,14 @@ def _run(
         at = program.modes[mode, LAWS_AT]
         for c in range(contacts):
             states[c] = program.ints[at + c]
-        _hold(program, watch, scene, states, state, high)
+        _write_constraints(program, watch, scene, states, state, high)
         if scene.nodes.shape[0] > 0:
             hold_conditions(program, watch, scene, state, high, decided_condition)
         decided_condition = 0
         verdict, margin, steps, boxes = flow_to_event(
             program, mode, watch, workspace, state, high, duration, clock[runs.T_HORIZON]
         )
-        if verdict == IN_VAIN:
+        if verdict == UNRESOLVED:
             return runs.FLOW, -1, 0.0
         place[runs.N_STEPS] += steps
         place[runs.N_BOXES] += boxes
@@ -353,14 +360,14 @@ def _run(
                 clock[runs.T_HORIZON] = NEXT_LOOK * max(
                     elapsed, clock[runs.T_HIGH] - clock[runs.T_SINCE]
                 )
-        if verdict == WHOLE:
+        if verdict == DURATION_ENDED:
             return runs.OVER, -1, 0.0
         high = clock[runs.T_HIGH]
-        if margin >= program.modes[mode, STOPS]:
+        if margin >= program.modes[mode, FIRST_STOP]:
             return runs.FELL, margin, 0.0
         instants, fired = 0, program.ints[at + contacts + margin]
         while True:
-            reason, row, remaining = instant(
+            reason, row, remaining = jump_instant(
                 program, watch, scene, block, run, margin, fired, high > start
             )
             if reason != GOES_ON:
@@ -373,7 +380,7 @@ def _run(
             fired = fired if place[runs.N_RETRY] == 1 else 0
             if instants > MAX_JUMPS_AT_ONCE:
                 return runs.FELL, -1, 0.0
-        at_stop = stands(
+        at_stop = is_on_stop_boundary(
             program, place[runs.N_MODE], watch.parameters, watch.floors, state, clock[runs.T_HIGH]
         )
         if at_stop:
@@ -382,7 +389,7 @@ def _run(
 
 
 @kernel
-def _tolerances(scene: SceneBatch, scales: Array, kinds: Array) -> None:
+def _tolerances(scene: SceneConstants, scales: Array, kinds: Array) -> None:
     kinds[PLAIN], kinds[GAP] = 0.0, max(scene.gap * scales[0], scales[4])
     kinds[SPEED], kinds[FORCE] = scene.speed * scales[1], FORCE_BAND * scales[3]
     kinds[HOLD] = HOLD_PART * kinds[FORCE]
@@ -398,8 +405,8 @@ def _no_series(series: Array) -> None:
 
 @kernel(interpreted=False)
 def run_batch(
-    program: Program, workspace: FlowWorkspace, scene: SceneBatch, first_watch: Watch,
-    first_instants: SceneWatch, batch: BatchInputs, block: TraceBuffer, result: BatchResult,
+    program: ModeTable, workspace: FlowWorkspace, scene: SceneConstants, first_watch: FlowInputs,
+    first_instants: InstantConstants, batch: BatchInputs, block: TraceBuffer, result: BatchResult,
 ) -> int:  # fmt: skip
     """Start or resume the runs of a batch; return the number of runs that fit into the block.
 
@@ -415,21 +422,21 @@ def run_batch(
         ends, clock, place = result.ends[row], result.clock[row], result.place[row]
         state = result.final[row]
         ends[runs.HOW] = runs.UNUSUAL
-        put_counts(used, before)
+        copy_counts(used, before)
         if not batch.has_numbers:
             if not batch.until[row] >= 0.0 or not run_numbers(
                 program, scene.tapes[INSTANTS:], scene.rules, batch.code, batch.constants,
                 batch.outputs, batch.inputs[row], numbers,
             ):  # fmt: skip
                 continue
-            if _other(numbers.values, batch.zeros):
+            if _zeros_differ(numbers.values, batch.zeros):
                 ends[runs.HOW] = runs.OTHER
                 continue
             _tolerances(scene, numbers.scales, first_watch.kinds)
-        watch, instants = _watches(scene, batch.floor, first_watch, first_instants)
+        watch, instants = _write_inputs(scene, batch.floor, first_watch, first_instants)
         if not batch.resumed:
-            put(numbers.initial, state)
-            mode = _start(program, scene, watch, instants, numbers.scales, state, states)
+            copy_numbers(numbers.initial, state)
+            mode = _first_mode(program, scene, watch, instants, numbers.scales, state, states)
             if mode < 0:
                 continue
             clock[runs.T_END] = batch.until[row]
@@ -438,8 +445,8 @@ def run_batch(
             )
             place[runs.N_MODE], place[runs.N_MOST] = mode, batch.most_jumps
             ends[runs.FIRST_MODE] = mode
-            put(numbers.values, result.values[row])
-            put(numbers.initial, result.initial[row])
+            copy_numbers(numbers.values, result.values[row])
+            copy_numbers(numbers.initial, result.initial[row])
             _no_series(scene.series)
         pauses, run = 0, RunState(clock, place, state, scene.series, run_states)
         while True:
@@ -450,11 +457,11 @@ def run_batch(
             if ends[runs.REASON] != runs.PAUSED or pauses == _MAX_PAUSES or batch.single:
                 break
         if ends[runs.REASON] == runs.FULL and row > 0:
-            put_counts(before, used)
+            copy_counts(before, used)
             return row
         outcome = runs.HANDED
         if not batch.resumed:
-            outcome = _end(
+            outcome = _end_outcome(
                 program, ends[runs.REASON], ends[runs.MARGIN], place[runs.N_MODE],
                 result.entered[row], watch, state, clock[runs.T_HIGH],
             )  # fmt: skip
@@ -463,9 +470,9 @@ def run_batch(
         ends[runs.HOW] = outcome
         if outcome == runs.HANDED:
             # The parameters of the current flow.
-            put(watch.parameters, result.values[row])
+            copy_numbers(watch.parameters, result.values[row])
         if outcome == runs.UNUSUAL:
-            put_counts(before, used)
+            copy_counts(before, used)
             continue
         spans = result.spans[row]
         spans[0], spans[1] = before[ARCS], used[ARCS]
@@ -531,7 +538,7 @@ class SceneLoop:
         scene = self._write_numbers(setup, result.values[0])._replace(series=series)
         self._call(scene, _SINGLE_RUN._replace(floor=floor, resumed=True), block, result)
 
-    def _write_numbers(self, setup: Setup, values: Array) -> SceneBatch:
+    def _write_numbers(self, setup: Setup, values: Array) -> SceneConstants:
         assert isinstance(setup, SceneSetup)
         assert setup.sizes is not None
         numbers, (watch, _) = self._scene.numbers, self._buffers
@@ -545,7 +552,7 @@ class SceneLoop:
         return self._scene._replace(gap=setup.precision, force_uncertainty=setup.force_uncertainty)
 
     def _call(
-        self, scene: SceneBatch, batch: BatchInputs, block: TraceBuffer, result: BatchResult
+        self, scene: SceneConstants, batch: BatchInputs, block: TraceBuffer, result: BatchResult
     ) -> int:
         loop = self.loop
         arguments = loop.program, loop.workspace, scene, *self._buffers, batch, block, result
@@ -594,11 +601,11 @@ def _declared(
     loop: Loop,
     laws: Sequence[ContactLaw],
     relative: float,
-) -> SceneBatch:
+) -> SceneConstants:
     count = len(laws)
     gap, speed, _ = tolerated(relative)
     stops = [*numbers.stops]
-    return SceneBatch(
+    return SceneConstants(
         loop.tapes,
         rules,
         *numbers.coefficients(),
@@ -614,10 +621,10 @@ def _declared(
 
 def _buffers(
     numbers: SceneNumbers, loop: Loop, laws: Sequence[ContactLaw]
-) -> tuple[Watch, SceneWatch]:
+) -> tuple[FlowInputs, InstantConstants]:
     variables, parameters = len(loop.workspace.state), len(numbers.parameters.names)
     contacts, count = len(laws), int(loop.tapes[1, 5])
-    watch = Watch(
+    watch = FlowInputs(
         np.empty(parameters),
         np.empty(len(KINDS)),
         np.empty(len(loop.margins)),
@@ -628,7 +635,7 @@ def _buffers(
         0.0,
         *loop.pace[:3],
     )
-    instants = SceneWatch(
+    instants = InstantConstants(
         loop.tapes[0],
         loop.tapes[2],
         numbers.conditions.nodes,
@@ -638,7 +645,7 @@ def _buffers(
         allowed(tuple([law.states for law in laws])),
         np.empty((contacts, 2)),
         np.empty(contacts),
-        np.array([meaning(law) for law in laws], np.int64),
+        np.array([restitution_meaning(law) for law in laws], np.int64),
         numbers.gap_offsets,
         *[0.0] * 10,
     )

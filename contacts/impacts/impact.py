@@ -132,7 +132,7 @@ def _energetic(rate: float, normal: float, u_n: float, missing: float) -> float:
 
 
 @kernel
-def strike(
+def solve_impact(
     mass: Array,
     jacobian: Array,
     rates: tuple[float, float],
@@ -243,7 +243,7 @@ def impact(
     to 1e-8.
     """
     velocity = snapshot.velocity.copy()
-    status, normal, tangential, code, u_n, u_t = strike(
+    status, normal, tangential, code, u_n, u_t = solve_impact(
         np.ascontiguousarray(snapshot.mass),
         np.ascontiguousarray(contact.jacobian),
         (contact.gap_rate, contact.slip),

@@ -3,8 +3,8 @@
 Moreau's law: a contact with an impulse separates at ``v_n+ = -e v_n-``; friction opposes the
 remaining slip and lies in its cone. With e = 0 the energy never grows; otherwise it may. Every
 combination of modes is solved, and checked by the inequalities of the law relative to their terms.
-`strike_group` computes plastic impacts with one solution that is not near a boundary, `collisions`
-all others.
+`strike_group` computes plastic impacts with one solution that is not near a boundary,
+`solve_collisions` all others.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.snapshot import SCALARS, Snapshot
 from contacts.modes.compiled_classification import ModeRules, write_edges
 from contacts.solvers.contact_rows import STEEPEST
-from contacts.solvers.dependence import independent
+from contacts.solvers.dependence import independent_rows
 from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.solvers.mode_solver import ModeEquations, ModeSolutions, choose_edges, solve_modes
-from contacts.solvers.redundancy import connected, mode_columns, smallest
+from contacts.solvers.redundancy import connected_components, mode_columns, smallest_impulses
 from contacts.solvers.saddle_point import SOLVED
-from contacts.solvers.step_impulses import into_cone
+from contacts.solvers.step_impulses import project_into_cone
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SLIDING
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import put
+from statechart.kernels.copies import copy_numbers
 from statechart.kernels.jit import kernel
 
 # Contacts up to which all modes are enumerated, which finds every solution; above, Lemke's
@@ -88,7 +88,9 @@ def velocities_after(problem: ImpactProblem, change: Array, after: Array, terms:
 
 
 @kernel
-def unexplained(problem: ImpactProblem, change: Array, impulses: Array, fastest: float) -> float:
+def momentum_residual(
+    problem: ImpactProblem, change: Array, impulses: Array, fastest: float
+) -> float:
     """Return the largest residual of the momentum balance, relative to its terms.
 
     The solver's residual is relative to the largest row, which hides that of a light body. A mass
@@ -191,7 +193,7 @@ def _judge_impact(
     worst = max(worst, edge)
     if worst > _EDGE:
         return worst, edge
-    worst = max(worst, unexplained(problem, change, impulses, largest))
+    worst = max(worst, momentum_residual(problem, change, impulses, largest))
     if problem.plastic and worst <= _TIE:
         work, size = work_of(problem, change, impulses)
         if work > _WORK_ROUND_OFF * size:
@@ -232,7 +234,7 @@ def solve_impacts(
             )
         if violations[k] <= _TIE:
             columns, _ = mode_columns(codes[k], cones, problem.jacobians, -1)
-            if independent(columns)[0] < columns.shape[0]:
+            if independent_rows(columns)[0] < columns.shape[0]:
                 violations[k] = edges[k] = math.inf
 
 
@@ -309,7 +311,7 @@ def strike_group(
             return 0
         total *= counts[g]
         jacobians[g] = numbers[at + 2 * n * c : at + 2 * n * (c + 1)].reshape((2, n))
-        put(edges[c], cones[g])
+        copy_numbers(edges[c], cones[g])
         place = scalars + SCALARS * c
         start[g, 0], start[g, 1] = numbers[place + 1], numbers[place + 2]
         for i in range(n):
@@ -317,7 +319,7 @@ def strike_group(
                 touched = abs(jacobians[g, 0, i]) + abs(jacobians[g, 1, i]) > 0.0
                 touched_too = abs(jacobians[g, 0, k]) + abs(jacobians[g, 1, k]) > 0.0
                 linked[i, k] = linked[i, k] or (touched and touched_too)
-    labels = connected(linked)
+    labels = connected_components(linked)
     for i in range(n):
         # All coordinates must be coupled by the contacts.
         if labels[i] != labels[0]:
@@ -348,7 +350,7 @@ def strike_group(
     choose_edges(cones, codes[agreeing], chosen)
     for g in range(count - 1, -1, -1):
         path = 8 * path + codes[agreeing, g]
-        impulse[group[g]] = into_cone(forces[agreeing, g], chosen[g])
+        impulse[group[g]] = project_into_cone(forces[agreeing, g], chosen[g])
     for i in range(n):
         velocity[i] += changes[agreeing, i]
     return path
@@ -366,7 +368,7 @@ class Impulses:
     violation: float  # Largest one, relative to the terms of its inequality
 
 
-def collisions(
+def solve_collisions(
     snapshot: Snapshot,
     laws: Sequence[ContactLaw],
     closed: Sequence[bool],
@@ -384,7 +386,7 @@ def collisions(
     problem, moved = _problem(snapshot, laws, group, restitution)
     agree: list[Impulses] = []
     if len(group) > _MAX_ENUMERATED:
-        agree = _solutions(problem, _by_lemke(problem))
+        agree = _solutions(problem, _modes_by_lemke(problem))
     if not agree and len(group) <= _MAX_LAST_RESORT:
         agree = _solutions(problem, [*product(*(_modes_of(laws[i]) for i in group))])
     distinct: list[Impulses] = []
@@ -392,23 +394,23 @@ def collisions(
         if not any(_same_motion(problem, collision, kept_solution) for kept_solution in distinct):
             distinct.append(collision)
     size = len(snapshot.velocity), len(laws)
-    return tuple(_shared_out(problem, collision, moved, group, size) for collision in distinct)
+    return tuple(_expand_solution(problem, collision, moved, group, size) for collision in distinct)
 
 
-def coupled(snapshot: Snapshot, group: Sequence[int]) -> Ints:
+def label_coupled_coordinates(snapshot: Snapshot, group: Sequence[int]) -> Ints:
     """Label the coordinates (n,) by the components that impulses couple."""
     linked = snapshot.mass != 0.0
     for i in group:
         touched = np.abs(snapshot.jacobians[i]).max(axis=0) > 0.0
         linked |= np.outer(touched, touched)
-    return connected(linked)
+    return connected_components(linked)
 
 
 def _problem(
     snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int], restitution: Sequence[float]
 ) -> tuple[ImpactProblem, Ints]:
     """Return the problem of a group, and the coordinates that its contacts move."""
-    labels, jacobians = coupled(snapshot, group), snapshot.jacobians[group]
+    labels, jacobians = label_coupled_coordinates(snapshot, group), snapshot.jacobians[group]
     touched = {label for row in jacobians for label in labels[np.abs(row).max(axis=0) > 0.0]}
     moved = np.nonzero([label in touched for label in labels])[0]
     start = [
@@ -459,7 +461,7 @@ def _solutions(problem: ImpactProblem, codes: Sequence[Sequence[int]]) -> list[I
     ]
 
 
-def _by_lemke(problem: ImpactProblem) -> list[tuple[int, ...]]:
+def _modes_by_lemke(problem: ImpactProblem) -> list[tuple[int, ...]]:
     """Return the modes proposed by Lemke's algorithm on the Delassus matrix.
 
     It only proposes modes, so that zero inertias may be replaced by small ones.
@@ -497,7 +499,7 @@ def _same_motion(problem: ImpactProblem, first: Impulses, second: Impulses) -> b
     return bool((np.abs(after - other_after) <= _SAME_IMPULSE * (terms + sizes)).all())
 
 
-def _shared_out(
+def _expand_solution(
     problem: ImpactProblem,
     collision: Impulses,
     moved: Ints,
@@ -516,12 +518,12 @@ def _shared_out(
     code = np.where(is_closed, code, FREE)
     edges = np.empty((len(code), 2))
     choose_edges(problem.cones, code, edges)
-    smallest_impulses, unknown = smallest(code, problem.jacobians, edges, collision.impulses)
-    if unexplained(problem, collision.change, smallest_impulses, fastest) > _TIE:
-        smallest_impulses = collision.impulses
+    least_impulses, unknown = smallest_impulses(code, problem.jacobians, edges, collision.impulses)
+    if momentum_residual(problem, collision.change, least_impulses, fastest) > _TIE:
+        least_impulses = collision.impulses
     change, impulses = np.zeros(size[0]), np.zeros((size[1], 2))
     change[moved] = collision.change
-    impulses[group] = list(map(into_cone, smallest_impulses, edges))
+    impulses[group] = list(map(project_into_cone, least_impulses, edges))
     states, indeterminate = ["open"] * size[1], [False] * size[1]
     for k, i in enumerate(group):
         states[i], indeterminate[i] = collision.states[k], unknown[k]

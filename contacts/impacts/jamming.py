@@ -19,7 +19,7 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw, sliding_edge
 from contacts.dynamics.snapshot import PerContact, Snapshot, answer, solve_kkt
 from contacts.impacts.impact import impact
-from contacts.impacts.impulses import Impulses, collisions
+from contacts.impacts.impulses import Impulses, solve_collisions
 from contacts.impacts.simultaneous import Impacts, groups
 from contacts.states import DISENGAGED, OFF, SLIDING
 from statechart.automaton.trace import Key
@@ -254,7 +254,9 @@ def _at_once(
     """Return the preferred nonzero plastic impulse."""
     contacts = tuple(c._replace(gap_rate=0.0) for c in snapshot.contacts)
     closed = [i in places for i in range(len(laws))]
-    solutions = collisions(snapshot._replace(contacts=contacts), laws, closed, [0.0] * len(laws))
+    solutions = solve_collisions(
+        snapshot._replace(contacts=contacts), laws, closed, [0.0] * len(laws)
+    )
     negligible = _MIN_CHANGE * float(np.abs(snapshot.velocity).max())
     return next(
         (solution for solution in solutions if np.abs(solution.change).max() > negligible), None

@@ -18,10 +18,16 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.impacts.impact import RAISES, Impact, impact
-from contacts.impacts.impulses import ImpactProblem, Impulses, collisions, coupled, work_of
+from contacts.impacts.impulses import (
+    ImpactProblem,
+    Impulses,
+    label_coupled_coordinates,
+    solve_collisions,
+    work_of,
+)
 from contacts.scene.parts import MOREAU, Simultaneous
 from contacts.solvers.impact_sequence import LONGEST_SEQUENCE
-from contacts.solvers.island_impulses import shares
+from contacts.solvers.island_impulses import parabola_root
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode
 
@@ -97,7 +103,7 @@ def groups(snapshot: Snapshot, closed: Sequence[bool]) -> list[list[int]]:
     closed_contacts = [i for i, is_closed in enumerate(closed) if is_closed]
     if len(closed_contacts) == 1:
         return [closed_contacts]
-    labels = coupled(snapshot, closed_contacts)
+    labels = label_coupled_coordinates(snapshot, closed_contacts)
     groups: dict[int, list[int]] = {}
     for i in closed_contacts:
         touched = np.abs(snapshot.jacobians[i]).max(axis=0) > 0.0
@@ -137,7 +143,7 @@ def _at_once(
     closed = [i in group for i in range(len(laws))]
     names = ", ".join(laws[i].name for i in group)
     elastic = [law.restitution for law in laws]
-    plastic = collisions(snapshot, laws, closed, [0.0] * len(laws))
+    plastic = solve_collisions(snapshot, laws, closed, [0.0] * len(laws))
     if not plastic and rebound and any(elastic[i] > 0.0 for i in group):
         sequence = _in_sequence(snapshot, laws, group)
         reason = (
@@ -151,7 +157,7 @@ def _at_once(
     plastic_share, share, target = 1.0, 0.0, base
     warnings: list[str] = []
     if rebound and any(elastic[i] > 0.0 for i in group):
-        elastic_solutions = collisions(snapshot, laws, closed, elastic)
+        elastic_solutions = solve_collisions(snapshot, laws, closed, elastic)
         if elastic_solutions:
             target = elastic_solutions[0]
             plastic_share, share = _shares(snapshot, group, base, target)
@@ -186,7 +192,9 @@ def _shares(
         return 0.0, 1.0
     difference = target.change - plastic.change
     curvature = 0.5 * float(difference @ snapshot.mass @ difference)
-    plastic_share, share = shares(min(_work(snapshot, group, plastic)[0], 0.0), gain, curvature)
+    plastic_share, share = parabola_root(
+        min(_work(snapshot, group, plastic)[0], 0.0), gain, curvature
+    )
     return plastic_share, share
 
 

@@ -17,10 +17,10 @@ import numpy as np
 
 from contacts.dynamics.snapshot import Snapshot
 from contacts.scene.modes import OWN, Bearing, SignFriction
-from contacts.solvers.dependence import independent
+from contacts.solvers.dependence import independent_rows
 from contacts.solvers.mode_solver import is_coupling, judge_forces, write_limits
-from contacts.solvers.redundancy import mode_columns, sharing
-from contacts.solvers.smallest_forces import APEX, INSIDE, LOWER, UPPER, springs
+from contacts.solvers.redundancy import mode_columns, redundant_contacts
+from contacts.solvers.smallest_forces import APEX, INSIDE, LOWER, UPPER, smallest_forces
 from contacts.states import (
     CODES,
     FREE,
@@ -114,13 +114,15 @@ def share(
     cones[couplings] = 0.0, 1.0
     jacobians = snapshot.jacobians
     flat, owners = mode_columns(code, cones, jacobians, -1)
-    shared = np.flatnonzero(sharing(code, cones, jacobians, independent(flat)[0], len(flat)))
+    shared = np.flatnonzero(
+        redundant_contacts(code, cones, jacobians, independent_rows(flat)[0], len(flat))
+    )
     shares, carrying = np.isin(owners, shared), owners < len(code) - signs
-    if independent(flat[shares & carrying])[0] < independent(flat[shares])[0]:
+    if independent_rows(flat[shares & carrying])[0] < independent_rows(flat[shares])[0]:
         return None
-    count, order, _ = independent(flat[carrying])
+    count, order, _ = independent_rows(flat[carrying])
     load = np.einsum("gdn,gd->n", jacobians[shared], forces[shared])
-    motion_rank, chosen, _ = independent(np.ascontiguousarray(flat[shares].T))
+    motion_rank, chosen, _ = independent_rows(np.ascontiguousarray(flat[shares].T))
     coordinates = np.sort(chosen[:motion_rank])
     # The edge of a frictionless cone is (1, 0).
     smooth = code[shared] == SLIDE
@@ -136,19 +138,19 @@ def share(
         np.ascontiguousarray(jacobians[shared][:, :, coordinates]),
         load[coordinates],
     )
-    explained, smallest_forces, places, violation = springs(*problem, inward)
+    explained, least_forces, places, violation = smallest_forces(*problem, inward)
     if not explained or violation > 0.0:
         # The bias can change a zone: solve without it.
-        unbiased = springs(*problem, 0.0)
+        unbiased = smallest_forces(*problem, 0.0)
         if unbiased[0] and (not explained or unbiased[3] < violation):
-            explained, smallest_forces, places, violation = unbiased
+            explained, least_forces, places, violation = unbiased
     if not explained:
         return None
     if np.isin(loaded_by[couplings], shared).any():
         # The couple of a slipping coupling would depend on the load sharing: not supported.
         return None
     shared_forces, zones = forces.copy(), [OWN] * len(code)
-    shared_forces[shared] = smallest_forces
+    shared_forces[shared] = least_forces
     write_limits(shared_forces, limits, loaded_by, code)
     for k, place in zip(shared.tolist(), places.tolist(), strict=True):
         zones[k] = _ZONES[place]
@@ -156,10 +158,10 @@ def share(
     verdict = np.array([violation, 0.0, 0.0, 0.0])
     judge_forces(verdict, forces[determined], cones[determined], code[determined], 1.0)
     judge_forces(verdict, shared_forces[couplings], cones[couplings], code[couplings], 1.0)
-    independent_rows = set(order[:count].tolist())
+    independent = set(order[:count].tolist())
     letters = [letter for mode in code.tolist() for letter in _LETTERS.get(mode, "e")]
     carriers = tuple(
-        "".join(letters[i] for i in np.nonzero(owners == k)[0].tolist() if i in independent_rows)
+        "".join(letters[i] for i in np.nonzero(owners == k)[0].tolist() if i in independent)
         for k in range(len(code))
     )
     rows = _row_names(code[: len(code) - signs], jacobians) + ("",) * signs
@@ -170,7 +172,7 @@ def share(
             code[shared], cones[shared], snapshot.unreduced.jacobians[shared], -1
         )
         all_rows = np.vstack([contact_rows, snapshot.reduction.joints.jacobian[joints]])
-        _, order, _ = independent(np.ascontiguousarray(all_rows.T))
+        _, order, _ = independent_rows(np.ascontiguousarray(all_rows.T))
         # The rank of all rows is this sum, whatever the round-off.
         coordinates = np.sort(order[: motion_rank + len(joints)])
     return Share(
@@ -197,7 +199,7 @@ def bearing(roles: Roles) -> frozenset[int]:
 def rank(states: Sequence[str], jacobians: Array) -> int:
     """Return the rank of the constraints of a mode's contacts."""
     rows = [jacobians[k, d] for k, d in _own([CODES[state] for state in states])]
-    return independent(np.array(rows))[0] if rows else 0
+    return independent_rows(np.array(rows))[0] if rows else 0
 
 
 def _own(code: Iterable[int]) -> list[tuple[int, int]]:
@@ -208,10 +210,10 @@ def _own(code: Iterable[int]) -> list[tuple[int, int]]:
 def _row_names(code: Ints, jacobians: Array) -> tuple[str, ...]:
     """Return the independent constraints of each contact, as letters."""
     constraints = _own(code.tolist())
-    count, order, _ = independent(np.array([jacobians[k, d] for k, d in constraints]))
-    independent_rows = {constraints[i] for i in order[:count]}
+    count, order, _ = independent_rows(np.array([jacobians[k, d] for k, d in constraints]))
+    independent = {constraints[i] for i in order[:count]}
     return tuple(
-        "".join("nt"[d] for d in range(2) if (k, d) in independent_rows) for k in range(len(code))
+        "".join("nt"[d] for d in range(2) if (k, d) in independent) for k in range(len(code))
     )
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import sympy as sp
@@ -15,7 +17,6 @@ from contacts.scene.parts import Body, Contact, Point
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.documents.declaration import TIME
 from statechart.formulas.formula import parse
 from statechart.pictures.film import WORLD, Shape, ShapeKind
 
@@ -43,6 +44,8 @@ class BodyShapes:
         self._mechanics, self._automaton, self._values = mechanics, automaton, known
         self._scene = mechanics.scene
         self._frames = {name: 1 + place for place, name in enumerate(self._scene.bodies)}
+        led = led_ends(self._scene)
+        self._led = {name: 1 + len(self._frames) + place for place, name in enumerate(led)}
         self._links = Links(mechanics, automaton, known, self._frames)
 
     def shapes(self, idle: frozenset[str]) -> tuple[Shape, ...]:
@@ -64,7 +67,12 @@ class BodyShapes:
                 points = self._points(name, idle) or self._points(name, frozenset())
                 rims = self._rims(name)
                 shapes_found += [*rims, *self._inferred(name, body, [*points, *fixed[name]], rims)]
-        return (*self._links.shapes(), *shapes_found, *self._joints(), *self._couplings())
+        return (
+            *_side_by_side(self._links.shapes()),
+            *shapes_found,
+            *self._joints(),
+            *self._couplings(),
+        )
 
     def _shape(self, name: str, part: declared.Shape, region: int, shown: str) -> Shape:
         frame = self._frames[name]
@@ -180,11 +188,10 @@ class BodyShapes:
             frame = self._frames[joint.point.body]
             kind: ShapeKind = "joint"
             if isinstance(joint.to, Path) and None not in (joint.to.x, joint.to.y):
-                texts = (joint.to.x or 0, joint.to.y or 0)
-                kind = "joint" if any(TIME in parse(text).names for text in texts) else "pivot"
+                kind = "joint" if _is_led(self._scene, joint.to) else "pivot"
             at = self._pair(joint.point.at)
             if joint.rod is not None or joint.rope is not None:
-                shapes += self._line(name, joint, at, frame, kind)
+                shapes += self._line(name, joint, at, frame)
                 kind = "joint"
             shapes.append(Shape(kind, np.array([at]), frame, frame, name=name))
         return shapes
@@ -192,7 +199,8 @@ class BodyShapes:
     def _couplings(self) -> list[Shape]:
         """Return couplings, at the joint of their bodies if there is one, else between them."""
         scene, shapes = self._scene, []
-        for region, name in enumerate(scene.couplings, len(scene.contacts)):
+        first_region = len(scene.moving()) if scene.collisions else len(scene.contacts)
+        for region, name in enumerate(scene.couplings, first_region):
             bodies = scene.coupled(name)
             own = scene.couplings[name].joint
             joint = next(
@@ -210,24 +218,50 @@ class BodyShapes:
             shapes.append(Shape("coupling", ends, first, other, region=region, name=name))
         return shapes
 
-    def _line(
-        self, name: str, joint: Joint, at: tuple[float, float], frame: int, kind: ShapeKind
-    ) -> list[Shape]:
-        """Return a rod or a rope, up to a fixed end."""
+    def _line(self, name: str, joint: Joint, at: tuple[float, float], frame: int) -> list[Shape]:
+        """Return a rod or a rope, up to a fixed or led end."""
+        kind: ShapeKind = "link" if joint.rope is None else "rope"
+        end, other = (0.0, 0.0), self._led.get(name, WORLD)
         if isinstance(joint.to, Point):
             end, other = self._pair(joint.to.at), self._frames[joint.to.body]
-            return [Shape("link", np.array([at, end]), frame, other, name=name)]
-        if kind != "pivot":
-            return []
-        end = self._number(joint.to.x or 0), self._number(joint.to.y or 0)
-        line = Shape("link", np.array([at, end]), frame, WORLD, name=name)
-        return [line, Shape("pivot", np.array([end]), WORLD, WORLD, name=name)]
+        elif other == WORLD:
+            end = self._number(joint.to.x or 0), self._number(joint.to.y or 0)
+        line = Shape(kind, np.array([at, end]), frame, other, name=name)
+        if isinstance(joint.to, Point):
+            return [line]
+        return [line, Shape("pivot", np.array([end]), other, other, name=name)]
 
     def _number(self, text: str | int | float) -> float:
         return parse(text).value(self._values)
 
     def _pair(self, pair: tuple[str | int | float, str | int | float]) -> tuple[float, float]:
         return self._number(pair[0]), self._number(pair[1])
+
+
+def led_ends(scene: Scene) -> tuple[str, ...]:
+    """Return the rods and ropes whose end is led along a path."""
+    lines = ((n, j) for n, j in scene.joints.items() if j.rod is not None or j.rope is not None)
+    return tuple(n for n, j in lines if isinstance(j.to, Path) and _is_led(scene, j.to))
+
+
+def _is_led(scene: Scene, path: Path) -> bool:
+    return not parse(path.x or 0).names | parse(path.y or 0).names <= {*scene.parameters}
+
+
+def _side_by_side(shapes: Sequence[Shape]) -> list[Shape]:
+    """Return shapes with springs and dampers between the same points beside each other."""
+    lanes: defaultdict[object, list[Shape]] = defaultdict(list)
+    for shape in shapes:
+        if shape.kind in ("spring", "damper"):
+            ends = zip((shape.frame, shape.other), map(tuple, shape.points), strict=True)
+            lanes[frozenset(ends)].append(shape)
+    moved = {}
+    for lane in lanes.values():
+        for place, shape in enumerate(lane):
+            # To the left of the first one, whichever end this one begins at.
+            side = 1.0 if shape.frame == lane[0].frame else -1.0
+            moved[id(shape)] = replace(shape, aside=side * (len(lane) - 1.0 - 2.0 * place))
+    return [moved.get(id(shape), shape) for shape in shapes]
 
 
 def disc_of(scene: Scene, contact: Contact, number: Callable[[str | int | float], float]) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from contacts.dynamics.geometry import Vector, surface_frame
 from contacts.dynamics.mechanics import Mechanics
-from contacts.pictures.bodies import BodyShapes, disc_of
+from contacts.pictures.bodies import BodyShapes, disc_of, led_ends
 from contacts.pictures.links import compiled
 from contacts.scene.parts import Surface
 from contacts.scene.scene import Scene
@@ -28,7 +29,9 @@ from statechart.pictures.film import (
     ShapeKind,
     Touch,
     arrows,
+    catenary,
     cones,
+    ends_of,
     placed,
 )
 from statechart.pictures.stage import Moments
@@ -51,12 +54,15 @@ class SceneStage:
         self._mechanics = Mechanics(scene)
         moved = [n for n, s in scene.surfaces.items() if s.moves]
         self._bodies = {name: 1 + k for k, name in enumerate(scene.bodies)}
-        self._moved = {name: 1 + len(self._bodies) + k for k, name in enumerate(moved)}
+        self._led = led_ends(scene)
+        first = 1 + len(self._bodies) + len(self._led)
+        self._moved = {name: first + k for k, name in enumerate(moved)}
 
     @property
     def wanted(self) -> tuple[str, ...]:
-        """Gaps and forces of contacts, and coefficients of friction that change."""
-        names = (f"{c}.{q}" for c in self._scene.contacts for q in ("gap", "V", "H", "friction"))
+        """Gaps and forces of contacts, coefficients of friction that change, gaps of ropes."""
+        names = [f"{c}.{q}" for c in self._scene.contacts for q in ("gap", "V", "H", "friction")]
+        names += [f"{name}.gap" for name in self._scene.joints]
         return tuple(name for name in names if name in self._automaton.observables)
 
     def film(self, moments: Moments) -> Film:
@@ -73,8 +79,9 @@ class SceneStage:
             for k, region in enumerate(regions)
             if OFF in states[k] and (modes[:, k] == states[k].index(OFF)).all()
         )
-        shapes = BodyShapes(self._mechanics, self._automaton, moments.parameters).shapes(never)
         poses = self._poses(moments)
+        made = BodyShapes(self._mechanics, self._automaton, moments.parameters).shapes(never)
+        shapes = [self._slackened(shape, moments, poses) for shape in made]
         touches = tuple(
             self._touch(name, moments, poses) for name in scene.contacts if name not in never
         )
@@ -148,6 +155,8 @@ class SceneStage:
         for name in self._scene.bodies:
             (x, y), angle = mechanics.body_frame(name)
             expressions += [x, y, angle]
+        for name in self._led:
+            expressions += [*mechanics.joint_end(self._scene.joints[name].to), sp.S.Zero]
         for name in self._moved:
             expressions += surface_frame(self._scene.surfaces[name], mechanics.known)
         return compiled(self._automaton, expressions)
@@ -179,6 +188,17 @@ class SceneStage:
         moving = self._frames.table(moments.states, moments.values, moments.times)
         still = np.zeros((len(moments.times), 1, 3))
         return np.concatenate([still, moving.reshape(len(moments.times), -1, 3)], axis=1)
+
+    def _slackened(self, shape: Shape, moments: Moments, poses: Array) -> Shape:
+        """Return a rope with its length beyond the distance of its ends at every instant."""
+        if shape.kind != "rope":
+            return shape
+        slack = moments.columns.get(f"{shape.name}.gap")
+        if slack is None:
+            first, last = ends_of(shape, poses)
+            length = parse(self._scene.joints[shape.name].rope or 0).value(moments.parameters)
+            slack = length - np.hypot(*(last - first).T)
+        return replace(shape, slack=np.nan_to_num(slack))
 
     def _held(self, poses: Array, moments: Moments, spacing: float) -> Array:
         """Return the poses with straight surfaces moved along themselves by less than a stroke.
@@ -253,6 +273,8 @@ def cloud_of(shapes: Sequence[Shape], poses: Array, places: Sequence[Array]) -> 
         if shape.kind == "disc":
             points = points + shape.radius * np.column_stack([np.cos(_ROUND), np.sin(_ROUND)])
         ends = [(points, shape.frame)]
+        if shape.slack is not None:
+            clouds.append(catenary(*ends_of(shape, poses), shape.slack))
         if shape.other != shape.frame:
             ends = [(points[:1], shape.frame), (points[-1:], shape.other)]
         clouds += [placed(part, poses[:, frame]) for part, frame in ends]

@@ -21,7 +21,7 @@ from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.settling import (
     ALIKE,
     LEFT,
-    clear_alike,
+    clear_first_order_zeros,
     end_slips,
     mode_of_acceleration,
     solve_accelerations,
@@ -40,11 +40,11 @@ HOVERS = 2
 def unsettle_bodies(warm: WarmStart, k: int, chunk: Chunk) -> bool:
     """Mark bodies whose mode changes in step k as settling; return whether any settles."""
     any_settles = False
-    for b in range(len(warm.shown)):
+    for b in range(len(warm.modes)):
         code = chunk.modes[k, b] = chunk.codes[k, b]
-        if warm.shown[b, 0] != code or chunk.struck[k, b]:
-            warm.shown[b, 1] = 1
-        any_settles = any_settles or warm.shown[b, 1] != 0
+        if warm.modes[b, 0] != code or chunk.struck[k, b]:
+            warm.modes[b, 1] = 1
+        any_settles = any_settles or warm.modes[b, 1] != 0
     return any_settles
 
 
@@ -77,16 +77,20 @@ def _count_contacts(numbers: BodyNumbers, active: ActiveContacts, count: int, co
     """Write the numbers of contacts of bodies (b,); -1 if accelerations do not give their mode."""
     for b in range(len(counts)):
         counts[b] = 0
-    for j in range(len(numbers.joints.holds)):
+    for j in range(len(numbers.joints.kinds)):
         for side in range(2):
             if numbers.joints.bodies[j, side] >= 0:
                 counts[numbers.joints.bodies[j, side]] = -1
+    for c in range(len(numbers.couplings.holds)):
+        for b in numbers.couplings.bodies[c]:
+            if 0 <= b < len(counts):
+                counts[b] = -1
     for b in range(len(counts) - numbers.links.bodies, len(counts)):
         counts[b] = -1
     for i in range(count):
         b, other = active.bodies[i]
         # Compliance and rolling resistance are not part of the problem.
-        rigid = active.yields[i] == 0.0 and active.twins[i] == 0
+        rigid = active.compliances[i] == 0.0 and active.rolling_roles[i] == 0
         alone = rigid and other < 0 and _is_straight(numbers, active.keys[i, 0], active.rows[i, 0])
         if other >= 0:
             counts[other] = -1
@@ -119,14 +123,14 @@ def _remember_landing(
     active, b = space.active, space.active.bodies[i, 0]
     above = active.levels[i, 3]
     stops = velocity(active.bodies, active.rows, rates, i, 0) <= LEFT * h * size
-    landed = warm.landed[b]
+    landed = warm.landings[b]
     if not (active.hit[i] and stops and above > landed[0]):
         return
     p, _ = _piece_on_surface(numbers, active.keys[i, 0])
-    (nx, ny), x, y = active.rows[i, 0, :2], space.mid.places[b, 0], space.mid.places[b, 1]
+    (nx, ny), x, y = active.rows[i, 0, :2], space.mid.poses[b, 0], space.mid.poses[b, 1]
     along, across = numbers.pieces.radii[p] - active.rows[i, 1, 2], active.rows[i, 0, 2]
     u, v = along * nx + across * ny, along * ny - across * nx
-    c, s = math.cos(space.mid.places[b, 2]), math.sin(space.mid.places[b, 2])
+    c, s = math.cos(space.mid.poses[b, 2]), math.sin(space.mid.poses[b, 2])
     landed[0], landed[1], landed[2], landed[3] = above, nx, ny, nx * (x + u) + ny * (y + v) - above
     landed[4], landed[5] = c * u + s * v, c * v - s * u
 
@@ -137,15 +141,17 @@ def _hovers(warm: WarmStart, space: Workspace, rates: Array, b: int, h: float, a
 
     Unless `alone`, the body is pressed elsewhere: a corner that steps explain is then closed.
     """
-    above, nx, ny, zero, u, v = warm.landed[b]
+    above, nx, ny, zero, u, v = warm.landings[b]
     mid, turning = space.mid, rates[b, 2]
-    x, y = mid.places[b, 0], mid.places[b, 1]
-    c, s = math.cos(mid.places[b, 2]), math.sin(mid.places[b, 2])
+    x, y = mid.poses[b, 0], mid.poses[b, 1]
+    c, s = math.cos(mid.poses[b, 2]), math.sin(mid.poses[b, 2])
     u, v = c * u - s * v, s * u + c * v
     along, across = nx * u + ny * v, ny * u - nx * v
     rate = nx * rates[b, 0] + ny * rates[b, 1] + turning * across
-    forced = nx * (mid.loose[b, 0] - mid.old[b, 0]) + ny * (mid.loose[b, 1] - mid.old[b, 1])
-    forced = (forced + across * (mid.loose[b, 2] - mid.old[b, 2])) / h
+    forced = nx * (mid.free_rates[b, 0] - mid.old_rates[b, 0]) + ny * (
+        mid.free_rates[b, 1] - mid.old_rates[b, 1]
+    )
+    forced = (forced + across * (mid.free_rates[b, 2] - mid.old_rates[b, 2])) / h
     bias = -(turning**2) * along
     speed_error = LEFT * h * (abs(forced) + abs(bias))
     gap = nx * (x + u) + ny * (y + v) - zero
@@ -163,32 +169,32 @@ def settle_bodies(
 
     Changes `warm`, `space.local` and step k of the chunk.
     """
-    counts = space.local[: len(warm.shown)]
+    counts = space.local[: len(warm.modes)]
     _count_contacts(numbers, space.active, count, counts)
     for b in range(len(counts)):
-        if warm.shown[b, 1] == 0:
+        if warm.modes[b, 1] == 0:
             continue
-        warm.shown[b, 1] = 1
+        warm.modes[b, 1] = 1
         if counts[b] < 0:
             continue
         mode = FREE
         if counts[b] > 0:
             mode = _body_mode(numbers, warm, space, rates, count, b, k, chunk)
-        lands = warm.shown[b, 0] != FREE and not chunk.struck[k, b]
+        lands = warm.modes[b, 0] != FREE and not chunk.struck[k, b]
         if lands and _hovers(warm, space, rates, b, chunk.h, mode == FREE):
-            mode, warm.shown[b, 1] = warm.shown[b, 0], HOVERS
+            mode, warm.modes[b, 1] = warm.modes[b, 0], HOVERS
         chunk.modes[k, b] = mode
 
 
 @kernel
 def finish_settling(warm: WarmStart, k: int, chunk: Chunk) -> None:
     """End the settling of bodies whose impulses in step k agree with the modes shown."""
-    for b in range(len(warm.shown)):
-        mode = warm.shown[b, 0] = chunk.modes[k, b]
-        hovers = warm.shown[b, 1] == HOVERS
+    for b in range(len(warm.modes)):
+        mode = warm.modes[b, 0] = chunk.modes[k, b]
+        hovers = warm.modes[b, 1] == HOVERS
         if mode == chunk.codes[k, b] and not chunk.struck[k, b] and not hovers:
-            warm.shown[b, 1] = 0
-            warm.landed[b, 0] = 0.0
+            warm.modes[b, 1] = 0
+            warm.landings[b, 0] = 0.0
 
 
 @kernel
@@ -206,7 +212,7 @@ def _body_mode(
     k: int, chunk: Chunk,
 ) -> int:  # fmt: skip
     """Return the mode of body b with `space.local` contacts."""
-    active, h, shown, m = space.active, chunk.h, warm.shown[b, 0], 0
+    active, h, shown, m = space.active, chunk.h, warm.modes[b, 0], 0
     most = space.local[b]
     which = np.empty(most, np.int64)
     free, sizes, accelerations = np.zeros((most, 2)), np.zeros((most, 2)), np.zeros((most, 2))
@@ -225,14 +231,14 @@ def _body_mode(
             continue
         which[m] = i
         _write_cone(numbers, active, i, 0.0, cones[m])
-        slip = velocity(active.bodies, active.rows, rates, i, 1) + active.wanted[i, 1]
+        slip = velocity(active.bodies, active.rows, rates, i, 1) + active.bias[i, 1]
         slips[m] = slip
         if abs(slip) > space.known[i] and cones[m, 1] > 0.0:
             mu = cones[m, 1] / cones[m, 0]
             rate_error = LEFT * h * (sizes[m, 1] + mu * sizes[m, 0])
             goes_on = shown == SLIDE and slip * active.before[i, 1] > 0.0
             # With two coefficients the active friction shows whether a slip has begun.
-            begins = active.ways[i] != 0
+            begins = active.slip_directions[i] != 0
             if shown == FREE or goes_on or begins or abs(slip) > rate_error:
                 slides[m] = 1.0 if slip > 0.0 else -1.0
         _write_cone(numbers, active, i, slides[m], cones[m])
@@ -247,7 +253,7 @@ def _body_mode(
                     for j in range(3):
                         row = active.rows[which[a], d, j] * numbers.inverse[b, j]
                         delassus[2 * a + d, 2 * c + e] += row * active.rows[which[c], e, j]
-    per_speed = ALIKE * h / max(warm.past[1], h * sizes[:m].max())
+    per_speed = ALIKE * h / max(warm.last_step[1], h * sizes[:m].max())
     sums, against = np.empty((m, 2)), np.zeros(m)
     problem = delassus, free[:m], cones[:m]
     terms, forced, directions = sizes[:m], accelerations[:m], slides[:m]
@@ -260,7 +266,7 @@ def _body_mode(
         return chunk.codes[k, b]
     mode = FREE
     for a in range(m):
-        clear_alike(forced[a], sums[a], per_speed)
+        clear_first_order_zeros(forced[a], sums[a], per_speed)
         one = mode_of_acceleration(accelerations[a], slips[a], slides[a] == 0.0, cones[a], False)
         if one == PIN:
             return PIN

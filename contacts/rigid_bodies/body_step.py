@@ -12,23 +12,37 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.collision_detection.active_contacts import RESISTS, ActiveContacts, velocity
-from contacts.collision_detection.body_numbers import BOTH, GREATEST, ROPE, BodyNumbers, WarmStart
+from contacts.collision_detection.body_numbers import (
+    BOTH,
+    GREATEST,
+    ROPE,
+    WARM_START_COLUMNS,
+    BodyNumbers,
+    WarmStart,
+)
+from contacts.collision_detection.couplings import (
+    DECLARED,
+    ENABLED,
+    add_couplings,
+    read_limits,
+)
 from contacts.collision_detection.find_contacts import DetectionResult, find_contacts
 from contacts.collision_detection.ground import Ground
-from contacts.collision_detection.joints import add_joints, is_bound
+from contacts.collision_detection.joints import add_joints, is_bound, joint_forces
 from contacts.collision_detection.midpoint import (
     Midpoint,
     Prescribed,
     apply_forces,
-    carry,
     fastest_turn,
     move_to_midpoint,
     place_links,
+    run_at,
+    write_linked_rates,
 )
 from contacts.rigid_bodies.body_modes import finish_settling, settle_bodies, unsettle_bodies
-from contacts.rigid_bodies.island_step import PLASTIC, push, solve_islands
+from contacts.rigid_bodies.island_step import PLASTIC, apply_row_impulse, solve_islands
 from contacts.rigid_bodies.workspace import Workspace
-from contacts.states import FREE, PIN, SLIDE
+from contacts.states import FREE, LOCKED, OPEN_CODE, PIN, SLIDE, SLIP_MINUS, SLIP_PLUS
 from contacts.time_stepping.chunk import (
     BAD_INERTIA,
     COARSE,
@@ -39,9 +53,9 @@ from contacts.time_stepping.chunk import (
     Chunk,
 )
 from statechart.arrays import Array
-from statechart.kernels.copies import put, put_rows
+from statechart.kernels.copies import copy_numbers, copy_rows
 from statechart.kernels.jit import kernel
-from statechart.kernels.tapes import BLOCK, filled
+from statechart.kernels.tapes import BLOCK, allocate_registers
 
 # Latest impact after the middle of the step, relative to the step: some time must follow it.
 _LATEST = 0.5 - TIME_MARGIN
@@ -83,8 +97,8 @@ def _store(
     chunk.approach[k], chunk.closing[k] = max(detected.approach, detected.turned), detected.closing
     chunk.passed[k] = detected.passed
     warm.n_contacts[0] = detected.contacts
-    warm.past[0], warm.past[1] = chunk.h, max(warm.past[1], detected.approach)
-    warm.past[2] = max(warm.past[2], chunk.h * detected.approach)
+    warm.last_step[0], warm.last_step[1] = chunk.h, max(warm.last_step[1], detected.approach)
+    warm.last_step[2] = max(warm.last_step[2], chunk.h * detected.approach)
     for i in range(detected.contacts):
         for side in range(2):
             b = active.bodies[i, side]
@@ -101,16 +115,16 @@ def _store(
         warm.contacts[i, 2], warm.contacts[i, 3] = active.pushes[i]
         for d in range(2):
             pushed_by = velocity(active.bodies, active.rows, rates, i, d)
-            pushed_by -= velocity(active.bodies, active.rows, space.mid.loose, i, d)
+            pushed_by -= velocity(active.bodies, active.rows, space.mid.free_rates, i, d)
             warm.contacts[i, 4 + d] = active.free[i, d] + pushed_by
             warm.contacts[i, 6 + d] = active.rows[i, 0, d]
         if lasts and not active.hit[i]:
             chunk.closing[k] = max(chunk.closing[k], active.levels[i, 1])
-        slip = warm.contacts[i, 5] + active.wanted[i, 1]
+        slip = warm.contacts[i, 5] + active.bias[i, 1]
         none = max(space.known[i], active.levels[i, 2], allowed * fall)
         warm.contacts[i, 8] = space.known[i]
-        warm.contacts[i, 9] = 1.0 if active.ways[i] != 0 else 0.0
-        resists = active.twins[i] == RESISTS
+        warm.contacts[i, 9] = 1.0 if active.slip_directions[i] != 0 else 0.0
+        resists = active.rolling_roles[i] == RESISTS
         sticks = active.materials[i, 1] > 0.0 and abs(slip) <= none and not resists
         for side in range(2):
             b = active.bodies[i, side]
@@ -122,7 +136,7 @@ def _store(
                 if not resists:
                     chunk.impulses[k, b, 1] += pt if side == 0 else -pt
             # An impulse below this part of the largest on its body is round-off, no contact.
-            pulled = space.mid.pull[b] / numbers.inverse[b, 0]
+            pulled = space.mid.force_speed[b] / numbers.inverse[b, 0]
             bears = lasts and pn > max(threshold * space.borne[b], LEAST * pulled)
             if bears and sticks:
                 chunk.codes[k, b] = PIN
@@ -150,12 +164,12 @@ def _without_impacts(
 
     Solving for these would take a quarter of a run with continual landings.
     """
-    put_rows(mid.loose, early)
+    copy_rows(mid.free_rates, early)
     for i in range(count):
         for d in range(2):
             if not active.hit[i] and active.pushes[i, d] != 0.0:
-                push(numbers, active, mid, early, i, d, active.pushes[i, d])
-    carry(numbers, mid, early)
+                apply_row_impulse(numbers, active, mid, early, i, d, active.pushes[i, d])
+    write_linked_rates(numbers, mid, early)
 
 
 @kernel
@@ -193,7 +207,7 @@ def _store_joints(
 
     And the energy that they add beyond the bound of the scheme; see `RigidBodyRun`.
     """
-    holds, active, mid, links = numbers.joints.holds, space.active, space.mid, numbers.links
+    holds, active, mid, links = numbers.joints.kinds, space.active, space.mid, numbers.links
     at = 3 * (len(numbers.inverse) - links.bodies) + links.size
     for b in range(len(numbers.inverse)):
         space.local[b] = 0
@@ -205,14 +219,14 @@ def _store_joints(
                 continue
             space.local[b] = 1
             for d in range(3):
-                pulled = mid.loose[b, d] - mid.old[b, d]
-                chunk.gained[k] -= 0.125 * pulled**2 / numbers.inverse[b, d]
+                pulled = mid.free_rates[b, d] - mid.old_rates[b, d]
+                chunk.energy_gain[k] -= 0.125 * pulled**2 / numbers.inverse[b, d]
         warm.keys[i, 0], warm.keys[i, 1] = active.keys[i]
         for d in range(2):
             both = active.before[i, d] + active.free[i, d]
             both += velocity(active.bodies, active.rows, rates, i, d)
-            both -= velocity(active.bodies, active.rows, mid.loose, i, d)
-            chunk.gained[k] += 0.5 * space.pressed[i, d] * both
+            both -= velocity(active.bodies, active.rows, mid.free_rates, i, d)
+            chunk.energy_gain[k] += 0.5 * space.pressed[i, d] * both
         # As for contacts: target gap, whether it lasts; and whether the joint is closed.
         lasts = space.pressed[i, 0] > 0.0 and not space.bounces[i]
         bounds, closed = is_bound(holds[j]), 0.0 if active.hit[i] else -1.0
@@ -231,8 +245,42 @@ def _store_joints(
                 at += 1
     if space.joint_energy[0] > 0.0:
         # The work of all impulses is bounded: wedged contacts absorb the energy of joints.
-        chunk.gained[k] = 0.0
+        chunk.energy_gain[k] = 0.0
     warm.n_contacts[0] = first + len(holds)
+
+
+@kernel
+def _store_couplings(
+    numbers: BodyNumbers, limits: Array, warm: WarmStart, space: Workspace, first: int, k: int,
+    rates: Array, chunk: Chunk,
+) -> None:  # fmt: skip
+    """Store the couplings, behind the joints, in the warm start; write their modes and couples."""
+    active, bodies, signs = space.active, len(numbers.inverse), numbers.couplings.signs
+    levers = numbers.couplings.levers
+    # Controls fill the rest.
+    at = 3 * (bodies - numbers.links.bodies) + numbers.links.size + joint_forces(numbers)
+    for c in range(len(limits)):
+        i = first + c
+        slip = active.free[i, 1] + active.bias[i, 1]
+        slip += velocity(active.bodies, active.rows, rates, i, 1)
+        slip -= velocity(active.bodies, active.rows, space.mid.free_rates, i, 1)
+        slips = abs(slip) > max(space.known[i], active.levels[i, 2])
+        mode = LOCKED
+        if slips:
+            mode = SLIP_PLUS if signs[c] * slip > 0.0 else SLIP_MINUS
+        if not limits[c, ENABLED] > 0.0:
+            mode = OPEN_CODE
+        chunk.codes[k, bodies + c] = chunk.modes[k, bodies + c] = mode
+        # A limit below zero, or without a value, ends the run.
+        chunk.gaps[k, bodies + c] = 0.0 if mode == OPEN_CODE else limits[c, DECLARED]
+        chunk.solved[k, at + c] = signs[c] * levers[c] * space.steady[i, 1] / chunk.h
+        warm.keys[i, 0], warm.keys[i, 1] = active.keys[i]
+        for d in range(WARM_START_COLUMNS):
+            warm.contacts[i, d] = 0.0
+        warm.contacts[i, 2], warm.contacts[i, 3] = space.pressed[i]
+        warm.contacts[i, 8] = space.known[i]
+        warm.contacts[i, 9] = 1.0 if slips else 0.0
+    warm.n_contacts[0] = first + len(limits)
 
 
 @kernel
@@ -266,12 +314,12 @@ def _remember(warm: WarmStart, copy: WarmStart) -> None:
     count = warm.n_contacts[0]
     for i in range(count):
         copy.keys[i, 0], copy.keys[i, 1] = warm.keys[i]
-    put_rows(warm.contacts[:count], copy.contacts)
+    copy_rows(warm.contacts[:count], copy.contacts)
     copy.n_contacts[0] = count
-    put(warm.past, copy.past)
-    put_rows(warm.landed, copy.landed)
-    for b in range(len(warm.shown)):
-        copy.shown[b, 0], copy.shown[b, 1] = warm.shown[b]
+    copy_numbers(warm.last_step, copy.last_step)
+    copy_rows(warm.landings, copy.landings)
+    for b in range(len(warm.modes)):
+        copy.modes[b, 0], copy.modes[b, 1] = warm.modes[b]
 
 
 @kernel
@@ -323,14 +371,19 @@ def step_bodies(
     h, links, (law, forces, allowed, deepest) = chunk.h, numbers.links, options
     first, whole = 3 * (len(numbers.inverse) - links.bodies), len(numbers.sizes)
     n, state = first + links.size, chunk.states[0].copy()
-    old, loose, active = space.mid.old, space.mid.loose, space.active
+    old, loose, active = space.mid.old_rates, space.mid.free_rates, space.active
     surfaces = numbers.surfaces
-    registers = filled(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
+    registers = allocate_registers(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
     registers[1][1] = 0.0
     frames, still, applied = np.zeros((3, 3)), np.zeros((3, 3)), prescribed.forces
+    bounds = prescribed.limits
     width = 2 * n + prescribed.controller_states.shape[1]
-    acting = filled(applied.code, applied.constants, applied.values, width, 1)
-    linking = filled(links.code, links.constants, links.values, 2 * links.size, 1)
+    acting = allocate_registers(applied.code, applied.constants, applied.values, width, 1)
+    linking = allocate_registers(links.code, links.constants, links.values, 2 * links.size, 1)
+    bounding, limits = (
+        allocate_registers(bounds.code, bounds.constants, bounds.values, width, 1),
+        np.zeros((len(numbers.couplings.holds), 4)),
+    )
     steps, rates, forced = len(chunk.codes), np.empty_like(loose), np.empty_like(loose)
     early, fall = np.empty_like(loose), math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     # The detection after the last step decides on its acceptance.
@@ -341,21 +394,24 @@ def step_bodies(
         ground = Ground(prescribed.frames[k : k + 3], registers, frames, still)
         if links.bodies > 0 and not place_links(numbers, state, h, linking, space.mid):
             return k, BAD_INERTIA if k < steps else DONE
-        move_to_midpoint(numbers, state, poses, h, warm.past[0], space.mid)
+        move_to_midpoint(numbers, state, poses, h, warm.last_step[0], space.mid)
+        time, memories = start + (done + k + 0.5) * h, prescribed.controller_states[k + 1]
+        if len(limits) > 0:
+            run_at(numbers, bounds.code, bounding, memories, state, time)
+            read_limits(numbers, bounds, bounding[1], limits)
         if len(applied.bodies) > 0:
-            time = start + (done + k + 0.5) * h
-            memories = prescribed.controller_states[k + 1]
             apply_forces(numbers, applied, acting, memories, state, time, h, space.mid)
             for b in applied.bodies:
                 if not math.isfinite(loose[b, 0] + loose[b, 1] + loose[b, 2]):
                     return k, NOT_FINITE if k < steps else DONE
         detected = find_contacts(numbers, ground, warm, space.mid, space.grid, h, active)
-        full = detected.contacts < 0 or detected.contacts + len(numbers.joints.holds) >= len(
-            active.hit
-        )
+        others = len(numbers.joints.kinds) + len(limits)
+        full = detected.contacts < 0 or detected.contacts + others >= len(active.hit)
         if full and k < steps:
             return k, FULL
-        coarse = detected.passed > 0.0 or detected.sunk > 0.0 or detected.closing > deepest
+        coarse = (
+            detected.passed > 0.0 or detected.unexplained_depth > 0.0 or detected.closing > deepest
+        )
         if deepest < math.inf and coarse:
             if k == 0 or not _hurry(numbers, state, poses, space.mid, h):
                 return k, COARSE
@@ -364,29 +420,31 @@ def step_bodies(
         if k == steps:
             break
         _remember(warm, space.earlier)
-        count, joins = detected.contacts, len(numbers.joints.holds) > 0
+        count, joins = detected.contacts, len(numbers.joints.kinds) > 0
         if joins:
             places = prescribed.places[k : k + 3]
             count = add_joints(numbers, places, warm, space.mid, h, count, active)
+        first_coupling = count
+        count = add_couplings(numbers, limits, warm, space.mid, h, count, active)
         lands = _may_land(active, law, detected.contacts)
         if lands:
             _without_impacts(numbers, active, space.mid, count, early)
         space.joint_energy[1] = 1.0 if deepest < math.inf else 0.0
-        solve_islands(numbers, law, forces, h, space, count, allowed, chunk.stats[k])
-        put_rows(loose, rates)
-        put_rows(loose, forced)
+        solve_islands(numbers, limits, law, forces, h, space, count, allowed, chunk.stats[k])
+        copy_rows(loose, rates)
+        copy_rows(loose, forced)
         for i in range(count):
             for d in range(2):
                 if space.pressed[i, d] != 0.0:
-                    push(numbers, active, space.mid, rates, i, d, space.pressed[i, d])
+                    apply_row_impulse(numbers, active, space.mid, rates, i, d, space.pressed[i, d])
                 if forces and space.steady[i, d] != 0.0:
-                    push(numbers, active, space.mid, forced, i, d, space.steady[i, d])
-        carry(numbers, space.mid, rates)
+                    apply_row_impulse(numbers, active, space.mid, forced, i, d, space.steady[i, d])
+        write_linked_rates(numbers, space.mid, rates)
         open_joints = joins and space.joint_energy[0] > 0.0
         if deepest < math.inf and (open_joints or h * fastest_turn(rates[:whole]) > math.pi):
             return k, COARSE
         if forces:
-            carry(numbers, space.mid, forced)
+            write_linked_rates(numbers, space.mid, forced)
             _shown(rates, old, forced)
         # Landing bodies move freely until they touch.
         chunk.impact_delay[k] = _landing(space, rates, early, h, fall, count) if lands else 0.0
@@ -398,6 +456,7 @@ def step_bodies(
             chunk.approach[k] = max(chunk.approach[k], _shown_approach(active, old, forced, count))
         if joins:
             _store_joints(numbers, warm, space, detected.contacts, k, rates, chunk)
+        _store_couplings(numbers, limits, warm, space, first_coupling, k, rates, chunk)
         for at in range(n):
             # Rates of coordinates follow those of all bodies.
             b, d = (
@@ -411,5 +470,5 @@ def step_bodies(
                 state[at] += chunk.impact_delay[k] * (early[b, d] - rates[b, d])
             if not math.isfinite(state[at]):
                 return k, NOT_FINITE
-        put(state, chunk.states[k + 1])
+        copy_numbers(state, chunk.states[k + 1])
     return steps, DONE

@@ -14,9 +14,11 @@ from typing import get_args
 import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers
+from contacts.collision_detection.couplings import ENABLED
 from contacts.dynamics.controllers import Controllers, controlled_symbols, controller
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.starting import check_limits
 from contacts.rigid_bodies.body_step import StepOptions
 from contacts.rigid_bodies.declared_numbers import (
     body_numbers,
@@ -31,6 +33,7 @@ from contacts.rigid_bodies.own_step import forced_speed, led_speed, own_step
 from contacts.rigid_bodies.prescribed_motion import Paths, PrescribedMotion
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts, RigidBodyRun
 from contacts.scene.checks import check_physical
+from contacts.scene.couplings import coupling_region
 from contacts.scene.lint import lint
 from contacts.scene.parts import Simultaneous
 from contacts.scene.regions import BODY_EDGES, BODY_IMPACT, BODY_STATES
@@ -46,6 +49,8 @@ from statechart.automaton.time_stepper import DEFAULT_IMPULSES
 from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
 from statechart.formulas.formula import parse
 
+# Duration of a step that shows a state, relative to the scene's.
+_SOON = 1e-9
 # Overlap at the start, relative to the scene, without a warning; and opening of joints.
 _START_DEPTH = 1e-6
 # Round-off of the inertia of a motion, relative to the diagonal.
@@ -70,8 +75,16 @@ def bodies_automaton(scene: Scene) -> Automaton:
         )
         for name in declared.moving()
     )
+    of_couplings = (
+        coupling_region(name, coupling, lambda role: State(), (mechanics.couples[name],))
+        for name, coupling in scene.couplings.items()
+    )
     controllers = scene.controlled.flat
-    regions = (*of_bodies, *(controller(n, r, mechanics) for n, r in controllers.items()))
+    regions = (
+        *of_bodies,
+        *of_couplings,
+        *(controller(n, r, mechanics) for n, r in controllers.items()),
+    )
     rates = mechanics.controller_rates
 
     def stepper() -> BodyStepper:
@@ -116,7 +129,7 @@ class BodyStepper(Stepper):
             Controllers(mechanics),
             again=BODY_IMPACT,
             forces=None,
-            sticks=np.zeros(len(declared.moving()), dtype=np.bool_),
+            sticks=np.repeat([False, True], [len(declared.moving()), len(declared.couplings)]),
         )
         self._declared, self._bodies = declared, mechanics
         self._paths = Paths(mechanics.scene)
@@ -169,6 +182,9 @@ class BodyStepper(Stepper):
                 f"{size:.3g}; take {longest:.1g} or less"
             )
         free = np.full(len(bodies.numbers.inverse), FREE)
+        if self._scene.couplings and failure is None:
+            soon = _SOON * setup.scales.length / setup.scales.speed
+            free = np.append(free, bodies.detect(setup.initial, 0.0, soon).couplings)
         control = None
         if self._scene.regions:
             control = StepControl(self._bodies, self._controllers, setup, bodies, self._regions)
@@ -195,6 +211,10 @@ class BodyStepper(Stepper):
             names, surfaces = self._names, self._surfaces
             return RigidBodyRun(names, surfaces, bodies, prescribed, options, start_depth)
 
+        if self._scene.couplings:
+            tape = self._bodies.limits_at(self._scene.controlled.initial)
+            bounds = tape.table(setup.initial[None], values, np.zeros(1)).reshape(-1, 3)
+            check_limits([*self._scene.couplings], bounds[:, :ENABLED])
         bodies, depth, remarks = self._started(setup, bodies, known, run_of)
         setup = replace(setup, start_depth=depth, warnings=(*setup.warnings, *remarks))
         options = StepOptions(defaults.law, forces, tolerance, DEEPEST * setup.scales.length)
@@ -293,7 +313,7 @@ class BodyStepper(Stepper):
         bodies = bodies._replace(joints=joints)
 
         def detect(numbers: BodyNumbers, start: Array) -> DetectedContacts:
-            return run_of(numbers).detect(start, 0.0, 1e-9 * length / speed)
+            return run_of(numbers).detect(start, 0.0, _SOON * length / speed)
 
         near = _START_DEPTH * length
         try:

@@ -20,6 +20,7 @@ from contacts.collision_detection.body_numbers import (
     ROPE,
     TURN,
     BodyNumbers,
+    CouplingNumbers,
     JointNumbers,
     LinkNumbers,
     PieceNumbers,
@@ -31,8 +32,8 @@ from contacts.scene.friction import coefficients
 from contacts.scene.parts import Body, Point, Surface
 from contacts.scene.scene import Scene
 from contacts.scene.shapes import INDEX
-from contacts.solvers.dependence import column_scales, implied, rank
-from contacts.solvers.step_impulses import smoothed
+from contacts.solvers.dependence import column_scales, dependent_rows, rank
+from contacts.solvers.step_impulses import drop_round_off_friction
 from contacts.states import CLOSED, implied_joints
 from statechart.arrays import Array, Ints
 from statechart.automaton.margin_derivatives import derivative
@@ -164,6 +165,32 @@ def joint_numbers(scene: Scene, names: Sequence[str], known: Mapping[str, float]
     )
 
 
+def coupling_numbers(
+    scene: Scene, names: Sequence[str], known: Mapping[str, float]
+) -> CouplingNumbers:
+    """Evaluate the couplings of a scene; `names` are its bodies, copies one by one."""
+    bodies, signs, holds, at, levers = [], [], [], [], []
+    single = scene.single_bodies()
+    for name, coupling in scene.couplings.items():
+        guide, own = scene.along_guide(name), scene.coupled(name)
+        backward = single[own[0]].prescribed
+        pair = [names.index(body) for body in own] if not guide else [names.index(own[0])]
+        pair = (pair[::-1] if backward else pair) + [-1] * (2 - len(pair))
+        point = scene.joints[coupling.joint or ""].point.at if guide else (0, 0)
+        bodies.append(pair)
+        signs.append(-1.0 if backward else 1.0)
+        holds.append({"X": ALONG_X, "Y": ALONG_Y}.get(guide, TURN))
+        at.append([parse(text).value(known) for text in point])
+        first = single[own[-1] if backward else own[0]]
+        mass, inertia = (parse(text or 0).value(known) for text in (first.mass, first.inertia))
+        levers.append(1.0 if guide or not inertia > 0.0 else math.sqrt(inertia / mass))
+    return CouplingNumbers(
+        np.array(bodies, dtype=np.int64).reshape(-1, 2), np.array(signs),
+        np.array(holds, dtype=np.int64), np.array(at, dtype=float).reshape(-1, 2),
+        np.array(levers),
+    )  # fmt: skip
+
+
 # Allowed violation of angle limits at the start, radians.
 _ANGLE_NEAR = 1e-9
 
@@ -193,9 +220,9 @@ def closed_joints(
     DeclarationProblem
         At the first joint that is open, or whose points move apart.
     """
-    (at, rates), own = moved, joints.at.copy()
+    (at, rates), own = moved, joints.points.copy()
     sizes = joints.sizes.copy()
-    for j in np.flatnonzero(joints.holds == TURN).tolist():
+    for j in np.flatnonzero(joints.kinds == TURN).tolist():
         one, other = joints.bodies[j].tolist()
         sizes[j, 0] = at[one, 2] - (at[other, 2] if other >= 0 else 0.0)
     for j, name in enumerate(scene.joints):
@@ -205,14 +232,14 @@ def closed_joints(
         for side in (0, 1):
             b = int(joints.bodies[j, side])
             if b >= 0:
-                arm = _arm(at[b, 2], joints.at[j, side])
+                arm = _arm(at[b, 2], joints.points[j, side])
                 ends.insert(side, at[b, :2] + arm)
                 moving.insert(side, rates[b, :2] + rates[b, 2] * np.array([-arm[1], arm[0]]))
         _check_angles(joints, j, name, at)
-        if joints.holds[j] in (ROD, ROPE):
+        if joints.kinds[j] in (ROD, ROPE):
             _check_distance(joints, j, name, ends, moving, near, slow)
             continue
-        components = _COMPONENTS[int(joints.holds[j])]
+        components = _COMPONENTS[int(joints.kinds[j])]
         apart = float(np.hypot.reduce((ends[0] - ends[1])[components]))
         if apart > near:
             u, v = ends[0].tolist()
@@ -234,7 +261,7 @@ def closed_joints(
         missing = np.zeros(2)
         missing[components] = (ends[1] - ends[0])[components]
         own[j, 0] += _arm(-at[joints.bodies[j, 0], 2], missing)
-    return joints._replace(at=own, sizes=sizes)
+    return joints._replace(points=own, sizes=sizes)
 
 
 def _check_distance(
@@ -243,7 +270,7 @@ def _check_distance(
 ) -> None:  # fmt: skip
     """Check the initial length of a rod, or that a rope is not longer."""
     way, length = ends[0] - ends[1], float(joints.sizes[j, 0])
-    far, rod = float(np.hypot(*way)), joints.holds[j] == ROD
+    far, rod = float(np.hypot(*way)), joints.kinds[j] == ROD
     if far > length + near or (rod and far < length - near):
         raise DeclarationProblem(
             f"joint {name!r} is {length:.7g} long, and its ends are {far:.7g} apart at the start",
@@ -264,7 +291,7 @@ def _check_angles(joints: JointNumbers, owner: int, name: str, at: Array) -> Non
     for j in np.flatnonzero(joints.owners == owner).tolist():
         one, other = joints.bodies[j].tolist()
         angle = float(at[one, 2] - (at[other, 2] if other >= 0 else 0.0))
-        sign = {LEAST: 1.0, GREATEST: -1.0}.get(int(joints.holds[j]), 0.0)
+        sign = {LEAST: 1.0, GREATEST: -1.0}.get(int(joints.kinds[j]), 0.0)
         if sign * (angle - float(joints.sizes[j, 0])) < -_ANGLE_NEAR:
             raise DeclarationProblem(
                 f"the relative angle of joint {name!r} is {angle:.7g} at the start, beyond its "
@@ -278,7 +305,7 @@ def implied_remarks(scene: Scene, joints: JointNumbers, at: Array) -> tuple[str,
     """Return a warning of redundant joints for bodies `at` (b, 3)."""
     rows, names = [], []
     every = [*scene.joints]
-    for j, holds in enumerate(joints.holds.tolist()):
+    for j, holds in enumerate(joints.kinds.tolist()):
         name = every[joints.owners[j]]
         if not joints.on[joints.owners[j]] or holds not in _COMPONENTS:
             continue
@@ -286,9 +313,9 @@ def implied_remarks(scene: Scene, joints: JointNumbers, at: Array) -> tuple[str,
         for side in (0, 1):
             b = int(joints.bodies[j, side])
             if b >= 0:
-                x, y = _arm(at[b, 2], joints.at[j, side]).tolist()
+                x, y = _arm(at[b, 2], joints.points[j, side]).tolist()
                 both[:, b] += (1 - 2 * side) * np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])
-        constrained = both[_COMPONENTS[int(joints.holds[j])]]
+        constrained = both[_COMPONENTS[int(joints.kinds[j])]]
         rows.append(constrained.reshape(len(constrained), -1))
         names += [name] * len(constrained)
     if not rows:
@@ -298,7 +325,7 @@ def implied_remarks(scene: Scene, joints: JointNumbers, at: Array) -> tuple[str,
     _, sizes, _ = np.linalg.svd(matrix * column_scales(matrix), full_matrices=False)
     if rank(sizes) == len(matrix):
         return ()
-    dependent = implied(matrix)
+    dependent = dependent_rows(matrix)
     return (implied_joints(n for n, more in zip(names, dependent.tolist(), strict=True) if more),)
 
 
@@ -350,6 +377,7 @@ def body_numbers(
         laws,
         materials,
         joint_numbers(scene, [*owners], known),
+        coupling_numbers(scene, [*owners], known),
         link_numbers(linked_mechanics(scene), known) if links is None else links,
     )
 
@@ -385,7 +413,7 @@ def linked_mechanics(scene: Scene) -> LinkedMechanics | None:
     linked = {name: body for name, body in scene.bodies.items() if body.linked}
     if not linked:
         return None
-    emptied = ("collisions", "joints", "forces", "surfaces", "regions", "controls")
+    emptied = ("collisions", "joints", "couplings", "forces", "surfaces", "regions", "controls")
     fields = {name: getattr(scene, name) for name in type(scene).model_fields}
     fields |= {"bodies": linked, **{name: {} for name in emptied}}
     return LinkedMechanics(type(scene).model_construct(**fields))
@@ -518,6 +546,11 @@ def _laws(scene: Scene, owners: Sequence[str], number: Number) -> tuple[Ints, In
         np.array([kinds[owner] for owner in owners], dtype=np.int64),
         laws,
         np.column_stack(
-            [smoothed(edges[:, :2]), edges[:, 2], smoothed(edges[:, 3:5]), edges[:, 5:]]
+            [
+                drop_round_off_friction(edges[:, :2]),
+                edges[:, 2],
+                drop_round_off_friction(edges[:, 3:5]),
+                edges[:, 5:],
+            ]
         ),
     )

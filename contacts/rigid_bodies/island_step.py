@@ -15,32 +15,34 @@ from contacts.collision_detection.active_contacts import (
     rolling_share,
 )
 from contacts.collision_detection.body_numbers import KINETIC, BodyNumbers
-from contacts.collision_detection.joints import bent_on
-from contacts.collision_detection.midpoint import Midpoint, push_link
+from contacts.collision_detection.couplings import COUPLED, KINETIC_LIMIT, STATIC, bound_in
+from contacts.collision_detection.joints import arm_bend
+from contacts.collision_detection.midpoint import Midpoint, apply_link_impulse
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.solvers.contact_rows import (
     HELD,
     PAIR,
     ContactRows,
-    add,
-    along,
-    complete,
+    apply_impulse,
+    friction_coefficient,
     joint_work,
-    moved,
-    scale,
-    slope,
+    row_velocity,
+    velocity_scale,
+    write_diagonal_blocks,
+    write_velocity_change,
 )
-from contacts.solvers.impact_sequence import in_turn
+from contacts.solvers.impact_sequence import sequential_impacts
 from contacts.solvers.impulse_coupling import root
 from contacts.solvers.island_impulses import island_impulses
 from contacts.solvers.step_impulses import (
+    LIMIT,
     ONE,
     TWO,
     Island,
-    allowed_beside,
     change_friction,
-    forces_beside_impacts,
+    forces_without_impacts,
     order_matters,
+    rescale_tolerance,
 )
 from contacts.time_stepping.chunk import (
     AMBIGUOUS,
@@ -54,7 +56,7 @@ from contacts.time_stepping.chunk import (
     WORK,
 )
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import put, put_rows
+from statechart.kernels.copies import copy_numbers, copy_rows
 from statechart.kernels.jit import kernel
 
 PLASTIC, CAPPED, SEQUENTIAL = range(3)
@@ -100,7 +102,7 @@ def find_islands(
 
 
 @kernel
-def spread(members: Ints, spare: Ints) -> None:
+def distribute_members(members: Ints, spare: Ints) -> None:
     """Reorder the contacts of an island for the sweeps, in place."""
     count, at = len(members), 0
     if count <= _STRIDE:
@@ -121,7 +123,7 @@ def island_rows(numbers: BodyNumbers, members: Ints, work: Workspace) -> Contact
     of the first block of their coordinates.
     """
     active, inverse, local, space = work.active, numbers.inverse, work.local, work.contacts
-    count, moved, bodies, rows = len(members), 0, active.bodies, active.rows
+    count, n_moving, bodies, rows = len(members), 0, active.bodies, active.rows
     cones, sides = active.materials, space.bodies.shape[1]
     free, linked = len(inverse) - numbers.links.bodies, -1
     for i in members:
@@ -133,13 +135,13 @@ def island_rows(numbers: BodyNumbers, members: Ints, work: Workspace) -> Contact
         for side in range(2):
             b = bodies[i, side]
             if b >= free and linked < 0:
-                linked = moved
-                moved += (numbers.links.size + 2) // 3
+                linked = n_moving
+                n_moving += (numbers.links.size + 2) // 3
             if b >= free:
                 local[b], b = linked, -1
             elif b >= 0 and local[b] < 0:
-                local[b] = moved
-                moved += 1
+                local[b] = n_moving
+                n_moving += 1
             space.bodies[a, side] = local[b] if b >= 0 else -1
             for k in range(3 * side, 3 * side + 3):
                 for d in range(2):
@@ -151,17 +153,17 @@ def island_rows(numbers: BodyNumbers, members: Ints, work: Workspace) -> Contact
         for a in range(count):
             _write_coordinates(numbers, work.mid, active, members[a], a, linked, space)
     if space.padded == 1:
-        moved = _add_pads(members, active, moved, work.pads, space)
+        n_moving = _add_pads(members, active, n_moving, work.pads, space)
     for a in range(count):
         for side in range(sides):
             if space.bodies[a, side] < 0:
-                space.bodies[a, side] = moved
+                space.bodies[a, side] = n_moving
     contacts = ContactRows(
-        space.bodies[:count], moved, space.rows[:count], space.columns[:count], space.own[:count],
-        space.cones[:count], space.laws[:count], space.rates, space.spare,
+        space.bodies[:count], n_moving, space.rows[:count], space.columns[:count],
+        space.own[:count], space.cones[:count], space.laws[:count], space.rates, space.spare,
         space.shared, space.padded,
     )  # fmt: skip
-    complete(contacts)
+    write_diagonal_blocks(contacts)
     return contacts
 
 
@@ -200,7 +202,7 @@ def _write_coordinates(
 
 @kernel
 def _add_pads(
-    members: Ints, active: ActiveContacts, moved: int, pads: Ints, space: ContactRows
+    members: Ints, active: ActiveContacts, n_moving: int, pads: Ints, space: ContactRows
 ) -> int:
     """Add pads, massless auxiliary bodies of contacts; return the number of moving bodies.
 
@@ -208,30 +210,32 @@ def _add_pads(
     pad from opposite sides, so that their normal impulses are equal.
     """
     for i in members:
-        if active.twins[i] != RESISTS and (active.yields[i] > 0.0 or active.twins[i] == ROLLS):
-            pads[i] = moved
-            moved += 1
+        if active.rolling_roles[i] != RESISTS and (
+            active.compliances[i] > 0.0 or active.rolling_roles[i] == ROLLS
+        ):
+            pads[i] = n_moving
+            n_moving += 1
     for a in range(len(members)):
         i, own = members[a], 0.0
         for d in range(2):
             for k in range(6, 9):
                 space.rows[a, d, k] = space.columns[a, d, k] = 0.0
-        twin = active.twins[i]
+        twin = active.rolling_roles[i]
         space.bodies[a, 2] = -1
-        if twin != 0 or active.yields[i] > 0.0:
+        if twin != 0 or active.compliances[i] > 0.0:
             space.bodies[a, 2] = pads[i - 1 if twin == RESISTS else i]
         if twin != 0:
             for k in range(6):
                 own += space.rows[a, 0, k] * space.columns[a, 0, k]
             sign = 1.0 if twin == ROLLS else -1.0
             space.rows[a, 0, 6], space.columns[a, 0, 6] = sign, sign * own
-        if active.yields[i] > 0.0:
-            space.rows[a, 0, 7], space.columns[a, 0, 7] = 1.0, active.yields[i]
-    return moved
+        if active.compliances[i] > 0.0:
+            space.rows[a, 0, 7], space.columns[a, 0, 7] = 1.0, active.compliances[i]
+    return n_moving
 
 
 @kernel
-def push(
+def apply_row_impulse(
     numbers: BodyNumbers, active: ActiveContacts, mid: Midpoint, rates: Array, i: int, d: int,
     amount: float,
 ) -> None:  # fmt: skip
@@ -245,7 +249,7 @@ def push(
         b, k = active.bodies[i, side], 3 * side
         if b >= free:
             x, y, turn = rows[i, d, k], rows[i, d, k + 1], rows[i, d, k + 2]
-            push_link(numbers, mid, b, x * amount, y * amount, turn * amount, rates)
+            apply_link_impulse(numbers, mid, b, x * amount, y * amount, turn * amount, rates)
         elif b >= 0:
             rates[b, 0] += inverse[b, 0] * rows[i, d, k] * amount
             rates[b, 1] += inverse[b, 1] * rows[i, d, k + 1] * amount
@@ -279,7 +283,7 @@ def note_worst(inverse: Array, bodies: Ints, members: Ints, residual: float, wor
         worst[0], worst[1], worst[2], worst[3] = ratio, light, heavy, residual
 
 
-def ratio_remarks(worst: Array, names: Sequence[str], tolerance: float) -> tuple[str, ...]:
+def mass_ratio_warnings(worst: Array, names: Sequence[str], tolerance: float) -> tuple[str, ...]:
     """Return a warning of mass ratios at which the tolerance cannot be met."""
     ratio, light, heavy, residual = worst.tolist()
     # With equal masses the tolerance itself is below round-off.
@@ -298,7 +302,7 @@ def ratio_remarks(worst: Array, names: Sequence[str], tolerance: float) -> tuple
 @kernel
 def _add_impacts(space: Workspace, island: Island) -> None:
     """Add the impulses of sequential impacts to those after them."""
-    sudden, chosen = island.sudden, island.chosen
+    sudden, chosen = island.impact_impulses, island.chosen
     for a in range(len(island.members)):
         i = island.members[a]
         # Contacts that are pressed together again do not rebound.
@@ -309,7 +313,7 @@ def _add_impacts(space: Workspace, island: Island) -> None:
 
 
 @kernel
-def _pair(numbers: BodyNumbers, active: ActiveContacts, i: int) -> int:
+def _pair_number(numbers: BodyNumbers, active: ActiveContacts, i: int) -> int:
     """Return a number of the two objects in contact, whichever of their pieces touch."""
     one, other = active.bodies[i]
     bodies, pieces = len(numbers.sizes), len(numbers.pieces.sizes)
@@ -331,11 +335,11 @@ def _slow(numbers: BodyNumbers, active: ActiveContacts, i: int, h: float) -> flo
 
 
 @kernel
-def impacts_in_turn(
+def solve_sequential_impacts(
     numbers: BodyNumbers, active: ActiveContacts, contacts: ContactRows, island: Island, h: float,
     tolerance: float,
 ) -> tuple[int, float, float]:  # fmt: skip
-    """Carry out the impacts of an island sequentially; see `in_turn` for the results.
+    """Carry out the impacts of an island sequentially; see `sequential_impacts` for the results.
 
     They happen at mid-step, at velocities halfway between those before the step and those under
     forces alone: their work is that of all impulses of a step, and adds no energy. Every contact
@@ -347,14 +351,14 @@ def impacts_in_turn(
     restitution, slow = np.empty(size), np.empty(size)
     for a in range(size):
         i = island.members[a]
-        pairs[a] = _pair(numbers, active, i)
+        pairs[a] = _pair_number(numbers, active, i)
         restitution[a], slow[a] = active.materials[i, 2], _slow(numbers, active, i, h)
-        if active.yields[i] > 0.0:
+        if active.compliances[i] > 0.0:
             slow[a] = math.inf
         for d in range(2):
             now[a, d] = 0.5 * (island.start[a, d] + island.unforced[a, d])
-    iterations, residual, remaining = in_turn(
-        contacts, pairs, now, restitution, slow, tolerance, island.sudden
+    iterations, residual, remaining = sequential_impacts(
+        contacts, pairs, now, restitution, slow, tolerance, island.impact_impulses
     )
     if remaining > 0.0:
         return iterations, 0.0, remaining
@@ -364,13 +368,13 @@ def impacts_in_turn(
             changed = now[a, d] - 0.5 * (island.start[a, d] + island.unforced[a, d])
             island.start[a, d] += changed
             island.unforced[a, d] += changed
-        if slope(contacts.cones[a]) < 0.0:
+        if friction_coefficient(contacts.cones[a]) < 0.0:
             continue
-        island.hit[a] = island.hit[a] or island.sudden[a, 0] > 0.0
+        island.hit[a] = island.hit[a] or island.impact_impulses[a, 0] > 0.0
         island.rebounds[a] = False
         if island.hit[a]:
             for d in range(2):
-                island.wanted[a, d] = active.wanted[i, d] = 0.0
+                island.bias[a, d] = active.bias[i, d] = 0.0
     return iterations, residual, remaining
 
 
@@ -381,16 +385,19 @@ def _order_decides(
     """Return whether sequential impacts would differ from simultaneous ones.
 
     Considers `LIVELY` contacts whose impulse exceeds that of the previous step, and that of rest
-    over two steps. Overwrites `Island.sudden`.
+    over two steps. Overwrites `Island.impact_impulses`.
     """
     pairs, lively = np.empty_like(island.members), np.empty_like(island.hit)
     for a in range(len(pairs)):
         i = island.members[a]
         for d in range(2):
-            island.sudden[a, d] = island.chosen[a, d] - active.pushes[i, d]
-        pairs[a], sudden = _pair(numbers, active, i), contacts.own[a, 0] * island.sudden[a, 0]
+            island.impact_impulses[a, d] = island.chosen[a, d] - active.pushes[i, d]
+        pairs[a], sudden = (
+            _pair_number(numbers, active, i),
+            contacts.own[a, 0] * island.impact_impulses[a, 0],
+        )
         lively[a] = active.materials[i, 2] >= LIVELY and sudden > _slow(numbers, active, i, h)
-    return order_matters(contacts, pairs, lively, island.sudden)
+    return order_matters(contacts, pairs, lively, island.impact_impulses)
 
 
 # Relative round-off of slips, to the fastest approach.
@@ -422,9 +429,11 @@ def _follow_arms(
     pieces, changes = len(numbers.pieces.sizes), contacts.rates[0, : 3 * contacts.moving + 3]
     first, largest, fastest = pieces * (pieces + len(numbers.surfaces.kinds)), 0.0, 0.0
     work = energy = 0.0
-    moved(contacts, impulses, changes)
+    write_velocity_change(contacts, impulses, changes)
     for a in range(len(members) if with_impacts else 0):
-        add(contacts, a, island.sudden[a, 0], island.sudden[a, 1], changes)
+        apply_impulse(
+            contacts, a, island.impact_impulses[a, 0], island.impact_impulses[a, 1], changes
+        )
     for b in range(len(numbers.sizes)):
         turns[1, b] = math.inf
     for a in range(len(members)):
@@ -434,8 +443,8 @@ def _follow_arms(
             if b < 0 or turns[1, b] < math.inf:
                 continue
             for d in range(3):
-                rate = mid.loose[b, d] + changes[3 * contacts.bodies[a, side] + d]
-                energy += 0.5 * mid.old[b, d] ** 2 / numbers.inverse[b, d]
+                rate = mid.free_rates[b, d] + changes[3 * contacts.bodies[a, side] + d]
+                energy += 0.5 * mid.old_rates[b, d] ** 2 / numbers.inverse[b, d]
                 turns[1, b] = h * rate
     for a in range(len(members)):
         i = members[a]
@@ -446,13 +455,13 @@ def _follow_arms(
             for side in range(2):
                 b = active.bodies[i, side]
                 if b >= 0:
-                    bent, gone = bent_on(
-                        joints, active.keys[i, 0] - first, d, mid.places, side, turns[1, b],
+                    bent, gone = arm_bend(
+                        joints, active.keys[i, 0] - first, d, mid.poses, side, turns[1, b],
                         turns[0, b],
                     )  # fmt: skip
                     further, fastest = further + bent, max(fastest, gone / h)
-            active.wanted[i, d] += further / h
-            island.wanted[a, d] = active.wanted[i, d]
+            active.bias[i, d] += further / h
+            island.bias[a, d] = active.bias[i, d]
             largest = max(largest, abs(further) / h)
             work += abs(impulses[a, d] * further) / h
     for b in range(len(numbers.sizes)):
@@ -479,11 +488,11 @@ def close_joints(
     """
     (tolerance, bound, step_tolerance), (residual, iterations, softened) = bounds, result
     least_work, energy, idle = math.inf, 0.0, 0
-    start, unforced, bias, chosen = island.start, island.unforced, island.wanted, island.chosen
+    start, unforced, bias, chosen = island.start, island.unforced, island.bias, island.chosen
     turns, best, first = np.empty((2, len(numbers.sizes))), np.empty_like(chosen), bias.copy()
     best_residual, best_softened = residual, softened
     for b in range(len(numbers.sizes)):
-        turns[0, b] = h * space.mid.old[b, 2]
+        turns[0, b] = h * space.mid.old_rates[b, 2]
     for _ in range(_TRIALS):
         error, fast, work, moving = _follow_arms(
             numbers, space, contacts, island, h, with_impacts, turns
@@ -492,28 +501,28 @@ def close_joints(
         if impulse_work > bound + _MOST_WORK * moving:
             # Wedged joints close with unbounded work.
             work = max(work, impulse_work)
-        elif error <= step_tolerance * max(fast, scale(contacts, unforced + bias)):
+        elif error <= step_tolerance * max(fast, velocity_scale(contacts, unforced + bias)):
             return residual, iterations, softened
         idle += 1
         if work < least_work:
             idle = 0 if work < _SHRINKS * least_work else idle
             least_work, energy, best_residual, best_softened = work, moving, residual, softened
-            put_rows(chosen, best)
+            copy_rows(chosen, best)
         if residual > tolerance or idle == _IDLE:
             break
         residual, further, softened = island_impulses(
             contacts, start, unforced, bias, island.rebounds, chosen, tolerance, bound, True
         )
         iterations += further
-    put_rows(best, chosen)
+    copy_rows(best, chosen)
     if best_residual > tolerance or least_work <= _OPEN * energy:
         return best_residual, iterations, best_softened
     space.joint_energy[0] = max(space.joint_energy[0], least_work / energy)
     if space.joint_energy[1] == 0.0:
         # Wedged joints press without bound: extrapolate arms from the step's start, without work.
-        put_rows(first, bias)
+        copy_rows(first, bias)
         for a in range(len(chosen)):
-            put(space.active.pushes[island.members[a]], chosen[a])
+            copy_numbers(space.active.pushes[island.members[a]], chosen[a])
         best_residual, further, best_softened = island_impulses(
             contacts, start, unforced, bias, island.rebounds, chosen, tolerance, bound, False
         )
@@ -522,12 +531,25 @@ def close_joints(
 
 
 @kernel
-def _write_frictions(numbers: BodyNumbers, active: ActiveContacts, island: Island) -> bool:
+def _write_frictions(
+    numbers: BodyNumbers, limits: Array, active: ActiveContacts, island: Island
+) -> bool:
     """Write the frictions of an island; return whether any has two coefficients."""
     splits = False
     for a in range(len(island.members)):
         i = island.members[a]
-        used, island.kinds[a], island.ways[a] = active.laws[i], ONE, active.ways[i]
+        used, island.kinds[a], island.slip_directions[a] = (
+            active.laws[i],
+            ONE,
+            active.slip_directions[i],
+        )
+        if used <= COUPLED and active.materials[i, 1] > 0.0:
+            bounds = limits[COUPLED - used]
+            if bounds[STATIC] != bounds[KINETIC_LIMIT]:
+                splits, island.kinds[a] = True, LIMIT
+            for way in range(3):
+                island.frictions[a, way, 0] = 1.0
+                island.frictions[a, way, 1] = bound_in(bounds, way)
         if used < 0 or not has_two_coefficients(numbers.materials[used]):
             continue
         splits, island.kinds[a] = True, TWO
@@ -542,18 +564,20 @@ def _write_frictions(numbers: BodyNumbers, active: ActiveContacts, island: Islan
 def _write_slips(contacts: ContactRows, island: Island, none: float) -> None:
     """Write the slips after the step; those up to `none` are errors of the impulses."""
     rates = contacts.rates[0, : 3 * contacts.moving + 3]
-    moved(contacts, island.chosen, rates)
+    write_velocity_change(contacts, island.chosen, rates)
     for a in range(len(island.members)):
-        slip = island.unforced[a, 1] + island.wanted[a, 1] + along(contacts, a, 1, rates)
+        slip = island.unforced[a, 1] + island.bias[a, 1] + row_velocity(contacts, a, 1, rates)
         island.after[a, 1] = slip if abs(slip) > none else 0.0
 
 
 @kernel
 def solve_islands(
-    numbers: BodyNumbers, law: int, forces: bool, h: float, space: Workspace, count: int,
-    tolerance: float, effort: Array,
+    numbers: BodyNumbers, limits: Array, law: int, forces: bool, h: float, space: Workspace,
+    count: int, tolerance: float, effort: Array,
 ) -> None:  # fmt: skip
     """Solve the impulses of a step with `count` contacts, island by island.
+
+    `limits` (c, 4) are those of couplings.
 
     Writes impulses and the next warm start to `space`, and statistics `effort` (see `Chunk.stats`).
     For `law`, `forces` and `tolerance` see `contacts.rigid_bodies.body_step.StepOptions`.
@@ -571,7 +595,7 @@ def solve_islands(
         size = len(members)
         if size == 0:
             continue
-        spread(members, space.spare)
+        distribute_members(members, space.spare)
         contacts = island_rows(numbers, members, space)
         start, unforced = space.island[0, :size], space.island[1, :size]
         bias, chosen = space.island[2, :size], space.island[4, :size]
@@ -579,21 +603,23 @@ def solve_islands(
         together = Island(
             members, start, unforced, bias, space.island[3, :size], chosen,
             space.island[5, :size], space.island[6, :size], rebounds, hit, space.kinds[:size],
-            space.ways[:size], space.frictions[:size],
+            space.slip_directions[:size], space.frictions[:size],
         )  # fmt: skip
-        quiet, lively, touching = True, False, 0
-        splits = _write_frictions(numbers, active, together)
+        quiet, lively, joined, rigid = True, False, False, 0
+        splits = _write_frictions(numbers, limits, active, together)
         for a in range(size):
-            touching += 1 if materials[members[a], 0] >= 0.0 else 0
+            joint = materials[members[a], 0] < 0.0
+            joined = joined or joint
+            rigid += 0 if joint or active.compliances[members[a]] > 0.0 else 1
         for a in range(size):
             i = members[a]
-            put(active.before[i], start[a])
-            put(active.free[i], unforced[a])
-            put(active.pushes[i], chosen[a])
+            copy_numbers(active.before[i], start[a])
+            copy_numbers(active.free[i], unforced[a])
+            copy_numbers(active.pushes[i], chosen[a])
             rebounds[a] = active.hit[i] and materials[i, 2] > 0.0
-            if law == PLASTIC and touching > 1 and rebounds[a]:
-                rebounds[a], active.wanted[i, 0] = False, 0.0
-            put(active.wanted[i], bias[a])
+            if law == PLASTIC and rigid > 1 and rebounds[a]:
+                rebounds[a], active.bias[i, 0] = False, 0.0
+            copy_numbers(active.bias[i], bias[a])
             space.bounces[i] = rebounds[a]
             lively = lively or (rebounds[a] and materials[i, 2] >= LIVELY)
             hit[a] = active.hit[i]
@@ -604,22 +630,22 @@ def solve_islands(
                 b = bodies[members[a], side]
                 # Once for each body.
                 if 0 <= b < free and local[b] >= 0:
-                    bound += 0.125 * space.mid.pull[b] ** 2 / inverse[b, 0]
+                    bound += 0.125 * space.mid.force_speed[b] ** 2 / inverse[b, 0]
                     local[b] = -1
         for b in range(free, len(inverse)):
             if root(space.parents, b) == island:
-                bound += 0.125 * space.mid.pull[b] ** 2 / inverse[b, 0]
+                bound += 0.125 * space.mid.force_speed[b] ** 2 / inverse[b, 0]
         sequential = law == SEQUENTIAL and size > 1 and not quiet
         island_tolerance, impacts, remaining = tolerance, 0, 0.0
         impact_residual, share = 0.0, 1.0
-        fast = scale(contacts, unforced + bias)
+        fast = velocity_scale(contacts, unforced + bias)
         if sequential:
-            impacts, impact_residual, remaining = impacts_in_turn(
+            impacts, impact_residual, remaining = solve_sequential_impacts(
                 numbers, active, contacts, together, h, tolerance
             )
-            slow = scale(contacts, unforced + bias)
+            slow = velocity_scale(contacts, unforced + bias)
             sequential, share = remaining == 0.0, slow / fast
-            island_tolerance = allowed_beside(tolerance, slow, fast)
+            island_tolerance = rescale_tolerance(tolerance, slow, fast)
         residual, iterations, softened = island_impulses(
             contacts, start, unforced, bias, rebounds, chosen, island_tolerance, bound, True
         )
@@ -632,7 +658,7 @@ def solve_islands(
                 contacts, start, unforced, bias, rebounds, chosen, island_tolerance, bound, True
             )
             iterations += further
-        if touching < size:
+        if joined:
             bounds, result = (island_tolerance, bound, tolerance), (residual, iterations, softened)
             residual, iterations, softened = close_joints(
                 numbers, space, contacts, together, h, sequential, bounds, result
@@ -656,22 +682,24 @@ def solve_islands(
         for a in range(size):
             i = members[a]
             space.known[i] = max(residual, tolerance) * fast
-            put(chosen[a], space.pressed[i])
-            put(chosen[a], space.steady[i])
+            copy_numbers(chosen[a], space.pressed[i])
+            copy_numbers(chosen[a], space.steady[i])
             active.hit[i] = hit[a]
             if splits:
                 # A slip without remainder has ended under kinetic friction.
-                active.ways[i] = together.ways[a] if together.after[a, 1] != 0.0 else 0
+                active.slip_directions[i] = (
+                    together.slip_directions[a] if together.after[a, 1] != 0.0 else 0
+                )
                 active.materials[i, 0], active.materials[i, 1] = contacts.cones[a]
             # The previous impulse of a lasting contact is a better warm start than one during
             # impacts.
             if quiet or hit[a]:
-                put(chosen[a], active.pushes[i])
+                copy_numbers(chosen[a], active.pushes[i])
         if forces and not quiet:
-            least, pushes = active.free[members] + active.wanted[members], active.pushes[members]
-            pushes = forces_beside_impacts(contacts, hit, least, pushes, tolerance, fast)
+            least, pushes = active.free[members] + active.bias[members], active.pushes[members]
+            pushes = forces_without_impacts(contacts, hit, least, pushes, tolerance, fast)
             for a in range(size):
-                put(pushes[a], space.steady[members[a]])
+                copy_numbers(pushes[a], space.steady[members[a]])
         effort[RESIDUAL] = max(effort[RESIDUAL], residual)
         effort[ITERATIONS] += iterations
         effort[CALMED] = max(effort[CALMED], 1.0 if softened else 0.0)

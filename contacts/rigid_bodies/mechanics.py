@@ -196,6 +196,7 @@ class BodyMechanics(Mechanics):
         self.starts = Starts(scene, parameters)
         # Tapes per combination of controller states, compiled on demand.
         self._forces: dict[Key, tuple[Ints, Tape]] = {}
+        self._limits: dict[Key, Tape] = {}
         self._given: dict[Key, Tape] = {}
         self._flows: dict[Key, Tape] = {}
 
@@ -279,6 +280,20 @@ class BodyMechanics(Mechanics):
         if key not in self._forces:
             self._forces[key] = self._force_tape(states)
         return Forces(*self._forces[key], values)
+
+    def limits_at(self, states: Mapping[str, str]) -> Tape:
+        """Return the tape of the limits of couplings in these controller states.
+
+        See `contacts.collision_detection.couplings.STATIC`.
+        """
+        key = tuple(states.values())
+        if key not in self._limits:
+            found: list[sp.Expr] = []
+            for name in self.scene.couplings:
+                gate = self.gate(name)
+                found += [*self.limits(name), sp.S.One if gate is None else gate.by_steps({})]
+            self._limits[key] = self.whole_tape(found, definitions=self.controlled(states))
+        return self._limits[key]
 
     def _force_tape(self, states: Mapping[str, str]) -> tuple[Ints, Tape]:
         """Return the bodies on which forces act, and the tape of the forces."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.collision_detection.midpoint import Prescribed
+from contacts.collision_detection.midpoint import LimitProgram, Prescribed
 from contacts.dynamics.controllers import controlled_symbols
 from contacts.dynamics.geometry import surface_frame
 from contacts.rigid_bodies.declared_numbers import symbols_of, touched
@@ -173,6 +173,7 @@ class PrescribedMotion:
         self._known, self._values = known, values
         self.controlled = bool(mechanics.scene.regions)
         self.joints, self.leads = tuple(mechanics.scene.joints), paths.leads
+        self.couplings = tuple(mechanics.scene.couplings)
         # Positions at the last detection, and its step size.
         self._last: tuple[Positions, float] | None = None
         self._saved: tuple[Positions, float] | None = None
@@ -180,12 +181,15 @@ class PrescribedMotion:
         # end.
         self._ends: tuple[Array, Array] | None = None
         self._end: tuple[float, Positions] | None = None
+        self._saved_end: tuple[float, Positions] | None = None
         self.switch(mechanics.scene.controlled.initial)
 
     def switch(self, states: Mapping[str, str]) -> None:
         """Change the states of the controllers."""
         self._states = states
         self.forces = self._mechanics.forces_at(states, self._values)
+        tape = self._mechanics.limits_at(states)
+        self._limits = LimitProgram(tape.code, tape.constants, tape.outputs, self._values)
         self._controls = self._mechanics.control_values(states)
 
     def captured(self, joint: str, remembered: Array) -> dict[str, float]:
@@ -201,7 +205,7 @@ class PrescribedMotion:
 
     def forget(self) -> None:
         """Revert the last steps."""
-        self._last = self._saved
+        self._last, self._end = self._saved, self._saved_end
 
     def restart(self) -> None:
         """Let surfaces and led bodies move from here on as if they had always moved so."""
@@ -230,7 +234,7 @@ class PrescribedMotion:
         variables = np.concatenate([memories[:1], memories[1::2]])
         if not self._paths.any:
             return (
-                Prescribed(*self._paths.none(count + 2), variables, forces),
+                Prescribed(*self._paths.none(count + 2), variables, forces, self._limits),
                 memories[2::2],
                 count + 1,
             )
@@ -243,7 +247,7 @@ class PrescribedMotion:
         )
         if self._last is not None and self._last[1] == h and not self.jumped(start, remembered):
             before = self._last[0]
-        self._saved = self._last
+        self._saved, self._saved_end = self._last, self._end
         self._looks, self._h, self._ends = midpoints, h, (times[2::2], memories[2::2])
         rows = Positions(*(np.concatenate(pair) for pair in zip(before, midpoints, strict=True)))
         known = len(midpoints.frames)
@@ -257,7 +261,7 @@ class PrescribedMotion:
             )
         for paths in rows if known < len(midpoints.frames) else ():
             paths[known + 1 :] = 2.0 * paths[known] - paths[known - 1]
-        return Prescribed(*rows, variables, forces), memories[2::2], known
+        return Prescribed(*rows, variables, forces, self._limits), memories[2::2], known
 
     def jumped(self, start: float, remembered: Array) -> list[str]:
         """Return the names whose path at an instant differs from the end of the last step."""

@@ -14,17 +14,16 @@ from contacts.collision_detection.body_numbers import (
     ALONG_X,
     ALONG_Y,
     BOTH,
-    GREATEST,
     ROD,
-    ROPE,
     TURN,
     BodyNumbers,
     WarmStart,
 )
 from contacts.collision_detection.find_contacts import LANDED
+from contacts.collision_detection.joints import joint_forces
 from contacts.collision_detection.surfaces import GRAPH
 from contacts.rigid_bodies.body_step import StepOptions, step_bodies
-from contacts.rigid_bodies.island_step import ratio_remarks
+from contacts.rigid_bodies.island_step import mass_ratio_warnings
 from contacts.rigid_bodies.mechanics import energy_root
 from contacts.rigid_bodies.own_step import inner_radii
 from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
@@ -40,7 +39,7 @@ from contacts.time_stepping.chunk import (
     SteppedSystem,
 )
 from contacts.time_stepping.stability import UNSTABLE, Held, check_stiffness
-from contacts.time_stepping.step_rejection import depth_left
+from contacts.time_stepping.step_rejection import depth_left, invalid_limit
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode, StepTooLarge
@@ -71,7 +70,7 @@ class Penetration:
 
     def add(self, start: float, chunk: Chunk) -> None:
         """Note the deepest penetration in the steps of a chunk."""
-        depths = -np.minimum(chunk.gaps, 0.0)
+        depths = -np.minimum(chunk.gaps[:, : len(self._radii)], 0.0)
         parts = np.where(depths > self._start_depth, depths / self._radii, 0.0)
         if not parts.max(initial=0.0) > self._part:
             return
@@ -180,11 +179,14 @@ class DetectedContacts(NamedTuple):
     normal: Held
     tangential: Held
     joints: Held
+    couplings: Ints  # (c,): their modes.
 
     @classmethod
-    def of(cls, gaps: Array, active: ActiveContacts, warm: WarmStart, holds: Ints) -> Self:
-        """Return the contacts of a step, which joints follow."""
-        many = int(warm.n_contacts[0])
+    def of(
+        cls, gaps: Array, active: ActiveContacts, warm: WarmStart, holds: Ints, couplings: Ints
+    ) -> Self:
+        """Return the contacts of a step, which joints and couplings follow."""
+        many = int(warm.n_contacts[0]) - len(couplings)
         bodies, rows, contacts_end = active.bodies[:many].copy(), active.rows, many - len(holds)
         both, firm = holds == BOTH, active.materials[contacts_end:many, 0] < 0.0
         joints = [rows[contacts_end:many][firm, 0], rows[contacts_end:many][both & firm, 1]]
@@ -200,6 +202,7 @@ class DetectedContacts(NamedTuple):
                 np.concatenate([bodies[contacts_end:][firm], bodies[contacts_end:][both & firm]]),
                 np.concatenate(joints),
             ),
+            couplings,
         )
 
     def deepest_of(
@@ -252,7 +255,7 @@ class RigidBodyRun(SteppedSystem):
         count = self._moving = len(numbers.inverse)
         self._warm = self._saved = WarmStart.allocate(numbers)
         # As after an impact.
-        self._warm.past[2] = start_depth / LANDED
+        self._warm.last_step[2] = start_depth / LANDED
         self._workspace = Workspace.of(self.numbers, self._warm)
         self._min_gaps = np.full(count, np.inf)
         self._turned = self._length = 0.0
@@ -302,22 +305,22 @@ class RigidBodyRun(SteppedSystem):
         """
         joints, remembered = self.numbers.joints, state[2 * self.numbers.size :]
         pose = self._prescribed.captured(joint, remembered)
-        joints.sizes[(joints.owners == j) & (joints.holds == TURN), 0] = pose.get("turn", 0.0)
+        joints.sizes[(joints.owners == j) & (joints.kinds == TURN), 0] = pose.get("turn", 0.0)
         if "x" in pose or "y" in pose:
             if joints.bodies[j, 1] >= 0:
-                joints.at[j, 1] = pose["x"], pose["y"]
+                joints.points[j, 1] = pose["x"], pose["y"]
             return
         poses, rates = (part[0] for part in self.numbers.motion(state[None]))
         ends = [self._prescribed.place_of(j, time, remembered)] * 2
         speed = 0.0
         for side, b in enumerate(joints.bodies[j].tolist()):
             if b >= 0:
-                (x, y, turn), (u, v) = poses[b], joints.at[j, side]
+                (x, y, turn), (u, v) = poses[b], joints.points[j, side]
                 c, s = math.cos(turn), math.sin(turn)
                 ends[side] = np.array([x + c * u - s * v, y + s * u + c * v])
                 speed += math.hypot(*rates[b, :2]) + abs(rates[b, 2]) * math.hypot(u, v)
         way = np.abs(ends[0] - ends[1])
-        holds = int(joints.holds[j])
+        holds = int(joints.kinds[j])
         if holds == ROD:
             apart = abs(math.hypot(*way) - float(joints.sizes[j, 0]))
         else:
@@ -375,8 +378,9 @@ class RigidBodyRun(SteppedSystem):
         self._warm, self._prescribed = WarmStart.allocate(self.numbers), copy(prescribed)
         chunk, status = self._taken(time, h, state, 1, math.inf)
         self._check_finite(chunk, status)
-        holds, gaps = self.numbers.joints.holds, self._workspace.mid.gaps.copy()
-        detected = DetectedContacts.of(gaps, self._workspace.active, self._warm, holds)
+        holds, gaps = self.numbers.joints.kinds, self._workspace.mid.gaps.copy()
+        modes = chunk.codes[0, self._moving :]
+        detected = DetectedContacts.of(gaps, self._workspace.active, self._warm, holds, modes)
         self._warm, self._prescribed = before.enlarged_to(self._warm), prescribed
         return detected
 
@@ -390,7 +394,7 @@ class RigidBodyRun(SteppedSystem):
                 "the inertia of the coordinates does not determine their motion, or has no value"
             )
         if status == NOT_FINITE and not len(chunk.codes):
-            lost = np.argwhere(~np.isfinite(self._workspace.mid.loose))[:, 0].tolist()
+            lost = np.argwhere(~np.isfinite(self._workspace.mid.free_rates))[:, 0].tolist()
             known = lost and lost[0] < len(self._names)
             what = f"a force on body {self._names[lost[0]]!r}" if known else "a coordinate"
             raise NonFinite(f"{what} became infinite or undefined")
@@ -405,11 +409,11 @@ class RigidBodyRun(SteppedSystem):
                 f"{self._length:g}, too much to follow how they touch; take "
                 f"{_FOLLOWED * self._length / self._turned:.1g} or less",
             )
-        warnings += ratio_remarks(self._workspace.worst, self._names, self._options.allowed)
+        warnings += mass_ratio_warnings(self._workspace.worst, self._names, self._options.allowed)
         warnings += self._no_ground.remarks
         warnings += self._penetration.remarks(self._deepest_at)
         if self._parted:
-            joints = ", or joints would not close" if len(self.numbers.joints.holds) else ""
+            joints = ", or joints would not close" if len(self.numbers.joints.kinds) else ""
             warnings += (
                 f"in {several(self._parted, 'step')} of {self._length:g} bodies would pass through "
                 f"each other, or turn by more than half a turn{joints}: these were taken in up to "
@@ -439,11 +443,14 @@ class RigidBodyRun(SteppedSystem):
             else:
                 self._parted, self._most_parts = self._parted + 1, max(self._most_parts, most)
         self._check_finite(chunk, status)
-        if len(self.numbers.joints.holds):
+        if len(self.numbers.couplings.holds):
+            chunk = self._with_limits(chunk, start)
+        if len(self.numbers.joints.kinds):
             chunk = self._without_gain(chunk)
             if not len(chunk.codes) and self._gain_error is not None:
                 raise self._gain_error
-        self._min_gaps = np.minimum(self._min_gaps, chunk.gaps.min(axis=0, initial=np.inf))
+        gaps = chunk.gaps[:, : self._moving]
+        self._min_gaps = np.minimum(self._min_gaps, gaps.min(axis=0, initial=np.inf))
         self._penetration.add(start, chunk)
         self._prescribed.passed(len(chunk.codes))
         turns = chunk.h * np.abs(self.numbers.motion(chunk.states[1:])[1][:, self._angular, 2])
@@ -452,14 +459,30 @@ class RigidBodyRun(SteppedSystem):
         self._length = max(self._length, h)
         return chunk
 
+    def _with_limits(self, chunk: Chunk, start: float) -> Chunk:
+        """Return the steps before a coupling has no valid limit.
+
+        Raises
+        ------
+        NoConsistentMode
+            If the first step has none.
+        """
+        wrong = ~(chunk.gaps[:, self._moving :] >= 0.0)
+        if not wrong.any():
+            return chunk
+        k, c = (int(i) for i in np.argwhere(wrong)[0])
+        if k == 0:
+            raise invalid_limit(self._prescribed.couplings[c], start + chunk.h)
+        return chunk.first(k)
+
     def _without_gain(self, chunk: Chunk) -> Chunk:
         """Return the steps before joints have added too much energy, relative to the kinetic one.
 
         Joints do no work: they return stored energy, or steps are too long for the oscillation that
         they couple. The error of the next step is stored.
         """
-        added = self._added + np.append(0.0, np.cumsum(chunk.gained))
-        chunk.gained[:] = 0.0
+        added = self._added + np.append(0.0, np.cumsum(chunk.energy_gain))
+        chunk.energy_gain[:] = 0.0
         rates = self.numbers.motion(chunk.states[1:])[1]
         moving = 0.5 * (rates**2 / self.numbers.inverse).sum(axis=(1, 2))
         moved = np.maximum.accumulate(np.append(self._moved, moving))
@@ -483,7 +506,7 @@ class RigidBodyRun(SteppedSystem):
         if not jumped:
             return
         met = self.detect(state, start, _INSTANT * self._length)
-        landed = LANDED * float(self._warm.past[2]) + _JUMPED_INTO * self.numbers.sizes
+        landed = LANDED * float(self._warm.last_step[2]) + _JUMPED_INTO * self.numbers.sizes
         deep = met.gaps[: self._moving] + landed[: self._moving]
         b = int(np.argmin(deep))
         if deep[b] < 0.0:
@@ -513,14 +536,13 @@ class RigidBodyRun(SteppedSystem):
     ) -> tuple[Chunk, int]:
         """Return the accepted steps, and the status of their end."""
         bodies, n = self._moving, self.numbers.size
-        holds = self.numbers.joints.holds
-        joint_forces = int((1 + np.isin(holds, (BOTH, ROPE)) - (holds == GREATEST)).sum())
-        solved = n + joint_forces
+        couplings = len(self.numbers.couplings.holds)
+        solved = n + joint_forces(self.numbers) + couplings
         # One more, for the last detection.
         ahead, remembered, known = self._prescribed.prescribe(start, h, state[2 * n :], count + 1)
         count = min(count, known)
         remembered = remembered[: count + 1]
-        chunk = Chunk.allocate(h, state, solved + self._prescribed.count, bodies, count)
+        chunk = Chunk.allocate(h, state, solved + self._prescribed.count, bodies + couplings, count)
         done, status = 0, DONE
         while status == FULL or (status == DONE and done < count):
             if done and interrupts.arrived():

@@ -30,7 +30,7 @@ class Workspace(NamedTuple):
     island: Array
     flags: Bools
     kinds: Ints
-    ways: Ints
+    slip_directions: Ints
     frictions: Array
     # See `contacts.rigid_bodies.island_step`.
     parents: Ints  # shape (b,)

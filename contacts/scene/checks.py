@@ -460,7 +460,8 @@ def check_kinks(scene: SceneFields) -> None:
         if scene.collisions and switching(text, changing, ("sign",)):
             raise DeclarationProblem(
                 "a force on a body with a shape cannot use sign: a time step would jump past zero",
-                advice="write sat(v/e, -1, 1) with a small speed e",
+                advice="declare a coupling for dry friction in a joint or against rotation, or "
+                "write sat(v/e, -1, 1) with a small speed e",
                 loc=loc,
             )
 
@@ -688,15 +689,32 @@ def check_coupled(scene: SceneFields, name: str) -> None:
         return
     if scene.along_guide(name):
         return
+    single, moves = scene.single_bodies(), False
     for place, body in enumerate(scene.coupled(name)):
-        declared = scene.bodies.get(body)
-        if declared is not None and declared.inertia is None and declared.angle is None:
-            loc = ("bodies", place) if coupling.bodies is not None else ("joint",)
+        declared = single.get(body)
+        loc = ("bodies", place) if coupling.bodies is not None else ("joint",)
+        if declared is None:
+            return
+        moves = moves or not declared.prescribed
+        if declared.fixed:
+            raise DeclarationProblem(
+                f"body {body!r} is fixed, as the world is",
+                advice="name the other body alone, bodies: [wheel]",
+                loc=("couplings", name, *loc),
+            )
+        if declared.inertia is None and declared.angle is None:
             raise DeclarationProblem(
                 f"body {body!r} does not turn: it has no inertia and no angle",
                 advice="give it an inertia, or name a body that turns",
                 loc=("couplings", name, *loc),
             )
+    if not moves:
+        raise DeclarationProblem(
+            "its bodies turn as prescribed, and no couple changes that",
+            advice="name a body with an inertia",
+            loc=("couplings", name),
+            key=True,
+        )
 
 
 def check_carrier(scene: SceneFields, surface: str, body: str) -> None:
@@ -721,8 +739,6 @@ def check_collisions(scene: SceneFields) -> None:
             f"{{disc: {contact.radius or 0.01}, at: [{x}, {y}]}}, and list it with "
             f"{contact.surface!r} in collisions"
         )
-    if scene.couplings:
-        absent["couplings"] = "brake by a moment among the forces: -c*NAME.dangle"
     if scene.initial_modes:
         absent["modes"] = "remove it: bodies start in the modes of what they touch"
     for section, advice in absent.items():

@@ -197,7 +197,7 @@ class Scene(SceneFields):
             if coupling.joint is not None:
                 self._member(findings, "joint", coupling.joint, self.joints, *at, "joint")
             for place, body in enumerate(coupling.bodies or ()):
-                self._member(findings, "body", body, self.bodies, *at, "bodies", place)
+                self._member(findings, "body", body, single, *at, "bodies", place)
         for name, mode in self.initial_modes.items():
             self._member(findings, "contact", name, self.contacts, "modes", name)
             if name not in self.contacts or not self._on_a_surface(name):

@@ -14,7 +14,7 @@ import numpy as np
 
 from contacts.solvers.saddle_point import SMALLEST
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import put, put_rows
+from statechart.kernels.copies import copy_numbers, copy_rows
 from statechart.kernels.jit import kernel
 
 HELD, GUIDED = -1.0, -2.0
@@ -25,9 +25,9 @@ STEEPEST = 2.0**-12
 """Smallest normal component of a unit cone edge: it bounds the friction coefficient."""
 
 LAW = 9
-"""Numbers per contact that `law_of` writes."""
+"""Numbers per contact that `write_law` writes."""
 
-BEST, NOW, CHANGE, ALONG, LEAST, TRIAL, SAVED = range(7)
+BEST, CURRENT, CHANGE, DIRECTION, LEAST, TRIAL, SAVED = range(7)
 """Slots of `ContactRows.spare`: best impulses, current ones, their change, search direction, right
 side q, trial impulses, saved impulses."""
 
@@ -56,7 +56,7 @@ class ContactRows(NamedTuple):
     own: Array  # (m, 3): its diagonal block of W: W_nn, W_tt, W_nt.
     # (m, 2): ``(cone_n, cone_t)``, with ``mu = cone_t / cone_n``; joints: see `HELD`.
     cones: Array
-    laws: Array  # (m, LAW): see `law_of`.
+    laws: Array  # (m, LAW): see `write_law`.
     # Solver workspace. Rates of the bodies and the world: current, search direction, previous.
     # Impulses: slots `BEST` to `SAVED`.
     rates: Array  # shape (3, 3 b + 3)
@@ -86,7 +86,7 @@ static friction tries to keep the slip of the step's start."""
 
 
 @kernel
-def complete(contacts: ContactRows) -> None:
+def write_diagonal_blocks(contacts: ContactRows) -> None:
     """Write the diagonal blocks of W, and the constants of the one-contact solution."""
     rows, columns, own = contacts.rows, contacts.columns, contacts.own
     for i in range(len(rows)):
@@ -95,11 +95,11 @@ def complete(contacts: ContactRows) -> None:
             own[i, 0] += rows[i, 0, k] * columns[i, 0, k]
             own[i, 1] += rows[i, 1, k] * columns[i, 1, k]
             own[i, 2] += rows[i, 0, k] * columns[i, 1, k]
-        law_of(own[i], slope(contacts.cones[i]), contacts.laws[i])
+        write_law(own[i], friction_coefficient(contacts.cones[i]), contacts.laws[i])
 
 
 @kernel
-def rows_of(contacts: ContactRows, chosen: Ints) -> ContactRows:
+def select_rows(contacts: ContactRows, chosen: Ints) -> ContactRows:
     """Return the rows of the `chosen` contacts."""
     return ContactRows(
         contacts.bodies[chosen], contacts.moving, contacts.rows[chosen], contacts.columns[chosen],
@@ -109,7 +109,7 @@ def rows_of(contacts: ContactRows, chosen: Ints) -> ContactRows:
 
 
 @kernel
-def slope(cone: Array) -> float:
+def friction_coefficient(cone: Array) -> float:
     """Return the coefficient of friction, bounded by `STEEPEST`; or `HELD`, or `GUIDED`."""
     if cone[0] < 0.0:
         return cone[0]
@@ -124,7 +124,7 @@ def overload(slip: float, own: float, normal: float, cone: Array) -> float:
 
 
 @kernel
-def rates_of(contacts: ContactRows, which: int) -> Array:
+def zero_rates(contacts: ContactRows, which: int) -> Array:
     """Return a buffer of rates of all bodies and the world, set to zero."""
     rates = contacts.rates[which, : 3 * contacts.moving + 3]
     for k in range(len(rates)):
@@ -133,7 +133,9 @@ def rates_of(contacts: ContactRows, which: int) -> Array:
 
 
 @kernel
-def add(contacts: ContactRows, i: int, normal: float, tangential: float, rates: Array) -> None:
+def apply_impulse(
+    contacts: ContactRows, i: int, normal: float, tangential: float, rates: Array
+) -> None:
     """Add M^-1 J^T p of contact i to the rates."""
     bodies, columns = contacts.bodies, contacts.columns
     for side in range(bodies.shape[1]):
@@ -144,7 +146,7 @@ def add(contacts: ContactRows, i: int, normal: float, tangential: float, rates: 
 
 
 @kernel
-def without(contacts: ContactRows, i: int, rates: Array) -> None:
+def clear_rates(contacts: ContactRows, i: int, rates: Array) -> None:
     """Set the rates of the bodies of contact i to zero."""
     for side in range(contacts.bodies.shape[1]):
         for k in range(3):
@@ -152,7 +154,7 @@ def without(contacts: ContactRows, i: int, rates: Array) -> None:
 
 
 @kernel
-def along(contacts: ContactRows, i: int, d: int, rates: Array) -> float:
+def row_velocity(contacts: ContactRows, i: int, d: int, rates: Array) -> float:
     """Return the velocity J v of contact i, normal (d = 0) or tangential (d = 1)."""
     bodies, rows, total = contacts.bodies, contacts.rows, 0.0
     for side in range(bodies.shape[1]):
@@ -178,17 +180,17 @@ def contact_velocity(
 
 
 @kernel
-def moved(contacts: ContactRows, impulses: Array, rates: Array) -> None:
+def write_velocity_change(contacts: ContactRows, impulses: Array, rates: Array) -> None:
     """Write how impulses (m, 2) change the rates."""
     for k in range(len(rates)):
         rates[k] = 0.0
     for i in range(len(impulses)):
         if impulses[i, 0] != 0.0 or impulses[i, 1] != 0.0:
-            add(contacts, i, impulses[i, 0], impulses[i, 1], rates)
+            apply_impulse(contacts, i, impulses[i, 0], impulses[i, 1], rates)
 
 
 @kernel
-def yields(contacts: ContactRows, i: int) -> bool:
+def is_compliant(contacts: ContactRows, i: int) -> bool:
     """Return whether contact i is compliant: it moves a pad."""
     return contacts.padded == 1 and contacts.rows[i, 0, 7] != 0.0
 
@@ -199,18 +201,18 @@ def joint_work(contacts: ContactRows, impulses: Array, before: Array, free: Arra
 
     A joint returns work as its lever arm turns; a spring returns stored energy.
     """
-    rates, work = rates_of(contacts, 0), 0.0
-    moved(contacts, impulses, rates)
+    rates, work = zero_rates(contacts, 0), 0.0
+    write_velocity_change(contacts, impulses, rates)
     for i in range(len(impulses)):
-        if slope(contacts.cones[i]) < 0.0 or yields(contacts, i):
-            for d in range(1 if yields(contacts, i) else 2):
-                both = before[i, d] + free[i, d] + along(contacts, i, d, rates)
+        if friction_coefficient(contacts.cones[i]) < 0.0 or is_compliant(contacts, i):
+            for d in range(1 if is_compliant(contacts, i) else 2):
+                both = before[i, d] + free[i, d] + row_velocity(contacts, i, d, rates)
                 work += 0.5 * impulses[i, d] * both
     return max(work, 0.0)
 
 
 @kernel
-def law_of(own: Array, mu: float, law: Array) -> None:
+def write_law(own: Array, mu: float, law: Array) -> None:
     """Write the constants with which `one_contact` solves a contact's law for any velocity."""
     wn, wt, wx = own
     det = wn * wt - wx * wx
@@ -239,14 +241,14 @@ def one_contact(law: Array, normal: float, slip: float) -> tuple[float, float]:
 
 
 @kernel
-def scale(contacts: ContactRows, q: Array) -> float:
+def velocity_scale(contacts: ContactRows, q: Array) -> float:
     """Return the velocity that residuals are relative to: the fastest approach at zero impulses.
 
     At least 1e-7 of the fastest slip; for joints their largest velocity.
     """
     size = 0.0
     for i in range(len(q)):
-        mu = slope(contacts.cones[i])
+        mu = friction_coefficient(contacts.cones[i])
         if mu < 0.0:
             size = max(size, abs(q[i, 0]), abs(q[i, 1]))
         else:
@@ -268,7 +270,7 @@ def residual(contacts: ContactRows, q: Array, size: float, impulses: Array, rate
             return math.inf
         pn, pt = impulses[i]
         wn, wt = own[i, 0], own[i, 1]
-        mu = slope(cones[i])
+        mu = friction_coefficient(cones[i])
         if mu < 0.0:
             error = max(error, abs(normal), abs(slip) if mu == HELD else 0.0)
             size = max(size, _ROW_ROUND_OFF * wn * abs(pn), _ROW_ROUND_OFF * wt * abs(pt))
@@ -284,10 +286,10 @@ def residual(contacts: ContactRows, q: Array, size: float, impulses: Array, rate
 
 
 @kernel
-def measured(contacts: ContactRows, q: Array, size: float, impulses: Array) -> float:
+def impulse_residual(contacts: ContactRows, q: Array, size: float, impulses: Array) -> float:
     """Return the `residual` of impulses; `ContactRows.rates` are then theirs."""
-    rates = rates_of(contacts, 0)
-    moved(contacts, impulses, rates)
+    rates = zero_rates(contacts, 0)
+    write_velocity_change(contacts, impulses, rates)
     return residual(contacts, q, size, impulses, rates)
 
 
@@ -309,51 +311,57 @@ def _sweep(
         impulses[i, 0], impulses[i, 1] = pn, pt
         change[i, 0], change[i, 1] = dn, dt
         if dn != 0.0 or dt != 0.0:
-            add(contacts, i, dn, dt, rates)
+            apply_impulse(contacts, i, dn, dt, rates)
             total += wn * dn * dn + wt * dt * dt
             most = max(most, wn * abs(dn), wt * abs(dt))
     return total, most
 
 
 @kernel
-def swept(
+def gauss_seidel(
     contacts: ContactRows, q: Array, size: float, lowest: float, impulses: Array,
     tolerance: float, most: int,
 ) -> tuple[float, int]:  # fmt: skip
     """Sweep until the residual is within the tolerance; return the best residual, and sweeps.
 
-    `ContactRows.rates` belong to the impulses (see `measured`), whose `scale` and residual are
-    `size` and `lowest`; `q` (m, 2) are velocities without impulses, minus the required ones.
+    Nonlinear conjugate gradients with restarts. `ContactRows.rates` are those of the `impulses`
+    (see `impulse_residual`); `size`: their `velocity_scale`; `lowest`: their residual; `q` (m, 2):
+    velocities without impulses, minus the required ones.
     """
     m, spare = len(impulses), contacts.spare
-    best, now, change, along = spare[BEST, :m], spare[NOW, :m], spare[CHANGE, :m], spare[ALONG, :m]
-    put_rows(impulses, best)
-    put_rows(impulses, now)
-    along[:] = 0.0
-    rates, carried = contacts.rates[0, : 3 * contacts.moving + 3], rates_of(contacts, 1)
-    earlier, before, count = contacts.rates[2, : len(rates)], 0.0, 0
+    best, current, change, direction = (
+        spare[BEST, :m],
+        spare[CURRENT, :m],
+        spare[CHANGE, :m],
+        spare[DIRECTION, :m],
+    )
+    copy_rows(impulses, best)
+    copy_rows(impulses, current)
+    direction[:] = 0.0
+    rates, direction_rates = contacts.rates[0, : 3 * contacts.moving + 3], zero_rates(contacts, 1)
+    last_rates, last_energy, count = contacts.rates[2, : len(rates)], 0.0, 0
     while count < most and lowest > tolerance:
-        put(rates, earlier)
-        energy, largest = _sweep(contacts, q, now, rates, change)
+        copy_numbers(rates, last_rates)
+        energy, largest = _sweep(contacts, q, current, rates, change)
         count += 1
         # The residual costs half a sweep: evaluate it only when the tolerance may be met.
         if energy == 0.0 or largest <= tolerance * size or count == most:
-            error = residual(contacts, q, size, now, rates)
+            error = residual(contacts, q, size, current, rates)
             if error < lowest:
                 lowest = error
-                put_rows(now, best)
+                copy_rows(current, best)
             if energy == 0.0:
                 break
         # Fletcher-Reeves, restarted where the changes grow.
-        beta = min(energy / before, 1.0) if energy <= _GROWN * before else 0.0
-        before = energy
+        beta = min(energy / last_energy, 1.0) if energy <= _GROWN * last_energy else 0.0
+        last_energy = energy
         for k in range(len(rates)):
-            step = rates[k] - earlier[k]
-            rates[k] += beta * carried[k]
-            carried[k] = beta * carried[k] + step
+            step = rates[k] - last_rates[k]
+            rates[k] += beta * direction_rates[k]
+            direction_rates[k] = beta * direction_rates[k] + step
         for i in range(m):
             for d in range(2):
-                now[i, d] += beta * along[i, d]
-                along[i, d] = beta * along[i, d] + change[i, d]
-    put_rows(best, impulses)
+                current[i, d] += beta * direction[i, d]
+                direction[i, d] = beta * direction[i, d] + change[i, d]
+    copy_rows(best, impulses)
     return lowest, count

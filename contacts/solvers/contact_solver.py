@@ -1,6 +1,6 @@
 """The contact solver: one ladder for every contact problem.
 
-1. Gauss-Seidel sweeps (`contacts.solvers.contact_rows.swept`), warm-started;
+1. Gauss-Seidel sweeps (`contacts.solvers.contact_rows.gauss_seidel`), warm-started;
 2. proximal points by Newton's method (`contacts.solvers.proximal_points`), from their result; both
    again from zero if they fail, since a warm start misleads after large changes;
 3. Lemke's algorithm (`contacts.solvers.lemke`), from zero, polished by proximal points.
@@ -18,19 +18,23 @@ import numpy as np
 from contacts.solvers.contact_rows import (
     TRIAL,
     ContactRows,
-    add,
-    along,
-    measured,
-    rates_of,
-    scale,
-    slope,
-    swept,
-    without,
+    apply_impulse,
+    clear_rates,
+    friction_coefficient,
+    gauss_seidel,
+    impulse_residual,
+    row_velocity,
+    velocity_scale,
+    zero_rates,
 )
 from contacts.solvers.lemke import impulses_by_lemke
-from contacts.solvers.proximal_points import VERIFIED, by_last_status, by_proximal_points
+from contacts.solvers.proximal_points import (
+    VERIFIED,
+    solve_by_last_status,
+    solve_by_proximal_points,
+)
 from statechart.arrays import Array
-from statechart.kernels.copies import put_rows
+from statechart.kernels.copies import copy_rows
 from statechart.kernels.jit import kernel
 
 # Residual up to which a body at rest keeps its warm start: the error accumulates over the steps to
@@ -71,13 +75,13 @@ def solve_rows(
     """
     count, idle, has_joints = len(impulses), True, False
     for i in range(count):
-        joint = slope(contacts.cones[i]) < 0.0
+        joint = friction_coefficient(contacts.cones[i]) < 0.0
         idle, has_joints = idle and q[i, 0] >= 0.0 and not joint, has_joints or joint
     if idle or not tolerance < math.inf:
         impulses[:] = 0.0
         return 0.0, 0
-    size = scale(contacts, q)
-    best = measured(contacts, q, size, impulses)
+    size = velocity_scale(contacts, q)
+    best = impulse_residual(contacts, q, size, impulses)
     # Rows in coordinates all share the same blocks: Newton's equations are that small.
     dense = contacts.shared == 1
     # Rows in coordinates are solved in each step: a body at rest then has exactly zero velocity.
@@ -89,36 +93,36 @@ def solve_rows(
         error, enough = math.inf, max(goal, min(tolerance, _OPENS))
         if count == 1:
             trial[:] = 0.0
-            measured(contacts, q, size, trial)
-            error, iterations = swept(contacts, q, size, math.inf, trial, goal, 1)
+            impulse_residual(contacts, q, size, trial)
+            error, iterations = gauss_seidel(contacts, q, size, math.inf, trial, goal, 1)
         elif impulses[:, 0].max() > 0.0:
-            put_rows(impulses, trial)
-            error, iterations = by_last_status(contacts, q, trial)
+            copy_rows(impulses, trial)
+            error, iterations = solve_by_last_status(contacts, q, trial)
         if error > enough and count > 1 and pivots:
             error, steps = _by_lemke(contacts, q, enough, trial)
             iterations, pivots = iterations + steps, False
         if error <= enough or error < best:
             best = error
-            put_rows(trial, impulses)
+            copy_rows(trial, impulses)
         if error <= enough:
             return error, iterations
     for anew in (False, True):
         if anew:
             trial[:] = 0.0
         else:
-            put_rows(impulses, trial)
-        error = measured(contacts, q, size, trial)
+            copy_rows(impulses, trial)
+        error = impulse_residual(contacts, q, size, trial)
         # Newton costs no more than sweeps in a small problem; at rest the status is known. The
         # first sweep solves a single contact exactly.
         if anew or goal > VERIFIED or count == 1:
-            error, steps = swept(contacts, q, size, error, trial, goal, _SWEEPS)
+            error, steps = gauss_seidel(contacts, q, size, error, trial, goal, _SWEEPS)
             iterations += steps
         if error > goal or at_rest:
-            error, steps = by_proximal_points(contacts, q, trial, goal)
+            error, steps = solve_by_proximal_points(contacts, q, trial, goal)
             iterations += steps
         if error < best:
             best = error
-            put_rows(trial, impulses)
+            copy_rows(trial, impulses)
         if best <= tolerance:
             return best, iterations
     if use_lemke and pivots:
@@ -126,7 +130,7 @@ def solve_rows(
         iterations += steps
         if error < best:
             best = error
-            put_rows(trial, impulses)
+            copy_rows(trial, impulses)
     return best, iterations
 
 
@@ -141,13 +145,13 @@ def _by_lemke(
     in a ray, the other rarely ends so.
     """
     count = len(q)
-    delassus, rates = np.empty((2 * count, 2 * count)), rates_of(contacts, 0)
+    delassus, rates = np.empty((2 * count, 2 * count)), zero_rates(contacts, 0)
     for b in range(2 * count):
         j = b // 2
-        add(contacts, j, 1.0 - b % 2, 1.0 * (b % 2), rates)
+        apply_impulse(contacts, j, 1.0 - b % 2, 1.0 * (b % 2), rates)
         for a in range(2 * count):
-            delassus[a, b] = along(contacts, a // 2, a % 2, rates)
-        without(contacts, j, rates)
+            delassus[a, b] = row_velocity(contacts, a // 2, a % 2, rates)
+        clear_rates(contacts, j, rates)
     best, iterations = math.inf, 0
     for by_sizes in range(2):
         if best <= tolerance:
@@ -159,14 +163,14 @@ def _by_lemke(
             continue
         exact, error, steps = candidate.copy(), math.inf, 0
         if contacts.shared == 1:
-            error, steps = by_last_status(contacts, q, exact)
+            error, steps = solve_by_last_status(contacts, q, exact)
         if error <= tolerance:
-            put_rows(exact, candidate)
+            copy_rows(exact, candidate)
         else:
-            error, more = by_proximal_points(contacts, q, candidate, tolerance)
+            error, more = solve_by_proximal_points(contacts, q, candidate, tolerance)
             steps += more
         iterations += steps
         if error < best:
             best = error
-            put_rows(candidate, impulses)
+            copy_rows(candidate, impulses)
     return best, iterations

@@ -22,7 +22,7 @@ its branch to round-off."""
 
 
 @kernel
-def independent(rows: Array, threshold: float = CANCELLING) -> tuple[int, Ints, Ints]:
+def independent_rows(rows: Array, threshold: float = CANCELLING) -> tuple[int, Ints, Ints]:
     """Return the rank, and the orders of rows and columns: the first `rank` are independent.
 
     Elimination with complete pivoting, rows and then columns scaled by powers of two; of equal
@@ -70,12 +70,12 @@ def column_scales(rows: Array) -> Array:
     return np.ldexp(1.0, -np.frexp(largest)[1])
 
 
-def implied(rows: Array) -> Bools:
+def dependent_rows(rows: Array) -> Bools:
     """Return which rows (m, n) depend on those before them; zero rows do."""
     dependent = np.zeros(len(rows), dtype=np.bool_)
     for i in range(len(rows)):
         earlier = np.flatnonzero(~dependent[: i + 1])
-        dependent[i] = independent(rows[earlier], USER_DIGITS)[0] < len(earlier)
+        dependent[i] = independent_rows(rows[earlier], USER_DIGITS)[0] < len(earlier)
     return dependent
 
 
@@ -92,14 +92,14 @@ def null_space(rows: Array) -> Array:
     return right[rank(sizes) :].T
 
 
-def least(rows: Array, right: Array) -> tuple[Array, Array]:
+def least_squares(rows: Array, right: Array) -> tuple[Array, Array]:
     """Return the minimum-norm least-squares solution, and its residual ``right - rows x``."""
     scale = column_scales(rows)
     x = np.linalg.lstsq(rows * scale, right, rcond=USER_DIGITS)[0] * scale
     return x, right - rows @ x
 
 
-def well_posed(rows: Array, right: Array) -> tuple[Array, Array]:
+def reduce_to_independent(rows: Array, right: Array) -> tuple[Array, Array]:
     """Return independent rows, and right-hand sides (m, ...), with the same solutions.
 
     Contradictory sides are replaced by their least-squares approximation.

@@ -8,10 +8,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.solvers.contact_rows import PAIR, ContactRows, add, contact_velocity, rows_of, slope
+from contacts.solvers.contact_rows import (
+    PAIR,
+    ContactRows,
+    apply_impulse,
+    contact_velocity,
+    friction_coefficient,
+    select_rows,
+)
 from contacts.solvers.island_impulses import island_impulses
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import put
+from statechart.kernels.copies import copy_numbers
 from statechart.kernels.jit import kernel
 
 LONGEST_SEQUENCE = 10_000
@@ -32,8 +39,8 @@ def _participants(contacts: ContactRows, pairs: Ints, next_ones: Bools, first: i
     """Return the contacts of an impact: those that share bodies and are hit with the first."""
     count = len(pairs)
     order, taken = np.empty(count, np.int64), np.zeros(count, np.bool_)
-    order[0], taken[first], many, at = first, True, 1, 0
-    while at < many:
+    order[0], taken[first], n_taken, at = first, True, 1, 0
+    while at < n_taken:
         i = order[at]
         at += 1
         for k in range(count):
@@ -41,17 +48,21 @@ def _participants(contacts: ContactRows, pairs: Ints, next_ones: Bools, first: i
             for side in range(contacts.bodies.shape[1]):
                 b, others = contacts.bodies[i, side], contacts.bodies[k]
                 if b < contacts.moving and not (contacts.padded == 1 and side == PAIR):
-                    for beside in range(len(others)):
-                        shared = shared or others[beside] == b
-            hit = next_ones[k] or pairs[k] == pairs[i] or slope(contacts.cones[k]) < 0.0
+                    for k_other in range(len(others)):
+                        shared = shared or others[k_other] == b
+            hit = (
+                next_ones[k]
+                or pairs[k] == pairs[i]
+                or friction_coefficient(contacts.cones[k]) < 0.0
+            )
             if shared and hit and not taken[k]:
-                order[many], taken[k] = k, True
-                many += 1
-    return order[:many]
+                order[n_taken], taken[k] = k, True
+                n_taken += 1
+    return order[:n_taken]
 
 
 @kernel
-def _hit(
+def _solve_impact(
     contacts: ContactRows, chosen: Ints, now: Array, restitution: Array, slow: Array,
     tolerance: float, impulses: Array, rates: Array,
 ) -> tuple[int, float]:  # fmt: skip
@@ -61,12 +72,12 @@ def _hit(
     rebounds, pushes = np.zeros(size, np.bool_), np.zeros((size, 2))
     for a in range(size):
         i = chosen[a]
-        put(now[i], before[a])
-        joint = slope(contacts.cones[i]) < 0.0
+        copy_numbers(now[i], before[a])
+        joint = friction_coefficient(contacts.cones[i]) < 0.0
         if not joint and -now[i, 0] > slow[i] and restitution[i] > 0.0:
             wanted[a, 0], rebounds[a] = restitution[i] * now[i, 0], True
     error, iterations, _ = island_impulses(
-        rows_of(contacts, chosen),
+        select_rows(contacts, chosen),
         before,
         before,
         wanted,
@@ -80,12 +91,12 @@ def _hit(
         i = chosen[a]
         impulses[i, 0] += pushes[a, 0]
         impulses[i, 1] += pushes[a, 1]
-        add(contacts, i, pushes[a, 0], pushes[a, 1], rates)
+        apply_impulse(contacts, i, pushes[a, 0], pushes[a, 1], rates)
     return iterations, error
 
 
 @kernel
-def in_turn(
+def sequential_impacts(
     contacts: ContactRows, pairs: Ints, now: Array, restitution: Array, slow: Array,
     tolerance: float, impulses: Array,
 ) -> tuple[int, float, float]:  # fmt: skip
@@ -128,7 +139,7 @@ def in_turn(
         for i in range(count):
             largest = max(largest, abs(now[i, 0]), abs(now[i, 1]))
         for i in range(count):
-            done[i] = slope(contacts.cones[i]) < 0.0 or (
+            done[i] = friction_coefficient(contacts.cones[i]) < 0.0 or (
                 -now[i, 0] <= max(slow[i], _IMPULSE_ROUND_OFF * largest)
             )
             fastest = fastest if done[i] else max(fastest, -now[i, 0])
@@ -145,7 +156,7 @@ def in_turn(
             chosen = _participants(contacts, pairs, next_ones, first)
             for i in chosen:
                 done[i] = True
-            steps, error = _hit(
+            steps, error = _solve_impact(
                 contacts, chosen, now, restitution, slow, tolerance, impulses, rates
             )
             iterations, worst = iterations + steps, max(worst, error)

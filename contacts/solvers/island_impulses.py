@@ -15,16 +15,16 @@ from contacts.solvers.contact_rows import (
     LEAST,
     SAVED,
     ContactRows,
-    along,
+    friction_coefficient,
+    is_compliant,
     joint_work,
-    moved,
-    rates_of,
-    slope,
-    yields,
+    row_velocity,
+    write_velocity_change,
+    zero_rates,
 )
 from contacts.solvers.contact_solver import solve_rows
 from statechart.arrays import Array, Bools
-from statechart.kernels.copies import put_rows
+from statechart.kernels.copies import copy_rows
 from statechart.kernels.jit import kernel
 
 # Iterations for the largest stabilisation whose work is within the bound; and the relative excess
@@ -37,13 +37,13 @@ _WORK_ROUNDING = 64.0 * 2.0**-52
 
 
 @kernel
-def _work_at(before: Array, free: Array, impulses: Array, moved: Array) -> float:
-    """Return ``p . (u- + u+) / 2``, the work of impulses that change the velocities by `moved`."""
+def _impulse_work(before: Array, free: Array, impulses: Array, velocity_changes: Array) -> float:
+    """Return ``p . (u- + u+) / 2``, the work of impulses with these velocity changes."""
     # Sums and products of whole arrays take seconds to compile.
     work = 0.0
     for i in range(len(impulses)):
         for d in range(2):
-            work += impulses[i, d] * (before[i, d] + free[i, d] + moved[i, d])
+            work += impulses[i, d] * (before[i, d] + free[i, d] + velocity_changes[i, d])
     return 0.5 * work
 
 
@@ -59,7 +59,7 @@ def _velocity_scale(before: Array, free: Array, impulses: Array) -> float:
 
 
 @kernel
-def shares(begin: float, end: float, curvature: float) -> tuple[float, float]:
+def parabola_root(begin: float, end: float, curvature: float) -> tuple[float, float]:
     """Return (1 - s, s) for the largest s in [0, 1] at which a parabola is not above zero.
 
     Each is computed from its nearer end: impulses may differ by decades.
@@ -72,20 +72,22 @@ def shares(begin: float, end: float, curvature: float) -> tuple[float, float]:
 
 
 @kernel
-def part_within(impulses: Array, before: Array, free: Array, moved: Array, bound: float) -> float:
+def work_bounded_factor(
+    impulses: Array, before: Array, free: Array, velocity_changes: Array, bound: float
+) -> float:
     """Return the largest factor s <= 1 for which the work of s p is within a bound >= 0."""
     curvature = 0.0
     for i in range(len(impulses)):
         for d in range(2):
-            curvature += impulses[i, d] * moved[i, d]
+            curvature += impulses[i, d] * velocity_changes[i, d]
     curvature *= 0.5
-    end = _work_at(before, free, impulses, moved)
+    end = _impulse_work(before, free, impulses, velocity_changes)
     limit = bound + _WORK_ROUNDING * _velocity_scale(before, free, impulses)
-    return shares(-limit, end - limit, curvature)[1] if end > limit else 1.0
+    return parabola_root(-limit, end - limit, curvature)[1] if end > limit else 1.0
 
 
 @kernel
-def capped(
+def energy_bounded_impulses(
     before: Array, free: Array, plastic: Array, elastic: Array, moved_plastic: Array,
     moved_elastic: Array, bound: float,
 ) -> tuple[Array, float]:  # fmt: skip
@@ -95,8 +97,8 @@ def capped(
     the plastic impulses, or a bound >= 0. `before`, `free`: contact velocities before the step, and
     after it without impulses; `moved_plastic`, `moved_elastic`: velocity changes W p; all (m, 2).
     """
-    begin = _work_at(before, free, plastic, moved_plastic)
-    end = _work_at(before, free, elastic, moved_elastic)
+    begin = _impulse_work(before, free, plastic, moved_plastic)
+    end = _impulse_work(before, free, elastic, moved_elastic)
     limit = max(begin, bound) + _WORK_ROUNDING * _velocity_scale(before, free, elastic)
     if end <= limit:
         return elastic, 1.0
@@ -105,7 +107,7 @@ def capped(
         for d in range(2):
             further = elastic[i, d] - plastic[i, d]
             curvature += further * (moved_elastic[i, d] - moved_plastic[i, d])
-    _, share = shares(begin - limit, end - limit, 0.5 * curvature)
+    _, share = parabola_root(begin - limit, end - limit, 0.5 * curvature)
     for i in range(len(elastic)):
         for d in range(2):
             chosen[i, d] = plastic[i, d] + share * (elastic[i, d] - plastic[i, d])
@@ -113,33 +115,33 @@ def capped(
 
 
 @kernel
-def _changed(contacts: ContactRows, impulses: Array, changes: Array) -> Array:
+def _write_changes(contacts: ContactRows, impulses: Array, changes: Array) -> Array:
     """Write, and return, the velocity changes W p (m, 2)."""
-    rates = rates_of(contacts, 0)
-    moved(contacts, impulses, rates)
+    rates = zero_rates(contacts, 0)
+    write_velocity_change(contacts, impulses, rates)
     for i in range(len(impulses)):
         for d in range(2):
-            changes[i, d] = along(contacts, i, d, rates)
+            changes[i, d] = row_velocity(contacts, i, d, rates)
     return changes
 
 
 @kernel
 def _velocities(contacts: ContactRows, impulses: Array) -> Array:
     # A new array: others stand in the workspace.
-    return _changed(contacts, impulses, np.empty((len(impulses), 2)))
+    return _write_changes(contacts, impulses, np.empty((len(impulses), 2)))
 
 
 @kernel
 def work_share(
     contacts: ContactRows, impulses: Array, before: Array, free: Array, bound: float
 ) -> float:
-    """Return the factor of impulses whose work is within a bound; see `part_within`."""
-    changes = _changed(contacts, impulses, contacts.spare[CHANGE, : len(impulses)])
-    return part_within(impulses, before, free, changes, bound)
+    """Return the factor of impulses whose work is within a bound; see `work_bounded_factor`."""
+    changes = _write_changes(contacts, impulses, contacts.spare[CHANGE, : len(impulses)])
+    return work_bounded_factor(impulses, before, free, changes, bound)
 
 
 @kernel
-def _rebounding(
+def _solve_restitution(
     contacts: ContactRows, before: Array, free: Array, wanted: Array, rebounds: Bools,
     impulses: Array, tolerance: float, at_rest: bool, use_lemke: bool,
 ) -> tuple[float, int, bool]:  # fmt: skip
@@ -157,41 +159,43 @@ def _rebounding(
         if rebounds[i]:
             q[i, 0] = free[i, 0]
     changes = _velocities(contacts, impulses)
-    if error <= enough and part_within(impulses, before, free, changes, 0.0) >= 1.0:
+    if error <= enough and work_bounded_factor(impulses, before, free, changes, 0.0) >= 1.0:
         return error, iterations, False
     # Plastic impulses bound the energy that restitution may return.
     plastic_error, further = solve_rows(contacts, q, plastic, tolerance, False, use_lemke)
     if error > enough and plastic_error < error:
-        put_rows(plastic, impulses)
+        copy_rows(plastic, impulses)
         return plastic_error, iterations + further, True
-    chosen, share = capped(
+    chosen, share = energy_bounded_impulses(
         before, free, plastic, impulses, _velocities(contacts, plastic), changes, 0.0
     )
-    put_rows(chosen, impulses)
+    copy_rows(chosen, impulses)
     return error if share == 1.0 else max(error, plastic_error), iterations + further, False
 
 
 @kernel
-def _pushed(contacts: ContactRows, wanted: Array, rebounds: Bools, i: int) -> bool:
+def _is_stabilised(contacts: ContactRows, wanted: Array, rebounds: Bools, i: int) -> bool:
     """Return whether a contact needs stabilisation, out of penetration or along its surface."""
     biased = wanted[i, 0] < 0.0 or wanted[i, 1] != 0.0
-    return biased and not rebounds[i] and not slope(contacts.cones[i]) < 0.0
+    return biased and not rebounds[i] and not friction_coefficient(contacts.cones[i]) < 0.0
 
 
 @kernel
-def _calmer(contacts: ContactRows, wanted: Array, rebounds: Bools, joints: bool) -> Array:
+def _unstabilised_bias(
+    contacts: ContactRows, wanted: Array, rebounds: Bools, joints: bool
+) -> Array:
     """Return the bias without contact stabilisation, or without that of `joints` too."""
     result = wanted.copy()
     for i in range(len(wanted)):
-        joint = slope(contacts.cones[i]) < 0.0
-        if (joints and joint) or _pushed(contacts, wanted, rebounds, i):
+        joint = friction_coefficient(contacts.cones[i]) < 0.0
+        if (joints and joint) or _is_stabilised(contacts, wanted, rebounds, i):
             result[i, 0] = 0.0 if joint else max(wanted[i, 0], 0.0)
             result[i, 1] = 0.0
     return result
 
 
 @kernel
-def _pushed_in_part(
+def _stabilise_partly(
     contacts: ContactRows, before: Array, free: Array, calmer: Array, wanted: Array,
     rebounds: Bools, full: Array, impulses: Array, tolerance: float, bound: float, error: float,
     softened: bool,
@@ -204,12 +208,12 @@ def _pushed_in_part(
     """
     bias, iterations = wanted, 0
     for _ in range(_NEARER):
-        chosen, share = capped(
+        chosen, share = energy_bounded_impulses(
             before, free, impulses, full, _velocities(contacts, impulses),
             _velocities(contacts, full), bound,
         )  # fmt: skip
         bias = calmer + share * (bias - calmer)
-        new_error, further, soft = _rebounding(
+        new_error, further, soft = _solve_restitution(
             contacts, before, free, bias, rebounds, chosen, tolerance, False, False
         )
         iterations += further
@@ -217,10 +221,10 @@ def _pushed_in_part(
             break
         within = work_share(contacts, chosen, before, free, bound)
         if within >= 1.0 - _AT_BOUND:
-            put_rows(chosen, impulses)
+            copy_rows(chosen, impulses)
             return new_error, iterations, soft
         # If the status changes, the work follows another parabola.
-        put_rows(chosen, full)
+        copy_rows(chosen, full)
     return error, iterations, softened
 
 
@@ -258,12 +262,12 @@ def island_impulses(
     for i in range(count):
         slowest = max(slowest, abs(free[i, 0] - before[i, 0]))
         fastest = max(fastest, abs(before[i, 0]), abs(before[i, 1]))
-        pushed = pushed or _pushed(contacts, wanted, rebounds, i)
-        joined = joined or slope(contacts.cones[i]) < 0.0
-        stores = stores or yields(contacts, i)
+        pushed = pushed or _is_stabilised(contacts, wanted, rebounds, i)
+        joined = joined or friction_coefficient(contacts.cones[i]) < 0.0
+        stores = stores or is_compliant(contacts, i)
     trial = contacts.spare[SAVED, :count]
-    put_rows(impulses, trial)
-    error, iterations, softened = _rebounding(
+    copy_rows(impulses, trial)
+    error, iterations, softened = _solve_restitution(
         contacts,
         before,
         free,
@@ -280,33 +284,33 @@ def island_impulses(
     if pushed and (error > tolerance or share < 1.0):
         # Stabilisation may push bodies against others and gain energy, or wedge them: then no
         # impulses exist, and the tried ones diverge and are no warm start.
-        calmer = _calmer(contacts, wanted, rebounds, False)
-        calm_error, further, soft = _rebounding(
+        calmer = _unstabilised_bias(contacts, wanted, rebounds, False)
+        calm_error, further, soft = _solve_restitution(
             contacts, before, free, calmer, rebounds, trial, tolerance, False, True
         )
         iterations += further
         if calm_error <= max(error, tolerance):
             if max(error, calm_error) <= tolerance:
-                calm_error, further, soft = _pushed_in_part(
+                calm_error, further, soft = _stabilise_partly(
                     contacts, before, free, calmer, wanted, rebounds, impulses, trial, tolerance,
                     bound, calm_error, soft,
                 )  # fmt: skip
                 iterations += further
             error, softened = calm_error, soft
-            put_rows(trial, impulses)
+            copy_rows(trial, impulses)
             share = work_share(contacts, impulses, before, free, bound)
     if joined and error > tolerance:
         # Bodies stuck between joints and contacts can only rest: joints get no stabilisation, and
         # do not follow their turning arms.
-        calmer = _calmer(contacts, wanted, rebounds, True)
+        calmer = _unstabilised_bias(contacts, wanted, rebounds, True)
         trial[:] = 0.0
-        calm_error, further, soft = _rebounding(
+        calm_error, further, soft = _solve_restitution(
             contacts, before, free, calmer, rebounds, trial, tolerance, False, True
         )
         iterations += further
         if calm_error < error:
             error, softened = calm_error, soft
-            put_rows(trial, impulses)
+            copy_rows(trial, impulses)
             share = work_share(contacts, impulses, before, free, bound)
     if share < 1.0:
         for i in range(count):

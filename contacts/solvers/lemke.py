@@ -14,7 +14,7 @@ import numpy as np
 
 from contacts.solvers.contact_rows import STEEPEST
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import put_rows
+from statechart.kernels.copies import copy_rows
 from statechart.kernels.jit import kernel
 
 FOUND, RAY, SPENT = range(3)
@@ -125,7 +125,7 @@ def _pivot(table: Array, right: Array, r: int, c: int, feasible: bool) -> None:
 
 
 @kernel
-def _exchanged(basic: Ints, nonbasic: Ints, column_of: Ints, r: int, c: int) -> int:
+def _exchange(basic: Ints, nonbasic: Ints, column_of: Ints, r: int, c: int) -> int:
     """Exchange the variables of row and column; return the leaving one."""
     leaving, entering = basic[r], nonbasic[c]
     basic[r], nonbasic[c] = entering, leaving
@@ -134,13 +134,13 @@ def _exchanged(basic: Ints, nonbasic: Ints, column_of: Ints, r: int, c: int) -> 
 
 
 @kernel
-def _begin(
+def _write_initial_tableau(
     matrix: Array, vector: Array, cover: Array, basic: Ints, nonbasic: Ints, column_of: Ints,
     table: Array, right: Array,
 ) -> None:  # fmt: skip
     """Write the initial tableau."""
     size = len(vector)
-    put_rows(matrix, table)
+    copy_rows(matrix, table)
     for i in range(size):
         table[i, size], right[i] = cover[i], vector[i]
         basic[i], nonbasic[i], column_of[i], column_of[size + i] = i, size + i, -1, i
@@ -148,7 +148,7 @@ def _begin(
 
 
 @kernel
-def _refactorised(
+def _refactorise(
     matrix: Array, vector: Array, cover: Array, basic: Ints, nonbasic: Ints, column_of: Ints,
     table: Array, right: Array,
 ) -> None:  # fmt: skip
@@ -157,7 +157,7 @@ def _refactorised(
     in_basis = np.zeros(2 * size + 1, np.bool_)
     for i in range(size):
         in_basis[basic[i]] = True
-    _begin(matrix, vector, cover, basic, nonbasic, column_of, table, right)
+    _write_initial_tableau(matrix, vector, cover, basic, nonbasic, column_of, table, right)
     while True:
         r = c = -1
         for i in range(size):
@@ -169,7 +169,7 @@ def _refactorised(
         if r < 0 or table[r, c] == 0.0:
             break
         _pivot(table, right, r, c, False)
-        _exchanged(basic, nonbasic, column_of, r, c)
+        _exchange(basic, nonbasic, column_of, r, c)
     for i in range(size):
         right[i] = max(right[i], 0.0)
 
@@ -209,18 +209,18 @@ def lemke(matrix: Array, vector: Array, cover: Array) -> tuple[int, Array]:
     table, right = np.empty((size, size + 1)), np.empty(size)
     basic, nonbasic = np.empty(size, np.int64), np.empty(size + 1, np.int64)
     column_of = np.empty(2 * size + 1, np.int64)
-    _begin(matrix, vector, cover, basic, nonbasic, column_of, table, right)
+    _write_initial_tableau(matrix, vector, cover, basic, nonbasic, column_of, table, right)
     c = size
     for pivot in range(_PIVOTS + _PIVOTS_EACH * size):
         _pivot(table, right, r, c, True)
-        leaving = _exchanged(basic, nonbasic, column_of, r, c)
+        leaving = _exchange(basic, nonbasic, column_of, r, c)
         if leaving == 2 * size:
             for i in range(size):
                 if basic[i] >= size:
                     z[basic[i] - size] = right[i]
             return FOUND, z
         if pivot % _ANEW == _ANEW - 1:
-            _refactorised(matrix, vector, cover, basic, nonbasic, column_of, table, right)
+            _refactorise(matrix, vector, cover, basic, nonbasic, column_of, table, right)
         c = column_of[leaving - size if leaving >= size else leaving + size]
         smallest = -_SMALLEST_PIVOT * np.abs(table[:, c]).max()
         smallest_ratio = math.inf
@@ -303,9 +303,9 @@ def delassus_matrix(mass: Array, jacobians: Array, forces: Array) -> tuple[Array
     """
     rows = jacobians.reshape(-1, len(mass))
     reach = np.abs(rows).max(axis=0)
-    moved = reach > 0.0
-    largest = (np.diag(mass)[moved] / reach[moved] ** 2).max()
-    filled = mass + np.diag(np.where(moved, 1e-14 * largest * reach**2, 0.0))
+    responds = reach > 0.0
+    largest = (np.diag(mass)[responds] / reach[responds] ** 2).max(initial=0.0)
+    filled = mass + np.diag(np.where(responds, 1e-14 * largest * reach**2, 0.0))
     root = np.linalg.cholesky(filled)
     half, push = np.linalg.solve(root, rows.T), np.linalg.solve(root, forces)
     return half.T @ half, (half.T @ push).reshape(-1, 2)

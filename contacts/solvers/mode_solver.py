@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.solvers.dependence import independent
+from contacts.solvers.dependence import independent_rows
 from contacts.solvers.saddle_point import (
     CONTRADICTORY,
     REDUNDANT,
@@ -28,7 +28,7 @@ from contacts.states import (
     SLIP_PLUS,
 )
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import put, put_rows
+from statechart.kernels.copies import copy_numbers, copy_rows
 from statechart.kernels.jit import kernel
 
 INTO, PULLS, OUTSIDE, AGAINST, BEYOND, NEGATIVE = range(6)
@@ -67,13 +67,13 @@ def choose_edges(cones: Array, code: Ints, edges: Array) -> None:
 
 
 @kernel
-def _worse(verdict: Array, amount: float, contact: int, which: int, number: float) -> None:
+def _update_worst(verdict: Array, amount: float, contact: int, which: int, number: float) -> None:
     if amount > verdict[0]:
         verdict[0], verdict[1], verdict[2], verdict[3] = amount, contact, which, number
 
 
 @kernel
-def _judge(
+def _judge_accelerations(
     verdict: Array, accelerations: Array, jacobians: Array, biases: Array, code: Ints,
     closed: Bools, still: Bools, scale: float,
 ) -> None:  # fmt: skip
@@ -81,10 +81,10 @@ def _judge(
         sign = _direction(code[c])
         if code[c] == FREE and closed[c]:
             apart = biases[c, 0] + dot(jacobians[c, 0], accelerations)
-            _worse(verdict, -apart / scale, c, INTO, apart)
+            _update_worst(verdict, -apart / scale, c, INTO, apart)
         elif sign != 0.0 and still[c]:
             along = sign * (biases[c, 1] + dot(jacobians[c, 1], accelerations))
-            _worse(verdict, -along / scale, c, AGAINST, along)
+            _update_worst(verdict, -along / scale, c, AGAINST, along)
 
 
 @kernel
@@ -94,16 +94,16 @@ def judge_forces(verdict: Array, forces: Array, cones: Array, code: Ints, scale:
         V, H = forces[c, 0], forces[c, 1]
         cone_n, cone_t = cones[c, 0], cones[c, 1]
         if code[c] == PIN:
-            _worse(verdict, -V / scale, c, PULLS, V)
+            _update_worst(verdict, -V / scale, c, PULLS, V)
             if cone_n > 0.0:
-                _worse(verdict, (cone_n * abs(H) - cone_t * V) / scale, c, OUTSIDE, abs(H))
+                _update_worst(verdict, (cone_n * abs(H) - cone_t * V) / scale, c, OUTSIDE, abs(H))
         elif code[c] == LOCKED:
-            _worse(verdict, (abs(H) - V) / scale, c, BEYOND, abs(H))
+            _update_worst(verdict, (abs(H) - V) / scale, c, BEYOND, abs(H))
         elif is_coupling(code[c]):
-            _worse(verdict, -V / scale, c, NEGATIVE, V)
+            _update_worst(verdict, -V / scale, c, NEGATIVE, V)
         elif code[c] != FREE:
             edge = cone_n * V - _direction(code[c]) * cone_t * H
-            _worse(verdict, -edge / scale, c, PULLS, V)
+            _update_worst(verdict, -edge / scale, c, PULLS, V)
 
 
 @kernel
@@ -250,16 +250,16 @@ def solve_modes(
                 m += 1
         rank, first, bearing = m, in_order, in_order
         if m > 1:
-            rank, row_order, _ = independent(rows[:m])
-            force_rank, order, _ = independent(columns[:m])
+            rank, row_order, _ = independent_rows(rows[:m])
+            force_rank, order, _ = independent_rows(columns[:m])
             if rank != force_rank:
                 status[k] = UNDETERMINED if force_rank > rank else SINGULAR
                 continue
             if rank < m:
                 first, bearing = row_order, order
-        put_rows(mass, matrix)
+        copy_rows(mass, matrix)
         _write_rows(rows, columns, first, bearing, rank, matrix)
-        put(right, b)
+        copy_numbers(right, b)
         for c in range(contacts):
             if is_coupling(code[c]) and code[c] != LOCKED and carriers[c] < 0:
                 for i in range(n):
@@ -283,7 +283,7 @@ def solve_modes(
             force[owners[place], 0] += x[n + i] * directions[place, 0]
             force[owners[place], 1] += x[n + i] * directions[place, 1]
         write_limits(force, edges, carriers, code)
-        _judge(
+        _judge_accelerations(
             verdict, accelerations[k], jacobians, biases, code, closed, at_rest, acceleration_scale
         )
         if rank == m:

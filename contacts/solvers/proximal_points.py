@@ -18,15 +18,20 @@ from contacts.solvers.contact_rows import (
     HELD,
     ContactRows,
     contact_velocity,
-    moved,
-    rates_of,
+    friction_coefficient,
     residual,
-    scale,
-    slope,
+    velocity_scale,
+    write_velocity_change,
+    zero_rates,
 )
-from contacts.solvers.sparse_blocks import Equations, equations_of, factored, solved
+from contacts.solvers.sparse_blocks import (
+    Equations,
+    allocate_equations,
+    factor_blocks,
+    solve_blocks,
+)
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import put_rows
+from statechart.kernels.copies import copy_rows
 from statechart.kernels.jit import kernel
 
 OPEN, STICKS, SLIDES = range(3)
@@ -69,7 +74,7 @@ def _add(
 
 
 @kernel
-def eliminated(
+def assemble_and_factor(
     contacts: ContactRows, equations: Equations, compliance: float, status: Ints, edges: Array
 ) -> bool:
     """Assemble and factor the Newton equations of a status; False where a pivot fails.
@@ -105,17 +110,17 @@ def eliminated(
                             contacts, i, d, share, edge, other, one,
                             before[at] if first else after[at],
                         )  # fmt: skip
-    return factored(equations)
+    return factor_blocks(equations)
 
 
 @kernel
-def step(
+def add_newton_step(
     contacts: ContactRows, equations: Equations, compliance: float, status: Ints, edges: Array,
     impulses: Array,
 ) -> None:  # fmt: skip
     """Add to impulses (m, 2) the change that causes the velocity changes `Equations.right`.
 
-    The equations are factored with the same compliance, status and edges (see `eliminated`).
+    The equations have the factors of this compliance, status and edges (see `assemble_and_factor`).
     """
     ends, rates, right = equations.ends, equations.rates, equations.right
     own, rows, columns = contacts.own, contacts.rows, contacts.columns
@@ -134,7 +139,7 @@ def step(
                 for k in range(3):
                     rates[p, k] += columns[i, 0, 3 * side + k] * normal
                     rates[p, k] += columns[i, 1, 3 * side + k] * tangential
-    solved(equations)
+    solve_blocks(equations)
     for i in range(len(status)):
         if status[i] == OPEN:
             continue
@@ -164,7 +169,7 @@ def _find_status(
     """
     different = False
     for i in range(len(now)):
-        mu = slope(contacts.cones[i])
+        mu = friction_coefficient(contacts.cones[i])
         if mu < 0.0:
             # A `GUIDED` joint slides without friction.
             status[i], edges[i] = STICKS if mu == HELD else SLIDES, 0.0
@@ -194,12 +199,12 @@ def _take_step(
         away, aside = now[i, 0] - centre[i, 0], now[i, 1] - centre[i, 1]
         equations.right[i, 0] = -normal - compliance * contacts.own[i, 0] * away
         equations.right[i, 1] = -slip - compliance * contacts.own[i, 1] * aside
-    step(contacts, equations, compliance, status, edges, now)
-    moved(contacts, now, rates)
+    add_newton_step(contacts, equations, compliance, status, edges, now)
+    write_velocity_change(contacts, now, rates)
 
 
 @kernel
-def _settled(
+def _iterate_newton(
     contacts: ContactRows, equations: Equations, q: Array, begins: float, now: Array,
     centre: Array, compliance: float, rates: Array, status: Ints, edges: Array,
 ) -> tuple[bool, int]:  # fmt: skip
@@ -210,14 +215,16 @@ def _settled(
             # A small compliance costs digits, which a second step recovers.
             _take_step(contacts, equations, q, now, centre, compliance, rates, status, edges)
             return True, taken
-        if taken == _SETTLING or not eliminated(contacts, equations, compliance, status, edges):
+        if taken == _SETTLING or not assemble_and_factor(
+            contacts, equations, compliance, status, edges
+        ):
             return False, taken + 1
         for i in range(len(now)):
             if status[i] == OPEN:
                 now[i, 0] = now[i, 1] = 0.0
             elif status[i] == SLIDES:
                 now[i, 1] = edges[i] * now[i, 0]
-        moved(contacts, now, rates)
+        write_velocity_change(contacts, now, rates)
         _take_step(contacts, equations, q, now, centre, compliance, rates, status, edges)
     return False, _SETTLING
 
@@ -268,50 +275,50 @@ def follow_point(
     workspace.
     """
     count, own = len(now), contacts.own
-    along, along_rates = np.empty((count, 2)), np.empty_like(rates)
+    changes, change_rates = np.empty((count, 2)), np.empty_like(rates)
     fraction, way, turns, entered, begins = 1.0, -1.0, 0, -1, _ONE
     for change in range(_CHANGES):
-        if not eliminated(contacts, equations, compliance, status, edges):
+        if not assemble_and_factor(contacts, equations, compliance, status, edges):
             return False, change
-        moved(contacts, now, rates)
+        write_velocity_change(contacts, now, rates)
         for i in range(count):
             normal, slip = contact_velocity(contacts, i, q, rates)
             away, aside = now[i, 0] - centre[i, 0], now[i, 1] - centre[i, 1]
             equations.right[i, 0] = -normal - fraction * shift[i, 0] - compliance * own[i, 0] * away
             equations.right[i, 1] = -slip - fraction * shift[i, 1] - compliance * own[i, 1] * aside
         # Correct round-off.
-        step(contacts, equations, compliance, status, edges, now)
-        moved(contacts, now, rates)
+        add_newton_step(contacts, equations, compliance, status, edges, now)
+        write_velocity_change(contacts, now, rates)
         for i in range(count):
-            along[i, 0] = along[i, 1] = 0.0
+            changes[i, 0] = changes[i, 1] = 0.0
             equations.right[i, 0], equations.right[i, 1] = -shift[i, 0], -shift[i, 1]
-        step(contacts, equations, compliance, status, edges, along)
-        moved(contacts, along, along_rates)
+        add_newton_step(contacts, equations, compliance, status, edges, changes)
+        write_velocity_change(contacts, changes, change_rates)
         if entered >= 0:
             i = entered
-            normal, slip = contact_velocity(contacts, i, shift, along_rates)
-            normal += compliance * own[i, 0] * along[i, 0]
-            slip += compliance * own[i, 1] * along[i, 1]
-            mu = slope(contacts.cones[i])
-            opening = _status_margin(mu, status[i], edges[i], begins, along[i], normal, slip)
+            normal, slip = contact_velocity(contacts, i, shift, change_rates)
+            normal += compliance * own[i, 0] * changes[i, 0]
+            slip += compliance * own[i, 1] * changes[i, 1]
+            mu = friction_coefficient(contacts.cones[i])
+            opening = _status_margin(mu, status[i], edges[i], begins, changes[i], normal, slip)
             way = 1.0 if opening > 0.0 else -1.0
             turns += 1 if way > 0.0 else 0
         first, which, nearest = -1, _ONE, math.inf
         for i in range(count):
-            mu = slope(contacts.cones[i])
+            mu = friction_coefficient(contacts.cones[i])
             if mu < 0.0:
                 continue
             normal, slip = contact_velocity(contacts, i, q, rates)
             normal += fraction * shift[i, 0] + compliance * own[i, 0] * (now[i, 0] - centre[i, 0])
             slip += fraction * shift[i, 1] + compliance * own[i, 1] * (now[i, 1] - centre[i, 1])
-            to_normal, to_slip = contact_velocity(contacts, i, shift, along_rates)
-            to_normal += compliance * own[i, 0] * along[i, 0]
-            to_slip += compliance * own[i, 1] * along[i, 1]
+            to_normal, to_slip = contact_velocity(contacts, i, shift, change_rates)
+            to_normal += compliance * own[i, 0] * changes[i, 0]
+            to_slip += compliance * own[i, 1] * changes[i, 1]
             for k in range(1 if status[i] == OPEN or mu == 0.0 else 2):
                 if i == entered and k == begins:
                     continue
                 falls = -way * _status_margin(
-                    mu, status[i], edges[i], k, along[i], to_normal, to_slip
+                    mu, status[i], edges[i], k, changes[i], to_normal, to_slip
                 )
                 if falls > 0.0:
                     here = _status_margin(mu, status[i], edges[i], k, now[i], normal, slip)
@@ -323,34 +330,34 @@ def follow_point(
         length = fraction if reached else nearest
         for i in range(count):
             for d in range(2):
-                now[i, d] += way * length * along[i, d]
+                now[i, d] += way * length * changes[i, d]
         if reached:
             return True, change + 1
         fraction += way * length
-        moved(contacts, now, rates)
+        write_velocity_change(contacts, now, rates)
         _, slip = contact_velocity(contacts, first, q, rates)
         slip += fraction * shift[first, 1]
         slip += compliance * own[first, 1] * (now[first, 1] - centre[first, 1])
-        mu = slope(contacts.cones[first])
+        mu = friction_coefficient(contacts.cones[first])
         begins, entered = _change(mu, status, edges, first, which, slip), first
     return False, _CHANGES
 
 
 @kernel
-def by_last_status(contacts: ContactRows, q: Array, impulses: Array) -> tuple[float, int]:
+def solve_by_last_status(contacts: ContactRows, q: Array, impulses: Array) -> tuple[float, int]:
     """Solve contacts with open ones kept open; return the residual, and eliminations.
 
     Impulses start from zero, in place: the smallest of those with the same motion. Open contacts
     stay open if that solves the problem: otherwise a box that just fits under a lid would be wedged
     between lid and floor by impulses without cause.
     """
-    count, rates, equations = len(impulses), rates_of(contacts, 0), equations_of(contacts)
+    count, rates, equations = len(impulses), zero_rates(contacts, 0), allocate_equations(contacts)
     status, edges, taken = np.full(count, -1), np.zeros(count), 0
-    moved(contacts, impulses, rates)
+    write_velocity_change(contacts, impulses, rates)
     while taken < _SETTLING and _find_status(
         contacts, q, math.inf, impulses, impulses, _REFINING, rates, status, edges
     ):
-        if not eliminated(contacts, equations, _REFINING, status, edges):
+        if not assemble_and_factor(contacts, equations, _REFINING, status, edges):
             return math.inf, taken + 1
         impulses[:] = 0.0
         rates[:] = 0.0
@@ -366,11 +373,11 @@ def by_last_status(contacts: ContactRows, q: Array, impulses: Array) -> tuple[fl
             lowest = error
             _take_step(contacts, equations, q, impulses, impulses, _REFINING, rates, status, edges)
         taken += 1
-    return residual(contacts, q, scale(contacts, q), impulses, rates), taken
+    return residual(contacts, q, velocity_scale(contacts, q), impulses, rates), taken
 
 
 @kernel
-def by_proximal_points(
+def solve_by_proximal_points(
     contacts: ContactRows, q: Array, impulses: Array, tolerance: float
 ) -> tuple[float, int]:
     """Improve impulses by proximal points; return the residual of the best, and eliminations.
@@ -378,11 +385,11 @@ def by_proximal_points(
     At a tolerance of `VERIFIED` or less, centres go on as long as the residual falls.
     """
     count = len(impulses)
-    rates = rates_of(contacts, 0)
-    moved(contacts, impulses, rates)
-    size = scale(contacts, q)
+    rates = zero_rates(contacts, 0)
+    write_velocity_change(contacts, impulses, rates)
+    size = velocity_scale(contacts, q)
     lowest = residual(contacts, q, size, impulses, rates)
-    equations = equations_of(contacts)
+    equations = allocate_equations(contacts)
     now, centre, shift = impulses.copy(), impulses.copy(), np.zeros((count, 2))
     status, edges = np.full(count, -1), np.zeros(count)
     # Status of the last centre.
@@ -392,36 +399,36 @@ def by_proximal_points(
     compliance, iterations, idle = min(max(lowest, _LEAST), _FIRST) if exact else _FIRST, 0, 0
     most = min(_MOST, _MOST_TIMES // count)
     while iterations < most and idle < _IDLE and (lowest > tolerance or falls):
-        converged, taken = _settled(
+        converged, taken = _iterate_newton(
             contacts, equations, q, 0.0, now, centre, compliance, rates, status, edges
         )
         iterations += taken
         if not converged and has_last:
-            put_rows(centre, now)
+            copy_rows(centre, now)
             status[:], edges[:] = last_status, last_edges
             converged, taken = follow_point(
                 contacts, equations, q, now, centre, shift, compliance, rates, status, edges
             )
             iterations += taken
         if converged:
-            moved(contacts, now, rates)
+            write_velocity_change(contacts, now, rates)
             error = residual(contacts, q, size, now, rates)
             idle += 1 if compliance == _LEAST else 0
             falls = exact and compliance > _LEAST and error < _FURTHER * lowest
             if error < lowest:
                 lowest, idle = error, 0
-                put_rows(now, impulses)
+                copy_rows(now, impulses)
             for i in range(count):
                 for d in range(2):
                     away = now[i, d] - centre[i, d]
                     shift[i, d] = compliance * contacts.own[i, d] * away
-            put_rows(now, centre)
+            copy_rows(now, centre)
             last_status[:], last_edges[:], has_last = status, edges, True
             compliance = max(_FALLS * compliance, _LEAST)
         elif compliance >= _LARGEST or lowest <= tolerance:
             break
         else:
             compliance = min(_GROWS * compliance, _LARGEST)
-            put_rows(centre, now)
-            moved(contacts, now, rates)
+            copy_rows(centre, now)
+            write_velocity_change(contacts, now, rates)
     return lowest, iterations

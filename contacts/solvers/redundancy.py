@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.solvers.dependence import independent
-from contacts.solvers.smallest_forces import springs
+from contacts.solvers.dependence import independent_rows
+from contacts.solvers.smallest_forces import smallest_forces
 from contacts.states import FREE, LOCKED, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SLIP_MINUS, SLIP_PLUS
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import indices, put
+from statechart.kernels.copies import copy_numbers, indices
 from statechart.kernels.jit import kernel
 
 
@@ -28,14 +28,14 @@ def mode_columns(codes: Ints, cones: Array, jacobians: Array, left_out: int) -> 
         n, t = jacobians[i, 0], jacobians[i, 1]
         owners[m] = i
         if codes[i] == PIN:
-            put(n, rows[m])
-            put(t, rows[m + 1])
+            copy_numbers(n, rows[m])
+            copy_numbers(t, rows[m + 1])
             owners[m + 1] = i
             m += 1
         elif codes[i] == SLIDE:
-            put(n, rows[m])
+            copy_numbers(n, rows[m])
         elif codes[i] == LOCKED:
-            put(t, rows[m])
+            copy_numbers(t, rows[m])
         else:
             edge = -cones[i, 1] if codes[i] == SLIDE_PLUS else cones[i, 1]
             for k in range(len(n)):
@@ -45,7 +45,7 @@ def mode_columns(codes: Ints, cones: Array, jacobians: Array, left_out: int) -> 
 
 
 @kernel
-def sharing(codes: Ints, cones: Array, jacobians: Array, rank: int, count: int) -> Bools:
+def redundant_contacts(codes: Ints, cones: Array, jacobians: Array, rank: int, count: int) -> Bools:
     """Return the redundant contacts: those with directions that depend on other contacts.
 
     `rank` and `count` are those of the columns of all contacts; see `mode_columns`.
@@ -54,7 +54,7 @@ def sharing(codes: Ints, cones: Array, jacobians: Array, rank: int, count: int) 
     for i in range(len(codes)):
         if codes[i] != FREE:
             without, _ = mode_columns(codes, cones, jacobians, i)
-            redundant[i] = independent(without)[0] > rank - (count - len(without))
+            redundant[i] = independent_rows(without)[0] > rank - (count - len(without))
     return redundant
 
 
@@ -67,10 +67,10 @@ def shared_forces(
     A locked coupling has its limit in place of the normal force.
     """
     rows, _ = mode_columns(codes, cones, jacobians, -1)
-    rank, _, coordinates = independent(rows)
+    rank, _, coordinates = independent_rows(rows)
     if rank == len(rows):
         return np.zeros(len(codes), np.bool_), forces
-    shared = sharing(codes, cones, jacobians, rank, len(rows))
+    shared = redundant_contacts(codes, cones, jacobians, rank, len(rows))
     which = indices(codes != FREE)
     sliding = np.zeros(len(which))
     edges = np.full((len(which), 3), np.inf)
@@ -90,7 +90,7 @@ def shared_forces(
             for k in range(rank):
                 reach[a, d, k] = jacobians[i, d, coordinates[k]]
                 load[k] += reach[a, d, k] * forces[i, d]
-    found, least, _, _ = springs(edges, sliding, reach, load, 0.0)
+    found, least, _, _ = smallest_forces(edges, sliding, reach, load, 0.0)
     if not found:
         return shared, forces
     result = forces.copy()
@@ -101,7 +101,7 @@ def shared_forces(
     return shared, result
 
 
-def smallest(
+def smallest_impulses(
     codes: Ints, jacobians: Array, cones: Array, impulses: Array
 ) -> tuple[Array, list[bool]]:
     """Return the smallest equivalent impulses in the cones, and which contacts are redundant.
@@ -123,7 +123,7 @@ def smallest(
 
 
 @kernel
-def connected(linked: Bools) -> Ints:
+def connected_components(linked: Bools) -> Ints:
     """Label the connected components of a symmetric relation (n, n)."""
     labels = np.full(len(linked), -1)
     for first in range(len(linked)):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.solvers.dependence import independent
+from contacts.solvers.dependence import independent_rows
 from contacts.solvers.saddle_point import SOLVED, largest_size, solve_refined
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
@@ -30,7 +30,7 @@ _FORCE_ROUND_OFF = 64 * 2.0**-52
 
 
 @kernel
-def _zone(w: Array, cone: Array, sliding: float) -> int:
+def _zone_of(w: Array, cone: Array, sliding: float) -> int:
     side = UPPER if w[1] > 0.0 else LOWER
     if cone[2] < np.inf:
         return side if abs(w[1]) > cone[2] else INSIDE
@@ -45,7 +45,7 @@ def _zone(w: Array, cone: Array, sliding: float) -> int:
 
 
 @kernel
-def _force(zone: int, w: Array, cone: Array, force: Array) -> None:
+def _project_to_zone(zone: int, w: Array, cone: Array, force: Array) -> None:
     """Project `w` in its zone."""
     if zone == INSIDE:
         force[0], force[1] = w[0], w[1]
@@ -60,7 +60,7 @@ def _force(zone: int, w: Array, cone: Array, force: Array) -> None:
 
 
 @kernel
-def _displaced(reach: Array, y: Array, w: Array) -> None:
+def _apply_transpose(reach: Array, y: Array, w: Array) -> None:
     for g in range(len(reach)):
         for d in range(2):
             w[g, d] = 0.0
@@ -69,7 +69,7 @@ def _displaced(reach: Array, y: Array, w: Array) -> None:
 
 
 @kernel
-def _missing(reach: Array, forces: Array, load: Array) -> Array:
+def _load_residual(reach: Array, forces: Array, load: Array) -> Array:
     residual = load.copy()
     for g in range(len(reach)):
         for d in range(2):
@@ -82,20 +82,20 @@ def _missing(reach: Array, forces: Array, load: Array) -> Array:
 def _stiffness(reach: Array, zones: Ints, cones: Array) -> Array:
     size = reach.shape[2]
     result = np.zeros((size, size))
-    moved, bears = np.empty(2), np.empty(2)
+    response, bears = np.empty(2), np.empty(2)
     for g in range(len(reach)):
         if zones[g] != INSIDE and cones[g, 2] < np.inf:
             continue
         for k in range(size):
-            moved[0], moved[1] = reach[g, 0, k], reach[g, 1, k]
-            _force(zones[g], moved, cones[g], bears)
+            response[0], response[1] = reach[g, 0, k], reach[g, 1, k]
+            _project_to_zone(zones[g], response, cones[g], bears)
             for i in range(size):
                 result[i, k] += reach[g, 0, i] * bears[0] + reach[g, 1, i] * bears[1]
     return result
 
 
 @kernel
-def _solved(
+def _solve_zones(
     stiffness: Array, zones: Ints, cones: Array, reach: Array, load: Array, w: Array, forces: Array
 ) -> bool:
     """Solve for the forces in given zones, with refinement: the stiffness squares the condition."""
@@ -103,32 +103,32 @@ def _solved(
     y, step = np.zeros(size), np.empty(size)
     w[:] = 0.0
     for g in range(len(reach)):
-        _force(zones[g], w[g], cones[g], forces[g])
-    residual = _missing(reach, forces, load)
+        _project_to_zone(zones[g], w[g], cones[g], forces[g])
+    residual = _load_residual(reach, forces, load)
     for _ in range(3):
         if solve_refined(stiffness.copy(), residual.copy(), step) != SOLVED:
             return False
         y += step
-        _displaced(reach, y, w)
+        _apply_transpose(reach, y, w)
         for g in range(len(reach)):
-            _force(zones[g], w[g], cones[g], forces[g])
-        residual = _missing(reach, forces, load)
+            _project_to_zone(zones[g], w[g], cones[g], forces[g])
+        residual = _load_residual(reach, forces, load)
     return True
 
 
 @kernel
-def _borne(
+def _evaluate_displacement(
     reach: Array, cones: Array, sliding: Array, load: Array, y: Array, w: Array, forces: Array
 ) -> Array:
     """Set `w` and `forces` to those of a displacement; return the residual of the load."""
-    _displaced(reach, y, w)
+    _apply_transpose(reach, y, w)
     for g in range(len(reach)):
-        _force(_zone(w[g], cones[g], sliding[g]), w[g], cones[g], forces[g])
-    return _missing(reach, forces, load)
+        _project_to_zone(_zone_of(w[g], cones[g], sliding[g]), w[g], cones[g], forces[g])
+    return _load_residual(reach, forces, load)
 
 
 @kernel
-def _along(left: Array, step: Array) -> float:
+def _dual_slope(left: Array, step: Array) -> float:
     rise = 0.0
     for i in range(len(step)):
         rise += left[i] * step[i]
@@ -136,7 +136,7 @@ def _along(left: Array, step: Array) -> float:
 
 
 @kernel
-def _length(
+def _step_length(
     reach: Array, cones: Array, sliding: Array, load: Array, y: Array, step: Array, w: Array,
     forces: Array,
 ) -> float:  # fmt: skip
@@ -146,11 +146,15 @@ def _length(
     Where the slope jumps over zero (a kink at the end of a flat zone) the length is just beyond the
     kink, in the zones that follow.
     """
-    initial_slope = _along(_borne(reach, cones, sliding, load, y, w, forces), step)
+    initial_slope = _dual_slope(
+        _evaluate_displacement(reach, cones, sliding, load, y, w, forces), step
+    )
     short, long = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = long if short == 0.0 else 0.5 * (short + long)
-        slope = _along(_borne(reach, cones, sliding, load, y + middle * step, w, forces), step)
+        slope = _dual_slope(
+            _evaluate_displacement(reach, cones, sliding, load, y + middle * step, w, forces), step
+        )
         if abs(slope) <= _LEVEL * initial_slope:
             return middle
         if slope > 0.0:
@@ -159,7 +163,10 @@ def _length(
             short = middle
         elif short == 0.0:
             long, half = middle, 0.5 * middle
-            slope = _along(_borne(reach, cones, sliding, load, y + half * step, w, forces), step)
+            slope = _dual_slope(
+                _evaluate_displacement(reach, cones, sliding, load, y + half * step, w, forces),
+                step,
+            )
             if slope > 0.0:
                 short = half
             else:
@@ -196,7 +203,7 @@ def _violation(zones: Ints, w: Array, cones: Array, sliding: Array) -> float:
 
 
 @kernel
-def springs(
+def smallest_forces(
     cones: Array, sliding: Array, reach: Array, load: Array, inward: float
 ) -> tuple[bool, Array, Ints, float]:
     """Return the smallest forces in the cones with ``sum reach^T force = load``.
@@ -251,32 +258,32 @@ def springs(
     y, step = np.zeros(size), np.empty(size)
     for _ in range(_STEPS):
         stiffness = _stiffness(scaled, zones, cones)
-        determined = independent(stiffness)[0] == size
-        if determined and _solved(stiffness, zones, wider, scaled, pushed, w, forces):
+        determined = independent_rows(stiffness)[0] == size
+        if determined and _solve_zones(stiffness, zones, wider, scaled, pushed, w, forces):
             # Accept if the zones of the displacement give the same forces.
             error, largest = 0.0, size_of_load
             for g in range(count):
-                _force(_zone(w[g], wider[g], sliding[g]), w[g], wider[g], own)
+                _project_to_zone(_zone_of(w[g], wider[g], sliding[g]), w[g], wider[g], own)
                 for d in range(2):
                     error = max(error, abs(own[d] - forces[g, d]))
                     largest = max(largest, abs(w[g, d]))
             if error <= _FORCE_ROUND_OFF * largest:
-                if not _solved(stiffness, zones, cones, scaled, right, w, forces):
+                if not _solve_zones(stiffness, zones, cones, scaled, right, w, forces):
                     return False, forces, zones, np.inf
                 violation = _violation(zones, w, cones, sliding)
                 if abs(violation) <= _FORCE_ROUND_OFF * largest:
                     violation = 0.0
                 return True, forces, zones, violation
-        residual = _borne(scaled, wider, sliding, pushed, y, w, forces)
+        residual = _evaluate_displacement(scaled, wider, sliding, pushed, y, w, forces)
         for i in range(size):
             stiffness[i, i] += _DAMPING
         if solve_refined(stiffness, residual.copy(), step) != SOLVED:
             return False, forces, zones, np.inf
-        length = _length(scaled, wider, sliding, pushed, y, step, w, forces)
+        length = _step_length(scaled, wider, sliding, pushed, y, step, w, forces)
         y += length * step
-        _displaced(scaled, y, w)
+        _apply_transpose(scaled, y, w)
         if largest_size(y) > _BEYOND * size_of_load:
             return False, forces, zones, np.inf
         for g in range(count):
-            zones[g] = _zone(w[g], wider[g], sliding[g])
+            zones[g] = _zone_of(w[g], wider[g], sliding[g])
     return False, forces, zones, np.inf

@@ -66,9 +66,9 @@ def _neighbours(contacts: ContactRows, first: Ints, sizes: Ints, mark: Ints) -> 
     for i in range(count):
         for one in range(sides):
             for other in range(sides):
-                b, beside = _body(contacts, i, one), _body(contacts, i, other)
-                if one != other and min(b, beside) >= 0:
-                    neighbours[first[b] + sizes[b]] = beside
+                b, neighbour = _body(contacts, i, one), _body(contacts, i, other)
+                if one != other and min(b, neighbour) >= 0:
+                    neighbours[first[b] + sizes[b]] = neighbour
                     sizes[b] += 1
     first[bodies] = total
     # Two bodies may touch more than once.
@@ -85,7 +85,7 @@ def _neighbours(contacts: ContactRows, first: Ints, sizes: Ints, mark: Ints) -> 
 
 
 @kernel
-def equations_of(contacts: ContactRows) -> Equations:
+def allocate_equations(contacts: ContactRows) -> Equations:
     """Allocate the equations of contacts and find their elimination order and pattern."""
     bodies = contacts.moving
     first, sizes = np.empty(bodies + 1, np.int64), np.empty(bodies, np.int64)
@@ -104,7 +104,7 @@ def equations_of(contacts: ContactRows) -> Equations:
                 chosen, fewest = b, sizes[b]
         places[chosen], begins[p] = p, filled
         if filled + fewest > len(others):
-            others = _longer(others, filled + fewest)
+            others = _enlarged(others, filled + fewest)
         for k in range(first[chosen], first[chosen] + fewest):
             others[filled] = pool[k]
             filled += 1
@@ -112,7 +112,7 @@ def equations_of(contacts: ContactRows) -> Equations:
         for at in range(begins[p], filled):
             b = others[at]
             if total + sizes[b] + fewest > len(pool):
-                pool = _longer(pool, total + sizes[b] + fewest)
+                pool = _enlarged(pool, total + sizes[b] + fewest)
             begin, mark[b] = total, b
             for k in range(first[b], first[b] + sizes[b]):
                 other = pool[k]
@@ -188,7 +188,7 @@ def _shared(contacts: ContactRows, places: Ints, begins: Ints, others: Ints) -> 
 
 
 @kernel
-def _longer(array: Ints, needed: int) -> Ints:
+def _enlarged(array: Ints, needed: int) -> Ints:
     result = np.empty(2 * needed, np.int64)
     for k in range(len(array)):
         result[k] = array[k]
@@ -196,7 +196,7 @@ def _longer(array: Ints, needed: int) -> Ints:
 
 
 @kernel
-def _inverted(block: Array) -> bool:
+def _invert(block: Array) -> bool:
     """Invert a block in place (Gauss-Jordan); False where a pivot fails."""
     for k in range(3):
         pivot = block[4 * k]
@@ -215,7 +215,7 @@ def _inverted(block: Array) -> bool:
 
 
 @kernel
-def _less(block: Array, left: Array, right: Array) -> None:
+def _subtract_product(block: Array, left: Array, right: Array) -> None:
     """Subtract the product of two blocks from a block."""
     for r in range(3):
         a, b, c = left[3 * r], left[3 * r + 1], left[3 * r + 2]
@@ -224,33 +224,33 @@ def _less(block: Array, left: Array, right: Array) -> None:
 
 
 @kernel
-def factored(equations: Equations) -> bool:
+def factor_blocks(equations: Equations) -> bool:
     """Factor the blocks in place (LDU, inverted pivots); False where a pivot fails."""
     begins, others, targets = equations.begins, equations.others, equations.targets
     diagonal, after, before = equations.diagonal, equations.after, equations.before
     last, factor = 0, np.empty(9)
     for p in range(len(diagonal)):
-        if not _inverted(diagonal[p]):
+        if not _invert(diagonal[p]):
             return False
         begin, end = begins[p], begins[p + 1]
         for at in range(begin, end):
             for k in range(9):
                 factor[k] = 0.0
-            _less(factor, before[at], diagonal[p])
+            _subtract_product(factor, before[at], diagonal[p])
             for k in range(9):
                 before[at, k] = -factor[k]
         for at in range(begin, end):
-            _less(diagonal[others[at]], before[at], after[at])
+            _subtract_product(diagonal[others[at]], before[at], after[at])
             for k in range(at + 1, end):
                 target = targets[last]
                 last += 1
-                _less(after[target], before[at], after[k])
-                _less(before[target], before[k], after[at])
+                _subtract_product(after[target], before[at], after[k])
+                _subtract_product(before[target], before[k], after[at])
     return True
 
 
 @kernel
-def solved(equations: Equations) -> None:
+def solve_blocks(equations: Equations) -> None:
     """Solve factored equations for the right side in `Equations.rates`, in place."""
     begins, others, right = equations.begins, equations.others, equations.rates
     diagonal, after, before = equations.diagonal, equations.after, equations.before

@@ -16,22 +16,22 @@ from contacts.solvers.contact_rows import (
     LAW,
     ON_TRIAL,
     ContactRows,
-    add,
-    along,
-    complete,
-    law_of,
+    apply_impulse,
+    clear_rates,
+    friction_coefficient,
     overload,
-    rates_of,
-    rows_of,
-    scale,
-    slope,
-    without,
+    row_velocity,
+    select_rows,
+    velocity_scale,
+    write_diagonal_blocks,
+    write_law,
+    zero_rates,
 )
 from contacts.solvers.contact_solver import solve_rows
 from contacts.solvers.island_impulses import island_impulses, work_share
 from contacts.solvers.saddle_point import largest_size
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import indices, put
+from statechart.kernels.copies import copy_numbers, indices
 from statechart.kernels.jit import kernel
 
 # Relative round-off: of velocities and impulses to the largest, of sums to their terms.
@@ -55,30 +55,30 @@ class Island(NamedTuple):
     # negated); the sum of the last two.
     start: Array
     unforced: Array
-    wanted: Array
+    bias: Array
     least: Array
     # (m, 2): impulses; velocities under them, without round-off; impulses of sequential impacts.
     chosen: Array
     after: Array
-    sudden: Array
+    impact_impulses: Array
     # (m,): contacts with restitution; contacts that are struck.
     rebounds: Bools
     hit: Bools
     # (m,): friction law; slip direction of the friction that acts: 0 at rest, 1 or -1 as before the
     # step, `BEGINS` or -`BEGINS`, or `ON_TRIAL`.
     kinds: Ints
-    ways: Ints
+    slip_directions: Ints
     frictions: Array  # (m, 3, 2): cone edges at rest, in slip+ and in slip-.
 
 
 @kernel
 def _write_friction(contacts: ContactRows, island: Island, a: int, way: int) -> None:
     """Write the friction of contact a for a slip direction."""
-    island.ways[a], at = way, 0
+    island.slip_directions[a], at = way, 0
     if way not in (0, ON_TRIAL):
         at = 1 if way > 0 else 2
-    put(island.frictions[a, at], contacts.cones[a])
-    law_of(contacts.own[a], slope(contacts.cones[a]), contacts.laws[a])
+    copy_numbers(island.frictions[a, at], contacts.cones[a])
+    write_law(contacts.own[a], friction_coefficient(contacts.cones[a]), contacts.laws[a])
 
 
 @kernel
@@ -91,7 +91,7 @@ def change_friction(contacts: ContactRows, island: Island, resting: float, struc
     `resting`) first, then one at a time the most overloaded, because each relieves the others. A
     contact switches three times at most.
     """
-    ways, first, most, way, changes = island.ways, -1, 0.0, 0, False
+    ways, first, most, way, changes = island.slip_directions, -1, 0.0, 0, False
     for a in range(len(ways)):
         old, slip, normal = ways[a], island.after[a, 1], island.chosen[a, 0]
         may_switch = island.kinds[a] != ONE and abs(old) != BEGINS and normal > 0.0
@@ -102,7 +102,7 @@ def change_friction(contacts: ContactRows, island: Island, resting: float, struc
             changes = True
             if not struck:
                 _write_friction(contacts, island, a, ON_TRIAL)
-                island.wanted[a, 1] -= island.start[a, 1]
+                island.bias[a, 1] -= island.start[a, 1]
             else:
                 _write_friction(contacts, island, a, turned if island.kinds[a] == TWO else 0)
             continue
@@ -116,7 +116,7 @@ def change_friction(contacts: ContactRows, island: Island, resting: float, struc
     for a in range(len(ways)):
         if ways[a] == ON_TRIAL and first in (a, -1):
             ways[a], changes = 0, True
-            island.wanted[a, 1] += island.start[a, 1]
+            island.bias[a, 1] += island.start[a, 1]
     if first >= 0:
         _write_friction(contacts, island, first, way)
     return changes or first >= 0
@@ -136,44 +136,44 @@ def new_island(members: Ints, start: Array, unforced: Array, wanted: Array) -> I
 @kernel
 def order_matters(contacts: ContactRows, pairs: Ints, lively: Bools, impulses: Array) -> bool:
     """Return whether elastic impacts of different body pairs (m,) change each other."""
-    rates = rates_of(contacts, 0)
+    rates = zero_rates(contacts, 0)
     for a in range(len(pairs)):
         if not lively[a]:
             continue
-        add(contacts, a, impulses[a, 0], impulses[a, 1], rates)
+        apply_impulse(contacts, a, impulses[a, 0], impulses[a, 1], rates)
         for b in range(len(pairs)):
             if not lively[b] or pairs[a] == pairs[b]:
                 continue
-            for d in range(2 if slope(contacts.cones[b]) > 0.0 else 1):
+            for d in range(2 if friction_coefficient(contacts.cones[b]) > 0.0 else 1):
                 own = abs(contacts.own[b, d] * impulses[b, 0])
-                if abs(along(contacts, b, d, rates)) > _NEGLIGIBLE_CHANGE * own:
+                if abs(row_velocity(contacts, b, d, rates)) > _NEGLIGIBLE_CHANGE * own:
                     return True
-        without(contacts, a, rates)
+        clear_rates(contacts, a, rates)
     return False
 
 
 @kernel
-def allowed_beside(tolerance: float, slow: float, fast: float) -> float:
+def rescale_tolerance(tolerance: float, slow: float, fast: float) -> float:
     """Return a residual relative to a slow approach that equals `tolerance` of a fast one."""
     return min(tolerance * fast / slow, max(tolerance, _NEAR)) if slow > 0.0 else tolerance
 
 
 @kernel
-def forces_beside_impacts(
+def forces_without_impacts(
     contacts: ContactRows, hit: Bools, q: Array, impulses: Array, tolerance: float, fast: float
 ) -> Array:
     """Return the force part of the impulses (m, 2): a solution without the struck contacts.
 
     `q` (m, 2): velocities without impulses, minus the required ones; `impulses`: warm start;
-    `fast`: the `scale` of all contacts.
+    `fast`: the `velocity_scale` of all contacts.
     """
     forces, others = np.zeros((len(hit), 2)), indices(~hit)
     if len(others) > 0:
-        quiet, alone, quiet_q = rows_of(contacts, others), impulses[others], q[others]
-        near = allowed_beside(tolerance, scale(quiet, quiet_q), fast)
+        quiet, alone, quiet_q = select_rows(contacts, others), impulses[others], q[others]
+        near = rescale_tolerance(tolerance, velocity_scale(quiet, quiet_q), fast)
         solve_rows(quiet, quiet_q, alone, near, False, True)
         for a in range(len(others)):
-            put(alone[a], forces[others[a]])
+            copy_numbers(alone[a], forces[others[a]])
     return forces
 
 
@@ -204,7 +204,7 @@ def coordinate_rows(jacobians: Array, columns: Array, pads: Array, cones: Array)
         if pads[a] > 0.0:
             contacts.rows[a, 0, soft], contacts.columns[a, 0, soft] = 1.0, pads[a]
             soft += 1
-    complete(contacts)
+    write_diagonal_blocks(contacts)
     return contacts
 
 
@@ -240,7 +240,7 @@ def coordinate_impulses(
         size = max(size, largest_size(free[a]), largest_size(before[a]))
     for a in range(len(free)):
         for d in range(2):
-            q[a, d] = free[a, d] + island.wanted[a, d]
+            q[a, d] = free[a, d] + island.bias[a, d]
             if abs(q[a, d]) <= _ROUNDING * size:
                 q[a, d] = 0.0
     error, _, softened = island_impulses(
@@ -252,14 +252,14 @@ def coordinate_impulses(
         normal, tangential = share * impulses[a, 0], share * impulses[a, 1]
         normal = normal if contacts.own[a, 0] * normal > _ROUNDING * size else 0.0
         shears = contacts.own[a, 1] * abs(tangential) > _ROUNDING * size
-        edge = slope(contacts.cones[a]) * normal
+        edge = friction_coefficient(contacts.cones[a]) * normal
         impulses[a, 0] = normal
         impulses[a, 1] = min(max(tangential, -edge), edge) if shears else 0.0
     write_velocities(contacts, q, impulses, island.after)
     return error, softened
 
 
-def smoothed(cones: Array) -> Array:
+def drop_round_off_friction(cones: Array) -> Array:
     """Return cone edges (m, 2) without friction that is round-off of the normal impulse."""
     result = cones.copy()
     result[cones[:, 1] <= _ROUNDING * cones[:, 0], 1] = 0.0
@@ -267,7 +267,7 @@ def smoothed(cones: Array) -> Array:
 
 
 @kernel
-def part_left(push: Array, force: Array, cone: Array) -> float:
+def removable_share(push: Array, force: Array, cone: Array) -> float:
     """Return the largest part s <= 1 of `force` for which ``push - s force`` stays in its cone."""
     part = 1.0
     # In sliding both are on the edge, up to round-off.
@@ -285,7 +285,7 @@ def part_left(push: Array, force: Array, cone: Array) -> float:
 
 
 @kernel
-def into_cone(impulse: Array, cone: Array) -> Array:
+def project_into_cone(impulse: Array, cone: Array) -> Array:
     """Return an impulse projected into its cone, which it misses by round-off."""
     result = impulse.copy()
     result[0] = max(impulse[0], 0.0)
@@ -301,4 +301,7 @@ def is_sliding(cone: Array, impulse: Array, slip: float) -> bool:
 
     An unloaded rolling contact slips by round-off.
     """
-    return slip != 0.0 and abs(impulse[1]) >= (1.0 - SUM_ROUNDING) * slope(cone) * impulse[0]
+    return (
+        slip != 0.0
+        and abs(impulse[1]) >= (1.0 - SUM_ROUNDING) * friction_coefficient(cone) * impulse[0]
+    )

@@ -8,9 +8,13 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 import sympy as sp
 
+from contacts.dynamics.mechanics import Mechanics
+from contacts.states import OPEN
 from statechart.arrays import EPS, ROUND_OFF, Array
+from statechart.automaton.laws import moving_mode
 from statechart.automaton.trace import Arc, Trace
 from statechart.execution.simulator import Simulator
+from statechart.testing.guards import dense
 from statechart.testing.subject import Subject
 
 
@@ -133,3 +137,78 @@ def missed_by_slopes(
         there[:, i] += most[steps, i]
         moved += np.abs(subject.values(trace, gaps, there, times) - here)
     return moved
+
+
+def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
+    """Check that coupling torques are within their limits, and oppose slip.
+
+    Parameters
+    ----------
+    mechanics : Mechanics
+        Of the scene.
+    subject, trace : Subject, Trace
+        The compiled scene, and a run of it.
+
+    Raises
+    ------
+    AssertionError
+        If one is not.
+    """
+    scene, known = mechanics.scene, subject.automaton.observables
+    expressions = [
+        expression
+        for name in scene.couplings
+        for expression in (known[f"{name}.M"], known[f"{name}.slip"], *mechanics.coupling(name)[1:])
+    ]
+    # Controllers follow the couplings.
+    first = len(trace.regions) - len(scene.controlled.flat) - len(scene.couplings)
+    for arc, tau in dense(trace):
+        times = arc.start.high + (arc.start.low + tau)
+        columns = iter(subject.solved(trace, arc, tau, expressions).T)
+        rows = zip(
+            scene.couplings,
+            moving_mode(arc.roles)[first:],
+            columns,
+            columns,
+            columns,
+            columns,
+            strict=False,
+        )
+        for name, state, couple, slip, static, kinetic in rows:
+            limit = np.zeros_like(couple) if state in OPEN else kinetic
+            if state == "locked":
+                limit = static
+            if trace.step is not None:
+                # A step uses the limit at its middle, which ends the halves of one with an impact.
+                by_steps = limit.reshape(len(arc.times) - 1, -1)
+                most = by_steps.max(axis=1) + np.ptp(by_steps, axis=1)
+                limit = np.repeat(most, by_steps.shape[1])
+            allowed = trace.tolerances["force"] + ROUND_OFF * np.abs(limit)
+            assert_no_less(limit - np.abs(couple), -allowed, f"{name}: limit - |M|", times, state)
+            slow = trace.tolerances["speed"] + ROUND_OFF * np.abs(slip)
+            if state == "locked":
+                assert_no_less(-np.abs(slip), -slow, f"{name}: no slip, -|slip|", times, state)
+            elif state not in OPEN:
+                # The couple of a step in which the slip ends is a mean.
+                mean = trace.step is not None and times >= times[0] - tau[0] + arc.times[-2]
+                power = np.where(mean, 0.0, -couple * np.sign(slip))
+                assert_no_less(power, -slow * limit, f"{name}: -M slip", times, state)
+
+
+def assert_no_less(values: Array, least: Array, what: str, times: Array, state: str) -> None:
+    """Check that values (m,) are nowhere below the least ones.
+
+    Parameters
+    ----------
+    values, least, times : (m,) array
+    what, state : str
+        Names of the quantity and of the mode, for messages.
+
+    Raises
+    ------
+    AssertionError
+        At the value that is farthest below.
+    """
+    if not (values >= least).all():
+        m = int(np.argmin(values - least))
+        raise AssertionError(f"{what} is {values[m]:.6g} at t = {times[m]:.6g} in {state}")

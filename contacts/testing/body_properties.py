@@ -14,9 +14,16 @@ from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
 from contacts.collision_detection.surfaces import HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
 from contacts.rigid_bodies.body_step import LEAST
 from contacts.rigid_bodies.declared_numbers import body_numbers
+from contacts.rigid_bodies.mechanics import BodyMechanics
 from contacts.rigid_bodies.prescribed_motion import Paths, Positions
 from contacts.scene.scene import Scene
-from contacts.testing.assertions import assert_in_cone, largest_of, no_growth, step_ends
+from contacts.testing.assertions import (
+    assert_couples,
+    assert_in_cone,
+    largest_of,
+    no_growth,
+    step_ends,
+)
 from statechart.arrays import ROUND_OFF, Array
 from statechart.automaton.trace import Trace
 from statechart.kernels.tapes import tape_table
@@ -38,6 +45,7 @@ def assert_depths(
     controller states.
     """
     count = len(numbers.inverse)
+    first = count + len(numbers.couplings.holds)
     pieces_of_run = [
         *(
             (arc.coefficients[:, :, 0], arc.start.high + arc.times[:-1], arc.mode)
@@ -52,7 +60,8 @@ def assert_depths(
             paths(
                 at,
                 some[:, 2 * numbers.size :],
-                dict(zip(trace.regions[count:], mode[count:], strict=True)),
+                # Couplings precede controllers.
+                dict(zip(trace.regions[first:], mode[first:], strict=True)),
             )
             for some, at, mode in pieces_of_run
         ]
@@ -273,8 +282,12 @@ def _energy(subject: Subject, trace: Trace) -> None:
 
 
 def _fall(subject: Subject, trace: Trace) -> None:
-    if not _pushed(subject):
+    if not (_pushed(subject) or _scene(subject).couplings):
         assert_free_fall(_body_numbers(subject, trace), trace)
+
+
+def _couples(subject: Subject, trace: Trace) -> None:
+    assert_couples(BodyMechanics(_scene(subject)), subject, trace)
 
 
 def _impulses(subject: Subject, trace: Trace) -> None:
@@ -293,6 +306,11 @@ def body_properties(declared: Scene) -> tuple[Property, ...]:
         Property("no body is deeper than a step takes it", each(_depths)),
         Property("no force without contact", each(_fall)),
         Property("impulses push, within friction", each(_impulses)),
+        *(
+            [Property("couples are within their limits", each(_couples))]
+            if declared.couplings
+            else []
+        ),
         Property(
             "energy grows by no more than the scheme's bound",
             each(_energy),

@@ -20,7 +20,9 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.scene.scene import Scene
 from contacts.states import OPEN
 from contacts.testing.assertions import (
+    assert_couples,
     assert_in_cone,
+    assert_no_less,
     largest_of,
     missed_by_slopes,
     no_growth,
@@ -99,42 +101,8 @@ def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
         else:
             n, t = cone_edges(scene, trace, arc.mode, name, state, slips[known])
         allowed = trace.tolerances["force"] + ROUND_OFF * np.hypot(V, H)
-        _no_less(V, -allowed, f"{name}.V", times, state)
-        _no_less(t * V - n * np.abs(H), -allowed, f"{name}: mu V - |H|", times, state)
-
-
-def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
-    """Check that coupling torques are within their limits, and oppose slip."""
-    scene, known = mechanics.scene, subject.automaton.observables
-    expressions = [
-        expression
-        for name in scene.couplings
-        for expression in (known[f"{name}.M"], known[f"{name}.slip"], *mechanics.coupling(name)[1:])
-    ]
-    first = len(scene.contacts)
-    for arc, tau in dense(trace):
-        times = arc.start.high + (arc.start.low + tau)
-        columns = iter(subject.solved(trace, arc, tau, expressions).T)
-        rows = zip(
-            scene.couplings,
-            moving_mode(arc.roles)[first:],
-            columns,
-            columns,
-            columns,
-            columns,
-            strict=False,
-        )
-        for name, state, couple, slip, static, kinetic in rows:
-            limit = np.zeros_like(couple) if state in OPEN else kinetic
-            if state == "locked":
-                limit = static
-            allowed = trace.tolerances["force"] + ROUND_OFF * np.abs(limit)
-            _no_less(limit - np.abs(couple), -allowed, f"{name}: limit - |M|", times, state)
-            slow = trace.tolerances["speed"] + ROUND_OFF * np.abs(slip)
-            if state == "locked":
-                _no_less(-np.abs(slip), -slow, f"{name}: no slip, -|slip|", times, state)
-            elif state not in OPEN:
-                _no_less(-couple * np.sign(slip), -slow * limit, f"{name}: -M slip", times, state)
+        assert_no_less(V, -allowed, f"{name}.V", times, state)
+        assert_no_less(t * V - n * np.abs(H), -allowed, f"{name}: mu V - |H|", times, state)
 
 
 def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> None:
@@ -400,9 +368,3 @@ def _sampled_forces(
 
 def _contact_modes(scene: Scene, arc: Arc) -> Iterator[tuple[str, str]]:
     return zip(scene.contacts, moving_mode(arc.roles), strict=False)  # controllers follow
-
-
-def _no_less(values: Array, least: Array, what: str, times: Array, state: str) -> None:
-    if not (values >= least).all():
-        m = int(np.argmin(values - least))
-        raise AssertionError(f"{what} is {values[m]:.6g} at t = {times[m]:.6g} in {state}")

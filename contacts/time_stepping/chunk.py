@@ -57,7 +57,7 @@ class Chunk(NamedTuple):
     closing: Array
     passed: Array  # (k,): part of a step in which a body that passed another overlapped it.
     impact_delay: Array  # (k,): time from mid-step to its impacts.
-    gained: Array  # (k,): relative energy gain; see `contacts.time_stepping.step_contacts`.
+    energy_gain: Array  # (k,): relative energy gain; see `contacts.time_stepping.step_contacts`.
     stats: Array  # (k, e): solver statistics, columns `RESIDUAL` to `JAMMED`.
 
     @classmethod
@@ -129,7 +129,7 @@ class SteppedSystem(ABC):
 
 
 @kernel
-def arriving(
+def contact_role(
     gap: float, level: float, lasting: bool, nearing: float, slow: float, closing: float,
     reached: float, near: float,
 ) -> tuple[int, float, float]:  # fmt: skip

@@ -61,10 +61,10 @@ def velocity_change(
     system = np.zeros((n + r, n + r))
     system[:n, :n], system[n:, :n], system[:n, n:] = mass, held, held.T
     right = np.vstack([rows.T, np.zeros((r, 2 * m))])
-    moved = np.linalg.lstsq(system, right, rcond=DEPENDENT)[0][:n]
-    columns, allowed = np.ascontiguousarray(moved.T), DEFAULT_IMPULSES.tolerance
+    rate_change = np.linalg.lstsq(system, right, rcond=DEPENDENT)[0][:n]
+    columns, allowed = np.ascontiguousarray(rate_change.T), DEFAULT_IMPULSES.tolerance
     residual, impulses = _impact_impulses(pushes, columns, velocities, cones, restitution, allowed)
-    change: Array = moved @ impulses.reshape(2 * m)
+    change: Array = rate_change @ impulses.reshape(2 * m)
     return change if residual <= allowed and np.isfinite(change).all() else None
 
 

@@ -34,27 +34,27 @@ class StepConstants(NamedTuple):
     parameters: Array  # shape (p,)
     cones: Array  # (c, 2): unit edges of friction cones at rest.
     # (c,): index of the current coefficient in the controlled values; -1 with a single one.
-    used: Ints
+    coefficient_places: Ints
     restitution: Array  # shape (c,)
     plastic: bool  # Simultaneous impacts have no restitution.
     capped: bool  # Simultaneous impacts have restitution that adds no energy.
     pairs: Ints  # (c,): number of the touching pair of bodies, or of body and surface.
     # (c,): components of a contact's velocity that are bilaterally constrained: 0, 1 (normal), 2.
-    held: Ints
+    bilateral: Ints
     slips: Ints  # (c,): whether a contact may slide: 0, 1, or 2 if its slides have a direction.
     joints: int  # Number of joint components.
     signs: int  # Number of signs in forces.
-    allowed: float  # Residual of impulses.
+    impulse_tolerance: float  # Residual of impulses.
     # Tolerances of gap and approach velocity of a lasting contact. A contact is re-enabled up to
     # the gap tolerance below lasting ones.
-    near: float
-    still: float
-    rounding: float  # Round-off of velocities.
+    gap_tolerance: float
+    speed_tolerance: float
+    round_off: float  # Round-off of velocities.
     speed: float  # Velocity scale of the scene.
     # Smallest speed, and half the smallest energy, to which energy gains are relative.
-    slowest: float
-    negligible: float
-    soft: Array  # (c, 2): stiffness and damping; 0 if rigid.
+    min_speed: float
+    min_energy: float
+    compliance: Array  # (c, 2): stiffness and damping; 0 if rigid.
     couplings: int  # Number of couplings, the last contacts; see `load_couplings`.
     carriers: Ints  # (c,): contacts whose normal forces load rolling resistances; -1: none.
 
@@ -70,26 +70,28 @@ class ContactHistory(NamedTuple):
 
     # (c,): target gap of a lasting contact, from its landing; above 0 only for an opposed contact
     # of a deeper one.
-    level: Array
+    target_gap: Array
     # (c,): whether it lasts, and slipped in the last step beyond round-off.
     closed: Bools
-    slid: Bools
+    slipped: Bools
     # (c,): number of steps, from this one on, whose impulses include a landing.
-    fresh: Ints
+    landing_steps: Ints
     # (c,): whether its mode follows from accelerations: 0, 1 after a mode change, `LANDED` after an
     # impact; the mode of the last step.
     settling: Ints
-    shown: Ints
-    off: Bools  # (c,): whether its condition disables it.
-    behind: Bools  # (c,): whether it was closed when disabled, and has not left its surface yet.
-    past: Array  # (c, 3): condition, gap and gap rate at the last midpoint.
+    modes: Ints
+    disabled: Bools  # (c,): whether its condition disables it.
+    left_behind: (
+        Bools  # (c,): whether it was closed when disabled, and has not left its surface yet.
+    )
+    last: Array  # (c, 3): condition, gap and gap rate at the last midpoint.
     # (c, 4): depths of contacts off although their conditions hold: when these began to hold, now,
     # and the least that ended with failing conditions; when a contact was first disabled as its
     # point touched.
-    missed: Array
+    missed_depths: Array
     light: Bools  # (1,): whether coordinates without inertia received one.
-    pushes: Array  # (c, 2): impulses of the last problem.
-    pushed: Array  # (n,): change of rates by lasting contacts in the last step.
+    impulses: Array  # (c, 2): impulses of the last problem.
+    contact_change: Array  # (n,): change of rates by lasting contacts in the last step.
 
     @classmethod
     def of(cls, off: Bools, size: int) -> ContactHistory:
@@ -148,7 +150,7 @@ class ContactRoles(NamedTuple):
     groups: Ints  # (c,): first contact of the coupled group; see `label_groups`.
     # (c, 2): bias (required velocities, negated); velocities before the step, and after it without
     # impulses.
-    wanted: Array
+    bias: Array
     before: Array
     free: Array
 

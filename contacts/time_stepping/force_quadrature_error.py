@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.kernels.boxes import Steps, along_steps, prepare
+from statechart.kernels.boxes import Steps, bind_tape, bound_third_derivatives
 from statechart.kernels.intervals import INF
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import local_time
-from statechart.kernels.resolution import at, bound_box, jet_registers
+from statechart.kernels.resolution import bound_box, evaluate_at_places, jet_registers
 from statechart.kernels.tapes import TapeCode
 
 # Three points: exact for degree five; error 0.002 over a turn of four radians.
@@ -31,16 +31,16 @@ def force_quadrature_error(tape: TapeCode, steps: Steps) -> tuple[Array, Array]:
     """
     outputs, reads, times, coeffs = tape.outputs, tape.reads, steps.times, steps.coeffs
     count = outputs.shape[0]
-    along, regs = along_steps(tape, steps, len(_PLACES))
-    jets, bounds = jet_registers(along, regs), np.zeros(coeffs.shape[1])
+    step_tape, regs = bind_tape(tape, steps, len(_PLACES))
+    jets, bounds = jet_registers(step_tape, regs), np.zeros(coeffs.shape[1])
     known = np.zeros((coeffs.shape[0], count))
     unknown = np.zeros((coeffs.shape[0], count))
     middle, mean = np.empty(count), np.empty(count)
     lefts, rights = np.empty(64), np.empty(64)
     for step in range(coeffs.shape[0]):
-        prepare(coeffs, step, reads, bounds)
+        bound_third_derivatives(coeffs, step, reads, bounds)
         h = local_time(times, step, 1.0) - local_time(times, step, 0.0)
-        at(along, step, 0.0, 1.0, _PLACES, regs)
+        evaluate_at_places(step_tape, step, 0.0, 1.0, _PLACES, regs)
         for i in range(count):
             middle[i] = regs[outputs[i], 1]
         top, pieces = 1, 0
@@ -49,7 +49,7 @@ def force_quadrature_error(tape: TapeCode, steps: Steps) -> tuple[Array, Array]:
             top -= 1
             pieces += 1
             a, b = lefts[top], rights[top]
-            bound_box(along, step, bounds, a, b, jets)
+            bound_box(step_tape, step, bounds, a, b, jets)
             resolved = True
             for i in range(count):
                 resolved = resolved and jets[outputs[i], 2] == 0.0
@@ -59,7 +59,7 @@ def force_quadrature_error(tape: TapeCode, steps: Steps) -> tuple[Array, Array]:
                 lefts[top + 1], rights[top + 1] = a, m
                 top += 2
                 continue
-            at(along, step, a, b, _PLACES, regs)
+            evaluate_at_places(step_tape, step, a, b, _PLACES, regs)
             for i in range(count):
                 mean[i] = 0.0
                 for j in range(len(_PLACES)):

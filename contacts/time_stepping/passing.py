@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from statechart.arrays import Bools
-from statechart.kernels.boxes import Steps, along_steps, enclose, prepare
+from statechart.kernels.boxes import Steps, bind_tape, bound_third_derivatives, enclose
 from statechart.kernels.jit import kernel
 from statechart.kernels.resolution import jet_registers
 from statechart.kernels.tapes import TapeCode
@@ -21,7 +21,7 @@ _BOXES, _NARROW = 256, 2.0**-32
 
 
 @kernel
-def passed(tape: TapeCode, lines: Steps, seen: Bools, near: float) -> tuple[int, int, float]:
+def find_passage(tape: TapeCode, lines: Steps, seen: Bools, near: float) -> tuple[int, int, float]:
     """Return (line, contact, part) of the first line whose open gap at the start is below its end.
 
     The tape has the gaps (c,), `lines` are m steps; contacts `seen` (m, c) are active at the start
@@ -29,17 +29,17 @@ def passed(tape: TapeCode, lines: Steps, seen: Bools, near: float) -> tuple[int,
     line; line and contact are -1 if there is none.
     """
     outputs, reads, coeffs = tape.outputs, tape.reads, lines.coeffs
-    along, regs = along_steps(tape, lines, 1)
-    jets = jet_registers(along, regs)
+    step_tape, regs = bind_tape(tape, lines, 1)
+    jets = jet_registers(step_tape, regs)
     bounds, count = np.zeros(coeffs.shape[1]), outputs.shape[0]
     is_open, depths = np.empty(count, np.bool_), np.empty(count)
     lefts, rights = np.empty(64), np.empty(64)
     for line in range(coeffs.shape[0]):
-        prepare(coeffs, line, reads, bounds)
-        enclose(along, line, bounds, 0.0, 0.0, 0, jets)
+        bound_third_derivatives(coeffs, line, reads, bounds)
+        enclose(step_tape, line, bounds, 0.0, 0.0, 0, jets)
         for i in range(count):
             is_open[i] = not seen[line, i] and jets[outputs[i], 0] > 0.0
-        enclose(along, line, bounds, 1.0, 0.0, 0, jets)
+        enclose(step_tape, line, bounds, 1.0, 0.0, 0, jets)
         for i in range(count):
             depths[i] = min(jets[outputs[i], 0], 0.0) - near
         top, boxes = 1, 0
@@ -49,13 +49,13 @@ def passed(tape: TapeCode, lines: Steps, seen: Bools, near: float) -> tuple[int,
             boxes += 1
             a, b = lefts[top], rights[top]
             m = 0.5 * (a + b)
-            enclose(along, line, bounds, m, 0.5 * (b - a), 0, jets)
+            enclose(step_tape, line, bounds, m, 0.5 * (b - a), 0, jets)
             clear = True
             for i in range(count):
                 clear = clear and not (is_open[i] and jets[outputs[i], 0] <= depths[i])
             if clear or b - a <= _NARROW:
                 continue
-            enclose(along, line, bounds, m, 0.0, 0, jets)
+            enclose(step_tape, line, bounds, m, 0.0, 0, jets)
             for i in range(count):
                 if is_open[i] and jets[outputs[i], 1] < depths[i]:
                     return line, i, b - a

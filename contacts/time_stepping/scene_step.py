@@ -48,18 +48,18 @@ from contacts.time_stepping.step_contacts import (
     energy_added,
     find_active,
     group_island,
+    group_members,
+    impact_order_matters,
     is_mixed_with_impacts,
     label_groups,
     load_couplings,
-    members_of,
-    order_decides,
     share_forces,
     share_loads,
     split_forces,
     write_modes,
 )
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import indices, put
+from statechart.kernels.copies import copy_numbers, indices
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
@@ -85,11 +85,11 @@ def _deepest(memory: ContactHistory, tape: TapeValues, i: int) -> float:
     A continuing surface is reached at the depth in the previous one, times the largest ratio of gap
     derivatives; a surface not left yet at its landing depth.
     """
-    lowest, n = memory.level[i] if memory.behind[i] else 0.0, tape.size
-    for k in range(len(memory.off)):
-        deep = memory.level[k]
-        if not memory.off[k] and memory.past[k, 1] < deep:
-            deep = memory.past[k, 1]
+    lowest, n = memory.target_gap[i] if memory.left_behind[i] else 0.0, tape.size
+    for k in range(len(memory.disabled)):
+        deep = memory.target_gap[k]
+        if not memory.disabled[k] and memory.last[k, 1] < deep:
+            deep = memory.last[k, 1]
         if k == i or not deep < 0.0:
             continue
         factor = 1.0
@@ -142,10 +142,15 @@ def _end_of_condition(
     The gap is infinite unless the point of a free contact passes the surface in this step. Where it
     is negative, the point lands first: between two midpoints it may also pass the end of an edge.
     """
-    at, before = tape.first + tape.per * i + 2 * tape.size + 2, memory.past[i]
+    at, before = tape.first + tape.per * i + 2 * tape.size + 2, memory.last[i]
     gap, condition = tape.numbers[at], tape.numbers[at + 3]
-    passes = gap < -scene.near < before[1] and condition < 0.0 < before[0]
-    lasts = memory.off[i] or memory.closed[i] or scene.held[i] > 0 or scene.soft[i, 0] > 0.0
+    passes = gap < -scene.gap_tolerance < before[1] and condition < 0.0 < before[0]
+    lasts = (
+        memory.disabled[i]
+        or memory.closed[i]
+        or scene.bilateral[i] > 0
+        or scene.compliance[i, 0] > 0.0
+    )
     if lasts or not passes:
         return 1.0, math.inf
     part = before[0] / (before[0] - condition)
@@ -163,45 +168,45 @@ def switch_contacts(
     the kink of a valley both edges hold a point. `change`: change of rates in a step without
     contacts, whose middle is at `time`.
     """
-    numbers, n, off, h, left = tape.numbers, tape.size, memory.off, chunk.h, 1.0
+    numbers, n, off, h, left = tape.numbers, tape.size, memory.disabled, chunk.h, 1.0
     deepest, at_kink = np.empty(len(off)), np.empty((len(off), 2), np.bool_)
     landed = np.zeros(len(off), np.bool_)
     for i in range(len(off)):
         part, at_end = _end_of_condition(scene, memory, tape, i)
-        landed[i] = at_end < -scene.near
+        landed[i] = at_end < -scene.gap_tolerance
         if landed[i]:
-            memory.past[i, 1], left = at_end, min(left, part)
-        elif at_end <= scene.near:
-            memory.missed[i, 3] = min(memory.missed[i, 3], time + (part - 1.0) * h)
+            memory.last[i, 1], left = at_end, min(left, part)
+        elif at_end <= scene.gap_tolerance:
+            memory.missed_depths[i, 3] = min(memory.missed_depths[i, 3], time + (part - 1.0) * h)
     for i in range(len(off)):
-        deepest[i] = _deepest(memory, tape, i) - scene.near
-        lies = min(deepest[i], memory.level[i])
+        deepest[i] = _deepest(memory, tape, i) - scene.gap_tolerance
+        lies = min(deepest[i], memory.target_gap[i])
         for acute in range(2):
             at_kink[i, acute] = _is_at_kink(tape, change, i, h, lies, acute)
-        if scene.soft[i, 0] > 0.0:
+        if scene.compliance[i, 0] > 0.0:
             deepest[i] = -math.inf
     for i in range(len(off)):
         row = tape.first + tape.per * i
-        gap, condition, before = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5], memory.past[i]
+        gap, condition, before = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5], memory.last[i]
         if is_coupling(scene, i):
             continue
         if not off[i] and condition < 0.0:
             if landed[i] or at_kink[i, 1 if memory.closed[i] else 0]:
                 continue
-            inside = memory.closed[i] or memory.level[i] < 0.0
-            met.leaving[i] = inside and scene.held[i] == 0
-            off[i], memory.behind[i] = not met.leaving[i], met.leaving[i]
+            inside = memory.closed[i] or memory.target_gap[i] < 0.0
+            met.leaving[i] = inside and scene.bilateral[i] == 0
+            off[i], memory.left_behind[i] = not met.leaving[i], met.leaving[i]
             if met.leaving[i] and before[0] > 0.0:
                 left = min(left, before[0] / (before[0] - condition))
-        elif off[i] and memory.behind[i]:
-            away = abs(gap - memory.level[i]) - _STEPS * h * abs(numbers[row + 2 * n + 3])
-            memory.behind[i] = away <= (_LEFT_BEHIND - 1.0) * abs(memory.level[i])
-        if off[i] and not memory.behind[i]:
-            memory.level[i] = 0.0
+        elif off[i] and memory.left_behind[i]:
+            away = abs(gap - memory.target_gap[i]) - _STEPS * h * abs(numbers[row + 2 * n + 3])
+            memory.left_behind[i] = away <= (_LEFT_BEHIND - 1.0) * abs(memory.target_gap[i])
+        if off[i] and not memory.left_behind[i]:
+            memory.target_gap[i] = 0.0
     leaves, lands = met.leaving.any(), landed.any()
     for i in range(len(off)):
         row = tape.first + tape.per * i
-        gap, condition, before = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5], memory.past[i]
+        gap, condition, before = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5], memory.last[i]
         rate = numbers[row + 2 * n + 3]
         if is_coupling(scene, i):
             kinetic = numbers[row + 2 * n + EDGES + 1]
@@ -221,9 +226,9 @@ def switch_contacts(
             off[i] = not (holds and entered >= deepest[i])
             if lands and off[i] and entered >= deepest[i] and gap < 0.0:
                 # It lies below the kink, beyond both edges.
-                memory.behind[i], memory.level[i] = True, gap
-            _note_missed(memory.missed[i], off[i], condition > 0.0, -gap)
-            if leaves and off[i] and memory.behind[i] and condition < 0.0:
+                memory.left_behind[i], memory.target_gap[i] = True, gap
+            _note_missed(memory.missed_depths[i], off[i], condition > 0.0, -gap)
+            if leaves and off[i] and memory.left_behind[i] and condition < 0.0:
                 # Below a kink a point is beyond the ends of both surfaces.
                 met.leaving[i], off[i] = True, False
         before[0], before[1], before[2] = condition, gap, rate
@@ -247,7 +252,7 @@ def _free_change(
 
     Coordinates without inertia receive a small one, from there on.
     """
-    damped, held, joints = scene.damped, scene.held, scene.joints
+    damped, held, joints = scene.damped, scene.bilateral, scene.joints
     regular, factors, order, right = factor_equations(numbers, n, h, damped, held, joints, light[0])
     if not regular and not light[0]:
         light[0] = True
@@ -297,7 +302,7 @@ def hold_signs(
         signs[i] = (free[i] > 0.0) - (free[i] < 0.0)
         for j in range(n):
             slope = numbers[row + n + j] + 0.5 * h * numbers[row + 2 * n + j]
-            free[i] += slope * (change[j] + memory.pushed[j])
+            free[i] += slope * (change[j] + memory.contact_change[j])
             free[i] += 0.5 * h * numbers[row + 2 * n + j] * state[n + j]
             for k in range(m):
                 matrix[i, k] += slope * responses[k, j]
@@ -340,13 +345,13 @@ def _step_group(
     island, contacts, columns, pads = group_island(scene, memory, tape, equations, members, met, h)
     struck, error, softened = bool(island.hit.any()), 0.0, False
     while changes:
-        error, softened = coordinate_impulses(contacts, island, scene.allowed)
+        error, softened = coordinate_impulses(contacts, island, scene.impulse_tolerance)
         rounds += 1
         # Friction switches under the final limits.
         loads = coupling_loads(scene, members, columns, equations.change, island.chosen, h)
         loaded = load_couplings(scene, tape, members, loads, pads, island.unforced)
         changes = loaded > LOADED and rounds < LOADINGS
-        changes = changes or change_friction(contacts, island, scene.rounding, struck)
+        changes = changes or change_friction(contacts, island, scene.round_off, struck)
     if loaded > LOADED:
         error = max(error, loaded)
     clear_round_off(scene, island, contacts, h)
@@ -354,7 +359,7 @@ def _step_group(
     chunk.stats[k, CALMED] = max(chunk.stats[k, CALMED], 1.0 if softened else 0.0)
     steady, modes = split_forces(scene, memory, island, contacts, k, chunk)
     made = energy_added(scene, tape, island, contacts, chunk.states[k, n : 2 * n])
-    chunk.gained[k] = max(chunk.gained[k], made)
+    chunk.energy_gain[k] = max(chunk.energy_gain[k], made)
     _add_impulses(columns, island.chosen, equations.change)
     _add_impulses(columns, steady, equations.lasting)
     # Before the contact history changes.
@@ -366,7 +371,7 @@ def _step_group(
         for d in range(2):
             force = math.nan if mixed else shared[a, d] / h
             chunk.solved[k, at + d] = 0.0 if chunk.codes[k, i] == FREE else force
-    if order_decides(scene, island, contacts, k, chunk):
+    if impact_order_matters(scene, island, contacts, k, chunk):
         chunk.stats[k, AMBIGUOUS] = 1.0
     return mixed
 
@@ -378,8 +383,8 @@ def _write_held(
     """Write the forces of bilateral contacts and joints."""
     n, h, total, lasting = scene.size, chunk.h, equations.change, equations.lasting
     at = n
-    for i in range(len(scene.held)):
-        held = scene.held[i]
+    for i in range(len(scene.bilateral)):
+        held = scene.bilateral[i]
         if held > 0:
             chunk.codes[k, i] = PIN if held == 2 else SLIDE
         for d in range(held):
@@ -406,7 +411,7 @@ def _flow_controllers(
 
 
 @kernel
-def _follow(
+def _enable_continuations(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, there: Array, met: ContactRoles,
     near: float,
 ) -> None:  # fmt: skip
@@ -415,13 +420,13 @@ def _follow(
     `there`: tape at the point moved out of that surface by its landing depth. A deep point between
     two edges at an angle is beyond both.
     """
-    for i in range(len(memory.off)):
+    for i in range(len(memory.disabled)):
         at = tape.first + tape.per * i + 2 * tape.size
         moved = there[at + 2] - tape.numbers[at + 2]
-        lay = memory.level[i] if memory.behind[i] else 0.0
+        lay = memory.target_gap[i] if memory.left_behind[i] else 0.0
         holds = there[at + 5] > 0.0 and met.entered[i] + moved >= lay - near
-        if memory.off[i] and not met.leaving[i] and holds and scene.held[i] == 0:
-            memory.off[i] = False
+        if memory.disabled[i] and not met.leaving[i] and holds and scene.bilateral[i] == 0:
+            memory.disabled[i] = False
 
 
 @kernel
@@ -436,8 +441,8 @@ def keep_leaving(
     other contacts. Parameters: those of `step_scene` in step k.
     """
     n, h, stays, (time, state, middle) = tape.size, chunk.h, False, instant
-    change, c = equations.change, len(memory.level)
-    level, closed = memory.level.copy(), memory.closed.copy()
+    change, c = equations.change, len(memory.target_gap)
+    level, closed = memory.target_gap.copy(), memory.closed.copy()
     find_active(scene, memory, tape, change, k, met, chunk)
     close_opposed(scene, memory, tape, h, met)
     label_groups(scene, tape, met)
@@ -447,7 +452,7 @@ def keep_leaving(
     there, ahead = middle.copy(), np.empty_like(tape.numbers)
     alone = np.empty_like(tape.numbers)
     for label in which:
-        members = members_of(met, label)
+        members = group_members(met, label)
         if len(members) == 0:
             continue
         group = group_island(scene, memory, tape, equations, members, met, h)
@@ -456,17 +461,20 @@ def keep_leaving(
             for a in range(len(members) if at_rest else 0):
                 # Landing gaps also move the point, to where it rests.
                 if not met.hit[members[a]]:
-                    island.wanted[a, 0] = 0.0
-                put(memory.pushes[members[a]], island.chosen[a])
-            error, _ = coordinate_impulses(contacts, island, scene.allowed)
+                    island.bias[a, 0] = 0.0
+                copy_numbers(memory.impulses[members[a]], island.chosen[a])
+            error, _ = coordinate_impulses(contacts, island, scene.impulse_tolerance)
             share_loads(scene, island, contacts)
             for a in range(len(members)):
-                i, presses = members[a], error <= scene.allowed and island.chosen[a, 0] > 0.0
+                i, presses = (
+                    members[a],
+                    error <= scene.impulse_tolerance and island.chosen[a, 0] > 0.0,
+                )
                 bears[i] = presses and (bears[i] or not at_rest)
         for a in range(len(members)):
             for d in range(2):
                 pushes[members[a], d] = island.chosen[a, d]
-                put(columns[2 * a + d, :n], moves[members[a], d])
+                copy_numbers(columns[2 * a + d, :n], moves[members[a], d])
     for j in range(n):
         there[n + j] = state[n + j] + change[j]
         for i in which:
@@ -476,14 +484,14 @@ def keep_leaving(
     _flow_controllers(scene, time, middle, h, there)
     tape_values(*scene.equations, there, scene.parameters, time + h, ahead)
     for i in range(len(closed)):
-        memory.off[i] = memory.off[i] or met.leaving[i]
+        memory.disabled[i] = memory.disabled[i] or met.leaving[i]
     for i in which:
         if not met.leaving[i]:
             continue
         at = tape.first + tape.per * i + 2 * n + 5
         now, then = tape.numbers[at], ahead[at]
         # At rest conditions change by round-off.
-        rounding = _AT_REST * abs(now) + h * scene.rounding
+        rounding = _AT_REST * abs(now) + h * scene.round_off
         stays_on = bears[i] and now - then <= rounding
         if stays_on and then - now <= rounding:
             # It does not return by itself.
@@ -495,11 +503,11 @@ def keep_leaving(
                 apart[j] += h * (apart[n + j] - there[n + j])
             tape_values(*scene.equations, apart, scene.parameters, time + h, alone)
             stays_on = then - alone[at] > rounding
-        memory.off[i] = not stays_on
+        memory.disabled[i] = not stays_on
         stays = stays or stays_on
     for i in which:
         row, own = tape.first + tape.per * i, 0.0
-        if not (met.leaving[i] and memory.off[i]):
+        if not (met.leaving[i] and memory.disabled[i]):
             continue
         for j in range(n):
             own += tape.numbers[row + j] * moves[i, 0, j]
@@ -508,13 +516,13 @@ def keep_leaving(
         for j in range(n):
             there[j] -= deep / own * moves[i, 0, j]
         tape_values(*scene.equations, there, scene.parameters, time, ahead)
-        _follow(scene, memory, tape, ahead, met, scene.near - _BENT * deep)
+        _enable_continuations(scene, memory, tape, ahead, met, scene.gap_tolerance - _BENT * deep)
     for i in range(len(closed)):
         gap = tape.numbers[tape.first + tape.per * i + 2 * n + 2]
-        chunk.gaps[k, i] = math.inf if memory.off[i] else gap
+        chunk.gaps[k, i] = math.inf if memory.disabled[i] else gap
         memory.closed[i] = closed[i]
-    put(level, memory.level)
-    chunk.approach[k] = chunk.closing[k] = chunk.gained[k] = 0.0
+    copy_numbers(level, memory.target_gap)
+    chunk.approach[k] = chunk.closing[k] = chunk.energy_gain[k] = 0.0
     return stays
 
 
@@ -525,7 +533,7 @@ def _settle(
 ) -> None:  # fmt: skip
     """Write the modes of settling contacts, for the velocities after the step."""
     n, there = tape.size, instant.middle.copy()
-    put(instant.state[n : 2 * n], there[n : 2 * n])
+    copy_numbers(instant.state[n : 2 * n], there[n : 2 * n])
     tape_values(*scene.equations, there, scene.parameters, instant.time, tape.numbers)
     settle(scene, memory, tape, equations, k, chunk)
 
@@ -534,7 +542,7 @@ def _settle(
 def _age_contacts(memory: ContactHistory, active: Bools) -> None:
     """Update contact histories at the end of a step."""
     for i in range(len(active)):
-        memory.fresh[i] = max(memory.fresh[i] - 1, 0)
+        memory.landing_steps[i] = max(memory.landing_steps[i] - 1, 0)
         if not active[i]:
             memory.closed[i] = False
 
@@ -579,7 +587,7 @@ def step_scene(
             for j in range(scene.signs):
                 value += signs[j] * numbers[set_at + given_count + (j + 1) * per - given_count + i]
             chunk.solved[k, forces + 2 * c + i] = value
-        chunk.approach[k] = chunk.closing[k] = chunk.gained[k] = 0.0
+        chunk.approach[k] = chunk.closing[k] = chunk.energy_gain[k] = 0.0
         met = ContactRoles(
             np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.empty(c),
             np.empty(c, np.int64), np.zeros((c, 2)), np.zeros((c, 2)), np.zeros((c, 2)),
@@ -592,21 +600,22 @@ def step_scene(
         find_active(scene, memory, tape, equations.change, k, met, chunk)
         close_opposed(scene, memory, tape, h, met)
         total, lasting = equations.change, equations.lasting
-        put(total, lasting)
-        put(-lasting[:n], memory.pushed)
+        copy_numbers(total, lasting)
+        copy_numbers(-lasting[:n], memory.contact_change)
         which, blurred = indices(met.active), False
         chunk.stats[k, CONTACTS] = len(which)
-        clear_contacts(scene, memory.off, forces, k, chunk)
+        clear_contacts(scene, memory.disabled, forces, k, chunk)
         if len(which) > 0:
             label_groups(scene, tape, met)
         for label in which:
-            members = members_of(met, label)
+            members = group_members(met, label)
             if len(members) > 0:
                 mixed = _step_group(scene, memory, tape, equations, members, met, k, chunk)
                 blurred = blurred or mixed
-        _write_held(scene, equations, blurred, k, chunk)
+        # The steps after an impact bring joints to the violation of the new velocity.
+        _write_held(scene, equations, blurred or bool(memory.landing_steps.any()), k, chunk)
         for i in range(n):
-            memory.pushed[i] += lasting[i]
+            memory.contact_change[i] += lasting[i]
             chunk.solved[k, i] = lasting[i] / h
             # Mean velocity of the step.
             middle[n + i] += 0.5 * total[i]
@@ -615,12 +624,12 @@ def step_scene(
             if not math.isfinite(state[i]):
                 return k, NOT_FINITE
         # Compliant contacts have no acceleration problem.
-        if unsettle(memory, k, chunk) and (scene.soft[:, 0] == 0.0).any():
+        if unsettle(memory, k, chunk) and (scene.compliance[:, 0] == 0.0).any():
             _settle(scene, memory, tape, equations, StepInstant(time, state, middle), k, chunk)
         _age_contacts(memory, met.active)
         _flow_controllers(scene, time, middle, h, state)
         for i in range(2 * n, len(state)):
             if not math.isfinite(state[i]):
                 return k, NOT_FINITE
-        put(state, chunk.states[k + 1])
+        copy_numbers(state, chunk.states[k + 1])
     return len(chunk.codes), DONE

@@ -19,15 +19,15 @@ from contacts.dynamics.starting import (
     check_joints,
     check_limits,
     check_start,
-    hovering,
-    jumped_in,
-    torn,
+    displaced_surface_error,
+    hovering_warnings,
+    surface_jump_error,
 )
 from contacts.scene.lint import NEARLY_MEETING, goes_off, stays_off
 from contacts.solvers.contact_rows import STEEPEST
-from contacts.solvers.dependence import independent
+from contacts.solvers.dependence import independent_rows
 from contacts.solvers.redundancy import mode_columns
-from contacts.solvers.step_impulses import smoothed
+from contacts.solvers.step_impulses import drop_round_off_friction
 from contacts.states import (
     FREE,
     LOCKED,
@@ -44,12 +44,12 @@ from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, Ste
 from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
 from contacts.time_stepping.equations import ContactHistory, StepConstants
-from contacts.time_stepping.passing import passed
+from contacts.time_stepping.passing import find_passage
 from contacts.time_stepping.scene_step import step_scene
 from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.solver_residual import INDETERMINATE
 from contacts.time_stepping.stability import Swings, check_swing, remarks
-from contacts.time_stepping.step_rejection import depth_left
+from contacts.time_stepping.step_rejection import depth_left, invalid_limit
 from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
@@ -157,14 +157,14 @@ class SteppedScene(SteppedSystem):
             + [False] * was.couplings,
             np.bool_,
         )
-        for i in np.flatnonzero(rigid & ~memory.off & (deep > near)).tolist():
+        for i in np.flatnonzero(rigid & ~memory.disabled & (deep > near)).tolist():
             surface = was.scene.contacts[was.names[i]].surface
-            raise jumped_in(surface, was.names[i], -float(now[i, 0]))
+            raise displaced_surface_error(surface, was.names[i], -float(now[i, 0]))
         # A contact that a surface strikes or leaves does not last.
         parts = rigid & (np.abs(now - old)[:, :2] > [near, self._still]).any(axis=1)
         memory.closed[parts] = False
         codes, slips = self._step_state.codes, np.abs(now[:, 2]) > self._still
-        touched = (codes != FREE) & ~memory.off
+        touched = (codes != FREE) & ~memory.disabled
         touched[len(rigid) - was.couplings :] = False
         slips &= touched & (codes != SLIDE) & (np.abs(now - old)[:, 2] > self._still)
         after = np.where(slips, np.where(now[:, 2] > 0.0, SLIDE_PLUS, SLIDE_MINUS), codes)
@@ -172,15 +172,17 @@ class SteppedScene(SteppedSystem):
         moved = {i: int(after[i]) for i in np.flatnonzero(after != codes).tolist()}
         for i, code in moved.items():
             if self._undeclared[i, code]:
-                raise torn(was.scene.contacts[was.names[i]].surface, was.names[i], STATES[code])
-            codes[i] = memory.shown[i] = code
+                raise surface_jump_error(
+                    was.scene.contacts[was.names[i]].surface, was.names[i], STATES[code]
+                )
+            codes[i] = memory.modes[i] = code
         return moved, bool((touched & parts & (now[:, 1] < -self._still)).any())
 
     def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Set equations and coefficients."""
         self._source = source
         edges = [edge(1.0) if law.coupling else (law.cone_n, law.cone_t) for law in contacts]
-        self._cones = smoothed(np.array(edges, float).reshape(-1, 2))
+        self._cones = drop_round_off_friction(np.array(edges, float).reshape(-1, 2))
         self._restitution = np.array([law.restitution for law in contacts])
         nowhere = np.zeros(source.soft.n_variables)
         self._soft = source.soft.at(nowhere, self._values, 0.0).reshape(-1, 2)
@@ -197,7 +199,7 @@ class SteppedScene(SteppedSystem):
 
     def press(self, closed: Bools) -> None:
         """Let contacts (c,) be closed and sliding, as after earlier steps."""
-        self._step_state.contacts.closed[:] = self._step_state.contacts.slid[:] = closed
+        self._step_state.contacts.closed[:] = self._step_state.contacts.slipped[:] = closed
 
     def forget(self) -> None:
         """Revert the last steps."""
@@ -233,7 +235,7 @@ class SteppedScene(SteppedSystem):
     def _stays_off(self) -> Iterator[str]:
         """Yield a warning for each contact that has missed its surface, if by a small depth."""
         for name, (first, last, past, time) in zip(
-            self._source.names, self._step_state.contacts.missed.tolist(), strict=True
+            self._source.names, self._step_state.contacts.missed_depths.tolist(), strict=True
         ):
             if time < math.inf:
                 yield goes_off(name, time)
@@ -288,7 +290,7 @@ class SteppedScene(SteppedSystem):
     def depth_left(self, state: Array, time: float) -> float:
         """Return the penetration that no motion removes; see `SteppedSystem`."""
         n, at = self._source.size, self._source.equations(self._values, state, time)
-        on = ~self._step_state.contacts.off & (self._soft[:, 0] == 0.0)
+        on = ~self._step_state.contacts.disabled & (self._soft[:, 0] == 0.0)
         return depth_left(at.gaps[on], at.contacts[on, :n], at.joints[:, :n])[0]
 
     def _check_springs(self, chunk: Chunk, start: float) -> Swings | None:
@@ -329,7 +331,7 @@ class SteppedScene(SteppedSystem):
         taking = (chunk.codes != FREE) | chunk.struck
         seen = np.vstack([self._saved.codes != FREE, taking[:-1]])
         times, begin = np.concatenate([[0.0], np.cumsum(lengths)]), start - float(back[0])
-        line, _, part = passed(
+        line, _, part = find_passage(
             gaps.parts,
             Steps(times, lines, self._values, begin),
             seen,
@@ -343,7 +345,7 @@ class SteppedScene(SteppedSystem):
         # A re-enabled contact is no deeper than a lasting one.
         deep &= np.vstack([self._saved.codes, chunk.codes[:-1]]) != OFF_CODE
         deep[1:] &= chunk.gaps[:-1] > 0.0
-        deep[0] &= ~(self._saved.contacts.past[:, 1] <= 0.0)
+        deep[0] &= ~(self._saved.contacts.last[:, 1] <= 0.0)
         for k, i in np.argwhere(deep).tolist():
             state = lines[k].sum(axis=1)
             before = gaps.values(lines[k, :, 0], self._values, begin + times[k])[i]
@@ -425,10 +427,7 @@ class SteppedScene(SteppedSystem):
         """Return the error of a contact that does not declare a mode of a step."""
         name, state = self._source.names[contact], STATES[code]
         if contact >= len(self._source.names) - self._source.couplings:
-            return NoConsistentMode(
-                f"coupling {name!r}: its limit is below zero by t = {end:.9g}; a coupling that "
-                "lets go is one with enabled: RELATION"
-            )
+            return invalid_limit(name, end)
         if contact in self._source.hauled:
             return hauled_in(name, end)
         if not self._undeclared[contact, code]:
@@ -465,7 +464,7 @@ def _spare_rows(
 ) -> int:
     """Return the number of dependent columns of contacts and joints."""
     rows = np.vstack([mode_columns(codes, cones, jacobians, left_out)[0], joints])
-    return len(rows) - int(independent(rows)[0])
+    return len(rows) - int(independent_rows(rows)[0])
 
 
 def _failure(status: int) -> SingularMode | NonFinite:
@@ -561,7 +560,7 @@ class SceneStepper(Stepper):
             if not off[i]:
                 surface, slow = self._scene.surface_of(law.name), setup.tolerances["speed"]
                 check_start(surface, law, row[:3], near, near, slow)
-                warnings += hovering(self._scene, setup.scales, closed, [law.name], [row])
+                warnings += hovering_warnings(self._scene, setup.scales, closed, [law.name], [row])
         h = _TRIAL * setup.scales.length / setup.scales.speed
 
         slow, sticks = (np.abs(measured[:, 1:3]) <= setup.tolerances["speed"]).T

@@ -48,7 +48,7 @@ from contacts.time_stepping.step_contacts import (
     write_cone,
 )
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import indices, put
+from statechart.kernels.copies import copy_numbers, indices
 from statechart.kernels.jit import kernel
 
 # Steps of acceleration that explain a velocity, and of that velocity that explain a gap.
@@ -62,10 +62,10 @@ ALIKE, _MOST_ALIKE = 0.1, 1e-2
 def unsettle(memory: ContactHistory, k: int, chunk: Chunk) -> bool:
     """Mark all contacts as settling if a mode changes; return whether they settle."""
     changes = False
-    for i in range(len(memory.shown)):
+    for i in range(len(memory.modes)):
         chunk.modes[k, i] = chunk.codes[k, i]
-        changes = changes or memory.settling[i] > 0 or memory.shown[i] != chunk.codes[k, i]
-    for i in range(len(memory.shown)):
+        changes = changes or memory.settling[i] > 0 or memory.modes[i] != chunk.codes[k, i]
+    for i in range(len(memory.modes)):
         memory.settling[i] = max(memory.settling[i], int(changes))
     return changes
 
@@ -79,12 +79,12 @@ def _free_accelerations(
     for j in range(n):
         right[j] = numbers[n * n + j]
     at = n
-    for i in range(len(scene.held)):
-        for d in range(scene.held[i]):
+    for i in range(len(scene.bilateral)):
+        for d in range(scene.bilateral[i]):
             right[at] = -numbers[tape.first + tape.per * i + 2 * n + d]
             at += 1
     for i in range(scene.joints):
-        row = tape.first + tape.per * len(scene.held) + (n + JOINT) * i
+        row = tape.first + tape.per * len(scene.bilateral) + (n + JOINT) * i
         if numbers[row + n + 3] == 0.0:
             right[at] = -numbers[row + n + 2]
         at += 1
@@ -95,7 +95,7 @@ def _free_accelerations(
 def _is_yielding(scene: StepConstants, i: int) -> bool:
     """Return whether contact i is compliant, or the rolling resistance of a compliant one."""
     carrier = scene.carriers[i]
-    return scene.soft[i, 0] > 0.0 or (carrier >= 0 and scene.soft[carrier, 0] > 0.0)
+    return scene.compliance[i, 0] > 0.0 or (carrier >= 0 and scene.compliance[carrier, 0] > 0.0)
 
 
 @kernel
@@ -106,11 +106,11 @@ def _add_yielding_forces(
     """Add the accelerations by compliant contacts in a step with codes (c,)."""
     bears = np.zeros(len(codes), np.bool_)
     for i in range(len(codes)):
-        bears[i] = _is_yielding(scene, i) and codes[i] != FREE and not memory.off[i]
+        bears[i] = _is_yielding(scene, i) and codes[i] != FREE and not memory.disabled[i]
     which = indices(bears)
     columns = unit_responses(tape, equations, which)
     for a in range(2 * len(which)):
-        force = memory.pushes[which[a // 2], a % 2] / h
+        force = memory.impulses[which[a // 2], a % 2] / h
         for j in range(len(moving)):
             moving[j] += columns[a, j] * force
 
@@ -125,18 +125,18 @@ def _write_accelerations(
     for d in range(2):
         accelerations[d] = tape.numbers[row + 2 * n + d]
         sizes[d] = abs(accelerations[d])
-        along = 0.0
+        tangential = 0.0
         for j in range(n):
-            along += tape.numbers[row + d * n + j] * moving[j]
-        accelerations[d] += along
-        sizes[d] += abs(along)
+            tangential += tape.numbers[row + d * n + j] * moving[j]
+        accelerations[d] += tangential
+        sizes[d] += abs(tangential)
 
 
 @kernel
 def _is_near(memory: ContactHistory, tape: TapeValues, i: int, size: float, h: float) -> bool:
     """Return whether steps of acceleration explain a contact's gap and rate."""
     row, explained = tape.first + tape.per * i + 2 * tape.size, LEFT * h * size
-    gap, rate = tape.numbers[row + 2] - memory.level[i], tape.numbers[row + 3]
+    gap, rate = tape.numbers[row + 2] - memory.target_gap[i], tape.numbers[row + 3]
     return gap <= LEFT * h * explained and rate <= explained
 
 
@@ -166,7 +166,7 @@ def solve_accelerations(
 
 
 @kernel
-def clear_alike(accelerations: Array, sums: Array, per_speed: float) -> None:
+def clear_first_order_zeros(accelerations: Array, sums: Array, per_speed: float) -> None:
     """Clear accelerations (2,) that are zero to first order in the step.
 
     Contacts of one body that landed at different depths have lever arms, and so accelerations, that
@@ -209,10 +209,10 @@ def mode_of_acceleration(
         return FREE
     if cone[1] == 0.0 and not directed:
         return SLIDE
-    along = acceleration[1] if still else slip
-    if along == 0.0:
+    tangential = acceleration[1] if still else slip
+    if tangential == 0.0:
         return PIN
-    return SLIDE_PLUS if along > 0.0 else SLIDE_MINUS
+    return SLIDE_PLUS if tangential > 0.0 else SLIDE_MINUS
 
 
 @kernel
@@ -226,7 +226,7 @@ def settle(
     """
     c, n, h = len(scene.cones), tape.size, chunk.h
     moving = _free_accelerations(scene, tape, equations)
-    if scene.soft.any():
+    if scene.compliance.any():
         _add_yielding_forces(scene, memory, tape, equations, chunk.codes[k], h, moving)
     free, sizes = np.zeros((c, 2)), np.zeros((c, 2))
     closed, near, landed = np.zeros(c, np.bool_), np.zeros(c, np.bool_), False
@@ -235,10 +235,10 @@ def settle(
         if _is_yielding(scene, i):
             continue
         if is_coupling(scene, i):
-            closed[i] = not memory.off[i]
-        elif scene.held[i] == 0 and not memory.off[i]:
+            closed[i] = not memory.disabled[i]
+        elif scene.bilateral[i] == 0 and not memory.disabled[i]:
             near[i] = _is_near(memory, tape, i, sizes[i, 0], h)
-            lasts = near[i] and memory.shown[i] != FREE and memory.shown[i] != OFF_CODE
+            lasts = near[i] and memory.modes[i] != FREE and memory.modes[i] != OFF_CODE
             closed[i] = lasts or chunk.codes[k, i] != FREE
             landed = landed or (closed[i] and memory.settling[i] == LANDED)
     which = indices(closed)
@@ -253,21 +253,22 @@ def settle(
         against, brakes = np.zeros(m), np.zeros(m, np.bool_)
         for a in range(m):
             i = which[a]
-            put(free[i], alone[a])
-            put(sizes[i], terms[a])
+            copy_numbers(free[i], alone[a])
+            copy_numbers(sizes[i], terms[a])
             slips[a] = tape.numbers[tape.first + tape.per * i + 2 * n + 4]
             if abs(slips[a]) > rounding:
                 slides[a] = 1.0 if slips[a] > 0.0 else -1.0
             write_cone(scene, tape, i, int(slides[a]), cones[a])
-            bears, lasts = chunk.codes[k, i] != FREE, memory.shown[i] != FREE
-            arrives, lasts = not (lasts or chunk.struck[k, i]), lasts and memory.fresh[i] != HOLDING
+            bears, lasts = chunk.codes[k, i] != FREE, memory.modes[i] != FREE
+            arrives = not (lasts or chunk.struck[k, i])
+            lasts = lasts and memory.landing_steps[i] != HOLDING
             if bears and arrives:
                 memory.settling[i] = LANDED
             # Forces decide the slip that an impact leaves to a brake.
             brakes[a] = landed and is_coupling(scene, i) and scene.carriers[i] < 0
             if brakes[a]:
                 against[a] = LEFT
-            elif bears and _direction(memory.shown[i]) != slides[a] and (lasts or arrives):
+            elif bears and _direction(memory.modes[i]) != slides[a] and (lasts or arrives):
                 # The last bounce starts h v/2 deep and ends there: it lasts up to h/e.
                 e = scene.restitution[i] if memory.settling[i] == LANDED else 0.0
                 against[a] = LEFT + (min(1.0 / e, LEFT * LEFT) if e > 0.0 else 0.0)
@@ -287,7 +288,7 @@ def settle(
             for a in range(m):
                 if brakes[a]:
                     # Contact forces rotate the coupled bodies.
-                    put(sums[a], terms[a])
+                    copy_numbers(sums[a], terms[a])
             if ended or not (solved and end_slips(slips, forced, against, terms, h, slides)):
                 break
             ended = True
@@ -300,31 +301,31 @@ def settle(
                 still, directed = slides[a] == 0.0, scene.slips[i] == 2
                 modes[i] = mode_of_acceleration(forced[a], slips[a], still, cones[a], directed)
                 if memory.settling[i] == LANDED or modes[i] != chunk.codes[k, i]:
-                    clear_alike(forced[a], sums[a], ALIKE * h / scene.speed)
+                    clear_first_order_zeros(forced[a], sums[a], ALIKE * h / scene.speed)
                     modes[i] = mode_of_acceleration(forced[a], slips[a], still, cones[a], directed)
             if solved and brakes[a]:
-                clear_alike(forced[a], sums[a], ALIKE * h / scene.speed)
-                along = slips[a] if slides[a] != 0.0 else forced[a, 1]
-                modes[i] = coupling_mode(scene, i, along, modes)
+                clear_first_order_zeros(forced[a], sums[a], ALIKE * h / scene.speed)
+                tangential = slips[a] if slides[a] != 0.0 else forced[a, 1]
+                modes[i] = coupling_mode(scene, i, tangential, modes)
             if scene.carriers[i] >= 0:
                 found = coupling_mode(scene, i, slips[a] if slides[a] != 0.0 else 0.0, modes)
                 modes[i] = found if FREE in (found, modes[i]) else modes[i]
-    _show(memory, n + scene.joints, k, chunk)
+    _finish_settling(memory, n + scene.joints, k, chunk)
 
 
 @kernel
-def _show(memory: ContactHistory, first: int, k: int, chunk: Chunk) -> None:
+def _finish_settling(memory: ContactHistory, first: int, k: int, chunk: Chunk) -> None:
     """End the settling if the impulses of step k agree with the recorded modes.
 
     `first`: index of the contact forces in the unknowns of the step.
     """
     agree = True
-    for i in range(len(memory.shown)):
-        mode = memory.shown[i] = chunk.modes[k, i]
-        agree = agree and mode == chunk.codes[k, i] and memory.fresh[i] == 0
+    for i in range(len(memory.modes)):
+        mode = memory.modes[i] = chunk.modes[k, i]
+        agree = agree and mode == chunk.codes[k, i] and memory.landing_steps[i] == 0
         if mode != chunk.codes[k, i]:
             for d in range(2):
                 force = math.nan if mode != FREE else 0.0
                 chunk.solved[k, first + 2 * i + d] = force
-    for i in range(len(memory.shown)):
+    for i in range(len(memory.modes)):
         memory.settling[i] = 0 if agree else memory.settling[i]

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from contacts.solvers.contact_rows import ContactRows, scale
+from contacts.solvers.contact_rows import ContactRows, velocity_scale
 from contacts.solvers.impulse_coupling import coupled_contacts
 from contacts.solvers.redundancy import shared_forces
 from contacts.solvers.step_impulses import (
@@ -18,12 +18,12 @@ from contacts.solvers.step_impulses import (
     TWO,
     Island,
     coordinate_rows,
-    forces_beside_impacts,
-    into_cone,
+    forces_without_impacts,
     is_sliding,
     new_island,
     order_matters,
-    part_left,
+    project_into_cone,
+    removable_share,
     write_velocities,
 )
 from contacts.states import (
@@ -48,7 +48,7 @@ from contacts.time_stepping.chunk import (
     SLOW,
     TIME_MARGIN,
     Chunk,
-    arriving,
+    contact_role,
 )
 from contacts.time_stepping.equations import (
     EDGES,
@@ -64,7 +64,7 @@ from contacts.time_stepping.equations import (
     solve_factored,
 )
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import indices, put, put_rows
+from statechart.kernels.copies import copy_numbers, copy_rows, indices
 from statechart.kernels.jit import kernel
 
 
@@ -87,7 +87,7 @@ def mode_of_impulse(impulse: Array, slip: float, sliding: bool, cone: Array, dir
 
 
 @kernel
-def pressing(own: Array, slip: float, cone: Array) -> bool:
+def friction_presses(own: Array, slip: float, cone: Array) -> bool:
     """Return whether friction presses a sliding contact into its surface (Painleve's paradox)."""
     against = -cone[1] if slip > 0.0 else cone[1]
     return slip != 0.0 and own[0] * cone[0] + own[2] * against <= 0.0
@@ -112,21 +112,21 @@ def close_opposed(
     for i in range(len(scene.cones)):
         row = tape.first + tape.per * i
         gap = tape.numbers[row + 2 * n + 2]
-        if memory.off[i] or met.hit[i] or scene.held[i] > 0 or not gap > 0.0:
+        if memory.disabled[i] or met.hit[i] or scene.bilateral[i] > 0 or not gap > 0.0:
             continue
         for other in range(len(scene.cones)):
             left = tape.numbers[tape.first + tape.per * other + 2 * n + 2]
             lasts = met.active[other] and not met.hit[other]
-            if not lasts or memory.level[other] >= -scene.near:
+            if not lasts or memory.target_gap[other] >= -scene.gap_tolerance:
                 continue
             lever = _opposing_lever(tape, i, other)
-            if lever > 0.0 and gap <= scene.near - _BENT * lever * left:
+            if lever > 0.0 and gap <= scene.gap_tolerance - _BENT * lever * left:
                 # With matching target gaps neither contact is pushed by the other's error.
                 met.active[i], memory.closed[i] = True, True
-                memory.level[i] = -lever * memory.level[other]
-                above = gap + lever * memory.level[other]
-                met.wanted[i, 0] = above / h + 0.5 * h * tape.numbers[row + 2 * n]
-                met.wanted[i, 1] = 0.5 * h * tape.numbers[row + 2 * n + 1]
+                memory.target_gap[i] = -lever * memory.target_gap[other]
+                above = gap + lever * memory.target_gap[other]
+                met.bias[i, 0] = above / h + 0.5 * h * tape.numbers[row + 2 * n]
+                met.bias[i, 1] = 0.5 * h * tape.numbers[row + 2 * n + 1]
                 break
 
 
@@ -161,10 +161,10 @@ def _slow(
     """
     change = met.free[i, 0] - met.before[i, 0]
     slow = abs(change)
-    if memory.fresh[i] > 0:
+    if memory.landing_steps[i] > 0:
         row = tape.first + tape.per * i
         slow = max(slow, abs(change + h * tape.numbers[row + 2 * tape.size]))
-    return max(SLOW * slow, scene.still)
+    return max(SLOW * slow, scene.speed_tolerance)
 
 
 @kernel
@@ -173,12 +173,12 @@ def find_active(
     met: ContactRoles, chunk: Chunk,
 ) -> None:  # fmt: skip
     """Write the active contacts of step k, whose rates change by `change` without contacts."""
-    numbers, n, off, level, h = tape.numbers, tape.size, memory.off, memory.level, chunk.h
+    numbers, n, off, level, h = tape.numbers, tape.size, memory.disabled, memory.target_gap, chunk.h
     for i in range(len(scene.cones)):
         row = tape.first + tape.per * i
         gap = numbers[row + 2 * n + 2]
         met.active[i] = met.hit[i] = False
-        if scene.held[i] > 0 or off[i]:
+        if scene.bilateral[i] > 0 or off[i]:
             continue
         before, free = met.before[i], met.free[i]
         for d in range(2):
@@ -186,54 +186,54 @@ def find_active(
             for j in range(n):
                 free[d] += numbers[row + d * n + j] * change[j]
         if is_coupling(scene, i):
-            met.active[i], met.wanted[i, 1] = True, 0.5 * h * numbers[row + 2 * n + 1]
+            met.active[i], met.bias[i, 1] = True, 0.5 * h * numbers[row + 2 * n + 1]
             continue
-        if scene.soft[i, 0] > 0.0:
+        if scene.compliance[i, 0] > 0.0:
             # Implicit Euler: h times the force at the initial gap plus h times the final rate,
             # never below 0. It dissipates in steps longer than a contact lasts.
             start = gap - 0.5 * h * before[0]
             met.active[i] = min(start, gap) <= 0.0
-            met.wanted[i, 0] = h * scene.soft[i, 0] * start / _yielding(scene, i, h)
-            met.wanted[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
+            met.bias[i, 0] = h * scene.compliance[i, 0] * start / _pad_compliance(scene, i, h)
+            met.bias[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
             continue
         nearing, slow = -before[0], _slow(scene, memory, tape, met, i, h)
         bias = 0.5 * h * numbers[row + 2 * n]
         closing, reached = h * (slow - (free[0] + bias)), TIME_MARGIN * h * nearing
-        role, level[i], above = arriving(
-            gap, level[i], memory.closed[i], nearing, slow, closing, reached, scene.near
+        role, level[i], above = contact_role(
+            gap, level[i], memory.closed[i], nearing, slow, closing, reached, scene.gap_tolerance
         )
         if role == LASTING and not memory.closed[i] and nearing < -slow:
             # It has rebounded, and is still as deep as it landed: no contact for other impacts.
             role = SEPARATED
         met.active[i], met.hit[i] = role != SEPARATED, role == HIT
         if role == LASTING:
-            met.wanted[i, 0] = above / h + bias
-            if abs(free[0] + met.wanted[i, 0]) <= scene.rounding:
+            met.bias[i, 0] = above / h + bias
+            if abs(free[0] + met.bias[i, 0]) <= scene.round_off:
                 # Bodies that fall side by side have no contact force.
-                met.wanted[i, 0] = -free[0]
-            met.wanted[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
+                met.bias[i, 0] = -free[0]
+            met.bias[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
             # Depth between midpoints by rotation.
             chunk.approach[k] = max(chunk.approach[k], 2.0 * abs(bias))
         elif role == HIT:
             # Error of the impact direction by rotation within the step.
-            speed = max(math.hypot(before[0], before[1]), scene.slowest)
-            chunk.gained[k] = max(chunk.gained[k], (bias / speed) ** 2)
-            met.wanted[i, 0] = -scene.restitution[i] * nearing
+            speed = max(math.hypot(before[0], before[1]), scene.min_speed)
+            chunk.energy_gain[k] = max(chunk.energy_gain[k], (bias / speed) ** 2)
+            met.bias[i, 0] = -scene.restitution[i] * nearing
             chunk.approach[k] = max(chunk.approach[k], nearing)
             chunk.closing[k] = max(chunk.closing[k], -gap)
 
 
 @kernel
-def _yielding(scene: StepConstants, i: int, h: float) -> float:
+def _pad_compliance(scene: StepConstants, i: int, h: float) -> float:
     """Return the implicit impulse per velocity of a compliant contact."""
-    impulse: float = h * (h * scene.soft[i, 0] + scene.soft[i, 1])
+    impulse: float = h * (h * scene.compliance[i, 0] + scene.compliance[i, 1])
     return impulse
 
 
 @kernel
 def _is_finite(scene: StepConstants, i: int) -> bool:
     """Return whether contact i is compliant or a coupling, which has no impacts."""
-    return scene.soft[i, 0] > 0.0 or is_coupling(scene, i)
+    return scene.compliance[i, 0] > 0.0 or is_coupling(scene, i)
 
 
 @kernel
@@ -246,7 +246,9 @@ def unit_responses(tape: TapeValues, equations: FactoredEquations, which: Ints) 
         for d in range(2):
             for j in range(n):
                 push[j] = tape.numbers[row + d * n + j]
-            put(solve_factored(equations.factors, equations.order, push), columns[2 * a + d])
+            copy_numbers(
+                solve_factored(equations.factors, equations.order, push), columns[2 * a + d]
+            )
     return columns
 
 
@@ -277,8 +279,8 @@ def normal_pads(
     pads = np.zeros(len(which))
     for a in range(len(which)):
         i = which[a]
-        if scene.soft[i, 0] > 0.0:
-            pads[a] = 1.0 / _yielding(scene, i, h)
+        if scene.compliance[i, 0] > 0.0:
+            pads[a] = 1.0 / _pad_compliance(scene, i, h)
         if is_coupling(scene, i):
             row = tape.first + tape.per * i + tape.size
             for j in range(tape.size):
@@ -310,8 +312,8 @@ def coupling_loads(
         for b in range(len(which)):
             if which[b] == carrier:
                 loads[a] = max(pushes[b, 0], 0.0)
-        if scene.held[carrier] > 0:
-            at = scene.size + scene.held[:carrier].sum()
+        if scene.bilateral[carrier] > 0:
+            at = scene.size + scene.bilateral[:carrier].sum()
             load = free[at]
             for b in range(2 * len(which)):
                 load += columns[b, at] * pushes[b // 2, b % 2]
@@ -342,8 +344,8 @@ def load_couplings(
 @kernel
 def label_groups(scene: StepConstants, tape: TapeValues, met: ContactRoles) -> None:
     """Label active contacts, and constraints, by the first of their coupled group; others -1."""
-    numbers, n, c, active = tape.numbers, tape.size, len(scene.held), indices(met.active)
-    constraints, joints, width = indices(scene.held > 0), tape.first + tape.per * c, n + JOINT
+    numbers, n, c, active = tape.numbers, tape.size, len(scene.bilateral), indices(met.active)
+    constraints, joints, width = indices(scene.bilateral > 0), tape.first + tape.per * c, n + JOINT
     which = np.empty(len(active) + len(constraints), np.int64)
     for a in range(len(which)):
         which[a] = active[a] if a < len(active) else constraints[a - len(active)]
@@ -352,7 +354,7 @@ def label_groups(scene: StepConstants, tape: TapeValues, met: ContactRoles) -> N
         numbers[joints : joints + width * scene.joints].reshape((scene.joints, width)),
         numbers[tape.first : joints].reshape((c, tape.per)),
         which,
-        scene.held,
+        scene.bilateral,
     )
     met.groups[:] = -1
     for a in range(len(which)):
@@ -360,7 +362,7 @@ def label_groups(scene: StepConstants, tape: TapeValues, met: ContactRoles) -> N
 
 
 @kernel
-def members_of(met: ContactRoles, label: int) -> Ints:
+def group_members(met: ContactRoles, label: int) -> Ints:
     """Return the active contacts with a label."""
     return indices((met.groups == label) & met.active)
 
@@ -368,8 +370,8 @@ def members_of(met: ContactRoles, label: int) -> Ints:
 @kernel
 def write_cone(scene: StepConstants, tape: TapeValues, i: int, direction: int, cone: Array) -> None:
     """Write the unit cone edge (2,) of contact i that slips in a direction, or rests (0)."""
-    put(scene.cones[i], cone)
-    if direction != 0 and (scene.used[i] >= 0 or is_coupling(scene, i)):
+    copy_numbers(scene.cones[i], cone)
+    if direction != 0 and (scene.coefficient_places[i] >= 0 or is_coupling(scene, i)):
         at = tape.first + tape.per * i + 2 * tape.size + (EDGES if direction > 0 else EDGES + 2)
         cone[0], cone[1] = tape.numbers[at], tape.numbers[at + 1]
         if cone[1] <= SUM_ROUNDING * cone[0]:
@@ -399,24 +401,24 @@ def group_island(
         for d in range(2):
             for j in range(n):
                 jacobians[a, d, j] = tape.numbers[row + d * n + j]
-        if abs(slip) > scene.rounding and (memory.slid[i] or not memory.closed[i]):
-            island.ways[a] = 1 if slip > 0.0 else -1
-        write_cone(scene, tape, i, island.ways[a], cones[a])
-        if scene.used[i] >= 0 or is_coupling(scene, i):
-            island.kinds[a] = TWO if scene.used[i] >= 0 else LIMIT
+        if abs(slip) > scene.round_off and (memory.slipped[i] or not memory.closed[i]):
+            island.slip_directions[a] = 1 if slip > 0.0 else -1
+        write_cone(scene, tape, i, island.slip_directions[a], cones[a])
+        if scene.coefficient_places[i] >= 0 or is_coupling(scene, i):
+            island.kinds[a] = TWO if scene.coefficient_places[i] >= 0 else LIMIT
             for way in range(-1, 2):
                 write_cone(scene, tape, i, way, island.frictions[a, way])
         island.rebounds[a] = met.hit[i] and scene.restitution[i] > 0.0
         if scene.plastic and island.rebounds[a] and rigid_count > 1:
-            island.rebounds[a], met.wanted[i, 0] = False, 0.0
+            island.rebounds[a], met.bias[i, 0] = False, 0.0
         island.hit[a] = met.hit[i if scene.carriers[i] < 0 else scene.carriers[i]]
         struck = struck or island.hit[a]
-        put(memory.pushes[i], island.chosen[a])
+        copy_numbers(memory.impulses[i], island.chosen[a])
     for a in range(m):
-        put(met.wanted[members[a]], island.wanted[a])
+        copy_numbers(met.bias[members[a]], island.bias[a])
         # The slip bias assumes the old rotation, which an impact changes.
         if struck:
-            island.wanted[a, 1] = 0.0
+            island.bias[a, 1] = 0.0
     loads = coupling_loads(scene, members, columns, equations.change, island.chosen, h)
     load_couplings(scene, tape, members, loads, pads, island.unforced)
     return island, coordinate_rows(jacobians, columns, pads, cones), columns, pads
@@ -439,8 +441,8 @@ def split_forces(
     for a in range(m):
         i = island.members[a]
         # A sticking contact's slip is round-off.
-        if scene.slips[i] > 0 and (memory.slid[i] or not memory.closed[i]):
-            paradox = pressing(contacts.own[a], island.start[a, 1], cones[a])
+        if scene.slips[i] > 0 and (memory.slipped[i] or not memory.closed[i]):
+            paradox = friction_presses(contacts.own[a], island.start[a, 1], cones[a])
             if paradox and least[a, 0] < 0.0 and not hit[a]:
                 hit[a], chunk.stats[k, JAMMED] = True, i + 1
             clear = SUM_ROUNDING * (abs(island.start[a, 0]) + abs(island.unforced[a, 0]))
@@ -449,13 +451,13 @@ def split_forces(
                 chunk.stats[k, CHOSEN] = 1.0
     steady, struck = pushes.copy(), hit.any()
     if struck:
-        fast = scale(contacts, least)
-        steady = forces_beside_impacts(contacts, hit, least, pushes, scene.allowed, fast)
+        fast = velocity_scale(contacts, least)
+        steady = forces_without_impacts(contacts, hit, least, pushes, scene.impulse_tolerance, fast)
         under = np.empty_like(after)
         write_velocities(contacts, least, steady, under)
     for a in range(m):
         slides[a] = not hit[a] and is_sliding(cones[a], steady[a], under[a, 1])
-        part = part_left(pushes[a], steady[a], cones[a]) if struck else 1.0
+        part = removable_share(pushes[a], steady[a], cones[a]) if struck else 1.0
         steady[a, 0] *= part
         steady[a, 1] *= part
     if struck:
@@ -484,15 +486,15 @@ def energy_added(
     that lands on a surface that turns by a radian within the step took nothing before, and an
     impact there has a direction error of the same size, which counts as if it had landed.
     """
-    n, gained, energy, had = tape.size, 0.0, 0.0, scene.negligible
+    n, gained, energy, had = tape.size, 0.0, 0.0, scene.min_energy
     moves = np.zeros(n, np.bool_)
     for a in range(len(island.members)):
         # The spring of a compliant contact returns energy.
-        for d in range(1 if scene.soft[island.members[a], 0] > 0.0 else 0, 2):
+        for d in range(1 if scene.compliance[island.members[a], 0] > 0.0 else 0, 2):
             change = island.after[a, d] - island.least[a, d]
             both = island.start[a, d] + island.unforced[a, d] + change
             gained += island.chosen[a, d] * both
-        speed = max(math.hypot(island.start[a, 0], island.start[a, 1]), scene.slowest)
+        speed = max(math.hypot(island.start[a, 0], island.start[a, 1]), scene.min_speed)
         had = max(had, speed * speed / contacts.own[a, 0])
         for j in range(n):
             moves[j] = moves[j] or contacts.rows[a, 0, j] != 0.0 or contacts.rows[a, 1, j] != 0.0
@@ -512,13 +514,13 @@ def is_mixed_with_impacts(
         i, nearing = island.members[a], -island.start[a, 0]
         late = _NEGLIGIBLE_LANDING * abs(island.unforced[a, 0] + nearing)
         bias = 0.5 * h * tape.numbers[tape.first + tape.per * i + 2 * tape.size]
-        arrives = nearing > late or abs(island.wanted[a, 0] - bias) > late
-        arrives = arrives and not memory.closed[i] and not scene.soft[i, 0] > 0.0
+        arrives = nearing > late or abs(island.bias[a, 0] - bias) > late
+        arrives = arrives and not memory.closed[i] and not scene.compliance[i, 0] > 0.0
         lands = lands or (island.chosen[a, 0] > 0.0 and (island.hit[a] or arrives))
     for i in island.members:
         if lands:
-            memory.fresh[i], memory.settling[i] = HOLDING, LANDED
-        holds = holds or memory.fresh[i] > 0
+            memory.landing_steps[i], memory.settling[i] = HOLDING, LANDED
+        holds = holds or memory.landing_steps[i] > 0
     return holds
 
 
@@ -529,7 +531,7 @@ def coupling_mode(scene: StepConstants, i: int, slip: float, modes: Ints) -> int
     `modes` (c,) are those of contacts.
     """
     carrier = scene.carriers[i]
-    if carrier >= 0 and scene.held[carrier] == 0 and modes[carrier] in (FREE, OFF_CODE):
+    if carrier >= 0 and scene.bilateral[carrier] == 0 and modes[carrier] in (FREE, OFF_CODE):
         return FREE
     if slip == 0.0:
         return LOCKED
@@ -547,7 +549,7 @@ def clear_round_off(scene: StepConstants, island: Island, contacts: ContactRows,
                 for k in range(contacts.rows.shape[2]):
                     turned += contacts.rows[a, 1, k] * contacts.columns[b, 0, k]
                 most = max(most, abs(turned) / contacts.own[b, 0])
-        if abs(island.after[a, 1]) <= most * scene.near / h:
+        if abs(island.after[a, 1]) <= most * scene.gap_tolerance / h:
             island.after[a, 1] = 0.0
 
 
@@ -561,8 +563,8 @@ def write_modes(
     used_at = scene.size + scene.joints + 2 * len(scene.cones)
     for a in range(len(pushes)):
         i, slip = island.members[a], island.after[a, 1]
-        put(pushes[a], memory.pushes[i])
-        memory.slid[i] = slip != 0.0
+        copy_numbers(pushes[a], memory.impulses[i])
+        memory.slipped[i] = slip != 0.0
         if is_coupling(scene, i):
             memory.closed[i] = True
             chunk.codes[k, i] = coupling_mode(scene, i, slip, chunk.codes[k])
@@ -570,13 +572,13 @@ def write_modes(
         if struck:
             for d in range(2):
                 chunk.impulses[k, i, d] = pushes[a, d] - steady[a, d]
-            put(into_cone(chunk.impulses[k, i], cones[a]), chunk.impulses[k, i])
+            copy_numbers(project_into_cone(chunk.impulses[k, i], cones[a]), chunk.impulses[k, i])
         pressed = pushes[a, 0] > 0.0
-        if scene.used[i] >= 0:
+        if scene.coefficient_places[i] >= 0:
             mu = cones[a, 1] / cones[a, 0] if cones[a, 0] > 0.0 else math.inf
-            chunk.solved[k, used_at + scene.used[i]] = mu
+            chunk.solved[k, used_at + scene.coefficient_places[i]] = mu
         if pressed and not met.hit[i] and not memory.closed[i]:
-            chunk.closing[k] = max(chunk.closing[k], chunk.gaps[k, i] - memory.level[i])
+            chunk.closing[k] = max(chunk.closing[k], chunk.gaps[k, i] - memory.target_gap[i])
         # A contact that another one's impulse stops counts as struck.
         chunk.struck[k, i] = island.hit[a] and (
             pressed or (met.hit[i] and island.after[a, 0] == 0.0)
@@ -593,14 +595,14 @@ def write_modes(
 
 
 @kernel
-def order_decides(
+def impact_order_matters(
     scene: StepConstants, island: Island, contacts: ContactRows, k: int, chunk: Chunk
 ) -> bool:
     """Return whether sequential impacts in step k would have another outcome."""
     lively = np.zeros(len(island.members), np.bool_)
     for a in range(len(lively)):
         i = island.members[a]
-        slow = max(SLOW * abs(island.unforced[a, 0] - island.start[a, 0]), scene.still)
+        slow = max(SLOW * abs(island.unforced[a, 0] - island.start[a, 0]), scene.speed_tolerance)
         sudden = contacts.own[a, 0] * chunk.impulses[k, i, 0]
         lively[a] = scene.restitution[i] >= LIVELY and sudden > slow
     impulses = chunk.impulses[k][island.members]
@@ -619,7 +621,7 @@ def share_loads(scene: StepConstants, island: Island, contacts: ContactRows) -> 
         if pushes[a, 0] > 0.0 or island.after[a, 0] == 0.0:
             sliding = slip != 0.0 and (pushes[a, 0] <= 0.0 or is_sliding(cones[a], pushes[a], slip))
             modes[a] = mode_of_impulse(pushes[a], slip, sliding, cones[a], directed)
-    put_rows(shared_forces(modes, cones, contacts.rows, pushes)[1], pushes)
+    copy_rows(shared_forces(modes, cones, contacts.rows, pushes)[1], pushes)
 
 
 @kernel
@@ -631,7 +633,7 @@ def share_forces(
     m, struck = len(steady), island.hit.any()
     for i in island.members:
         # Compliance determines the load sharing.
-        if m < 2 or scene.soft[i, 0] > 0.0:
+        if m < 2 or scene.compliance[i, 0] > 0.0:
             return steady
     redundant, result = shared_forces(modes, contacts.cones, contacts.rows, steady)
     for a in range(m):

@@ -12,7 +12,7 @@ import numpy as np
 from contacts.states import OFF_CODE
 from contacts.time_stepping.chunk import RESIDUAL, Chunk
 from statechart.arrays import Array, Ints
-from statechart.errors import StepTooLarge, UnsolvedImpulses
+from statechart.errors import NoConsistentMode, StepTooLarge, UnsolvedImpulses
 
 DEEPEST = 0.1
 """Largest gap that a step may close, relative to the scene."""
@@ -45,7 +45,7 @@ def too_large(
     h = chunk.h
     turn: Array = h * np.max(np.abs(chunk.states[1:, angles]), axis=1, initial=0.0)
     wrong = (turn > math.pi) | (chunk.closing > DEEPEST * size) | (chunk.passed > 0.0)
-    wrong |= chunk.gained > _MOST_ADDED
+    wrong |= chunk.energy_gain > _MOST_ADDED
     if not wrong.any():
         return None
     k = int(np.argmax(wrong))
@@ -61,9 +61,9 @@ def too_large(
         ))  # fmt: skip
     if chunk.closing[k] <= DEEPEST * size:
         # The energy gain grows with the square of the step.
-        part = math.sqrt(_MOST_ADDED / chunk.gained[k])
+        part = math.sqrt(_MOST_ADDED / chunk.energy_gain[k])
         return Rejection(k, StepTooLarge(
-            f"contacts would add {chunk.gained[k]:.2g} of the kinetic energy in one step of "
+            f"contacts would add {chunk.energy_gain[k]:.2g} of the kinetic energy in one step of "
             f"{h:g}, in which surfaces or bodies turn too far; take "
             f"{0.1 * h * part:.1g} or less"
         ))  # fmt: skip
@@ -177,3 +177,11 @@ def depth_left(gaps: Array, rows: Array, held: Array) -> tuple[float, Array]:
 def _gaps(chunk: Chunk) -> Array:
     found: Array = np.where(chunk.codes == OFF_CODE, math.inf, chunk.gaps)
     return found
+
+
+def invalid_limit(name: str, end: float) -> NoConsistentMode:
+    """Return the error of a coupling whose limit is negative, or has no value."""
+    return NoConsistentMode(
+        f"coupling {name!r}: its limit is below zero or has no value by t = {end:.9g}; a coupling "
+        "that lets go is one with enabled: RELATION"
+    )

@@ -94,8 +94,8 @@ class MarginDerivatives:
         for part in _LATER:
             moved = np.array([polyval(part * horizon, grown.values) for grown in series])
             later.append(tape.at(moved, setup.values, time + part * horizon)[-1].item())
-        signs = {math.copysign(1.0, value) for value in later if abs(value) > 0.0}
-        return signs.pop() if len(signs) == 1 and 0.0 not in later else math.nan
+        signs = {float(np.sign(value)) for value in later}
+        return signs.pop() if len(signs) == 1 else math.nan
 
     def _tape(self, mode: Mode, margin: str | sp.Expr) -> tuple[list[int], bool, Tape]:
         """Return the variables of a margin, whether it depends on time, and the tape of rates."""

@@ -19,7 +19,11 @@ from statechart.automaton.trace import Roles
 from statechart.formulas.linear import Definition, solve_linear
 from statechart.formulas.tape import Tape, contiguous
 from statechart.formulas.writer import compile_tape
-from statechart.kernels.reconstruction import Program, reconstruct, reconstruction_program
+from statechart.kernels.reconstruction import (
+    ReconstructionProgram,
+    reconstruct,
+    reconstruction_program,
+)
 
 
 def build_mode(
@@ -224,7 +228,7 @@ def _shared(
 class Reconstruction(NamedTuple):
     """Reconstruction of dependent coordinates in a flow."""
 
-    program: Program
+    program: ReconstructionProgram
 
     def onto(self, state: Array, time: float) -> Array:
         """Return a state (n,) with dependent coordinates computed from the others."""

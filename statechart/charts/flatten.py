@@ -52,7 +52,9 @@ class _Flattening:
         self._counts = {
             place: f"{name}.{found.arrows[place].declared.name}_count"
             for place in self._clocks
-            if found.arrows[place].declared.every is not None or found.arrows[place].target < 0
+            if (declared := found.arrows[place].declared).every is not None
+            or declared.internal
+            or found.arrows[place].target < 0
         }
         # Priority of arrows: inner states first, then in document order.
         rank = {node: place for place, node in enumerate(found.inner_first)}

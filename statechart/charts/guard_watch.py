@@ -257,7 +257,9 @@ class GuardTruths:
         def direction(k: int) -> float:
             for order in (1, 2):
                 value, size = rate(k, order).tolist()
-                if not abs(value) <= relative * size:
+                if math.isnan(value):
+                    return later(watch.margins[k])
+                if value != 0.0 and not abs(value) <= relative * size:
                     return float(value)
             return 0.0 if watch.atoms[k].rests else later(watch.margins[k])
 

@@ -36,13 +36,6 @@ class Allowance:
         """Remove the limit."""
         self._until = math.inf
 
-    def check_for(self, seconds: float) -> None:
-        """Raise if there is no time for a compilation of so many `seconds`."""
-        if seconds and self.clock() + seconds > self._until:
-            raise OutOfBudget(
-                f"{self.seconds:g} s are too few to compile the mode's integrator; allow more time"
-            )
-
     def check(self, now: float) -> None:
         """Raise if the time is over; `now` is the time that the run reached."""
         if self.clock() > self._until:
@@ -188,10 +181,6 @@ class Engine(ABC):
     def entry(self, stepper: object) -> Entry | None:
         """Return the step function of a stepper for compiled loops, or None."""
         return None
-
-    def compiling(self, rates: Tape) -> float:
-        """Return the estimated seconds of `compile`."""
-        return 0.0
 
     def check(self, stepper: object, state: Array, parameters: Array, time: float) -> None:  # noqa: B027
         """Raise `Unsupported` if the method cannot continue from a state with any step."""

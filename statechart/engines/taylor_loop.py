@@ -1,7 +1,7 @@
-"""Taylor steps in one call: heyoka's compiled step, linked into this process and called by address.
+"""Taylor integration by heyoka's compiled step, called from compiled code by its address.
 
-A call of heyoka from Python costs as much as the step itself, and its code is at hand: an
-integrator hands out its object code and the LLVM module that it comes from.
+A call of heyoka from Python takes as long as the step itself. Its integrators provide their object
+code and LLVM module; `Step` links the code into this process, `taylor_steps` is the loop.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from typing import Any
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.kernels.copies import put
+from statechart.kernels.copies import copy_numbers
 from statechart.kernels.jit import intrinsic, kernel
 from statechart.kernels.polynomials import horner
-from statechart.kernels.reconstruction import Program, reconstruct_any
+from statechart.kernels.reconstruction import ReconstructionProgram, reconstruct_any
 
-# A call by address relies on this: heyoka documents the module, not the function.
+# Signature that the call by address requires: heyoka documents the module, not the function.
 _SIGNATURE = re.compile(
     r"^define void @step\("
     r"ptr[^,]*%state_ptr, ptr[^,]*%par_ptr, ptr[^,]*%time_ptr, ptr[^,]*%h_ptr, ptr[^,]*%tc_ptr\)",
     re.MULTILINE,
 )
-# Functions that heyoka's library brings along.
+# Functions of heyoka's library that the code calls.
 _HELPERS = re.compile(r"@(heyoka_\w+)")
 _serial_numbers = itertools.count()
 
@@ -35,33 +35,33 @@ _serial_numbers = itertools.count()
 class Step:
     """heyoka's compiled step of one integrator, linked into this process.
 
-    Its address is that of ``step(state, parameters, time, h, series)``, five pointers to float64:
-    it advances the state by at most h, writes what it took to h and the Taylor coefficients to
-    series.
+    `address` is the address of ``step(state, parameters, time, h, series)``, five pointers to
+    float64. The step advances the state by at most h, and writes its size to h and the Taylor
+    coefficients to series.
     """
 
     def __init__(self, module: str, code: bytes) -> None:
         import llvmlite.binding as llvm
-        from heyoka import _core  # elsewhere than on Linux there is none
+        from heyoka import _core  # exists on Linux only
 
         builder = llvm.JITLibraryBuilder().add_object_img(code).add_current_process()
         library = ctypes.CDLL(_core.__file__)
         for name in set(_HELPERS.findall(module)):
             place = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
             builder.import_symbol(name, place)
-        # The code is freed with what tracks it.
+        # The code is freed with its resource tracker.
         self._code = builder.export_symbol("step").link(_linker(), f"step {next(_serial_numbers)}")
         self.address = int(self._code["step"])
 
     @classmethod
     def of(cls, integrator: Any) -> Step | None:
-        """Return the step of a heyoka integrator; None where it has no such function."""
+        """Return the step of a heyoka integrator; None if its module has no such function."""
         state = integrator.llvm_state
         if not isinstance(state.ir, str) or _SIGNATURE.search(state.ir) is None:
             return None
         try:
             return cls(state.ir, state.object_code)
-        except (AttributeError, RuntimeError):  # a symbol that is not to be found
+        except (AttributeError, RuntimeError):  # an unknown symbol
             return None
 
 
@@ -78,15 +78,15 @@ def _linker() -> Any:
 _FUNCTION = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 5)
 
 
-def _called(address: int, *arrays: Array) -> None:
+def _call_by_address(address: int, *arrays: Array) -> None:
     _FUNCTION(int(address))(*(array.ctypes.data for array in arrays))
 
 
-@intrinsic(_called)
+@intrinsic(_call_by_address)
 def call_step(
     typing: Any, address: Any, state: Any, parameters: Any, time: Any, h: Any, series: Any
 ) -> Any:
-    """Call the step at an address."""
+    """Call the compiled step at an address."""
     from llvmlite import ir
     from numba import types
 
@@ -105,50 +105,48 @@ def call_step(
     return types.void(address, *arrays), build
 
 
-# So far off the rate may the slope at the end of a step be, in parts of the motion in it and for
-# orders that do better: stiff springs at rest are by less in rounding.
-STRAY = 1e-9
-ORDERS = 1e2  # likewise in tolerances, for orders that do worse
-# The motion counts as so much at least: below 1 heyoka's tolerance is absolute.
-LEAST_MOTION = 1e-6
-# Above this it is never rounding; below, what falls by less as a step is halved is: what a series
-# leaves out falls with a power above its order.
-_ROUGH, _ROUNDING = 1e-3, 0.25
-# No step is made where the rate itself ends: shorter ones do not help.
-HALVINGS = 40
+# Largest slope error at the end of a step, relative to the motion in it. The round-off of stiff
+# springs at rest is smaller.
+MAX_SLOPE_ERROR = 1e-9
+SLOPE_ERROR_FACTOR = 1e2  # the same in units of the tolerance, for low orders
+# Lower bound of the motion: heyoka's tolerance is absolute below 1.
+MIN_MOTION = 1e-6
+# A slope error is round-off if it is below `_MAX_ROUND_OFF`, and halving the step leaves more than
+# `_MIN_REDUCTION` of it: the truncation error falls with a power above the order.
+_MAX_ROUND_OFF, _MIN_REDUCTION = 1e-3, 0.25
+# Largest number of halvings of a step, for rates that end in a singularity.
+MAX_HALVINGS = 40
 
 Integrator = tuple[int, Array, Array, Array, Array, float, float]
-"""heyoka's, its step linked: address, state (n,), parameters (p,), clock (2,) with the time since
-the integration began and its rounding, series (n, d + 1), tolerance, longest step."""
+"""heyoka's integrator: address of its step, state (n,), parameters (p,), clock (2,) with the time
+since the start of the integration and its round-off, series (n, d + 1), tolerance, longest step."""
 
 
 @kernel
-def stray(row: Array, h: float, series: Array, offs: Array, reaches: Array) -> float:
-    """Return the error of the slope at the end of a step, in parts of the motion.
+def slope_error(row: Array, h: float, series: Array, errors: Array, motions: Array) -> float:
+    """Return the error of the slope at the end of a step, relative to the motion; inf: not finite.
 
-    Infinite where the step is not finite.
-
-    Writes how far it is of each variable (n,), and how large each is and moves in the step.
+    `errors` (n,): slope errors of the variables; `motions` (n,): sums of absolute terms.
     """
-    worst, size = 0.0, LEAST_MOTION
+    worst, largest_motion = 0.0, MIN_MOTION
     for v in range(row.shape[0]):
-        slope, reach = 0.0, abs(row[v, 0])
+        slope, motion = 0.0, abs(row[v, 0])
         for k in range(1, row.shape[1]):
             slope += k * row[v, k]
-            reach += k * abs(row[v, k])
-        off = abs(slope - h * series[v, 1])
-        offs[v], reaches[v] = off, reach
-        if not (off < math.inf and reach < math.inf):
+            motion += k * abs(row[v, k])
+        error = abs(slope - h * series[v, 1])
+        errors[v], motions[v] = error, motion
+        if not (error < math.inf and motion < math.inf):
             return math.inf
-        worst, size = max(worst, off), max(size, reach)
-    return worst / size
+        worst, largest_motion = max(worst, error), max(largest_motion, motion)
+    return worst / largest_motion
 
 
 @kernel
-def expand(series: Array, h: float, row: Array, powers: Array) -> None:
+def scale_series(series: Array, h: float, row: Array, powers: Array) -> None:
     """Write a series in time as a polynomial in s = time / h, and the powers (d + 1,) of h.
 
-    Term by term without a look at any: so processors do many at once.
+    The loop has no branch, so that compilers vectorise it.
     """
     factor = 1.0
     for k in range(series.shape[1]):
@@ -156,7 +154,7 @@ def expand(series: Array, h: float, row: Array, powers: Array) -> None:
         factor *= h
     for v in range(series.shape[0]):
         for k in range(series.shape[1]):
-            # Nothing to a power beyond all floats is nothing.
+            # 0 times an infinite power is 0.
             value = series[v, k] * powers[k]
             row[v, k] = 0.0 if series[v, k] == 0.0 else value
 
@@ -172,11 +170,11 @@ def _finite(row: Array) -> bool:
 
 
 @kernel
-def let_pass(clock: Array, h: float) -> None:
-    """Let the time `h` pass (Knuth's two-sum)."""
+def advance_clock(clock: Array, h: float) -> None:
+    """Advance the clock by `h` (Knuth's two-sum)."""
     later = clock[0] + h
-    passed = later - clock[0]
-    clock[1] += (clock[0] - (later - passed)) + (h - passed)
+    elapsed = later - clock[0]
+    clock[1] += (clock[0] - (later - elapsed)) + (h - elapsed)
     clock[0] = later
 
 
@@ -188,72 +186,79 @@ def taylor_steps(
     times: Array,
     coeffs: Array,
     end: Array,
-    follows: Program,
+    dependent: ReconstructionProgram,
     start: float,
 ) -> tuple[int, int, float, float]:
-    """Take up to `count` steps in `duration`, behind those of an arc that end at ``times[0]``.
+    """Take up to `count` Taylor steps in `duration`, with control of the slope error.
 
-    Writes when they end to `times`, their polynomials in s = time / duration to `coeffs`, and
-    the state at the end of the last finite one to `end`. The integrator's state is left where the
-    last step ends, and its clock is advanced.
+    Writes the ends of the steps to `times` (from ``times[0]`` on), their polynomials in
+    s = time / step size to `coeffs`, and the state at the end of the last finite step to `end`.
+    Advances the integrator's state and clock to the end of the last step.
 
-    The length of a step follows from the last two terms of its series, and where these are
-    missing it says nothing: x' = 1 - x**4 has every fourth only, from x = 0. So the slope at the
-    end of each step is compared with the rate there, with which the series of the next begins,
-    and a step that strays is made again at half its length.
+    heyoka chooses a step size by the last two terms of the series (Jorba and Zou 2005), and fails
+    if these are zero: from x = 0 the series of x' = 1 - x**4 has every fourth term only. The loop
+    compares the slope at the end of each step with the rate there, the first-order term of the
+    next step, and repeats a step with too large an error at half its size.
 
-    What follows from other variables (`follows`) does so wherever a step begins, and at the end;
-    `start` is when the flow begins. Returns how many steps were made, how many of them are finite,
-    the length of the last step, and what was left before it.
+    Each step starts with reconstructed variables (see `dependent`); the flow starts at time
+    `start`. Returns the number of steps, the number of finite ones, the size of the last step, and
+    the duration that remained before it.
     """
     address, state, parameters, clock, series, tolerance, max_step = integrator
-    n, allowed = series.shape[0], max(STRAY, ORDERS * tolerance)
-    step, here, begun = np.empty(1), np.empty(n), np.empty(n)
-    offs, reaches, powers = np.empty(n), np.empty(n), np.empty(series.shape[1])
-    left, total, taken = duration, 0.0, 0
-    longest, off, halvings, done, again = max_step, math.inf, 0, False, False
-    h, since, rest, summed, length = 0.0, 0.0, 0.0, 0.0, left
+    n, allowed = series.shape[0], max(MAX_SLOPE_ERROR, SLOPE_ERROR_FACTOR * tolerance)
+    step, current, last_start = np.empty(1), np.empty(n), np.empty(n)
+    errors, motions, powers = np.empty(n), np.empty(n), np.empty(series.shape[1])
+    remaining, total, n_steps = duration, 0.0, 0
+    step_limit, error, halvings, done, repeats = max_step, math.inf, 0, False, False
+    h, last_time, last_round_off, last_total, last_remaining = 0.0, 0.0, 0.0, 0.0, remaining
     while True:
-        reconstruct_any(follows, state, start + times[taken])
-        put(state, here)
-        step[0] = 0.0 if done else min(left, longest)
+        reconstruct_any(dependent, state, start + times[n_steps])
+        copy_numbers(state, current)
+        step[0] = 0.0 if done else min(remaining, step_limit)
         call_step(address, state, parameters, clock, step, series)
-        # The step before the one that is made again has been looked at.
-        if taken > 0 and not again:
-            last = taken - 1
-            before, off = off, stray(coeffs[last], h, series, offs, reaches)
-            falls = halvings == 0 or off > _ROUGH or off <= _ROUNDING * before
-            if off > allowed and falls:
+        # The step before a repeated one is already checked.
+        if n_steps > 0 and not repeats:
+            last = n_steps - 1
+            last_error, error = error, slope_error(coeffs[last], h, series, errors, motions)
+            is_truncation = (
+                halvings == 0 or error > _MAX_ROUND_OFF or error <= _MIN_REDUCTION * last_error
+            )
+            if error > allowed and is_truncation:
                 halvings += 1
-                longest, done, again = 0.5 * h, False, True
-                taken -= 1
-                total, left, clock[0], clock[1] = summed, length, since, rest
-                put(begun, state)
-                put(begun, end)
-                if halvings > HALVINGS:
-                    return taken, taken, 0.0, left
+                step_limit, done, repeats = 0.5 * h, False, True
+                n_steps -= 1
+                total, remaining, clock[0], clock[1] = (
+                    last_total,
+                    last_remaining,
+                    last_time,
+                    last_round_off,
+                )
+                copy_numbers(last_start, state)
+                copy_numbers(last_start, end)
+                if halvings > MAX_HALVINGS:
+                    return n_steps, n_steps, 0.0, remaining
                 continue
-            longest, halvings = max_step, 0
+            step_limit, halvings = max_step, 0
         if done:
-            return taken, taken, h, left
-        h, again = step[0], False
-        put(here, begun)
-        expand(series, h, coeffs[taken], powers)
-        bounded = _finite(coeffs[taken])
-        taken += 1
-        summed, length, since, rest = total, left, clock[0], clock[1]
-        let_pass(clock, h)
+            return n_steps, n_steps, h, remaining
+        h, repeats = step[0], False
+        copy_numbers(current, last_start)
+        scale_series(series, h, coeffs[n_steps], powers)
+        bounded = _finite(coeffs[n_steps])
+        n_steps += 1
+        last_total, last_remaining, last_time, last_round_off = total, remaining, clock[0], clock[1]
+        advance_clock(clock, h)
         if not bounded:
-            return taken, taken - 1, h, left
+            return n_steps, n_steps - 1, h, remaining
         total += h
-        # Summed from the start of these steps, so that long arcs lose nothing.
-        times[taken] = times[0] + total
+        # The sum starts at the first of these steps: less round-off in long arcs.
+        times[n_steps] = times[0] + total
         for v in range(n):
-            end[v] = horner(coeffs, taken - 1, v, 1.0)
-        if not times[taken] > times[taken - 1]:
-            # On its way into a singularity, for ever.
-            return taken, taken, 0.0, left
-        # A step is cut to end at the duration exactly, and then its length is what was left.
-        done = taken == count or h == left
+            end[v] = horner(coeffs, n_steps - 1, v, 1.0)
+        if not times[n_steps] > times[n_steps - 1]:
+            # The step sizes shrink towards a singularity.
+            return n_steps, n_steps, 0.0, remaining
+        # The last step is cut to end exactly at the duration.
+        done = n_steps == count or h == remaining
         if not done:
-            left -= h
+            remaining -= h

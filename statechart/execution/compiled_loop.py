@@ -24,7 +24,7 @@ from statechart.engines.compiled_flow import (
     LAWS_AT,
     TAPE,
     FlowWorkspace,
-    Program,
+    ModeTable,
     flow_workspace,
 )
 from statechart.engines.engine import Engine, Entry, Pace
@@ -150,7 +150,7 @@ class _CompilationPolicy:
 
 
 class LoopModes:
-    """Modes of a simulator for one set of zero parameters, as a growing `Program`.
+    """Modes of a simulator for one set of zero parameters, as a growing `ModeTable`.
 
     `kinds` are the modes and roles of its rows, `jumps` the regions and causes of its jumps.
     """
@@ -315,7 +315,7 @@ class LoopModes:
 class Loop(NamedTuple):
     """Modes and buffers of a compiled loop."""
 
-    program: Program
+    program: ModeTable
     tapes: NDArray[np.int64]  # (t, 9): the laws' own.
     pace: Pace
     workspace: FlowWorkspace
@@ -357,9 +357,9 @@ class Packed:
             tape.n_fixed,
         )
 
-    def program(self, modes: Ints) -> Program:
+    def program(self, modes: Ints) -> ModeTable:
         """Return the program of all arrays."""
-        return Program(*self.arrays(), modes)
+        return ModeTable(*self.arrays(), modes)
 
     def arrays(self) -> tuple[Ints32, Array]:
         """Return the concatenated integers and floats."""

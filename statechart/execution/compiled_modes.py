@@ -187,8 +187,6 @@ class CompiledModes:
         """Compile the rates, unless another mode has the same."""
         plain_roles = uncaptured(roles)
         if plain_roles == roles:
-            if self.engine.allowance is not None:
-                self.engine.allowance.check_for(self.engine.compiling(taped.rates))
             stepper = self.engine.compile(self.automaton, taped.mode, taped.rates)
         else:
             stepper = self.compiled(plain_roles, zeros).stepper

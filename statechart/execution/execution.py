@@ -37,7 +37,7 @@ from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, l
 from statechart.execution.outcome import Progress, error_of
 from statechart.execution.zeno import Accumulation
 from statechart.formulas.series import sizes_at
-from statechart.kernels.polynomials import summands
+from statechart.kernels.polynomials import term_sizes
 from statechart.tabular import several
 
 if TYPE_CHECKING:
@@ -257,7 +257,7 @@ class Execution:
             terms = flow.terms
             if flew and record.arcs[-1].j == place[runs.N_JUMPS]:
                 arc = record.arcs[-1]
-                terms = summands(arc.times, arc.coefficients)
+                terms = term_sizes(arc.times, arc.coefficients)
             flow = flow._replace(settled=False, terms=terms, warning="", notes=(), start=None)
         self.flow = flow
 
@@ -372,7 +372,7 @@ class Execution:
         elapsed, terms = 0.0, flow.terms
         if path.count > 0:
             times, coefficients = path.arc()
-            elapsed, terms = times.item(-1), summands(times, coefficients)
+            elapsed, terms = times.item(-1), term_sizes(times, coefficients)
             self.record.add_arc(flow.mode, flow.moving, self.clock, times, coefficients)
             if self.certificate is not None:
                 self.certificate.flow(self.record.arcs[-1], self._enter(flow.moving))

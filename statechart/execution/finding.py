@@ -14,7 +14,7 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, Instant, Setup
-from statechart.engines.compiled_flow import EVALUATED
+from statechart.engines.compiled_flow import EVALUATION_ROUND_OFF
 from statechart.engines.engine import Engine, FlowWatch, Path
 from statechart.engines.event_location import Crossing, Search, Verdict, search
 from statechart.errors import NonFinite, Undecided
@@ -205,7 +205,7 @@ def _search(watch: FlowWatch, path: Path, tolerances: Array, first: int, last: i
 
 def _same(first: Crossing, second: Crossing) -> bool:
     """Return whether two crossings are the same root within the round-off of time."""
-    return first.time <= max(second.time, second.crossed) * (1.0 + EVALUATED)
+    return first.time <= max(second.time, second.crossed) * (1.0 + EVALUATION_ROUND_OFF)
 
 
 def relative_error(engine: Engine) -> float:
@@ -229,8 +229,8 @@ def margin_errors(
     """
     states = np.vstack([state, state, state + np.diag(errors)])
     times = np.full(len(states), time)
-    times[1] += EVALUATED * abs(time)
+    times[1] += EVALUATION_ROUND_OFF * abs(time)
     with np.errstate(all="ignore"):
         values = guards.table(states, parameters, times)[:, guard]
     (terms,) = sizes_at(guards, (guard,), state, np.abs(state), parameters, time)
-    return float(np.abs(values[1:] - values[0]).sum()) + EVALUATED * terms
+    return float(np.abs(values[1:] - values[0]).sum()) + EVALUATION_ROUND_OFF * terms

@@ -42,7 +42,7 @@ from statechart.execution.components import MergedRun
 from statechart.execution.execution import Execution, evidence_of
 from statechart.execution.finding import closing
 from statechart.execution.outcome import error_of
-from statechart.kernels.polynomials import summands
+from statechart.kernels.polynomials import term_sizes
 
 _MAX_ROWS = 256  # of one call: tens of milliseconds between checks for signals
 
@@ -414,7 +414,7 @@ class BatchRunner:
         size = len(simulator.automaton.variables)
         arc = int(result.spans[row, ARCS_END]) - 1
         if arc >= result.spans[row, ARCS] and block.arcs[arc, 1] == result.place[row, runs.N_JUMPS]:
-            terms = summands(*arc_polynomials(block, arc, size))
+            terms = term_sizes(*arc_polynomials(block, arc, size))
         final, time = result.final[row], float(result.clock[row, runs.T_HIGH])
         flow = batch.modes.flow(setup, kind, final, time, terms)
         compiled = batch.modes.compiled(kind)

@@ -9,16 +9,16 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.kernels.jit import kernel
 
-# Intervals that must shrink by one ratio before their sum is taken as geometric; half as many
-# where they have shrunk to less than this part.
+# Number of intervals with one ratio that make a geometric sequence; half as many if they have
+# shrunk below this part.
 INTERVALS = 8
 _SHRUNK = 1e-4
 # Relative spread of those ratios; a decaying but not geometric sequence has more.
 _SPREAD = 1e-3
-# A ratio that rises all the time tends to less than one if it rises by less than this part of its
-# distance to one while the sum is done; that of 1/n**p never does, it rises by the part 1/p.
+# A monotonically rising ratio has a limit below one if it rises by less than this part of its
+# distance to one over the intervals. The ratio of 1/n**p rises by the part 1/p.
 _RISE = 1e-3
-# So many flows in turn that the time cannot tell apart have come to their end.
+# Number of consecutive flows shorter than the round-off of time that end a sequence.
 _UNRESOLVED = 3
 
 MAX_INTERVALS = 12
@@ -26,9 +26,9 @@ MAX_INTERVALS = 12
 
 (HIGH, LOW, LONGEST, UNRESOLVED, COUNT, FIRST) = range(6)
 WIDTH = FIRST + MAX_INTERVALS
-"""Columns of a series: when its last jump was, the longest interval since they shrink, how many in
-turn time could not tell apart, how many intervals are kept, and these, the oldest first. Not a
-number as `HIGH`: there was no jump."""
+"""Columns of a series: time of its last jump (`HIGH` is NaN without one), longest interval since
+they shrink, number of consecutive intervals below the round-off of time, number of stored
+intervals, and these, the oldest first."""
 
 
 @kernel
@@ -36,8 +36,8 @@ def add_jump(series: Array, high: float, low: float, flowed: bool, short: float)
     """Add a jump to a series (`WIDTH`,); return the time from there to the accumulation.
 
     The jump is at `high` + `low` (a `Clock`); `flowed`: it follows a flow, not another jump. An
-    accumulation is imminent if it takes less than the part `short` of the longest interval; the
-    time is by the last ratio, and -1 where it is not imminent, or there is none.
+    accumulation is imminent if it takes less than the part `short` of the longest interval. The
+    time follows from the last ratio; -1 if no accumulation is imminent.
     """
     before, part = series[HIGH], series[LOW]
     series[HIGH], series[LOW] = high, low
@@ -60,7 +60,7 @@ def add_jump(series: Array, high: float, low: float, flowed: bool, short: float)
     begin = max(count - INTERVALS - 1, 0)
     intervals = series[FIRST + begin : FIRST + count]
     n = len(intervals)
-    # They shrink: the last is the least.
+    # The intervals shrink: the last is the smallest.
     if intervals[n - 1] <= 0.0 or n <= INTERVALS // 2:
         return -1.0
     if n <= INTERVALS and intervals[n - 1] > _SHRUNK * intervals[0]:

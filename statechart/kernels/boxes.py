@@ -1,4 +1,4 @@
-"""Bounds of a tape's outputs over a box: a piece [a, b] of a step's own time s."""
+"""Enclosures of a tape's outputs over a box: a part [a, b] of the step's local time s in [0, 1]."""
 
 from __future__ import annotations
 
@@ -8,36 +8,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints32
-from statechart.kernels.intervals import EPS, INF, LIBM, TINY, add, or_whole_line, wide
+from statechart.kernels.intervals import EPS, INF, LIBM, TINY, add, or_whole_line, round_outward
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
-from statechart.kernels.tapes import TapeCode, filled
+from statechart.kernels.tapes import TapeCode, allocate_registers
 
-Along = tuple[Ints32, int, int, int, Ints32, Array, Array, float]
-"""A tape along steps: code, the register of its first operation, the operations to run (from, to),
+StepTape = tuple[Ints32, int, int, int, Ints32, Array, Array, float]
+"""A tape bound to steps: code, register of its first operation, operations to run (first, last),
 reads, times, coeffs, start."""
 
 
 class Steps(NamedTuple):
     """Polynomial steps of a flow, and its parameters."""
 
-    times: Array  # (m + 1,): ends of the steps in local time
-    coeffs: Array  # (m, n, d + 1): polynomials of the variables in the steps' own time
+    times: Array  # (m + 1,): ends of the steps, relative to `start`
+    coeffs: Array  # (m, n, d + 1): polynomials of the variables in s
     parameters: Array
-    start: float  # absolute time of the local time 0
+    start: float  # absolute time of the flow's start
 
 
 @kernel
-def along_steps(tape: TapeCode, steps: Steps, width: int) -> tuple[Along, Array]:
-    """Return a tape along steps, and registers of `width` columns with constants filled in."""
-    base, regs = filled(tape.code, tape.constants, steps.parameters, steps.coeffs.shape[1], width)
+def bind_tape(tape: TapeCode, steps: Steps, width: int) -> tuple[StepTape, Array]:
+    """Bind a tape to steps; return it, and `width` columns of registers with the constants."""
+    base, regs = allocate_registers(
+        tape.code, tape.constants, steps.parameters, steps.coeffs.shape[1], width
+    )
     last = tape.code.shape[0]
     times, coeffs, start = steps.times, steps.coeffs, steps.start
     return (tape.code, base, tape.n_fixed, last, tape.reads, times, coeffs, start), regs
 
 
 @kernel
-def prepare(coeffs: Array, step: int, reads: Ints32, bounds: Array) -> bool:
+def bound_third_derivatives(coeffs: Array, step: int, reads: Ints32, bounds: Array) -> bool:
     """Bound the third derivative over a step; False if the step is not finite."""
     finite = True
     for r in range(reads.shape[0]):
@@ -56,29 +58,29 @@ def prepare(coeffs: Array, step: int, reads: Ints32, bounds: Array) -> bool:
 
 
 @kernel
-def place(
-    along: Along, step: int, bounds: Array, m: float, w: float, order: int, jets: Array
+def write_variable_jets(
+    step_tape: StepTape, step: int, bounds: Array, m: float, w: float, order: int, jets: Array
 ) -> None:
-    """Jets of the variables and of time over the places [m - w, m + w] of a step.
+    """Write the jets of the variables and of time over [m - w, m + w] of a step.
 
     A polynomial p is enclosed by p(m) +- w |p'(m)| +- w^2/2 |p''(m)| +- w^3/6 B with B the bound
-    of its third derivative, and its derivatives likewise: three sums instead of a whole shift.
-    Horner's rule passes coefficient k through 2 k + 1 roundings (Higham, "Accuracy and Stability
-    of Numerical Algorithms", 2002, 5.1), its derivatives through 2 k + 2 and 2 k + 4; the sums of
-    absolute values are taken at m, so that they are small near the start of a long step.
+    of its third derivative; its derivatives accordingly. Horner's rule passes coefficient k through
+    2 k + 1 roundings (Higham, "Accuracy and Stability of Numerical Algorithms", 2002, 5.1), its
+    derivatives through 2 k + 2 and 2 k + 4. Sums of absolute values at m keep the bounds small near
+    the start of a long step.
     """
-    _, _, _, _, reads, times, coeffs, start = along
+    _, _, _, _, reads, times, coeffs, start = step_tape
     for r in range(reads.shape[0]):
         v = reads[r]
         row = jets[v]
         if v == coeffs.shape[1]:
             span = times[step + 1] - times[step]
             value = start + (times[step] + m * span)
-            # Near the start of a long step the rounding of its length counts little.
+            # Near the start of a long step the round-off of its length has little effect.
             size = abs(start) + abs(times[step]) + m * (abs(times[step]) + abs(times[step + 1]))
             radius = w * abs(span) * (1.0 + 4.0 * EPS) + 4.0 * EPS * size + TINY
             row[0], row[1] = value - radius, value + radius
-            row[2], row[3] = wide((span, span), EPS)
+            row[2], row[3] = round_outward((span, span), EPS)
             row[4], row[5] = 0.0, 0.0
             continue
         p0 = p1 = p2 = q0 = q1 = q2 = 0.0
@@ -102,23 +104,23 @@ def place(
         grow = 1.0 + 64.0 * EPS
         d1, d2 = abs(p1) + r1, abs(p2) + r2
         radius = grow * (r0 + w * (d1 + w * (0.5 * d2 + w * b3 / 6.0)))
-        row[0], row[1] = or_whole_line(wide((p0 - radius, p0 + radius), EPS))
+        row[0], row[1] = or_whole_line(round_outward((p0 - radius, p0 + radius), EPS))
         if order > 0:
             radius = grow * (r1 + w * (d2 + w * 0.5 * b3))
-            row[2], row[3] = or_whole_line(wide((p1 - radius, p1 + radius), EPS))
+            row[2], row[3] = or_whole_line(round_outward((p1 - radius, p1 + radius), EPS))
             radius = grow * (r2 + w * b3)
-            row[4], row[5] = or_whole_line(wide((p2 - radius, p2 + radius), EPS))
+            row[4], row[5] = or_whole_line(round_outward((p2 - radius, p2 + radius), EPS))
 
 
 @kernel
-def place_whole(along: Along, step: int, jets: Array) -> bool:
-    """Values of the variables and of time over a whole step; False if one is not finite.
+def write_step_jets(step_tape: StepTape, step: int, jets: Array) -> bool:
+    """Write enclosures of the variables and of time over a step; False if one is not finite.
 
-    A polynomial lies within the sizes of its terms from the third power on of the parabola of
-    those below. Of a Taylor step, whose terms shrink by a factor of about exp(2) each, that is as
-    narrow as what `place` gives, and a fifth of the work.
+    The parabola of the first terms, plus and minus the absolute sum of the others. The terms of a
+    Taylor step shrink by a factor of about exp(2) each: the enclosure is as narrow as the one of
+    `write_variable_jets`, at a fifth of the work.
     """
-    reads, times, coeffs, start = along[4:]
+    reads, times, coeffs, start = step_tape[4:]
     finite = abs(start) < INF and abs(times[step]) < INF and abs(times[step + 1]) < INF
     for r in range(reads.shape[0]):
         v = reads[r]
@@ -149,20 +151,20 @@ def place_whole(along: Along, step: int, jets: Array) -> bool:
 
 @kernel
 def enclose(
-    along: Along, step: int, bounds: Array, m: float, w: float, order: int, jets: Array
+    step_tape: StepTape, step: int, bounds: Array, m: float, w: float, order: int, jets: Array
 ) -> None:
-    """Jets of all registers over the places [m - w, m + w] of a step."""
-    code, base, first, last = along[:4]
-    place(along, step, bounds, m, w, order, jets)
+    """Write the jets of all registers over [m - w, m + w] of a step."""
+    code, base, first, last = step_tape[:4]
+    write_variable_jets(step_tape, step, bounds, m, w, order, jets)
     run_jets(code, first, last, base, jets, order)
 
 
 @kernel
-def _lower(value: Array, middle: Array, slope: float, w: float) -> float:
-    """Lower bound of an output over a box of half width w.
+def _lower_bound(value: Array, middle: Array, slope: float, w: float) -> float:
+    """Return a lower bound of an output g over a box of half width w.
 
-    The best of its own enclosure `value`, of g(m) - slope w with `slope` bounding |g'|, and of
-    g(m) - d |t| + c t^2 / 2 with d bounding |g'(m)| and c the least g''.
+    The largest of the lower end of its enclosure `value`, of g(m) - slope w with ``slope >= |g'|``,
+    and of the minimum of g(m) - d |t| + c t^2 / 2 with ``d >= |g'(m)|`` and ``c <= g''``.
     """
     mean = w * slope
     least = max(value[0], middle[0] - mean - LIBM * (mean + abs(middle[0])) - TINY)
@@ -178,15 +180,15 @@ def _lower(value: Array, middle: Array, slope: float, w: float) -> float:
 
 @kernel
 def _least_parabola(slope: float, bend: float, length: float) -> float:
-    """Return the least of ``slope t + bend t^2 / 2`` over [0, length], for a slope <= 0."""
+    """Return the minimum of ``slope t + bend t^2 / 2`` over [0, length], for a slope <= 0."""
     if bend > 0.0 and -slope < bend * length:
         return -0.5 * slope * slope / bend
     return length * (slope + 0.5 * bend * length)
 
 
 @kernel
-def judge(
-    along: Along,
+def write_enclosures(
+    step_tape: StepTape,
     outputs: Ints32,
     step: int,
     bounds: Array,
@@ -195,32 +197,32 @@ def judge(
     jets: Array,
     work: Array,
 ) -> None:
-    """Evidence on the box [a, b] for every output.
+    """Write the enclosures of every output over the box [a, b] to `work`.
 
-    In work[i]: 0 to 3 value and slope at the middle, 4 a lower bound of the value over the box,
-    5 an upper one, 6 and 7 the enclosure of the slope, 8 a lower bound of the second derivative;
-    where a step starts (a = 0) also 9 and 10, the value there.
+    Columns: 0 to 3 value and slope at the middle, 4 and 5 bounds of the value, 6 and 7 of the
+    slope, 8 a lower bound of the second derivative; at the start of a step (a = 0) also 9 and 10,
+    the initial value.
     """
     m = 0.5 * (a + b)
     w = max(b - m, m - a)
-    enclose(along, step, bounds, m, 0.0, 1, jets)
+    enclose(step_tape, step, bounds, m, 0.0, 1, jets)
     for i in range(outputs.shape[0]):
         for c in range(4):
             work[i, c] = jets[outputs[i], c]
-    enclose(along, step, bounds, m, w, 2, jets)
+    enclose(step_tape, step, bounds, m, w, 2, jets)
     for i in range(outputs.shape[0]):
         box, row = jets[outputs[i]], work[i]
         bend = max(abs(box[4]), abs(box[5])) * w * (1.0 + LIBM)
         low, high = add((row[2], row[3]), (-bend, bend))
-        # A comparison with NaN is false and leaves the natural enclosure standing.
+        # Comparisons with NaN are false and keep the natural enclosure.
         row[6] = low if low > box[2] else box[2]
         row[7] = high if high < box[3] else box[3]
-        row[4] = _lower(box, row, max(abs(row[6]), abs(row[7])), w)
+        row[4] = _lower_bound(box, row, max(abs(row[6]), abs(row[7])), w)
         row[5] = box[1]
         row[8] = box[4]
     if a == 0.0:
-        # A margin that leaves zero (a slip that begins) is bounded best from where it leaves.
-        enclose(along, step, bounds, 0.0, 0.0, 1, jets)
+        # The bound from the start is the tightest for a margin that leaves zero (start of slip).
+        enclose(step_tape, step, bounds, 0.0, 0.0, 1, jets)
         for i in range(outputs.shape[0]):
             at, row = jets[outputs[i]], work[i]
             row[9], row[10] = at[0], at[1]
@@ -231,10 +233,10 @@ def judge(
 
 
 @kernel
-def unclear_by_values(
+def count_unclear_by_values(
     outputs: Ints32, tolerances: Array, jets: Array, state: NDArray[np.uint8]
 ) -> int:
-    """Clear outputs by their ranges on a box; return how many are not clear."""
+    """Clear outputs by their enclosures on a box; return the number of unclear ones."""
     unclear = 0
     for i in range(outputs.shape[0]):
         if state[i] != 0 and jets[outputs[i], 0] + tolerances[i] > 0.0:
@@ -244,8 +246,8 @@ def unclear_by_values(
 
 
 @kernel
-def unclear_by_slopes(
-    along: Along,
+def count_unclear_by_slopes(
+    step_tape: StepTape,
     outputs: Ints32,
     tolerances: Array,
     step: int,
@@ -254,15 +256,15 @@ def unclear_by_slopes(
     state: NDArray[np.uint8],
     work: Array,
 ) -> int:
-    """Clear outputs by the mean value form over a whole step; return how many are not.
+    """Clear outputs by the mean value form over a step; return the number of unclear ones.
 
-    Where terms cancel (the slip of a point) a natural enclosure is wide, and this is not; it takes
-    half of what all evidence does.
+    If terms cancel (as in the slip of a point) it is narrower than the natural enclosure. It takes
+    half the time of `write_enclosures`.
     """
-    enclose(along, step, bounds, 0.5, 0.0, 0, jets)
+    enclose(step_tape, step, bounds, 0.5, 0.0, 0, jets)
     for i in range(outputs.shape[0]):
         work[i, 0] = jets[outputs[i], 0]
-    enclose(along, step, bounds, 0.5, 0.5, 1, jets)
+    enclose(step_tape, step, bounds, 0.5, 0.5, 1, jets)
     unclear = 0
     for i in range(outputs.shape[0]):
         if state[i] != 0:

@@ -1,7 +1,7 @@
 """Copies of arrays by plain loops.
 
-A slice that an array is assigned to makes numba compile a message on shapes that differ, which
-takes it two to three seconds in every process that compiles one.
+For an assignment to a slice numba compiles an error message about shapes, which takes two to three
+seconds per process.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ from statechart.kernels.jit import kernel
 
 
 @kernel
-def put(source: Array, target: Array) -> None:
+def copy_numbers(source: Array, target: Array) -> None:
     """Copy numbers (n,) to the first n places of a row."""
     for i in range(len(source)):
         target[i] = source[i]
 
 
 @kernel
-def put_counts(source: Ints, target: Ints) -> None:
+def copy_counts(source: Ints, target: Ints) -> None:
     """Copy counts (n,) to the first n places of a row."""
     for i in range(len(source)):
         target[i] = source[i]
 
 
 @kernel
-def put_rows(source: Array, target: Array) -> None:
+def copy_rows(source: Array, target: Array) -> None:
     """Copy rows (m, n) to the first n places of the first m rows."""
     for i in range(source.shape[0]):
         for k in range(source.shape[1]):
@@ -36,7 +36,7 @@ def put_rows(source: Array, target: Array) -> None:
 
 @kernel
 def indices(chosen: Bools) -> Ints:
-    """Return where an array (n,) is true."""
+    """Return the indices of the true entries of an array (n,)."""
     count = 0
     for i in range(len(chosen)):
         if chosen[i]:

@@ -1,28 +1,28 @@
-"""Defect of the polynomials of steps, sampled where functions are resolved."""
+"""Defect p' - f(p) of the polynomials of steps, sampled where the rates f are resolved."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from statechart.arrays import Array, Ints32
-from statechart.kernels.boxes import Along, Steps, along_steps, prepare
+from statechart.kernels.boxes import Steps, StepTape, bind_tape, bound_third_derivatives
 from statechart.kernels.intervals import INF
 from statechart.kernels.jit import kernel
-from statechart.kernels.polynomials import reaches, slopes_at
+from statechart.kernels.polynomials import slopes_at, write_sizes
 from statechart.kernels.resolution import (
     NARROW,
     PLACES,
-    at,
     bound_box,
     bound_box_tightly,
+    evaluate_at_places,
     jet_registers,
 )
 from statechart.kernels.tapes import TapeCode
 
-# Slopes are sums of a series, whose terms are rounded more often than a rate is.
+# A slope is the sum of a series, and has more round-off than a rate.
 _SERIES = 64.0
 _NEXT = 2.0**-20
-# A box that is looked at no closer may miss this part of what is allowed in a step.
+# Part of the allowed defect that a box may miss without further bisection.
 _SHARE = 1.0 / 64.0
 
 
@@ -39,18 +39,17 @@ def is_unresolved(outputs: Ints32, jets: Array, time: float, allowed: float, siz
 def find_defect(
     tape: TapeCode, steps: Steps, first: int, last: int, floors: Array, allowed: float, budget: int
 ) -> tuple[int, float, float, int]:
-    """First box of the steps [first, last) whose polynomials may not follow the rates.
+    """Find the first box of the steps [first, last) whose polynomials may violate the rates.
 
-    The tape has the rates of all variables; a variable that is smaller counts as `floors` (n,).
-    What is missed may move one by the part `allowed` of what it is and moves in a step; `budget` is
-    the greatest number of boxes of a step. Returns the step (-1 if there is none), the place where
-    the box ends, how far the polynomials are off the rates in it, as for `allowed` (infinite if
-    that is not known), and the number of boxes looked at.
+    The tape has the rates of all variables. Defects are relative to the size and motion of a
+    variable in a step, at least `floors` (n,); `allowed` is their bound, `budget` the largest
+    number of boxes per step. Returns the step (-1 if there is none), the end of the box, its
+    relative defect (infinite if unknown), and the number of boxes.
     """
     outputs, reads, times, coeffs = tape.outputs, tape.reads, steps.times, steps.coeffs
     n = coeffs.shape[1]
-    along, regs = along_steps(tape, steps, PLACES.shape[0])
-    jets = jet_registers(along, regs)
+    step_tape, regs = bind_tape(tape, steps, PLACES.shape[0])
+    jets = jet_registers(step_tape, regs)
     bounds, sizes, rounding = np.zeros(n), np.empty(n), np.empty(n)
     lefts, rights = np.empty(64), np.empty(64)
     boxes = 0
@@ -58,8 +57,8 @@ def find_defect(
         h = times[step + 1] - times[step]
         if not h > 0.0:
             continue
-        prepare(coeffs, step, reads, bounds)
-        reaches(coeffs, step, floors, sizes)
+        bound_third_derivatives(coeffs, step, reads, bounds)
+        write_sizes(coeffs, step, floors, sizes)
         top, looked, known = 1, 0, False
         rounding[:] = 0.0
         lefts[0], rights[0] = 0.0, 1.0
@@ -67,10 +66,10 @@ def find_defect(
             top -= 1
             a, b = lefts[top], rights[top]
             m, looked = 0.5 * (a + b), looked + 1
-            bound_box(along, step, bounds, a, b, jets)
+            bound_box(step_tape, step, bounds, a, b, jets)
             rough = is_unresolved(outputs, jets, h * (b - a), allowed, sizes)
             if rough:
-                bound_box_tightly(along, step, bounds, a, b, jets)
+                bound_box_tightly(step_tape, step, bounds, a, b, jets)
                 rough = is_unresolved(outputs, jets, h * (b - a), allowed, sizes)
             if rough:
                 if b - a <= NARROW:
@@ -81,11 +80,11 @@ def find_defect(
                 lefts[top + 1], rights[top + 1] = a, m
                 top += 2
                 continue
-            off = _defect(along, outputs, step, a, b, sizes, rounding, regs)
+            off = _sampled_defect(step_tape, outputs, step, a, b, sizes, rounding, regs)
             if not (off <= allowed or known):
                 known = True
-                _round(along, outputs, step, h, rounding, regs)
-                off = _defect(along, outputs, step, a, b, sizes, rounding, regs)
+                _estimate_round_off(step_tape, outputs, step, h, rounding, regs)
+                off = _sampled_defect(step_tape, outputs, step, a, b, sizes, rounding, regs)
             if not off <= allowed:
                 return step, b, off, boxes + looked
         boxes += looked
@@ -93,8 +92,8 @@ def find_defect(
 
 
 @kernel
-def _defect(
-    along: Along,
+def _sampled_defect(
+    step_tape: StepTape,
     outputs: Ints32,
     step: int,
     a: float,
@@ -103,10 +102,10 @@ def _defect(
     rounding: Array,
     regs: Array,
 ) -> float:
-    """Return the largest defect at places of a box, beyond round-off, relative to sizes."""
-    times, coeffs, worst = along[5], along[6], 0.0
+    """Return the largest sampled defect of a box, minus round-off, relative to sizes."""
+    times, coeffs, worst = step_tape[5], step_tape[6], 0.0
     h = times[step + 1] - times[step]
-    at(along, step, a, b, PLACES, regs)
+    evaluate_at_places(step_tape, step, a, b, PLACES, regs)
     w = b - a
     places = a + PLACES[0] * w, a + PLACES[1] * w, a + PLACES[2] * w
     for v in range(coeffs.shape[1]):
@@ -115,18 +114,18 @@ def _defect(
             off = abs(slopes[j] - h * regs[outputs[v], j])
             if off <= rounding[v]:
                 continue
-            # A rate without a value counts as infinitely far off.
+            # An undefined rate is an infinite defect.
             worst = max(worst, off / sizes[v] if off == off else INF)
     return worst
 
 
 @kernel
-def _round(
-    along: Along, outputs: Ints32, step: int, h: float, rounding: Array, regs: Array
+def _estimate_round_off(
+    step_tape: StepTape, outputs: Ints32, step: int, h: float, rounding: Array, regs: Array
 ) -> None:
-    """Write the round-off of slopes; near the beginning of a step these are the rates."""
-    coeffs = along[6]
-    at(along, step, 0.0, _NEXT, PLACES, regs)
+    """Write the round-off of slopes, from the start of a step, where they are the rates."""
+    coeffs = step_tape[6]
+    evaluate_at_places(step_tape, step, 0.0, _NEXT, PLACES, regs)
     for v in range(coeffs.shape[1]):
         rounding[v] = 0.0
         for j in range(PLACES.shape[0]):

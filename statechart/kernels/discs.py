@@ -1,9 +1,9 @@
-"""Tapes run on discs of the complex plane: how large an analytic function can be around a box.
+"""Circular complex arithmetic on tapes: bounds of analytic functions around a box.
 
 Circular arithmetic (I. Gargantini and P. Henrici, "Circular arithmetic and the determination of
 polynomial zeros", Numer. Math. 18, 1972): a disc is a centre and a radius. A function that is not
-known to be analytic on its disc has an infinite radius. Rounding is covered by widening every
-radius by a small part of the centre; of what the discs are for, the order of magnitude counts.
+known to be analytic on its disc has an infinite radius. Every radius includes a small part of the
+centre for round-off: only orders of magnitude are needed.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _WIDER = 2.0**-40
 _UNKNOWN: Disc = (0j, INF)
 _ONE: Disc = (1.0 + 0j, 0.0)
 _I = 1j
-_MAX_EXPONENT = 1024.0  # whole exponents beyond have no use
+_MAX_EXPONENT = 1024.0  # larger exponents are useless
 
 
 @kernel
@@ -83,15 +83,15 @@ def _exp(a: Disc) -> Disc:
 
 
 @kernel
-def _clear(a: Disc) -> bool:
-    """Return whether a disc is off zero and the negative real axis, the cut of roots and logs."""
+def _avoids_cut(a: Disc) -> bool:
+    """Return whether a disc avoids zero and the negative real axis, the cut of roots and logs."""
     reach = abs(a[0]) if a[0].real > 0.0 else abs(a[0].imag)
     return reach > a[1]
 
 
 @kernel
 def _sqrt(a: Disc) -> Disc:
-    if not _clear(a):
+    if not _avoids_cut(a):
         return _UNKNOWN
     size = math.sqrt(abs(a[0]))
     return cmath.sqrt(a[0]), size * (1.0 - math.sqrt(1.0 - a[1] / abs(a[0])))
@@ -99,7 +99,7 @@ def _sqrt(a: Disc) -> Disc:
 
 @kernel
 def _log(a: Disc) -> Disc:
-    if not _clear(a):
+    if not _avoids_cut(a):
         return _UNKNOWN
     size = abs(a[0])
     return complex(math.log(size), math.atan2(a[0].imag, a[0].real)), -math.log1p(-a[1] / size)
@@ -120,14 +120,14 @@ def _cos(a: Disc) -> Disc:
 
 
 @kernel
-def _turned(a: Disc, by: complex) -> Disc:
-    """Product with a number of size one."""
+def _rotate(a: Disc, by: complex) -> Disc:
+    """Return the product with a number of modulus one."""
     return a[0] * by, a[1]
 
 
 @kernel
 def _tanh(a: Disc) -> Disc:
-    # (1 - q) / (1 + q), q = exp(-2 z), on the side where q is small.
+    # (1 - q) / (1 + q), q = exp(-2 z), in the half-plane where q is small.
     left = a[0].real < 0.0
     z = _neg(a) if left else a
     q = _exp((-2.0 * z[0], 2.0 * z[1]))
@@ -138,7 +138,7 @@ def _tanh(a: Disc) -> Disc:
 
 @kernel
 def _atan(a: Disc) -> Disc:
-    # The derivative is 1 / ((z - i) (z + i)); cuts run from there along the imaginary axis.
+    # The derivative is 1 / ((z - i) (z + i)); the cuts start at +-i, along the imaginary axis.
     up, down = abs(a[0] - _I) - a[1], abs(a[0] + _I) - a[1]
     if not (up > 0.0 and down > 0.0) or (abs(a[0].imag) >= 1.0 and abs(a[0].real) <= a[1]):
         return _UNKNOWN
@@ -147,7 +147,7 @@ def _atan(a: Disc) -> Disc:
 
 @kernel
 def _asin(a: Disc) -> Disc:
-    # The derivative is 1 / sqrt((1 - z) (1 + z)); cuts run from there along the real axis.
+    # The derivative is 1 / sqrt((1 - z) (1 + z)); the cuts start at +-1, along the real axis.
     near, far = abs(a[0] - 1.0) - a[1], abs(a[0] + 1.0) - a[1]
     if not (near > 0.0 and far > 0.0) or (abs(a[0].real) >= 1.0 and abs(a[0].imag) <= a[1]):
         return _UNKNOWN
@@ -173,7 +173,7 @@ def _whole_power(a: Disc, n: int) -> Disc:
 def _power(a: Disc, b: Disc) -> Disc:
     n = math.floor(b[0].real + 0.5)
     if b[1] <= 1e-14 * abs(n) and abs(b[0] - n) <= 1e-14 * abs(n) and abs(n) <= _MAX_EXPONENT:
-        return _whole_power(a, int(n))  # a parameter may be a whole number
+        return _whole_power(a, int(n))  # an integer parameter
     return _exp(_mul(b, _log(a)))
 
 
@@ -189,8 +189,8 @@ def _angle(y: Disc, x: Disc) -> Disc:
 
 
 @kernel
-def _two(op: int, a: Disc, b: Disc) -> Disc:
-    """Operations of two operands."""
+def _apply_binary(op: int, a: Disc, b: Disc) -> Disc:
+    """Evaluate an operation of two operands."""
     if op == ADD:
         return _add(a, b)
     if op == SUB:
@@ -212,8 +212,8 @@ def _two(op: int, a: Disc, b: Disc) -> Disc:
 
 
 @kernel
-def _one(op: int, exponent: int, a: Disc) -> Disc:
-    """Operations of one operand."""
+def _apply_unary(op: int, exponent: int, a: Disc) -> Disc:
+    """Evaluate an operation of one operand."""
     if op == NEG:
         return _neg(a)
     if op == SQUARE:
@@ -231,13 +231,13 @@ def _one(op: int, exponent: int, a: Disc) -> Disc:
     if op == COS:
         return _cos(a)
     if op == SINH:
-        return _turned(_sin(_turned(a, _I)), -_I)
+        return _rotate(_sin(_rotate(a, _I)), -_I)
     if op == COSH:
-        return _cos(_turned(a, _I))
+        return _cos(_rotate(a, _I))
     if op == TANH:
         return _tanh(a)
     if op == TAN:
-        return _turned(_tanh(_turned(a, _I)), -_I)
+        return _rotate(_tanh(_rotate(a, _I)), -_I)
     if op == ATAN:
         return _atan(a)
     if op == ASIN:
@@ -262,9 +262,9 @@ def run_discs(
         a = (centres[i], radii[i])
         if op <= POW:
             j = code[k, 2]
-            f = _two(op, a, (centres[j], radii[j]))
+            f = _apply_binary(op, a, (centres[j], radii[j]))
         else:
-            f = _one(op, code[k, 2], a)
+            f = _apply_unary(op, code[k, 2], a)
         size = abs(f[0])
         known = size < INF and f[1] < INF  # a comparison with NaN is false
         centres[base + k] = f[0] if known else 0j

@@ -1,12 +1,11 @@
-"""Proved bounds of the defect of the polynomials of steps.
+"""Rigorous bounds of the defect p'(s) - h f(p(s)) of the polynomials of steps.
 
-The defect p'(s) - h f(p(s)) of a step is enclosed in pieces. Where f is analytic on an ellipse
-around a piece, the polynomial through its values at Chebyshev points is off it by less than
-4 M rho^-n / (rho - 1), with M how far f is from a constant on the ellipse of parameter rho (L. N.
-Trefethen, "Approximation Theory and Approximation Practice", 2013, theorem 8.2); M is known from
-circular arithmetic, the values from that of intervals, and the integral of a polynomial's size is
-no more than what its Lagrange polynomials make of the values. Anything else (a kink, a root that
-begins) ends in pieces that are so short that the range of f alone does.
+The defect is enclosed piecewise. If f is analytic on the Bernstein ellipse of parameter rho around
+a piece, the error of Chebyshev interpolation is below 4 M rho^-n / (rho - 1), where M bounds the
+deviation of f from a constant on the ellipse (L. N. Trefethen, "Approximation Theory and
+Approximation Practice", 2013, theorem 8.2). Circular arithmetic bounds M, interval arithmetic the
+values at the points, and the Lagrange polynomials the integral of the interpolant. At singularities
+(a kink, the start of a root) the pieces are halved until the range of f suffices.
 """
 
 from __future__ import annotations
@@ -16,38 +15,42 @@ import math
 import numpy as np
 
 from statechart.arrays import Array, Complexes, Ints32
-from statechart.kernels.boxes import Along, Steps, along_steps, place, prepare
-from statechart.kernels.copies import put
+from statechart.kernels.boxes import (
+    Steps,
+    StepTape,
+    bind_tape,
+    bound_third_derivatives,
+    write_variable_jets,
+)
+from statechart.kernels.copies import copy_numbers
 from statechart.kernels.discs import run_discs
 from statechart.kernels.intervals import EPS, INF, mul, sub
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
-from statechart.kernels.polynomials import reaches
+from statechart.kernels.polynomials import write_sizes
 from statechart.kernels.resolution import NARROW
 from statechart.kernels.tapes import TapeCode, run_tape
 
 MOMENTS = 4
 """Number of moments of the defect, from which its effect at the end of a step follows."""
 
-# The ellipse: the sum of its half axes, in half lengths of a piece.
+# Bernstein ellipse: sum of its semi-axes, in half lengths of a piece.
 _RHO = 4.0
 _REACH = 0.5 * (_RHO + 1.0 / _RHO)
-# The interpolation error falls by rho with every point: with so many it is round-off.
+# The interpolation error falls by rho per point: with this number it is round-off.
 _POINTS = 26
 _MANY = 8192
-# A piece may miss this part of what is allowed in a step without being halved, for each of what is
-# not seen at the points.
+# Part of the allowed defect that the interpolation error of a piece may have without bisection.
 _SHARE = 1.0 / 64.0
-# Sums of so many terms as a series has, and bounds of roundings themselves rounded.
+# Margin for sums of as many terms as a series has, and for the round-off of error bounds.
 _WIDER = 1.0 + 2.0**-40
 
 
 def _quadrature() -> tuple[Array, Array, Array]:
     """Return Chebyshev points on [-1, 1], their weights in integrals over a piece, and in bounds.
 
-    The integral of |p| is no more than the sum of |p| at the points times those of |l|, with l
-    their Lagrange polynomials; these are summed at so many places that they are sure with a
-    thousandth more.
+    The integral of |p| is at most the sum of |p| at the points times the integrals of |l|, with the
+    Lagrange polynomials l. A fine sum gives these integrals to a thousandth, which is added.
     """
     n = _POINTS - 1
     points = np.cos(math.pi * np.arange(n, -1, -1) / n)
@@ -70,8 +73,8 @@ _ALL = float(_BOUNDS.sum())
 
 
 @kernel
-def _spread(
-    along: Along,
+def _deviation_from_constant(
+    step_tape: StepTape,
     outputs: Ints32,
     step: int,
     m: float,
@@ -79,13 +82,13 @@ def _spread(
     discs: tuple[Complexes, Array],
     work: tuple[Array, Array],
 ) -> None:
-    """Write how far every rate is from a constant on the ellipse around [m - w, m + w].
+    """Bound the deviation of every rate from a constant on the ellipse around [m - w, m + w].
 
-    And the slope of every polynomial; both in the step's own time. `discs` are the centres and
-    radii of registers, `work` a shifted polynomial and the result (n, 2).
+    Also of the slope of every polynomial; both in the step's local time. `discs`: centres and radii
+    of registers; `work`: a shifted polynomial, and the result (n, 2).
     """
     (centres, radii), (shifted, found) = discs, work
-    code, base, first, last, _, times, coeffs, start = along
+    code, base, first, last, _, times, coeffs, start = step_tape
     n, terms = coeffs.shape[1], coeffs.shape[2]
     h, reach = times[step + 1] - times[step], w * _REACH
     for v in range(n):
@@ -116,23 +119,23 @@ def _spread(
 def enclosed_defect(
     tape: TapeCode, steps: Steps, floors: Array, allowed: float, budget: int
 ) -> tuple[Array, Array, Array]:
-    """Bound how far the rates would move every variable off the polynomials in each step.
+    """Bound the integrals of the defect over each step, for every variable.
 
-    The tape has the rates of all variables, which are as large as `floors` (n,), or as what they
-    move in a step. The part `allowed` of these sizes is of no importance: a small part of it may
-    come from how the defect is enclosed. `budget` is the greatest number of pieces of a step.
-    Returns bounds (k, n) of the integrals of |p' - f(p, t)| over the steps, infinite where none was
-    found; moments (k, n, `MOMENTS`), the integrals of (p' - f) (1 - s)**i over s in [0, 1], as its
-    values at points say; and (k, n) by how much these may be off.
+    The tape has the rates of all variables. The overestimation of the enclosure is a small part of
+    `allowed`, relative to the motion of the variables in a step and at least `floors` (n,);
+    `budget` is the largest number of pieces per step. Returns bounds (k, n) of the integrals of
+    |p' - f(p, t)| over the steps (infinite if there is none); moments (k, n, `MOMENTS`), the
+    integrals of (p' - f) (1 - s)**i over s in [0, 1] by quadrature; and (k, n) error bounds of the
+    moments.
     """
     code, constants, outputs, _, n_fixed = tape
     times, coeffs = steps.times, steps.coeffs
     n = coeffs.shape[1]
     tail = 4.0 / (_RHO - 1.0) * _RHO ** (1.0 - _POINTS)
     every = np.arange(n + 1).astype(np.int32)
-    along, regs = along_steps(TapeCode(code, constants, outputs, every, n_fixed), steps, 1)
-    run_tape(code, 0, n_fixed, along[1], regs, 1)
-    jets, centres, radii = _prepared(along, regs)
+    step_tape, regs = bind_tape(TapeCode(code, constants, outputs, every, n_fixed), steps, 1)
+    run_tape(code, 0, n_fixed, step_tape[1], regs, 1)
+    jets, centres, radii = _constant_registers(step_tape, regs)
     thirds, sizes = np.zeros(n), np.empty(n)
     shifted, spread = np.empty(coeffs.shape[2]), np.empty((n, 2))
     worst, wide = np.empty(n), np.empty(n)
@@ -143,8 +146,8 @@ def enclosed_defect(
         h = times[step + 1] - times[step]
         if not h > 0.0:
             continue
-        prepare(coeffs, step, every, thirds)
-        reaches(coeffs, step, floors, sizes)
+        bound_third_derivatives(coeffs, step, every, thirds)
+        write_sizes(coeffs, step, floors, sizes)
         top, looked = 1, 0
         lefts[0], rights[0] = 0.0, 1.0
         while top > 0:
@@ -152,7 +155,9 @@ def enclosed_defect(
             a, b = lefts[top], rights[top]
             m, looked = 0.5 * (a + b), looked + 1
             w = max(b - m, m - a)
-            _spread(along, outputs, step, m, w, (centres, radii), (shifted, spread))
+            _deviation_from_constant(
+                step_tape, outputs, step, m, w, (centres, radii), (shifted, spread)
+            )
             smooth = True
             for v in range(n):
                 smooth = smooth and tail * spread[v, 0] <= _SHARE * allowed * sizes[v]
@@ -160,7 +165,7 @@ def enclosed_defect(
             if smooth:
                 for j in range(_POINTS):
                     s = min(max(m + w * _PLACES[j], a), b)
-                    _at(along, outputs, step, thirds, s, 0.0, h, jets)
+                    _enclose_defects(step_tape, outputs, step, thirds, s, 0.0, h, jets)
                     for v in range(n):
                         low, high = jets[v, 4], jets[v, 5]
                         worst[v] += _BOUNDS[j] * max(-low, high)
@@ -170,13 +175,13 @@ def enclosed_defect(
                             moments[step, v, i] += share
                             share *= 1.0 - s
                 for v in range(n):
-                    # The points are off by a rounding, and so the values there.
-                    moved = 8.0 * EPS / w * (spread[v, 0] + spread[v, 1]) / (_REACH - 1.0)
+                    # Round-off of the points changes the values.
+                    displacement = 8.0 * EPS / w * (spread[v, 0] + spread[v, 1]) / (_REACH - 1.0)
                     rest = tail * spread[v, 0]
-                    worst[v] += _ALL * moved + rest
-                    wide[v] += moved + rest
+                    worst[v] += _ALL * displacement + rest
+                    wide[v] += displacement + rest
             else:
-                _at(along, outputs, step, thirds, m, w, h, jets)
+                _enclose_defects(step_tape, outputs, step, thirds, m, w, h, jets)
                 small = True
                 for v in range(n):
                     worst[v] = max(-jets[v, 4], jets[v, 5])
@@ -186,7 +191,7 @@ def enclosed_defect(
                     lefts[top + 1], rights[top + 1] = a, m
                     top += 2
                     continue
-                put(worst, wide)
+                copy_numbers(worst, wide)
             for v in range(n):
                 bounds[step, v] += (b - a) * worst[v] * _WIDER
                 unknown[step, v] += (b - a) * wide[v]
@@ -194,10 +199,10 @@ def enclosed_defect(
 
 
 @kernel
-def _prepared(along: Along, regs: Array) -> tuple[Array, Complexes, Array]:
-    """Return registers of intervals and of discs with what does not change along steps."""
-    code, base, fixed = along[:3]
-    n = along[6].shape[1]
+def _constant_registers(step_tape: StepTape, regs: Array) -> tuple[Array, Complexes, Array]:
+    """Return registers of intervals and of discs, with those filled in that are constant."""
+    code, base, fixed = step_tape[:3]
+    n = step_tape[6].shape[1]
     jets = np.zeros((regs.shape[0], 6))
     centres, radii = np.zeros(regs.shape[0], np.complex128), np.zeros(regs.shape[0])
     for r in range(n + 1, base):
@@ -211,8 +216,8 @@ def _prepared(along: Along, regs: Array) -> tuple[Array, Complexes, Array]:
 
 
 @kernel
-def _at(
-    along: Along,
+def _enclose_defects(
+    step_tape: StepTape,
     outputs: Ints32,
     step: int,
     thirds: Array,
@@ -222,11 +227,11 @@ def _at(
     jets: Array,
 ) -> None:
     """Enclose the defects over [m - w, m + w], in columns 4 and 5 of the variables."""
-    code, base, first, last = along[:4]
-    place(along, step, thirds, m, w, 1, jets)
-    # A piece may begin at the end of a domain: its points are in it.
+    code, base, first, last = step_tape[:4]
+    write_variable_jets(step_tape, step, thirds, m, w, 1, jets)
+    # A piece may start at the boundary of a domain: its points are inside.
     run_jets(code, first, last, base, jets, -1 if w > 0.0 else 0)
-    for v in range(along[6].shape[1]):
+    for v in range(step_tape[6].shape[1]):
         row = jets[outputs[v]]
         rate = mul((row[0], row[1]), (h, h))
         low, high = sub((jets[v, 2], jets[v, 3]), rate)

@@ -1,4 +1,4 @@
-"""Least and greatest value of a tape along the polynomials of steps."""
+"""Minimum and maximum of a tape along the polynomials of steps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from statechart.kernels.polynomials import sample_states
 from statechart.kernels.quadrature import integrate_outputs
 from statechart.kernels.tapes import TapeCode, tape_table
 
-# Grid on which extremes are looked for, in every piece of a step, before they are refined.
+# Number of grid points per piece, before refinement.
 _GRID = 16
 # Each round divides the bracket by 8; after 9 it is 1e-8 of a step, where a smooth extreme
 # differs from its neighbourhood by 1e-16.
@@ -33,13 +33,14 @@ def values_along(tape: TapeCode, steps: Steps, low: float, tau: Array, values: A
 
 
 @kernel
-def widen(tape: TapeCode, steps: Steps, resolved: Array, low: float, extremes: Array) -> None:
-    """Bring the least and the greatest value up to date by those along an arc.
+def update_extremes(
+    tape: TapeCode, steps: Steps, resolved: Array, low: float, extremes: Array
+) -> None:
+    """Update minimum and maximum (2,) of the tape's one output by its values along an arc.
 
-    Of one output, along the steps of an arc; `resolved` (k, n, d + 1) are its polynomials without
-    what has no value: pieces are looked for there, nothing in one is narrower than it. `low` is the
-    part of the arc's start that is too small for `steps.start`. `extremes` (2,) are not numbers
-    where nothing had a value; what has none does not count.
+    `resolved` (k, n, d + 1): the polynomials of the steps with 0 for undefined variables; they
+    determine the pieces in which the output is resolved. `low`: low part of the arc's start time,
+    beyond `steps.start`. Undefined values are ignored; `extremes` are NaN before the first value.
     """
     times = steps.times
     known = Steps(times, resolved, steps.parameters, steps.start)
@@ -61,8 +62,8 @@ def widen(tape: TapeCode, steps: Steps, resolved: Array, low: float, extremes: A
             if not sign * grid[i] >= best and grid[i] == grid[i]:
                 best = sign * grid[i]
         for i in range(last + 1):
-            # Between grid points a smooth function is below them by at most about its second
-            # difference; only points that may hide a lower value are refined.
+            # Between grid points a smooth function falls below them by at most about its second
+            # difference: only points that may hide a lower value are refined.
             k = min(max(i, 1), last - 1)
             here = sign * grid[i]
             if last < 2 or not here - abs(grid[k - 1] - 2.0 * grid[k] + grid[k + 1]) < best:

@@ -1,11 +1,10 @@
-"""Arithmetic of intervals.
+"""Interval arithmetic with outward rounding.
 
-Intervals are pairs (low, high) that contain every real value of the operation. Each result is
-widened outwards by one ulp, four where libm is called (its functions are within 1 to 2 ulp), and
-by `TINY` where a product may underflow. What is exactly zero stays so: with `TINY` for it, as for
-the derivatives of what does not change, roundings would be subnormal. A bound that is lost
-(overflow, inf - inf, a point outside the domain) is not a number or infinite, and ends as the whole
-line: never as a proof.
+Intervals (low, high) contain every real value of the operation. Each result is widened by one ulp,
+by four after libm functions (accurate to 1 to 2 ulp), and by `TINY` if a product may underflow.
+Exact zeros, such as derivatives of constants, stay zero: `TINY` there would lead to slow subnormal
+numbers. A lost bound (overflow, inf - inf, a point outside the domain) is NaN or infinite and
+becomes the whole line, which proves nothing.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from statechart.kernels.jit import kernel
 Interval = tuple[float, float]
 
 EPS = 2.0**-52
-TINY = 1e-300  # above the subnormal numbers, which some processors handle a hundred times slower
+TINY = 1e-300  # above the subnormal numbers, which are a hundred times slower on some processors
 LIBM = 4.0 * EPS
 INF = math.inf
 LARGEST = 1.7976931348623157e308
@@ -27,8 +26,8 @@ HALF, MINUS_ONE = (0.5, 0.5), (-1.0, -1.0)
 
 
 @kernel
-def wide(a: Interval, ulps: float) -> Interval:
-    """Return an interval with its bounds moved outwards by so many ulp."""
+def round_outward(a: Interval, ulps: float) -> Interval:
+    """Return an interval widened by `ulps` ulp on both sides."""
     return a[0] - abs(a[0]) * ulps - TINY, a[1] + abs(a[1]) * ulps + TINY
 
 
@@ -40,14 +39,14 @@ def neg(a: Interval) -> Interval:
 
 @kernel
 def scaled(number: float, a: Interval) -> Interval:
-    """Product with an exact number >= 0 that loses nothing (a power of two)."""
+    """Product with a power of two, which is exact."""
     return number * a[0], number * a[1]
 
 
 @kernel
 def add(a: Interval, b: Interval) -> Interval:
     """Sum."""
-    # A sum never underflows inexactly, so that an exact 0 stays one.
+    # Sums do not underflow: an exact zero stays zero.
     low, high = a[0] + b[0], a[1] + b[1]
     return low - abs(low) * EPS, high + abs(high) * EPS
 
@@ -70,7 +69,7 @@ def _hull4(p: float, q: float, r: float, s: float) -> Interval:
     total = p + q + r + s
     if total != total:
         return WHOLE_LINE
-    return wide(hull(p, q, r, s), EPS)
+    return round_outward(hull(p, q, r, s), EPS)
 
 
 @kernel
@@ -83,31 +82,31 @@ def mul(a: Interval, b: Interval) -> Interval:
 
 @kernel
 def div(a: Interval, b: Interval) -> Interval:
-    """Quotient; the whole line where the divisor may be zero."""
+    """Quotient; the whole line if the divisor may be zero."""
     if not (b[0] > 0.0 or b[1] < 0.0):
         return WHOLE_LINE
     return _hull4(a[0] / b[0], a[0] / b[1], a[1] / b[0], a[1] / b[1])
 
 
 @kernel
-def even(a: Interval, p: float, q: float, ulps: float) -> Interval:
+def even_power(a: Interval, p: float, q: float, ulps: float) -> Interval:
     """Range of an even power over `a`, from its values p and q at the ends."""
     small = 0.0 if a[0] <= 0.0 <= a[1] else min(p, q)
     if a[0] == 0.0 == a[1]:
         return ZERO
-    low, high = wide((small, max(p, q)), ulps)
+    low, high = round_outward((small, max(p, q)), ulps)
     return max(0.0, low), high
 
 
 @kernel
 def square(a: Interval) -> Interval:
     """Square."""
-    return even(a, a[0] * a[0], a[1] * a[1], EPS)
+    return even_power(a, a[0] * a[0], a[1] * a[1], EPS)
 
 
 @kernel
 def sqrt(a: Interval) -> Interval:
-    """Square root; the whole line where a number below zero is possible."""
+    """Square root; the whole line if the argument may be negative."""
     if not a[0] >= 0.0:
         return WHOLE_LINE
     p, q = math.sqrt(a[0]), math.sqrt(a[1])
@@ -124,20 +123,20 @@ def power(a: Interval, exponent: int) -> Interval:
     n = float(exponent)
     p, q = a[0] ** n, a[1] ** n
     if exponent % 2 == 1:
-        return wide((p, q), LIBM)
-    return even(a, p, q, LIBM)
+        return round_outward((p, q), LIBM)
+    return even_power(a, p, q, LIBM)
 
 
 @kernel
 def exp(a: Interval) -> Interval:
-    """Exponential function; what is beyond all floats lies above the largest."""
-    p, q = wide((min(math.exp(a[0]), LARGEST), math.exp(a[1])), LIBM)
+    """Exponential function; overflow gives an infinite upper bound."""
+    p, q = round_outward((min(math.exp(a[0]), LARGEST), math.exp(a[1])), LIBM)
     return max(0.0, p), q
 
 
 @kernel
 def extrema(a: Interval, offset: float) -> tuple[float, float]:
-    """Return how many points (k + offset) pi an interval may hold (at most 2), and the last k."""
+    """Return the number of points (k + offset) pi in an interval (at most 2), and the last k."""
     size = max(abs(a[0]), abs(a[1])) / math.pi
     if not size < 1e14:
         return 2.0, 0.0
@@ -147,7 +146,7 @@ def extrema(a: Interval, offset: float) -> tuple[float, float]:
 
 
 @kernel
-def wave(a: Interval, sine: bool) -> Interval:
+def sine_or_cosine(a: Interval, sine: bool) -> Interval:
     """Sine or cosine."""
     if sine and a[0] == 0.0 == a[1]:
         return ZERO
@@ -158,7 +157,7 @@ def wave(a: Interval, sine: bool) -> Interval:
         p, q = math.sin(a[0]), math.sin(a[1])
     else:
         p, q = math.cos(a[0]), math.cos(a[1])
-    p, q = wide((min(p, q), max(p, q)), LIBM)
+    p, q = round_outward((min(p, q), max(p, q)), LIBM)
     if count >= 1.0:
         if last % 2.0 == 0.0:
             q = 1.0
@@ -171,7 +170,7 @@ def wave(a: Interval, sine: bool) -> Interval:
 def sinh(a: Interval) -> Interval:
     """Hyperbolic sine."""
     low, high = min(math.sinh(a[0]), LARGEST), max(math.sinh(a[1]), -LARGEST)
-    return wide((low, high), LIBM)
+    return round_outward((low, high), LIBM)
 
 
 @kernel
@@ -179,13 +178,13 @@ def cosh(a: Interval) -> Interval:
     """Hyperbolic cosine."""
     p, q = math.cosh(a[0]), math.cosh(a[1])
     least = 1.0 if a[0] <= 0.0 <= a[1] else min(p, q, LARGEST)
-    p, q = wide((least, max(p, q)), LIBM)
+    p, q = round_outward((least, max(p, q)), LIBM)
     return max(1.0, p), q
 
 
 @kernel
 def or_whole_line(a: Interval) -> Interval:
-    """Return the interval, or the whole line where a bound was lost."""
+    """Return the interval, or the whole line if a bound is NaN."""
     if a[0] <= a[1]:
         return a
     return WHOLE_LINE

@@ -1,6 +1,6 @@
-"""Tapes run on jets: enclosures of values and of their derivatives with respect to time.
+"""Interval jets of tapes: enclosures of values and of their derivatives with respect to time.
 
-A jet is the value, first and second derivative with respect to the step's own time s in [0, 1],
+A jet is the value, first and second derivative with respect to the step's local time s in [0, 1],
 as three intervals in a row of six numbers; see Moore, Kearfott and Cloud, "Introduction to
 Interval Analysis", 2009, chapters 5 and 9, for the centred forms built on it.
 """
@@ -24,7 +24,7 @@ from statechart.kernels.intervals import (
     add,
     cosh,
     div,
-    even,
+    even_power,
     exp,
     extrema,
     hull,
@@ -32,13 +32,13 @@ from statechart.kernels.intervals import (
     neg,
     or_whole_line,
     power,
+    round_outward,
     scaled,
+    sine_or_cosine,
     sinh,
     sqrt,
     square,
     sub,
-    wave,
-    wide,
 )
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import (
@@ -72,7 +72,7 @@ from statechart.kernels.tapes import (
 
 Jet = tuple[Interval, Interval, Interval]
 
-_MAX_EXPONENT = 1024.0  # whole exponents beyond have no use
+_MAX_EXPONENT = 1024.0  # larger exponents are useless
 
 
 @kernel
@@ -114,7 +114,7 @@ def _inverse(op: int, a: Interval) -> Jet:
     """Enclosures of atan, asin or acos and of their derivatives."""
     f = d = e = WHOLE_LINE
     if op == ATAN:
-        f = wide((math.atan(a[0]), math.atan(a[1])), LIBM)
+        f = round_outward((math.atan(a[0]), math.atan(a[1])), LIBM)
         d = div(ONE, add(square(a), ONE))
         e = mul(scaled(2.0, neg(a)), square(d))
     elif a[0] >= -1.0 and a[1] <= 1.0:
@@ -122,9 +122,9 @@ def _inverse(op: int, a: Interval) -> Jet:
         d = div(ONE, sqrt(p))
         e = div(mul(a, d), p)
         if op == ASIN:
-            f = wide((math.asin(a[0]), math.asin(a[1])), LIBM)
+            f = round_outward((math.asin(a[0]), math.asin(a[1])), LIBM)
         else:
-            f = wide((math.acos(a[1]), math.acos(a[0])), LIBM)
+            f = round_outward((math.acos(a[1]), math.acos(a[0])), LIBM)
             d, e = neg(d), neg(e)
     return f, d, e
 
@@ -140,7 +140,7 @@ def _hyperbolic(op: int, a: Interval) -> Jet:
         f = e = cosh(a)
         d = sinh(a)
     else:
-        f = wide((math.tanh(a[0]), math.tanh(a[1])), LIBM)
+        f = round_outward((math.tanh(a[0]), math.tanh(a[1])), LIBM)
         f = (max(f[0], -1.0), min(f[1], 1.0))
         d = sub(ONE, square(f))
         e = mul(scaled(2.0, neg(f)), d)
@@ -154,13 +154,13 @@ def _unary(op: int, exponent: int, a: Interval, order: int) -> Jet:
         a = _defined(op, a)
     f = d = e = WHOLE_LINE
     if op == SIN:
-        f = wave(a, True)
+        f = sine_or_cosine(a, True)
         if order > 0:
-            d, e = wave(a, False), neg(f)
+            d, e = sine_or_cosine(a, False), neg(f)
     elif op == COS:
-        f = wave(a, False)
+        f = sine_or_cosine(a, False)
         if order > 0:
-            d, e = neg(wave(a, True)), neg(f)
+            d, e = neg(sine_or_cosine(a, True)), neg(f)
     elif op == SQRT:
         f = sqrt(a)
         if order > 0:
@@ -177,14 +177,14 @@ def _unary(op: int, exponent: int, a: Interval, order: int) -> Jet:
             e = mul(power(a, exponent - 2), (n, n))
     elif op == LOG:
         if a[0] > 0.0:
-            f = wide((math.log(a[0]), math.log(a[1])), LIBM)
+            f = round_outward((math.log(a[0]), math.log(a[1])), LIBM)
             d = div(ONE, a)
             e = neg(square(d))
         elif order < 0 and a[0] == 0.0:
-            f = wide((-INF, math.log(a[1]) if a[1] > 0.0 else -INF), LIBM)
+            f = round_outward((-INF, math.log(a[1]) if a[1] > 0.0 else -INF), LIBM)
     elif op == TAN:
         if extrema(a, 0.5)[0] < 1.0:
-            f = wide((math.tan(a[0]), math.tan(a[1])), LIBM)
+            f = round_outward((math.tan(a[0]), math.tan(a[1])), LIBM)
             d = add(square(f), ONE)
             e = mul(scaled(2.0, f), d)
     elif op in (ABS, SIGN):
@@ -204,8 +204,11 @@ def _polar(op: int, y: Jet, x: Jet) -> Jet:
     # (q / 2)' = x x' + y y' with q = x^2 + y^2
     half = add(mul(x0, x1), mul(y0, y1))
     if op == HYPOT:
-        p, q = even(y0, abs(y0[0]), abs(y0[1]), 0.0), even(x0, abs(x0[0]), abs(x0[1]), 0.0)
-        f = wide((math.hypot(p[0], q[0]), math.hypot(p[1], q[1])), LIBM)
+        p, q = (
+            even_power(y0, abs(y0[0]), abs(y0[1]), 0.0),
+            even_power(x0, abs(x0[0]), abs(x0[1]), 0.0),
+        )
+        f = round_outward((math.hypot(p[0], q[0]), math.hypot(p[1], q[1])), LIBM)
         f = (max(0.0, f[0]), f[1])
         # r r' = x x' + y y';  r r'' = x'^2 + x x'' + y'^2 + y y'' - r'^2
         d = div(half, f)
@@ -220,12 +223,12 @@ def _polar(op: int, y: Jet, x: Jet) -> Jet:
     q = add(square(y0), square(x0))
     d = div(sub(mul(x0, y1), mul(y0, x1)), q)
     n = sub(mul(x0, y2), mul(y0, x2))
-    return wide(hull(a, b, c, r), LIBM), d, div(sub(n, mul(scaled(2.0, d), half)), q)
+    return round_outward(hull(a, b, c, r), LIBM), d, div(sub(n, mul(scaled(2.0, d), half)), q)
 
 
 @kernel
 def _whole_power(x: Jet, n: int) -> Jet:
-    """Jets of a power, whatever the sign of x."""
+    """Jets of an integer power, for x of any sign."""
     x0, x1, x2 = x
     if n == 0:
         return ONE, ZERO, ZERO
@@ -244,9 +247,9 @@ def _whole_power(x: Jet, n: int) -> Jet:
 
 @kernel
 def _power_jet(x: Jet, y: Jet, order: int) -> Jet:
-    """Jets of x**y = exp(y log x), x >= 0; the value from its corners, where its extremes are.
+    """Jets of x**y = exp(y log x), x >= 0; the extremes of the value are at the corners.
 
-    An exponent that is whole to within the rounding of how it was computed is taken for whole.
+    An exponent within round-off of an integer counts as the integer.
     """
     x0, x1, x2 = x
     y0, y1, y2 = y
@@ -258,7 +261,7 @@ def _power_jet(x: Jet, y: Jet, order: int) -> Jet:
     if not (x0[0] > 0.0 or (x0[0] == 0.0 and y0[0] > 0.0)):
         return WHOLE_LINE, WHOLE_LINE, WHOLE_LINE
     f = hull(x0[0] ** y0[0], x0[0] ** y0[1], x0[1] ** y0[0], x0[1] ** y0[1])
-    f = wide(f, LIBM)
+    f = round_outward(f, LIBM)
     f = (max(0.0, f[0]), f[1])
     n, r, m = _unary(LOG, 0, x0, 2)
     g = mul(r, x1)  # (log x)'
@@ -270,7 +273,7 @@ def _power_jet(x: Jet, y: Jet, order: int) -> Jet:
 
 @kernel
 def _extreme(op: int, u: Jet, v: Jet) -> Jet:
-    """Jets of min(u, v) and max(u, v): one of them, or the hull with a second derivative lost."""
+    """Jets of min(u, v) and max(u, v): one of them, or the hull without a second derivative."""
     if u[0][1] <= v[0][0]:
         return u if op == MIN else v
     if v[0][1] <= u[0][0]:
@@ -288,9 +291,9 @@ def _jet(jets: Array, r: int) -> Jet:
 
 @kernel
 def run_jets(code: Ints32, first: int, last: int, base: int, jets: Array, order: int) -> None:
-    """Run the operations [first, last) on jets: the values alone for order 0.
+    """Run the operations [first, last) on jets, up to the derivatives of this order.
 
-    For order -1 they are those on the part of the intervals where the operations are defined.
+    Order -1: values on the part of the intervals where the operations are defined.
     """
     for k in range(first, last):
         op = code[k, 0]
@@ -361,8 +364,8 @@ def tape_ranges(
 ) -> None:
     """Write the enclosures (n_out, 2) of the outputs over the times [0, end].
 
-    Natural interval extension: bounds of outputs that name the time more than once may be wide,
-    and are infinite where an output is undefined.
+    Natural interval extension: bounds may be wide if an output depends on the time more than once,
+    and are infinite where it is undefined.
     """
     n, p = state.shape[0], parameters.shape[0]
     base = n + 1 + p + constants.shape[0]

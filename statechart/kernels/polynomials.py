@@ -1,4 +1,4 @@
-"""The polynomials of an arc's steps: made, cut, sampled."""
+"""Polynomials of the steps of an arc: construction, evaluation, truncation."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def horner(coeffs: Array, step: int, v: int, s: float) -> float:
 def values_at(coeffs: Array, step: int, v: int, places: Array, values: Array) -> None:
     """Write the values (m,) of a variable at places (m,) of a step.
 
-    Term by term for all of them: none waits for another. Compiled for itself: where it is known
-    how many they are, they are not computed side by side.
+    The inner loop runs over the places, so that it is vectorised; inlined with a constant number
+    of places it would not be.
     """
     top, count = coeffs.shape[2] - 1, places.shape[0]
     term = coeffs[step, v, top]
@@ -40,7 +40,7 @@ def values_at(coeffs: Array, step: int, v: int, places: Array, values: Array) ->
 def slopes_at(
     coeffs: Array, step: int, v: int, places: tuple[float, float, float]
 ) -> tuple[float, float, float]:
-    """Slopes of a variable at three places of a step: side by side, as none waits for another."""
+    """Slopes of a variable at three places of a step, vectorised."""
     a, b, c = places
     e = f = g = 0.0
     for k in range(coeffs.shape[2] - 1, 0, -1):
@@ -50,8 +50,8 @@ def slopes_at(
 
 
 @kernel
-def reaches(coeffs: Array, step: int, floors: Array, sizes: Array) -> None:
-    """Write how large each variable (n,) is and moves in a step, and no less than its floor."""
+def write_sizes(coeffs: Array, step: int, floors: Array, sizes: Array) -> None:
+    """Write the sizes (n,) of the variables and of their motion in a step, at least `floors`."""
     for v in range(coeffs.shape[1]):
         reach = abs(coeffs[step, v, 0])
         for k in range(1, coeffs.shape[2]):
@@ -71,10 +71,10 @@ def local_time(times: Array, step: int, s: float) -> float:
 def append_steps(
     durations: Array, taken: int, first: int, times: Array, coeffs: Array, end: Array
 ) -> int:
-    """Make Taylor coefficients in time those in s = time / duration, in place; fill in `times`.
+    """Convert Taylor coefficients in time to s = time / duration, in place; write `times`.
 
-    The steps stand behind the `first` ones. Returns how many of them, up to `taken`, are finite,
-    and writes the state at the end of those.
+    The steps follow the `first` ones. Returns the number of finite steps, up to `taken`, and
+    writes the state at their end.
     """
     _, n, terms = coeffs.shape
     total, finite = 0.0, 0
@@ -88,7 +88,7 @@ def append_steps(
                 bounded = bounded and abs(step[v, k]) < math.inf
         if not bounded:
             break
-        # Summed from the start of these steps, so that long arcs lose nothing.
+        # The sum starts at the first of these steps: less round-off in long arcs.
         total += duration
         finite += 1
         times[first + finite] = times[first] + total
@@ -102,7 +102,7 @@ def append_steps(
 def cut_steps(times: Array, coeffs: Array, count: int, end: float, state: Array) -> int:
     """End an arc of `count` steps at local time `end`, in place, and write the state there.
 
-    Returns how many steps are kept; with none the state is left alone.
+    Returns the number of remaining steps; without steps the state is unchanged.
     """
     while count > 0 and times[count - 1] >= end:
         count -= 1
@@ -141,10 +141,10 @@ def sample_states(coeffs: Array, times: Array, tau: Array) -> Array:
 
 
 @kernel
-def summands(times: Array, coeffs: Array) -> Array:
-    """Return the size of the terms whose sum is each variable at the end of an arc."""
+def term_sizes(times: Array, coeffs: Array) -> Array:
+    """Return the sum of absolute terms of each variable at the end of an arc."""
     last, n, terms = len(coeffs) - 1, coeffs.shape[1], coeffs.shape[2]
-    # A last step shorter than the time can tell has no rate; the one before it has.
+    # A last step below the round-off of time has no rate: use the one before.
     long = last
     while long >= 0 and times[long + 1] == times[long]:
         long -= 1

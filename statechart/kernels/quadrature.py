@@ -1,32 +1,32 @@
-"""Integrals of tapes along the polynomials of steps, in pieces in which they are resolved."""
+"""Gauss quadrature of tapes along the polynomials of steps, in pieces that resolve them."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from statechart.arrays import Array, Bools, Ints32
-from statechart.kernels.boxes import Steps, along_steps, prepare
-from statechart.kernels.copies import put
+from statechart.kernels.boxes import Steps, bind_tape, bound_third_derivatives
+from statechart.kernels.copies import copy_numbers
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import local_time
 from statechart.kernels.resolution import (
     NARROW,
     PLACES,
-    at,
     bound_box,
     bound_step,
+    evaluate_at_places,
     jet_registers,
-    roughen_by_places,
+    refine_roughness,
 )
 from statechart.kernels.tapes import TapeCode
 
-# An integral or an extreme may miss this part of the largest value that was met.
+# Relative tolerance of integrals and extremes, to the largest value.
 _EXACT = 1e-15
-# Nobody resolves what is as small as so many roundings of a function's values.
+# Features below this multiple of a function's round-off are not resolved.
 _ROUNDINGS = 8.0
-# Far above what enclosures are widened by against underflow.
+# Far above the underflow margin of enclosures.
 _NOTHING = 1e-280
-# Most pieces of a step: what has more is finer than anybody would integrate.
+# Largest number of pieces per step.
 _MAX_PIECES = 1 << 14
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
@@ -38,7 +38,7 @@ _WEIGHTS = _WEIGHTS / 2.0
 def _is_unresolved(
     outputs: Ints32, jets: Array, width: float, undefined: Bools, largest: Array, rough: Array
 ) -> bool:
-    """Return whether a piece is not resolved for some output; writes how rough each is in it."""
+    """Return whether a piece is unresolved for some output; write the roughness of each."""
     missed = False
     for i in range(outputs.shape[0]):
         rough[i] = jets[outputs[i], 2]
@@ -51,15 +51,15 @@ def _is_unresolved(
 def integrate_outputs(
     tape: TapeCode, steps: Steps, t_from: float, t_to: float
 ) -> tuple[Array, Array]:
-    """Integral of every output over local time [t_from, t_to], and where the pieces end.
+    """Return the integral of every output over local time [t_from, t_to], and the ends of pieces.
 
-    A piece is what is left of a step halved until all outputs are resolved in it, kinks down to
-    rounding; it is integrated with 16 Gauss nodes.
+    Steps are halved until all outputs are resolved in each piece, kinks down to round-off; each
+    piece has 16 Gauss nodes.
     """
     outputs, reads, times, coeffs = tape.outputs, tape.reads, steps.times, steps.coeffs
     count = _NODES.shape[0]
-    along, regs = along_steps(tape, steps, count)
-    jets, bounds = jet_registers(along, regs), np.zeros(coeffs.shape[1])
+    step_tape, regs = bind_tape(tape, steps, count)
+    jets, bounds = jet_registers(step_tape, regs), np.zeros(coeffs.shape[1])
     sums = np.zeros((4, outputs.shape[0]))
     result, largest, rough, noise = sums[0], sums[1], sums[2], sums[3]
     undefined = np.empty(outputs.shape[0], np.bool_)
@@ -76,35 +76,35 @@ def integrate_outputs(
             top -= 1
             a, b = lefts[top], rights[top]
             looked += 1
-            at(along, step, a, b, _NODES, regs)
+            evaluate_at_places(step_tape, step, a, b, _NODES, regs)
             for i in range(outputs.shape[0]):
                 undefined[i] = False
                 for j in range(count):
                     value = abs(regs[outputs[i], j])
                     undefined[i] = undefined[i] or value != value
                     largest[i] = max(largest[i], value)
-            whole = b - a == 1.0 and bound_step(along, step, jets)
+            whole = b - a == 1.0 and bound_step(step_tape, step, jets)
             halve = not whole or _is_unresolved(outputs, jets, b - a, undefined, largest, rough)
             if halve:
                 if not prepared:
-                    prepare(coeffs, step, reads, bounds)
+                    bound_third_derivatives(coeffs, step, reads, bounds)
                     prepared = True
-                bound_box(along, step, bounds, a, b, jets)
+                bound_box(step_tape, step, bounds, a, b, jets)
                 halve = _is_unresolved(outputs, jets, b - a, undefined, largest, rough)
             if halve:
-                # A register as rough at places as in the box, or no rougher than its values are
-                # rounded there, is the rounding of a kink's zero.
+                # Roughness that is the same at single places, or within the round-off of values
+                # there, is the round-off of a kink at zero.
                 halve, rounded = False, np.empty(jets.shape[0])
                 for j in range(2):
                     s = a + PLACES[j + 1] * (b - a)
-                    bound_box(along, step, bounds, s, s, jets)
+                    bound_box(step_tape, step, bounds, s, s, jets)
                     for r in range(jets.shape[0]):
                         rounded[r] = max(jets[r, 1] - jets[r, 0], rounded[r] if j == 1 else 0.0)
                     for i in range(outputs.shape[0]):
                         here = jets[outputs[i], 2] + _ROUNDINGS * rounded[outputs[i]]
                         noise[i] = min(noise[i], here) if j == 1 else here
-                bound_box(along, step, bounds, a, b, jets)
-                roughen_by_places(along, regs, count, rounded, jets)
+                bound_box(step_tape, step, bounds, a, b, jets)
+                refine_roughness(step_tape, regs, count, rounded, jets)
                 for i in range(outputs.shape[0]):
                     more = min(rough[i], jets[outputs[i], 2]) - noise[i]
                     missed = (b - a) * more if more > 0.0 else 0.0
@@ -122,7 +122,7 @@ def integrate_outputs(
                 result[i] += total * (b - a) * span
             if pieces == ends.shape[0]:
                 longer = np.empty(2 * pieces)
-                put(ends, longer)
+                copy_numbers(ends, longer)
                 ends = longer
             ends[pieces] = high if top == 0 else local_time(times, step, b)
             pieces += 1

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from statechart.arrays import Array, Ints32
 from statechart.kernels.jit import kernel
-from statechart.kernels.tapes import filled, run_tape
+from statechart.kernels.tapes import allocate_registers, run_tape
 
-Program = tuple[Ints32, int, Ints32, Ints32, int, Array]
-"""Code of a tape, the register of its first operation, its outputs; their places (k,) in a state
-(n,); the register of the time; registers, with what does not change in a flow filled in."""
+ReconstructionProgram = tuple[Ints32, int, Ints32, Ints32, int, Array]
+"""Code of a tape, register of its first operation, its outputs; their indices (k,) in a state (n,);
+register of the time; registers, with the constants of the flow filled in."""
 
 
 @kernel
@@ -20,21 +20,21 @@ def reconstruction_program(
     anchors: Array,
     parameters: Array,
     variables: int,
-) -> Program:
+) -> ReconstructionProgram:
     """Return the program that reconstructs the dependent variables of a flow.
 
-    `places` (k,) are those of the tape's outputs in a state of so many `variables`; the tape reads
-    the `anchors` (a,) of the flow behind the state.
+    `places` (k,): indices of the tape's outputs in a state with `variables` numbers; the inputs of
+    the tape are the state and the `anchors` (a,) of the flow.
     """
     clock = variables + anchors.shape[0]
-    base, registers = filled(code, constants, parameters, clock, 1)
+    base, registers = allocate_registers(code, constants, parameters, clock, 1)
     for i in range(anchors.shape[0]):
         registers[variables + i, 0] = anchors[i]
     return code, base, outputs, places, clock, registers
 
 
 @kernel
-def reconstruct(program: Program, state: Array, time: float) -> None:
+def reconstruct(program: ReconstructionProgram, state: Array, time: float) -> None:
     """Write the dependent variables of `state`."""
     code, base, outputs, places, clock, registers = program
     for v in range(state.shape[0]):
@@ -46,7 +46,7 @@ def reconstruct(program: Program, state: Array, time: float) -> None:
 
 
 @kernel
-def reconstruct_any(program: Program, state: Array, time: float) -> None:
+def reconstruct_any(program: ReconstructionProgram, state: Array, time: float) -> None:
     """Write the dependent variables of `state`, if there are any."""
     if program[3].shape[0] > 0:
         reconstruct(program, state, time)

@@ -1,12 +1,12 @@
-"""Resolution of a tape along a polynomial: bounds of what sampling a step may miss.
+"""Resolution of a tape along a polynomial: error bounds of sampling.
 
-A function is *resolved* on a box if its singularities are as far from the range of its argument
-as that is wide or, where it has none, if it does not turn twice in that range. What is composed of
-resolved functions alone is as smooth as the box is long, and a few places tell what it does there
-(how fast polynomials converge follows from how far the singularities are: L. N. Trefethen,
-"Approximation Theory and Approximation Practice", 2013, chapter 8). Of anything else, between
-places, only the range is known. So every register has a *roughness* beside its range: how far it
-may be from what is composed of resolved functions.
+A function is *resolved* on a box if the distance of its singularities from the range of its
+argument is at least the width of the range or, without singularities, if it does not turn twice in
+the range. Compositions of resolved functions are smooth on the scale of the box, and a few samples
+describe them (the distance of singularities determines the convergence of polynomials: L. N.
+Trefethen, "Approximation Theory and Approximation Practice", 2013, chapter 8). Of other functions
+only the range between samples is known. Each register therefore has a range and a *roughness*, a
+bound of its deviation from a composition of resolved functions.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from statechart.arrays import Array, Ints32
-from statechart.kernels.boxes import Along, place, place_whole
+from statechart.kernels.boxes import StepTape, write_step_jets, write_variable_jets
 from statechart.kernels.intervals import INF, LIBM, TINY, Interval
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
@@ -50,25 +50,25 @@ from statechart.kernels.tapes import (
 )
 
 PLACES = np.array([0.146, 0.382, 0.764])
-"""Sampled places of a box, in parts of it, for functions that are resolved in it."""
+"""Sampled places of a box, relative to its length, for functions resolved in it."""
 
 NARROW = 2.0**-48
-"""Narrowest box, in parts of a step: a rough one is not halved further."""
+"""Narrowest box, relative to the step: rough boxes are not halved further."""
 
-# The range of an argument may be so many times as wide as its distance from a singularity.
+# Largest ratio of the width of an argument's range to its distance from a singularity.
 _MAX_SPAN = 2.0
-# The limit where there is none, in units of growth by a factor e or a turn by a radian.
+# Largest width without singularities, in units of growth by a factor e or a turn by a radian.
 _MAX_TURN = 4.0
 
 
 @kernel
-def _away(a: Interval) -> float:
+def _distance_from_zero(a: Interval) -> float:
     """Distance of an interval from zero."""
     return max(a[0], -a[1], 0.0)
 
 
 @kernel
-def _size(a: Interval) -> float:
+def _magnitude(a: Interval) -> float:
     return max(-a[0], a[1])
 
 
@@ -82,9 +82,9 @@ def _resolved(op: int, exponent: int, a: Interval) -> bool:
     if op in (SIN, COS, EXP, SINH, COSH):
         return span <= _MAX_TURN
     if op == TANH:
-        return span <= _MAX_SPAN * math.hypot(_away(a), 0.5 * math.pi)
+        return span <= _MAX_SPAN * math.hypot(_distance_from_zero(a), 0.5 * math.pi)
     if op == ATAN:
-        return span <= _MAX_SPAN * math.hypot(_away(a), 1.0)
+        return span <= _MAX_SPAN * math.hypot(_distance_from_zero(a), 1.0)
     if op in (ABS, SIGN):
         return low >= 0.0 or high <= 0.0
     if op == TAN:
@@ -94,7 +94,7 @@ def _resolved(op: int, exponent: int, a: Interval) -> bool:
     if op in (ASIN, ACOS):
         return span <= _MAX_SPAN * min(low + 1.0, 1.0 - high)
     if op == POWI:
-        n, near, size = abs(float(exponent)), _away(a), _size(a)
+        n, near, size = abs(float(exponent)), _distance_from_zero(a), _magnitude(a)
         return n * span <= 2.0 * _MAX_TURN * size or (
             near > 0.0 and n * math.log(size / near) <= _MAX_TURN
         )
@@ -106,22 +106,22 @@ def _power_resolved(x: Interval, y: Interval) -> bool:
     """Return whether x**y is resolved."""
     low, high = x
     n = math.floor(0.5 * (y[0] + y[1]) + 0.5)
-    if max(n - y[0], y[1] - n) <= 1e-14 * abs(n):  # a parameter may be a whole number
+    if max(n - y[0], y[1] - n) <= 1e-14 * abs(n):  # an integer parameter
         whole = n < 2.0**31 and _resolved(POWI, int(n), x)
-        return whole and (n >= 0.0 or high - low <= _MAX_SPAN * _away(x))
+        return whole and (n >= 0.0 or high - low <= _MAX_SPAN * _distance_from_zero(x))
     if not low > 0.0:
         return high == low and y[0] == y[1]
     logs = max(abs(math.log(low)), abs(math.log(high)))
     return (
         high - low <= _MAX_SPAN * low
-        and _size(y) * math.log(high / low) <= _MAX_TURN
+        and _magnitude(y) * math.log(high / low) <= _MAX_TURN
         and (y[1] - y[0]) * logs <= _MAX_TURN
     )
 
 
 @kernel
-def _roughen(code: Ints32, first: int, last: int, base: int, jets: Array) -> None:
-    """Fill in the roughness, column 2, of operations whose ranges stand in columns 0 and 1."""
+def _write_roughness(code: Ints32, first: int, last: int, base: int, jets: Array) -> None:
+    """Write the roughness (column 2) of operations with known ranges (columns 0 and 1)."""
     for k in range(first, last):
         op, i = code[k, 0], code[k, 1]
         a, p = (jets[i, 0], jets[i, 1]), jets[i, 2]
@@ -131,11 +131,11 @@ def _roughen(code: Ints32, first: int, last: int, base: int, jets: Array) -> Non
             if op == NEG:
                 rough = p
             elif op == SQUARE:
-                rough = p * (2.0 * _size(a) + p)
+                rough = p * (2.0 * _magnitude(a) + p)
             elif not _resolved(op, code[k, 2], a):
                 rough = width
             else:
-                # A resolved function is not far from straight.
+                # A resolved function is nearly linear.
                 rough = 4.0 * p * width / (a[1] - a[0]) if p > 0.0 else 0.0
         else:
             j = code[k, 2]
@@ -145,13 +145,13 @@ def _roughen(code: Ints32, first: int, last: int, base: int, jets: Array) -> Non
             elif op == MUL:
                 rough = 0.0
                 if p > 0.0:
-                    rough += p * (_size(b) + q)
+                    rough += p * (_magnitude(b) + q)
                 if q > 0.0:
-                    rough += q * _size(a)
+                    rough += q * _magnitude(a)
             elif op == DIV:
-                near = _away(b)
+                near = _distance_from_zero(b)
                 if b[1] - b[0] <= _MAX_SPAN * near:
-                    rough = (p + q * _size(f)) / near if p > 0.0 or q > 0.0 else 0.0
+                    rough = (p + q * _magnitude(f)) / near if p > 0.0 or q > 0.0 else 0.0
                 else:
                     rough = width
             elif op in (MIN, MAX):
@@ -164,15 +164,17 @@ def _roughen(code: Ints32, first: int, last: int, base: int, jets: Array) -> Non
             else:
                 span = max(a[1] - a[0], b[1] - b[0])
                 seen = p == 0.0 and q == 0.0
-                seen = seen and span <= _MAX_SPAN * math.hypot(_away(a), _away(b))
+                seen = seen and span <= _MAX_SPAN * math.hypot(
+                    _distance_from_zero(a), _distance_from_zero(b)
+                )
                 rough = 0.0 if seen else width
         jets[base + k, 2] = min(rough, width) if rough == rough else INF
 
 
 @kernel
-def jet_registers(along: Along, regs: Array) -> Array:
+def jet_registers(step_tape: StepTape, regs: Array) -> Array:
     """Return registers of jets, with constants and parameters filled in."""
-    code, base, fixed, _, _, _, coeffs, _ = along
+    code, base, fixed, _, _, _, coeffs, _ = step_tape
     n = coeffs.shape[1]
     run_tape(code, 0, fixed, base, regs, regs.shape[1])
     jets = np.zeros((regs.shape[0], 8))
@@ -184,54 +186,56 @@ def jet_registers(along: Along, regs: Array) -> Array:
 
 
 @kernel
-def roughen(along: Along, jets: Array) -> None:
-    """Fill in the roughness of all registers, whose ranges are known."""
-    code, base, first, last, reads = along[:5]
+def write_roughness(step_tape: StepTape, jets: Array) -> None:
+    """Write the roughness of all registers with known ranges."""
+    code, base, first, last, reads = step_tape[:5]
     for v in reads:
         jets[v, 2] = 0.0
-    _roughen(code, first, last, base, jets)
+    _write_roughness(code, first, last, base, jets)
 
 
 @kernel
-def bound_box(along: Along, step: int, bounds: Array, a: float, b: float, jets: Array) -> None:
-    """Fill in ranges and roughness of all registers over the box [a, b] of a step."""
-    code, base, first, last = along[:4]
+def bound_box(
+    step_tape: StepTape, step: int, bounds: Array, a: float, b: float, jets: Array
+) -> None:
+    """Write ranges and roughness of all registers over the box [a, b] of a step."""
+    code, base, first, last = step_tape[:4]
     m = 0.5 * (a + b)
-    place(along, step, bounds, m, max(b - m, m - a), 0, jets)
+    write_variable_jets(step_tape, step, bounds, m, max(b - m, m - a), 0, jets)
     run_jets(code, first, last, base, jets, 0)
-    roughen(along, jets)
+    write_roughness(step_tape, jets)
 
 
 @kernel
-def bound_step(along: Along, step: int, jets: Array) -> bool:
-    """Do what `bound_box` does on a whole step, by ranges of its variables that cost little.
+def bound_step(step_tape: StepTape, step: int, jets: Array) -> bool:
+    """Write ranges and roughness over a whole step, from cheap ranges of the variables.
 
-    False where one is not finite.
+    Returns False if a range is not finite.
     """
-    code, base, first, last = along[:4]
-    if not place_whole(along, step, jets):
+    code, base, first, last = step_tape[:4]
+    if not write_step_jets(step_tape, step, jets):
         return False
     run_jets(code, first, last, base, jets, 0)
-    roughen(along, jets)
+    write_roughness(step_tape, jets)
     return True
 
 
 @kernel
 def bound_box_tightly(
-    along: Along, step: int, bounds: Array, a: float, b: float, jets: Array
+    step_tape: StepTape, step: int, bounds: Array, a: float, b: float, jets: Array
 ) -> None:
-    """Do what `bound_box` does, by the mean value form, too: its ranges shrink with the square.
+    """Write ranges and roughness over a box, also by the mean value form (second order).
 
-    The determinant of a mode that nears its end is a small difference of large numbers.
+    Needed for differences of large numbers, such as the determinant of a nearly singular mode.
     """
-    code, base, first, last = along[:4]
+    code, base, first, last = step_tape[:4]
     m = 0.5 * (a + b)
     w = max(b - m, m - a)
-    place(along, step, bounds, m, 0.0, 0, jets)
+    write_variable_jets(step_tape, step, bounds, m, 0.0, 0, jets)
     run_jets(code, first, last, base, jets, 0)
     for k in range(base + first, base + last):
         jets[k, 6], jets[k, 7] = jets[k, 0], jets[k, 1]
-    place(along, step, bounds, m, w, 1, jets)
+    write_variable_jets(step_tape, step, bounds, m, w, 1, jets)
     run_jets(code, first, last, base, jets, 1)
     for k in range(base + first, base + last):
         reach = w * max(abs(jets[k, 2]), abs(jets[k, 3])) * (1.0 + LIBM) + TINY
@@ -240,12 +244,12 @@ def bound_box_tightly(
             jets[k, 0] = low
         if high < jets[k, 1]:
             jets[k, 1] = high
-    roughen(along, jets)
+    write_roughness(step_tape, jets)
 
 
 @kernel
-def _by_places(r: int, count: int, regs: Array, rounded: Array, jets: Array) -> None:
-    """Narrow the range of a resolved register to that of its values, and as far about it again."""
+def _narrow_range(r: int, count: int, regs: Array, rounded: Array, jets: Array) -> None:
+    """Narrow the range of a resolved register to its sampled range, enlarged by its own width."""
     low, high = INF, -INF
     for j in range(count):
         value = regs[r, j]
@@ -257,36 +261,42 @@ def _by_places(r: int, count: int, regs: Array, rounded: Array, jets: Array) -> 
 
 
 @kernel
-def roughen_by_places(along: Along, regs: Array, count: int, rounded: Array, jets: Array) -> None:
-    """Fill in roughness again, from values of resolved registers at sampled places.
+def refine_roughness(
+    step_tape: StepTape, regs: Array, count: int, rounded: Array, jets: Array
+) -> None:
+    """Refine the roughness by sampled values of resolved registers.
 
-    Enclosures do not see that terms cancel (``cos(x)**2 + sin(x)**2 - 1``), however short a box is:
-    a kink of what is nothing but rounding was looked for to the end. `regs` (r, ..) are values at
-    `count` places of the box, `rounded` (r,) how wide ranges of single places are, `jets` (r, 8)
-    the ranges over the box (see `bound_box`).
+    Enclosures do not detect cancellation (``cos(x)**2 + sin(x)**2 - 1``) on boxes of any size: the
+    kink of a function that is only round-off would be bisected to the limit. `regs` (r, ..): values
+    at `count` places of the box; `rounded` (r,): widths of ranges at single places; `jets`
+    (r, 8): ranges over the box (see `bound_box`).
     """
-    code, base, first, last, reads = along[:5]
+    code, base, first, last, reads = step_tape[:5]
     for v in reads:
-        _by_places(v, count, regs, rounded, jets)
+        _narrow_range(v, count, regs, rounded, jets)
     for k in range(first, last):
-        _roughen(code, k, k + 1, base, jets)
+        _write_roughness(code, k, k + 1, base, jets)
         op, i, r = code[k, 0], code[k, 1], base + k
         if op == ABS and jets[i, 2] == 0.0:
-            jets[r, 2] = min(jets[r, 2], _size((jets[i, 0], jets[i, 1])))
+            jets[r, 2] = min(jets[r, 2], _magnitude((jets[i, 0], jets[i, 1])))
         elif op == SQRT and jets[i, 2] == 0.0:
             jets[r, 2] = min(jets[r, 2], math.sqrt(max(jets[i, 1], 0.0)))
         elif op == HYPOT and jets[i, 2] == 0.0 and jets[code[k, 2], 2] == 0.0:
             j = code[k, 2]
-            size = math.hypot(_size((jets[i, 0], jets[i, 1])), _size((jets[j, 0], jets[j, 1])))
+            size = math.hypot(
+                _magnitude((jets[i, 0], jets[i, 1])), _magnitude((jets[j, 0], jets[j, 1]))
+            )
             jets[r, 2] = min(jets[r, 2], size)
         if jets[r, 2] == 0.0:
-            _by_places(r, count, regs, rounded, jets)
+            _narrow_range(r, count, regs, rounded, jets)
 
 
 @kernel
-def at(along: Along, step: int, a: float, b: float, places: Array, regs: Array) -> None:
-    """Run the tape at places in the box [a, b] of a step, given in parts of it."""
-    code, base, first, last, reads, times, coeffs, start = along
+def evaluate_at_places(
+    step_tape: StepTape, step: int, a: float, b: float, places: Array, regs: Array
+) -> None:
+    """Run the tape at places of the box [a, b] of a step, relative to its length."""
+    code, base, first, last, reads, times, coeffs, start = step_tape
     n, count = coeffs.shape[1], places.shape[0]
     clock = regs[n]
     for j in range(count):

@@ -1,9 +1,9 @@
-"""Roots of an output of a tape along a step, in floats."""
+"""Roots of an output of a tape along a step, in floating point."""
 
 from __future__ import annotations
 
 from statechart.arrays import Array
-from statechart.kernels.boxes import Along, enclose
+from statechart.kernels.boxes import StepTape, enclose
 from statechart.kernels.intervals import EPS, INF, TINY
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import horner, local_time
@@ -11,9 +11,9 @@ from statechart.kernels.tapes import run_tape
 
 
 @kernel
-def value_at(along: Along, step: int, output: int, s: float, regs: Array) -> float:
+def value_at(step_tape: StepTape, step: int, output: int, s: float, regs: Array) -> float:
     """Value of an output at one place of a step."""
-    code, base, first, last, reads, times, coeffs, start = along
+    code, base, first, last, reads, times, coeffs, start = step_tape
     n = coeffs.shape[1]
     for r in range(reads.shape[0]):
         v = reads[r]
@@ -33,37 +33,39 @@ _WEIGHTS = (
 
 
 @kernel
-def _risen(along: Along, step: int, output: int, place: float, bounds: Array, jets: Array) -> float:
+def _integrate_slope(
+    step_tape: StepTape, step: int, output: int, place: float, bounds: Array, jets: Array
+) -> float:
     """Integral of the slope of an output over [0, place] of a step."""
     total = 0.0
     for k in range(len(_NODES)):
-        enclose(along, step, bounds, place * _NODES[k], 0.0, 1, jets)
+        enclose(step_tape, step, bounds, place * _NODES[k], 0.0, 1, jets)
         total += _WEIGHTS[k] * 0.5 * (jets[output, 2] + jets[output, 3])
     return place * total
 
 
 @kernel
 def return_to_zero(
-    along: Along, step: int, output: int, place: float, below: float, bounds: Array, regs: Array,
-    jets: Array,
+    step_tape: StepTape, step: int, output: int, place: float, below: float, bounds: Array,
+    regs: Array, jets: Array,
 ) -> float:  # fmt: skip
-    """Improve the place where an output comes back to zero that starts the step at exactly zero.
+    """Refine the return to zero of an output that is exactly zero at the start of the step.
 
-    Its values are differences of coordinates, and known to the round-off of these; its slope is
-    not. The integral of the slope therefore gives the duration of a low flight wherever the origin
-    is, by Newton's method from a place where the output is `below` zero. The place moves within
-    the round-off of the value only: over a long step the quadrature may be worse.
+    The values are differences of coordinates with their round-off; the slope is more accurate.
+    Newton's method on the integral of the slope gives the duration of a low flight independently
+    of the origin, from a place where the output is `below` zero. The root moves within the
+    round-off of the value only: over a long step the quadrature may be less accurate.
     """
-    if value_at(along, step, output, 0.0, regs) != 0.0:
+    if value_at(step_tape, step, output, 0.0, regs) != 0.0:
         return place
-    enclose(along, step, bounds, place, 0.0, 0, jets)
+    enclose(step_tape, step, bounds, place, 0.0, 0, jets)
     noise, found = jets[output, 1] - jets[output, 0], below
-    if not abs(_risen(along, step, output, place, bounds, jets)) <= noise:
+    if not abs(_integrate_slope(step_tape, step, output, place, bounds, jets)) <= noise:
         return place
     last = INF
     for _ in range(64):
-        height = _risen(along, step, output, found, bounds, jets)
-        enclose(along, step, bounds, found, 0.0, 1, jets)
+        height = _integrate_slope(step_tape, step, output, found, bounds, jets)
+        enclose(step_tape, step, bounds, found, 0.0, 1, jets)
         slope = 0.5 * (jets[output, 2] + jets[output, 3])
         if not slope < 0.0:
             return place
@@ -71,7 +73,7 @@ def return_to_zero(
         found -= move
         if not found > 0.0:
             return place
-        # The moves shrink, at first to half, down to the round-off of the slope.
+        # The corrections shrink, at first by half, down to the round-off of the slope.
         if abs(move) <= EPS * found or abs(move) > 0.75 * last:
             return found
         last = abs(move)
@@ -79,27 +81,33 @@ def return_to_zero(
 
 
 @kernel
-def last_place(
-    along: Along, step: int, output: int, shift: float, left: float, right: float, regs: Array
+def locate_fall(
+    step_tape: StepTape,
+    step: int,
+    output: int,
+    shift: float,
+    left: float,
+    right: float,
+    regs: Array,
 ) -> float:
     """Last place, to a few ulp, with output + shift >= 0 before it falls in [left, right].
 
     Chandrupatla, "A new hybrid quadratic/bisection algorithm", Advances in Engineering Software
-    28 (1997) 145-149. Returns `left` where the fall is already done there, and `right` where
-    float64 sees none.
+    28 (1997) 145-149. Returns `left` if the output is already below there, and `right` if
+    float64 resolves no fall.
     """
-    a, fa = right, shift + value_at(along, step, output, right, regs)
-    b, fb = left, shift + value_at(along, step, output, left, regs)
+    a, fa = right, shift + value_at(step_tape, step, output, right, regs)
+    b, fb = left, shift + value_at(step_tape, step, output, left, regs)
     if not fb > 0.0:
         return left
     if not fa < 0.0:
         return right
-    # By the secant first: where one end is near the root, as on a descent, that is nearly it.
+    # The secant first: on a descent one end is near the root.
     t = min(max(fa / (fa - fb), EPS), 1.0 - EPS)
     c, fc = a, fa
-    for _ in range(1200):  # halvings from 1 to the least place, and some
+    for _ in range(1200):  # enough halvings from 1 to the smallest float
         x = a + t * (b - a)
-        fx = shift + value_at(along, step, output, x, regs)
+        fx = shift + value_at(step_tape, step, output, x, regs)
         if (fx > 0.0) == (fa > 0.0):
             c, fc = a, fa
         else:

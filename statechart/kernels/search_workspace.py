@@ -1,7 +1,7 @@
 """Workspace of searches, and tapes prepared in it for evaluation along steps.
 
-A search asks for all outputs of a tape where a step is clear, and for one or two where it is not:
-then the others' operations are skipped.
+A search evaluates all outputs on a whole step, and only undecided ones on smaller boxes: the
+operations of the others are then skipped.
 """
 
 from __future__ import annotations
@@ -12,26 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints, Ints32
-from statechart.kernels.boxes import Along, Steps
+from statechart.kernels.boxes import Steps, StepTape
 from statechart.kernels.intervals import INF
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
-from statechart.kernels.tapes import POW, SKIP, TapeCode, fill, run_tape
+from statechart.kernels.tapes import POW, SKIP, TapeCode, run_tape, write_inputs
 
 BOXES = 64
-"""Largest number of pending boxes: halves of halves down to the narrowest."""
+"""Largest number of pending boxes: the bisections down to the narrowest box."""
 
 Needed = tuple[Ints, Ints32, Ints32, Ints]
-"""For every register the outputs that need it, a bit each; the operations and the variables that
-are chosen; for which outputs, where the last operation is, how many variables."""
+"""For every register the set of outputs that need it; the selected operations and variables; the
+selected set of outputs, the end of the operations, the number of variables."""
 
-# Bits of a set; the outputs beyond share the last.
+# Bits of a set; further outputs share the last bit.
 _BITS = 62
 
-PreparedTape = tuple[Along, Needed, Array, Array, Array, Array, Array, NDArray[np.uint8]]
-"""A tape that is evaluated along steps, with what depends on parameters alone: see `Along`, and
-`Needed`; bounds of third derivatives, registers, jets; evidence on the outputs; boxes still to see,
-and the outputs that are undecided in them."""
+PreparedTape = tuple[StepTape, Needed, Array, Array, Array, Array, Array, NDArray[np.uint8]]
+"""A tape bound to steps, with evaluated functions of parameters: `StepTape`, `Needed`; bounds of
+third derivatives, registers, jets; enclosures of the outputs (see `judge`); pending boxes, and the
+outputs undecided in them."""
 
 
 class SearchWorkspace(NamedTuple):
@@ -44,8 +44,8 @@ class SearchWorkspace(NamedTuple):
     # See `Needed`.
     variables: Ints32  # shape (n + 1,)
     selection: Ints  # shape (3,)
-    bounds: Array  # (n,): of third derivatives.
-    # Evidence on the outputs; pending boxes, and the outputs that are undecided in each.
+    bounds: Array  # (n,): bounds of third derivatives.
+    # Enclosures of the outputs; pending boxes, and the undecided outputs of each.
     evidence: Array  # shape (o + 1, 11)
     ends: Array  # shape (2, b)
     marks: NDArray[np.uint8]  # shape (b + 1, o)
@@ -77,8 +77,8 @@ def prepare_tape(tape: TapeCode, steps: Steps, workspace: SearchWorkspace) -> Pr
     times, coeffs, parameters, start = steps
     n, regs, jets = coeffs.shape[1], workspace.registers, workspace.jets
     base = n + 1 + parameters.shape[0] + constants.shape[0]
-    fill(constants, parameters, n, regs)
-    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
+    write_inputs(constants, parameters, n, regs)
+    step_tape = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
     run_tape(code, 0, n_fixed, base, regs, 1)
     for r in range(base + code.shape[0]):
         for c in range(6):
@@ -91,9 +91,9 @@ def prepare_tape(tape: TapeCode, steps: Steps, workspace: SearchWorkspace) -> Pr
     for v in range(n):
         workspace.bounds[v] = 0.0
     needs = workspace.needs, workspace.code, workspace.variables, workspace.selection
-    mark_needed(along, outputs, needs)
+    mark_needed(step_tape, outputs, needs)
     return (
-        along,
+        step_tape,
         needs,
         workspace.bounds,
         regs,
@@ -105,20 +105,20 @@ def prepare_tape(tape: TapeCode, steps: Steps, workspace: SearchWorkspace) -> Pr
 
 
 @kernel
-def bit(output: int) -> int:
-    """Return the set of one output."""
+def output_bit(output: int) -> int:
+    """Return the set that contains one output."""
     return 1 << min(output, _BITS)
 
 
 @kernel
-def mark_needed(along: Along, outputs: Ints32, needed: Needed) -> None:
-    """Mark the registers that each output needs, over the operations that `along` runs."""
+def mark_needed(step_tape: StepTape, outputs: Ints32, needed: Needed) -> None:
+    """Mark the registers that each output needs, over the operations that `step_tape` runs."""
     needs, chosen, _, selection = needed
-    code, base, first, last = along[:4]
+    code, base, first, last = step_tape[:4]
     for r in range(base + code.shape[0]):
         needs[r] = 0
     for i in range(outputs.shape[0]):
-        needs[outputs[i]] |= bit(i)
+        needs[outputs[i]] |= output_bit(i)
     for k in range(code.shape[0]):
         chosen[k, 0], chosen[k, 1], chosen[k, 2] = code[k, 0], code[k, 1], code[k, 2]
     for k in range(last - 1, first - 1, -1):
@@ -129,10 +129,10 @@ def mark_needed(along: Along, outputs: Ints32, needed: Needed) -> None:
 
 
 @kernel
-def select_outputs(needed: Needed, along: Along, outputs: int) -> Along:
-    """Return `along` with the operations and variables that a set of outputs needs alone."""
+def select_outputs(needed: Needed, step_tape: StepTape, outputs: int) -> StepTape:
+    """Return `step_tape` with only the operations and variables that a set of outputs needs."""
     needs, chosen, variables, selection = needed
-    code, base, first, last, reads, times, coeffs, start = along
+    code, base, first, last, reads, times, coeffs, start = step_tape
     if selection[0] != outputs:
         end, count = first, 0
         for k in range(first, last):

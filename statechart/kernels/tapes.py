@@ -1,4 +1,4 @@
-"""Tapes run on floats: at one point, or at many side by side."""
+"""Evaluation of tapes in floating point, at one point or vectorised over many."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ OPCODES: dict[str, int] = {
 }
 
 SKIP = -1
-"""In the place of an operation that is not to be run."""
+"""Code of an operation to skip."""
 
 _tolerant_floor = kernel(tolerant_floor)
 
 
 class TapeCode(NamedTuple):
-    """A tape as kernels take it; see `statechart.formulas.tape.Tape`."""
+    """Arrays of a tape for kernels; see `statechart.formulas.tape.Tape`."""
 
     code: Ints32  # shape (c, 3)
     constants: Array
@@ -38,12 +38,12 @@ class TapeCode(NamedTuple):
     n_fixed: int
 
 
-BLOCK = 32  # points evaluated side by side; amortises the dispatch of an operation
+BLOCK = 32  # points per block; amortises the dispatch of an operation
 
 
 @kernel
-def _one(op: int, a: float, exponent: int) -> float:
-    """One of the functions of one operand that no processor computes side by side."""
+def _apply_unary(op: int, a: float, exponent: int) -> float:
+    """Evaluate a function of one operand that is not vectorised."""
     if op == SIN:
         return math.sin(a)
     if op == COS:
@@ -76,8 +76,8 @@ def _one(op: int, a: float, exponent: int) -> float:
 
 
 @kernel
-def _two(op: int, a: float, b: float) -> float:
-    """One of the less usual functions of two operands."""
+def _apply_binary(op: int, a: float, b: float) -> float:
+    """Evaluate one of the rarer functions of two operands."""
     if op == POW:
         return a**b
     if op == ATAN2:
@@ -114,7 +114,7 @@ def run_tape(code: Ints32, first: int, last: int, base: int, regs: Array, count:
                     out[j] = a[j] / b[j]
             else:
                 for j in range(count):
-                    out[j] = _two(op, a[j], b[j])
+                    out[j] = _apply_binary(op, a[j], b[j])
         elif op == NEG:
             for j in range(count):
                 out[j] = -a[j]
@@ -127,22 +127,22 @@ def run_tape(code: Ints32, first: int, last: int, base: int, regs: Array, count:
         else:
             exponent = code[k, 2]
             for j in range(count):
-                out[j] = _one(op, a[j], exponent)
+                out[j] = _apply_unary(op, a[j], exponent)
 
 
 @kernel
-def filled(
+def allocate_registers(
     code: Ints32, constants: Array, parameters: Array, n_variables: int, width: int
 ) -> tuple[int, Array]:
     """Return the first register of the operations, and registers with constants and parameters."""
     base = n_variables + 1 + parameters.shape[0] + constants.shape[0]
     regs = np.empty((base + code.shape[0], width))
-    fill(constants, parameters, n_variables, regs)
+    write_inputs(constants, parameters, n_variables, regs)
     return base, regs
 
 
 @kernel
-def fill(constants: Array, parameters: Array, n_variables: int, regs: Array) -> None:
+def write_inputs(constants: Array, parameters: Array, n_variables: int, regs: Array) -> None:
     """Write constants and parameters to their registers."""
     n_parameters = parameters.shape[0]
     for j in range(regs.shape[1]):
@@ -164,10 +164,10 @@ def tape_values(
 ) -> None:
     """Write the values (n_out,) of the outputs at one point.
 
-    Filling an array costs a third of what returning one does.
+    Writing to an array takes a third of the time of returning a new one.
     """
     n = state.shape[0]
-    base, regs = filled(code, constants, parameters, n, 1)
+    base, regs = allocate_registers(code, constants, parameters, n, 1)
     for v in range(n):
         regs[v, 0] = state[v]
     regs[n, 0] = time
@@ -188,7 +188,7 @@ def tape_table(
 ) -> Array:
     """Values of the outputs at m points; shape (m, n_out)."""
     m, n = states.shape
-    base, regs = filled(code, constants, parameters, n, BLOCK)
+    base, regs = allocate_registers(code, constants, parameters, n, BLOCK)
     first = 0
     result = np.empty((m, outputs.shape[0]))
     for begin in range(0, m, BLOCK):

@@ -28,7 +28,7 @@ from statechart.execution.compiled_loop import (
     BatchResult,
 )
 from statechart.kernels.boxes import Steps
-from statechart.kernels.extremes import widen
+from statechart.kernels.extremes import update_extremes
 from statechart.kernels.jit import kernel
 from statechart.kernels.quadrature import integrate_outputs
 from statechart.kernels.tapes import TapeCode, tape_values
@@ -163,7 +163,7 @@ def _include(extremes: Array, value: float) -> None:
 
 
 @kernel
-def _widen_by_arcs(
+def _update_by_arcs(
     tapes: OutputTapes,
     formula: int,
     block: TraceBuffer,
@@ -180,7 +180,7 @@ def _widen_by_arcs(
         terms = _terms_of(block, arc, variables, block.coefficients)
         steps = Steps(_times_of(block, arc), terms, ranges.values[row], block.starts[arc, 0])
         rest = _terms_of(block, arc, variables, resolved)
-        widen(_program(tapes, tape), steps, rest, block.starts[arc, 1], result)
+        update_extremes(_program(tapes, tape), steps, rest, block.starts[arc, 1], result)
 
 
 @kernel
@@ -199,7 +199,7 @@ def _extremes(
         parameters, started = found.values[row], found.ends[row, FIRST_MODE]
         last, time = found.place[row, N_MODE], found.clock[row, T_HIGH]
         _include(result[row], _value(tapes, kinds[started], found.initial[row], parameters, 0.0))
-        _widen_by_arcs(tapes, formula, block, resolved, found, row, result[row])
+        _update_by_arcs(tapes, formula, block, resolved, found, row, result[row])
         begin = found.spans[row, EVENTS]
         for event in range(begin, found.spans[row, EVENTS_END]):
             if passed[first + event - begin]:

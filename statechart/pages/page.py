@@ -166,7 +166,10 @@ def _shape(film: Film, shape: Shape, part: float) -> dict[str, Any]:
         "radius": part * shape.radius,
         "region": shape.region,
         "name": shape.name,
+        "aside": shape.aside,
     }
+    if shape.slack is not None:
+        made["slack"] = _packed(part * shape.slack, np.float32)
     if shape.kind == "ground":
         made["strokes"] = _short(part * strokes(shape.points, film.spacing).reshape(-1, 4))
     return made

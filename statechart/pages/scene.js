@@ -63,11 +63,12 @@ function shaped(scene, shape) {
     });
     return;
   }
-  if (["link", "spring", "damper", "reaction"].includes(shape.kind)) {
+  if (["link", "rope", "spring", "damper", "reaction"].includes(shape.kind)) {
+    const slack = shape.slack && float(shape.slack);
     const line = made(group, "path", { class: `link ${shape.kind}` });
     moving.push((k) => {
       const [a, b] = [placed(shape.points[0], shape.frame, k), placed(shape.points.at(-1), shape.other, k)];
-      line.setAttribute("d", shape.kind === "spring" ? path(wound(a, b)) : shape.kind === "damper" ? dashpot(a, b) : path([a, b]));
+      line.setAttribute("d", slack ? path(catenary(a, b, slack[k])) : between(a, b, shape));
     });
     return;
   }
@@ -105,22 +106,41 @@ function shaped(scene, shape) {
     group.firstChild.style.fill = region.colours[region.state[k]];
   });
 }
-function wound(a, b) {
-  const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
-  const length = Math.hypot(dx, dy) || 1;
-  const points = [a];
-  for (let i = 0; i <= 14; i++) {
-    const [s, side] = [0.2 + (0.6 * i) / 14, i === 0 || i === 14 ? 0 : (i % 2 ? -1 : 1) * 0.018 * film.unit];
-    points.push([a[0] + s * dx - (side * dy) / length, a[1] + s * dy + (side * dx) / length]);
-  }
-  return [...points, b];
-}
-function dashpot(a, b) {
+// Lines of springs and dampers: how far along and, in half widths of a spring, across.
+const zigzag = Array.from({ length: 15 }, (_, i) => [0.2 + (0.6 * i) / 14, i % 14 ? (i % 2 ? -1 : 1) : 0]);
+const profiles = {
+  spring: [[[0, 0], ...zigzag, [1, 0]]],
+  damper: [[[0, 0], [0.55, 0], [0.55, 0.3], [0.55, -0.3]], [[0.4, 0.45], [0.7, 0.45], [0.7, -0.45], [0.4, -0.45]], [[0.7, 0], [1, 0]]],
+};
+function between(a, b, { kind, aside }) {
   const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
   const side = (0.018 * film.unit) / (Math.hypot(dx, dy) || 1);
   const at = ([s, w]) => [a[0] + s * dx - w * side * dy, a[1] + s * dy + w * side * dx];
-  const parts = [[[0, 0], [0.55, 0], [0.55, 0.3], [0.55, -0.3]], [[0.4, 0.45], [0.7, 0.45], [0.7, -0.45], [0.4, -0.45]], [[0.7, 0], [1, 0]]];
+  let parts = profiles[kind] || [[[0, 0], [1, 0]]];
+  if (aside && profiles[kind]) {
+    parts = parts.map((part) => part.map(([s, w]) => [0.12 + 0.76 * s, w + aside]));
+    parts[0].unshift([0, 0], [0.12, 0]);
+    parts.at(-1).push([0.88, 0], [1, 0]);
+  }
   return parts.map((part) => path(part.map(at))).join("");
+}
+// A rope that hangs; see `catenary` in film.py.
+function catenary(a, b, slack) {
+  const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
+  const length = Math.hypot(dx, dy) + Math.max(slack, 0);
+  const wide = Math.max(Math.abs(dx), 1e-6 * length);
+  const ratio = Math.log(Math.max(Math.sqrt((length - dy) * (length + dy)) / wide, 1));
+  let h = Math.sqrt(6 * ratio);
+  if (!(h > 1e-3)) return [a, b];
+  for (let i = 0; i < 8; i++)
+    h -= (h + Math.log1p(-Math.exp(-2 * h)) - Math.log(2 * h) - ratio) / (1 / Math.tanh(h) - 1 / h);
+  const [middle, c] = [Math.atanh(dy / length), wide / (2 * h)];
+  const [low, high] = [Math.sinh(middle - h), Math.sinh(middle + h)];
+  const points = Array.from({ length: 39 }, (_, i) => {
+    const s = low + ((i + 1) / 40) * (high - low);
+    return [a[0] + Math.sign(dx) * c * (Math.asinh(s) - middle + h), a[1] + c * (Math.hypot(1, s) - Math.hypot(1, low))];
+  });
+  return [a, ...points, b];
 }
 function touching(scene, touch) {
   const region = data.regions[touch.region];

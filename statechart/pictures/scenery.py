@@ -10,7 +10,7 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.palette import FRAME, INK, state_colours
-from statechart.pictures.film import BETWEEN, WORLD, Film, Shape, placed, strokes
+from statechart.pictures.film import BETWEEN, WORLD, Film, Shape, catenary, ends_of, strokes
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -23,11 +23,17 @@ BODY, SOLID = "#C5D3E2", "#EEF1F4"
 # Sizes on the paper, in parts of the width of a picture.
 _BAR, _MASS, _MARK = 0.012, 0.02, 0.011
 _WINDINGS = 7
-# A damper: how far along and, in parts of a spring's half width, across; the rod with its piston,
-# then the cylinder with what holds it.
+# Lines of springs and dampers: how far along and, in half widths of a spring, across. A damper is a
+# rod with its piston, then the cylinder with its rod.
+_ALONG = np.linspace(0.2, 0.8, 2 * _WINDINGS + 1)
+_ACROSS = [0.0, *(1.0 - 2.0 * (np.arange(1, 2 * _WINDINGS) % 2)), 0.0]
+_ZIGZAG = np.concatenate([[(0.0, 0.0)], np.column_stack([_ALONG, _ACROSS]), [(1.0, 0.0)]])
 _PISTON = [(0.0, 0.0), (0.55, 0.0), (0.55, 0.3), (0.55, -0.3), (np.nan, np.nan)]
 _CYLINDER = [(0.4, 0.45), (0.7, 0.45), (0.7, -0.45), (0.4, -0.45)]
 _DASHPOT = np.array([*_PISTON, *_CYLINDER, (np.nan, np.nan), (0.7, 0.0), (1.0, 0.0)])
+_PROFILES = {"spring": _ZIGZAG, "damper": _DASHPOT}
+# Half width of a spring in parts of the picture; where one beside its line turns off that.
+_HALF_WIDTH, _TURNS = 0.018, 0.12
 # Shapes beyond which edges are thinner; so are they in a picture narrower than so many points.
 _MANY, _NARROW, _THINNEST = 24, 260.0, 0.4
 _FILLED = ("outline", "disc")
@@ -81,8 +87,8 @@ class Scenery:
             bodies.show(instant)
         for shape, artists in self._made:
             if shape.kind in BETWEEN:
-                ends = _ends(shape, self._film.poses[instant])
-                artists[0].set_data(*_wound(ends, shape.kind, self._film.unit).T)
+                ends = np.array(ends_of(shape, self._film.poses[instant]))
+                artists[0].set_data(*self._line(shape, ends, instant).T)
                 if shape.kind == "coupling":
                     artists[1].set_data(*ends.mean(axis=0)[:, None])
                     artists[1].set_markerfacecolor(state_colour(self._film, instant, shape.region))
@@ -92,6 +98,22 @@ class Scenery:
                 moved = Affine2D().rotate(angle).translate(x, y) + self._ax.transData
                 for artist in artists:
                     artist.set_transform(moved)
+
+    def _line(self, shape: Shape, ends: Array, instant: int) -> Array:
+        """Return the line between two ends; parts of it are separated by nan."""
+        if shape.slack is not None:
+            return catenary(ends[:1], ends[1:], shape.slack[[instant]])[0]
+        along = ends[1] - ends[0]
+        length = float(np.hypot(*along))
+        if shape.kind not in _PROFILES or length == 0.0:
+            return ends
+        profile = _PROFILES[shape.kind]
+        if shape.aside:
+            profile = profile * (1.0 - 2.0 * _TURNS, 1.0) + np.array([_TURNS, shape.aside])
+            corners = np.array([(0.0, 0.0), (_TURNS, 0.0)])
+            profile = np.concatenate([corners, profile, (1.0, 0.0) - corners[::-1]])
+        across = np.array([-along[1], along[0]]) / length * _HALF_WIDTH * self._film.unit
+        return ends[0] + profile[:, :1] * along + profile[:, 1:] * across
 
     def _artists(self, shape: Shape) -> list[Any]:
         made = getattr(self, f"_{shape.kind}")(shape)
@@ -135,7 +157,7 @@ class Scenery:
 
         return [Line2D([], [], color=FRAME, lw=1.1 * self._thin, zorder=1.8)]
 
-    _spring = _damper = _link
+    _rope = _spring = _damper = _link
 
     def _reaction(self, shape: Shape) -> list[Artist]:
         (line,) = self._link(shape)
@@ -213,29 +235,3 @@ def _edge(shape: Shape) -> Path:
         circle = Path.unit_circle()
         return Path(shape.points[0] + shape.radius * np.asarray(circle.vertices), circle.codes)
     return Path(np.concatenate([shape.points, shape.points[:1]]), closed=True)
-
-
-def _ends(shape: Shape, poses: Array) -> Array:
-    first = placed(shape.points[:1], poses[shape.frame])
-    last = placed(shape.points[-1:], poses[shape.other])
-    return np.concatenate([first, last])
-
-
-def _wound(ends: Array, kind: str, unit: float) -> Array:
-    """Return the line between two ends.
-
-    Of a spring a zigzag whose ends are straight, of a damper a piston in an open cylinder, which
-    parts that are not numbers lie between.
-    """
-    along = ends[1] - ends[0]
-    length = float(np.hypot(*along))
-    if kind not in ("spring", "damper") or length == 0.0:
-        return ends
-    across = np.array([-along[1], along[0]]) / length * 0.018 * unit
-    if kind == "damper":
-        return ends[0] + _DASHPOT[:, :1] * along + _DASHPOT[:, 1:] * across
-    inner = np.linspace(0.2, 0.8, 2 * _WINDINGS + 1)
-    side = np.where(np.arange(len(inner)) % 2 == 0, 1.0, -1.0)
-    side[[0, -1]] = 0.0
-    zigzag = ends[0] + inner[:, None] * along + side[:, None] * across
-    return np.concatenate([ends[:1], zigzag, ends[1:]])

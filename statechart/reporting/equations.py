@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -20,6 +21,8 @@ from statechart.tabular import ALL_DIGITS
 _WHOLE = 1e6
 # Longer formulas are not simplified, which takes too long.
 _MAX_OPERATIONS = 400
+# Fractions with a larger denominator are written as decimal numbers.
+_MAX_DENOMINATOR = 12
 
 Equation = tuple[sp.Expr, sp.Expr]
 """Left and right side."""
@@ -175,13 +178,13 @@ def blocks(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> list[
         for symbol, value in mode.definitions:
             known[symbol] = value.xreplace(known)
         rates = zip(automaton.rates, mode.rates, strict=True)
-        motion = tuple((rate, _short(e.xreplace(known))) for rate, e in rates)
+        motion = tuple((rate, _short(_exact(e.xreplace(known)))) for rate, e in rates)
         return [EquationBlock("motion", motion)]
     rows = _equation_rows(automaton, automaton.coordinates, key, zeros)
     found: list[EquationBlock] = []
     if rows.elimination is not None:
-        follows = rows.elimination.positions.items()
-        found.append(EquationBlock("eliminated", tuple((q, _short(place)) for q, place in follows)))
+        follows = ((q, _short(_exact(place))) for q, place in rows.elimination.positions.items())
+        found.append(EquationBlock("eliminated", tuple(follows)))
     moving = tuple(_moving(row, automaton.coordinates) for row in rows.motion)
     if moving:
         found.append(EquationBlock("motion", moving))
@@ -230,9 +233,9 @@ def _equation_rows(
     zero = dict.fromkeys(absent, sp.S.Zero)
     return _Equations(
         found,
-        [row.xreplace(zero).xreplace(written) for row in motion],
-        [place.xreplace(written) for hold in kept for place in hold.places],
-        [row.xreplace(zero).xreplace(written) for row in rest if row not in absent],
+        [_exact(row.xreplace(zero).xreplace(written)) for row in motion],
+        [_exact(place.xreplace(written)) for hold in kept for place in hold.places],
+        [_exact(row.xreplace(zero).xreplace(written)) for row in rest if row not in absent],
     )
 
 
@@ -271,7 +274,7 @@ def _force_equations(rows: _Equations, automaton: Automaton) -> tuple[Equation, 
             slope = sp.diff(row, last)
             found.append((last, _short(-row.xreplace({last: sp.S.Zero}) / slope)))
             unsolved.remove(row)
-    unsolved = [row.xreplace(dict(found)) for row in unsolved]
+    unsolved = [_exact(row.xreplace(dict(found))) for row in unsolved]
     unknown = [f for f in forces if any(row.has(f) for row in unsolved)]
     if unsolved and len(unsolved) == len(unknown):
         matrix, right = sp.linear_eq_to_matrix(unsolved, unknown)
@@ -286,13 +289,37 @@ def _vanishes(row: sp.Expr, forces: Sequence[sp.Symbol]) -> bool:
     return bool(sp.expand(row.xreplace(dict.fromkeys(forces, sp.S.Zero))) == 0)
 
 
+def _exact(expression: sp.Expr) -> sp.Expr:
+    """Return an expression with decimal fractions for floats, whose terms cancel exactly."""
+    return expression.xreplace({x: sp.Rational(str(x)) for x in expression.atoms(sp.Float)})
+
+
+def _decimal(expression: sp.Expr) -> sp.Expr:
+    """Return an expression with floats for fractions, except 1/2, 1/3, 2/3, ... and exponents."""
+    if expression.is_Rational:
+        short = expression.q <= _MAX_DENOMINATOR and math.gcd(expression.q, 10) == 1
+        whole = short or abs(expression) == sp.S.Half
+        return expression if whole else sp.Float(expression)
+    if expression.is_Pow:
+        return sp.Pow(_decimal(expression.base), expression.exp)
+    return expression.func(*map(_decimal, expression.args)) if expression.args else expression
+
+
 def _short(expression: sp.Expr) -> sp.Expr:
-    if expression.count_ops() > _MAX_OPERATIONS:
-        return expression
+    """Return the shortest of some forms of an exact expression, with decimal numbers."""
+    decimal = _decimal(expression)
+    if decimal.count_ops() > _MAX_OPERATIONS:
+        return decimal
     forms: list[Callable[[sp.Expr], sp.Expr]] = [
         lambda e: e,
-        sp.factor_terms,
-        lambda e: sp.factor_terms(sp.trigsimp(sp.expand(e))),
-        lambda e: sp.factor_terms(sp.expand(e)),
+        lambda e: sp.trigsimp(sp.expand(e)),
+        sp.expand,
     ]
-    return min((form(expression) for form in forms), key=sp.count_ops)
+    # Exact factors would be large integers, as common denominators are.
+    factored = [sp.factor_terms(_decimal(form(expression))) for form in forms]
+    return min(decimal, *factored, key=_length)
+
+
+def _length(expression: sp.Expr) -> int:
+    digits = sum(len(str(abs(whole))) - 1 for whole in expression.atoms(sp.Integer))
+    return int(expression.count_ops()) + digits

@@ -632,12 +632,10 @@ class RunPlanner:
     def _change_engine(self, trace: Trace) -> bool:
         """Fall back from taylor to scipy if it cannot run the model; return whether it did.
 
-        Taylor cannot expand every flow, its steps collapse on stiff ones, and compilation may
-        exceed a budget.
+        Taylor cannot expand every flow, and its steps collapse on stiff ones.
         """
         picked = self.setting.engine == "auto" and trace.engine.startswith("taylor")
-        late = trace.outcome is Outcome.OUT_OF_BUDGET and not trace.arcs
-        if not (picked and (late or trace.outcome is Outcome.UNSUPPORTED)):
+        if not (picked and trace.outcome is Outcome.UNSUPPORTED):
             return False
         method, why = self.setting.method, trace.message
         if STIFF in why:

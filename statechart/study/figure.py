@@ -77,7 +77,9 @@ def figure(study: Measurements) -> Figure:
                 ax.set_ylabel("relative error")
                 ax.set_yscale("log")
                 if study.least > 0.0:
-                    ax.axhspan(study.least / 10.0, study.least, color=GRID, zorder=0)
+                    label = "error of the reference" if ax is times else None
+                    band = study.least / 10.0, study.least
+                    ax.axhspan(*band, color=GRID, zorder=0, label=label)
         else:
             for ax in (times, works, promises):
                 ax.set_ylabel("time of leaving the reference")
@@ -91,6 +93,9 @@ def figure(study: Measurements) -> Figure:
         steps.set_ylabel("accepted steps")
         steps.set_yscale("log")
         steps.set_visible(bool(steps.lines))
+        for ax in (promises, steps):
+            if any(line.get_label().startswith("slope") for line in ax.lines):
+                ax.legend(loc="best", fontsize=7)
         for ax, label in zip((times, works, promises, steps), _LABELS, strict=True):
             _dress(ax, label)
         handles, labels = times.get_legend_handles_labels()
@@ -209,7 +214,7 @@ def _draw(
                 markersize=5,
                 color=look.colour,
                 markerfacecolor=look.colour if same else "white",
-                label=family if same else f"{family}, other modes",
+                label=family if same or not family else f"{family}, other modes",
             )
 
 
@@ -227,18 +232,10 @@ def _front(ax: Axes, study: Measurements, *, once: bool) -> None:
 
 
 def _slope(ax: Axes, study: Measurements, slope: Slope, colour: str) -> None:
-    """Draw a fitted line over its points, with its slope."""
+    """Draw a fitted line over its points, its slope in the legend."""
     x, y = np.log(np.array(fitted(study, slope.family, slope.of))).T
     ends = np.array([x.min(), x.max()])
     line = np.exp(y.mean() + slope.slope * (ends - x.mean()))
     ends = np.exp(ends)
-    ax.plot(ends, line, color=colour, linewidth=1.2, linestyle=(0, (4, 2)))
-    ax.annotate(
-        f"{slope.slope:.2f}",
-        (ends[0], line[0]),
-        textcoords="offset points",
-        xytext=(-4, -3),
-        ha="right",
-        color=colour,
-        fontsize=8,
-    )
+    label = f"slope {slope.slope:.2f}"
+    ax.plot(ends, line, color=colour, linewidth=1.2, linestyle=(0, (4, 2)), label=label)

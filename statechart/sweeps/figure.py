@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
 _MAX_COLOURS = 12  # sequences of modes; the rest share one
@@ -127,17 +128,20 @@ class _Cells:
         done = outcome != ""
         return cls(names, columns, good, done, modes, kinds, tuple(labels), tuple(colours))
 
-    def handles(self, *, blank: bool = False) -> list[Patch]:
+    def handles(self, *, grid: bool = True, blank: bool = False) -> list[Patch | Line2D]:
         """Return the legend entries of modes, failed cells, and cells without a value."""
+        from matplotlib.lines import Line2D
         from matplotlib.patches import Patch
 
-        found = [
+        found: list[Patch | Line2D] = [
             Patch(facecolor=colour, label=label)
             for label, colour in zip(self.labels, self.colours, strict=True)
         ]
         if (self.done & ~self.good).any():
             found.append(
-                Patch(facecolor=_NOTHING, edgecolor=_OTHERS, hatch="////", label="could not run")
+                Patch(facecolor=_NOTHING, edgecolor=_OTHERS, hatch="////", label="failed")
+                if grid
+                else Line2D([], [], color=_OTHERS, marker="x", linestyle="", label="failed")
             )
         if blank or not self.done.all():
             found.append(Patch(facecolor=_BLANK, label="no value"))
@@ -303,7 +307,9 @@ def _band(ax: Axes, x: _Axis, cells: _Cells) -> None:
     edges, places = x.edges(), np.searchsorted(np.unique(x.at), x.at)
     for kind, colour in enumerate(cells.colours):
         mine = np.unique(places[cells.kinds == kind])
-        stretches = [(edges[k], edges[k + 1] - edges[k]) for k in mine]
+        # One bar for neighbours: seams between them would show.
+        alike = np.split(mine, np.flatnonzero(np.diff(mine) > 1) + 1) if len(mine) else []
+        stretches = [(edges[k[0]], edges[k[-1] + 1] - edges[k[0]]) for k in alike]
         ax.broken_barh(stretches, (0.0, 1.0), facecolors=colour, linewidth=0.0)
     failed = np.unique(places[cells.done & ~cells.good])
     for k in failed:
@@ -352,7 +358,7 @@ def _maps(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
         ax.yaxis.label.set_visible(k % columns == 0)
         ax.tick_params(labelbottom=k + columns >= count)
     drawing.legend(
-        handles=cells.handles(blank=blank),
+        handles=cells.handles(grid=plan.grid, blank=blank),
         loc="outside lower center",
         ncols=_legend_columns(cells, drawing.get_figwidth(), 3 if columns > 2 else 2),
     )
@@ -366,8 +372,9 @@ def _map(
     ax.set_facecolor(_BLANK if plan.grid else _NOTHING)
     if not plan.grid:
         size = float(np.clip(4e3 / len(values), 2.0, 40.0))
-        failed = cells.done & ~cells.good
+        failed, blank = cells.done & ~cells.good, np.isnan(values) & (cells.good | ~cells.done)
         ax.scatter(x.at[failed], y.at[failed], size, color=_OTHERS, marker="x", linewidths=0.6)
+        ax.scatter(x.at[blank], y.at[blank], size, color=_BLANK, linewidths=0.0)
         return ax.scatter(x.at, y.at, size, values, linewidths=0.0, rasterized=True, **options)
     shape = len(np.unique(y.at)), len(np.unique(x.at))
     order = np.lexsort((x.at, y.at))

@@ -33,7 +33,7 @@ def contact(**declared: Any) -> Region:
     return region
 
 
-def test_a_contact_is_free_or_closed_which_is_pinned_or_slides() -> None:
+def test_contact_states_nest_pin_and_slide_in_closed() -> None:
     region = contact(friction=1, restitution=0)
     assert region.superstates == {
         "slide+": "slide", "slide-": "slide", "slide": "closed", "pin": "closed",

@@ -60,7 +60,7 @@ def test_a_run_builds_the_modes_that_it_visits_and_no_other() -> None:
     assert max(len(event["considered"]) for event in report["events"]) <= 4
 
 
-def test_its_picture_has_the_modes_visited_and_one_chart_for_all_contacts() -> None:
+def test_picture_has_visited_modes_and_one_contact_chart() -> None:
     runner = Runner(read_text(SCENE))
     start, _ = runner.start()
     assert needs_run(runner.automaton)

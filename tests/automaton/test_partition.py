@@ -56,7 +56,7 @@ def test_entities_that_read_two_bodies_couple_them(schema: Path, sections: Data)
     assert parts(schema, **sections) == []
 
 
-def test_a_condition_of_one_goes_with_it(schema: Path) -> None:
+def test_conditions_stay_with_their_component(schema: Path) -> None:
     data = {"conditions": {"far": "q.x > 1", "late": "time > 3"}}
     assert parts(schema, stop=data) == APART
 
@@ -66,7 +66,7 @@ def test_uncoupled_free_body_joins_the_first_component(schema: Path) -> None:
     assert found == [["free", "one", "p"], ["q", "two"]]
 
 
-def test_names_that_are_words_of_the_document_are_not_replaced(schema: Path) -> None:
+def test_renaming_skips_document_keywords(schema: Path) -> None:
     data: Data = {
         "bodies": {"mass": {}, "q": {}},
         "contacts": {"one": {"point": {"body": "mass"}}, "two": {"point": {"body": "q"}}},
@@ -77,7 +77,7 @@ def test_names_that_are_words_of_the_document_are_not_replaced(schema: Path) -> 
     assert other["bodies"].keys() != {"q"}
 
 
-def test_parts_are_written_in_neutral_names(schema: Path) -> None:
+def test_components_use_neutral_names(schema: Path) -> None:
     data: Data = {
         "bodies": {"p": {"start": {"x": "L"}}, "q": {"start": {"x": "L"}}},
         "contacts": {

@@ -66,7 +66,7 @@ def test_a_jump_of_both_contacts_is_an_edge_without_guard() -> None:
     assert (both["region"], both["event"], both["visits"]) == ("B", "touchdown", 1)
 
 
-def test_jumps_of_two_regions_alike_are_counted_apart() -> None:
+def test_equal_jumps_of_two_regions_are_counted_separately() -> None:
     runner = Runner("two_balls")
     trace = runner.run().trace
     start = trace.start_mode
@@ -99,7 +99,7 @@ def test_too_many_modes_or_none_of_the_model_are_refused() -> None:
         statechart.graph(BAR, trace=statechart.run("bouncing_ball").trace)
 
 
-def test_without_more_the_start_is_the_centre() -> None:
+def test_start_mode_is_the_default_centre() -> None:
     assert list(statechart.graph("toppling_stick", within=0)) == [("pin",)]
 
 

@@ -111,7 +111,7 @@ def test_a_pinned_point_stays_where_it_was_when_it_was_pinned() -> None:
 
 @pytest.mark.parametrize("name", ENGINES)
 @pytest.mark.parametrize("moving", [False, True])
-def test_minimal_coordinates_move_as_all_of_them_do(name: str, moving: bool) -> None:
+def test_minimal_coordinates_reproduce_full_motion(name: str, moving: bool) -> None:
     plate = {"height": 0}
     if moving:
         plate |= {"displacement": ["0.1*sin(3*time)", "0.05*cos(2*time)"]}
@@ -254,7 +254,7 @@ def test_a_bead_follows_the_height_of_its_bowl(
         assert trace.final[0] == pytest.approx(expected.y[0, -1], abs=2e-11)
 
 
-def test_friction_that_slides_keeps_all_coordinates() -> None:
+def test_sliding_friction_keeps_all_coordinates() -> None:
     assert mode_of(pinned_rod(), "slide+").eliminated == {}
 
 

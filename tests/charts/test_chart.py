@@ -79,7 +79,7 @@ def test_both_engines_agree_on_van_der_pol() -> None:
 
 
 @both
-def test_a_guard_on_time_fires_then_and_a_variable_without_flow_is_constant(engine: Engine) -> None:
+def test_guard_on_time_fires_and_variables_without_flow_stay_constant(engine: Engine) -> None:
     chart = compose(
         {"x": 0, "fixed": 7},
         {"r": region({"wait": {}, "run": {"x": "1"}}, go("wait", "run", "time >= start"))},
@@ -91,7 +91,7 @@ def test_a_guard_on_time_fires_then_and_a_variable_without_flow_is_constant(engi
 
 
 @both
-def test_two_regions_whose_guards_fall_at_one_instant_both_jump_there(engine: Engine) -> None:
+def test_simultaneous_guards_of_two_regions_both_fire(engine: Engine) -> None:
     def named(x: str, v: str) -> Any:
         transition = go("fly", "fly", f"{x} <= 0", "hit", **{v: f"-{v}"})
         return region({"fly": {x: v, v: "-1"}}, transition)
@@ -124,7 +124,7 @@ def test_orthogonal_regions_do_not_disturb_each_other(engine: Engine) -> None:
 
 
 @both
-def test_a_state_entered_with_its_guard_true_is_left_in_no_time(engine: Engine) -> None:
+def test_state_with_true_guard_is_left_immediately(engine: Engine) -> None:
     chart = compose(
         {"x": 0},
         {
@@ -151,7 +151,7 @@ def test_a_guard_true_at_the_start_fires_at_time_zero(engine: Engine) -> None:
 
 @both
 @pytest.mark.parametrize(("rate", "jumps"), [("1", 0), ("-1", 1), ("0", 1)])
-def test_on_the_boundary_the_way_the_margin_goes_decides(
+def test_on_the_boundary_the_sign_of_the_margin_rate_decides(
     engine: Engine, rate: str, jumps: int
 ) -> None:
     chart = compose({"x": 0}, {"r": region({"a": {"x": rate}, "b": {}}, go("a", "b", "x <= 0"))})
@@ -192,7 +192,7 @@ def test_a_counter_at_its_limit_obeys_the_relation_as_written(
 
 
 @both
-def test_a_state_is_not_left_over_the_boundary_by_which_it_was_entered(engine: Engine) -> None:
+def test_state_is_not_left_through_its_entry_boundary(engine: Engine) -> None:
     # At x = pi sin(x) is some 1e-16 off zero: whichever sign it has, nothing may fire again.
     chart = compose(
         {"x": 0},
@@ -219,7 +219,7 @@ def test_a_ball_thrown_from_the_ground_with_tiny_speed_scale_is_not_lost(engine:
 
 
 @both
-def test_a_region_reads_updates_of_another_at_once(engine: Engine) -> None:
+def test_region_reads_updates_of_another_immediately(engine: Engine) -> None:
     chart = compose(
         {"x": 0, "signal": 0},
         {
@@ -317,7 +317,7 @@ def test_the_mirror_image_of_a_chart_runs_as_its_mirror_image(engine: Engine) ->
     assert one.final == pytest.approx(-other.final, abs=1e-13)
 
 
-def test_guards_with_kinks_are_watched_as_well() -> None:
+def test_guards_with_kinks_fire() -> None:
     chart = compose(
         {"x": -2},
         {"r": region({"a": {"x": "1"}, "b": {}}, go("a", "b", "max(abs(x), 0.5) <= 1"))},
@@ -383,7 +383,7 @@ def test_a_transition_fires_at_the_event_of_another_region(engine: Engine) -> No
     assert trace.final[1] == 3
 
 
-def test_events_of_an_instant_are_heard_one_by_one_in_their_order() -> None:
+def test_simultaneous_events_trigger_in_order() -> None:
     def once(name: str) -> dict[str, Any]:
         return region({"a": {}, "b": {}}, go("a", "b", "t >= 1", name))
 
@@ -419,7 +419,7 @@ def test_events_of_an_instant_are_heard_one_by_one_in_their_order() -> None:
     assert len({jump.t for jump in trace.jumps}) == 1
 
 
-def test_answers_to_bounces_that_accumulate_are_no_zeno_sequence_of_their_own() -> None:
+def test_reactions_to_a_zeno_sequence_are_no_second_sequence() -> None:
     chart = compose(
         {"x": 1, "v": 0, "n": 0},
         {

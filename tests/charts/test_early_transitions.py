@@ -32,7 +32,7 @@ stop: {time: 1}
     ("apart", "tolerance", "warned"),
     [(0, 1e-6, False), (1e-7, 1e-6, True), (1e-5, 1e-6, True), (1e-7, 1e-12, False)],
 )
-def test_a_guard_within_the_tolerance_of_the_run_is_taken_for_true_with_a_warning(
+def test_guard_within_tolerance_fires_with_a_warning(
     engine: str, apart: float, tolerance: float, warned: bool
 ) -> None:
     result = run(read_text(_FALLS.replace("APART", str(apart))), engine=engine, tolerance=tolerance)

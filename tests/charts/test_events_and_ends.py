@@ -64,14 +64,14 @@ outputs: {go: {value: time, at: first r.go}, x: {value: x, at: first r.go}}
     ("level", "when"),
     [("1", 1.0), ("2*exp(-1.7)", 1.7), ("2*exp(-1)", 1.0), ("2*exp(-1) + 1e-9", 1.0)],
 )
-def test_a_timeout_with_a_guard_fires_at_the_later_of_both(
+def test_guarded_timeout_fires_when_both_hold(
     tmp_path: Path, engine: str, level: str, when: float
 ) -> None:
     found = run(tmp_path, WAIT.replace("LEVEL", level), engine).outputs
     assert found["go"] == pytest.approx(when, abs=1e-11)
 
 
-def test_a_guard_that_held_before_the_time_was_over_does_not_count(tmp_path: Path) -> None:
+def test_guard_that_held_before_the_timeout_does_not_fire_it(tmp_path: Path) -> None:
     # cos(2 pi t) >= 1/2 in [5/6, 7/6] modulo 1: over at the time 1.25, true again at 1 + 5/6.
     text = """
 variables: {x: 0}
@@ -98,7 +98,7 @@ outputs: {n: {value: n}, t: {value: time, at: first r.note}}
 """
 
 
-def test_a_guarded_timeout_that_leaves_no_state_comes_once(tmp_path: Path) -> None:
+def test_internal_guarded_timeout_fires_once(tmp_path: Path) -> None:
     assert run(tmp_path, REMIND).outputs == {"n": 1.0, "t": pytest.approx(1.5, abs=1e-14)}
 
 
@@ -148,9 +148,7 @@ outputs:
 
 
 @ENGINES
-def test_a_state_is_done_with_its_final_state_and_regions_are_once_all_of_them_are(
-    tmp_path: Path, engine: str
-) -> None:
+def test_done_event_needs_final_states_of_all_regions(tmp_path: Path, engine: str) -> None:
     found = run(tmp_path, DONE, engine)
     assert found.outputs["work"] == [pytest.approx(1 / 3, abs=1e-12)]
     assert found.outputs["left"] == [pytest.approx(1.0, abs=1e-12)]
@@ -183,7 +181,7 @@ stop: {time: 2}
 """
 
 
-def test_states_entered_in_one_jump_are_events_one_by_one_from_the_outside(tmp_path: Path) -> None:
+def test_entry_events_of_one_jump_come_outermost_first(tmp_path: Path) -> None:
     trace = run(tmp_path, ENTERED).trace
     assert [j.cause for j in trace.jumps] == ["begin", "hear", "outer", "middle", "last"]
     assert {j.t for j in trace.jumps} == {1.0}
@@ -216,7 +214,7 @@ outputs: {n: {value: n}, l: {count: r.l}, r: {count: r.r}}
 @pytest.mark.parametrize(
     "trigger", ["time >= 1", "time >= 1 and x <= 0.5", "time >= 1 and in(r.l0)"]
 )
-def test_guards_of_regions_that_become_true_at_one_instant_are_taken_in_one_jump(
+def test_simultaneous_region_guards_make_one_jump(
     tmp_path: Path, engine: str, trigger: str
 ) -> None:
     # Exits from the inside and the end of the document, updates and entries as they stand there.
@@ -225,12 +223,12 @@ def test_guards_of_regions_that_become_true_at_one_instant_are_taken_in_one_jump
     assert found.outputs == {"n": 123456.0, "l": 1, "r": 1}
 
 
-def test_timeouts_and_guards_of_regions_are_taken_together_too(tmp_path: Path) -> None:
+def test_simultaneous_timeouts_and_guards_make_one_jump(tmp_path: Path) -> None:
     text = TOGETHER.replace("guard: TRIGGER", "after: 1")
     assert [jump.cause for jump in run(tmp_path, text).trace.jumps] == ["l+r"]
 
 
-def test_many_guards_in_regions_are_no_limit(tmp_path: Path) -> None:
+def test_number_of_region_guards_is_unlimited(tmp_path: Path) -> None:
     # Seven regions with four guards each: 5**7 sets of them, of which one is taken.
     region = """
           g{i}:
@@ -275,9 +273,7 @@ stop: {time: 2.7}
 
 
 @pytest.mark.parametrize(("kind", "mode"), [("deep", "l3|r0"), ("shallow", "l0|r0")])
-def test_a_history_below_a_state_with_regions_remembers_all_of_them(
-    tmp_path: Path, kind: str, mode: str
-) -> None:
+def test_deep_history_restores_all_regions(tmp_path: Path, kind: str, mode: str) -> None:
     trace = run(tmp_path, PAUSED.replace("KIND", kind)).trace
     assert trace.final_mode == (mode,)
 
@@ -353,7 +349,7 @@ regions:
         ),
     ],
 )
-def test_mistakes_with_ends_and_guards_are_answered(old: str, new: str, words: str) -> None:
+def test_mistakes_in_final_states_and_guards_give_advice(old: str, new: str, words: str) -> None:
     assert BASE.count(old) == 1, old
     with pytest.raises(DeclarationError) as caught:
         interpret(read_text(BASE.replace(old, new), "f.yaml"))

@@ -57,7 +57,7 @@ def compare(region: dict[str, Any], events: list[str]) -> None:
 
 
 @given(st.integers(0, 2**32), st.lists(st.sampled_from(EVENTS), min_size=1, max_size=12))
-def test_flat_and_nested_states_do_the_same_in_the_same_order(seed: int, events: list[str]) -> None:
+def test_flattened_charts_act_in_the_same_order(seed: int, events: list[str]) -> None:
     compare(random_region(Random(seed)), events)
 
 
@@ -79,7 +79,7 @@ NESTED: dict[str, Any] = {
 }
 
 
-def test_a_history_is_remembered_by_the_flat_state_that_it_is_left_for() -> None:
+def test_flat_states_remember_history() -> None:
     flat = flat_of(NESTED)
     assert flat.ordered == ("off", "low", "high", "off[last=high]")
     edges = {(t.name, t.source, t.target) for t in flat.transitions}
@@ -98,7 +98,7 @@ def test_inner_transitions_come_before_outer_ones() -> None:
     assert flat.answer("low", enabled).name == "up"
 
 
-def test_one_event_is_answered_in_all_regions_of_a_state_at_once() -> None:
+def test_one_event_triggers_all_regions() -> None:
     side = {"initial": "x0", "states": {"x0": {}, "x1": {}},
             "transitions": [{"name": "x", "from": "x0", "to": "x1", "on": "env.a"}]}  # fmt: skip
     other = {"initial": "y0", "states": {"y0": {}, "y1": {}},

@@ -25,7 +25,7 @@ both = pytest.mark.parametrize("name", ENGINES)
 
 
 @both
-def test_every_day_has_one_dusk_and_one_dawn(name: str) -> None:
+def test_periodic_guards_fire_once_per_period(name: str) -> None:
     chart = compose(
         {"n": 0, "x": 0},
         {
@@ -145,7 +145,7 @@ def chain(order: int, name: str, strict: bool) -> Simulator:
     st.sampled_from([-1.0, 1.0, 1e-6, -1e9]),
     st.sampled_from([1.0, 60.0]),
 )
-def test_a_margin_leaves_its_boundary_by_its_first_derivative_that_is_not_zero(
+def test_first_nonzero_derivative_decides_on_the_boundary(
     order: int, roots: list[float], strict: bool, amount: float, unit: float
 ) -> None:
     # amount t^order (1 - t/r1) (1 - t/r2) ..., t in units.
@@ -179,7 +179,7 @@ def test_a_margin_leaves_its_boundary_by_its_first_derivative_that_is_not_zero(
         ("x**3 - x**5", 1),
     ],
 )
-def test_guards_of_any_form_leave_their_boundary_alike(name: str, margin: str, jumps: int) -> None:
+def test_equivalent_guards_leave_their_boundary_equally(name: str, margin: str, jumps: int) -> None:
     chart = compose(
         {"x": 0}, {"r": region({"a": {"x": "1"}, "b": {}}, go("a", "b", f"{margin} <= 0"))}
     )
@@ -350,7 +350,7 @@ stop: {{time: 3}}
     ],
 )
 @both
-def test_guards_are_seen_from_where_their_roots_begin(
+def test_guards_fire_from_the_start_of_their_domain(
     name: str, start: str, rate: str, guard: str, at: float | None
 ) -> None:
     found = edge(start, rate, guard, name)
@@ -362,7 +362,7 @@ def test_guards_are_seen_from_where_their_roots_begin(
 @pytest.mark.parametrize(
     "guard", ["sqrt(x) >= 2", "sqrt(x) < -1", "acos(1 - x) <= -1", "x**1.5 > 2"]
 )
-def test_a_guard_whose_root_ends_is_undefined_there(guard: str) -> None:
+def test_guard_is_undefined_outside_the_domain_of_its_root(guard: str) -> None:
     for name in ENGINES:
         assert edge("1", "-1", guard, name).outcome is Outcome.NON_FINITE
 

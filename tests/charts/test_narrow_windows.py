@@ -150,7 +150,7 @@ def test_scenes_report_windows_as_narrow_as_round_off(engine: str) -> None:
 
 @both
 @pytest.mark.parametrize("at", [0.05, 0.9, 9.3, 9.97])
-def test_a_touch_anywhere_in_a_step_is_reported(engine: str, at: float) -> None:
+def test_tangency_anywhere_in_a_step_is_reported(engine: str, at: float) -> None:
     result = made(chart(f"(x + 1 - {at})**2 <= 0"), engine)
     assert not result.trace.jumps
     (warning,) = result.warnings
@@ -158,7 +158,7 @@ def test_a_touch_anywhere_in_a_step_is_reported(engine: str, at: float) -> None:
 
 
 @both
-def test_a_window_of_a_guard_that_begins_on_its_boundary_is_never_silent(engine: str) -> None:
+def test_narrow_window_starting_on_its_boundary_is_reported(engine: str) -> None:
     # At the start the margin is zero and rises: its tolerance there exceeds the later window.
     result = made(chart("(x + 1)*(x**2 - 1e-14) <= 0"), engine)
     times = [jump.t for jump in result.trace.jumps]

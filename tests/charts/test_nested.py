@@ -55,7 +55,7 @@ outputs: {x: {value: x}, u: {value: K*(r - x) + I*integral}}
 """
 
 
-def test_an_integrator_takes_the_error_away(tmp_path: Path) -> None:
+def test_integral_controller_removes_the_steady_error(tmp_path: Path) -> None:
     found = run(tmp_path, PI)
     assert found.outputs == {"x": pytest.approx(1.0, abs=1e-8), "u": pytest.approx(1.0, abs=1e-8)}
 
@@ -135,8 +135,16 @@ outputs: {n: {value: n}, ts: {value: time, at: each remind}}
 
 
 @ENGINES
-def test_a_timeout_that_leaves_no_state_comes_once_an_entry(tmp_path: Path, engine: str) -> None:
+def test_internal_timeout_fires_once_per_entry(tmp_path: Path, engine: str) -> None:
     found = run(tmp_path, REMIND, engine).outputs
+    assert found["n"] == 5
+    assert found["ts"] == pytest.approx([0.8 + 1.2 * k for k in range(5)], rel=1e-13)
+
+
+def test_an_internal_timeout_comes_once_an_entry(tmp_path: Path) -> None:
+    # It ended as EVENT_LOOP: the time since the entry of `busy`, which it does not leave, is over.
+    text = REMIND.replace("from: busy, after", "from: busy, to: fast, internal: true, after")
+    found = run(tmp_path, text).outputs
     assert found["n"] == 5
     assert found["ts"] == pytest.approx([0.8 + 1.2 * k for k in range(5)], rel=1e-13)
 

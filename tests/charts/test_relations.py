@@ -106,7 +106,7 @@ def test_a_run_stops_when_a_condition_first_holds(relation, engine):
         assert (trace.jumps[-1].cause, trace.jumps[-1].fired) == ("stop", ("hit",))
 
 
-def test_a_flow_that_goes_on_to_watch_another_part_is_no_jump():
+def test_switching_the_watched_atom_is_no_jump():
     relation = "x <= 0 and sin(40*time) >= 0.5 and time >= 6.9"
     text = CHART.replace("every: 1,", "every: 10,") + GUARD.replace("RELATION", relation)
     result = run(text + "\nsettings: {max_jumps: 5}", "taylor")
@@ -119,14 +119,14 @@ def test_a_flow_that_goes_on_to_watch_another_part_is_no_jump():
     assert hit.t == pytest.approx(expected, abs=1e-10)
 
 
-def test_an_alternation_of_parts_does_not_end_a_run():
+def test_alternating_atoms_do_not_end_a_run():
     relation = "min(s, -s) > 0"
     trace = run(CHART + GUARD.replace("RELATION", relation), "taylor").trace
     assert trace.outcome is Outcome.HORIZON
     assert {jump.cause for jump in trace.jumps} == {"tick", "opens", "hurries"}
 
 
-def test_a_list_holds_where_all_of_it_does():
+def test_list_of_relations_is_a_conjunction():
     listed = CHART + GUARD.replace('"RELATION"', "[x <= 0, c <= 0 or n > 1]")
     model = interpret(read_text(listed))
     assert model.regions["e"].transitions[0].guard == "x <= 0 and (c <= 0 or n > 1)"
@@ -142,7 +142,7 @@ def test_reports_have_the_margin_of_the_whole_relation():
     assert margins["e.hit"] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_check_passes_where_parts_hold_alone():
+def test_check_passes_if_single_atoms_hold():
     relation = "x <= 0 and c >= 0 and s <= 0"
     report = statechart.check(
         interpret(read_text(CHART + GUARD.replace("RELATION", relation))), examples=1
@@ -174,7 +174,7 @@ def test_wrong_relations_are_reported_with_their_place(relation, told):
 
 
 @pytest.mark.parametrize("word", ["and", "or", "not", "in"])
-def test_words_of_relations_name_no_value_but_states(word):
+def test_relation_keywords_refer_to_states_only(word):
     with pytest.raises(DeclarationError, match=f"'{word}' is a word of relations"):
         interpret(read_text(CHART.replace("{k: -1}", f"{{{word}: 1}}")))
     text = CHART.replace("shut", word) + GUARD.replace("RELATION", f"in(gate.{word})")
@@ -196,9 +196,7 @@ def test_words_of_relations_name_no_value_but_states(word):
         ("in(gate.open) or 1/(time - 2) <= -0.5", 0.0),
     ],
 )
-def test_the_least_margin_of_an_invariant_counts_the_states_that_it_asks_for(
-    invariant, least, engine
-):
+def test_invariant_margin_counts_only_its_states(invariant, least, engine):
     text = CHART + f'stop: {{time: 1.9}}\ninvariants: {{i: "{invariant}"}}'
     found = run(text, engine).to_dict()["invariants"]["i"]
     assert float(found) == pytest.approx(least, abs=1e-9)
@@ -216,7 +214,7 @@ def test_the_least_margin_of_an_invariant_counts_the_states_that_it_asks_for(
         ("STATE", "not in(gate.open)", "m.i does not hold from t = 1.5"),
     ],
 )
-def test_check_judges_invariants_by_the_states_that_they_ask_for(where, invariant, message):
+def test_check_evaluates_invariants_in_their_states(where, invariant, message):
     text = CHART
     if where == "STATE":
         text = text.replace("s: c}}}", f's: c}}, invariants: {{i: "{invariant}"}}}}}}')

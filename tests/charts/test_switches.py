@@ -89,7 +89,7 @@ def test_two_blocks_that_stop_at_one_instant_both_slide(engine: Engine) -> None:
 
 
 @both
-def test_a_graze_is_no_event(engine: Engine) -> None:
+def test_grazing_fires_no_event(engine: Engine) -> None:
     trace = run(flow({"x": 1, "y": 0}, x="2*(time - 1)", y="abs(x)"), engine, 2.0)
     assert trace.final[1] == pytest.approx(2.0 / 3.0, abs=1e-12)
     assert not trace.jumps
@@ -97,7 +97,7 @@ def test_a_graze_is_no_event(engine: Engine) -> None:
 
 
 @both
-def test_a_start_on_the_surface_goes_the_way_that_it_is_led(engine: Engine) -> None:
+def test_start_on_the_surface_follows_the_vector_field(engine: Engine) -> None:
     trace = run(flow({"x": 0, "v": 0, "y": 0}, x="v", v="1", y="abs(x) + sign(x)"), engine, 1.0)
     assert trace.final[2] == pytest.approx(1.0 / 6.0 + 1.0, abs=1e-13)
     assert not breaks(trace)
@@ -125,7 +125,7 @@ def test_friction_holds_until_the_load_exceeds_it(engine: Engine) -> None:
 
 
 @both
-def test_a_guard_is_met_while_the_flow_slides(engine: Engine) -> None:
+def test_guard_fires_during_sliding_flow(engine: Engine) -> None:
     chart = compose(
         {"x": 1, "y": 0},
         {
@@ -158,7 +158,7 @@ def test_a_fractional_power_of_a_clipped_value_is_zero_beyond_the_clip(engine: E
 
 
 @both
-def test_products_of_signs_at_crossing_surfaces_are_reported(engine: Engine) -> None:
+def test_products_of_signs_at_intersecting_surfaces_are_reported(engine: Engine) -> None:
     chart = flow({"x": 1, "y": 1}, x="-sign(x)*(1 + sign(y)/2)", y="-sign(y)*(1 + sign(x)/2)")
     trace = Simulator(chart, engine).run({}, until=2.0, throw=False)
     assert trace.outcome is Outcome.AMBIGUOUS_MODE

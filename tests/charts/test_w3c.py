@@ -18,7 +18,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "format" / "scxml.md"
 
 
 @pytest.mark.parametrize("number", CHARTS)
-def test_a_chart_ends_as_the_w3c_says(number: str) -> None:
+def test_w3c_charts_end_as_specified(number: str) -> None:
     runner = Runner(Chart.model_validate(CHARTS[number]))
     trace = runner.run().trace
     assert trace.outcome is Outcome.HORIZON
@@ -28,13 +28,13 @@ def test_a_chart_ends_as_the_w3c_says(number: str) -> None:
 
 
 @pytest.mark.parametrize("number", REFUSED)
-def test_charts_that_the_w3c_calls_errors_are_refused_when_read(number: str) -> None:
+def test_invalid_w3c_charts_are_refused(number: str) -> None:
     declared, words = REFUSED[number]
     with pytest.raises(ValidationError, match=re.escape(words)):
         Chart.model_validate(declared)
 
 
-def test_a_history_is_no_state_that_a_guard_may_ask_for() -> None:
+def test_guard_cannot_refer_to_a_history_state() -> None:
     text = json.dumps(CHARTS["580"])
     asked = text.replace("in(main.s12)", "in(main.sh1)")
     assert asked != text

@@ -125,14 +125,14 @@ outputs: {lands: {value: time, at: each disc.touchdown}, wraps: {value: time, at
 
 
 @pytest.mark.parametrize("step", [1e-3, 2.5e-4])
-def test_a_led_body_in_a_saw_tooth_throws_a_disc(step: float) -> None:
+def test_prescribed_saw_tooth_body_throws_a_disc(step: float) -> None:
     whole = f"kind: scene\nname: n\n{LED}\nsettings: {{engine: impulse, step: {step}}}\n"
     result = Runner(interpret(read_text(whole))).run(until=1.1)
     assert result.outputs["wraps"] == pytest.approx([T, 2 * T], abs=1e-12)
     assert result.outputs["lands"][1] == pytest.approx(T + math.sqrt(2 * V * T / G), abs=2 * step)
 
 
-def test_names_of_regions_are_apart_from_those_of_the_model(tmp_path: Path) -> None:
+def test_generated_region_names_do_not_collide(tmp_path: Path) -> None:
     text = FLOWS.replace("w: 2", "mod: 2").replace("w*time", "mod*time")
     result = run_chart(tmp_path, text + "stop: {time: 1}\n")
     assert {"mod2.count", "mod3.count", "floor.count"} <= {*result.trace.variables}
@@ -180,7 +180,7 @@ def test_mod_is_refused_in_outputs_and_in_pins_of_points(section: str) -> None:
 
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
-def test_a_chart_listens_to_the_end_of_a_period(engine: str, tmp_path: Path) -> None:
+def test_chart_receives_the_end_of_a_period(engine: str, tmp_path: Path) -> None:
     # The switch is on from the beginning of each period until the saw tooth reaches
     # time/4 + 1/16: for 1/12, 5/12 and 3/4 of a period.
     text = """

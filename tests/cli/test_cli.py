@@ -81,7 +81,7 @@ def test_modes_are_not_listed_of_a_start_that_is_wrong(cli: Cli) -> None:
     assert "model.yaml:13:5: contacts.tip: contact 'tip' starts inside its surface" in err
 
 
-def test_validate_gives_the_warnings_that_need_no_run(cli: Cli) -> None:
+def test_validate_reports_static_warnings(cli: Cli) -> None:
     text = SCENE.replace("{mass: 1,", "{mass: 1, inertia: 1e-15,").replace(
         "point: {body: ball}", "point: {body: ball, at: [0, -1]}"
     )
@@ -460,7 +460,7 @@ def test_an_empty_model_name_is_reported(cli: Cli) -> None:
     assert "the name of the model is empty; known: arch" in cli("run", " ")[2]
 
 
-def test_a_step_of_all_of_a_short_run_is_no_step_too_short(cli: Cli) -> None:
+def test_step_equal_to_a_short_run_is_accepted(cli: Cli) -> None:
     code, _, _ = cli(
         "run", "bouncing_ball", "--engine", "impulse", "--step", "0.1", "--until", "1e-300"
     )
@@ -474,7 +474,7 @@ def test_check_passes_on_a_shipped_model(cli: Cli) -> None:
     assert list(cli.folder.iterdir()) == []
 
 
-def test_a_failing_check_exits_with_1_and_writes_a_reproduction(cli: Cli) -> None:
+def test_failing_check_exits_with_1_and_writes_a_reproduction(cli: Cli) -> None:
     path = cli.write(
         "kind: chart\nname: fall\nparameters: {v0: 1}\nranges: {v0: [0, 1]}\n"
         "variables: {x: 0, v: v0}\nstop: {time: 3}\nregions:\n  r:\n    initial: s\n"
@@ -536,7 +536,7 @@ def test_an_interrupted_run_reports_and_saves_its_trace(
     assert json.loads((cli.folder / "out" / "run.json").read_text())["events"]
 
 
-def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
+def test_closed_stdout_pipe_is_no_error(tmp_path: Path) -> None:
     command = f"{sys.executable} -m statechart.cli.main schema | head -c 10"
     done = subprocess.run(
         ["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True, check=False

@@ -42,7 +42,7 @@ def test_a_terminal_shows_progress_in_one_line(capsys, monkeypatch):
     assert err == "\r\x1b[2Kcompiling: 1 of 2\r\x1b[2Kcompiling: 2 of 2\r\x1b[2K"
 
 
-def test_a_file_gets_one_line_about_each_subject(capsys):
+def test_file_gets_one_progress_line_per_subject(capsys):
     line = StderrLine()
     for subject, text in (("kernels", "1"), ("kernels", "2"), ("a mode", "3"), ("kernels", "4")):
         line(subject, text, False)

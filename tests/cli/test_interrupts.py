@@ -226,7 +226,7 @@ class Process:
     [(signal.SIGTERM, ()), (signal.SIGHUP, ("--engine", "impulse", "--step", "1e-3"))],
     ids=["SIGTERM, events", "SIGHUP, steps"],
 )
-def test_a_signal_ends_a_run_that_is_reported_and_saved(
+def test_sigint_reports_and_saves_the_run(
     tmp_path: Path, number: int, options: tuple[str, ...]
 ) -> None:
     process = Process(
@@ -248,7 +248,7 @@ def test_a_signal_ends_a_run_that_is_reported_and_saved(
     assert not [name for name in os.listdir(tmp_path / "out") if name.startswith(".")]
 
 
-def test_a_signal_while_libraries_are_imported_is_one_word(tmp_path: Path) -> None:
+def test_signal_during_imports_prints_one_word(tmp_path: Path) -> None:
     process = Process(tmp_path, "validate", "dice", options=("-X", "importtime"))
     code, out, err = process.signalled(signal.SIGINT, "numpy")
     said = [line for line in err.splitlines() if not line.startswith("import time:")]
@@ -263,7 +263,7 @@ def test_a_signal_while_libraries_are_imported_is_one_word(tmp_path: Path) -> No
         (">/dev/full", "No space left on device"),
     ],
 )
-def test_results_that_cannot_be_printed_are_one_sentence(
+def test_unprintable_results_give_one_sentence(
     tmp_path: Path, asked: str, redirected: str, words: str
 ) -> None:
     command = f"{sys.executable} -m statechart.cli.main {asked} {redirected}"
@@ -288,7 +288,7 @@ def test_without_stderr_results_are_printed_alone(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("wrapped", [False, True])
-def test_lack_of_system_resources_is_one_sentence(
+def test_lack_of_system_resources_gives_one_sentence(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     error: Exception,

@@ -30,7 +30,7 @@ stop: {time: 1}
     ],
     ids=" ".join,
 )
-def test_every_verb_takes_it(
+def test_every_verb_accepts_a_scene_without_regions(
     words: list[str], tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

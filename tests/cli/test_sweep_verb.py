@@ -81,7 +81,7 @@ def test_all_sorts_of_sweeps_are_drawn(tmp_path: Path, over: list[str], code: in
     assert picture.exists()
 
 
-def test_another_program_at_the_address_is_no_scheduler(capfd: pytest.CaptureFixture[str]) -> None:
+def test_address_without_scheduler_is_refused(capfd: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         answering = threading.Thread(target=_answer, args=(server,))
         answering.start()
@@ -190,7 +190,7 @@ sys.exit(main.program())
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
 @pytest.mark.usefixtures("default_signals")
 @pytest.mark.parametrize("number", ["SIGINT", "SIGTERM", "SIGHUP", "SIGKILL"])
-def test_a_sweep_that_is_ended_from_outside_goes_on(tmp_path: Path, number: str) -> None:
+def test_terminated_sweep_resumes(tmp_path: Path, number: str) -> None:
     store, whole = tmp_path / "a.zarr", tmp_path / "whole.zarr"
     arguments = ["sweep", STICK, *OVER, "-o"]
     ended = subprocess.run(
@@ -226,7 +226,7 @@ def test_processes_give_the_same_bits(tmp_path: Path) -> None:
     same(tmp_path / "one.zarr", tmp_path / "two.zarr")
 
 
-def test_cells_have_no_more_processes_than_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_more_processes_than_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int | None] = []
 
     @contextmanager

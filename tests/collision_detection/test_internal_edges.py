@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import statechart
-from contacts.collision_detection.convex import FOUND, ConvexShape, between
+from contacts.collision_detection.convex import FOUND, ConvexShape, shape_contacts
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
 from statechart.running.runner import Runner
@@ -176,13 +176,13 @@ outputs: {{x: {{value: box.x}}, turned: {{maximum: abs(box.angle)}}}}
 
 
 @pytest.mark.parametrize("above", [-1e-11, 0.0, 1e-11, 1e-6])
-def test_a_plate_ahead_is_met_at_its_end_and_not_where_a_side_is_cut(above):
+def test_plate_is_hit_at_its_end_not_at_a_cut_side(above):
     # Its start is as high as the leading corner to rounding, and it rises by rounding: cut to the
     # width of the box's side it began somewhere along itself.
     plate = np.array([[0.0, 0.0], [0.2, 1e-7]])
     box = np.array([[-0.4, above], [-0.0015, above], [-0.0015, 0.1], [-0.4, 0.1]])
     found, features = np.zeros((16, FOUND)), np.zeros(16, dtype=np.int64)
     shapes = (ConvexShape(c, c.mean(axis=0), 0.0) for c in (plate, box))
-    count = between(*shapes, 0.01, found, features)
+    count = shape_contacts(*shapes, 0.01, found, features)
     assert found[:count, 4] == pytest.approx([0.0015], rel=1e-4)
     assert np.abs(found[0, :2]) == pytest.approx([1, 0], abs=1e-3)

@@ -66,7 +66,7 @@ def test_a_rod_strikes_a_spike_of_the_ground_that_it_passes_within_a_step():
         ("disc: 0.05", "{x: -1, y: 0.2, dx: 300}", "height: 0.14*exp(-(100*x)**2)"),
     ],
 )
-def test_a_body_that_passes_next_to_a_surface_has_no_impact(shape, start, surface):
+def test_body_passing_a_surface_has_no_impact(shape, start, surface):
     trace, _ = run(shape, start, surface)
     assert trace.warnings == ()
     assert trace.counts["contacts"] == 0

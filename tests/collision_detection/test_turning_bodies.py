@@ -67,7 +67,7 @@ def test_a_turning_rod_strikes_an_obstacle_at_any_time_of_a_step(runner, angle, 
 
 @pytest.mark.parametrize("offset", [-0.02, 0.02])
 @pytest.mark.parametrize("phase", [0.0, 0.1, 0.2])
-def test_a_ball_that_flies_by_is_struck_where_the_rod_reaches_it_alone(runner, phase, offset):
+def test_passing_ball_is_struck_only_within_reach_of_the_rod(runner, phase, offset):
     """Along y at 0.02 inside and outside of what the end can reach, as the end comes by."""
     x = _REACH + _RADIUS + offset
     _, final = run(runner, angle=-0.45 - phase, x=x, y=0.04, dy=-20)

@@ -81,7 +81,7 @@ def test_bodies_slide_over_the_ends_of_overlapping_edges():
         np.testing.assert_allclose(slid(apart, listed, 0.1), whole, atol=1e-12)
 
 
-def test_the_foot_of_a_ramp_is_a_corner_to_who_does_not_touch_the_floor_it_is_on():
+def test_foot_of_a_ramp_is_a_corner_unless_the_floor_is_touched():
     free = {"low": "height: 0.05 - 0.05", "rise": "edge: [[0.1, 0], [0.1, -1]]"}
     alone = {"low": "height: 0 - 3", "rise": "edge: [[0.1, 0], [0.1, -1]]"}
     found, same = (slid(ground, ("rise",), 0.1) for ground in (free, alone))

@@ -184,7 +184,7 @@ def test_mermaid_has_unique_ids_and_only_lines_its_grammar_knows(make):
 
 @given(diagrams())
 @examples(60)
-def test_any_text_survives_every_renderer(diagram):
+def test_every_renderer_preserves_any_text(diagram):
     check_dot(diagram)
     check_mermaid(diagram)
 
@@ -196,7 +196,7 @@ def test_same_diagram_gives_same_text(make, render):
 
 
 @pytest.mark.parametrize("render", [dot, mermaid], ids=lambda render: render.__name__)
-def test_guards_resets_and_causes_are_all_there(render):
+def test_diagram_shows_guards_resets_and_causes(render):
     text = render(one_contact())
     for word in ("touchdown", "lift-off", "shove", "mu V + H", "impact(v)", "the wall is in"):
         assert word in text

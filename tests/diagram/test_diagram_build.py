@@ -212,7 +212,7 @@ def test_a_simultaneous_jump_of_several_regions_is_one_link() -> None:
     assert (link.event, link.visits) == ("a turn", 1)
 
 
-def test_modes_that_are_not_possible_say_why_unless_the_run_went_there() -> None:
+def test_infeasible_unvisited_modes_show_the_reason() -> None:
     runner = Runner(read_text(BAR))
     setup = runner.setup()
     found = feasibility(runner.automaton, setup, setup.initial, 0.0)
@@ -251,7 +251,7 @@ def test_regions_that_differ_by_a_number_share_one_chart():
     ]
 
 
-def test_the_legend_names_regions_whose_events_have_different_effects() -> None:
+def test_legend_distinguishes_region_events_with_different_effects() -> None:
     runner = Runner("woodpecker")
     trace = runner.run(until=0.1).trace
     rows = legend(build(runner.automaton, trace.start_mode, trace)).events
@@ -359,7 +359,7 @@ stop: {time: 9}
 """
 
 
-def test_regions_have_a_start_each_and_a_dashed_line_between_them() -> None:
+def test_parallel_regions_have_starts_and_dashed_dividers() -> None:
     runner = Runner(read_text(REVIEW))
     diagram = build(runner.automaton, runner.start()[0])
     (chart,) = diagram.charts
@@ -385,7 +385,7 @@ def test_regions_have_a_start_each_and_a_dashed_line_between_them() -> None:
     assert min(one[axis], two[axis]) < places[0][axis] < max(one[axis], two[axis])
 
 
-def test_entry_exit_and_rates_stand_in_the_state_or_where_long_in_the_legend() -> None:
+def test_long_entry_exit_and_rates_move_to_the_legend() -> None:
     runner = Runner(read_text(REVIEW))
     diagram = build(runner.automaton, runner.start()[0])
     actions = {node.name: node.actions for node in diagram.nodes if node.actions}

@@ -38,13 +38,13 @@ def page(tmp_path: Path, text: str) -> Path:
     return made
 
 
-def test_blocks_know_their_place_and_the_file_that_they_are(tmp_path: Path) -> None:
+def test_blocks_have_a_place_and_a_file(tmp_path: Path) -> None:
     first, second, third = blocks(page(tmp_path, PAGE))
     assert first == Block("text", "one\n", "Write this into `a.txt`:", 4)
     assert (first.typed, second.typed, third.typed) == (("a.txt", False), ("a.txt", True), None)
 
 
-def test_a_page_is_followed_until_something_else_is_printed(tmp_path: Path) -> None:
+def test_following_a_page_stops_at_different_output(tmp_path: Path) -> None:
     with pytest.raises(AssertionError, match=r"page\.md:14: \$ false"):
         follow(page(tmp_path, PAGE), tmp_path)
     assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "one\ntwo\n"

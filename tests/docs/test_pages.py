@@ -153,7 +153,7 @@ def parts() -> list[tuple[str, str, str]]:
 
 
 @pytest.mark.parametrize(("name", "head", "text"), parts())
-def test_a_part_of_a_document_runs_in_a_whole_one(name: str, head: str, text: str) -> None:
+def test_document_fragments_run_in_a_whole_document(name: str, head: str, text: str) -> None:
     host = textwrap.dedent(HOSTS[name, head]).lstrip()
     indent = re.search(r"^( *)@$", host, re.M)
     assert indent is not None
@@ -161,7 +161,7 @@ def test_a_part_of_a_document_runs_in_a_whole_one(name: str, head: str, text: st
     assert Runner(read_text(whole)).run().trace.outcome is Outcome.HORIZON
 
 
-def test_every_block_is_of_a_kind_that_is_done() -> None:
+def test_every_block_has_a_tested_kind() -> None:
     for name, page in NAMES.items():
         for block in blocks(page):
             place = f"{name}:{block.line}"
@@ -205,7 +205,7 @@ def test_links_to_other_sites_are_well_formed_and_stand_once_on_a_page() -> None
             assert not re.search(r"[\s\"'`]", link), f"{page}: {link}"
 
 
-def test_each_outcome_has_its_entry_with_a_model_that_ends_so() -> None:
+def test_each_outcome_has_an_entry_with_an_example() -> None:
     pages = [DOCS / "how-to" / f"outcomes{part}.md" for part in ("", "-numerics")]
     entries = [
         entry

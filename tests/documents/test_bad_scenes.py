@@ -75,7 +75,7 @@ def refused(*pairs: tuple[str, str]) -> DeclarationError:
         ),
     ],
 )
-def test_the_ends_of_ranges_are_models(ranges: str, words: str) -> None:
+def test_range_ends_are_valid_models(ranges: str, words: str) -> None:
     changes = (
         ("big: inf}", f"big: sqrt(h), end: 1}}\nranges: {{{ranges}}}"),
         ("gravity: g", "gravity: 9.81/(10 - g)"),
@@ -94,7 +94,7 @@ def test_an_error_in_a_list_has_the_place_of_the_item() -> None:
         Runner(read_text(text.replace("gravity", "ranges: {e: [0, 1]}\ngravity")))
 
 
-def test_a_range_of_a_whole_number_has_one() -> None:
+def test_range_of_an_integer_contains_an_integer() -> None:
     ball = (
         "bodies:\n  ball: {copies: n, mass: 1, inertia: 1, shape: {disc: 0.1}, start: {x: index}}\n"
     )
@@ -198,7 +198,7 @@ def test_the_solid_side_is_explained_for_each_form_of_surface(surface: str, word
     assert ("right" in str(caught.value)) == ("line" in surface)
 
 
-def test_the_scene_itself_is_fine() -> None:
+def test_base_scene_is_valid() -> None:
     assert Runner(read_text(SCENE)).start()[0] == ("free",)
 
 
@@ -236,7 +236,7 @@ def test_the_scene_itself_is_fine() -> None:
         ("stop:", "modes: {tip: @pin}\nstop:", "its gap is open or opening"),
     ],
 )
-def test_every_wrong_scene_has_its_place_and_words(old: str, new: str, words: str) -> None:
+def test_every_invalid_scene_reports_place_and_message(old: str, new: str, words: str) -> None:
     assert words in str(refused((old, new)))
 
 
@@ -247,7 +247,7 @@ def test_every_wrong_scene_has_its_place_and_words(old: str, new: str, words: st
         ("0.8", "starts inside its surface, 0.277668 deep; move the body out of the surface"),
     ],
 )
-def test_a_contact_that_starts_nowhere_or_inside_is_named(height: str, words: str) -> None:
+def test_contact_starting_undefined_or_inside_is_named(height: str, words: str) -> None:
     found = refused(("height: 0", f"height: {height}"), ("tip: {", "tip: @{"))
     assert found.message.startswith("contacts.tip: ")
     assert words in str(found)
@@ -261,7 +261,7 @@ def test_a_contact_that_starts_nowhere_or_inside_is_named(height: str, words: st
         ("time**2, 1", "k: ", "contradict one another: no acceleration of the bodies"),
     ],
 )
-def test_joints_that_contradict_are_named(path: str, at: str, words: str) -> None:
+def test_contradictory_joints_are_named(path: str, at: str, words: str) -> None:
     held = "\n  ".join(
         f"{name}: {{point: {{body: rod}}, to: [{to}]}}" for name, to in (("j", path), ("k", "0, 1"))
     )

@@ -96,12 +96,12 @@ def test_yaml_and_python_declare_the_same_chart() -> None:
     assert validate(read_text(BALL), Chart) == ball()
 
 
-def test_a_chart_survives_the_way_to_yaml_and_back() -> None:
+def test_chart_round_trips_through_yaml() -> None:
     assert validate(read_text(dump(ball())), Chart) == ball()
     assert dump(ball()).startswith("kind: chart\nname: ball\n")
 
 
-def test_a_chart_that_uses_every_field_survives_too() -> None:
+def test_chart_with_every_field_round_trips() -> None:
     chart = ball().model_copy(
         update={
             "doc": "off: 'a' # \"b\"\n\tnull µ {x}: - & * !",
@@ -155,7 +155,7 @@ def test_infinity_is_an_ordinary_parameter(spelling: str) -> None:
     assert validate(read_text(dump(python)), Chart) == python == chart
 
 
-def test_plain_words_follow_yaml_1_2() -> None:
+def test_plain_scalars_follow_yaml_1_2() -> None:
     data = read_text(
         "a: 1e-3\nb: off\nc: yes\nd: 0x10\ne: 1_000\nf: 12:30\ng: 2001-01-01\nh: +.5\n"
         "i: '1'\nj: true\nk: null\nl:\nm: 007\nn: -3\no: =\n"
@@ -264,7 +264,9 @@ def test_positions_are_those_of_the_text() -> None:
         ("outputs:", "settings: {engine: taylor, method: RK45}\noutputs:", "17:28", "no method"),
     ],
 )
-def test_every_problem_has_its_place_and_words(old: str, new: str, place: str, words: str) -> None:
+def test_every_problem_reports_place_and_message(
+    old: str, new: str, place: str, words: str
+) -> None:
     error = refused(ball_with(old, new))
     assert str(error).startswith(f"f.yaml:{place}: ")
     assert words in str(error)
@@ -426,7 +428,7 @@ def test_unreadable_files_are_refused_with_the_reason(tmp_path: Path) -> None:
         assert "not a file" in reason(Path("/dev/zero"))
 
 
-def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
+def test_byte_order_mark_is_ignored(tmp_path: Path) -> None:
     path = tmp_path / "bom.yaml"
     path.write_bytes(b"\xef\xbb\xbfa: 1\n")
     found: Document = read(path)

@@ -327,7 +327,7 @@ def test_a_mistake_in_a_chart_is_reported_with_advice(mistake: str) -> None:
     assert told in str(caught.value)
 
 
-def test_there_are_more_than_twenty_and_the_scene_itself_is_right() -> None:
+def test_base_scene_of_the_mistakes_is_valid() -> None:
     assert len(MISTAKES) >= 130
     assert Runner(read_text(SCENE)).start()[0] == ("free",)
 
@@ -359,7 +359,7 @@ def test_likely_mistakes_give_warnings(old: str, new: str, told: str) -> None:
     assert [told in warning for warning in warnings] == ([True] if told else [])
 
 
-def test_a_contact_that_is_off_at_the_start_may_be_behind_its_line() -> None:
+def test_disabled_contact_may_start_behind_its_line() -> None:
     text = SCENE.replace("height: 0", "line: [[1, 0.8], [-1, 0.8]]")
     text = text.replace("restitution: e", "restitution: e, enabled: time > 0.1")
     _, warnings = Runner(read_text(text, "f.yaml")).start()

@@ -185,12 +185,12 @@ def test_mistakes_in_python_are_reported_like_those_in_files(
 
 
 @pytest.mark.parametrize("number", [np.int64(2), np.float32(2), np.array(2.0)])
-def test_a_number_of_numpy_is_a_number(number: Any) -> None:
+def test_numpy_numbers_are_accepted(number: Any) -> None:
     assert type(Body(mass=number).mass) in (int, float)
     assert Body(mass=number) == Body(mass=2)
 
 
-def test_a_part_of_a_part_has_the_path_of_its_field_in_the_whole() -> None:
+def test_nested_part_errors_have_the_full_path() -> None:
     with pytest.raises(DeclarationError) as caught:
         scene(contacts={"tip": {"point": {"body": "rod", "at": [1]}, "surface": 3}})
     assert str(caught.value).splitlines() == [

@@ -93,7 +93,7 @@ def test_summaries_show_units(result: Result) -> None:
     assert result.to_dict()["units"]["top"] == "m"
 
 
-def test_units_are_of_names_that_exist() -> None:
+def test_units_refer_to_existing_names() -> None:
     wrong = SCENE.replace("heat: J}", "heart: J}")
     with pytest.raises(
         DeclarationError, match=r"f\.yaml:3:39: units\.heart: nothing is called"
@@ -161,7 +161,7 @@ def test_parameters_have_the_units_of_their_uses() -> None:
     assert [bar.unit(n) for n in ("tilt_deg", "tilt", "L")] == ["", "rad", "m"]
 
 
-def test_words_stand_for_units_of_all_bases() -> None:
+def test_unit_words_exist_for_all_bases() -> None:
     assert measures("x").units == SI
     without = measures("x", "dimensionless")
     assert (without.unit("z"), without.unit("time"), without.unit("k")) == ("1", "1", "1")

@@ -58,7 +58,7 @@ def test_infinite_values_in_formulas_are_reported_with_their_place(
     assert str(caught.value).startswith(f"f.yaml:{place}: ")
 
 
-def test_infinity_may_be_set_where_it_is_friction() -> None:
+def test_infinite_friction_may_be_set() -> None:
     text = SCENE.replace("friction: 0.5", "friction: u").replace("u: 1", "u: inf")
     assert Runner(read_text(text.replace("[0, u]", "[0, 0]"))).start()[0] == ("free", "on")
 
@@ -71,7 +71,7 @@ def test_a_division_by_zero_is_reported_with_its_place() -> None:
 
 
 @pytest.mark.parametrize("force", ["1/block.x", "log(block.x)"])
-def test_a_force_without_a_value_at_the_start_is_no_speed_and_no_lack_of_mass(force: str) -> None:
+def test_undefined_initial_force_is_not_blamed_on_speed_or_mass(force: str) -> None:
     with pytest.raises(NonFinite, match="forces or inertias have no finite value"):
         Runner(read_text(SCENE.replace("[0, u]", f"[u, {force}]"))).start()
 

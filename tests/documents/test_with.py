@@ -6,7 +6,7 @@ import statechart
 from statechart import DeclarationError
 
 
-def test_other_values_make_another_model():
+def test_with_returns_a_changed_model():
     model = statechart.load("toppling_stick")
     other = model.with_(mu=0.3, I_G="M*L**2/4")
     assert other.values()["mu"] == 0.3
@@ -34,6 +34,6 @@ def test_numbers_of_copies_are_parameters_too():
         ({"mu": "theta"}, "theta"),
     ],
 )
-def test_changes_that_make_no_model_are_refused(values, said):
+def test_invalid_changes_are_refused(values, said):
     with pytest.raises(DeclarationError, match=said):
         statechart.load("toppling_stick").with_(**values)

@@ -109,7 +109,7 @@ def test_a_start_at_a_kink_slides_down_the_far_side_at_once(engine: str) -> None
     assert not result.trace.jumps
 
 
-def test_along_the_first_piece_it_flies_off_the_kink_and_strikes_the_other() -> None:
+def test_point_flies_off_a_kink_and_strikes_the_other_piece() -> None:
     trace = _run(RIDGE, v=1, w=0.2).trace
     # y = 0.2 t - g t**2 / 2 meets -0.2 t.
     (landing,) = trace.jumps
@@ -117,7 +117,7 @@ def test_along_the_first_piece_it_flies_off_the_kink_and_strikes_the_other() -> 
     assert landing.t == pytest.approx(0.8 / 9.81, abs=1e-14)
 
 
-def test_a_blow_at_a_kink_is_by_the_piece_that_comes() -> None:
+def test_impact_at_a_kink_is_by_the_approaching_piece() -> None:
     for v in (1.0, -1.0):
         (blow, *_) = _run(RIDGE, v=v, w=-1.0).trace.jumps
         assert blow.t == 0.0
@@ -167,7 +167,7 @@ stop: {time: 5}
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_contact_is_handed_over_to_the_next_without_a_gap(engine: str) -> None:
+def test_contact_passes_to_the_next_edge_without_a_gap(engine: str) -> None:
     trace = _run(CAM, engine).trace
     assert trace.start_mode == ("slide", "off")
     assert [jump.target for jump in trace.jumps] == [
@@ -198,7 +198,7 @@ stop: {{time: 2}}
 
 @pytest.mark.parametrize("engine", [*ENGINES, "impulse"])
 @pytest.mark.parametrize("height", ["sqrt(x) - sqrt(x)", "log(x) - log(x)", "0/x"])
-def test_off_a_contact_may_have_a_surface_without_value(height: str, engine: str) -> None:
+def test_disabled_contact_may_have_an_undefined_surface(height: str, engine: str) -> None:
     text = _nowhere(height.replace("0/x", "(1/x - 1/x)/x"), "b.x > 0.1")
     plain = _run(_nowhere("0", "b.x > 0.1"), engine).trace
     trace = _run(text, engine).trace
@@ -231,7 +231,7 @@ stop: {time: 0.8}
     assert trace.final == pytest.approx([2 - 0.62**2 / (2 * 0.2 * 9.81), 0, 0, 0], abs=1e-9)
 
 
-def test_on_a_contact_has_a_surface_with_a_value() -> None:
+def test_enabled_contact_needs_a_defined_surface() -> None:
     with pytest.raises(DeclarationError, match="its place at the start is not finite"):
         _run(_nowhere("sqrt(x)", "b.x < 0.1"))
     with pytest.raises(NonFinite, match="hold where its surface has no finite value"):

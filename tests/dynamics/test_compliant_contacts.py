@@ -153,7 +153,7 @@ def test_steps_come_nearer_to_the_closed_form_of_a_compliant_contact(name: str) 
         assert off < (150 if name == "undamped" else 40) * step
 
 
-def test_a_rigid_contact_bounces_together_with_a_compliant_one_on_a_rope() -> None:
+def test_rigid_contact_bounces_on_a_compliant_rope() -> None:
     text = _BALL.replace("bodies: {", "bodies: {stone: {mass: 2, start: {x: 3, y: 0.5}}, ")
     text = (
         text.replace(
@@ -241,7 +241,7 @@ def test_a_landing_damper_moves_a_braked_body(engine: str, step: float | None, l
         ("{y: 0.36, x: 0.2, dy: 1}", "apart at 1; velocities that it allows: load.dy = 0"),
     ],
 )
-def test_joints_beside_compliant_contacts_suggest_a_consistent_start(start: str, told: str) -> None:
+def test_inconsistent_joints_with_compliant_contacts_suggest_a_start(start: str, told: str) -> None:
     text = f"""
 kind: scene
 name: cart

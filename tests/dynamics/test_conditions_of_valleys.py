@@ -45,9 +45,7 @@ def _runner(conditions: tuple[str, str], engine: str = "taylor", step: float | N
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("conditions", CONDITIONS)
-def test_a_point_comes_to_rest_where_each_side_leads_to_the_other(
-    conditions: tuple[str, str], engine: str
-) -> None:
+def test_point_rests_at_the_bottom_of_a_valley(conditions: tuple[str, str], engine: str) -> None:
     run = _runner(conditions, engine)
     for values in REST:
         trace = run.run(values).trace
@@ -55,7 +53,7 @@ def test_a_point_comes_to_rest_where_each_side_leads_to_the_other(
         assert trace.final == pytest.approx([0.0] * 4, abs=1e-8)
 
 
-def test_at_one_instant_an_impact_in_a_narrow_valley_is_one_of_both_sides() -> None:
+def test_impact_in_a_narrow_valley_is_simultaneous() -> None:
     trace = _runner(("<= 0", "> 0")).run(REST[4]).trace
     (blow,) = (jump for jump in trace.jumps if len(jump.impulse) == 2)
     assert blow.after[2:] == pytest.approx([0.0, 0.0], abs=1e-12)
@@ -74,7 +72,7 @@ def _siblings(count: int) -> list[dict[str, float]]:
     return found
 
 
-def test_conditions_that_exclude_each_other_move_as_those_that_share_the_kink() -> None:
+def test_exclusive_conditions_move_like_ones_sharing_the_kink() -> None:
     shared, *others = (_runner(conditions) for conditions in CONDITIONS)
     for values in _siblings(40):
         final = shared.run(values).trace.final

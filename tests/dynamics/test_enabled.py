@@ -57,7 +57,7 @@ def _hold(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("name", ENGINES)
-def test_a_ground_that_is_taken_away_lets_fall_and_one_that_comes_back_catches(name: str) -> None:
+def test_disabled_ground_releases_and_enabled_ground_catches(name: str) -> None:
     # Held for a second, pushed up from below the ground for another, and caught coming down.
     scene = _scene(Surface(height=0), {"y": 0}, enabled="abs(time - 1.5) > 0.5")
     push = {"push": Force(body="p", force=(0, "4*sin(pi*(time - 1))"))}
@@ -72,7 +72,7 @@ def test_a_ground_that_is_taken_away_lets_fall_and_one_that_comes_back_catches(n
 
 
 @pytest.mark.parametrize("name", ENGINES)
-def test_a_point_inside_the_surface_comes_back_once_it_is_out(name: str) -> None:
+def test_penetrating_point_is_enabled_after_it_leaves(name: str) -> None:
     # Thrown up from below: the conditions hold all the time, the gap is open from t = 1 on.
     scene = _scene(Surface(height=0), {"y": -1.5, "dy": 2}, enabled="time >= 0")
     trace = _run(scene.model_copy(update={"initial_modes": {"c": "off"}}), name)
@@ -148,7 +148,7 @@ def test_the_edge_of_a_body_moves_with_it() -> None:
     assert trace.final[4] == pytest.approx(0.5, abs=1e-9)
 
 
-def test_mirrored_and_in_other_units_conditions_fail_at_the_same_places() -> None:
+def test_conditions_are_invariant_under_reflection_and_units() -> None:
     scene = _scene(
         Surface(edge=((-1, 0), (1.5, 0.1))), {"y": 1, "dx": 0.4}, enabled=["c.gap < 2", "p.dx > 0"]
     )
@@ -158,7 +158,7 @@ def test_mirrored_and_in_other_units_conditions_fail_at_the_same_places() -> Non
         assert_same(case.traces["taylor"], image, case.sensitivity, reading=reading)
 
 
-def test_off_counts_as_a_state_of_the_region() -> None:
+def test_off_is_a_state_of_the_region() -> None:
     built = automaton(_scene(Surface(height=0), {}, enabled="time < 1"))
     (region,) = built.regions
     assert region.states == ("free", "slide+", "slide-", "pin", "off")
@@ -169,7 +169,7 @@ def test_off_counts_as_a_state_of_the_region() -> None:
     assert all(e.target != "off" for e in region.edges if e.cause != "disable")
 
 
-def test_no_force_and_no_gap_are_watched_while_off() -> None:
+def test_disabled_contacts_have_no_force_or_gap_margin() -> None:
     scene = _scene(Surface(height=0), {"y": 1}, enabled="time < -1")
     trace = _run(scene, until=3.0)
     assert trace.start_mode == trace.final_mode == ("off",)
@@ -179,7 +179,7 @@ def test_no_force_and_no_gap_are_watched_while_off() -> None:
     _hold(scene)
 
 
-def test_conditions_are_read_back_as_they_were_written() -> None:
+def test_conditions_round_trip() -> None:
     scene = _scene(Surface(edge=((0, 0), (1, 0))), {}, enabled=["time < 1", "p.x > 0"])
     assert validate(read_text(dump(scene)), Scene) == scene
     one = _scene(Surface(height=0), {}, enabled="time < 1")

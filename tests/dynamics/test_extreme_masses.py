@@ -96,7 +96,7 @@ def _events(trace: Trace) -> list[tuple[str, str, tuple[str, ...]]]:
 
 @pytest.mark.parametrize("how", _SETTINGS)
 @pytest.mark.parametrize("scene", _SCENES)
-def test_masses_leave_the_motion(scene: str, how: str) -> None:
+def test_scaling_masses_keeps_the_motion(scene: str, how: str) -> None:
     settings = _SETTINGS[how]
     one = run(interpret(read_text(_SCENES[scene])), **settings)  # type: ignore[arg-type]
     joined = how == "steps" and scene == "joined"

@@ -99,7 +99,7 @@ def _double(start: tuple[float, float]) -> tuple[Scene, Scene]:
 
 
 @pytest.mark.parametrize("name", ENGINES)
-def test_a_pendulum_by_a_joint_is_the_pendulum_in_its_angle(name: str) -> None:
+def test_joint_pendulum_equals_angle_pendulum(name: str) -> None:
     lean = 0.7
     reduced = Scene(
         name="p",
@@ -134,7 +134,7 @@ def test_the_force_in_a_pivot_is_weight_and_centripetal_force() -> None:
 
 
 @pytest.mark.parametrize("name", ENGINES)
-def test_a_double_pendulum_by_joints_is_the_one_in_its_angles(name: str) -> None:
+def test_joint_double_pendulum_equals_angle_coordinates(name: str) -> None:
     jointed, reduced = _double((1.0, 0.4))
     found = _run(jointed, name, 2.0).final
     expected = _run(reduced, name, 2.0).final
@@ -279,7 +279,7 @@ def test_a_jointed_body_lands_as_the_same_body_in_its_angles(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ENGINES)
-def test_mirrored_and_in_other_units_linkages_move_alike(name: str) -> None:
+def test_linkages_are_invariant_under_reflection_and_units(name: str) -> None:
     scene = _four_bar(stop={"time": 2})
     subject = Subject(scene)
     case = subject.case({})
@@ -301,7 +301,7 @@ stop: {time: 3}
 """
 
 
-def test_the_work_that_a_led_joint_does_in_an_impact_is_known() -> None:
+def test_work_of_a_prescribed_joint_in_an_impact_is_counted() -> None:
     scene = validate(read_text(LED), Scene)
     trace = _run(scene)
     # The hand goes on as it is led, whatever it takes: what the rod gains is its work.
@@ -338,7 +338,7 @@ def _read(text: str) -> Scene:
     return validate(read_text(text), Scene)
 
 
-def test_a_joint_is_read_back_as_it_was_written() -> None:
+def test_joint_round_trips() -> None:
     scene = Scene(
         name="held",
         bodies={"rod": _body(0, 0), "other": _body(1, 0)},
@@ -372,7 +372,7 @@ def test_an_empty_joint_is_refused_with_its_place(joint: str, message: str) -> N
     assert caught.value.line == len(lines)
 
 
-def test_names_of_joints_are_their_own() -> None:
+def test_joint_names_are_unique() -> None:
     with pytest.raises(DeclarationError, match="'rod' is a body already"):
         _read(_DOCUMENT.replace("hip", "rod"))
 
@@ -413,7 +413,7 @@ def test_rates_that_separate_a_joint_are_reported_with_rates_that_agree() -> Non
         (("[time**2, 0]", "[0, 0]"), "acceleration"),
     ],
 )
-def test_joints_that_contradict_one_another_are_named(paths: tuple[str, str], what: str) -> None:
+def test_contradicting_joints_are_named(paths: tuple[str, str], what: str) -> None:
     text = _DOCUMENT.replace("dx: v", "dx: 0")
     for name, path in zip(("one", "two"), paths, strict=True):
         text += f"  {name}: {{point: {{body: rod}}, to: {path}}}\n"
@@ -421,7 +421,7 @@ def test_joints_that_contradict_one_another_are_named(paths: tuple[str, str], wh
     assert f"'one', 'two' contradict one another: no {what}" in str(problem)
 
 
-def test_joints_that_come_to_contradict_one_another_end_the_run() -> None:
+def test_joints_that_become_contradictory_end_the_run() -> None:
     text = _DOCUMENT.replace("dx: v", "dx: 0")
     for name, path in (("one", "[time**4, 0]"), ("two", "[0, 0]")):
         text += f"  {name}: {{point: {{body: rod}}, to: {path}}}\n"
@@ -434,7 +434,7 @@ def test_joints_that_come_to_contradict_one_another_end_the_run() -> None:
 
 
 @pytest.mark.parametrize("name", ENGINES)
-def test_a_parallel_crank_more_than_needed(name: str) -> None:
+def test_redundant_parallel_crank(name: str) -> None:
     # A plate hangs on three parallel cranks: one loop more than its motion needs. It swings clear
     # of where all joints lie on one line, and the cranks could turn either way.
     def crank(x: float) -> Body:

@@ -94,9 +94,7 @@ def story(trace: Trace) -> list[tuple[str, str, tuple[str, ...]]]:
 
 @pytest.mark.parametrize("name", ENGINES)
 @pytest.mark.parametrize("p", [1e-17, 1e-12, 1e-9, 1e-6, 1e-3])
-def test_a_pad_that_moves_gives_the_length_of_a_scene_that_starts_at_its_origin(
-    name: str, p: float
-) -> None:
+def test_prescribed_motion_sets_the_length_scale(name: str, p: float) -> None:
     still, moved = (run(PAD, name, p=value) for value in (0.0, p))
     assert [jump.cause for jump in moved.jumps] == ["liftoff", "touchdown", "liftoff"]
     assert moved.outcome.name == "HORIZON"
@@ -107,13 +105,13 @@ def test_a_pad_that_moves_gives_the_length_of_a_scene_that_starts_at_its_origin(
 
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
 @pytest.mark.parametrize("h", [1e-17, -1e-17, 1e-16])
-def test_a_block_off_its_floor_by_a_rounding_rests(h: float, unit: float) -> None:
+def test_block_above_its_floor_by_round_off_rests(h: float, unit: float) -> None:
     trace = run(DROP, h=h, L=unit)
     assert trace.start_mode == ("slide+",)
     assert story(trace) == [("c", "stick", ("pin",))]
 
 
-def test_far_from_the_origin_a_bounce_is_none_of_its_round_off() -> None:
+def test_round_off_far_from_the_origin_is_no_bounce() -> None:
     near, far = run(DROP), run(DROP, y0=5e6)
     assert [jump.cause for jump in far.jumps] == [jump.cause for jump in near.jumps]
     assert far.final[1] - 5e6 == pytest.approx(near.final[1], abs=1e-8)
@@ -136,7 +134,7 @@ def test_bounces_of_two_contacts_far_from_the_origin_warn_of_their_order(e, warn
 @pytest.mark.parametrize("name", ENGINES)
 @pytest.mark.parametrize("mass", [1e-150, 1e155, 1e160, 4e299])
 @pytest.mark.parametrize("meaning", ["newton", "poisson", "stronge"])
-def test_masses_beyond_the_root_of_floats_rebound(name: str, mass: float, meaning: str) -> None:
+def test_extreme_masses_rebound(name: str, mass: float, meaning: str) -> None:
     text = DISC.replace("restitution: 0.5", f"restitution: 0.5, impact: {meaning}")
     light, heavy = run(text, name), run(text, name, M=mass)
     assert story(heavy) == story(light)
@@ -144,7 +142,7 @@ def test_masses_beyond_the_root_of_floats_rebound(name: str, mass: float, meanin
 
 
 @pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
-def test_a_shift_of_the_origin_leaves_the_scales(text: str) -> None:
+def test_scales_do_not_depend_on_the_origin(text: str) -> None:
     here, there = numbers(text).scales, numbers(text, x0=1e6, y0=-1e6).scales
     for quantity in ("length", "speed", "acceleration", "force", "sizes"):
         assert getattr(there, quantity) == pytest.approx(getattr(here, quantity), rel=1e-9)
@@ -153,7 +151,7 @@ def test_a_shift_of_the_origin_leaves_the_scales(text: str) -> None:
 
 @pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
 @pytest.mark.parametrize("shift", [2.0, -7.0, 100.0])
-def test_a_shift_of_the_origin_leaves_the_motion(text: str, shift: float) -> None:
+def test_motion_does_not_depend_on_the_origin(text: str, shift: float) -> None:
     here, there = run(text), run(text, x0=shift, y0=-shift)
     moved = np.zeros(len(here.final))
     moved[:2] = shift, -shift
@@ -168,7 +166,7 @@ def test_a_shift_of_the_origin_leaves_the_motion(text: str, shift: float) -> Non
 
 @pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
 @pytest.mark.parametrize("unit", [{"L": 1e6}, {"L": 1e-6}, {"M": 1e6}, {"M": 1e-6}, {"T": 1e6}])
-def test_other_units_leave_the_events(text: str, unit: dict[str, float]) -> None:
+def test_events_do_not_depend_on_units(text: str, unit: dict[str, float]) -> None:
     here, there = run(text), run(text, **unit)
     assert story(there) == story(here)
     n = len(here.final) // 2

@@ -183,7 +183,7 @@ def test_a_surface_with_two_forms_is_refused(name: str) -> None:
 
 
 @pytest.mark.parametrize("height", ["abs(x)", "max(0, sin(2*x))", "s*min(x, 1)**3", "sign(x - s)"])
-def test_a_height_with_kinks_is_refused_and_the_way_out_named(name: str, height: str) -> None:
+def test_height_with_kinks_is_refused_with_advice(name: str, height: str) -> None:
     text = read_text(GROOVE.replace("{height: s*x}", f'{{height: "{height}"}}'))
     with pytest.raises(DeclarationError, match="a surface and a contact for each") as caught:
         validate(text, Scene)

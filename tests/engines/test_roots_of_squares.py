@@ -88,7 +88,7 @@ def test_a_root_of_a_square_has_a_taylor_series_on_either_side(
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_a_run_may_pass_the_zero_of_a_root(seed: int) -> None:
+def test_run_passes_the_zero_of_a_root(seed: int) -> None:
     # x = a + b t + c t**2 has up to two zeros.
     rng = np.random.default_rng(seed)
     a, b, c = rng.uniform(-1, 1), rng.uniform(-2, 2), rng.uniform(-1, 1)

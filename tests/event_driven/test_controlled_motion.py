@@ -39,7 +39,7 @@ regions:
 
 
 @both
-def test_guards_of_jointed_bodies_fire_where_closed_forms_say(name: str) -> None:
+def test_guards_of_jointed_bodies_fire_at_closed_form_times(name: str) -> None:
     rate = math.sqrt(2 * 10 / 2.5)
     half = 2 * scipy.special.ellipk(math.sin(0.5) ** 2) / rate
 

@@ -66,7 +66,7 @@ def test_a_push_within_friction_leaves_a_block_pinned(name: str) -> None:
 
 @both
 @pytest.mark.parametrize("smooth", [0.0, 0.1])
-def test_friction_that_a_state_lowers_lets_a_pinned_block_go(name: str, smooth: float) -> None:
+def test_lowering_friction_releases_a_pinned_block(name: str, smooth: float) -> None:
     simulator = Simulator(compose(ICE), engine(name))
     trace = simulator.run({"smooth": smooth}, until=4.0)
     assert jumps(trace) == [
@@ -124,7 +124,7 @@ def test_a_controller_that_counts_bounces_does_not_disturb_their_accumulation(na
 
 
 @both
-def test_two_controllers_answer_each_other_at_one_instant(name: str) -> None:
+def test_two_controllers_react_at_one_instant(name: str) -> None:
     trace = ran(TWO, name, 3.0)
     assert jumps(trace) == [
         ("motor", "start"), ("gear", "shift"), ("gear", "shift"), ("motor", "end"),
@@ -351,7 +351,7 @@ outputs:
 
 
 @both
-def test_a_controller_hears_which_way_a_contact_slides(name: str) -> None:
+def test_controller_receives_the_slip_direction(name: str) -> None:
     runner = Runner(read_text(OSCILLATOR), engine=name)
     outputs = runner.run().outputs
     # m x'' = -k x - mu m g, until the speed is 0.
@@ -403,7 +403,7 @@ outputs:
         ({"engine": "impulse", "step": 1e-5}, 3e-4),
     ],
 )
-def test_controllers_hear_events_with_guards_and_are_done(
+def test_controllers_take_guarded_events_and_reach_final_states(
     setting: dict[str, object], near: float
 ) -> None:
     # Rebounds at sqrt(5) and sqrt(5)/2: the first is noted, the second begins the work, in which

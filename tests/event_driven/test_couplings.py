@@ -226,7 +226,7 @@ def _clutch_events() -> tuple[list[tuple[str, float]], np.ndarray]:
 
 
 @ENGINES
-def test_coupled_clutches_lock_when_an_event_code_by_quadratures_says_so(engine: str) -> None:
+def test_coupled_clutches_lock_at_the_quadrature_times(engine: str) -> None:
     result = run(CLUTCHES, engine)
     expected, speeds = _clutch_events()
     found = events(result.trace)
@@ -319,7 +319,7 @@ def _car() -> tuple[float, float, float]:
 
 
 @ENGINES
-def test_rear_wheels_of_a_braking_car_lock_when_the_load_transfer_says_so(engine: str) -> None:
+def test_rear_wheels_lock_at_the_load_transfer_limit(engine: str) -> None:
     slips, locks, speed = _car()
     trace = run(CAR, engine).trace
     found = events(trace)[:2]
@@ -352,7 +352,7 @@ outputs: {angle: {value: phi}}
 """
 
 
-def test_impact_makes_a_locked_coupling_slip_as_no_bounded_couple_has_an_impulse() -> None:
+def test_impact_makes_a_locked_coupling_slip() -> None:
     # The solid of a line is on the right of its way: below, from the left to the right.
     trace = run(BEAM).trace
     first = trace.jumps[0]
@@ -415,7 +415,7 @@ def test_controller_listens_to_a_coupling_and_opens_it() -> None:
     assert result.outputs["speed"] == pytest.approx(2.0, abs=EXACT)
 
 
-def test_coupling_is_open_while_the_joint_that_it_is_in_is_off() -> None:
+def test_coupling_is_open_while_its_joint_is_off() -> None:
     text = ROTOR.replace("to: [0, 0]}", "to: [0, 0], enabled: time <= 1}")
     result = run(text, start=0.05)
     assert [name for name, _ in events(result.trace)] == ["pivot disable", "bearing open"]
@@ -468,7 +468,7 @@ def test_rolling_resistance_holds_a_disc_below_the_angle_of_its_length(
 
 
 @ENGINES
-def test_ball_that_slips_rolls_at_last_and_stops(engine: str) -> None:
+def test_slipping_ball_rolls_then_stops(engine: str) -> None:
     # Slip is braked by mu g, spin driven by (mu r - L) g m/I; both resist when it rolls.
     text = ROLLING.replace("dangle: -v0/r", "dangle: 0").replace("friction: 0.5", "friction: 0.1")
     found = events(run(text, engine).trace)
@@ -496,7 +496,7 @@ def test_rolling_resistance_is_free_in_flight_and_acts_in_impacts(engine: str, e
 
 @ENGINES
 @pytest.mark.parametrize("friction", ["0.35", "{static: 0.6, kinetic: 0.35}"])
-def test_a_slip_that_rolling_resistance_keeps_up_does_not_end_in_an_impact(
+def test_slip_sustained_by_rolling_resistance_survives_an_impact(
     engine: str, friction: str
 ) -> None:
     text = ROLLING.replace("y: r, dx: v0, dangle: -v0/r", "y: 0.3, dx: 2")
@@ -508,7 +508,7 @@ def test_a_slip_that_rolling_resistance_keeps_up_does_not_end_in_an_impact(
     assert landing.after[3] == pytest.approx(2 - 0.35 * normal, abs=EXACT)
 
 
-def test_rolling_resistance_is_of_a_disc() -> None:
+def test_rolling_resistance_requires_a_disc() -> None:
     with pytest.raises(statechart.DeclarationError, match="rolling resistance is of a disc"):
         run(ROLLING.replace("    radius: r\n", "").replace("y: r", "y: 0"))
 
@@ -633,7 +633,7 @@ def test_steps_end_where_a_limit_falls_below_zero() -> None:
         steps(text, 1e-2)
 
 
-def test_controllers_of_stepped_runs_hear_a_coupling() -> None:
+def test_stepped_controllers_receive_coupling_events() -> None:
     found = steps(OPENED, 1e-3)
     names = [name for name, _ in events(found.trace)]
     assert names == ["hand let_go", "brake open", "hand see"]
@@ -827,7 +827,7 @@ outputs: {{a: {{value: a.M}}, b: {{value: b.M}}, q: {{value: q}}}}
 
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
-def test_a_brake_and_a_sign_bear_beside_a_sign_of_a_place(engine: str) -> None:
+def test_brake_and_sign_share_a_load_with_a_position_sign(engine: str) -> None:
     """At rest each bears a third of 0.9, up to 0.2 for the sign; u swings past its place."""
     text = """
 kind: scene

@@ -118,7 +118,7 @@ def test_a_transition_has_one_trigger() -> None:
     assert "transition 'halt' needs one of guard, on" in error
 
 
-def test_two_regions_that_set_one_quantity_are_named() -> None:
+def test_conflicting_regions_are_named() -> None:
     text = TWO.replace("high: {sets: {gain: 3}}", "high: {sets: {push: 3}}")
     error = refused(text)
     assert error.startswith(place(text, "push", after="high:")), error
@@ -210,7 +210,7 @@ outputs:
 
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
-def test_outputs_and_events_name_states_that_are_in_others(engine: str) -> None:
+def test_outputs_and_events_accept_nested_states(engine: str) -> None:
     found = run(interpret(read_text(_NESTED)), engine=engine).outputs
     wanted = {"pushed": [1.0, 1.75, 2.5], "pulled": 2, "pushing": 0.5, "lit": 1.25, "speed": 0.5}
     assert found == {name: pytest.approx(value, rel=1e-9) for name, value in wanted.items()}

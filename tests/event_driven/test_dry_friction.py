@@ -92,7 +92,7 @@ def test_a_sign_in_a_force_is_friction_of_a_contact(engine: str) -> None:
 
 
 @engines
-def test_a_body_that_friction_holds_bears_a_push_until_it_exceeds_it(engine: str) -> None:
+def test_friction_holds_a_body_up_to_its_limit(engine: str) -> None:
     trace = run(scene(PUSHED), engine=engine).trace
     # t^2 + t^3/6 = 0.05; a plastic impact; 3 dv/dt = 2 + t - 5; rest until the push is 5.
     struck = next(
@@ -128,9 +128,7 @@ def test_steps_stand_still_under_a_push_below_friction() -> None:
 @engines
 @pytest.mark.parametrize("drag", [0.4, 2.5, 6.0])
 @pytest.mark.parametrize("force", ["", "u"])
-def test_a_sign_and_a_contact_bear_together_what_they_can(
-    engine: str, drag: float, force: str
-) -> None:
+def test_sign_and_contact_share_their_limits(engine: str, drag: float, force: str) -> None:
     both = run(shares(f"-{drag}*sign(b.dx)", MU, force), engine=engine).trace
     alone = run(shares(0, MU + drag / (MASS * G)), engine=engine).trace
     assert [jump.cause for jump in both.jumps] == [jump.cause for jump in alone.jumps]

@@ -59,7 +59,7 @@ def run(enabled: str, height: float, engine: str):
 
 @ENGINES
 @pytest.mark.parametrize("enabled", UNTIL_ONE)
-def test_a_floor_ends_where_its_condition_does(enabled, engine):
+def test_floor_ends_with_its_condition(enabled, engine):
     trace = run(enabled, 0.1, engine)
     within = 2 * STEP if engine == "impulse" else 1e-12
     assert [jump.cause for jump in trace.jumps] == ["touchdown", "disable"]

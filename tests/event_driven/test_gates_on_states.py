@@ -89,7 +89,7 @@ def test_a_ball_falls_once_a_controller_takes_its_floor(enabled, lift, engine):
 
 @ENGINES
 @LIFTS
-def test_a_contact_comes_back_with_a_state_that_does_not_exclude_it(lift, engine):
+def test_contact_is_enabled_by_a_state_that_allows_it(lift, engine):
     # The ball is dropped so that it lands after the floor is back.
     height = G * 1.1**2 / 2
     trace = run("not in(leg.swing)", height, lift, engine)
@@ -102,7 +102,7 @@ def test_a_contact_comes_back_with_a_state_that_does_not_exclude_it(lift, engine
 
 
 @ENGINES
-def test_a_contact_is_off_at_the_start_where_the_first_state_excludes_it(engine):
+def test_initial_state_may_disable_a_contact(engine):
     trace = run("in(leg.again)", G * 1.1**2 / 2, "after: 0.5", engine)
     assert [jump.cause for jump in trace.jumps] == ["soften", "lift", "down", "enable", "touchdown"]
 
@@ -134,7 +134,7 @@ def test_a_ball_passes_a_floor_that_is_off_until_it_is_below():
     assert math.isclose(trace.final[0], END)
 
 
-def test_enabled_asks_for_states_of_controllers_only():
+def test_enabled_accepts_controller_states_only():
     assert "in(b.free) asks for a state of a contact" in error_of("in(b.free)")
     assert "no state 'stanec'" in error_of("in(leg.stanec)")
     assert "no region 'lag'" in error_of("in(lag.stance)")
@@ -157,7 +157,7 @@ stop: {time: 3}
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
 @pytest.mark.parametrize("enabled", ["-dq > 0.6", "max(-dq, dz) >= 0.6"])
-def test_a_gate_opens_by_a_rate_beside_a_controller(enabled: str, engine: str) -> None:
+def test_gate_combines_a_rate_and_a_controller_state(enabled: str, engine: str) -> None:
     text = BESIDE.replace("ENABLED", enabled)
     trace = statechart.run(interpret(read_text(text)), engine=engine).trace
     # -dq = sin(t) passes 0.6 upwards and downwards.

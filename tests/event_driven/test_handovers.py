@@ -67,7 +67,7 @@ def test_points_far_below_an_edge_give_no_warning(step):
 
 
 @STEPS
-def test_pieces_of_a_ground_that_do_not_meet_have_a_warning(step):
+def test_gaps_between_ground_pieces_give_a_warning(step):
     text = """
 kind: scene
 name: pieces
@@ -88,7 +88,7 @@ stop: {time: 0.6}
 
 
 @STEPS
-def test_a_foot_that_scuffs_and_comes_out_has_no_warning(step):
+def test_scuffing_foot_gives_no_warning(step):
     text = """
 kind: scene
 name: scuffing
@@ -141,7 +141,7 @@ stop: {time: 1.1}
     ],
 )
 @STEPS
-def test_a_contact_that_goes_off_as_it_touches_is_warned_of(when, count, step):
+def test_contact_disabled_at_touch_gives_a_warning(when, count, step):
     options = {} if step is None else {"engine": "impulse", "step": step}
     result = Runner(interpret(read_text(ONE_WAY.replace("WHEN", when))), **options).run()
     warned = [w for w in result.warnings if "soles goes off at t = 1.02418" in w]

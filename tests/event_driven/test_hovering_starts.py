@@ -72,12 +72,12 @@ def test_events_of_a_moved_start_are_those_of_rest_or_a_warning_is_given(
 @pytest.mark.parametrize(
     "values", [{}, {"above": 1e-3}, {"above": 1e-9, "fast": 1.0}, {"above": 1e-9, "fast": -1.0}]
 )
-def test_other_starts_are_not(how: str, values: dict[str, float]) -> None:
+def test_ordinary_starts_give_no_warning(how: str, values: dict[str, float]) -> None:
     assert not said(run(POINT, how, **values))
 
 
 @pytest.mark.parametrize("how", RUNNERS)
-def test_a_contact_that_is_off_is_not(how: str) -> None:
+def test_disabled_contact_gives_no_warning(how: str) -> None:
     # Left of its gate the wall is not there.
     text = POINT.replace("enabled: ball.x > 1", "enabled: time > 1")
     assert not said(run(text, how, x=5.0 - 1e-9))

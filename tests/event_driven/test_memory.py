@@ -60,7 +60,7 @@ def run(text: str, engine: str = "taylor") -> Result:
 
 
 @ENGINES
-def test_variables_count_and_integrate_and_clocks_run_out(engine: str) -> None:
+def test_controller_variables_count_integrate_and_time_out(engine: str) -> None:
     found = run(BALL, engine).outputs
     # It falls for sqrt(2 h / g), in which the integral of g t^2 / 2 is g t^3 / 6.
     fall = 0.1**0.5
@@ -73,7 +73,7 @@ def test_variables_count_and_integrate_and_clocks_run_out(engine: str) -> None:
     assert found["speed"] == pytest.approx(0.5 * 10 * fall + 10 * 0.1, rel=1e-9)
 
 
-def test_a_controller_hears_that_a_superstate_is_entered() -> None:
+def test_controller_receives_superstate_entry() -> None:
     text = BALL.replace("e: 0.5, D", "e: 0, D")
     rested = text.replace("on: floor.touchdown", "on: floor.closed")
     assert run(rested).outputs["hit"] == pytest.approx(0.1**0.5, rel=1e-12)

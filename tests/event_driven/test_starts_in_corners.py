@@ -58,7 +58,7 @@ def test_a_point_that_starts_in_a_corner_stays_there(
 @pytest.mark.parametrize(
     ("left", "right", "mu"), [(0.4495, 1.0906, 0.0), (0.5, 1.05, 0.0), (0.6, 0.86, 0.02)]
 )
-def test_a_point_that_goes_to_and_fro_through_a_corner_comes_to_rest(
+def test_point_oscillating_through_a_corner_comes_to_rest(
     engine: str, left: float, right: float, mu: float
 ) -> None:
     # An impact leaves the part cos(turn) - mu sin(turn) of the speed, friction the root of
@@ -84,9 +84,7 @@ def test_a_point_that_goes_to_and_fro_through_a_corner_comes_to_rest(
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("at", [(0.0, 0.0), (-1e4, 3e4), (1e5, -1e5), (1e6, 1e6)])
-def test_an_edge_that_ends_where_an_impact_stops_its_point_does_not_go_off(
-    engine: str, at: tuple[float, float]
-) -> None:
+def test_edge_end_at_a_stopped_point_stays_enabled(engine: str, at: tuple[float, float]) -> None:
     # It slides down one edge and strikes the other, where friction takes what the impact leaves.
     text = _corner("edge", math.pi / 4, 0.6, at, mu=0.3).replace(
         f"x: {at[0]!r}, y: {at[1]!r}", f"x: {at[0] - 0.5!r}, y: {at[1] + 0.5!r}"

@@ -126,7 +126,7 @@ def test_stribecks_curve_against_an_integration(engine: str) -> None:
 
 
 @both
-def test_reasons_say_which_coefficient_a_mode_uses(engine: str) -> None:
+def test_reasons_name_the_friction_coefficient(engine: str) -> None:
     slip, stick, *_ = ran(DRAGGED, engine).trace.jumps
     assert slip.considered["base:pin"] == "base: |H| = 8.829 > mu V (base: static friction 0.9)"
     assert slip.considered["base:slide+"] == "taken (base: kinetic friction 0.2)"
@@ -271,7 +271,7 @@ def test_invalid_laws_of_friction_are_refused(friction: str, words: str) -> None
     assert words in str(caught.value)
 
 
-def test_parameters_of_a_run_are_refused_alike() -> None:
+def test_overridden_coefficients_are_checked() -> None:
     with pytest.raises(DeclarationError, match="the static coefficient"):
         ran(DRAGGED, "taylor", s=0.1)
 
@@ -292,7 +292,7 @@ def test_a_compliant_contact_has_both_coefficients(engine: str) -> None:
 
 
 @every
-def test_sweeps_go_over_both_coefficients(engine: str) -> None:
+def test_sweeps_vary_both_coefficients(engine: str) -> None:
     text = DRAGGED[: DRAGGED.index("outputs:")] + (
         "outputs:\n  first: {value: time, at: first base.slip}\n"
         "  last: {value: time, at: last base.slip}\n  slips: {count: base.slip}\n"

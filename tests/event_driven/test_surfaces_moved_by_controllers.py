@@ -143,7 +143,7 @@ outputs: {lands: {value: time, at: last foot.touchdown}}
 
 
 @pytest.mark.parametrize("settings", ENGINES)
-def test_a_shelf_that_jumps_away_lets_fall(settings: str) -> None:
+def test_shelf_that_jumps_away_releases_its_load(settings: str) -> None:
     result = _run(STEP.replace("TO", "0.5"), settings, 1.0)
     near = 1e-9 if "impulse" not in settings else 3e-4
     assert result.outputs["lands"] == pytest.approx(0.2 + math.sqrt(2 * 0.5 / G), abs=near)

@@ -66,7 +66,7 @@ def test_the_motion_of_shipped_models_is_proved(name):
     ["toppling_stick", "hopper", "newtons_cradle", "simplest_walker", "stick_slip_block",
      "compass_walker", "sliding_ladder", "woodpecker", "bouncing_ball"],
 )  # fmt: skip
-def test_the_estimate_of_the_whole_is_the_error_of_the_run(name, choice):
+def test_global_estimate_equals_the_error(name, choice):
     reference = run(name, engine="taylor", throw=False).trace
     trace = run(name, **choice, certify=True, throw=False).trace
     error = off(reference, trace)
@@ -75,7 +75,7 @@ def test_the_estimate_of_the_whole_is_the_error_of_the_run(name, choice):
     assert trace.certified is True
 
 
-def test_the_bound_of_a_step_holds_for_a_pendulum_that_swings_by_parts_known():
+def test_step_bound_holds_for_a_known_pendulum():
     # x' = v, v' = -x: after a turn all is as it was.
     text = """\
 kind: chart
@@ -133,7 +133,7 @@ def test_time_steps_cannot_be_certified():
         run("toppling_stick", engine="impulse", step=1e-3, certify=True)
 
 
-def test_an_estimate_grows_with_the_motion():
+def test_estimate_grows_with_sensitivity():
     # A stick that is balanced falls the later the less it leans, and errors grow as it does, until
     # it slips: from there on what it is late by, a tolerance of forces, is more.
     wholes = [

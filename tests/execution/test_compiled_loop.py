@@ -51,7 +51,7 @@ def traced(
 
 
 @pytest.mark.parametrize(("model", "values"), CASES)
-def test_a_run_is_the_same_to_the_bit(
+def test_compiled_run_is_bit_identical(
     model: str, values: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Else it is taken at once where it lies compiled on disk.

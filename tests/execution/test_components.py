@@ -109,7 +109,7 @@ def near(one: object, other: object) -> object:
 
 
 @pytest.mark.parametrize(("text", "until"), [(BODIES, 1.5), (NAMED, 1.5), (ROOMS, 30.0)])
-def test_components_make_the_run_of_the_product(text: str, until: float, tmp_path: Path) -> None:
+def test_component_runs_equal_the_product_run(text: str, until: float, tmp_path: Path) -> None:
     found, expected = both(text, tmp_path, until)
     assert (found.outcome, found.message) == (expected.outcome, expected.message)
     assert found.modes == expected.modes
@@ -130,7 +130,7 @@ def test_components_make_the_run_of_the_product(text: str, until: float, tmp_pat
         near(one.states(local), other.states(local))
 
 
-def test_alike_components_share_their_modes(tmp_path: Path) -> None:
+def test_equal_components_share_modes(tmp_path: Path) -> None:
     automaton = composed(BODIES, tmp_path)
     components = automaton.components()
     shared = {component.automaton for component in components}
@@ -138,7 +138,7 @@ def test_alike_components_share_their_modes(tmp_path: Path) -> None:
     assert (len(components), len(shared)) == (4, 3)
 
 
-def test_one_component_ends_the_run_of_all(tmp_path: Path) -> None:
+def test_end_of_one_component_ends_the_run(tmp_path: Path) -> None:
     text = f"{BODIES}stop: {{time: 3, conditions: {{down: d.gap < 0.2}}}}\n"
     found, expected = both(text, tmp_path, 3.0)
     assert found.outcome is expected.outcome is Outcome.STOPPED
@@ -148,7 +148,7 @@ def test_one_component_ends_the_run_of_all(tmp_path: Path) -> None:
     assert found.arcs[-1].end.high == pytest.approx(found.t_end, rel=1e-15)
 
 
-def test_a_run_ends_with_the_jumps_that_it_may_have(tmp_path: Path) -> None:
+def test_max_jumps_ends_a_componentwise_run(tmp_path: Path) -> None:
     automaton = composed(BODIES, tmp_path)
     trace = Simulator(automaton, Taylor(1e-12)).run(until=1.5, max_jumps=4, throw=False)
     assert (trace.outcome, len(trace.jumps)) == (Outcome.TOO_MANY_JUMPS, 4)

@@ -40,7 +40,7 @@ stop: {time: 2.5}
 
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
-def test_slip_that_ends_as_the_run_does(engine: str) -> None:
+def test_slip_may_end_at_the_end_of_the_run(engine: str) -> None:
     block = interpret(read_text(_BLOCK, "block.yaml"))
     runner = Runner(block, engine=engine)
     # mu g = 5: 3 = (5 + 1) 0.5 is stopped, and 7 = (5 + 9) 0.5 is turned back.
@@ -52,7 +52,7 @@ def test_slip_that_ends_as_the_run_does(engine: str) -> None:
 
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
-def test_runs_up_to_each_event_are_the_whole(engine: str) -> None:
+def test_runs_to_each_event_match_the_full_run(engine: str) -> None:
     runner = statechart.Runner(interpret(read_text(_DISC, "disc.yaml")), engine=engine)
     whole = runner.run().trace
     causes = [jump.cause for jump in whole.jumps]

@@ -54,7 +54,7 @@ stop: {time: 1}
 
 
 @pytest.mark.parametrize("name", ["taylor", "scipy"])
-def test_a_contact_is_left_at_twice_the_pull_at_which_it_is_not_entered(name: str) -> None:
+def test_contact_release_has_hysteresis(name: str) -> None:
     # What rounding makes of no force: 1e-12 of the weight, and half of it where a mode begins.
     lifted = Runner(read_text(LIFTED), engine=name)
 
@@ -105,7 +105,7 @@ SLOWLY = LIFTED.replace("pull + more*time", "pull - exp(-time)").replace("time: 
 
 
 @pytest.mark.parametrize("name", ["taylor", "scipy"])
-def test_a_force_that_comes_to_rest_below_zero_is_seen_where_it_passes_it(name: str) -> None:
+def test_force_settling_below_zero_fires_at_its_crossing(name: str) -> None:
     pulled = Runner(read_text(SLOWLY), engine=name)
     for pull in (1e-3, 1e-6, 1e-9, 1e-10):
         trace = pulled.run({"pull": pull}, throw=False).trace

@@ -29,7 +29,7 @@ def test_jumps_within_the_round_off_of_time_are_a_loop(start: float, interval: f
 
 
 @pytest.mark.parametrize(("start", "interval"), [(0.26, 1e-16), (0.0, 1e-17), (1e6, 1e-11)])
-def test_jumps_that_take_time_are_none(start: float, interval: float) -> None:
+def test_jumps_separated_by_time_are_no_livelock(start: float, interval: float) -> None:
     # Intervals below an ulp of the start add up.
     jumps = [SimpleNamespace(t=start, region="", cause="", target=())] * JUMPS_NEAR
     Livelock(1.0).check(jumps, Clock(start).later(JUMPS_NEAR * interval), MODEL)

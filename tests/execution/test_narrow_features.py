@@ -57,7 +57,7 @@ CHOICES: list[tuple[dict[str, object], float]] = [
 @pytest.mark.parametrize(("choice", "near"), CHOICES)
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("push", [FORCE, CONTROL], ids=["force", "control"])
-def test_a_force_that_a_step_could_pass_over_is_seen(
+def test_narrow_force_is_detected(
     push: str, shape: str, choice: dict[str, object], near: float
 ) -> None:
     runner = Runner(read_text(FALL.format(push=push.format(shape=shape))), **choice)  # type: ignore[arg-type]
@@ -107,7 +107,7 @@ def test_a_local_gust_is_not_missed(engine: str, w: float) -> None:
 
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
-def test_a_pivot_that_jerks_hands_on_its_angular_momentum(engine: str) -> None:
+def test_jerking_pivot_transfers_angular_momentum(engine: str) -> None:
     # With the pivot's speed u, 1.5 angle' + u cos(angle) changes by -u angle' sin(angle).
     text = """
 kind: scene
@@ -131,7 +131,7 @@ outputs: {turned: {value: b.angle}, rate: {value: b.dangle}}
     assert found.outputs["turned"] == pytest.approx(exact[0] + 1.97 * exact[1] / 1.5, rel=1e-6)
 
 
-def test_a_rate_that_has_no_value_beyond_a_place_ends_the_run_in_words() -> None:
+def test_rate_leaving_its_domain_ends_the_run_with_a_message() -> None:
     text = FALL.format(push="forces: {f: {body: b, force: [-5*sqrt(b.x), 0]}}")
     found = run(read_text(text), engine="scipy", throw=False).trace
     assert found.outcome is Outcome.STEP_FAILURE
@@ -140,14 +140,14 @@ def test_a_rate_that_has_no_value_beyond_a_place_ends_the_run_in_words() -> None
     assert found.final[0] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_switch_whose_exponential_is_no_float_is_one() -> None:
+def test_overflowing_exponential_acts_as_a_switch() -> None:
     # exp(-(time-t0)/w) is a product whose one factor is beyond all floats.
     text = FALL.format(push="forces: {f: {body: b, force: [0, '10/(1+exp(-(time-2)/1e-3))']}}")
     for engine in ("taylor", "scipy"):
         assert run(read_text(text), engine=engine).outputs["vy"] == pytest.approx(-19.24, rel=1e-8)
 
 
-def test_a_pulse_whose_series_overflows_is_left_to_the_other_engine() -> None:
+def test_pulse_with_overflowing_series_uses_scipy() -> None:
     text = FALL.format(push="forces: {f: {body: b, force: [0, '10/cosh((time-2)/1e-4)']}}")
     found = run(read_text(text))
     assert found.trace.engine.startswith("scipy")

@@ -61,9 +61,7 @@ def test_bounces_and_their_accumulation_agree_with_the_golden_times(
 
 
 @pytest.mark.parametrize("k", [1e-20, 1e-8, 1e-4, 1e-3, 0.01, 0.3, 0.99])
-def test_every_restitution_below_one_comes_to_rest_when_the_sum_says(
-    ball: Simulator, k: float
-) -> None:
+def test_bounces_end_at_the_geometric_sum(ball: Simulator, k: float) -> None:
     trace = ball.run({"k": k, "v0": 0}, until=200.0)
     (rest,) = times(trace, "settle")
     assert rest == pytest.approx(FIRST * (1 + k) / (1 - k), rel=1e-11)
@@ -97,7 +95,7 @@ def test_a_ball_thrown_from_the_ground_does_not_bounce_at_the_start(
     assert times(trace, "settle") == pytest.approx([20 / 9.81], abs=1e-11)
 
 
-def test_without_loss_a_thousand_bounces_keep_their_rhythm_and_energy() -> None:
+def test_elastic_bounces_keep_period_and_energy() -> None:
     ball = Simulator(model(), Taylor(2.2e-16))
     trace = ball.run({"k": 1}, until=FIRST * 2000)
     bounces = times(trace, "bounce")
@@ -164,7 +162,7 @@ def test_an_undeclared_accumulation_ends_the_run_with_advice() -> None:
     # The last are so close that one ball is still held while the other settles.
     [(0.5, 0.5), (0.5, 0.8), (0.8, 0.5), (0.5, 0.5 + 1e-10)],
 )
-def test_two_balls_settle_each_at_its_own_time(one: float, other: float) -> None:
+def test_two_balls_settle_at_their_own_times(one: float, other: float) -> None:
     simulator = Simulator(bouncing("a", "b", settle=True), Taylor(2.2e-16))
     trace = simulator.run({"k_a": one, "k_b": other}, until=20.0)
     settled = {jump.region: jump.t for jump in trace.jumps if jump.cause == "settle"}
@@ -188,7 +186,7 @@ def test_a_zeno_sequence_captures_only_its_region() -> None:
     assert settle.before[0] == skip.after[0]
 
 
-def test_a_sequence_that_takes_turns_between_states_is_recognised() -> None:
+def test_alternating_zeno_sequence_is_recognised() -> None:
     # Two tanks share one hose (Zhang, Johansson, Lygeros, Sastry 2001): it switches faster and
     # faster, until both are empty at 2 h / (2 out - in).
     chart = automaton(
@@ -219,7 +217,7 @@ def test_a_sequence_that_takes_turns_between_states_is_recognised() -> None:
     assert times(trace, "close") == pytest.approx([2.0], abs=1e-11)
 
 
-def test_the_sum_of_a_geometric_sequence_is_predicted_and_no_other() -> None:
+def test_only_geometric_sequences_are_extrapolated() -> None:
     def predicted(ratio: float, power: float = 1.0) -> float | None:
         watch, clock = Accumulation(), Clock()
         for n in range(200):
@@ -236,7 +234,7 @@ def test_the_sum_of_a_geometric_sequence_is_predicted_and_no_other() -> None:
     assert predicted(0.9, 0.7) is None
 
 
-def test_regions_are_watched_apart() -> None:
+def test_zeno_detection_is_per_region() -> None:
     watch, clocks = Accumulation(), {"a": Clock(), "b": Clock(0.3)}
     found: dict[str, float] = {}
     for n in range(60):
@@ -248,7 +246,7 @@ def test_regions_are_watched_apart() -> None:
     assert found == pytest.approx({"a": 2.0, "b": 2.3}, abs=1e-14)
 
 
-def test_jumps_at_one_instant_without_flows_between_are_a_loop_and_no_accumulation() -> None:
+def test_jumps_without_flow_are_a_loop_not_zeno() -> None:
     watch = Accumulation()
     found = [watch.watch(("r", "hit"), Clock(1.0), 1e-6, flowed=False) for _ in range(60)]
     assert found == [None] * 60

@@ -61,7 +61,7 @@ def test_sympy_and_float_evaluation_agree(text: str) -> None:
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_every_function_means_the_same_in_floats_and_in_sympy(name: str) -> None:
+def test_functions_agree_between_floats_and_sympy(name: str) -> None:
     arguments = ["a", "b", "c"][: FUNCTIONS[name].least]
     formula = parse(f"{name}({', '.join(arguments)})")
     values = {"a": 0.37, "b": -0.82, "c": 0.25}
@@ -101,7 +101,7 @@ def test_sympy_numbers_are_exact() -> None:
         "re",
     ],
 )
-def test_names_that_sympy_or_python_reserve_are_ordinary(name: str) -> None:
+def test_reserved_python_and_sympy_names_are_allowed(name: str) -> None:
     symbol = sp.Symbol("q")
     formula = parse(f"2*{name} + 1")
     assert formula.names == {name}

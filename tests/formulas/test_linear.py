@@ -143,7 +143,7 @@ def test_a_small_force_is_no_difference_of_large_ones(moment: float) -> None:
     assert found[normal] == pytest.approx(expected, rel=1e-14, abs=0.0)
 
 
-def test_no_entry_that_vanishes_alone_is_divided_by() -> None:
+def test_elimination_avoids_vanishing_pivots() -> None:
     # The determinants are a^2 + b^2 and one of a 3 x 3 system: single entries may be zero.
     a, b, c = sp.symbols("a b c", real=True)
     u, v, w = system(3)

@@ -133,7 +133,7 @@ def test_integer_powers_of_series_that_start_at_zero_are_exact(
 
 @pytest.mark.parametrize("power", [2, 3, 4, 6, 8, 12, 24, 64])
 @pytest.mark.parametrize("start", [0.0, 1e-300, 1e-9])
-def test_a_series_without_its_last_terms_takes_no_step_too_long(power: int, start: float) -> None:
+def test_vanishing_last_terms_do_not_lengthen_steps(power: int, start: float) -> None:
     text = read_text(CHART.format(x=f"1 - x**{power}", y="0"))
     for engine in ENGINES:
         # By quadrature of dt = dx / (1 - x**n), as long as x is not near 1.
@@ -159,14 +159,14 @@ def test_a_height_to_a_power_by_a_parameter_has_its_slope_through_zero(n: int, x
     assert found.final == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_force_that_is_flat_at_the_ends_of_a_period_is_seen_inside() -> None:
+def test_force_flat_at_period_ends_is_resolved() -> None:
     text = CHART.format(x="sin(2*pi*time)**22", y="0")
     x = run(read_text(text), engine="taylor", until=10.0).trace.final[0]
     assert x == pytest.approx(10 * math.comb(22, 11) / 2**22, rel=1e-12)
 
 
 @pytest.mark.parametrize("rate", ["1 - x**1.5", "1 - x**(1/3)", "1 - hypot(x, y)", "1 - x**(3*b)"])
-def test_powers_without_a_series_at_zero_take_scipy_with_a_warning(rate: str) -> None:
+def test_singular_powers_use_scipy_with_a_warning(rate: str) -> None:
     text = CHART.format(x=rate, y="0")
     found = run(read_text(text))
     assert found.trace.engine.startswith("scipy")

@@ -73,7 +73,7 @@ def relation(random: random.Random, depth: int) -> str:
     return f"(not ({first}))" if kind == "not" else f"({first} {kind} {second})"
 
 
-def test_smooth_atoms_say_the_same_as_the_text():
+def test_smooth_atoms_are_equivalent_to_the_relation():
     chosen, compared = random.Random(43), 0
     for _ in range(60):
         text = relation(chosen, 2)
@@ -101,7 +101,7 @@ def test_smooth_atoms_say_the_same_as_the_text():
         ("max(a, abs(x)) < x", 1),
     ],
 )
-def test_corners_become_atoms_without_corners(text, atoms):
+def test_kinked_relations_become_smooth_atoms(text, atoms):
     condition = parse_relation(text).condition(SYMBOLS)
     assert len(condition.atoms) == atoms
     assert not any(atom.expression.has(sp.Max, sp.Min, sp.Abs) for atom in condition.atoms)
@@ -113,14 +113,14 @@ def test_too_many_atoms_are_refused():
         parse_relation(text).condition(SYMBOLS)
 
 
-def test_sums_of_corners_in_one_variable_have_few_atoms():
+def test_sums_of_kinks_in_one_variable_have_few_atoms():
     text = " + ".join(f"abs(x - {k})" for k in range(8)) + " <= 20"
     assert len(parse_relation(text).condition(SYMBOLS).atoms) < MAX_ATOMS
     assert truth(text, dict.fromkeys(NAMES, 3.0))
     assert not truth(text, dict.fromkeys(NAMES, 9.0))
 
 
-def test_words_bind_as_in_python():
+def test_operators_have_python_precedence():
     term = parse_relation("not a <= 0 and b <= 0 or in(gate.open)").root
     assert [term.word, term.parts[0].word] == ["or", "and"]
     assert truth("in(gate.open) and (not in(gate.shut))", dict.fromkeys(NAMES, 0.0))
@@ -177,7 +177,7 @@ def test_states_and_equalities_are_checked():
     relation.require_still({"y"})
 
 
-def test_an_atom_without_a_value_is_not_needed_where_another_decides():
+def test_undefined_atom_is_ignored_if_another_decides():
     condition = parse_relation("x >= 0 and sqrt(x) >= 1").condition(SYMBOLS)
     known = {0: False, 1: None}
     assert condition.truth(known.__getitem__, active) is False

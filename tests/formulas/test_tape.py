@@ -33,7 +33,7 @@ def test_values_agree_with_sympy(expression, x, y, p, t):
     assert abs(got - float(exact)) <= slack
 
 
-def test_a_table_is_values_row_by_row():
+def test_tape_table_matches_single_evaluations():
     tape = tape_of(X * sp.sin(Y) + P * T, sp.sqrt(X), P**2)
     generator = np.random.default_rng(0)
     states, times = generator.uniform(0, 2, (77, 2)), generator.uniform(0, 2, 77)
@@ -138,7 +138,7 @@ def test_wrong_shapes_are_refused():
         tape.table([[1.0, 2.0]], [1.0], [0.0, 1.0])
 
 
-def test_another_model_and_other_kinds_of_arrays_compile_nothing(monkeypatch):
+def test_tapes_share_compiled_code(monkeypatch):
     kernels = (tape_values, tape_table, search)
     for kernel in kernels:
         monkeypatch.setattr(kernel, "_hot", True)

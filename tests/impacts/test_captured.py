@@ -66,7 +66,7 @@ def rest(h: float, g: float, e: float) -> float:
     st.floats(0.05, 0.95),
     st.sampled_from([0.0, 0.3]),
 )
-def test_a_weight_is_felt_when_the_bounces_have_ended_wherever_the_scene_is(
+def test_weight_acts_after_the_bounces_at_any_origin(
     h: float, base: float, e: float, g: float, part: float, mu: float
 ) -> None:
     end = rest(h, g, e)
@@ -121,7 +121,7 @@ regions:
 
 
 @both
-def test_feet_that_rattle_bear_together_only_when_they_have_come_to_rest(name: str) -> None:
+def test_rattling_feet_share_load_after_coming_to_rest(name: str) -> None:
     trace = run(scene(ROCK), name, 3.0)
     (zeno,) = times(trace, "zeno")
     assert times(trace, "stand") == [zeno]

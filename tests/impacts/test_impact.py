@@ -147,9 +147,7 @@ stop: {time: 4}
 
 @pytest.mark.parametrize("name", ENGINES)
 @pytest.mark.parametrize(("mu", "wedged"), [(0.1, False), (0.19, False), (0.21, True), (3, True)])
-def test_a_bob_whose_rod_pushes_it_on_is_wedged_where_friction_is_steeper(
-    name: str, mu: float, wedged: bool
-) -> None:
+def test_pushed_bob_wedges_above_the_critical_friction(name: str, mu: float, wedged: bool) -> None:
     # Going back, its way leaves the floor at the angle `low`: tan(0.2) = 0.203. Steeper friction
     # keeps it where it stopped, and whatever restitution there is has nothing to give back to.
     trace = Runner(read_text(SWINGING), engine=name).run({"mu": mu}).trace

@@ -135,7 +135,7 @@ contacts:
 """
 
 
-def test_rods_that_fold_on_each_other_say_that_they_come_to_a_dead_point() -> None:
+def test_folding_rods_report_a_dead_point() -> None:
     trace = simulator(SCISSORS, "taylor").run({}, until=1.0, throw=False)
     assert trace.outcome is Outcome.SINGULAR_MODE
     assert "the constraints of A, B have become dependent" in trace.message

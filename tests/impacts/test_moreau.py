@@ -211,7 +211,7 @@ def test_both_engines_give_the_velocities_of_the_law(throw, simultaneous):
 
 
 @pytest.mark.parametrize(("place", "warned"), [(-1.0, False), (-0.5, True)])
-def test_impacts_that_do_not_feel_each_other_have_no_order(place, warned):
+def test_uncoupled_impacts_have_no_order(place, warned):
     # A turning body is struck in directions that are across each other, as its inertia counts.
     values = {
         "w": 1.0, "x0": 1.0, "a0": 1.0 + math.pi, "mu0": 0.0, "e0": 1.0, "x1": place, "y1": 0.0,

@@ -14,7 +14,7 @@ from runs import golden, number
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.impacts.impact import impact
-from contacts.impacts.impulses import collisions
+from contacts.impacts.impulses import solve_collisions
 from contacts.impacts.simultaneous import Impacts, impacts
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import NoConsistentMode
@@ -75,7 +75,7 @@ def test_newtons_law_as_a_complementarity_problem(case: dict) -> None:
     phi = math.radians(case["phi_deg"])
     # The tip's velocity (u, v), without spin.
     snapshot = body([(-math.sin(phi), -math.cos(phi))], [case["u_minus"], case["v_minus"], 0.0])
-    found = collisions(snapshot, [law(case["mu"])], [True], [case["e"]])
+    found = solve_collisions(snapshot, [law(case["mu"])], [True], [case["e"]])
     expected = case["newton_lcp"]
     assert len(found) == len(expected) == 1
     (P_n, P_t), kind = found[0].impulses[0], found[0].states[0]
@@ -199,7 +199,7 @@ def test_two_identical_balls_exchange_their_velocities(choice: Any) -> None:
         assert result.impulses[0] == pytest.approx([2.0 * (speeds[0] - speeds[1]), 0.0])
 
 
-def test_newtons_cradle_needs_the_sequence() -> None:
+def test_newtons_cradle_needs_sequential_impacts() -> None:
     for hitting in (1, 2, 3):
         speeds = [1.0] * hitting + [0.0] * (5 - hitting)
         snapshot = row([1.0] * 5, speeds)
@@ -278,7 +278,7 @@ def test_closed_contacts_that_are_not_hit_cause_nothing() -> None:
 # --- the cap, redundancy, and what vanishes
 
 
-def test_the_cap_ends_where_energy_would_grow() -> None:
+def test_energy_cap_limits_restitution() -> None:
     # Newton's law on two oblique ends of a bar, one of which hardly approaches.
     random = np.random.default_rng(3)
     capped = 0
@@ -287,7 +287,7 @@ def test_the_cap_ends_where_energy_would_grow() -> None:
         laws = [law(0.8, 1.0), law(0.8, 0.9, "B")]
         if min(c.gap_rate for c in snapshot.contacts) >= 0.0:
             continue
-        target = collisions(snapshot, laws, [True, True], [1.0, 0.9])[0]
+        target = solve_collisions(snapshot, laws, [True, True], [1.0, 0.9])[0]
         new = snapshot.velocity + target.change
         raised = 0.5 * new @ snapshot.mass @ new
         result = impacts(snapshot, laws, [True, True])
@@ -326,8 +326,8 @@ def test_a_contact_counted_twice_moves_as_once() -> None:
         place = (float(random.normal()), float(random.normal()))
         snapshot = body([place], random.normal(size=3))
         twice = body([place, place], snapshot.velocity)
-        once = collisions(snapshot, [law(0.4)], [True], [0.5])
-        both = collisions(twice, [law(0.4), law(0.4, name="B")], [True, True], [0.5, 0.5])
+        once = solve_collisions(snapshot, [law(0.4)], [True], [0.5])
+        both = solve_collisions(twice, [law(0.4), law(0.4, name="B")], [True, True], [0.5, 0.5])
         assert len(once) == len(both)
         for a, b in zip(once, both, strict=True):
             assert b.change == pytest.approx(a.change, abs=1e-13)
@@ -390,7 +390,7 @@ def test_all_solutions_are_those_of_the_complementarity_problem() -> None:
             change = rows.T @ impulses.ravel()
             if not any(np.allclose(change, one, atol=1e-9) for one in expected):
                 expected.append(change)
-        found = collisions(snapshot, laws, [True, True], [e, e])
+        found = solve_collisions(snapshot, laws, [True, True], [e, e])
         several += len(found) > 1
         assert len(found) == len(expected)
         for change in expected:
@@ -491,7 +491,7 @@ def test_impulses_hidden_by_round_off_are_not_replaced(place: int) -> None:
         impacts(snapshot, laws, [True] * len(laws), "plastic")
 
 
-def test_rods_that_lie_flat_on_their_hinge_feel_no_rounding() -> None:
+def test_round_off_does_not_move_rods_flat_on_their_hinge() -> None:
     # The masses that couple the angles to the way along the floor are the cosine of a right angle.
     rounding = 6.1e-17
     mass = [

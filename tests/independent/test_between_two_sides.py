@@ -80,7 +80,7 @@ def test_a_block_in_a_slot_slips_at_the_friction_of_its_weight(
 
 
 @pytest.mark.parametrize(("engine", "step", "error"), ENGINES)
-def test_a_block_in_a_slot_that_is_pushed_at_once_goes_at_once(
+def test_pushed_block_in_a_slot_moves_immediately(
     engine: str, step: float | None, error: float
 ) -> None:
     pull, slot = 5.0 - MU * G, _SLOT.replace("START", "{}")

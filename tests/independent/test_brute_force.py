@@ -26,7 +26,7 @@ _ERROR = 1e-9
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
 @pytest.mark.parametrize("name", _ANSWERS)
-def test_every_mode_tried_by_hand_comes_to_the_same(name: str, engine: str) -> None:
+def test_brute_force_over_modes_agrees(name: str, engine: str) -> None:
     answer = _ANSWERS[name]
     result = statechart.run(_FOLDER / f"{name}.yaml", engine=engine)
     report = result.to_dict()

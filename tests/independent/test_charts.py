@@ -59,7 +59,7 @@ def test_a_ball_with_drag_rises_by_an_arc_tangent_and_falls_by_an_arc_cosine(eng
     assert found["h"] == pytest.approx(tops, rel=1e-7)
 
 
-def test_an_engine_goes_on_with_the_stroke_that_it_was_stopped_in(engine: str) -> None:
+def test_engine_resumes_its_interrupted_stroke(engine: str) -> None:
     # The key is off for 0.5 and on for 1.1; strokes of pi take pi/10 and pi/15.
     t, angle, fires, fuel, power = 0.0, 0.0, [], 1.0, False
     while t + 0.5 < 6.0:

@@ -86,7 +86,7 @@ def test_a_bead_that_is_too_slow_for_a_loop_leaves_it(engine: str) -> None:
     assert [found["x"], found["y"]] == pytest.approx([math.sqrt(0.75), -cosine], abs=1e-11)
 
 
-def test_an_orbit_that_meets_its_planet_bounces_back_the_same_way(engine: str) -> None:
+def test_orbit_reverses_after_a_radial_bounce(engine: str) -> None:
     # By Kepler's equation, from the farthest point at 2 to the radius 0.5.
     major = 1 / (1 - 0.3**2)
     eccentric = 2 / major - 1

@@ -170,9 +170,7 @@ outputs: {{off: {{value: time, at: first l.liftoff}}, y: {{value: b.y}}}}
         ("sqrt(abs(b.x - 0.3)) <= 0.1", ["enable", "disable"]),
     ],
 )
-def test_a_root_keeps_a_contact_on_as_its_square_does(
-    engine: str, relation: str, causes: list[str]
-) -> None:
+def test_root_condition_equals_its_square(engine: str, relation: str, causes: list[str]) -> None:
     scene = f"""
 kind: scene
 name: root

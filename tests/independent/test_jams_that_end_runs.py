@@ -89,7 +89,7 @@ def test_paradox_stop_ends_a_run_by_steps_at_the_rubber(step, record):
 
 @pytest.mark.parametrize("part", [0.97, 1.03])
 @pytest.mark.parametrize("settings", [{"engine": "taylor"}, {"engine": "impulse", "step": 1e-4}])
-def test_below_the_critical_friction_it_slides_on(settings, part):
+def test_rod_slides_on_below_critical_friction(settings, part):
     until = _arrives()[0] + 5e-4
     result = _run(parameters={"rubber": part * _critical()}, until=until, **settings)
     assert (result.trace.outcome is Outcome.HORIZON) == (part < 1.0)
@@ -103,7 +103,7 @@ def test_a_jam_at_the_start_ends_the_run_there():
         assert np.isclose(trace.t_end, 0.0)
 
 
-def test_with_impacts_it_goes_on():
+def test_impacts_policy_continues_the_run():
     model = interpret(read_text(_ROD.replace("paradox: stop\n", "")))
     trace = statechart.run(model, engine="impulse", step=1e-3).trace
     assert [jump.cause for jump in trace.jumps][:2] == ["enters", "jam"]

@@ -139,7 +139,7 @@ def _run(arm="b + p", moved=_ANGLES, **settings):
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
 @pytest.mark.parametrize("moved", [_ANGLES, _JOINTS], ids=["angles", "joints"])
-def test_with_events_it_is_one_leg(engine, moved):
+def test_latched_legs_move_as_one_with_events(engine, moved):
     found = _run(moved=moved, engine=engine).outputs
     for name, wanted in _moves().items():
         assert found[name] == pytest.approx(wanted, rel=1e-9), name

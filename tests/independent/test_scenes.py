@@ -42,7 +42,7 @@ def assert_close(found: Any, wanted: Any, error: float, words: str) -> None:
     ("engine", "method", "error"),
     [("taylor", None, 1e-10), ("scipy", "DOP853", 1e-10), ("scipy", "Radau", 1e-7)],
 )
-def test_events_are_where_they_are(
+def test_event_times_match_references(
     name: str, engine: str, method: str | None, error: float
 ) -> None:
     tolerance = 1e-10 if method == "Radau" else None
@@ -55,7 +55,7 @@ def test_events_are_where_they_are(
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n not in _EVENTS_ALONE])
-def test_steps_come_near(name: str) -> None:
+def test_steps_converge_to_references(name: str) -> None:
     result = statechart.run(_SCENES / f"{name}.yaml", engine="impulse", step=_STEP)
     for output, wanted in expected(name).items():
         # Steps resolve no end of a sequence, and no force of what shares it.

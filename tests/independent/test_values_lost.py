@@ -79,7 +79,7 @@ def test_a_guard_that_loses_its_value_is_reported_with_the_time(name: str, guard
     ("name", "step", "error"),
     [("taylor", None, 1e-12), ("scipy", None, 1e-12), ("impulse", 1e-3, 2e-3)],
 )
-def test_a_ground_that_ends_without_a_word_ends_the_run(
+def test_ground_leaving_its_domain_ends_the_run(
     name: str, step: float | None, error: float
 ) -> None:
     model = interpret(read_text(ROOF, "roof.yaml"))

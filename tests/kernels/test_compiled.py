@@ -118,7 +118,7 @@ def counted_memory():
 
 
 @pytest.mark.parametrize("count", range(5))
-def test_views_of_arrays_that_are_new_keep_them(count, counted_memory):
+def test_views_keep_new_arrays_alive(count, counted_memory):
     compiled = Kernel(_kept_by_views, interpreted=False)
     values = np.arange(8.0)
     compiled(values, count)
@@ -215,7 +215,7 @@ def test_a_copied_tree_finds_its_code(upper, tmp_path, compilations, monkeypatch
     ],
     ids=["empty", "short", "bit", "other"],
 )
-def test_a_damaged_file_of_the_cache_is_made_again(upper, tmp_path, damage, compilations):
+def test_damaged_cache_file_is_rebuilt(upper, tmp_path, damage, compilations):
     upper()(1.0)
     (file,) = files(tmp_path)
     file.write_bytes(damage(file.read_bytes()))
@@ -244,7 +244,7 @@ def test_a_process_waits_for_another_that_compiles_the_kernel(upper, tmp_path, c
     assert len(compilations) == 1
 
 
-def test_a_process_that_has_stopped_is_not_waited_for(upper, tmp_path, compilations, monkeypatch):
+def test_stopped_process_is_not_awaited(upper, tmp_path, compilations, monkeypatch):
     upper()(1.0)
     files(tmp_path)[0].unlink()
     monkeypatch.setattr(cache, "_PATIENCE", 0.05)
@@ -260,7 +260,7 @@ def test_a_failed_compilation_releases_waiting_processes(upper, tmp_path):
         FileLock(file).acquire(blocking=False).lock.release()
 
 
-def test_literals_and_widths_of_integers_are_no_other_signature(upper, tmp_path):
+def test_integer_literals_share_a_signature(upper, tmp_path):
     (tmp_path / "caller_kernels.py").write_text(CALLER)
     upper()
     caller = importlib.import_module("caller_kernels").caller

@@ -101,7 +101,7 @@ def test_a_flow_that_is_a_polynomial_has_no_defect():
 
 @given(st.floats(-1, 1), st.floats(0.1, 3))
 @examples(30)
-def test_the_defect_of_a_cut_exponential_is_its_first_term_left_out(rate, h):
+def test_defect_of_a_truncated_exponential_is_its_next_term(rate, h):
     # x' = a x with the series cut behind the fourth power: the defect is a^5 t^4 / 24.
     terms = [(rate * h) ** k / math.factorial(k) for k in range(5)]
     bounds, moments, unknown = defect([sp.Float(rate) * X, 0 * X], [terms, [0.0] * 5], h=h)
@@ -113,21 +113,21 @@ def test_the_defect_of_a_cut_exponential_is_its_first_term_left_out(rate, h):
 
 
 @pytest.mark.parametrize("width", [0.1, 1e-2, 1e-4])
-def test_a_pulse_that_the_polynomial_passed_over_is_its_integral(width):
+def test_missed_pulse_has_its_integral_as_defect(width):
     pulse = sp.exp(-(((T - sp.Float(0.6)) / sp.Float(width)) ** 2))
     bounds, _, _ = defect([0 * X, pulse], [[0.0, 0.0], [0.0, 0.0]])
     exact = width * math.sqrt(math.pi)
     assert exact <= bounds[0, 1] <= 3 * exact
 
 
-def test_a_kink_ends_in_a_short_piece():
+def test_kink_is_isolated_in_a_short_piece():
     # x' = |t - 0.3| along x = 0: the defect is the rate itself.
     bounds, _, _ = defect([sp.Abs(T - sp.Float(0.3)), 0 * X], [[0.0, 0.0], [0.0, 0.0]])
     exact = 0.5 * (0.3**2 + 0.7**2)
     assert exact <= bounds[0, 0] <= 3 * exact
 
 
-def test_a_root_that_begins_has_a_bound_and_a_pole_has_none():
+def test_root_singularity_is_bounded_and_a_pole_is_not():
     assert defect([sp.sqrt(T), 0 * X], [[0.0, 0.0]] * 2)[0].max() < 4.0
     assert defect([1 / (T - sp.Float(0.3)), 0 * X], [[0.0, 0.0]] * 2)[0].max() == math.inf
 

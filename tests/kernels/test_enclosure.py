@@ -14,8 +14,8 @@ from statechart.automaton.trace import integrals, lowest, sample
 from statechart.engines.event_location import Verdict
 from statechart.formulas.tape import contiguous
 from statechart.formulas.writer import compile_tape
-from statechart.kernels.boxes import enclose, judge, prepare
-from statechart.kernels.intervals import wave
+from statechart.kernels.boxes import bound_third_derivatives, enclose, write_enclosures
+from statechart.kernels.intervals import sine_or_cosine
 from statechart.kernels.jets import run_jets
 from statechart.kernels.tapes import OPCODES
 
@@ -42,10 +42,10 @@ def jets_over(tape, coeffs, parameters, times, start, m, w, order=2):
     jets[: len(values), 0] = jets[: len(values), 1] = values
     run_jets(tape.code, 0, tape.n_fixed, len(values), jets, 2)
     bounds = np.zeros(n)
-    assert prepare(coeffs, 0, tape.reads, bounds)
+    assert bound_third_derivatives(coeffs, 0, tape.reads, bounds)
     code = tape.code
-    along = (code, len(values), tape.n_fixed, len(code), tape.reads, times, coeffs, start)
-    enclose(along, 0, bounds, m, w, order, jets)
+    step_tape = (code, len(values), tape.n_fixed, len(code), tape.reads, times, coeffs, start)
+    enclose(step_tape, 0, bounds, m, w, order, jets)
     return jets[tape.outputs]
 
 
@@ -56,13 +56,13 @@ def exact_jet(tape, coeffs, parameters, times, start, s):
     def series(*coefficients):
         return flint.arb_series(list(coefficients), 3)
 
-    def along(polynomial):
+    def step_tape(polynomial):
         p = flint.arb_poly([flint.arb(float(c)) for c in polynomial])
         at = flint.arb(s)
         return series(p(at), p.derivative()(at), p.derivative().derivative()(at) / 2)
 
     span = flint.arb(times[1]) - flint.arb(times[0])
-    registers = [along(c) for c in coeffs[0]]
+    registers = [step_tape(c) for c in coeffs[0]]
     registers.append(series(flint.arb(start) + flint.arb(times[0]) + flint.arb(s) * span, span, 0))
     registers += [series(flint.arb(float(c))) for c in [*parameters, *tape.constants]]
     for op, left, right in tape.code.tolist():
@@ -158,7 +158,7 @@ def test_sine_and_cosine_are_enclosed_near_and_far(centre, radius):
     flint.ctx.prec = 1400
     low, high = centre - radius, centre + radius
     for sine in (True, False):
-        found = wave((low, high), sine)
+        found = sine_or_cosine((low, high), sine)
         assert -1.0 <= found[0] <= found[1] <= 1.0
         for x in np.linspace(low, high, 101):
             ball = flint.arb(float(x))
@@ -176,15 +176,15 @@ def test_the_enclosure_converges_with_the_third_power_of_the_width():
     tape = compile_tape([expression], variables=[X], parameters=[P], time=T)
     coeffs, times = np.array([[[0.0, 1.0]]]), np.array([0.0, 1.0])
     base, last = 2 + 1 + len(tape.constants), len(tape.code)
-    along = (tape.code, base, tape.n_fixed, last, tape.reads, times, coeffs, 0.0)
+    step_tape = (tape.code, base, tape.n_fixed, last, tape.reads, times, coeffs, 0.0)
     misses = []
     for w in (0.08, 0.04, 0.02):
         jets = np.zeros((base + last, 6))
         jets[3:base, 0] = jets[3:base, 1] = tape.constants
         run_jets(tape.code, 0, tape.n_fixed, base, jets, 2)
         bounds, work = np.zeros(1), np.empty((1, 11))
-        prepare(coeffs, 0, tape.reads, bounds)
-        judge(along, tape.outputs, 0, bounds, 0.3 - w, 0.3 + w, jets, work)
+        bound_third_derivatives(coeffs, 0, tape.reads, bounds)
+        write_enclosures(step_tape, tape.outputs, 0, bounds, 0.3 - w, 0.3 + w, jets, work)
         s = np.linspace(0.3 - w, 0.3 + w, 2001)
         misses.append(np.min(s**3 * np.cos(3 * s) - s) - work[0, 4])
     assert min(misses) > 0
@@ -274,7 +274,7 @@ def test_a_margin_that_was_never_positive_is_timed_from_its_descent():
 
 
 @pytest.mark.parametrize("place", [0.3, 0.5, 1 / 3, 0.75])
-def test_a_double_root_is_flagged_and_a_shade_more_is_decided(place):
+def test_double_root_is_flagged_and_its_neighbourhood_decided(place):
     touch = margin((X - sp.Float(place)) ** 2)
     assert touch.verdict is Verdict.GRAZE
     assert touch.crossing is None

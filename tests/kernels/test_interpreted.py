@@ -82,7 +82,7 @@ def told(model, until, certify):
         ("woodpecker", 0.02, False),
     ],
 )
-def test_python_runs_kernels_to_the_same_bits(model, until, certify, request):
+def test_interpreted_kernels_are_bit_identical(model, until, certify, request):
     request.getfixturevalue("interpreted")
     by_python = told(model, until, certify)
     request.getfixturevalue("monkeypatch").undo()
@@ -126,7 +126,7 @@ def test_a_kernel_that_raises_an_error_when_interpreted_is_compiled(cold):
     assert cold._hot
 
 
-def test_a_hot_kernel_is_compiled_and_begins_anew(cold, monkeypatch):
+def test_hot_kernel_is_compiled_and_restarted(cold, monkeypatch):
     monkeypatch.setattr(jit, "HOT", 1e-9)
     result = np.zeros(400)
     assert cold(np.full(400, 16.0), result) == (4.0, 400)

@@ -9,26 +9,26 @@ from test_enclosure import jets_over
 
 from statechart.formulas.tape import contiguous
 from statechart.formulas.writer import compile_tape
-from statechart.kernels.boxes import enclose, prepare
+from statechart.kernels.boxes import bound_third_derivatives, enclose
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
-from statechart.kernels.search_workspace import bit, mark_needed, select_outputs
+from statechart.kernels.search_workspace import mark_needed, output_bit, select_outputs
 
 COEFFS, TIMES = contiguous([[[0.7, 0.2, -0.1], [0.4, -0.3, 0.2]]]), contiguous([0.0, 0.5])
 PARAMETERS = contiguous([1.3])
 
 
 @kernel
-def _enclosed(along, outputs, chosen, bounds, w, order, jets, ran):
-    registers, operations = jets.shape[0], along[0].shape[0]
+def _enclosed(step_tape, outputs, chosen, bounds, w, order, jets, ran):
+    registers, operations = jets.shape[0], step_tape[0].shape[0]
     needed = (
         np.empty(registers, np.int64),
         np.empty((operations, 3), np.int32),
         np.empty(3, np.int32),
         np.empty(3, np.int64),
     )
-    mark_needed(along, outputs, needed)
-    few = select_outputs(needed, along, chosen)
+    mark_needed(step_tape, outputs, needed)
+    few = select_outputs(needed, step_tape, chosen)
     ran[0], ran[1] = 0, few[4].shape[0]
     for k in range(few[2], few[3]):
         if few[0][k, 0] >= 0:
@@ -39,7 +39,7 @@ def _enclosed(along, outputs, chosen, bounds, w, order, jets, ran):
 @kernel
 def _bits(count, found):
     for i in range(count):
-        found[i] = bit(i)
+        found[i] = output_bit(i)
 
 
 def enclosed(tape, chosen, w, order):
@@ -50,9 +50,9 @@ def enclosed(tape, chosen, w, order):
     jets[3:base, 0] = jets[3:base, 1] = values
     run_jets(tape.code, 0, tape.n_fixed, base, jets, 2)
     bounds, ran = np.zeros(2), np.zeros(2, np.int64)
-    assert prepare(COEFFS, 0, tape.reads, bounds)
-    along = (tape.code, base, tape.n_fixed, len(tape.code), tape.reads, TIMES, COEFFS, 0.0)
-    _enclosed(along, tape.outputs, chosen, bounds, w, order, jets, ran)
+    assert bound_third_derivatives(COEFFS, 0, tape.reads, bounds)
+    step_tape = (tape.code, base, tape.n_fixed, len(tape.code), tape.reads, TIMES, COEFFS, 0.0)
+    _enclosed(step_tape, tape.outputs, chosen, bounds, w, order, jets, ran)
     return jets[tape.outputs], *ran.tolist()
 
 

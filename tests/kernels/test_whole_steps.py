@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from statechart.arrays import Array
-from statechart.kernels.boxes import place_whole
+from statechart.kernels.boxes import write_step_jets
 
 # It calls no other kernel, and is run as it is written.
-_PLACE = place_whole.py_func  # type: ignore[attr-defined]
+_PLACE = write_step_jets.py_func  # type: ignore[attr-defined]
 
 
 def placed(terms: Array, start: float = 0.0) -> tuple[bool, Array]:
@@ -20,9 +20,9 @@ def placed(terms: Array, start: float = 0.0) -> tuple[bool, Array]:
     jets = np.zeros((n + 1, 6))
     reads = np.arange(n + 1, dtype=np.int32)
     code, times = np.zeros((0, 3), np.int32), np.array([0.5, 0.75])
-    along = (code, n + 1, 0, 0, reads, times, terms[None], start)
+    step_tape = (code, n + 1, 0, 0, reads, times, terms[None], start)
     with np.errstate(all="ignore"):  # as compiled
-        return bool(_PLACE(along, 0, jets)), jets
+        return bool(_PLACE(step_tape, 0, jets)), jets
 
 
 def values(terms: Array, places: list[Fraction]) -> list[Fraction]:
@@ -46,14 +46,14 @@ def test_every_value_lies_in_the_range(shrink: float) -> None:
         assert max(found) <= Fraction(jet[1])
 
 
-def test_parabolas_are_no_wider_than_they_are() -> None:
+def test_enclosure_of_a_parabola_is_tight() -> None:
     terms = np.array([[1.0, -1.0, 0.75], [0.0, 2.0, -2.0], [3.0, 0.0, 0.0]])
     _, jets = placed(terms)
     ends = [[1.0 - 1.0 / 3.0, 1.0], [0.0, 0.5], [3.0, 3.0]]
     np.testing.assert_allclose(jets[:3, :2], ends, atol=1e-14)
 
 
-def test_time_lasts_from_the_first_to_the_last_instant() -> None:
+def test_time_range_covers_the_step() -> None:
     _, jets = placed(np.zeros((1, 2)), start=7.0)
     assert jets[1, 0] <= 7.5 < 7.75 <= jets[1, 1]
     np.testing.assert_allclose(jets[1, :2], [7.5, 7.75], rtol=1e-14)

@@ -52,6 +52,6 @@ def test_shipped_models_agree_with_the_schema_that_they_name(name: str) -> None:
     jsonschema.validate(read(path).data, json.loads(named.read_text(encoding="utf-8")))
 
 
-def test_an_unknown_kind_is_refused_with_those_there_are() -> None:
+def test_unknown_kind_is_refused_with_the_known_ones() -> None:
     with pytest.raises(DeclarationError, match="chart, scene"):
         schema("statue")

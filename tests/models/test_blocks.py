@@ -47,7 +47,7 @@ def test_a_block_that_sticks_does_not_creep(engine: str) -> None:
     assert np.abs(trace.final).max() < trace.tolerances["gap"]
 
 
-def test_without_friction_it_slides_at_g_sin_alpha(engine: str) -> None:
+def test_frictionless_block_accelerates_at_g_sin_alpha(engine: str) -> None:
     alpha, t = 0.3, 2.0
     trace = run("block_on_incline", engine, until=t, alpha=alpha, mu=0.0, v0=0.0)
     assert modes(trace) == ["slide-"]
@@ -92,7 +92,7 @@ def test_friction_without_bound_stops_a_block_at_once(engine: str, alpha: float,
 
 
 @pytest.mark.parametrize("mu", [1e6, 1e10])
-def test_great_friction_stops_a_block_soon(engine: str, mu: float) -> None:
+def test_large_friction_stops_a_block_quickly(engine: str, mu: float) -> None:
     trace = run("block_on_incline", engine, until=3.0, alpha=0.3, mu=mu, v0=3.0)
     found = outputs("block_on_incline", engine, trace)
     assert found["t_stop"] == pytest.approx(3.0 / (9.81 * math.cos(0.3) * mu), rel=1e-5)

@@ -54,7 +54,7 @@ def test_a_strike_pins_the_swing_foot_and_frees_the_other(engine: str) -> None:
     assert velocity == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_push_dies_out(engine: str) -> None:
+def test_perturbation_decays(engine: str) -> None:
     pushed = {**START, "dtheta_s": START["dtheta_s"] + 1e-3}
     found = outputs(MODEL, engine, run(MODEL, engine, until=12 * PERIOD, **pushed))
     off = np.abs(np.array(found["dtheta_s_plus"]) - START["dtheta_s"])

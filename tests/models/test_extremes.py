@@ -150,7 +150,7 @@ def test_an_event_at_the_very_end_is_reported_once(engine: str) -> None:
     assert [jump.t for jump in longer.jumps] == [pytest.approx(1.0, abs=1e-13)]
 
 
-def test_at_rest_for_ever_the_clock_goes_to_the_end(engine: str) -> None:
+def test_permanent_rest_reaches_the_end_time(engine: str) -> None:
     trace = run("bouncing_ball", engine, until=1e12, k=0.0)
     assert (trace.t_end, len(trace.jumps)) == (1e12, 1)
     assert trace.final == pytest.approx([0.0, 0.0], abs=1e-300)

@@ -49,7 +49,7 @@ SLIDES_ON = ("double_contact_bar", "raibert_hopper")
 
 
 @pytest.mark.parametrize(("name", "parameters", "until", "step", "constant"), SCENES)
-def test_a_scene_moves_as_with_events(name, parameters, until, step, constant):
+def test_impulse_engine_agrees_with_events(name, parameters, until, step, constant):
     exact = Runner(name).run(parameters, until=until, throw=False).trace
     found = Runner(name, engine="impulse", step=step).run(parameters, until=until, throw=False)
     trace = found.trace
@@ -61,14 +61,14 @@ def test_a_scene_moves_as_with_events(name, parameters, until, step, constant):
     assert all(s in d for key in trace.modes for s, d in zip(key, declared, strict=True))
 
 
-def test_no_shipped_model_is_left_out():
+def test_every_shipped_model_is_tested():
     folder = Path(models.__file__).parent
     shipped = {path.stem for path in folder.glob("*.yaml")}
     stepped = {name for name in shipped if Runner(name).setting.step is not None}
     assert shipped == {name for name, *_ in SCENES} | {*CHARTS, SEQUENTIAL, COUPLED} | stepped
 
 
-def test_blows_resolved_together_give_a_warning():
+def test_simultaneously_resolved_impacts_give_a_warning():
     found = Runner(SEQUENTIAL, engine="impulse", step=1e-3).run(until=0.6)
     assert any("simultaneous impacts follow" in warning for warning in found.warnings)
     # Newton's law at all contacts at once: the four that touch are hit as one.

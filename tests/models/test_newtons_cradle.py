@@ -53,7 +53,7 @@ def at_once(e: float) -> list[float]:
 
 
 @pytest.mark.parametrize("name", ENGINES)
-def test_the_blow_goes_through_and_back(name: str) -> None:
+def test_impact_passes_through_the_cradle_and_back(name: str) -> None:
     trace = run(MODEL, name, until=4.0)
     assert trace.certified
     found = outputs(MODEL, name, trace)
@@ -111,7 +111,7 @@ def subject() -> Subject:
     return Subject(load(MODEL))
 
 
-def test_a_parting_that_one_engine_cannot_tell_from_rest_is_undecidable() -> None:
+def test_separation_within_tolerance_is_undecidable() -> None:
     case = subject().case({"e": 0.99999})
     first, other = case.sound
     parting = float(np.diff(first.jumps[0].after[RATES])[0])
@@ -130,7 +130,7 @@ def test_a_parting_that_one_engine_cannot_tell_from_rest_is_undecidable() -> Non
 
 
 @pytest.mark.parametrize("e", [0.992, 0.993])
-def test_balls_that_meet_slowly_do_so_within_the_error_of_a_step(e: float) -> None:
+def test_slow_meetings_are_within_the_step_error(e: float) -> None:
     case = subject().case({"e": e})
     first, other = case.sound
     assert abs(first.jumps[6].t - other.jumps[6].t) > 1e-8  # at a speed of 3e-7

@@ -30,7 +30,7 @@ def test_rates_after_impacts_are_the_reference_ones(engine: str, case: dict) -> 
 
 
 @cases
-def test_each_spoke_takes_over_from_the_one_before(engine: str, case: dict) -> None:
+def test_spokes_touch_down_in_order(engine: str, case: dict) -> None:
     until = 9.5 * float(case["step_period"])
     start = float(case["omega_plus_star"])
     trace = run(MODEL, engine, until=until, omega0=start, **given(case))

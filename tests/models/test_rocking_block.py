@@ -42,7 +42,7 @@ def test_impacts_are_the_reference_ones(engine: str) -> None:
         assert after / before == pytest.approx(eta, abs=1e-11)
 
 
-def test_its_impacts_accumulate_when_the_reference_says_and_it_stands(engine: str) -> None:
+def test_impacts_accumulate_at_the_reference_time(engine: str) -> None:
     trace = run(MODEL, engine, until=15.0, **GIVEN)
     assert trace.outcome.name == "HORIZON"
     assert trace.final_mode == ("pin", "pin")
@@ -131,7 +131,7 @@ def test_its_mirror_image_rocks_as_the_image(engine: str) -> None:
     assert other.final == pytest.approx(one.final * [-1, 1, -1, -1, 1, -1], abs=1e-11)
 
 
-def test_upright_it_stands(engine: str) -> None:
+def test_upright_block_stays_at_rest(engine: str) -> None:
     trace = run(MODEL, engine, until=5.0, theta0=0.0)
     assert trace.modes == (("pin", "pin"),)
     assert trace.final == pytest.approx([0.0, 1.0, 0.0, 0.0, 0.0, 0.0], abs=1e-15)

@@ -50,7 +50,7 @@ def test_eigenvalues_of_a_step_are_the_reference_ones(engine: str) -> None:
     assert found == pytest.approx(expected, abs=1e-10 if engine == "taylor" else 2e-9)
 
 
-def test_a_push_dies_out_as_the_eigenvalues_say(engine: str) -> None:
+def test_perturbation_decays_by_the_eigenvalues(engine: str) -> None:
     trace = run(MODEL, engine, until=80.0, theta=FIXED[0] + 1e-4, thetadot=FIXED[1] + 1e-4)
     found = outputs(MODEL, engine, trace)
     last = found["theta_plus"][-1], found["thetadot_plus"][-1]

@@ -44,7 +44,7 @@ def test_outputs_and_modes_are_the_reference_ones(engine: str, cell: dict) -> No
 
 
 @pytest.mark.parametrize("cell", ANALYTIC["initial_condition_variants"], ids=lambda c: c["phi0"])
-def test_other_starts_on_the_same_energy(engine: str, cell: dict) -> None:
+def test_starts_of_equal_energy_agree(engine: str, cell: dict) -> None:
     close(engine, cell, cell["mu"], number(cell["I_G"]), cell["phi0"])
 
 
@@ -169,7 +169,7 @@ def test_upright_at_rest_stays_for_ever(engine: str) -> None:
     assert np.array_equal(trace.final, trace.initial)
 
 
-def test_a_hair_off_upright_falls_in_the_logarithm_of_the_hair(engine: str) -> None:
+def test_fall_time_grows_with_the_logarithm_of_the_offset(engine: str) -> None:
     trace = run(MODEL, engine, theta0=1e-16)
     # Equation 10's energy: t = sqrt((I + M L^2) / (M g L)) ln(tan(phi / 4) / tan(theta0 / 4)).
     phi = outputs(MODEL, engine, trace)["critical_angle"]
@@ -236,9 +236,7 @@ def test_the_last_slip_ends_where_the_logarithm_of_its_force_says(
 
 
 @pytest.mark.parametrize("inertia", [0.02, 0.01, 0.003, 1e-6, 1e-9])
-def test_a_slip_that_outlasts_the_fall_ends_as_its_force_grows_without_bound(
-    engine: str, inertia: float
-) -> None:
+def test_slip_outlasting_the_fall_ends_with_unbounded_force(engine: str, inertia: float) -> None:
     # By the logarithm it ends at a lean that differs from pi/2 by less than rounding.
     start, rate, _ = _thrown(inertia)
     down = rate * math.sin(start)

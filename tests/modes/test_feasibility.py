@@ -138,7 +138,7 @@ def test_two_normals_on_one_line_leave_4() -> None:
     assert counts(planar([(-0.3, 0.2), (0.4, 0.2)], [(1, 0), (-1, 0)])) == (4, 9)
 
 
-def test_rounding_does_not_hide_a_degenerate_configuration() -> None:
+def test_round_off_does_not_hide_a_degenerate_configuration() -> None:
     exact = planar([(-1, 0), (1, 0)], [(1, 0), (-1, 0)])
     for angle in np.linspace(0.1, 6.2, 50):
         c, s = math.cos(angle), math.sin(angle)
@@ -261,7 +261,7 @@ def alternative(jacobians: np.ndarray, conflict: tuple[tuple[int, str], ...]) ->
 
 @examples(40)
 @given(JACOBIANS)
-def test_every_conflict_is_one_and_spares_no_condition(jacobians: np.ndarray) -> None:
+def test_conflicts_are_minimal(jacobians: np.ndarray) -> None:
     for mode in feasible_modes(jacobians, [ALL] * len(jacobians)):
         if mode.feasible:
             assert mode.conflict == ()
@@ -314,7 +314,7 @@ def test_modes_reached_by_sampling_are_feasible(jacobians: np.ndarray, seed: int
 
 
 @pytest.mark.parametrize("case", [c for c in CASES if c["n_contacts"] < 4], ids=lambda c: c["id"])
-def test_sampling_finds_all_that_is_feasible(case: dict) -> None:
+def test_sampling_reaches_every_feasible_mode(case: dict) -> None:
     jacobians = reference(case)
     found = sampled(jacobians, np.random.default_rng(0), 100)
     assert found == {mode for mode, possible in verdicts(jacobians).items() if possible}

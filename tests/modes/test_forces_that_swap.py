@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import statechart
-from contacts.solvers.smallest_forces import APEX, INSIDE, LOWER, UPPER, springs
+from contacts.solvers.smallest_forces import APEX, INSIDE, LOWER, UPPER, smallest_forces
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
 
@@ -61,11 +61,11 @@ def test_a_box_under_a_lid_slips_as_it_is_lifted(
 
 @pytest.mark.parametrize("past", [1e-9, 1e-10, 1e-11, 3e-12])
 @pytest.mark.parametrize("inward", [0.0, 1e-12])
-def test_zones_are_found_on_both_sides(past: float, inward: float) -> None:
+def test_load_sharing_finds_zones_on_both_sides(past: float, inward: float) -> None:
     edges = np.full((3, 3), [1.0, 0.3, np.inf]) / np.hypot(1.0, 0.3)
     for t, wanted in ((3.0 - past, [LOWER, LOWER, UPPER]), (3.0 + past, [LOWER, APEX, INSIDE])):
         load = np.array([-4.0 * t, 20.0 - 10.0 * t, -4.0 * t])
-        found, forces, zones, violation = springs(edges, np.zeros(3), _REACH, load, inward)
+        found, forces, zones, violation = smallest_forces(edges, np.zeros(3), _REACH, load, inward)
         assert found
         assert violation <= 0.0
         assert zones.tolist() == wanted

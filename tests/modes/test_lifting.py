@@ -75,7 +75,7 @@ PINNED = {f"mu{i}": math.inf for i in range(3)} | {"p0": 0.0, "p1": 0.0, "p2": 0
 @given(
     count=st.integers(1, 3), turns=st.booleans(), name=st.sampled_from(ENGINES), given=parameters
 )
-def test_bodies_that_gravity_pulls_off_fly_freely(
+def test_bodies_pulled_off_by_gravity_fly(
     count: int, turns: bool, name: str, given: dict[str, float]
 ) -> None:
     known = scene(count, turns).parameters
@@ -126,7 +126,7 @@ def test_infinite_friction_stops_a_particle_that_is_pressed(name: str, a: float)
 
 @pytest.mark.parametrize("mu", [0.3, math.inf])
 @pytest.mark.parametrize("a", [-0.84, 0.3])
-def test_time_steps_let_it_fly_as_well(a: float, mu: float) -> None:
+def test_time_steps_release_the_particle(a: float, mu: float) -> None:
     given = {"a": a, "v": -1.0, "mu0": 0.3, "mu1": mu}
     trace = run(scene(2, False), parameters=given, until=1.0, engine="impulse", step=0.01).trace
     assert trace.modes == (("free", "free"),)

@@ -22,7 +22,7 @@ from contacts.scene.joints import Force, Joint
 from contacts.scene.modes import Free, Slide
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
-from contacts.solvers.smallest_forces import INSIDE, springs
+from contacts.solvers.smallest_forces import INSIDE, smallest_forces
 from statechart.automaton.trace import Outcome, Trace
 from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer
@@ -116,7 +116,7 @@ def test_springs_bear_the_smallest_couples_within_their_limits(seed: int) -> Non
     weights = generator.uniform(0.0, 1.0, (count, 2))
     weights[rough:] = np.outer(limits[rough:], [1.0, 0.0]) * generator.uniform(0.7, 1.0)
     load = np.einsum("gdn,gkd,gk->n", reach, edges, weights)
-    found, forces, zones, violation = springs(cones, np.zeros(count), reach, load, 1e-13)
+    found, forces, zones, violation = smallest_forces(cones, np.zeros(count), reach, load, 1e-13)
     assert found
     assert violation <= 0.0
     assert np.einsum("gdn,gd->n", reach, forces) == pytest.approx(load, rel=1e-10, abs=1e-12)
@@ -138,7 +138,7 @@ def test_springs_bear_the_smallest_forces_in_their_cones(seed: int) -> None:
     reach = generator.normal(size=(count, 2, 3))
     edges = np.stack([cones, cones * [1.0, -1.0]], axis=1)
     load = np.einsum("gdn,gkd,gk->n", reach, edges, generator.uniform(0.0, 1.0, (count, 2)))
-    found, forces, _, violation = springs(_unbounded(cones), sliding, reach, load, 1e-13)
+    found, forces, _, violation = smallest_forces(_unbounded(cones), sliding, reach, load, 1e-13)
     assert found
     assert violation <= 0.0
     assert np.einsum("gdn,gd->n", reach, forces) == pytest.approx(load, rel=1e-12)
@@ -154,7 +154,9 @@ def test_springs_bear_no_load_outside_all_cones(seed: int) -> None:
     reach = generator.normal(size=(4, 2, 2))
     reach[:, 1] *= 0.1
     reach[:, 0, 1] = np.abs(reach[:, 0, 1]) + 1.0  # all push upwards
-    assert not springs(_unbounded(cones), np.zeros(4), reach, np.array([0.3, -1.0]), 1e-13)[0]
+    assert not smallest_forces(_unbounded(cones), np.zeros(4), reach, np.array([0.3, -1.0]), 1e-13)[
+        0
+    ]
 
 
 def reference(snapshot: Snapshot, laws: Any, still: list[bool]) -> list[Array]:
@@ -327,7 +329,7 @@ def test_contacts_at_one_point_move_as_one(name: str) -> None:
 
 
 @pytest.mark.parametrize("mu", [0.5, 6e3, 3e4])
-def test_a_rod_upright_in_a_corner_is_known_to_stand_whatever_the_friction(mu: float) -> None:
+def test_upright_rod_in_a_corner_stands_at_any_friction(mu: float) -> None:
     scene = Scene(
         name="corner",
         gravity=1,
@@ -361,7 +363,7 @@ def test_without_friction_only_normal_forces_are_shared() -> None:
 
 
 @pytest.mark.parametrize("mu", [0.0, math.inf])
-def test_the_ends_of_friction_are_ordinary(mu: float) -> None:
+def test_extreme_friction_coefficients_are_handled(mu: float) -> None:
     trace = run(standing([-1.0, 0.1, 1.0], mu=mu if mu < 1 else "inf", push="time/2"), until=2.5)
     if mu == 0.0:
         assert trace.modes == (("pin",) * 3, ("slide+",) * 3)

@@ -22,7 +22,7 @@ stop: {time: 1}
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_friction_holds_at_its_bound_and_no_further(engine: str) -> None:
+def test_friction_holds_up_to_its_bound(engine: str) -> None:
     runner = Runner(read_text(PUSHED), engine=engine)
     for more, mode in (
         (-1e-12, "pin"), (0.0, "pin"), (1e-13, "pin"), (1e-12, "slide+"), (1e-11, "slide+"),

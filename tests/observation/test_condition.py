@@ -21,7 +21,7 @@ stop: {time: 2}
 """
 
 
-def test_forces_that_contacts_share_have_a_condition_as_others() -> None:
+def test_shared_forces_have_condition_numbers() -> None:
     # The block tips at t = 1 about its right foot, where no force is left on the other: turned by
     # an angle, the arm of its weight grows by half of that, the arm of the pull falls by it.
     result = run(read_text(FEET), accuracy=1e-6)

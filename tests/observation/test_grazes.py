@@ -104,9 +104,7 @@ def test_a_stop_condition_that_is_only_touched_gives_a_warning(
 
 
 @pytest.mark.parametrize(("e", "outcome"), [(1e-9, "STOPPED"), (-1e-9, "HORIZON")])
-def test_a_stop_that_is_passed_or_not_by_more_than_the_run_is_off(
-    engine: str, e: float, outcome: str
-) -> None:
+def test_clear_stops_give_no_warning(engine: str, e: float, outcome: str) -> None:
     result = ran(_SWINGS, engine, 1e-12, e)
     assert (result.trace.outcome.name, told(result)) == (outcome, [])
 
@@ -140,7 +138,7 @@ def test_a_margin_that_rests_on_its_bound_is_no_graze(engine: str) -> None:
 
 
 @pytest.mark.parametrize("model", ["bouncing_ball", "stick_slip_block", "toppling_stick"])
-def test_events_of_shipped_models_are_in_no_doubt(engine: str, model: str) -> None:
+def test_shipped_models_have_no_graze_warnings(engine: str, model: str) -> None:
     assert not told(statechart.run(model, engine=engine))
 
 
@@ -183,7 +181,7 @@ def test_a_guard_that_another_event_turns_back_on_its_boundary_gives_a_warning(
 
 @pytest.mark.parametrize("back", _BACK)
 @pytest.mark.parametrize(("guard", "hits"), [("x >= 0.9999", 1), ("x >= 1.0001", 0)])
-def test_a_guard_that_passes_or_stays_clear_before_the_event_gives_none(
+def test_clear_guard_before_an_event_gives_no_warning(
     engine: str, back: str, guard: str, hits: int
 ) -> None:
     result = statechart.run(read_text(_TURNED.format(back=back, guard=guard)), engine=engine)
@@ -239,7 +237,7 @@ outputs: {n: {count: m.low}}
 
 
 @pytest.mark.parametrize("e", [1e-200, 1e-160, 1e160, 1e200])
-def test_guards_pass_boundaries_of_extreme_sizes_without_a_doubt(engine: str, e: float) -> None:
+def test_extreme_scales_give_no_graze_warnings(engine: str, e: float) -> None:
     result = statechart.run(read_text(_SMALL), engine=engine, parameters={"e": e})
     assert result.outputs["n"] == 2
     assert not result.warnings

@@ -173,7 +173,7 @@ def test_samples_at_the_time_of_a_jump_are_those_after_it(stick: Observer) -> No
         stick.sample(trace, ["tip.H"], times=[trace.t_end + 1.0])
 
 
-def test_an_empty_run_is_its_initial_state(stick: Observer) -> None:
+def test_empty_run_has_its_initial_state(stick: Observer) -> None:
     trace = run(stick, until=0.0)
     found = outputs(stick, trace)
     assert found["critical_angle"] is None
@@ -228,7 +228,7 @@ def test_margins_are_the_least_values_of_their_modes(stick: Observer) -> None:
     assert -1e-11 < margins["tip.mu V - H"] <= 0.0
 
 
-def test_an_output_is_as_large_as_its_formula_was_up_to_its_moment() -> None:
+def test_output_scale_is_the_running_maximum() -> None:
     scene = load(MODELS / "stick_slip_block.yaml")
     assert isinstance(scene, Scene)
     block = Observer(Simulator(automaton(scene), Taylor(2.2e-16)))

@@ -11,6 +11,9 @@ from browser import FOUND, Browser
 import statechart
 from statechart import StatechartError
 from statechart.cli.main import main
+from statechart.documents.yaml_reader import read_text
+from statechart.pictures.drawing import picture
+from statechart.reporting.film import filmed, stage_of
 
 in_browser = pytest.mark.skipif(FOUND is None, reason="no Chromium is installed here")
 
@@ -60,7 +63,7 @@ def test_the_page_shows_the_run(result, page):
     np.testing.assert_allclose(angle, found.columns["stick.angle"], atol=1e-6)
 
 
-def test_names_cannot_break_out_of_it():
+def test_names_are_escaped_in_pages():
     from statechart.pages.page import html
 
     text = html({"title": "</title><b>@DATA@", "doc": "</script><script>alert(1)</script>"})
@@ -110,7 +113,7 @@ def agree(browser: Browser, result: statechart.Result) -> float:
 
 
 @in_browser
-def test_the_slider_moves_everything(browser, result):
+def test_slider_moves_all_panels(browser, result):
     x, y, width = browser.value(
         "(() => { const e = document.querySelector('#slider'); e.scrollIntoView();"
         "const b = e.getBoundingClientRect(); return [b.x, b.y + b.height / 2, b.width]; })()"
@@ -145,7 +148,7 @@ def test_curves_and_cones_stay_in_their_panels_and_times_on_a_line(browser, resu
 
 
 @in_browser
-def test_an_event_leads_to_its_instant_and_reason(browser, result):
+def test_clicking_an_event_selects_its_time_and_reason(browser, result):
     for place, jump in enumerate(result.trace.jumps, start=1):
         browser.click(f"#events tbody tr:nth-child({place})")
         assert agree(browser, result) == jump.t
@@ -154,7 +157,7 @@ def test_an_event_leads_to_its_instant_and_reason(browser, result):
 
 
 @in_browser
-def test_play_runs_to_the_end_and_pauses_where_it_is(browser, result):
+def test_play_runs_to_the_end_and_pauses(browser, result):
     browser.value("go(0)")
     browser.value("document.querySelector('#speed').value = '5'")
     browser.click("#play")
@@ -170,7 +173,7 @@ def test_play_runs_to_the_end_and_pauses_where_it_is(browser, result):
 
 
 @in_browser
-def test_a_curve_leads_to_where_it_is_clicked(browser, result):
+def test_clicking_a_curve_selects_its_time(browser, result):
     browser.click("#curves svg")
     # The middle of the drawing, which is 1000 wide.
     left, right = browser.value("[left, right]")
@@ -207,7 +210,7 @@ def test_words_are_large_enough_and_inside_at_a_thousand_pixels(name, tmp_path):
 
 @in_browser
 @pytest.mark.parametrize("name", ["bouncing_ball_chart", "newtons_cradle", "dice"])
-def test_pages_open_without_a_word_on_the_console(name, tmp_path):
+def test_pages_print_nothing_on_the_console(name, tmp_path):
     shown = statechart.run(name, throw=False).report(tmp_path / "page.html")
     assert shown.stat().st_size < 3_000_000
     with Browser(tmp_path / "browser", dark=True) as opened:
@@ -365,3 +368,41 @@ def test_a_wide_page_shows_reasons_next_to_the_scene(page, tmp_path):
 @in_browser
 def test_the_console_is_empty(browser):
     assert browser.said == []
+
+
+ROPE = """\
+kind: scene
+name: hanging
+gravity: 9.81
+parameters: {k: 30, c: 0.5}
+bodies:
+  ball: {mass: 1, start: {x: 0.4, y: 1.5}}
+  bob: {mass: 1, start: {x: -0.5, y: 1}}
+forces:
+  on_ball: {body: ball, force: [pull_x, pull_y]}
+  on_bob: {body: bob, force: [-(pull_x), -(pull_y)]}
+joints:
+  rope: {point: {body: ball}, to: [0, 2], rope: 1.2}
+stop: {time: 0.1}
+"""
+
+
+@in_browser
+def test_a_page_draws_ropes_and_springs_as_a_picture_does(tmp_path):
+    text = ROPE
+    for axis in "xy":
+        pull = f"k*(bob.{axis} - ball.{axis}) + c*(bob.d{axis} - ball.d{axis})"
+        text = text.replace(f"pull_{axis}", pull)
+    result = statechart.run(read_text(text))
+    film = filmed(stage_of(result.observer.automaton), result.observer, result.trace, [0.0])
+    (ax,) = picture(film).axes
+    lines = [line.get_xydata() for line in ax.lines]
+    drawn = {len(xy): xy[np.isfinite(xy[:, 0])] for xy in lines}
+    with Browser(tmp_path / "browser") as opened:
+        opened.open(result.report(tmp_path / "rope.html"))
+        opened.value("go(0)")
+        for kind, count in (("rope", 41), ("spring", 21), ("damper", 17)):
+            d = opened.value(f"document.querySelector('path.{kind}').getAttribute('d')")
+            shown = np.array(re.findall(r"(-?[\d.e-]+) (-?[\d.e-]+)", d), float) * (1.0, -1.0)
+            shown *= opened.value("film.length / film.unit")
+            np.testing.assert_allclose(shown, drawn[count], atol=1e-3 * film.unit)

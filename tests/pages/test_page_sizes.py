@@ -13,7 +13,7 @@ in_browser = pytest.mark.skipif(FOUND is None, reason="no Chromium is installed 
 
 
 @in_browser
-def test_the_slider_is_where_the_cursor_is_and_stays_as_wide(tmp_path):
+def test_slider_follows_the_cursor_at_constant_width(tmp_path):
     result = statechart.run("hopper")
     box = "document.querySelector('#slider').getBoundingClientRect()"
     with Browser(tmp_path / "browser", width=1000) as opened:
@@ -31,7 +31,7 @@ def test_the_slider_is_where_the_cursor_is_and_stays_as_wide(tmp_path):
 
 
 @in_browser
-def test_a_telephone_shows_curves_legibly(tmp_path):
+def test_curves_are_legible_on_a_phone(tmp_path):
     result = statechart.run("compass_walker", until=2.0)
     shown = result.report(tmp_path / "page.html")
     with Browser(tmp_path / "browser", width=390) as opened:
@@ -70,7 +70,7 @@ def contrast(*colours):
 
 @in_browser
 @pytest.mark.parametrize("dark", [False, True])
-def test_words_stand_out_from_the_paper(dark, tmp_path):
+def test_text_has_sufficient_contrast(dark, tmp_path):
     result = statechart.run("four_legged_table")
     colours = """[...document.querySelectorAll("h1, h2, p, td, li, #curves text")].map((e) =>
         getComputedStyle(e)[e.tagName === "text" ? "fill" : "color"])"""
@@ -84,7 +84,7 @@ def test_words_stand_out_from_the_paper(dark, tmp_path):
 
 
 @in_browser
-def test_the_active_mode_is_in_view_on_a_telephone(tmp_path):
+def test_active_mode_is_visible_on_a_phone(tmp_path):
     result = statechart.run("rimless_wheel")
     within = """(() => {
         const box = byId("diagram").getBoundingClientRect();

@@ -50,7 +50,7 @@ def test_a_page_shows_the_study_and_marks_its_setting(study: Study, tmp_path: Pa
     assert shown(result.report(tmp_path / "without.html")) is None
 
 
-def test_a_study_says_that_the_run_had_other_parameters_and_is_of_no_other_model(
+def test_page_warns_of_other_parameters_and_rejects_other_models(
     study: Study, tmp_path: Path
 ) -> None:
     result = statechart.run("toppling_stick", parameters={"mu": 0.3}, engine="taylor")
@@ -96,9 +96,7 @@ def test_the_study_in_the_folder_of_results_is_shown_on_a_page_elsewhere(
 
 @in_browser
 @pytest.mark.parametrize(("width", "dark"), [(390, True), (1280, False)])
-def test_a_study_is_seen_on_any_screen(
-    width: int, dark: bool, study: Study, tmp_path: Path
-) -> None:
+def test_study_fits_any_screen(width: int, dark: bool, study: Study, tmp_path: Path) -> None:
     page = statechart.run("toppling_stick", engine="taylor").report(
         tmp_path / "page.html", study=study
     )

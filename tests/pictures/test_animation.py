@@ -16,7 +16,7 @@ from statechart.pictures.animation import pace
     ("end", "speed"),
     [(5.8, 1.0), (3.0, 1.0), (0.43, 0.05), (20.0, 2.0), (1000.0, 100.0), (2.0, 0.2)],
 )
-def test_a_speed_is_chosen_that_is_round_and_makes_it_neither_short_nor_long(end, speed):
+def test_default_animation_speed_is_round_and_moderate(end, speed):
     chosen, times = pace(end, None)
     assert chosen == pytest.approx(speed, rel=1e-12)
     assert 3.0 <= end / chosen <= 10.0 + 1e-9
@@ -53,7 +53,7 @@ def test_a_gif_moves_as_long_as_the_run(tmp_path):
     assert (pixels[0][0, -1] == 255).all()  # paper is white
 
 
-def test_the_command_line_takes_the_same_words(tmp_path):
+def test_command_line_accepts_the_animation_options(tmp_path):
     words = {"speed": 0.5, "size": 160, "trail": 0.5}
     statechart.run("sliding_ladder").animate(tmp_path / "one.gif", **words)
     said = [part for name, value in words.items() for part in (f"--{name}", str(value))]
@@ -122,12 +122,12 @@ def test_a_chart_cannot_be_animated(tmp_path, capsys):
     assert not target.exists()
 
 
-def test_a_size_that_is_none_is_refused(tmp_path):
+def test_invalid_size_is_refused(tmp_path):
     with pytest.raises(DeclarationError, match="120 to 1920"):
         statechart.run("sliding_ladder").animate(tmp_path / "film.gif", size=5)
 
 
-def test_the_command_line_writes_one(tmp_path, capsys):
+def test_command_line_writes_an_animation(tmp_path, capsys):
     target = tmp_path / "ladder.gif"
     assert main(["run", "sliding_ladder", "--animate", str(target)]) == 0
     assert "sliding_ladder: STOPPED" in capsys.readouterr().out

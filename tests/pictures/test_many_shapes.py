@@ -29,7 +29,7 @@ def drawn(film: Film, instant: int) -> tuple[PathCollection, LineCollection, int
     return bodies, after, len(ax.get_children())
 
 
-def test_discs_stand_where_they_are_and_show_their_state_and_how_they_turn() -> None:
+def test_discs_are_drawn_with_position_state_and_rotation() -> None:
     film = film_of("drum", [0.0, 0.1, 0.2], n=40)
     discs = [shape for shape in film.shapes if shape.kind == "disc"]
     assert len(discs) == 40
@@ -48,7 +48,7 @@ def test_discs_stand_where_they_are_and_show_their_state_and_how_they_turn() -> 
         assert tuple(colour) == to_rgba(state_colours(film.states[disc.region])[state])
 
 
-def test_many_bodies_are_as_few_artists_as_some() -> None:
+def test_artist_count_does_not_grow_with_bodies() -> None:
     *_, few = drawn(film_of("drum", [0.0, 0.001], n=10), 0)
     *_, many = drawn(film_of("drum", [0.0, 0.001], n=80), 0)
     assert many <= few

@@ -12,7 +12,7 @@ from contacts.scene.scene import Scene
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.pictures.drawing import crossing, picture
-from statechart.pictures.film import Film, arrows, cones, placed, strokes
+from statechart.pictures.film import Film, arrows, catenary, cones, ends_of, placed, strokes
 from statechart.reporting.film import filmed, stage_of, until_rest
 from statechart.running.drawing import draw_scene
 
@@ -84,14 +84,14 @@ def test_floors_of_discs_are_below_their_centres():
     assert film.poses[0, 1, 1] - below.places[0, 1] == pytest.approx(radius)
 
 
-def test_a_wheel_without_inertia_has_a_spoke_for_every_contact_that_is_ever_on():
+def test_massless_wheel_has_a_spoke_per_used_contact():
     film = film_of("rimless_wheel", [0.0, 1.0], until=1.0)
     spokes = shapes(film, "bar")
     assert len(spokes) == 8
     np.testing.assert_allclose([np.hypot(*spoke.points[1]) for spoke in spokes], 1.0)
 
 
-def test_two_corners_and_their_images_make_a_block():
+def test_two_corners_and_their_mirror_images_draw_a_block():
     film = film_of("rocking_block", [0.0], until=0.1)
     (block,) = shapes(film, "outline")
     known = statechart.load("rocking_block").values()
@@ -112,10 +112,69 @@ def test_reactions_of_two_bodies_are_a_spring():
     (spring,) = shapes(film_of("hopper", [0.0], until=0.0), "spring")
     assert spring.frame != spring.other
     assert not shapes(film_of("hopper", [0.0], until=0.0), "damper")
-    # Raibert's leg has both, one on the other.
+    # Raibert's leg has both, beside each other.
     film = film_of("raibert_hopper", [0.0], until=0.0)
     (spring,), (damper,) = shapes(film, "spring"), shapes(film, "damper")
     assert (spring.frame, spring.other) == (damper.frame, damper.other)
+    assert spring.aside - damper.aside > 1.0 + 0.45  # half widths of a spring and a cylinder
+    figure = picture(film)
+    (ax,) = figure.axes
+    (along,) = np.diff(ends_of(spring, film.poses[0]), axis=0)
+    normal = np.array([-along[1], along[0]]) / np.hypot(*along) / (0.018 * film.unit)
+    drawn = [line.get_xydata() for line in ax.lines if len(line.get_xydata()) > 5]
+    first = ends_of(spring, film.poses[0])[0]
+    sides = sorted(np.nanmean((line - first) @ normal) for line in drawn)
+    assert sides[0] < -0.4
+    assert sides[1] > 0.4
+
+
+def test_ropes_hang_as_catenaries():
+    # y = 2 cosh(x/2) between x = -1 and 3 has the length 2 (sinh(3/2) + sinh(1/2)).
+    first, last = np.array([[-1.0, 2.0 * np.cosh(0.5)]]), np.array([[3.0, 2.0 * np.cosh(1.5)]])
+    slack = 2.0 * (np.sinh(1.5) + np.sinh(0.5)) - np.hypot(*(last - first).T)
+    for one, two in ((first, last), (last, first)):
+        (x, y) = catenary(one, two, slack)[0].T
+        np.testing.assert_allclose(y, 2.0 * np.cosh(x / 2.0), rtol=1e-12)
+    # Between ends above each other it folds; without slack it is straight.
+    fold = catenary(np.zeros((1, 2)), np.array([[0.0, 1.0]]), np.array([2.0]))[0]
+    assert fold[:, 1].min() == pytest.approx(-1.0, abs=0.03)
+    assert np.abs(fold[:, 0]).max() < 1e-4
+    straight = catenary(first, last, np.array([-1e-9]))[0]
+    np.testing.assert_allclose(np.diff(straight, n=2, axis=0), 0.0, atol=1e-12)
+
+
+ROPES = """\
+kind: scene
+name: ropes
+gravity: 9.81
+bodies:
+  ball: {mass: 1, inertia: 0.1, start: {x: 0.4, y: 1.5}SHAPE}
+  bob: {mass: 1, inertia: 0.1, start: {x: -0.5, y: 1}SHAPE}
+joints:
+  rope: {point: {body: ball}, to: [0, 2], rope: 1.2}
+  tether: {point: {body: ball, at: [0, 0.1]}, to: {body: bob}, rope: 1.6}
+  led: {point: {body: bob}, to: [-1 + 0.3*sin(3*time), 2], rope: 1.3}
+stop: {time: 1}
+"""
+
+
+@pytest.mark.parametrize("shape", ["", ", shape: {disc: 0.1}"])
+def test_ropes_are_drawn_at_their_length_up_to_ends_that_are_led(shape):
+    collisions = (
+        "collisions: {all: {bodies: [ball, bob], friction: 0, restitution: 0}}\n" if shape else ""
+    )
+    film = film_of(read_text(ROPES.replace("SHAPE", shape) + collisions), [0.0, 0.1, 1.0])
+    ropes = {rope.name: rope for rope in shapes(film, "rope")}
+    for name, length in (("rope", 1.2), ("tether", 1.6), ("led", 1.3)):
+        first, last = ends_of(ropes[name], film.poses)
+        curves = catenary(first, last, ropes[name].slack)
+        lengths = np.hypot(*np.diff(curves, axis=1).T).sum(axis=0)
+        np.testing.assert_allclose(lengths, length, rtol=4e-3)
+    # At the end two of them are taut.
+    assert max(ropes["rope"].slack[2], ropes["led"].slack[2]) < 1e-5
+    _, end = ends_of(ropes["led"], film.poses)
+    path = -1.0 + 0.3 * np.sin(3.0 * film.times)
+    np.testing.assert_allclose(end, np.column_stack([path, np.full(3, 2.0)]), rtol=1e-12)
 
 
 PAIR = """\
@@ -151,7 +210,7 @@ def pair_of(tension: str, scene: str = PAIR) -> Film:
     ],
 )
 def test_reactions_along_a_line_are_drawn_along_it(tension, kinds):
-    links = ("link", "spring", "damper", "reaction")
+    links = ("link", "rope", "spring", "damper", "reaction")
     assert {shape.kind for shape in pair_of(tension).shapes if shape.kind in links} == kinds
 
 
@@ -164,12 +223,12 @@ def test_dampers_written_by_components_are_drawn_as_dampers():
     assert kinds == {"mass", "spring", "damper"}
 
 
-def test_reactions_that_are_a_couple_are_no_link():
+def test_couples_are_not_drawn_as_links():
     film = pair_of("k", PAIR.replace("TENSION*(b.y - a.y)/LENGTH", "0"))
     assert {shape.kind for shape in film.shapes} == {"mass"}
 
 
-def test_strokes_are_on_the_right_at_even_distances():
+def test_ground_hatching_is_even_and_on_the_solid_side():
     line = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0]])
     found = strokes(line, 0.25)
     assert len(found) == 12
@@ -264,7 +323,7 @@ def test_arrows_of_forces_are_within_the_picture(name):
 @pytest.mark.parametrize(
     "name", ["hopper", "sliding_ladder", "compass_walker", "newtons_cradle", "rimless_wheel"]
 )
-def test_names_are_whole_and_apart(name):
+def test_labels_do_not_overlap(name):
     film = film_of(name, [0.0], until=0.0)
     (ax,) = picture(film).axes
     boxes = [t.get_window_extent() for t in ax.texts if t.get_text()]
@@ -317,12 +376,12 @@ def test_a_chart_has_no_bodies_to_draw(tmp_path, capsys):
     assert not target.exists()
 
 
-def test_a_scene_is_no_text(tmp_path, capsys):
+def test_scene_cannot_be_drawn_as_text(tmp_path, capsys):
     assert main(["draw", "toppling_stick", "--scene", "-o", str(tmp_path / "a.dot")]) == 2
     assert ".svg, .png, .pdf" in capsys.readouterr().err
 
 
-def test_balls_that_hang_side_by_side_press_on_none_of_the_others():
+def test_hanging_balls_have_no_contact_forces():
     # Newton's cradle at rest: each weight is on its own string, and rounding is no force.
     film = film_of("newtons_cradle", np.linspace(0.0, 4.0, 41))
     for touch in film.touches:

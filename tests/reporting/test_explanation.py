@@ -65,7 +65,7 @@ def test_margins_of_charts_and_of_captured_regions() -> None:
     json.dumps(ball, allow_nan=False)
 
 
-def test_the_words_name_all_that_the_jump_holds() -> None:
+def test_explanation_covers_all_data_of_a_jump() -> None:
     report = Runner(read_text(BAR)).run().to_dict(explain=True)
     said = explanation(report)
     first, last = said.split("\n\n")

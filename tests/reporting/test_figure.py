@@ -290,7 +290,7 @@ def test_panels_do_not_depend_on_the_unit_of_length() -> None:
 
 
 @pytest.mark.parametrize("name", ["sampled_balance", "rocking_block"])
-def test_words_at_axes_are_apart(name: str) -> None:
+def test_axis_labels_do_not_overlap(name: str) -> None:
     drawing = Runner(name).run().plot()
     drawing.draw_without_rendering()
     labelled = [ax.yaxis.label for ax in drawing.axes if ax.get_ylabel()]
@@ -372,7 +372,7 @@ def test_an_empty_run_can_be_drawn(observer: Observer) -> None:
     assert render(figure(observer, trace), "png").startswith(b"\x89PNG")
 
 
-def test_files_are_by_suffix_and_the_same_each_time(
+def test_figure_files_follow_the_suffix_and_are_reproducible(
     observer: Observer, trace: Trace, tmp_path: Path
 ) -> None:
     for name, begin in (("a.svg", b"<?xml"), ("a.pdf", b"%PDF"), ("a.png", b"\x89PNG")):
@@ -382,7 +382,7 @@ def test_files_are_by_suffix_and_the_same_each_time(
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
 
 
-def test_another_suffix_or_place_is_an_error(
+def test_unknown_suffix_or_folder_is_an_error(
     observer: Observer, trace: Trace, tmp_path: Path
 ) -> None:
     with pytest.raises(StatechartError, match="svg, png or pdf"):

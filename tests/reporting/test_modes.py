@@ -89,7 +89,7 @@ def test_an_open_contact_is_classified_as_if_closed_and_its_gap_reported(listed)
     assert inside == ["A is 1 inside its surface", "B is 1 inside its surface"]
 
 
-def test_the_answer_follows_the_configuration(listed) -> None:
+def test_feasibility_depends_on_the_configuration(listed) -> None:
     assert numbers(listed(SPREADER))[:2] == (4, 9)
     found = listed(SPREADER, "--at", "stick.angle=0.3")
     assert numbers(found)[:2] == (7, 9)
@@ -166,7 +166,7 @@ def test_every_product_mode_has_one_verdict() -> None:
         assert bool(reason) == all(directions)
 
 
-def test_people_get_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_listing_is_printed_as_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "model.yaml"
     path.write_text(BAR, encoding="utf-8")
     assert main(["modes", str(path)]) == 0

@@ -110,11 +110,11 @@ def test_netcdf_holds_a_run_without_events(observer: Observer, mu: float) -> Non
     np.testing.assert_array_equal(read["stick.angle"], data["stick.angle"])
 
 
-def test_names_that_the_format_keeps_for_itself_get_an_underscore() -> None:
+def test_reserved_names_get_an_underscore() -> None:
     assert tables._columns(["x", "t", "double"]) == {"x": "x", "t": "t_", "double": "double_"}
 
 
-def test_a_run_is_written_whole(observer: Observer, trace: Trace, tmp_path: Path) -> None:
+def test_run_folder_contains_all_files(observer: Observer, trace: Trace, tmp_path: Path) -> None:
     made = report(observer, trace)
     folder = tmp_path / "new" / "run"
     assert set(write_run(folder, observer, trace, lambda: made)) == FILES

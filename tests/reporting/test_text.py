@@ -72,7 +72,7 @@ def test_a_margin_without_a_value_comes_first(report) -> None:
     assert lines[0].split() == ["zz.gap", "nan"]
 
 
-def test_a_huge_number_of_modes_is_a_power(report) -> None:
+def test_huge_mode_counts_are_printed_as_powers(report) -> None:
     total = report["modes_total"]
     assert total > 10**20
     with_events = report | {"step": None, "tolerance": 1e-9}
@@ -95,7 +95,7 @@ def test_a_huge_number_of_modes_is_a_power(report) -> None:
     ],
     ids=["one", "counted", "first", "grains", "beyond floats", "beyond text"],
 )
-def test_whole_numbers(number: int, said: str) -> None:
+def test_integers_are_printed_without_decimals(number: int, said: str) -> None:
     assert grouped(number) == said
 
 
@@ -155,7 +155,7 @@ def test_numbers_in_sentences_are_as_short_as_they_read() -> None:
         (["nan"] * 7, 7, "7 values: nan ... nan, min nan, max nan"),
     ],
 )
-def test_numbers_for_people(value: Any, digits: int, said: str) -> None:
+def test_numbers_are_rounded_for_reading(value: Any, digits: int, said: str) -> None:
     assert number(value, digits) == said
 
 

@@ -60,7 +60,7 @@ def test_thinning_keeps_the_largest_impulse_of_a_column() -> None:
     np.testing.assert_array_equal(few[1], sizes[:9])
 
 
-def test_a_run_made_at_hand_is_the_same_run() -> None:
+def test_recomputed_run_is_identical() -> None:
     result = Runner("bouncing_ball").run()
     held = result.trace.at_hand()
     assert isinstance(held.jumps, tuple)

@@ -155,7 +155,7 @@ BY_COORDINATES = (
 ).replace("X,", "-0.17,")
 
 
-def test_a_leg_kicks_a_ball_as_one_with_joints_does() -> None:
+def test_leg_by_coordinates_kicks_like_a_jointed_leg() -> None:
     s, c = math.sin(1.2), math.cos(1.2)
     by_joints = (
         LEG.replace("THIGH", f"start: {{x: {s / 2}, y: {2.15 - c / 2}, angle: 1.2}}")
@@ -384,7 +384,7 @@ forces: {down: {body: bob, force: [0, -FORCE]}}
 
 
 @pytest.mark.parametrize("text", [RAM, BY_COORDINATES, GRIPPER.replace("SQUEEZE", "20")])
-def test_properties_hold(text: str) -> None:
+def test_scene_passes_all_properties(text: str) -> None:
     model = _scene(text + ("" if "stop:" in text else "stop: {time: 0.8}\n"))
     subject = Subject(model)
     for item in body_properties(model):

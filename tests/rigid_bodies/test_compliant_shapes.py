@@ -168,7 +168,7 @@ outputs:
         ("stiffness: 0", "must be"),
     ],
 )
-def test_mistakes(law, message):
+def test_mistakes_are_reported(law, message):
     text = BALL.replace("stiffness: k, damping: d", law)
     with pytest.raises(DeclarationError, match=message):
         run(text)

@@ -131,7 +131,7 @@ LS = {
 
 @pytest.mark.parametrize("cut", ["lying", "crossing", "three"])
 @pytest.mark.parametrize("start", ["y: 0.5, angle: 0.4", "y: 0.5, angle: 2.4, dangle: 3, dx: 1"])
-def test_an_l_moves_as_it_does_however_it_is_cut(cut, start):
+def test_l_shape_moves_equally_for_every_decomposition(cut, start):
     surfaces = {**FLOOR, "wall": "line: [[0.8, 0], [0.8, 1]]"}
     post = ("mass: 1, inertia: 1, shape: {disc: 0.05}", "x: 0.2, y: 0.05")
     one, other = (
@@ -333,7 +333,7 @@ def test_a_compound_hangs_on_a_joint_as_a_pendulum():
         (json.dumps([{"disc": 1}] * 17), "16"),
     ],
 )
-def test_shapes_that_make_no_sense_are_refused_with_their_place(shape, words):
+def test_invalid_shapes_are_refused_with_their_place(shape, words):
     text = scene({"body": (f"mass: 1, inertia: 1, shape: {shape}", "y: 9")}, FLOOR)
     with pytest.raises(DeclarationError) as caught:
         interpret(read_text(text, "c.yaml"))

@@ -112,7 +112,7 @@ def test_a_copy_without_a_finite_start_is_reported_with_its_formula(angle, said,
     assert f"of grain{copy}" in str(error)
 
 
-def test_other_copies_are_composed_once_for_all_that_they_run_with(monkeypatch):
+def test_each_number_of_copies_is_composed_once(monkeypatch):
     composed = []
     whole = Kind.__getattribute__
 

@@ -193,7 +193,7 @@ def test_a_turning_wheel_drags_a_disc_that_lies_on_it() -> None:
     assert result.trace.final[5] == pytest.approx(-0.2 * G * 0.1 / 0.01 * 0.02, rel=2e-3)
 
 
-def test_a_controller_leads_a_slider() -> None:
+def test_controller_prescribes_a_slider() -> None:
     bodies = f"""
   box: {{{MOVED}, start: {{x: 0.4, y: 0.1}}}}
   slider:
@@ -236,7 +236,7 @@ regions:
 """
 
 
-def test_a_path_that_jumps_is_checked_again() -> None:
+def test_jumping_path_is_checked_again() -> None:
     bodies = f"""
   box: {{{MOVED}, start: {{x: 0, y: 0.1}}}}
   shelf: {{position: [u, -0.1], shape: {{polygon: [[-1, -0.1], [1, -0.1], [1, 0.1], [-1, 0.1]]}}}}
@@ -440,7 +440,7 @@ stop: {time: 0.11}
         ),
     ],
 )
-def test_what_a_controller_sets_in_motion_strikes_before_guards_fire(lift, partners):
+def test_bodies_set_in_motion_strike_before_guards_fire(lift, partners):
     """As of points: the disc has 1.2 m/s when the guard is evaluated, which holds for slower."""
     text = STARTING.replace("LIFT", lift).replace("PARTNERS", partners)
     trace = Runner(interpret(read_text(text)), engine="impulse", step=1e-3).run().trace

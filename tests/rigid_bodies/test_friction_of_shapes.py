@@ -86,7 +86,7 @@ def test_a_block_slides_uphill_and_sticks_when_it_stops():
     assert (outputs["sticks"], outputs["slips"]) == (1, 0)
 
 
-def test_above_static_friction_it_slides():
+def test_block_slides_above_static_friction():
     pull = G * (math.sin(0.55) - 0.3 * math.cos(0.55))
     assert run(SLOPE, {"alpha": 0.55}).outputs["way"] == pytest.approx(-pull / 2, abs=5e-3)
 
@@ -100,7 +100,7 @@ def test_a_dragged_block_breaks_away_and_stops_as_with_points():
             assert list(outputs[name]) == pytest.approx(times, abs=2 * step)
 
 
-def test_one_number_twice_is_one_number():
+def test_equal_coefficients_are_one_coefficient():
     both = run(DRAGGED, {"kin": 0.9}).outputs
     one = run(DRAGGED.replace("{static: s, kinetic: kin}", "s")).outputs
     assert both == one

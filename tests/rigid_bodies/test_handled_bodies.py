@@ -89,7 +89,7 @@ def test_jaws_lift_a_box_once_it_has_their_speed(step):
     )
 
 
-def test_jaws_leave_a_box_that_is_too_heavy():
+def test_jaws_cannot_lift_a_too_heavy_box():
     threshold = G / (2 * 20)
     assert run(GRIPPER, mu=0.995 * threshold).outputs["raised"] == pytest.approx(0.0, abs=1e-9)
     pull = 2 * 1.05 * threshold * 20 - G
@@ -176,7 +176,7 @@ settings: {engine: impulse, step: 1e-3}
 """
 
 
-def test_a_wheel_is_pulled_over_a_step_above_the_threshold():
+def test_wheel_climbs_a_step_above_the_threshold():
     edge = 5 * G * math.sqrt(0.3**2 - 0.2**2) / 0.2
     assert run(WHEEL, F=0.999 * edge).outputs["y"] == pytest.approx(0.3, abs=1e-12)
     assert run(WHEEL, F=1.001 * edge).outputs["y"] > 0.3 + 1e-5
@@ -248,7 +248,7 @@ def test_a_ball_between_walls_that_near_each_other_is_as_fast_as_their_distance_
     assert k == 13
 
 
-def test_a_ball_that_walls_close_on_ends_the_run():
+def test_closing_walls_around_a_ball_end_the_run():
     trace = Runner(interpret(read_text(WALLS))).run({"V": 0.1875, "e": 0}, throw=False).trace
     assert trace.outcome is Outcome.UNSOLVED_IMPULSES
     assert "ball cannot get out" in trace.message

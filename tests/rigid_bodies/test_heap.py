@@ -13,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from strategies import examples
 
-from contacts.collision_detection.convex import FOUND, ConvexShape, between, place
+from contacts.collision_detection.convex import FOUND, ConvexShape, place_vertices, shape_contacts
 from statechart.automaton.trace import Outcome
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
@@ -235,13 +235,16 @@ SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 @given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-3.2, 3.2), st.floats(-3.2, 3.2))
 @examples(200)
 def test_contacts_of_two_squares_agree_with_their_corners(x, y, one_angle, other_angle):
-    one, other = place(SQUARE, 0.0, 0.0, one_angle), place(SQUARE, x, y, other_angle)
+    one, other = (
+        place_vertices(SQUARE, 0.0, 0.0, one_angle),
+        place_vertices(SQUARE, x, y, other_angle),
+    )
     found, swapped = np.zeros((16, FOUND)), np.zeros((16, FOUND))
     centre, away = np.zeros(2), np.array([x, y])
     features = np.zeros(16, dtype=np.int64)
     first, second = ConvexShape(one, centre, 0.0), ConvexShape(other, away, 0.0)
-    count = between(first, second, 0.1, found, features)
-    again = between(second, first, 0.1, swapped, features)
+    count = shape_contacts(first, second, 0.1, found, features)
+    again = shape_contacts(second, first, 0.1, swapped, features)
     assert (count > 0) == (again > 0)
     normals = found[:count, :2]
     assert np.hypot(*normals.T) == pytest.approx(np.ones(count))
@@ -258,10 +261,10 @@ def test_the_first_listed_corner_does_not_change_the_motion():
     lean, middle = math.atan2(0.3, 1.0), tooth.mean(axis=0)
     beside = np.array([0.15 + 0.05 * math.cos(lean), 0.5 + 0.05 * math.sin(lean)])
     for turn in np.linspace(-3e-3, 3e-3, 61):
-        placed, answers = place(bar, *beside, lean + turn), []
+        placed, answers = place_vertices(bar, *beside, lean + turn), []
         for first in range(3):
             found = np.zeros((16, FOUND))
-            count = between(
+            count = shape_contacts(
                 ConvexShape(np.roll(tooth, first, axis=0), middle, 0.0),
                 ConvexShape(placed, beside, 0.0),
                 0.1,
@@ -406,7 +409,7 @@ settings: {{engine: impulse, step: 1e-3}}
                 assert trace.final[3:] == pytest.approx(rates, abs=1e-9)
 
 
-def test_friction_that_is_rounding_of_the_impulses_is_none():
+def test_round_off_friction_is_ignored():
     smooth, rough = (fallen("capped", 1e-3).run({"mu": mu, "u": 1.0}) for mu in (0.0, 1e-14))
     assert smooth.trace.final.tolist() == rough.trace.final.tolist()
 

@@ -9,7 +9,7 @@ from random_bodies import heap
 from contacts.rigid_bodies import rigid_body_run
 from contacts.rigid_bodies.body_step import step_bodies
 from contacts.rigid_bodies.declared_numbers import body_numbers
-from contacts.rigid_bodies.island_step import ratio_remarks
+from contacts.rigid_bodies.island_step import mass_ratio_warnings
 from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
 from statechart.automaton.trace import Outcome
 from statechart.cli.main import main
@@ -41,7 +41,7 @@ settings: {engine: impulse, step: 1e-3, record: nothing}
 
 
 @pytest.mark.parametrize("seed", range(24))
-def test_heaps_come_to_their_end_and_keep_their_energy(seed):
+def test_heaps_settle_with_bounded_energy(seed):
     subject = Subject(interpret(read_text(heap(seed, most=20))))
     trace = subject.case({}).trace
     assert trace.outcome is Outcome.HORIZON, trace.message
@@ -63,7 +63,7 @@ def test_penetration_after_a_step_decides_whether_it_was_too_long(seed):
 
 
 @pytest.mark.parametrize("seed", [144, 249, 274, 390, 412, 468, 860, 939])
-def test_heaps_of_six_decades_of_masses_miss_no_law(seed):
+def test_heaps_with_mass_ratio_1e6_satisfy_the_laws(seed):
     """Each of them had steps above the tolerance, at up to 1 of the fastest approach."""
     trace = Runner(interpret(read_text(heap(seed)))).run().trace
     assert trace.counts["inexact_steps"] == 0
@@ -146,6 +146,6 @@ def test_wrong_tolerances_of_impulses_are_refused(asked, words):
     ],
 )
 def test_extreme_mass_ratios_are_advised_an_allowed_tolerance(ratio, missed, looser):
-    (said,) = ratio_remarks(np.array([ratio, 0.0, 1.0, missed]), ["box", "ball"], 1e-6)
+    (said,) = mass_ratio_warnings(np.array([ratio, 0.0, 1.0, missed]), ["box", "ball"], 1e-6)
     assert f"leaves a residual of {missed:g}" in said
     assert said.endswith(f"or {looser}" if looser else "within 1 to 7e+07")

@@ -160,7 +160,7 @@ def test_a_guide_holds_one_component():
     assert final[1] + 0.25 * math.cos(final[2]) == pytest.approx(0.0, abs=1e-5)
 
 
-def test_a_driven_joint_takes_its_point_along():
+def test_driven_joint_moves_its_point():
     text = chain(1, time=0.7).replace(
         "to: [0, 0]", "to: [0.1*(1 - cos(5*time)), 0.05*sin(4*time)**2]"
     )

@@ -48,7 +48,7 @@ def test_colliding_bodies_take_steps_by_their_scales_and_say_so(tmp_path, monkey
         assert main(verb) == 0, verb
 
 
-def test_the_step_follows_the_scales_and_gives_way_to_one_that_is_given():
+def test_default_step_follows_the_scales_unless_set():
     own = Runner(read_text(DISCS)).setting.step
     # Falling takes twice the time at four times the size.
     larger = Runner(read_text(DISCS.replace("{scale: 1}", "{scale: 4}"))).setting.step

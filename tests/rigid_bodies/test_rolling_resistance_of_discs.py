@@ -60,7 +60,7 @@ def test_a_disc_on_a_slight_slope_stays(share):
     assert outputs["turned"] == pytest.approx(0, abs=1e-9)
 
 
-def test_on_a_steeper_one_it_rolls_down():
+def test_disc_rolls_down_a_steeper_slope():
     alpha = 0.3
     pull = 2 / 3 * G * (math.sin(alpha) - LENGTH / R * math.cos(alpha))
     outputs = run(ROLLING, {"v": 0, "alpha": alpha})

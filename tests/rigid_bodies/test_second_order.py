@@ -42,7 +42,7 @@ PAIRS = {
 
 
 @pytest.mark.parametrize("pair", PAIRS)
-def test_half_the_step_leaves_a_quarter_of_the_error(pair):
+def test_halving_the_step_quarters_the_error(pair):
     bodies, mu, modes = PAIRS[pair]
     ends = []
     for step in (2e-3, 1e-3, 5e-4):

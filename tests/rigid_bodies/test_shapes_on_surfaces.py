@@ -344,7 +344,7 @@ def test_transformed_scenes_move_alike(change):
         ({"disc": "x: 0"}, "has a radius of 0.04"),
     ],
 )
-def test_a_drum_wants_bodies_in_it(starts, words):
+def test_drum_bodies_must_start_inside(starts, words):
     radius = 0.04 if "radius of" in words else 1
     text = scene(starts, {"drum": f"circle: [0, 0], radius: {radius}, hollow: true"})
     with pytest.raises(DeclarationError, match=words):
@@ -360,7 +360,7 @@ def test_a_drum_wants_bodies_in_it(starts, words):
         ("height: 0, turn: disc.angle", "unknown name 'disc.angle'"),
     ],
 )
-def test_surfaces_that_make_no_sense_are_refused(surface, words):
+def test_invalid_surfaces_are_refused(surface, words):
     with pytest.raises(DeclarationError, match=words):
         interpret(read_text(scene({"disc": "y: 1"}, {"ground": surface})))
 

@@ -316,7 +316,7 @@ def test_a_run_warns_where_the_order_of_impacts_matters(e, told, record):
     ).warnings)  # fmt: skip
 
 
-def test_the_other_choices_of_a_scene_of_shapes_are_alternatives():
+def test_other_simultaneous_laws_are_alternatives():
     text = row([1, 1, 1], 1, [0.0] * 3, [1, 0, 0]) + "stop: {time: 1}\n"
     runner = Runner(interpret(read_text(text)), engine="impulse", step=1e-3)
     others = {name: speeds_of(other.run()) for name, other in runner.alternatives().items()}

@@ -92,7 +92,7 @@ def test_a_packing_amid_a_collapse_continues_it(at):
     assert_energy_of_steps(numbers, subject, trace)
 
 
-def test_starts_deeper_than_steps_leave_are_refused():
+def test_too_deep_starts_are_refused():
     starts = thrown()[:1]
     starts[0, 1], starts[0, 2] = 0.0089, 0.0
     with pytest.raises(DeclarationError, match=r"'b0' starts 0\.0011 deep in surface 'ground'"):

@@ -56,7 +56,7 @@ def test_a_row_that_touches_is_hit_as_one_wherever_it_stands(x, count):
 
 @pytest.mark.parametrize("law", ["capped", "sequential"])
 @pytest.mark.parametrize("e", [0.5, 0.9])
-def test_a_rack_breaks_alike_on_both_sides_and_wherever_it_lies(e, law):
+def test_rack_breaks_symmetrically_at_any_place(e, law):
     rows = [(row, 2 * j - row) for row in range(5) for j in range(row + 1)]
     found = []
     for x in (0.0, 3.7):

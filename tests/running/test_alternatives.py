@@ -62,6 +62,6 @@ def test_without_rebound_all_choices_agree(balls: str, capsys: pytest.CaptureFix
     assert found["simultaneous: plastic"]["difference"] <= 1e-12
 
 
-def test_one_contact_leaves_no_choice(capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_contact_has_no_alternatives(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "bouncing_ball", "--until", "1", "--alternatives"]) == 0
     assert "no two contacts" in capsys.readouterr().out

@@ -52,12 +52,12 @@ def test_the_initial_mode_has_two_names() -> None:
 
 
 @pytest.mark.parametrize("model", [3, {"name": "block"}, None])
-def test_objects_that_are_no_model_are_reported(model: object) -> None:
+def test_non_model_objects_are_reported(model: object) -> None:
     with pytest.raises(statechart.DeclarationError, match="a model is a file, the name of a"):
         statechart.run(model)  # type: ignore[arg-type]
 
 
-def test_a_model_prints_as_the_file_that_it_could_be_read_from() -> None:
+def test_model_prints_as_a_readable_document() -> None:
     assert interpret(read_text(str(SCENE))) == SCENE
 
 

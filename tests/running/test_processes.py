@@ -43,7 +43,7 @@ def assert_same(one: Trace, other: Trace) -> None:
     [load(SCENE), load(CHART), Setting("scipy", "RK45", 1e-6), Outcome.HORIZON],
     ids=lambda value: type(value).__name__,
 )
-def test_values_come_back_equal(value: object) -> None:
+def test_pickled_values_are_equal(value: object) -> None:
     assert pickle.loads(pickle.dumps(value)) == value
 
 
@@ -68,7 +68,7 @@ def test_a_runner_is_pickled_as_its_model_and_settings(pool: ProcessPoolExecutor
     assert found.asked.setting == runner.setting
 
 
-def test_a_run_by_steps_travels(pool: ProcessPoolExecutor) -> None:
+def test_stepped_run_is_picklable(pool: ProcessPoolExecutor) -> None:
     found: Result = pool.submit(run, SCENE, engine="impulse", step=1e-3).result()
     here = run(SCENE, engine="impulse", step=1e-3)
     assert_same(found.trace, here.trace)

@@ -234,7 +234,7 @@ def test_unsupported_recording_is_refused_with_the_reason(asked, words):
     assert words in str(caught.value)
 
 
-def test_modes_are_drawn_and_tested_whatever_a_scene_keeps():
+def test_modes_are_drawn_with_every_recording_policy():
     scene = interpret(read_text(BALL.replace("step: 1e-3", "step: 1e-3, record: nothing")))
     runner = Runner(scene)
     assert not runner.run().trace.arcs

@@ -33,7 +33,7 @@ def error(result: Result) -> float:
 
 
 @pytest.mark.parametrize("accuracy", [1e-3, 1e-5, 1e-7, 1e-9])
-def test_the_run_that_was_measured_is_the_answer(measured: Study, accuracy: float) -> None:
+def test_measured_run_is_replayed(measured: Study, accuracy: float) -> None:
     result = run(read_text(MODEL), accuracy=accuracy, study=measured)
     asked = result.asked
     assert asked is not None
@@ -73,7 +73,7 @@ def test_a_run_that_was_not_measured_is_estimated(change: Mapping[str, object]) 
     assert other.basis.startswith("guessed")
 
 
-def test_a_run_that_turns_out_another_one_is_estimated(measured: Study) -> None:
+def test_deviating_replay_is_estimated(measured: Study) -> None:
     points = [p.model_copy(update={"steps": p.steps + 1}) for p in measured.points]
     other = measured.model_copy(update={"points": tuple(points)})
     result = run(read_text(MODEL), accuracy=1e-6, study=other)

@@ -36,7 +36,7 @@ def test_times_of_a_data_set_are_unique_and_selectable(result):
     assert list(data["event_cause"].to_numpy()) == ["slip", "reverse", "stop"]
 
 
-def test_a_reading_has_mode_and_state_at_its_time(result):
+def test_reading_contains_mode_and_state(result):
     reading = result.at(result.trace.jumps[0].t)
     assert reading.mode == {"tip": "slide-"}
     assert reading.jumps == 1
@@ -77,7 +77,7 @@ def shown(drawing):
     return [time for time in times if time.startswith("t = ")]
 
 
-def test_a_plot_has_a_strip_where_there_are_bodies(result, tmp_path):
+def test_plot_of_bodies_includes_a_film_strip(result, tmp_path):
     drawn = result.plot(tmp_path / "run.svg")
     assert len(shown(drawn)) == 5
     assert (tmp_path / "run.svg").read_text().startswith("<?xml")

@@ -7,7 +7,7 @@ import pytest
 from batches import contact_rows
 
 from contacts.solvers.contact_solver import solve_rows
-from contacts.solvers.proximal_points import by_proximal_points
+from contacts.solvers.proximal_points import solve_by_proximal_points
 from statechart.kernels.jit import kernel
 
 
@@ -19,7 +19,7 @@ def solved(contacts, least, impulses, allowed):
 
 @kernel
 def improved(contacts, least, impulses, allowed):
-    return by_proximal_points(contacts, least, impulses, allowed)
+    return solve_by_proximal_points(contacts, least, impulses, allowed)
 
 
 def wall(rows, across, mu, generator):

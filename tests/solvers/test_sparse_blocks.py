@@ -7,8 +7,14 @@ import pytest
 from batches import contact_rows
 
 from contacts.solvers.contact_rows import ContactRows
-from contacts.solvers.proximal_points import OPEN, SLIDES, STICKS, eliminated, step
-from contacts.solvers.sparse_blocks import Equations, equations_of
+from contacts.solvers.proximal_points import (
+    OPEN,
+    SLIDES,
+    STICKS,
+    add_newton_step,
+    assemble_and_factor,
+)
+from contacts.solvers.sparse_blocks import Equations, allocate_equations
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
@@ -49,7 +55,7 @@ PAIRS = (
 
 def begin(contacts: ContactRows) -> Equations:
     # Interpreted kernels return plain tuples.
-    return Equations(*equations_of(contacts))
+    return Equations(*allocate_equations(contacts))
 
 
 @kernel
@@ -61,9 +67,9 @@ def solve(
     edges: Array,
     impulses: Array,
 ) -> bool:
-    if not eliminated(contacts, equations, compliance, status, edges):
+    if not assemble_and_factor(contacts, equations, compliance, status, edges):
         return False
-    step(contacts, equations, compliance, status, edges, impulses)
+    add_newton_step(contacts, equations, compliance, status, edges, impulses)
     return True
 
 

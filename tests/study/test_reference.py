@@ -70,7 +70,7 @@ def referred(runner: Runner) -> Study:
         ("DOP853", ("taylor long double 1.1e-19", "scipy LSODA 1e-13"), "scipy DOP853 2.3e-14"),
     ],
 )
-def test_the_odd_one_of_three_runs_is_named_and_ignored(
+def test_outlier_of_three_runs_is_ignored(
     wrong: str, pair: tuple[str, str], odd: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runner = Runner(read_text(THRUST))
@@ -112,7 +112,7 @@ def test_two_references_that_agree_need_no_third() -> None:
     assert "odd one" not in format_text(found)
 
 
-def test_a_motion_on_which_no_two_runs_agree_is_chaotic() -> None:
+def test_three_diverging_runs_are_chaotic() -> None:
     found = referred(Runner(read_text(billiard(40.0))))
     assert found.third is not None
     assert not found.third.odd
@@ -124,7 +124,7 @@ def test_a_motion_on_which_no_two_runs_agree_is_chaotic() -> None:
     assert "chaotic, or at a bifurcation" in said
 
 
-def test_on_a_knifes_edge_two_of_three_prove_nothing() -> None:
+def test_two_of_three_runs_do_not_decide_an_unstable_start() -> None:
     # Of two courses two of three runs take the same one, whichever is right.
     found = referred(Runner(read_text(EDGE.replace("TOP", str(1 - 1e-15)))))
     third = found.third

@@ -36,6 +36,15 @@ def test_slopes_are_those_of_theory(model: str) -> None:
         assert slope.points >= (5 if slope.of == "error" else 3)
         assert slope.slope == pytest.approx(slope.theory, rel=0.15)
     assert "steps of RK45: the tolerance to the power -0." in format_text(found)
+    # The figure lists them apart from its marks, which a number beside a line would hide.
+    _, _, promises, steps = (drawn := figure(found)).axes
+    drawn.canvas.draw()
+    for ax, of in ((promises, "error"), (steps, "steps")):
+        written = {text.get_text() for text in ax.get_legend().get_texts()}
+        assert written == {f"slope {slope.slope:.2f}" for slope in fits.values() if slope.of == of}
+        box = ax.get_legend().get_window_extent()
+        marks = [line.get_xydata() for line in ax.lines if line.get_marker() != "None"]
+        assert not any(box.contains(*ax.transData.transform(xy)) for line in marks for xy in line)
 
 
 @pytest.mark.parametrize("model", ["stick_slip_block", "two_balls", "hopper", "bouncing_ball"])
@@ -50,7 +59,7 @@ def test_the_error_of_time_stepping_falls_with_the_step(model: str) -> None:
     assert slope.slope == pytest.approx(slope.theory, rel=0.15)
 
 
-def test_many_bodies_trade_steps_and_how_exact_impulses_are(tmp_path: Path) -> None:
+def test_many_body_trade_varies_step_and_impulse_tolerance(tmp_path: Path) -> None:
     runner = Runner("dice")
     planned = plan(runner.automaton, 0.1)
     assert {setting.engine for setting in planned} == {"impulse"}
@@ -106,7 +115,7 @@ def test_trade_reports_the_worst_error_of_nearby_steps() -> None:
     assert told.steps == 300
 
 
-def test_runs_are_as_far_apart_as_their_states_are_on_the_way() -> None:
+def test_distance_is_the_largest_along_the_runs() -> None:
     chart = """\
 kind: chart
 name: ramp
@@ -151,7 +160,7 @@ def test_a_study_ends_with_the_cheapest_setting_for_an_accuracy() -> None:
     assert "for an accuracy" not in format_text(study(point(1e-3, 0.5, 1.0)))
 
 
-def test_a_promise_missed_is_counted_and_other_modes_are_a_miss() -> None:
+def test_missed_accuracies_and_other_modes_are_counted() -> None:
     kept, missed = point(1e-3, 1e-4, 1.0), point(1e-6, 1e-5, 1.0)
     other = point(1e-7, 1e-9, 1.0, same_modes=False, diverged=0.5)
     unresolved = point(1e-14, 1e-15, 1.0)
@@ -217,7 +226,7 @@ def test_a_chaotic_motion_has_no_errors_but_a_time_at_which_runs_part(tmp_path: 
     json.dumps(shown, allow_nan=False)
 
 
-def test_before_it_becomes_chaotic_the_same_motion_has_an_accuracy() -> None:
+def test_motion_has_an_accuracy_before_divergence() -> None:
     found = trade(
         Runner(read_text(billiard(2.0))),
         settings=scipy("DOP853", 8),
@@ -229,7 +238,7 @@ def test_before_it_becomes_chaotic_the_same_motion_has_an_accuracy() -> None:
     assert found.error(found.points[0]) is not None
 
 
-def test_a_study_is_written_point_by_point_and_gone_on_with(tmp_path: Path) -> None:
+def test_interrupted_study_resumes(tmp_path: Path) -> None:
     settings = scipy("DOP853", 4, 6, 8)
     seen: list[int] = []
 
@@ -271,7 +280,7 @@ def test_a_file_that_is_no_study_is_refused(tmp_path: Path, content: bytes) -> N
         load(tmp_path)
 
 
-def test_infinite_values_survive_the_file(tmp_path: Path) -> None:
+def test_infinite_values_round_trip(tmp_path: Path) -> None:
     kept = study(point(1e-3, math.inf, 1.0))
     save(tmp_path, kept)
     assert load(tmp_path) == kept
@@ -311,7 +320,7 @@ def test_the_plan_has_every_engine_and_time_stepping_for_scenes_only() -> None:
     assert max(s.step for s in scene if s.step is not None) == pytest.approx(0.02)
 
 
-def test_unequal_modes_are_shown_as_such(tmp_path: Path) -> None:
+def test_different_modes_are_marked(tmp_path: Path) -> None:
     found = study(point(1e-3, 1e-2, 1.0, same_modes=False, diverged=0.25), point(1e-6, 1e-6, 2.0))
     assert "others from t = 0.25" in format_text(found)
     labels = [t.get_text() for t in figure(found).legends[0].get_texts()]
@@ -399,7 +408,7 @@ def stepped(step: float, state: float, **named: float) -> Point:
     )
 
 
-def test_outputs_that_do_not_converge_with_the_step_are_named_and_spoil_no_error() -> None:
+def test_non_converging_outputs_are_named_and_excluded() -> None:
     steps = [10.0**-k for k in range(2, 6)]
     found = study(*(stepped(h, h, V_max=0.02 + 0.1 * h, x=0.5 * h) for h in steps))
     assert found.unsettled() == {"V_max": pytest.approx(0.020001)}

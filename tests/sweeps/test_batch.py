@@ -157,7 +157,7 @@ def test_outputs_of_one_run_are_those_of_its_jumps_and_arcs(
     assert made >= 5
 
 
-def test_refused_values_and_zeros_are_left_to_runs_of_their_own(
+def test_refused_values_and_zeros_run_individually(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     model = load("toppling_stick").model_copy(update={"ranges": {"mu": (0, 1), "I_G": (0, 1)}})
@@ -169,7 +169,7 @@ def test_refused_values_and_zeros_are_left_to_runs_of_their_own(
     assert compared(model, np.concatenate([table, table]), monkeypatch) >= 10
 
 
-def test_a_stop_time_that_varies(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stop_time_varies_over_a_batch(monkeypatch: pytest.MonkeyPatch) -> None:
     text = HAIRY.replace("time: 1.5", "time: h/e").replace("e: [0,", "e: [0.1,")
     model = interpret(read_text(text))
     assert isinstance(model, Declaration)
@@ -178,7 +178,7 @@ def test_a_stop_time_that_varies(monkeypatch: pytest.MonkeyPatch) -> None:
     assert compared(model, table, monkeypatch) > 0
 
 
-def test_the_call_is_compiled_once_so_many_cells_are_worth_it(
+def test_batch_kernel_compiles_after_enough_cells(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(compiled_loop, "_WORTH_COMPILING", 300)

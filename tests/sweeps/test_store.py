@@ -162,7 +162,7 @@ except StatechartError as error:
 
 
 @pytest.mark.parametrize("begun", [True, False])
-def test_a_store_under_way_is_left_to_the_process_that_writes_it(
+def test_store_being_written_is_not_touched(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begun: bool
 ) -> None:
     store, over, said = tmp_path / "a.zarr", {"mu": [0.2, 0.4, 0.6]}, []
@@ -186,7 +186,7 @@ def test_a_store_under_way_is_left_to_the_process_that_writes_it(
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes that are forked")
-def test_a_process_that_was_forked_does_not_hold_a_store(tmp_path: Path) -> None:
+def test_forked_process_does_not_hold_the_lock(tmp_path: Path) -> None:
     heard, said = os.pipe()
     with locked(tmp_path / "a.zarr"):
         child = os.fork()
@@ -307,7 +307,7 @@ def test_a_store_that_lost_a_chunk_is_refused_with_its_name(
     sweep(model, over, store=store, resume=True)
 
 
-def test_missing_texts_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_texts_read_as_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole, store = sweep(STICK, GRID), tmp_path / "a.zarr"
     monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
     with monkeypatch.context() as patched:

@@ -108,9 +108,7 @@ def test_lists_are_padded_and_counted() -> None:
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_a_cell_does_not_depend_on_those_before_it(
-    model: str, columns: dict[str, np.ndarray]
-) -> None:
+def test_cells_are_independent(model: str, columns: dict[str, np.ndarray]) -> None:
     table = pd.DataFrame(columns)
     order = np.random.default_rng(1).permutation(len(table))
     found = sweep(model, samples=table, engine=None).load()
@@ -148,7 +146,7 @@ outputs: {x: {value: x}}
 """
 
 
-def test_a_cell_that_needs_another_engine_leaves_the_others_theirs() -> None:
+def test_fallback_engine_of_a_cell_does_not_affect_others() -> None:
     model = interpret(read_text(ROOT, "root.yaml"))
     assert isinstance(model, Chart)
     alone = [sweep(model, {"x0": [value]})["x"].item() for value in (1.0, 4.0)]
@@ -158,7 +156,7 @@ def test_a_cell_that_needs_another_engine_leaves_the_others_theirs() -> None:
     np.testing.assert_allclose(alone, [0.25, 2.25], rtol=1e-15)
 
 
-def test_blocks_may_return_in_any_order_and_size(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_return_in_any_order(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = sweep(STICK, GRID)
     same(sweep(STICK, GRID, executor=Inline()), whole)
     monkeypatch.setattr(plans, "_CHUNK", 6)
@@ -178,7 +176,7 @@ def test_cells_that_cannot_run_have_an_outcome() -> None:
     assert not found["certified"][0, 0]
 
 
-def test_a_defect_of_ours_ends_a_cell_and_not_the_sweep(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_internal_error_ends_only_its_cell(monkeypatch: pytest.MonkeyPatch) -> None:
     real = Runner.run
 
     def run(self: Runner, values: dict[str, float], **options: Any) -> Any:
@@ -319,7 +317,7 @@ def test_long_mode_sequences_are_shortened_with_their_length() -> None:
     assert len(text) < 300
 
 
-def test_names_that_lists_make_are_nobody_elses() -> None:
+def test_generated_list_names_do_not_collide() -> None:
     text = """\
 kind: chart
 name: clock

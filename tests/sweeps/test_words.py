@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from hypothesis import given
@@ -32,7 +33,7 @@ STICK = "toppling_stick"
         ("a b c a b c a", "(a > b > c) x 2 > a"),
     ],
 )
-def test_cycles_are_written_once(words: str, told: str) -> None:
+def test_repeated_cycles_are_abbreviated(words: str, told: str) -> None:
     assert " > ".join(repeats(words.split())) == told
 
 
@@ -45,14 +46,15 @@ def unfolded(text: str) -> list[str]:
 
 
 @given(st.lists(st.sampled_from("abc"), min_size=1, max_size=60))
-def test_cycles_stand_for_the_whole_sequence(words: list[str]) -> None:
+def test_abbreviated_cycles_expand_to_the_sequence(words: list[str]) -> None:
     words = [word for k, word in enumerate(words) if k == 0 or word != words[k - 1]]
     assert unfolded(" > ".join(repeats(words))) == words
 
 
 def drawn(columns: dict[str, np.ndarray], *, grid: bool = True, **options: object):  # type: ignore[no-untyped-def]
     plan = Plan(Runner(STICK).model, Setting(), columns, grid=grid, outputs=["slip_forward"])
-    data: xr.Dataset = sweep(STICK, columns, outputs=["slip_forward"]).load()
+    ranges = {"over": columns} if grid else {"samples": pd.DataFrame(columns)}
+    data: xr.Dataset = sweep(STICK, **ranges, outputs=["slip_forward"]).load()
     return plan, data, figure(plan, data)
 
 
@@ -75,6 +77,29 @@ def test_lines_break_where_modes_change() -> None:
     assert int(np.isnan(line.get_ydata()).sum()) == changes > 0
 
 
+def test_the_band_of_modes_has_no_seams_between_equal_cells() -> None:
+    _, data, picture = drawn({"mu": np.geomspace(0.05, 50, 60)})
+    codes = data["modes"].to_numpy()
+    stretches = [path for bars in picture.axes[-1].collections for path in bars.get_paths()]
+    assert len(stretches) == 1 + int(np.count_nonzero(np.diff(codes)))
+
+
+def test_samples_that_fail_or_have_no_value_are_marked_as_in_the_legend() -> None:
+    rng = np.random.default_rng(3)
+    columns = {"mu": rng.uniform(0.1, 1.0, 12), "I_G": rng.uniform(0.1, 1.0, 12)}
+    plan, data, _ = drawn(columns, grid=False)
+    data["outcome"][2] = "STUCK"
+    data["slip_forward"][[5, 7]] = np.nan
+    picture = figure(plan, data)
+    crosses, blank, _ = picture.axes[0].collections
+    np.testing.assert_array_equal(crosses.get_offsets(), [[columns["mu"][2], columns["I_G"][2]]])
+    np.testing.assert_array_equal(blank.get_offsets()[:, 0], columns["mu"][[5, 7]])
+    texts = [text.get_text() for text in picture.legends[0].get_texts()]
+    marks = dict(zip(texts, picture.legends[0].legend_handles, strict=True))
+    assert marks["failed"].get_marker() == "x"
+    assert "no value" in marks
+
+
 def test_a_parameter_of_few_values_is_a_line_for_each() -> None:
     _, _, picture = drawn({"mu": np.geomspace(0.05, 50, 30), "I_G": np.array([0.0, 1 / 3, 1.0])})
     legend = [text.get_text() for text in picture.legends[0].get_texts()]
@@ -89,7 +114,7 @@ def test_more_than_two_parameters_have_no_picture() -> None:
     check_drawable(Plan(Runner(STICK).model, Setting(), columns))
 
 
-def test_a_dozen_sequences_have_colours_and_the_rest_are_others() -> None:
+def test_twelve_sequences_have_colours_and_others_share_one() -> None:
     columns = {"mu": np.linspace(0.1, 1.0, 30)}
     plan = Plan(Runner(STICK).model, Setting(), columns, outputs=[])
     data = sweep(STICK, columns, outputs=[]).load()

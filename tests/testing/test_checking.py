@@ -201,7 +201,7 @@ def test_a_dropped_guard_breaks_the_invariant_with_all_parameters_as_declared():
     assert found.parameters == {}
 
 
-def test_a_failure_is_shrunk_and_its_yaml_fails_alike():
+def test_shrunk_failure_reproduces_from_yaml():
     faulty = model(BALL.replace("v: -k*v", "v: '-k*v*(1 + 9*max(0, k - 0.7))'"))
     found = failure(Subject(faulty), "declared invariants hold", examples=60)
     assert set(found.parameters) == {"k"}  # height does not matter and is as declared
@@ -292,7 +292,7 @@ def test_an_impact_that_gains_energy_is_caught():
     assert "energy grows" in failure(subject, "energy never grows").message
 
 
-def test_energy_that_only_the_drive_supplies_is_no_failure():
+def test_work_of_the_drive_is_no_energy_gain():
     driven = ROD + "forces:\n  push: {body: block, force: [30*sin(5*time), 0]}\n"
     assert report_on(Subject(model(driven)), "energy never grows").passed
 
@@ -315,7 +315,7 @@ def test_an_undeclared_part_of_a_large_force_is_caught():
         judge(model(GRIPPER.replace(" + more", "")))
 
 
-def test_a_removed_gap_guard_tunnels():
+def test_missing_gap_guard_is_caught():
     def blind(name, state):
         return State(state.equations, ()) if name == "free" else state
 
@@ -448,7 +448,7 @@ def test_an_asymmetric_law_breaks_the_mirror():
     assert "block" in found.message
 
 
-def test_a_hidden_speed_breaks_other_units():
+def test_unit_dependence_is_caught():
     def dragged(made, *arguments):
         if made is None:
             return None
@@ -462,7 +462,7 @@ def test_a_hidden_speed_breaks_other_units():
     assert "their errors explain" in found.message
 
 
-def test_engines_that_disagree_are_caught():
+def test_engine_disagreement_is_caught():
     subject = Subject(model(BALL))
     other = Subject(model(BALL.replace("g: 9.81", "g: 9.8100001")))
     subject.observers["scipy"] = other.observers["scipy"]
@@ -553,7 +553,7 @@ def test_mirroring_twice_gives_the_run_itself():
     assert (Subject(once).case({}).trace.initial * reading.factors == start.initial).all()
 
 
-def test_a_terrain_is_rescaled_whatever_lengths_it_hides():
+def test_terrain_with_literal_lengths_is_rescaled():
     scene, reading = rescaled(load("bouncing_ball_hills"))
     assert reading.time == 1 / TIMES
     assert f"x/({LENGTH!r})" in scene.surfaces["hills"].height
@@ -567,7 +567,7 @@ def test_a_formula_too_long_to_transform_is_skipped_with_the_reason():
     assert not skipped["energy never grows"]
 
 
-def test_the_most_accurate_run_is_made_without_the_others():
+def test_most_accurate_run_is_computed_first():
     subject = Subject(model(BALL))
     subject.observers["scipy"] = None
     assert subject.case({}).trace.engine.startswith("taylor")

@@ -113,7 +113,7 @@ def later(by: float) -> Callable[[sp.Expr], sp.Expr]:
 
 
 @pytest.mark.parametrize("text", [FALLS, COUNTS, SLIDES])
-def test_relations_of_a_right_run_hold(text: str) -> None:
+def test_relations_of_a_correct_run_hold(text: str) -> None:
     assert failure(changed(text, "", later(0))) == ""
 
 
@@ -167,7 +167,7 @@ def test_check_detects_a_violated_invariant() -> None:
      ("x < 2 and not (x < 1 or in(r.b))", [False, True, False]),
      ("x < 2 and in(r.b)", [False, False, False])],
 )  # fmt: skip
-def test_truth_is_that_of_comparisons_and_states(text: str, expected: list[bool]) -> None:
+def test_truth_matches_comparisons_and_states(text: str, expected: list[bool]) -> None:
     relation = parse_relation(text)
     x = np.array([0.0, 1.0, 2.0])
     sides = [(x, np.full(3, one.right.value({}))) for one in relation.comparisons]

@@ -32,7 +32,7 @@ def checked(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
-def test_each_model_is_an_item_and_a_failure_is_shrunk_and_written(tmp_path: Path) -> None:
+def test_pytest_plugin_shrinks_and_writes_failures(tmp_path: Path) -> None:
     (tmp_path / "leaves.yaml").write_text(WRONG)
     (tmp_path / "stays.yaml").write_text(WRONG.replace("[0, 4]", "[0, 2]").replace("leaves", "ok"))
     (tmp_path / "broken.yaml").write_text(WRONG.replace("flows", "flow"))
@@ -57,6 +57,6 @@ def test_each_model_is_an_item_and_a_failure_is_shrunk_and_written(tmp_path: Pat
     assert "leaves_failure" not in again.stdout
 
 
-def test_without_the_option_models_are_left_alone(tmp_path: Path) -> None:
+def test_models_are_not_collected_without_the_option(tmp_path: Path) -> None:
     (tmp_path / "leaves.yaml").write_text(WRONG)
     assert "no tests ran" in checked(tmp_path).stdout

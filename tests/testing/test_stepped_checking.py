@@ -167,7 +167,7 @@ def test_impulses_outside_the_cone_are_caught(heap):
         assert_impulses_of_bodies(numbers._replace(materials=smooth), trace)
 
 
-def test_impulses_that_are_rounding_of_the_largest_are_none():
+def test_round_off_impulses_are_ignored():
     edge, where = (0.6, 0.8), "of it"
     assert_in_cone((-2e-19, 3e-19), edge, 1e-3, where)
     with pytest.raises(AssertionError, match="pulls"):
@@ -176,7 +176,7 @@ def test_impulses_that_are_rounding_of_the_largest_are_none():
         assert_in_cone((0.0, 2e-17), edge, 1e-3, where)
 
 
-def test_energy_from_nowhere_is_caught(heap):
+def test_energy_gain_is_caught(heap):
     subject, trace, numbers = heap
     assert_energy_of_steps(numbers, subject, trace)
     last = trace.arcs[-1]
@@ -293,7 +293,7 @@ def test_boxes_that_slide_into_each_other_and_a_wall_move_as_their_image(mu, e, 
     image_property("mirror", scene, mirrored).holds(Subject(scene).case({}))
 
 
-def test_an_image_that_moves_otherwise_is_caught():
+def test_broken_mirror_symmetry_is_caught():
     def other(scene):
         image, reading = mirrored(scene)
         return image.model_copy(update={"gravity": (1e-3, image.gravity[1])}), reading
@@ -316,7 +316,7 @@ settings: {engine: impulse, step: 1e-3}
 """
 
 
-def test_modes_of_steps_that_all_hold_impulses_have_no_force_to_judge():
+def test_steps_with_impacts_have_no_force_check():
     subject = Subject(model(LANDING))
     trace = subject.case({}).trace
     assert trace.final_mode == ("pin",)

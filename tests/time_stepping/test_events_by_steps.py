@@ -248,7 +248,7 @@ def distinct(trace: Trace, apart: float) -> float:
 
 
 @pytest.mark.parametrize("seed", range(24))
-def test_thrown_bars_and_controllers_that_listen(seed: int) -> None:
+def test_controllers_receive_events_of_thrown_bars(seed: int) -> None:
     simultaneous = ("plastic", "capped")[seed % 2]
     event = ("touchdown", "slip")[seed // 2 % 2]
     exact, found = (r.run(throw(seed)).trace for r in runners(simultaneous, event))
@@ -411,7 +411,7 @@ outputs: {slips: {count: c.slip}}
 @pytest.mark.parametrize(
     "law", [("0", "restitution: 0"), ("-0.005", "stiffness: 2000, damping: 20")]
 )
-def test_a_surface_that_stops_under_what_it_carries_lets_it_slide_in_the_same_jump(law) -> None:
+def test_stopping_surface_lets_its_load_slide_in_the_same_jump(law) -> None:
     model = interpret(read_text(BRAKED_PLATE % law, "f.yaml"))
     for run, late in (by_events(model), 0.0), (by_steps(model, H), 2 * H):
         stop, stick = run.trace.jumps
@@ -422,7 +422,7 @@ def test_a_surface_that_stops_under_what_it_carries_lets_it_slide_in_the_same_ju
         assert run.outputs["slips"] == 1
 
 
-def test_steps_say_that_they_have_no_event_of_bounces_that_accumulate():
+def test_stepped_zeno_event_is_reported_as_unavailable():
     model = interpret(
         read_text("""
 kind: scene

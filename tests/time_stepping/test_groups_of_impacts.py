@@ -64,7 +64,7 @@ def between(force):
         "3*(falls.y - lies.y) + 0.5*(falls.dy - lies.dy)",
     ],
 )
-def test_forces_make_no_contacts_one_impact(force, law):
+def test_forces_do_not_couple_impacts(force, law):
     text = two_particles(between(force), law)
     exact = run(text).outputs["top"]
     assert exact > 1.0
@@ -93,14 +93,14 @@ outputs: {{top: {{maximum: bar.dy}}}}
 
 
 @pytest.mark.parametrize(("law", "rebounds"), [("plastic", False), ("capped", True)])
-def test_joints_make_contacts_one_impact(law, rebounds):
+def test_joints_couple_impacts(law, rebounds):
     text = dumbbell(law)
     exact = run(text).outputs["top"]
     assert (exact > 0.5) == rebounds
     assert run(text, 1e-4).outputs["top"] == pytest.approx(exact, abs=5e-3)
 
 
-def test_a_contact_that_is_a_constraint_is_hit_with_others():
+def test_pinned_contact_shares_an_impact():
     # A bead on a wire, whose contact only slides, strikes a stop at the wire's end.
     text = """
 kind: scene
@@ -119,7 +119,7 @@ stop: {time: 0.3}
         assert rates(run(scene, 1e-3))[0] == pytest.approx(after, abs=1e-12)
 
 
-def test_a_joint_is_no_contact_that_a_shape_is_hit_with():
+def test_joint_is_not_a_struck_contact():
     text = f"""
 kind: scene
 name: ball_on_a_guide
@@ -210,14 +210,14 @@ stop: {{time: 0.3}}
         (1e-4, [0.0, 0.0, 1.0], False),
     ],
 )
-def test_a_row_is_struck_at_once_where_it_touches(gap, after, warns):
+def test_touching_row_is_struck_simultaneously(gap, after, warns):
     for step in (3.1e-3, 1e-4):
         result = run(cradle(gap), step)
         assert rates(result) == pytest.approx(after, abs=1e-9)
         assert any(ORDER in w for w in result.warnings) == warns
 
 
-def test_two_feet_of_a_bar_on_one_floor_are_in_no_order():
+def test_feet_of_a_bar_on_one_floor_are_simultaneous():
     text = f"""
 kind: scene
 name: bar

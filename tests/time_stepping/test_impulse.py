@@ -29,7 +29,7 @@ def scene(text):
 
 
 @pytest.mark.parametrize("case", STEPPING["time_stepping_error_reference"])
-def test_the_stick_is_at_most_five_times_as_wrong_as_the_reference_scheme(case):
+def test_stick_error_is_at_most_five_times_the_reference_scheme(case):
     inertia = 1 / 3 if case["I_G"] == "1/3" else float(case["I_G"])
     for row in case["runs"]:
         outputs = run(
@@ -61,7 +61,7 @@ def test_bounces_converge_at_first_order():
 
 
 @pytest.mark.parametrize("mu", [0.2, 0.5])
-def test_the_incline_converges(mu):
+def test_steps_on_an_incline_converge(mu):
     exact = run("block_on_incline", parameters={"mu": mu})
     for h in STEPS[:3]:
         found = run("block_on_incline", parameters={"mu": mu}, engine="impulse", step=h)
@@ -114,7 +114,7 @@ def test_a_chart_has_no_time_steps():
         Runner("bouncing_ball_chart", engine="impulse", step=1e-3)
 
 
-def test_a_step_is_needed_and_belongs_to_the_engine():
+def test_step_is_required_by_the_impulse_engine_only():
     with pytest.raises(DeclarationError, match="needs a step"):
         Runner("bouncing_ball", engine="impulse")
     with pytest.raises(DeclarationError, match="chooses its own steps"):
@@ -142,7 +142,7 @@ def test_a_step_beyond_all_bounds_is_refused(model, step):
     assert "or less" in trace.message
 
 
-def test_tables_figures_and_diagrams_work_alike(tmp_path):
+def test_stepped_runs_have_tables_figures_and_diagrams(tmp_path):
     folder = tmp_path / "run"
     assert main(["run", "toppling_stick", "--engine", "impulse", "--step", "1e-2",
                  "--output", str(folder)]) == 0  # fmt: skip
@@ -239,7 +239,7 @@ def test_a_mode_that_is_not_declared_ends_the_run():
     assert result.trace.t_end == pytest.approx(1.0, abs=0.02)
 
 
-def test_forces_at_the_end_are_those_of_no_tiny_step():
+def test_final_forces_do_not_come_from_a_tiny_step():
     # The step does not divide the run: what is left over is a ten-thousandth of it.
     exact = run("dragged_stick").outputs["H"]
     found = run("dragged_stick", engine="impulse", step=1 / 1000.0001)

@@ -77,7 +77,7 @@ stop: {time: 1.5}
 
 
 @pytest.mark.parametrize("step", [1e-3, 3e-4, 1e-4])
-def test_a_point_that_has_landed_deep_in_an_edge_slides_onto_the_next(step):
+def test_deeply_landed_point_slides_onto_the_next_edge(step):
     model = interpret(read_text(STEEP))
     wanted = statechart.run(model).trace
     trace = statechart.run(model, engine="impulse", step=step).trace
@@ -102,7 +102,7 @@ stop: {time: 1.2}
 
 
 @pytest.mark.parametrize("h", [2e-3, 5e-4, 1e-4])
-def test_a_point_that_slides_to_and_fro_over_a_kink_does_not_fall_through(h: float) -> None:
+def test_point_oscillating_over_a_kink_does_not_fall_through(h: float) -> None:
     model = interpret(read_text(KINK, "f.yaml"))
     final = Runner(model, engine="impulse", step=h).run().trace.final
     assert np.abs(final[:2]).max() < 4 * h

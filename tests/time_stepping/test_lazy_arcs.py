@@ -42,7 +42,7 @@ def test_arcs_meet_each_other_and_the_jumps_between_them(
                 assert when == pytest.approx(jump.t, rel=1e-15)
 
 
-def test_arcs_too_large_to_keep_are_recomputed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_arcs_are_recomputed(monkeypatch: pytest.MonkeyPatch) -> None:
     """A run that is kept and one that is not are the same; only the first makes an arc once."""
     kept = run(n=12)
     assert kept.arcs[3] is kept.arcs[3]

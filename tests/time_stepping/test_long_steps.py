@@ -67,7 +67,7 @@ def test_a_particle_does_not_fly_through_a_thin_post(x0: float, w: float) -> Non
             assert abs(found.outputs["vx"] - 50.0) > 1.0  # type: ignore[operator]
 
 
-def test_the_step_that_is_named_for_a_post_does() -> None:
+def test_advised_step_resolves_a_thin_post() -> None:
     found = runner(POST, 5e-3).run(throw=False)
     step = float(found.trace.message.rsplit("take ", 1)[1].split()[0])
     assert runner(POST, step).run().outputs["vx"] < 0.0  # type: ignore[operator]
@@ -82,7 +82,7 @@ def test_discs_collide_where_they_meet_and_nowhere_else(x0: float, y0: float, st
         assert found.outputs["vx"] < 45.0  # type: ignore[operator]
 
 
-def test_discs_that_would_pass_through_each_other_in_a_step_take_it_in_parts() -> None:
+def test_fast_discs_split_their_step() -> None:
     # 0.2 in a step of discs that are 0.04 wide: both looks are beside the other disc.
     text, start = DISCS.replace("disc: 0.1", "disc: 0.02"), {"y0": 0.01, "x0": -1.5}
     found = runner(text, 4e-3).run(start)
@@ -94,7 +94,7 @@ def test_discs_that_would_pass_through_each_other_in_a_step_take_it_in_parts() -
     assert abs(errors[1]) < 0.4
 
 
-def test_discs_that_passed_before_a_step_that_is_taken_in_parts_have_met() -> None:
+def test_discs_that_passed_before_a_split_step_collide() -> None:
     # Between the looks of a step and the next, but before the end of the first.
     start = {"x0": -1.75, "y0": 0.125}
     found = runner(DISCS, 0.02).run(start)
@@ -113,12 +113,12 @@ def test_a_step_of_fifty_diameters_is_taken_in_256_parts() -> None:
     assert found.outputs["vx"] == pytest.approx(250.0)
 
 
-def test_discs_at_the_same_midpoint_have_met() -> None:
+def test_discs_at_the_same_midpoint_collide() -> None:
     found = runner(DISCS, 0.02).run({"x0": -1.5, "y0": 0.0})
     assert found.outputs["vx"] == pytest.approx(12.5)
 
 
-def test_a_spring_that_swings_ever_farther_ends_the_run_and_a_fast_one_warns() -> None:
+def test_unstable_spring_ends_the_run_and_a_fast_one_warns() -> None:
     fine = runner(SPRING, 1e-4).run()
     assert not fine.warnings
     fast = runner(SPRING, 1e-3).run()
@@ -158,7 +158,7 @@ def test_a_flank_that_turns_within_a_step_gives_no_energy(x0: float, w: float) -
     assert max(math.hypot(state[2], state[3]) for state in states) <= 50.0 * (1.0 + 1e-9)
 
 
-def test_a_flank_that_turns_within_a_step_ends_the_run_with_a_step_that_does() -> None:
+def test_turning_flank_ends_the_run_with_an_advised_step() -> None:
     values = {"w": 0.0229, "x0": 0.803}
     step, found = 1e-3, runner(POST, 1e-3).run(values, throw=False)
     assert found.trace.outcome is Outcome.STEP_TOO_LARGE
@@ -261,12 +261,12 @@ def test_the_quadrature_error_of_a_drive_is_its_integral_less_the_midpoint_rule(
     assert f"up to {expected:.2g} of" in warning
 
 
-def test_a_drive_of_which_many_steps_see_every_turn_warns_of_nothing() -> None:
+def test_well_sampled_drive_gives_no_warning() -> None:
     assert not runner(DRIVE, 1e-3).run().warnings
     assert not runner(DRIVE, 3e-3).run({"mu": 0.0}).warnings
 
 
-def test_a_bar_that_turns_on_before_it_is_seen_to_be_struck_warns() -> None:
+def test_bar_turning_on_before_its_impact_gives_a_warning() -> None:
     # A tip at 14.5 m/s turns by 0.036 radians in a step: by up to 0.5 of 3 m/s of its approach.
     step, exact = 0.25 / 1404, float(run(read_text(BAR)).outputs["dy"])  # type: ignore[arg-type]
     said = 0
@@ -281,7 +281,7 @@ def test_a_bar_that_turns_on_before_it_is_seen_to_be_struck_warns() -> None:
     assert not runner(BAR, step / 5.0).run().warnings
 
 
-def test_a_spring_that_swings_long_is_ahead_in_the_end() -> None:
+def test_phase_error_of_a_long_swing_is_reported() -> None:
     values = {"k": 150.0**2}
     (warning,) = words(runner(SPRING, 3e-3).run(values), "too long for the springs")
     assert not runner(SPRING, named(warning)).run(values).warnings
@@ -299,7 +299,7 @@ def test_a_slip_that_ends_in_its_first_step_warns() -> None:
     assert fine.outputs["x"] == pytest.approx(0.5**2 / (2 * 0.9 * 9.81), rel=0.1)
 
 
-def test_a_slow_drift_that_reversals_of_slip_carry_on_warns() -> None:
+def test_drift_by_slip_reversals_gives_a_warning() -> None:
     values = {"A": 18.9, "f": 41.4, "phase": 4.73}
     coarse = runner(DRIVE, 1.0 / 1160).run(values)
     assert words(coarse, "too long for the forces")

@@ -85,7 +85,7 @@ def test_variables_that_flow_with_the_motion_converge_with_order_two() -> None:
     assert fine < coarse / 10.0
 
 
-def test_states_and_updates_are_those_of_events() -> None:
+def test_stepped_states_and_updates_match_events() -> None:
     exact, found = run(TOWED), run(TOWED, 1e-3)
     assert found.final_mode == exact.final_mode
     (stop,) = [jump for jump in found.jumps if jump.cause == "stop"]
@@ -104,7 +104,7 @@ def test_results_do_not_depend_on_the_number_of_steps_per_call(
     assert [jump.t for jump in whole.jumps] == [jump.t for jump in parts.jumps]
 
 
-def test_steps_after_a_transition_are_hardly_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_steps_are_discarded_after_a_transition(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
     steps = SteppedScene.steps
 

@@ -49,7 +49,7 @@ def test_an_indeterminate_start_gives_a_warning_on_both_engines(lift: float, tol
     assert ("tip:slide+, tip:free all agree" in " ".join(by_events.warnings)) == told
 
 
-def test_less_friction_leaves_one_motion() -> None:
+def test_less_friction_makes_the_motion_unique() -> None:
     found = run(read_text(AT_ONCE), engine="impulse", step=1e-3, parameters={"mu": 1, "lift": 20})
     assert not any(TOLD in warning for warning in found.warnings)
 

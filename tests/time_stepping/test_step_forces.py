@@ -15,6 +15,7 @@ from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.documents.outputs import Integral, Maximum, Value
 from statechart.documents.settings import Stop
+from statechart.documents.yaml_reader import read_text
 from statechart.running.runner import Runner
 
 MASS = 1.3
@@ -145,7 +146,7 @@ def landing(engine, step=None):
     st.sampled_from([1e-3, 1.3e-4]),
 )
 @examples(15)
-def test_the_largest_force_is_none_of_the_landing(values, step):
+def test_largest_force_excludes_the_landing_impulse(values, step):
     # At whatever step: what an impact bears over a step is not a force.
     outputs = landing("impulse", step).run(values).outputs
     weight = values["m"] * 9.81 * math.cos(values["a"])
@@ -178,6 +179,30 @@ def steepest(result, force):
     return np.abs(np.diff(values)[np.diff(jumps) == 0]).max() / times[1]
 
 
-def test_the_force_after_a_landing_is_that_of_the_contact_that_lasts():
+def test_force_after_a_landing_is_the_lasting_one():
     outputs = landing("impulse", 1e-3).run({"e": 0.0}).outputs
     assert outputs["landed"] == pytest.approx(9.81 * math.cos(0.3), rel=1e-9)
+
+
+@pytest.mark.parametrize("step", [1e-3, 1e-4])
+def test_a_joint_bears_what_an_impact_leaves(step):
+    """The two steps after an impact move the joint to its new error, and say nothing of forces.
+
+    A ball strikes a hanging arm at its centre without loss: w = 2 v m r/(J + 2 m r^2), and the pin
+    bears m (g + w^2 r) = 15.4 N, not twice the centripetal part.
+    """
+    text = """
+kind: scene
+name: knocked
+gravity: 9.81
+bodies:
+  arm: {mass: 1, inertia: 0.1, start: {y: -0.5}}
+  ball: {mass: 1, start: {x: -0.01, y: -0.5, dx: 2}}
+surfaces: {side: {body: arm, line: [[0, -0.5], [0, 0.5]]}}
+contacts: {hit: {point: {body: ball}, surface: side, friction: 0, restitution: 1}}
+joints:
+  pin: {point: {body: arm, at: [0, 0.5]}, to: [0, 0], enabled: 'hypot(pin.X, pin.Y) <= 17'}
+stop: {time: 0.03}
+"""
+    result = Runner(read_text(text), engine="impulse", step=step).run()
+    assert [jump.cause for jump in result.trace.jumps] == ["touchdown"]

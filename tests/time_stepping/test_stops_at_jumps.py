@@ -60,7 +60,7 @@ def test_a_stop_on_rising_velocity_comes_after_the_bounce(text, record):
         assert last.states(np.array([last.duration]))[0] == pytest.approx(trace.final, abs=1e-12)
 
 
-def test_a_force_that_is_there_from_the_first_step_stops_the_run_where_it_begins():
+def test_initial_force_stops_the_run_at_the_start():
     result = run(POINT.replace("b.dy > 0.1", "tip.V > 5"), high=0)
     assert result.outputs["t"] == 0.0
     assert result.trace.final.tolist() == [0.0, 0.0, 0.0, 0.0]

@@ -65,7 +65,7 @@ def test_a_scene_is_built_run_drawn_and_saved(tmp_path: Path) -> None:
     assert modes.nodes["pin",]["visits"] == 1
 
 
-def test_parts_of_scenes_have_types() -> None:
+def test_scene_parts_are_typed() -> None:
     parts = (
         Coordinate(start=1),
         Shape(disc=1),
@@ -82,12 +82,12 @@ def test_a_shipped_model_loads_by_its_name() -> None:
     assert model.alternatives() == {}
 
 
-def test_a_sweep_is_a_data_set() -> None:
+def test_sweep_returns_a_dataset() -> None:
     found: xr.Dataset = statechart.sweep(sled(), {"mu": [0.2, 0.4]}, outputs=["rest"])
     assert found["rest"].dims == ("mu",)
 
 
-def test_errors_are_one_tree() -> None:
+def test_errors_share_one_base_class() -> None:
     with pytest.raises(statechart.DeclarationError):
         statechart.load("no such model")
     assert issubclass(statechart.Zeno, statechart.SimulationError)
@@ -122,7 +122,7 @@ def test_results_of_public_functions_have_public_types() -> None:
     assert returned <= public
 
 
-def test_the_version_is_that_of_the_distribution() -> None:
+def test_version_matches_the_distribution() -> None:
     assert statechart.__version__.count(".") == 2
 
 

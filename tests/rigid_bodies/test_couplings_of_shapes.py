@@ -1,0 +1,246 @@
+"""Brakes, clutches and stiff joints between bodies with shapes."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from statechart.automaton.trace import Outcome
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError
+from statechart.loading.load import interpret
+from statechart.running.runner import Runner
+from statechart.testing.checking import check
+
+DISC = "shape: {disc: 0.1}"
+
+
+def scene(
+    sections, bodies, names, *, shaped=True, gravity=0.0, stop=3.0, floor=False, restitution=0
+):
+    """Return a scene of discs, on a floor or touching nothing, or of bodies without shapes."""
+    shape = f", {DISC}" if shaped else ""
+    lines = "\n".join(f"  {name}: {{{one}{shape}}}" for name, one in bodies.items())
+    touched = ", surfaces: [floor]" if floor else ""
+    law = f"friction: 0.5, restitution: {restitution}"
+    collisions = f"collisions: {{all: {{bodies: [{names}]{touched}, {law}}}}}"
+    ground = "surfaces: {floor: {height: 0}}\nsimultaneous: plastic\n" if floor else ""
+    return interpret(
+        read_text(
+            f"kind: scene\nname: discs\ngravity: {gravity}\nbodies:\n{lines}\n"
+            f"{collisions if shaped else ''}\n{ground}{sections}\nstop: {{time: {stop}}}\n"
+            "settings: {engine: impulse, step: 1e-3}\n"
+        )
+    )
+
+
+def run(*arguments, **settings):
+    return Runner(scene(*arguments, **settings)).run(throw=False)
+
+
+def events(result):
+    return [(jump.region, jump.cause) for jump in result.trace.jumps]
+
+
+WHEELS = {
+    "a": "mass: 1, inertia: 0.5, start: {dangle: 10}",
+    "b": "mass: 1, inertia: 0.5, start: {x: 3}",
+}
+
+
+def test_a_clutch_locks_when_the_speeds_are_equal():
+    """Under a brake of 1 and a clutch of 2 the slip is 9 - 10 t, then both turn as one."""
+    result = run(
+        "couplings:\n  brake: {bodies: [a], limit: 1}\n"
+        "  clutch: {bodies: [a, b], limit: {static: 3, kinetic: 2}, enabled: time >= 0.5}",
+        WHEELS,
+        "a, b",
+    )
+    assert events(result) == [("clutch", "close"), ("clutch", "lock")]
+    assert [jump.t for jump in result.trace.jumps] == pytest.approx([0.5, 1.4], abs=2e-3)
+    final = dict(zip(result.trace.variables, result.trace.final, strict=True))
+    assert final["a.dangle"] == pytest.approx(2, abs=1e-9)
+    assert final["b.dangle"] == pytest.approx(final["a.dangle"], abs=1e-10)
+
+
+JOINTED = {
+    "pendulum": (
+        "joints: {pin: {point: {body: b, at: [0, 0.5]}, to: [0, 0]}}\n"
+        "couplings: {dry: {joint: pin, limit: {static: 0.6, kinetic: 0.5}}}",
+        {"b": "mass: 1, inertia: 0.1, start: {x: 0.5, angle: 1.5707963267948966}"},
+    ),
+    "guide": (
+        "joints: {rail: {point: {body: b, at: [0, 0.1]}, to: {y: 0}}}\n"
+        "couplings: {dry: {joint: rail, limit: 3}}\n"
+        "forces: {drive: {body: b, force: ['6*sin(3*time)', 0]}}",
+        {"b": "mass: 1, inertia: 0.05, start: {y: -0.1, dx: 0.5}"},
+    ),
+    "elbow": (
+        "joints:\n  hook: {point: {body: b, at: [-0.25, 0]}, to: [0, 0]}\n"
+        "  elbow: {point: {body: c, at: [-0.25, 0]}, to: {body: b, at: [0.25, 0]}}\n"
+        "couplings: {dry: {joint: elbow, limit: 0.2}, base: {bodies: [b], limit: 0.1}}",
+        {
+            "b": "mass: 1, inertia: 0.02, start: {x: 0.25}",
+            "c": "mass: 0.5, inertia: 0.01, start: {x: 0.75}",
+        },
+    ),
+    "switched": (
+        "couplings: {k: {bodies: [b], limit: '0.4*(1.2 + sin(5*time))', enabled: in(ctl.on)}}\n"
+        "forces: {drive: {body: b, moment: 0.5}}\n"
+        "regions:\n  ctl:\n    initial: off\n    states: {off: {}, on: {}}\n    transitions:\n"
+        "    - {name: hold, from: off, to: on, guard: b.dangle >= 3}\n"
+        "    - {name: let, from: on, to: off, after: 0.7}",
+        {"b": "mass: 1, inertia: 0.05"},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", JOINTED)
+def test_shapes_that_touch_nothing_do_not_change_a_coupling(name):
+    """The same steps with and without shapes: two providers of one stepper."""
+    sections, bodies = JOINTED[name]
+    names = ", ".join(bodies)
+    shaped, bare = (
+        run(sections, bodies, names, shaped=shaped, gravity=9.81, stop=1.2)
+        for shaped in (True, False)
+    )
+    # A joint moves the coordinates of bare bodies exactly, those of shapes at midpoints.
+    assert events(shaped) == events(bare)
+    assert shaped.trace.final == pytest.approx(bare.trace.final, abs=2e-6)
+
+
+def test_a_coupling_leaves_the_rebound_of_a_ball():
+    """A bounded couple has no impulse, and counts as no second contact of a plastic impact."""
+    ball = {"b": "mass: 1, inertia: 0.005, start: {y: 0.6, dangle: 5}"}
+    free, braked = (
+        run(text, ball, "b", gravity=9.81, stop=0.6, floor=True, restitution=0.8)
+        for text in ("", "couplings: {k: {bodies: [b], limit: 2}}")
+    )
+    assert free.trace.final[1] > 0.2
+    assert braked.trace.final[1] == pytest.approx(free.trace.final[1], abs=1e-12)
+
+
+def test_a_locked_wheel_slides_and_a_weak_brake_lets_it_roll():
+    """M a = -F, I w' = F r - M: a brake above mu m g r slides the wheel at mu g."""
+    wheel = {"b": "mass: 2, inertia: 0.01, start: {y: 0.1, dx: 3, dangle: -30}"}
+    locked, rolling = (
+        run(
+            f"couplings: {{brake: {{bodies: [b], limit: {limit}}}}}",
+            wheel,
+            "b",
+            gravity=9.81,
+            stop=0.4,
+            floor=True,
+        )
+        for limit in (20, 0.3)
+    )
+    final = dict(zip(locked.trace.variables, locked.trace.final, strict=True))
+    assert final["b.dangle"] == pytest.approx(0, abs=1e-9)
+    assert final["b.dx"] == pytest.approx(3 - 0.5 * 9.81 * 0.4, abs=5e-3)
+    final = dict(zip(rolling.trace.variables, rolling.trace.final, strict=True))
+    # Rolling: (m + I/r^2) a = -M/r.
+    assert final["b.dx"] == pytest.approx(3 - 0.4 * 0.3 / 0.1 / 3, abs=1e-6)
+    assert final["b.dangle"] == pytest.approx(-final["b.dx"] / 0.1, abs=1e-6)
+
+
+def test_a_led_body_drives_by_a_clutch():
+    """A motor at 4 rad/s, declared first: its couple is that on the motor."""
+    bodies = {"b": "mass: 1, inertia: 0.05", "m": "position: [3, 0], angle: 4*time"}
+    result = run(
+        "couplings: {k: {bodies: [m, b], limit: 0.1}}\noutputs: {least: {minimum: k.M}}",
+        bodies,
+        "b, m",
+        stop=2.5,
+    )
+    assert events(result) == [("k", "lock")]
+    assert result.trace.jumps[0].t == pytest.approx(2, abs=2e-3)
+    assert result.outputs["least"] == pytest.approx(-0.1)
+    final = dict(zip(result.trace.variables, result.trace.final, strict=True))
+    assert final["b.dangle"] == pytest.approx(4, abs=1e-9)
+
+
+def test_a_coupling_holds_a_body_that_coordinates_place():
+    """The brake of a crank of inertia I + m r^2 about its pivot."""
+    model = scene(
+        "coordinates: {q: {rate: 3}}\ncouplings: {k: {bodies: [b], limit: 0.5}}",
+        {"b": "mass: 1, inertia: 0.05, position: [cos(q), sin(q)], angle: q", "c": WHEELS["a"]},
+        "b, c",
+        stop=1.0,
+    )
+    result = Runner(model).run()
+    final = dict(zip(result.trace.variables, result.trace.final, strict=True))
+    assert final["dq"] == pytest.approx(3 - 0.5 / 1.05, abs=1e-9)
+
+
+def test_static_friction_holds_until_its_limit():
+    """A moment that grows as time passes overcomes 0.6 at 0.6 s, and then works against 0.4."""
+    result = run(
+        "couplings: {k: {bodies: [b], limit: {static: 0.6, kinetic: 0.4}}}\n"
+        "forces: {ramp: {body: b, moment: time}}",
+        {"b": "mass: 1, inertia: 0.05"},
+        "b",
+        stop=1.0,
+    )
+    assert [(j.cause, round(j.t, 2)) for j in result.trace.jumps] == [("slip", 0.6)]
+    rate = ((1 - 0.36) / 2 - 0.4 * 0.4) / 0.05
+    final = dict(zip(result.trace.variables, result.trace.final, strict=True))
+    assert final["b.dangle"] == pytest.approx(rate, abs=2e-2)
+
+
+def test_the_properties_of_couplings_hold_by_steps():
+    bodies = WHEELS | {"m": "position: [8, 3], angle: 4*time"}
+    model = scene(
+        "controls: {u: 0}\n"
+        "couplings:\n  brake: {bodies: [a], limit: '1 + 0.5*sin(7*time)'}\n"
+        "  clutch: {bodies: [a, b], limit: {static: 3, kinetic: 2}, enabled: time >= 0.5}\n"
+        "  motor: {bodies: [m, b], limit: u, enabled: in(ctl.on)}\n"
+        "regions:\n  ctl:\n    initial: off\n    states: {off: {}, on: {sets: {u: 2}}}\n"
+        "    transitions: [{name: go, from: off, to: on, on: clutch.lock}]",
+        bodies,
+        "a, b, m",
+        gravity=9.81,
+    )
+    report = check(model, examples=1)
+    assert report.passed, str(report)
+
+
+@pytest.mark.parametrize(("limit", "time"), [("0.3 - time", 0.301), ("sqrt(0.3 - time)", 0.301)])
+def test_a_limit_that_ends_ends_the_run(limit, time):
+    result = run(
+        f"couplings: {{k: {{bodies: [b], limit: {limit}}}}}",
+        {"b": "mass: 1, inertia: 0.05, start: {dangle: 20}"},
+        "b",
+    )
+    assert result.trace.outcome is Outcome.NO_CONSISTENT_MODE
+    assert "coupling 'k': its limit is below zero or has no value by" in result.trace.message
+    assert result.trace.t_end == pytest.approx(time, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("coupling", "words"),
+    [
+        ("{bodies: [f], limit: 1}", "body 'f' is fixed, as the world is; name the other body"),
+        ("{bodies: [m], limit: 1}", "its bodies turn as prescribed"),
+        ("{bodies: [d], limit: 1}", "no body 'd'; there are d0 to d1"),
+        ("{bodies: [b], limit: -1}", "must be zero or positive, not -1 at the start"),
+    ],
+)
+def test_mistakes_name_what_to_write(coupling, words):
+    bodies = {
+        "b": "mass: 1, inertia: 0.05",
+        "d": "mass: 1, inertia: 0.05, copies: 2, start: {x: index + 2}",
+        "m": "position: [9, 0], angle: time",
+        "f": "fixed: true, start: {x: 12}",
+    }
+    with pytest.raises(DeclarationError, match=words):
+        Runner(scene(f"couplings: {{k: {coupling}}}", bodies, "b, d, m, f")).run()
+
+
+def test_copies_are_coupled_one_by_one():
+    bodies = {"d": "mass: 1, inertia: 0.05, copies: 2, start: {x: index, dangle: 4}"}
+    result = run("couplings: {k: {bodies: [d1], limit: 0.1}}", bodies, "d", stop=1.0)
+    final = dict(zip(result.trace.variables, result.trace.final, strict=True))
+    assert final["d0.dangle"] == 4
+    assert final["d1.dangle"] == pytest.approx(2)
+    assert math.isfinite(final["d1.angle"])
