@@ -260,7 +260,7 @@ def settle(
                 slides[a] = 1.0 if slips[a] > 0.0 else -1.0
             write_cone(scene, tape, i, int(slides[a]), cones[a])
             bears, lasts = chunk.codes[k, i] != FREE, memory.modes[i] != FREE
-            arrives = not (lasts or chunk.struck[k, i])
+            arrives = not (lasts or chunk.struck[k, i] or is_coupling(scene, i))
             lasts = lasts and memory.landing_steps[i] != HOLDING
             if bears and arrives:
                 memory.settling[i] = LANDED
@@ -270,7 +270,8 @@ def settle(
                 against[a] = LEFT
             elif bears and _direction(memory.modes[i]) != slides[a] and (lasts or arrives):
                 # The last bounce starts h v/2 deep and ends there: it lasts up to h/e.
-                e = scene.restitution[i] if memory.settling[i] == LANDED else 0.0
+                bounces = memory.settling[i] == LANDED and not is_coupling(scene, i)
+                e = scene.restitution[i] if bounces else 0.0
                 against[a] = LEFT + (min(1.0 / e, LEFT * LEFT) if e > 0.0 else 0.0)
         ended, solved, forces = False, False, np.zeros((m, 2))
         pads = normal_pads(scene, tape, which, columns, h)
