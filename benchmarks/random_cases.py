@@ -47,7 +47,6 @@ FAMILIES: dict[str, Family] = {
     "beads by steps": steps.beads,
     "flush planks by steps": steps.planks,
     "planks that nearly meet": steps.next_plank,
-    "ratchets": steps.ratchets,
     "settings": steps.formulas,
     "drawings": steps.drawings,
 }

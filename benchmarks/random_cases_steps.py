@@ -10,7 +10,7 @@ import re
 import tempfile
 from collections.abc import Callable
 from itertools import pairwise
-from math import cos, exp, inf, log, pi, sin, sqrt
+from math import cos, inf, pi, sin, sqrt
 from pathlib import Path
 
 import numpy as np
@@ -259,52 +259,6 @@ def next_plank(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:
             # A fall of z takes sqrt(2 z/g), in which there is no friction.
             allowed = 1e-9 + q["mu"] * (abs(z) * 10 + 5 * sqrt(abs(z)))
             return max(lost / 1e-9, abs(final(result, "b.x") - x) / allowed if x > 0 else 0.0)
-
-        return q, check
-
-    return runner, draw
-
-
-def ratchets(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:
-    """A pawl holds a wheel that is driven forth and back, at the step that the run chooses."""
-    n, s = r.choice([6, 8, 10, 12]), power(r, -0.5, 0.5)
-    pitch = 2 * pi / n
-
-    def tooth(k: int) -> str:
-        corners = (0.095, 0.0), (0.12, 0.0), (0.1, 0.9 * pitch)
-        turned = [(s * a, b + k * pitch) for a, b in corners]
-        return f"{{polygon: {[[a * cos(b), a * sin(b)] for a, b in turned]}}}"
-
-    runner = scene(
-        f"parameters: {{T: 0.3, k: 0.2, J: 0.005, mu: 0.2, s: {s}}}\nbodies:\n  wheel:\n"
-        f"    mass: 1\n    inertia: J\n    shape: [{{disc: 0.1*s}}, "
-        f"{', '.join(tooth(k) for k in range(n))}]\n  pawl:\n    mass: 0.05\n"
-        f"    inertia: 1e-4*s**2\n    shape: {{polygon: [[{-0.04 * s}, {-0.004 * s}],"
-        f" [{0.04 * s}, {-0.004 * s}], [{0.04 * s}, {0.004 * s}], [{-0.04 * s}, {0.004 * s}]]}}\n"
-        "    start: {x: s*(0.17 - 0.04*cos(0.2)), y: s*(0.06 + 0.04*sin(0.2)), angle: -0.2}\n"
-        "joints:\n  axle: {point: {body: wheel}, to: [0, 0]}\n"
-        "  pin: {point: {body: pawl, at: [0.04*s, 0]}, to: [0.17*s, 0.06*s]}\n"
-        "collisions: {all: {bodies: [wheel, pawl], friction: mu, restitution: 0}}\n"
-        "controls: {drive: 0}\nforces:\n  motor: {body: wheel, moment: drive - 2*J*wheel.dangle}\n"
-        "  spring: {body: pawl, moment: -k*(pawl.angle - 0.5) - 0.005*k*pawl.dangle}\nregions:\n"
-        "  hand:\n    initial: forth\n"
-        "    states: {forth: {sets: {drive: T}}, back: {sets: {drive: -T}}}\n"
-        "    transitions: [{name: turn, from: forth, to: back, after: 0.5}]\n"
-        "outputs: {most: {maximum: wheel.angle}, end: {value: wheel.angle}}\n",
-        1.5,
-    )  # fmt: skip
-
-    def draw() -> Sibling:
-        J, push = 0.005 * s * s, r.uniform(20, 80)
-        q = {"T": push * J, "J": J, "k": 0.2 * s * s * power(r, -0.3, 0.3), "mu": r.uniform(0, 0.3)}
-        # Without the pawl: turned after 0.5 s, and on to the stop.
-        rate, e = 0.5 * push * (1 - exp(-1.0)), 0.25 * push * exp(-1.0)
-        free = e + 0.5 * rate - 0.25 * push * log(1 + rate / (0.5 * push))
-
-        def check(result: Result) -> float:
-            most, back = result.outputs["most"], result.outputs["most"] - result.outputs["end"]
-            moved = 0.3 * free - pitch < most < 1.01 * free
-            return 0.0 if moved and 0.0 <= back < 1.1 * pitch else inf
 
         return q, check
 
