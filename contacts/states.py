@@ -114,7 +114,7 @@ STATES = {
 """Number of a mode of a region to its state."""
 
 
-def undetermined(names: Iterable[str]) -> str:
+def undetermined_warning(names: Iterable[str]) -> str:
     """Return the warning of contacts whose forces the motion leaves open."""
     return f"the forces of {', '.join(names)} are indeterminate: the smallest are shown"
 

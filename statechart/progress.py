@@ -40,7 +40,7 @@ def possible() -> bool:
     return sys.stderr.isatty()
 
 
-def counted(items: Iterable[T], total: int, words: str) -> Iterator[T]:
+def count_items(items: Iterable[T], total: int, words: str) -> Iterator[T]:
     """Yield items, with a bar where one is possible."""
     if not possible():
         yield from items

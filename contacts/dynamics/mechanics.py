@@ -25,7 +25,7 @@ from contacts.dynamics.parameters import (
     scene_parameters,
 )
 from contacts.scene.couplings import CouplingSymbols, Rolling
-from contacts.scene.expansion import Reach, Stop, stops, switched
+from contacts.scene.expansion import Reach, Stop, is_switched, limit_contacts
 from contacts.scene.joints import Joint
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point, Surface
@@ -44,7 +44,7 @@ HAULED = "length"
 _MIN_LENGTH = 1e-3
 
 
-def hauled_in(name: str, time: float) -> NoConsistentMode:
+def winch_end_message(name: str, time: float) -> NoConsistentMode:
     """Return why a run ends at a time at which a rope is hauled in to next to nothing."""
     return NoConsistentMode(
         f"rope {name!r} is hauled in to {_MIN_LENGTH:g} of its length at the start by "
@@ -113,7 +113,7 @@ class Mechanics(Geometry):
         self._closed = {
             name: sp.Symbol(f"on{i}", real=True)
             for i, (name, joint) in enumerate(scene.joints.items())
-            if switched(joint)
+            if is_switched(joint)
         }
         # Rates and accelerations of the controllers' variables on which paths of surfaces depend.
         self._led = {
@@ -502,7 +502,7 @@ class Mechanics(Geometry):
             result[f"{name}.friction"] = self._coefficients[name]["friction"]
         for name, joint in self.scene.joints.items():
             if joint.limits is not None and not self.scene.collisions:
-                low, high = (self.forces[stop][0] for stop in stops(name))
+                low, high = (self.forces[stop][0] for stop in limit_contacts(name))
                 result[f"{name}.M"] = self._arm(joint.point) * (low - high)
         result["energy"] = self.energy
         return result

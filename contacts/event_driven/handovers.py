@@ -11,7 +11,12 @@ import sympy as sp
 from contacts.dynamics.controllers import values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.scene.lint import NEARLY_MEETING, goes_off, passes_end, stays_off
+from contacts.scene.lint import (
+    NEARLY_MEETING,
+    goes_off_warning,
+    passed_end_warning,
+    stays_off_warning,
+)
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.laws import Setup
@@ -75,7 +80,7 @@ class Handovers:
                         if -first > gap_tolerance:
                             depths += (-first, -gap)
             end()
-        late = (stays_off(self._mechanics.scene, name, d) for name, d in missed.items())
+        late = (stays_off_warning(self._mechanics.scene, name, d) for name, d in missed.items())
         return (*early, *beside, *late)
 
     def _past_ends(
@@ -106,7 +111,7 @@ class Handovers:
                     continue  # Far from its boundary before and after
                 if -beside <= self._at_crossing(setup, arc, place, sample, gap=True) <= 0.0:
                     warned.add(name)
-                    yield passes_end(name)
+                    yield passed_end_warning(name)
 
     def _let_through(
         self, setup: SceneSetup, arcs: Sequence[Arc], gap_tolerance: float
@@ -125,7 +130,7 @@ class Handovers:
                     for t in after.times[:2].tolist()
                 )
                 if abs(gap) <= gap_tolerance and later < -gap_tolerance:
-                    warnings.setdefault(name, goes_off(name, after.start.high))
+                    warnings.setdefault(name, goes_off_warning(name, after.start.high))
         return [*warnings.values()]
 
     def _tables(

@@ -51,7 +51,7 @@ class Links:
         """Evaluate expressions in some states, by default in unrelated ones."""
         values = np.fromiter(self._values.values(), float, len(self._values))
         times = np.linspace(0.1, 1.0, _CONFIGURATIONS)
-        tape = compiled(self._automaton, expressions)
+        tape = compile_expressions(self._automaton, expressions)
         return tape.table(self._states() if states is None else states, values, times)
 
     def _states(self) -> Array:
@@ -171,7 +171,7 @@ class Links:
         return along, across
 
 
-def compiled(automaton: Automaton, expressions: Sequence[sp.Expr]) -> Tape:
+def compile_expressions(automaton: Automaton, expressions: Sequence[sp.Expr]) -> Tape:
     """Compile expressions over the variables and parameters of an automaton."""
     return compile_tape(
         expressions,

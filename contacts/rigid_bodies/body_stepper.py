@@ -25,7 +25,7 @@ from contacts.rigid_bodies.declared_numbers import (
     closed_joints,
     implied_remarks,
     link_numbers,
-    touched,
+    touchable_surfaces,
 )
 from contacts.rigid_bodies.initial_penetration import check_containers, check_penetration
 from contacts.rigid_bodies.mechanics import BodyMechanics
@@ -135,7 +135,10 @@ class BodyStepper(Stepper):
         self._paths = Paths(mechanics.scene)
         self._constants = declared.constants()
         self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
-        self._names, self._surfaces = list(mechanics.scene.bodies), touched(mechanics.scene)
+        self._names, self._surfaces = (
+            list(mechanics.scene.bodies),
+            touchable_surfaces(mechanics.scene),
+        )
         self._warnings = lint(declared)
 
     def own_step(self) -> float:

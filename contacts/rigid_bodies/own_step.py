@@ -38,12 +38,12 @@ def inner_radii(numbers: BodyNumbers) -> Array:
         for p in range(pieces.begins[b], pieces.begins[b + 1]):
             radius = float(pieces.radii[p])
             corners = pieces.vertices[pieces.firsts[p] : pieces.firsts[p + 1]]
-            found[kind] = min(found[kind], radius if radius > 0.0 else inscribed(corners))
+            found[kind] = min(found[kind], radius if radius > 0.0 else inscribed_radius(corners))
     radii: Array = found[kinds]
     return radii
 
 
-def inscribed(corners: Array) -> float:
+def inscribed_radius(corners: Array) -> float:
     """Return the radius of the largest circle in a convex polygon (k, 2).
 
     It touches three edges.

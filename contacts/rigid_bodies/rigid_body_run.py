@@ -44,7 +44,7 @@ from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode, StepTooLarge
 from statechart.kernels.tapes import ACOS, ASIN, DIV, LOG, POW, POWI, SQRT, TAN, tape_table
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 # Depth, relative to the inscribed radius, from which a body may leave through another side.
 _DEEP = 0.1
@@ -415,8 +415,9 @@ class RigidBodyRun(SteppedSystem):
         if self._parted:
             joints = ", or joints would not close" if len(self.numbers.joints.kinds) else ""
             warnings += (
-                f"in {several(self._parted, 'step')} of {self._length:g} bodies would pass through "
-                f"each other, or turn by more than half a turn{joints}: these were taken in up to "
+                f"in {pluralise(self._parted, 'step')} of {self._length:g} bodies would pass "
+                f"through each other, or turn by more than half a turn{joints}: these were taken "
+                f"in up to "
                 f"{self._most_parts} parts; a step of {self._length / self._most_parts:.1g} needs "
                 "none",
             )
@@ -545,7 +546,7 @@ class RigidBodyRun(SteppedSystem):
         chunk = Chunk.allocate(h, state, solved + self._prescribed.count, bodies + couplings, count)
         done, status = 0, DONE
         while status == FULL or (status == DONE and done < count):
-            if done and interrupts.arrived():
+            if done and interrupts.signal_count():
                 break
             some = chunk.after(done).first(count - done)
             taken, status = step_bodies(

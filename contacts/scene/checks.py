@@ -30,7 +30,7 @@ from statechart.documents.fields import (
     check_named_infinity,
     check_names,
     check_smooth,
-    switching,
+    has_switch,
     value_of,
 )
 from statechart.errors import DeclarationProblem, Findings, Loc, close_matches
@@ -182,7 +182,7 @@ def _check_law(scene: SceneFields, name: str) -> None:
 
 def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> tuple[str, str]:
     """Return why a name cannot stand in a place, and what to write; nothing for any other."""
-    if loc[0] == "joints" and loc[-1] in ("rod", "rope") and name in _changing(scene):
+    if loc[0] == "joints" and loc[-1] in ("rod", "rope") and name in _changing_names(scene):
         advice = f"write a formula of {TIME}, or a rope, whose length may use controls"
         if loc[-1] == "rope":
             advice = f"write a formula of {TIME}, controls and variables of controllers"
@@ -215,14 +215,14 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
             "copies differ only in their start",
             "declare bodies that differ in more than that one by one",
         )
-    if TIME not in known and name in _changing(scene):
+    if TIME not in known and name in _changing_names(scene):
         switched = _is_coefficient(loc)
         advice = {"surfaces": _MOVED, "gravity": _PULLED}.get(str(loc[0]), _CONSTANT)
         return "it changes along a run, and this does not", _SWITCHED if switched else advice
     return "", ""
 
 
-def _changing(scene: SceneFields) -> Collection[str]:
+def _changing_names(scene: SceneFields) -> Collection[str]:
     names = {f"{contact}.{quantity}" for contact in scene.contacts for quantity in _OF_CONTACTS}
     names |= {f"{name}.{force}" for name, joint in scene.joints.items() for force in joint.forces}
     names |= {f"{name}.{quantity}" for name in scene.couplings for quantity in ("M", "slip")}
@@ -457,7 +457,7 @@ def check_kinks(scene: SceneFields) -> None:
         if loc[0] == "couplings":
             check_named_infinity(text, *loc, advice=_NEVER_SLIPS)
         check_named_infinity(text, *loc)
-        if scene.collisions and switching(text, changing, ("sign",)):
+        if scene.collisions and has_switch(text, changing, ("sign",)):
             raise DeclarationProblem(
                 "a force on a body with a shape cannot use sign: a time step would jump past zero",
                 advice="declare a coupling for dry friction in a joint or against rotation, or "
@@ -479,7 +479,7 @@ def has_switches(scene: SceneFields) -> bool:
     ]
     values = [text for _, _, _, text, _ in controls.sets()]
     formulas = [*(text for _, text in texts), *flows, *(values if flows else ())]
-    return any(switching(text, changing) for text in formulas)
+    return any(has_switch(text, changing) for text in formulas)
 
 
 def _force_formulas(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc, FormulaText]]]:
@@ -523,7 +523,7 @@ def check_polygon(corners: _Corners) -> None:
     """
     _check_places(corners)
     _check_crossings(corners)
-    turns, area = _turns(corners)
+    turns, area = _turn_sines(corners)
     if area < 0.0:
         raise DeclarationProblem(f"{_WHAT}; these are clockwise", advice="reverse their order")
     if all(turn > _STRAIGHT for turn in turns):
@@ -584,12 +584,12 @@ def _check_crossings(corners: _Corners) -> None:
             raise DeclarationProblem(
                 f"{_WHAT}; the edge from corner {i + 1} to {i + 2} crosses that from corner "
                 f"{j + 1} to {(j + 1) % len(corners) + 1}",
-                advice=_ordered(corners),
+                advice=_convex_order(corners),
                 loc=(j,),
             )
 
 
-def _ordered(corners: _Corners) -> str:
+def _convex_order(corners: _Corners) -> str:
     """Return in which order corners make a convex polygon; that there is one, if not which."""
     x, y = (sum(values) / len(corners) for values in zip(*corners, strict=True))
     around = sorted(
@@ -597,12 +597,12 @@ def _ordered(corners: _Corners) -> str:
     )
     first = around.index(0)
     around = [*around[first:], *around[:first]]
-    if min(_turns([corners[k] for k in around])[0]) > _STRAIGHT:
+    if min(_turn_sines([corners[k] for k in around])[0]) > _STRAIGHT:
         return f"list them in the order {', '.join(str(k + 1) for k in around)}"
     return "list corners in their order around it"
 
 
-def _turns(corners: _Corners) -> tuple[list[float], float]:
+def _turn_sines(corners: _Corners) -> tuple[list[float], float]:
     """Return the sines of a polygon's turns to the left after its edges, and its area."""
     following = [*corners[1:], corners[0]]
     edges = [(b[0] - a[0], b[1] - a[1]) for a, b in zip(corners, following, strict=True)]
@@ -626,7 +626,7 @@ def _split(corners: _Corners, inward: int) -> str:
     order = [(inward + step) % count for step in range(count)]
     for step in range(2, count - 1):
         halves = order[: step + 1], [*order[step:], inward]
-        if all(min(_turns([corners[k] for k in half])[0]) > _STRAIGHT for half in halves):
+        if all(min(_turn_sines([corners[k] for k in half])[0]) > _STRAIGHT for half in halves):
             first, second = (", ".join(str(k + 1) for k in half) for half in halves)
             return (
                 f"split it from there to corner {order[step] + 1}: shape: [{{polygon: corners "

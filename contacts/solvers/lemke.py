@@ -304,7 +304,7 @@ def delassus_matrix(mass: Array, jacobians: Array, forces: Array) -> tuple[Array
     rows = jacobians.reshape(-1, len(mass))
     reach = np.abs(rows).max(axis=0)
     responds = reach > 0.0
-    largest = (np.diag(mass)[responds] / reach[responds] ** 2).max()
+    largest = (np.diag(mass)[responds] / reach[responds] ** 2).max(initial=0.0)
     filled = mass + np.diag(np.where(responds, 1e-14 * largest * reach**2, 0.0))
     root = np.linalg.cholesky(filled)
     half, push = np.linalg.solve(root, rows.T), np.linalg.solve(root, forces)

@@ -178,7 +178,7 @@ def _empty(capacity: tuple[int, int, int, int], variables: int) -> TraceBuffer:
     )
 
 
-def copied(buffer: TraceBuffer) -> TraceBuffer:
+def copy_buffer(buffer: TraceBuffer) -> TraceBuffer:
     """Return a copy of the written part of a buffer."""
     arcs, times, terms, events = buffer.used.tolist()
     return TraceBuffer(
@@ -361,7 +361,7 @@ class TraceRecorder(TraceStore):
     def seal(self) -> None:
         """Move the written part of the buffer to a block."""
         if any(self.buffer.used.tolist()):
-            self.add(copied(self.buffer))
+            self.add(copy_buffer(self.buffer))
             self.buffer.used[:] = 0
 
     def _reserve(self, arcs: int, times: int, terms: int, events: int) -> bool:

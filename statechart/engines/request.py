@@ -121,7 +121,7 @@ class Plan:
     reason: str = ""  # of an engine other than the first choice
 
 
-def planned(
+def plan_request(
     asked: Setting,
     model: Declaration,
     automaton: Automaton,
@@ -147,9 +147,9 @@ def planned(
     of_file = asked.engine == settings.engine and given.engine is None and given.method is None
     if asked.engine != "impulse" and automaton.laws is None:
         message = f"the engine {asked.engine} cannot run bodies that collide by their shapes"
-        raise _refused(message, "leave the engine out, or take impulse", of_file)
+        raise _refusal(message, "leave the engine out, or take impulse", of_file)
     if asked.engine == "impulse":
-        return _stepping(asked, model, automaton, steps_only, of_file)
+        return _plan_steps(asked, model, automaton, steps_only, of_file)
     if asked.recorded is not Record.MODES:
         raise DeclarationError(
             f"only the engine impulse records less than modes, and {model.name!r} runs with events",
@@ -161,10 +161,12 @@ def planned(
         asked = replace(asked, max_step=settings.max_step)
     if asked.tolerance is None and asked.accuracy is None and asked.budget is None:
         asked = replace(asked, tolerance=settings.tolerance, accuracy=settings.accuracy)
-    return _learned(Plan(asked), study, model, once=once)
+    return _apply_measurements(Plan(asked), study, model, once=once)
 
 
-def _learned(plan: Plan, study: Measured | None, model: Declaration, *, once: bool) -> Plan:
+def _apply_measurements(
+    plan: Plan, study: Measured | None, model: Declaration, *, once: bool
+) -> Plan:
     """Return the plan with engine and first tolerance from the measurements."""
     asked = plan.setting
     if study is None or (asked.accuracy is None and asked.budget is None):
@@ -183,12 +185,12 @@ def _learned(plan: Plan, study: Measured | None, model: Declaration, *, once: bo
     return Plan(setting, tolerance, basis, chosen, study.until)
 
 
-def _stepping(
+def _plan_steps(
     asked: Setting, model: Declaration, automaton: Automaton, steps_only: bool, of_file: bool
 ) -> Plan:
     """Return the plan of a run on the engine impulse; `steps_only`: no other engine can run it."""
     if automaton.stepper is None:
-        raise _refused(
+        raise _refusal(
             f"{model.name!r} cannot run on the engine impulse, which moves bodies in "
             "contact: a scene is needed",
             "take the engine taylor or scipy",
@@ -225,7 +227,7 @@ def _stepping(
             "add --step 1e-3, or settings: {engine: impulse, step: 1e-3}; a thousandth of the "
             "shortest time of interest is a good start"
         )
-        raise _refused(message, advice, model.settings.engine == "impulse")
+        raise _refusal(message, advice, model.settings.engine == "impulse")
     reason = ""
     if steps_only:
         reason = (
@@ -235,7 +237,7 @@ def _stepping(
     return Plan(replace(asked, step=step), basis=basis, reason=reason)
 
 
-def _refused(message: str, advice: str, of_file: bool) -> Exception:
+def _refusal(message: str, advice: str, of_file: bool) -> Exception:
     """Return the error that an engine cannot run a model, with its place in the file."""
     if of_file:
         return DeclarationProblem(message, advice=advice, loc=("settings", "engine"))

@@ -6,7 +6,9 @@ heyoka computes steps and dense output. Its event detection is not used: it give
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,12 +30,12 @@ from statechart.engines.taylor_loop import (
 from statechart.errors import NonFinite, StepFailure, Unsupported
 from statechart.formulas.tape import Tape
 from statechart.kernels.polynomials import append_steps
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 # Unrolled and unoptimised, 250 operations compile in 0.13 s, and a step takes 11 us; optimised, 2 s
-# and 5 us; in heyoka's compact mode 0.45 s and 11 us. Above _LARGE operations on tape, compact mode
-# compiles faster and steps as fast.
-_LARGE = 500
+# and 5 us; in heyoka's compact mode 0.45 s and 11 us. Up to _FEW operations on tape are optimised,
+# which takes little time; above _LARGE, compact mode compiles faster and steps as fast.
+_FEW, _LARGE = 100, 500
 # This to the power -20, the order of the method, is near the largest float.
 _LEAST_BASE = 1e-12
 # Allowed slope error, relative to the motion and in tolerances: ten times the maximum over the
@@ -55,9 +57,11 @@ class _Stepper:
     integrator: Any
     compiled: Step | None
     fixed: Tape  # parameters of the integrator after the time
-    powers: tuple[str, ...]  # without a Taylor series at base zero
-    bases: Tape
+    bases: Tape  # of powers without a Taylor series at base zero, and their exponents there
+    exponents: Array
     rates: Tape
+    # Returns the text of such a power whose base is zero, from arguments of `Tape.values`.
+    power: Callable[[Array, Array, float], str]
 
     def __post_init__(self) -> None:
         # Views into the memory of the integrator.
@@ -101,43 +105,37 @@ class Taylor(Engine):
         """Compile the rates, shared by modes that differ in parameters only."""
         import heyoka as hy
 
-        from statechart.engines.heyoka_formulas import Converter
+        from statechart.engines.heyoka_formulas import convert
 
         extended = self._number is not float
-        convert = Converter(automaton, dict(mode.definitions), folds=not extended)
-        states = [hy.expression(f"v{i}") for i in range(len(automaton.variables))]
-        form = tuple(convert.rate(rate) for rate in mode.rates)
-        cached = self._programs.get(form)
+        found = convert(rates, folds=not extended)
+        cached = self._programs.get(found.expressions)
         if cached is None:
             compact = extended or len(rates.code) > _LARGE
-            with whole(f"the equations of a mode ({several(len(states), 'variable')})"):
+            states = [hy.expression(f"v{i}") for i in range(rates.n_variables)]
+            with whole(f"the equations of a mode ({pluralise(len(states), 'variable')})"):
                 integrator = hy.taylor_adaptive(
-                    list(zip(states, form, strict=True)),
+                    list(zip(states, found.expressions, strict=True)),
                     [self._number(0)] * len(states),
                     tol=self._number(self.tolerance),
                     fp_type=self._number,
                     compact_mode=compact,
-                    opt_level=3 if compact else 0,
+                    opt_level=3 if compact or len(rates.code) <= _FEW else 0,
                 )
-            cached = self._programs[form] = integrator, None if extended else Step.of(integrator)
+            step = None if extended else Step.of(integrator)
+            cached = self._programs[found.expressions] = integrator, step
         integrator, compiled = cached
         # heyoka drops parameters that it simplifies away (a mass may cancel); the first is the
         # start of the arc.
-        fixed = automaton.tape(convert.constants[: max(len(integrator.pars) - 1, 0)], mode)
-        symbols = (*automaton.variables, *automaton.parameters)
-        symbol_names = (*automaton.names, *automaton.parameter_names)
-        names = dict(zip(symbols, map(sp.Symbol, symbol_names), strict=True))
+        parameters = found.parameters[: max(len(integrator.pars) - 1, 0)]
         return _Stepper(
             integrator,
             compiled,
-            fixed,
-            tuple(
-                # Unevaluated: the root of a square would become an absolute value.
-                sp.sstr(sp.Pow(base.xreplace(names), exponent, evaluate=False))[:_SHOWN]
-                for base, exponent in convert.singular
-            ),
-            automaton.tape([base for base, _ in convert.singular], mode),
+            rates.until(rates.n_fixed, parameters),
+            rates.until(len(rates.code), tuple(found.bases)),
+            np.array([*found.bases.values()], dtype=float),
             rates,
+            partial(_power_at_zero, automaton, mode),
         )
 
     def entry(self, stepper: object) -> Entry | None:
@@ -151,12 +149,12 @@ class Taylor(Engine):
     def check(self, stepper: object, state: Array, parameters: Array, time: float) -> None:
         """Raise `Unsupported` at a non-integer power with base zero."""
         assert isinstance(stepper, _Stepper)
-        bases = stepper.bases.values(state, parameters, time)
-        for power, base in zip(stepper.powers, bases.tolist(), strict=True):
+        bases = stepper.bases.values(state, parameters, time) ** stepper.exponents
+        for base in bases.tolist():
             if not base > _LEAST_BASE:
                 raise Unsupported(
-                    f"{power} has no Taylor series at t = {time:.6g}, where its base is "
-                    f"{base:.3g}; use engine: scipy"
+                    f"{stepper.power(state, parameters, time)} has no Taylor series at "
+                    f"t = {time:.6g}, where its base is {base:.3g}; use engine: scipy"
                 )
 
     def steps(
@@ -210,6 +208,27 @@ class Taylor(Engine):
             path.times[limit] = until
         end[:] = watch.reconstruction.onto(end, watch.start + path.times.item(limit))
         return finished
+
+
+def _power_at_zero(
+    automaton: Automaton, mode: Mode, state: Array, parameters: Array, time: float
+) -> str:
+    """Return the text of a non-integer power of a mode whose base is zero."""
+    symbols = (*automaton.variables, *automaton.parameters)
+    symbol_names = (*automaton.names, *automaton.parameter_names)
+    names = dict(zip(symbols, map(sp.Symbol, symbol_names), strict=True))
+    for formula in (*mode.rates, *(value for _, value in mode.definitions)):
+        for node in sp.preorder_traversal(formula):
+            base, exponent = node.as_base_exp() if node.is_Pow else (None, sp.S.Half)
+            if isinstance(node, sp.Abs | sp.sign):
+                base = node.args[0] ** 2
+            if base is None or base.is_number or exponent.is_Integer:
+                continue
+            if not automaton.tape([base], mode).values(state, parameters, time)[0] > _LEAST_BASE:
+                # Unevaluated: the root of a square would become an absolute value.
+                text = sp.sstr(sp.Pow(base.xreplace(names), exponent, evaluate=False))
+                return text[:_SHOWN]
+    return "a power"
 
 
 def _one_by_one(

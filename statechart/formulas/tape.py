@@ -10,7 +10,7 @@ Constants are exact float64 numbers: 1/3 is divided at run time, pi is rounded.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -50,6 +50,11 @@ class Tape:
         """The tape for kernels that evaluate it along steps."""
         return TapeCode(self.code, self.constants, self.outputs, self.reads, self.n_fixed)
 
+    def until(self, operations: int, registers: tuple[int, ...]) -> Tape:
+        """Return the tape of the first operations, with these registers as outputs."""
+        outputs = np.array(registers, dtype=np.int32)
+        return replace(self, code=self.code[:operations], outputs=outputs)
+
     def values(self, state: ArrayLike, parameters: ArrayLike, time: float) -> Array:
         """Return the outputs at one point; raise `ValueError` for a wrong shape."""
         state, parameters = contiguous(state), contiguous(parameters)
@@ -84,7 +89,9 @@ class Tape:
         colour.
         """
         if variables not in self._colourings:
-            self._colourings[variables] = _coloured(self._read_by_outputs(variables), variables)
+            self._colourings[variables] = _colour_columns(
+                self._read_by_outputs(variables), variables
+            )
         return self._colourings[variables]
 
     @cached_property
@@ -126,7 +133,7 @@ class Tape:
             )
 
 
-def _coloured(reads: list[list[int]], variables: int) -> tuple[Ints, Ints, Ints]:
+def _colour_columns(reads: list[list[int]], variables: int) -> tuple[Ints, Ints, Ints]:
     """Return rows and columns of a sparsity pattern, and a greedy column colouring."""
     readers: list[list[int]] = [[] for _ in range(variables)]
     for output, columns in enumerate(reads):

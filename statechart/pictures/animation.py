@@ -19,10 +19,10 @@ from statechart.arrays import Array
 from statechart.documents.files import write_atomic
 from statechart.errors import DeclarationError, StatechartError
 from statechart.palette import FAINT, FRAME, INK, PAPER, state_colours
-from statechart.pictures.drawing import CLOSED, FORCE, TRAIL, Drawing, shaped
+from statechart.pictures.drawing import CLOSED, FORCE, TRAIL, Drawing, picture_size
 from statechart.pictures.film import Film
 from statechart.pictures.scenery import BODY
-from statechart.progress import counted
+from statechart.progress import count_items
 
 if TYPE_CHECKING:
     from PIL import Image, ImageFont
@@ -114,7 +114,7 @@ def write_animation(
     check(path, size)
     pictures = _pictures(film, _clock(speed), size, trail)
     if progress:
-        pictures = counted(pictures, len(film.times), f"pictures of {path.name}")
+        pictures = count_items(pictures, len(film.times), f"pictures of {path.name}")
     # A long run was thinned: each picture stays for longer.
     lasting = (film.times[-1] - film.times[0]) / speed / max(len(film.times) - 1, 1) or 1.0 / _RATE
     make = _gif if path.suffix.lower() == ".gif" else _mp4
@@ -137,7 +137,7 @@ def _pictures(film: Film, clock: str, size: int, trail: float | None) -> Iterato
     from matplotlib.font_manager import FontProperties, findfont
     from PIL import Image, ImageFont
 
-    width, height = shaped(film, size / _DPI, size / _DPI)
+    width, height = picture_size(film, size / _DPI, size / _DPI)
     even = [2 * round(side * _DPI / 2) / _DPI for side in (width, height)]
     figure = Figure(figsize=(even[0], even[1]), dpi=_DPI)
     canvas = FigureCanvasAgg(figure)

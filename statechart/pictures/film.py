@@ -153,7 +153,7 @@ HATCH = 1.0 / 48.0
 """Between the strokes of a hatching, in parts of `Film.unit`."""
 
 
-def placed(points: Array, pose: Array) -> Array:
+def place_points(points: Array, pose: Array) -> Array:
     """Return points (..., m, 2) of a frame in the world, for its poses (..., 3)."""
     x, y, angle = (pose[..., k, None] for k in range(3))
     c, s = np.cos(angle), np.sin(angle)
@@ -163,8 +163,8 @@ def placed(points: Array, pose: Array) -> Array:
 
 def ends_of(shape: Shape, poses: Array) -> tuple[Array, Array]:
     """Return the first and last point (..., 2) of a shape, for poses (..., f, 3) of all frames."""
-    first = placed(shape.points[:1], poses[..., shape.frame, :])
-    return first[..., 0, :], placed(shape.points[-1:], poses[..., shape.other, :])[..., 0, :]
+    first = place_points(shape.points[:1], poses[..., shape.frame, :])
+    return first[..., 0, :], place_points(shape.points[-1:], poses[..., shape.other, :])[..., 0, :]
 
 
 # A sag below this part of half the distance of the ends is not visible; points of a curve.
@@ -201,7 +201,7 @@ def catenary(first: Array, last: Array, slack: Array) -> Array:
     return points
 
 
-def strokes(points: Array, spacing: float) -> Array:
+def hatching(points: Array, spacing: float) -> Array:
     """Return the strokes (m, 2, 2) of the hatching on the right of a line of points.
 
     Where the line turns sharply they are as far apart as along it.

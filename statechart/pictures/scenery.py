@@ -10,7 +10,7 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.palette import FRAME, INK, state_colours
-from statechart.pictures.film import BETWEEN, WORLD, Film, Shape, catenary, ends_of, strokes
+from statechart.pictures.film import BETWEEN, WORLD, Film, Shape, catenary, ends_of, hatching
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -171,12 +171,10 @@ class Scenery:
         from matplotlib.collections import LineCollection
         from matplotlib.lines import Line2D
 
-        marks = strokes(shape.points, self._film.spacing)
-        hatching = LineCollection(
-            list(marks), colors=FRAME, linewidths=0.7 * self._thin, zorder=1.2
-        )
-        hatching.set_transform(self._ax.transData)
-        return [Line2D(*shape.points.T, color=INK, lw=1.4 * self._thin, zorder=1.3), hatching]
+        marks = hatching(shape.points, self._film.spacing)
+        lines = LineCollection(list(marks), colors=FRAME, linewidths=0.7 * self._thin, zorder=1.2)
+        lines.set_transform(self._ax.transData)
+        return [Line2D(*shape.points.T, color=INK, lw=1.4 * self._thin, zorder=1.3), lines]
 
 
 class _Bodies:

@@ -21,7 +21,7 @@ from statechart.observation.grazes import graze_warnings, grazes
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import extremes, outputs
 from statechart.reporting.partial_report import PartialReport
-from statechart.tabular import grouped, several
+from statechart.tabular import pluralise, readable_count
 
 
 class Computation(NamedTuple):
@@ -78,7 +78,7 @@ def report(
     events = _event_rows(observer, trace, jumps, conditions[:most], done, explain=explain)
     without = left_out(automaton, trace)
     without += [{"what": what, "why": why} for what, why in done.failed.items()]
-    result = _ended(trace) | {
+    result = _outcome(trace) | {
         "error_estimate": computation.error_estimate,
         "asked": computation.request,
         "condition": max((c for c in conditions if c is not None), default=None),
@@ -112,7 +112,7 @@ def report(
     return safe | {"events": events}
 
 
-def _ended(trace: Trace) -> dict[str, Any]:
+def _outcome(trace: Trace) -> dict[str, Any]:
     """Return the outcome and the settings of a run."""
     return {
         "model": trace.name,
@@ -335,7 +335,7 @@ def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
     if trace.step is not None:
         found.append(
             {
-                "what": f"the equations of {'all ' * (total > 1)}{several(total, 'mode')}",
+                "what": f"the equations of {'all ' * (total > 1)}{pluralise(total, 'mode')}",
                 "why": ("a step solves all contacts together, and modes follow from the solution"),
             }
         )
@@ -352,7 +352,8 @@ def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
     elif n_built < total:
         found.append(
             {
-                "what": f"the equations of {grouped(total - n_built)} of {several(total, 'mode')}",
+                "what": f"the equations of {readable_count(total - n_built)} of "
+                f"{pluralise(total, 'mode')}",
                 "why": "the run did not enter them",
             }
         )

@@ -16,7 +16,7 @@ import sympy as sp
 
 from statechart.arrays import ROUND_OFF, Array, Bools
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import HELD, of_regions
+from statechart.automaton.laws import HELD, region_roles
 from statechart.automaton.regions import Claim, Invariant, Margin, active_in, whole_margins
 from statechart.automaton.trace import Arc, Jump, Key, Role, Trace, sizes
 from statechart.execution.finding import STATE_ROUND_OFF, STATE_TOLERANCES
@@ -32,7 +32,7 @@ from statechart.formulas.relation import (
 )
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import extremes_along
-from statechart.observation.sampling import passed
+from statechart.observation.sampling import passed_modes
 from statechart.testing.agreement import NUDGE
 from statechart.testing.subject import Subject
 
@@ -103,7 +103,7 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
                 )
     automaton = subject.automaton
     for invariant in automaton.invariants:
-        for jump in {jump.j: jump for jump in (*trace.jumps[:1], *passed(trace))}.values():
+        for jump in {jump.j: jump for jump in (*trace.jumps[:1], *passed_modes(trace))}.values():
             for before in (True, False):
                 active = automaton.active(jump.source if before else jump.target)
                 _assert_at(observer, trace, jump, invariant.margin(active), before=before)
@@ -258,7 +258,7 @@ def _assert_claims(
 
 def _claims(subject: Subject, arc: Arc) -> Iterator[Claim]:
     for region, state, role in zip(
-        subject.automaton.regions, arc.mode, of_regions(arc.roles), strict=True
+        subject.automaton.regions, arc.mode, region_roles(arc.roles), strict=True
     ):
         if role.state != HELD:
             yield from region.claims(state)

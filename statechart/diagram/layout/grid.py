@@ -19,11 +19,11 @@ from statechart.diagram.layout.block import (
     Box,
     LayoutBlock,
     Point,
-    bounded,
+    bounding_block,
     polyline,
     with_start,
 )
-from statechart.diagram.layout.graphviz_program import measured
+from statechart.diagram.layout.graphviz_program import measure_boxes
 from statechart.diagram.layout.markup import (
     Style,
     arrow,
@@ -127,7 +127,7 @@ def grid(chart: Chart, style: Style, prefix: str) -> LayoutBlock:
     bands = [box for axis in axes for box in drawn.bands(axis)]
     words = [box for axis in axes for box in drawn.words(axis)]
     arrows = [one for axis in axes for one in drawn.arrows(axis)]
-    block = bounded((*bands, *drawn.states(), *words), arrows)
+    block = bounding_block((*bands, *drawn.states(), *words), arrows)
     if chart.initial is None:
         return block
     return with_start(block, style.names[chart.initial.name], f"{prefix}start")
@@ -160,7 +160,7 @@ class _Grid:
             for number, (node, _, _) in enumerate(self.axes[k].frames):
                 self.looks[self._key(k, f"in{number}")] = title_attributes(node, part, style)
         self.cells = {self.names[node.name]: state_attributes(node, chart, style) for node in nodes}
-        self.sizes = measured({**self.looks, **self.cells})
+        self.sizes = measure_boxes({**self.looks, **self.cells})
         self._measure()
 
     def _key(self, axis: int, number: int | str) -> str:
