@@ -56,7 +56,7 @@ def test_a_run_builds_the_modes_that_it_visits_and_no_other() -> None:
     near = explore(automaton, around=[start], within=1).graph()
     assert near.out_degree(start) == COUNT * len({(e.cause, e.target) for e in edges})
     assert len(near) == 1 + COUNT * 3
-    # What was considered at the end's jump are the modes of the one contact that touches.
+    # The jump of the end considers the modes of the one touching contact only.
     assert max(len(event["considered"]) for event in report["events"]) <= 4
 
 

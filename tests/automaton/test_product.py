@@ -1,4 +1,4 @@
-"""The product automaton as a graph: what is in it, and that no more is built than asked for."""
+"""The product automaton as a graph: its contents, built on demand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signals that end a run, and streams that cannot be written: what the user sees, what is kept."""
+"""Signals that end a run, and unwritable streams: output and saved files."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_long_work_lets_signals_through_unless_they_are_blocked() -> None:
         with pytest.raises(KeyboardInterrupt), interrupts.let_through():
             strike()
         with interrupts.let_through():
-            pass  # that one has been told of
+            pass  # that was reported
         with interrupts.held(firmly=True), interrupts.let_through():
             strike()
         with pytest.raises(KeyboardInterrupt), interrupts.let_through():
@@ -140,7 +140,7 @@ def test_signals_shorten_held_blocks_without_ending_them() -> None:
         with pytest.raises(KeyboardInterrupt):
             interrupts.check()
     assert pieces.some("names", ["a", "b"]) == ("a", "b")
-    # Of many variables fewer rows are as many numbers.
+    # With more variables fewer rows have as many numbers.
     assert short_length(1) == short_length(30) == SOME
     assert [short_length(width) * width <= 2**17 for width in (33, 400, 2**17)] == [True] * 3
     assert short_length(2**20) == 1

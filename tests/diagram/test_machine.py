@@ -126,7 +126,7 @@ def test_a_contact_is_written_with_its_states_in_states() -> None:
     (liftoff,) = root.findall(f".//{{{SCXML}}}transition[@event='tip.liftoff']")
     assert liftoff.get("target") == "free"
     events = [t.get("event") for t in root.iter(f"{{{SCXML}}}transition")]
-    # Who sends one says which state is entered, where that is open.
+    # The sender of an event names the state to enter if there are several.
     assert {f"tip.touchdown.{s}" for s in ("pin", "slide_plus", "slide_minus")} <= {*events}
 
 

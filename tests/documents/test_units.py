@@ -1,4 +1,4 @@
-"""Units: what is declared, what follows, and where they are shown."""
+"""Units: declared ones, inferred ones, and their display."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def upper_kernel(x):
 
 
 class Clock:
-    """A clock that tells what it was set to."""
+    """A clock with a settable time."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -50,7 +50,7 @@ def clock(monkeypatch):
 
 @pytest.fixture
 def lines(clock):
-    """Return what is said; every function takes a second."""
+    """Return the messages; every function takes a second."""
     said: list[str] = []
     compiling.announce(lambda subject, line, last: said.append(line))
     return said

@@ -108,7 +108,7 @@ def test_legs_reach_from_feet_to_hip():
 
 
 def test_reactions_of_two_bodies_are_a_spring():
-    # Of the hopper where its leg acts: in the air a constant force holds it at its full length.
+    # The leg of the hopper acts on the ground; in the air a constant force extends it fully.
     (spring,) = shapes(film_of("hopper", [0.0], until=0.0), "spring")
     assert spring.frame != spring.other
     assert not shapes(film_of("hopper", [0.0], until=0.0), "damper")

@@ -176,7 +176,7 @@ def test_similar_curves_are_represented_by_some_of_the_whole_range(height: int) 
     runner = Runner(read_text(FALLING.replace("HEIGHT", str(height))))
     result = runner.run()
     _, panels = curves(result.observer, result.trace)
-    # Where the big one falls on for longer it is still of their order.
+    # While the big one still falls, its speed is of their order.
     every = [n.rpartition(".")[0] for n in runner.automaton.names if n.endswith(".y")]
     spread = [every[k] for k in (0, 6, 11, 16, 22)]  # quarters of 22, half to even
     for panel in panels:
@@ -198,7 +198,7 @@ def test_gaps_of_contacts_that_change_are_drawn_first() -> None:
     rolled = {jump.region for jump in result.trace.jumps}
     assert len(gaps.names) == 5
     assert {name.removesuffix(".gap") for name in gaps.names} <= rolled
-    # Of those that stay off all along nothing is lost but the curve.
+    # Contacts that stay off lose only their curve.
     assert {*gaps.names, *gaps.left_out} == {f"{r}.gap" for r in result.trace.regions}
 
 

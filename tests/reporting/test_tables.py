@@ -164,7 +164,7 @@ def test_a_full_disk_keeps_complete_tables_and_names_the_missing_ones(
         "figure.svg, figure.png (File too large)"
     )
     assert os.listdir(tmp_path) == ["run"]
-    # What is left of another run would be taken for this one's.
+    # Leftovers of another run would be mistaken for this one's.
     notes = ["notes.txt"] if exists else []
     assert sorted(os.listdir(folder)) == ["events.csv", *notes, "run.json"]
     assert json.loads((folder / "run.json").read_text()) == made

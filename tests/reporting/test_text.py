@@ -1,4 +1,4 @@
-"""Summaries of runs with much to tell: what is listed, and what is counted."""
+"""Summaries of large runs: listed and counted items."""
 
 from __future__ import annotations
 

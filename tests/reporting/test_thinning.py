@@ -1,4 +1,4 @@
-"""Curves of very many points: what is drawn of them is what can be seen of them."""
+"""Curves of very many points are decimated without visible change."""
 
 from __future__ import annotations
 

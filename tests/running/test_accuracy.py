@@ -1,4 +1,4 @@
-"""Accuracy and budgets: what is estimated, what it costs, and how events magnify errors."""
+"""Accuracy and budgets: estimates, cost, and magnification of errors by events."""
 
 from __future__ import annotations
 
@@ -208,7 +208,7 @@ def test_difference_reports_its_parts_and_the_divergence_time() -> None:
     when = separation_time(exact.trace, other.trace)
     assert when is not None
     assert 3.0 < when < exact.trace.t_end
-    # Bounces at slightly different times are no difference of the states between them.
+    # Slightly different times of bounces do not count as differences of states.
     ball, later = run("bouncing_ball"), run("bouncing_ball", parameters={"x0": 1 + 1e-4})
     first = separation_time(ball.trace, later.trace)
     assert first is None or first > 5.0
@@ -374,7 +374,7 @@ def test_taylor_starts_at_its_least_tolerance_and_one_perturbed_run_estimates_it
 
 
 def test_run_from_zero_estimates_its_error() -> None:
-    # A force grows from nothing: there is no start to be off.
+    # A force grows from zero: the start has no error.
     text = """\
 kind: scene
 name: pushed
