@@ -85,7 +85,7 @@ def declared_state(state: str) -> str:
 
 
 def cause_of(before: str, after: str) -> str:
-    """Return what the change of a contact's state is called that no impact makes."""
+    """Return the name of a change of a contact's state without an impact."""
     if DISENGAGED in (before, after):
         return "close" if before == DISENGAGED else "open"
     if after == "locked":
@@ -120,7 +120,7 @@ def undetermined_warning(names: Iterable[str]) -> str:
 
 
 def implied_joints(names: Iterable[str]) -> str:
-    """Return what is said of joints that others imply, by the names of their rows."""
+    """Return the message on redundant joints, from the names of their rows."""
     return (
         f"other joints imply {' and '.join(map(repr, dict.fromkeys(names)))}: the motion is "
         "determined, how they share the forces is not"

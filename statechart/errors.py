@@ -54,7 +54,7 @@ class Position:
         return Position(self.source, self.line, self.column + columns)
 
     def error(self, message: str, advice: str = "") -> DeclarationError:
-        """Return the error of what is wrong here."""
+        """Return an error at this place."""
         return DeclarationError(
             message, advice=advice, source=self.source, line=self.line, column=self.column
         )

@@ -27,7 +27,7 @@ class Bar:
         self._task = self._shown.add_task("", total=total)
 
     def show(self, done: float, words: str) -> None:
-        """Say how much is done, and what besides."""
+        """Show the progress, with a remark."""
         self._shown.update(self._task, completed=done, description=words)
 
     def close(self) -> None:

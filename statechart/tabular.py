@@ -20,7 +20,7 @@ MAX_LISTED = 6
 """Values of a list that are written out; a longer one is summarised."""
 _NUMERIC_CELL = re.compile(r"(-?\d+)(\.\d+)?(e[+-]?\d+)?")
 
-# What is counted one by one; above it two digits say as much.
+# Largest number written in full; larger ones are rounded to two digits.
 _COUNTED = 10**9
 
 

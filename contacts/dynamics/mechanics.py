@@ -407,13 +407,13 @@ class Mechanics(Geometry):
         (n_x, n_y), (t_x, t_y) = self.contact(name).normal, self.contact(name).tangent
         # In its frame, as the normal and the point are.
         (x, y), (c, s) = self.contact(name).point, (sp.cos(frame[2]), sp.sin(frame[2]))
-        moved = (
+        frame_motion = (
             c * rates[0] + s * rates[1] - rates[2] * y,
             c * rates[1] - s * rates[0] + rates[2] * x,
         )
-        normal = n_x * moved[0] + n_y * moved[1]
+        normal = n_x * frame_motion[0] + n_y * frame_motion[1]
         normal += -radius_rate if surface.hollow else radius_rate
-        return normal, t_x * moved[0] + t_y * moved[1]
+        return normal, t_x * frame_motion[0] + t_y * frame_motion[1]
 
     def contact(self, name: str) -> ContactGeometry:
         """Return the geometry of a contact or a coupling; cached."""
@@ -525,8 +525,8 @@ class Mechanics(Geometry):
                 (x0, y0), (x1, y1) = self._corners(edge)
                 x, y = self.contact(name).point
                 length = sp.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2)
-                along = ((x1 - x0) * (x - x0) + (y1 - y0) * (y - y0)) / length
-                ends = {"begin of its edge": along, "end of its edge": length - along}
+                fraction = ((x1 - x0) * (x - x0) + (y1 - y0) * (y - y0)) / length
+                ends = {"begin of its edge": fraction, "end of its edge": length - fraction}
             gated = contact.enabled or ends
             self._gates[name] = (
                 gate_of(

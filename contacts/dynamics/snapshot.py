@@ -70,7 +70,7 @@ class Snapshot(NamedTuple):
     energy: float  # Kinetic plus gravity's
     contacts: tuple[PerContact, ...]  # In the order of the declaration
     jacobians: Array  # (c, 2, n)
-    biases: Array  # (c, 2): Of all contacts
+    biases: Array  # (c, 2): all contacts
     reduction: JointReduction | None = None  # None without joints
     # (k, 2): Static and kinetic limits of the couplings, which are the last of the contacts
     limits: Array = np.empty((0, 2))

@@ -365,7 +365,7 @@ def displaced_modes(
     gap_tolerance, speed_tolerance = setup.tolerances["gap"], setup.tolerances["speed"]
     laws = zip(setup.contacts, mode, before.contacts, after.contacts, strict=True)
     modes = []
-    for law, state, contact, moved in laws:
+    for law, state, contact, changed in laws:
         # Couplings have no surface.
         if law.name not in scene.contacts:
             modes.append(state)
@@ -374,17 +374,17 @@ def displaced_modes(
         rigid = scene.contacts[law.name].stiffness is None
         # Approach and departure count relative to the motion before the jump.
         separates = (
-            abs(moved.gap - contact.gap) > gap_tolerance
-            or abs(moved.gap_rate - contact.gap_rate) > speed_tolerance
+            abs(changed.gap - contact.gap) > gap_tolerance
+            or abs(changed.gap_rate - contact.gap_rate) > speed_tolerance
         )
         separates, is_closed = separates and rigid, state not in OPEN
-        if rigid and state != OFF and moved.gap < min(contact.gap, 0.0) - gap_tolerance:
-            raise displaced_surface_error(scene.contacts[law.name].surface, law.name, -moved.gap)
+        if rigid and state != OFF and changed.gap < min(contact.gap, 0.0) - gap_tolerance:
+            raise displaced_surface_error(scene.contacts[law.name].surface, law.name, -changed.gap)
         target = state
         if is_closed and separates:
             target = "free"
-        elif is_closed and abs(moved.slip - contact.slip) > speed_tolerance:
-            target = _slip_mode(state, moved, speed_tolerance)
+        elif is_closed and abs(changed.slip - contact.slip) > speed_tolerance:
+            target = _slip_mode(state, changed, speed_tolerance)
         if target != state and target not in law.states:
             raise surface_jump_error(scene.contacts[law.name].surface, law.name, target)
         modes.append(target)

@@ -51,7 +51,7 @@ class Handovers:
         arcs, gap_tolerance = list(arcs), setup.tolerances["gap"]
         early = self._let_through(setup, arcs, gap_tolerance)
         tables, inside = self._tables(setup, arcs, gap_tolerance)
-        beside = self._past_ends(setup, arcs, tables, gap_tolerance)
+        missed_ends = self._past_ends(setup, arcs, tables, gap_tolerance)
         shallow = NEARLY_MEETING * setup.scales.length
         missed: dict[str, float] = {}
         for place, (contact, name) in enumerate(self._gated.items()):
@@ -81,15 +81,15 @@ class Handovers:
                             depths += (-first, -gap)
             end()
         late = (stays_off_warning(self._mechanics.scene, name, d) for name, d in missed.items())
-        return (*early, *beside, *late)
+        return (*early, *missed_ends, *late)
 
     def _past_ends(
         self, setup: SceneSetup, arcs: Sequence[Arc], tables: Mapping[int, Array], near: float
     ) -> Iterator[str]:
-        """Yield a warning for each contact that is off by next to nothing as its gap closes."""
+        """Yield a warning for each contact that just misses its condition as its gap closes."""
         names = [*self._mechanics.scene.contacts]
         points = [self._mechanics.scene.contacts[name].point for name in names]
-        gated, beside = list(self._gated.items()), _BESIDE * setup.scales.length
+        gated, missed_ends = list(self._gated.items()), _BESIDE * setup.scales.length
         warned: set[str] = set()
         for k, table in tables.items():
             arc, gaps = arcs[k], table[:, 1::2]
@@ -107,9 +107,9 @@ class Handovers:
                 sample = int(through[:, place].argmax()) + 1
                 around = table[sample - 1 : sample + 1, 2 * place]
                 low, high = around.min(), around.max()
-                if 2.0 * high - low < -beside or 2.0 * low - high > 0.0:
+                if 2.0 * high - low < -missed_ends or 2.0 * low - high > 0.0:
                     continue  # Far from its boundary before and after
-                if -beside <= self._at_crossing(setup, arc, place, sample, gap=True) <= 0.0:
+                if -missed_ends <= self._at_crossing(setup, arc, place, sample, gap=True) <= 0.0:
                     warned.add(name)
                     yield passed_end_warning(name)
 

@@ -23,7 +23,7 @@ from statechart.errors import NonFinite, SimulationError
 # Safety factor of the round-off of a place: a zero may be on either side.
 _MORE = 2.0
 
-# Size of a corner, in gap tolerances, at which a warning tells that all its contacts are off.
+# Size of a corner, in gap tolerances, above which a warning says that all its contacts are off.
 _CORNER = 1000.0
 
 Strike = Callable[[Key], tuple[Array, Snapshot] | None]

@@ -61,7 +61,7 @@ class Share:
     signs: tuple[tuple[SignFriction, str], ...] = ()  # Signs that share, and their zones
 
     def of_contacts(self, count: int, frictions: Sequence[SignFriction]) -> Share | None:
-        """Return what the first contacts share, those behind them being signs."""
+        """Return the load sharing of the first contacts, without the signs that follow them."""
         behind = zip(frictions, self.zones[count:], strict=True)
         signs = tuple((sign, zone) for sign, zone in behind if zone != OWN)
         zones, rows, carriers = self.zones[:count], self.rows[:count], self.carriers[:count]

@@ -167,8 +167,8 @@ class Links:
         )
 
     def _pair(self, pair: tuple[str | int | float, str | int | float]) -> tuple[float, float]:
-        along, across = (parse(text).value(self._values) for text in pair)
-        return along, across
+        axial, transverse = (parse(text).value(self._values) for text in pair)
+        return axial, transverse
 
 
 def compile_expressions(automaton: Automaton, expressions: Sequence[sp.Expr]) -> Tape:
@@ -192,5 +192,5 @@ def _line_force(values: Array) -> tuple[Array, Array]:
 def _off(values: Array) -> bool:
     """Return whether a force deviates from its line; `values` as for `_line_force`."""
     force, way = values[:, :2], values[:, 2:]
-    across = force[:, 0] * way[:, 1] - force[:, 1] * way[:, 0]
-    return bool((np.abs(across) > SAME * np.hypot(*force.T) * np.hypot(*way.T)).any())
+    transverse = force[:, 0] * way[:, 1] - force[:, 1] * way[:, 0]
+    return bool((np.abs(transverse) > SAME * np.hypot(*force.T) * np.hypot(*way.T)).any())

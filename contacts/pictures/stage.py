@@ -52,11 +52,11 @@ class SceneStage:
         assert isinstance(scene, Scene)
         self._automaton, self._scene = automaton, scene
         self._mechanics = Mechanics(scene)
-        moved = [n for n, s in scene.surfaces.items() if s.moves]
+        moving_surfaces = [n for n, s in scene.surfaces.items() if s.moves]
         self._bodies = {name: 1 + k for k, name in enumerate(scene.bodies)}
         self._led = led_ends(scene)
         first = 1 + len(self._bodies) + len(self._led)
-        self._moved = {name: first + k for k, name in enumerate(moved)}
+        self._moved = {name: first + k for k, name in enumerate(moving_surfaces)}
 
     @property
     def wanted(self) -> tuple[str, ...]:
@@ -211,8 +211,8 @@ class SceneStage:
             if surface.turn != 0 or not is_straight(surface):
                 continue
             _, direction = line_of(surface, lambda text: parse(text).value(moments.parameters))
-            along = result[:, frame, :2] @ direction
-            whole = spacing * np.round(along / spacing)
+            projections = result[:, frame, :2] @ direction
+            whole = spacing * np.round(projections / spacing)
             result[:, frame, :2] -= whole[:, None] * direction
         return result
 
@@ -329,10 +329,10 @@ def include_nearest_points(cloud: Array, surfaces: Sequence[Shape], poses: Array
     clouds = [cloud]
     for surface in surfaces:
         line = place_points(surface.points, poses[:, surface.frame])[0]
-        along = np.diff(line, axis=0)
-        squares = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
-        part = ((middle - line[:-1]) * along).sum(axis=1) / squares
-        places = line[:-1] + np.clip(part, 0.0, 1.0)[:, None] * along
+        projections = np.diff(line, axis=0)
+        squares = np.maximum((projections**2).sum(axis=1), np.finfo(float).tiny)
+        part = ((middle - line[:-1]) * projections).sum(axis=1) / squares
+        places = line[:-1] + np.clip(part, 0.0, 1.0)[:, None] * projections
         away = np.hypot(*(places - middle).T)
         if len(away) and away.min() <= _VISIBLE * size:
             clouds.append(places[None, [int(away.argmin())]])
@@ -484,9 +484,9 @@ def _graph(
 def _shift(points: Array, offset: float) -> Array:
     if offset == 0.0:
         return points
-    along = np.gradient(points, axis=0)
-    along /= np.hypot(*along.T)[:, None]
-    return points + offset * np.column_stack([along[:, 1], -along[:, 0]])
+    projections = np.gradient(points, axis=0)
+    projections /= np.hypot(*projections.T)[:, None]
+    return points + offset * np.column_stack([projections[:, 1], -projections[:, 0]])
 
 
 def _clip_line(shapes: list[Shape], straight: Sequence[tuple[int, Array, Array]]) -> list[Shape]:

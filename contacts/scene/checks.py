@@ -50,7 +50,7 @@ _SWITCHED = (
 )
 _PULLED = "write a force on the body, or give the ground a displacement"
 _CONSTANT = "write a formula of parameters"
-# Of what forces cannot use of a contact: why, and what to write.
+# Quantities of a contact that forces cannot use: reason, and alternative.
 _PUSH = (
     "a force follows from places and velocities",
     "for a contact that gives, write stiffness and damping of {0!r}; else coordinates and rates of "
@@ -65,7 +65,7 @@ _OF_FORCES = {"gap": _PUSH, "slip": _PUSH, "V": _FRICTION, "H": _FRICTION}
 
 
 def formulas(part: BaseModel, loc: Loc = ()) -> Iterator[tuple[Loc, FormulaText]]:
-    """Yield the formulas of a part of a scene, and where they stand: what its units measure."""
+    """Yield the formulas of a part of a scene with their places: all fields with a unit."""
     for name, info in type(part).model_fields.items():
         yield from _formulas_in(
             getattr(part, name), (*loc, name), isinstance(info.json_schema_extra, dict)
@@ -75,7 +75,7 @@ def formulas(part: BaseModel, loc: Loc = ()) -> Iterator[tuple[Loc, FormulaText]
 def _formulas_in(value: Any, loc: Loc, measured: bool) -> Iterator[tuple[Loc, FormulaText]]:
     match value:
         case Path():
-            # Declared as a list or as a mapping: what it is not is skipped.
+            # Declared as a list or as a mapping; anything else is skipped.
             for place, axis in enumerate(("x", "y")):
                 yield from _formulas_in(getattr(value, axis), (*loc, place, axis), True)
         case BaseModel():
@@ -98,7 +98,7 @@ _SECTIONS = frozenset(
 
 
 def scene_formulas(scene: SceneFields) -> Iterator[tuple[Loc, FormulaText]]:
-    """Yield the formulas of bodies and what they touch, and where they stand."""
+    """Yield the formulas of bodies, surfaces and contacts, with their places."""
     return ((loc, text) for loc, text in formulas(scene) if loc[0] in _SECTIONS)
 
 
@@ -153,7 +153,7 @@ def check_formulas(scene: SceneFields, findings: Findings) -> None:
             known, formula = names_for(scene, loc), parse(text)
             for node in names_in(formula.root):
                 if node.name not in known:
-                    # Those that a formula cannot use where it stands are told what to write.
+                    # The error of a name that a formula cannot use gives the alternative.
                     reason, advice = _reason(scene, node.name, known, loc)
                     if advice:
                         raise DeclarationProblem(
@@ -181,7 +181,7 @@ def _check_law(scene: SceneFields, name: str) -> None:
 
 
 def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> tuple[str, str]:
-    """Return why a name cannot stand in a place, and what to write; nothing for any other."""
+    """Return why a name is not allowed at a place, and the alternative; empty if it is."""
     if loc[0] == "joints" and loc[-1] in ("rod", "rope") and name in _changing_names(scene):
         advice = f"write a formula of {TIME}, or a rope, whose length may use controls"
         if loc[-1] == "rope":
@@ -238,7 +238,7 @@ class Limit(NamedTuple):
     most: float
     words: str = "must be zero or positive, not {:g}"
     advice: str = ""
-    shown: tuple[FormulaText, ...] = ()  # Formulas whose values the sentence tells, if not its own
+    shown: tuple[FormulaText, ...] = ()  # Formulas whose values the message gives, if not its own
     slips: Mapping[str, float] = MappingProxyType({})  # Names of the slip -> its value
 
 
@@ -249,7 +249,7 @@ _PART = 0.0, 1.0, "must be between 0 and 1, not {:g}"
 _MASSES = "must be between 1e-280 and 1e+300, not {:g}"
 _LIGHT = 1e-280, _MAX_NUMBER, _MASSES, "take smaller units"
 _HEAVY = 0.0, 1e300, _MASSES, "take larger units"
-# Beyond it the solid would be above; what is meant are degrees, or a line for a ceiling.
+# Beyond it the solid would be above: degrees instead of radians, or a ceiling, which needs a line.
 _RIGHT_ANGLE = math.nextafter(math.pi / 2, math.inf)
 _INCLINES = (
     -_RIGHT_ANGLE,
@@ -435,7 +435,7 @@ _SMOOTH = "write a smooth formula: a velocity that jumps would be an impact with
 
 
 def check_kinks(scene: SceneFields) -> None:
-    """Check that surfaces, paths and positions have the derivatives that are taken of them.
+    """Check that surfaces, paths and positions have the necessary derivatives.
 
     Forces, and what controllers set them to, are smooth as long as a state lasts; derivatives are
     not too large to be built.
@@ -467,7 +467,7 @@ def check_kinks(scene: SceneFields) -> None:
 
 
 def has_switches(scene: SceneFields) -> bool:
-    """Return whether what moves the scene has abs, sign, min, max or sat of what changes."""
+    """Return whether forces or flows have abs, sign, min, max or sat of a changing value."""
     changing, texts = _force_formulas(scene)
     controls = scene.controlled
     changing = {*changing, TIME, *controls.controller_state}
@@ -657,7 +657,7 @@ def check_turns(scene: SceneFields) -> None:
 
 
 def check_copies(scene: SceneFields) -> None:
-    """Check what copies of bodies need."""
+    """Check the requirements of copies of bodies."""
     if INDEX in scene.parameters and any(b.copies is not None for b in scene.bodies.values()):
         raise DeclarationProblem(
             f"{INDEX!r} is the number of a copy", loc=("parameters", INDEX), key=True
@@ -728,7 +728,7 @@ def check_carrier(scene: SceneFields, surface: str, body: str) -> None:
 
 
 def check_collisions(scene: SceneFields) -> None:
-    """Check what collisions need, and exclude."""
+    """Check the requirements of collisions."""
     if not scene.collisions:
         return
     absent: dict[str, str] = {}
@@ -858,7 +858,7 @@ def _moving_names(scene: SceneFields) -> set[str]:
 
 
 def check_led_surfaces(scene: SceneFields, findings: Findings) -> None:
-    """Check that what moves surfaces of points changes within states as time and itself tell."""
+    """Check that the motion of surfaces within a state depends on time and itself only."""
     leading, constant = scene.leading, {*scene.parameters}
     texts: list[tuple[Loc, FormulaText]] = [(("controls", n), t) for n, t in scene.controls.items()]
     for region in scene.regions:
@@ -900,7 +900,7 @@ def check_prescribed(scene: SceneFields, findings: Findings) -> None:
 
 
 def _check_controller_state(scene: SceneFields) -> None:
-    """Check that what controllers remember is known ahead of the steps."""
+    """Check that the memory of controllers is known before the steps."""
     if not any(region.variables for region in scene.regions.values()):
         return
     moving = _moving_names(scene)

@@ -236,7 +236,7 @@ class SceneFields(Declaration):
 
     @property
     def timers(self) -> frozenset[str]:
-        """Variables that nobody declared: what transitions of controllers wait by."""
+        """Undeclared variables: the timers of transitions of controllers."""
         flat = self.controlled.flat.values()
         return frozenset(timer for region in flat for timer in region.timers)
 

@@ -1,4 +1,4 @@
-"""The contact modes free, slide and pin: what each contributes to a product mode (paper 3.3)."""
+"""Contributions of the contact modes free, slide and pin to a product mode (paper 3.3)."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ class Scene(SceneFields):
         }
 
     def omitted(self, values: Mapping[str, float], *, stepped: bool) -> Mapping[str, str]:
-        """Return what a run of the scene does without, and why."""
+        """Return the parts that a run of the scene omits, with reasons."""
         reasons = replaced_laws(self, values) if stepped else {}
         for name, body in self.bodies.items():
             if body.fixed:
@@ -217,7 +217,7 @@ class Scene(SceneFields):
             self.controlled.check(self.kinematic_names)
         with findings:
             self.controlled.check_controller_state(self.kinematic_names)
-        # Beside what moves, a body may stand at a place.
+        # A body that does not move may have a constant place.
         nothing_moves = not self.coordinates and all(
             body.position is not None for body in self.bodies.values()
         )
@@ -321,8 +321,8 @@ class Scene(SceneFields):
         names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.forces}
         names |= {f"{name}.{quantity}" for name in self.couplings for quantity in ("M", "slip")}
         names |= {"energy", *self.controls} | self.placed_names
-        kept = {v for region in self.regions.values() for v in region.variables}
-        changing = names - {*self.parameters, *(kept - {*self.controlled.flowing})}
+        variables = {v for region in self.regions.values() for v in region.variables}
+        changing = names - {*self.parameters, *(variables - {*self.controlled.flowing})}
         gates = {c: expanded.gate(c) for c in expanded.contacts}
         found = {c: {*_active(states(x, gate=gates[c]))} for c, x in expanded.contacts.items()} | {
             name: {*region.named} for name, region in expanded.controlled.flat.items()

@@ -130,10 +130,10 @@ class StepControl:
             )
             if name in self._joints and taken.target == CLOSED:
                 after = self._closed(name, after, recorder, h)
-            moved, strikes = self._scene.switch(
+            switched, strikes = self._scene.switch(
                 self._states.named(self.states), (state, after, recorder.clock.high)
             )
-            jump = recorder.turn(name, taken.name, self.states, (state, after), fired, moved)
+            jump = recorder.turn(name, taken.name, self.states, (state, after), fired, switched)
             pending, state = self._queues.pending_after(firing.pending, jump), after
             if strikes:
                 self._pending, self._strikes = pending, True

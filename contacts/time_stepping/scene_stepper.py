@@ -169,14 +169,14 @@ class SteppedScene(SteppedSystem):
         slips &= touched & (codes != SLIDE) & (np.abs(now - old)[:, 2] > self._still)
         after = np.where(slips, np.where(now[:, 2] > 0.0, SLIDE_PLUS, SLIDE_MINUS), codes)
         after[touched & parts] = FREE
-        moved = {i: int(after[i]) for i in np.flatnonzero(after != codes).tolist()}
-        for i, code in moved.items():
+        switched = {i: int(after[i]) for i in np.flatnonzero(after != codes).tolist()}
+        for i, code in switched.items():
             if self._undeclared[i, code]:
                 raise surface_jump_error(
                     was.scene.contacts[was.names[i]].surface, was.names[i], STATES[code]
                 )
             codes[i] = memory.modes[i] = code
-        return moved, bool((touched & parts & (now[:, 1] < -self._still)).any())
+        return switched, bool((touched & parts & (now[:, 1] < -self._still)).any())
 
     def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Set equations and coefficients."""

@@ -201,12 +201,12 @@ class SteppedRun:
             first = self.time
             while done < count:
                 interrupts.check()
-                begin, asked = first + done * h, count - done
-                if asked < 1.0:
-                    chunk = self.system.steps(begin, asked * h, self.state, 1)
+                begin, count_left = first + done * h, count - done
+                if count_left < 1.0:
+                    chunk = self.system.steps(begin, count_left * h, self.state, 1)
                 else:
                     chunk = self.system.steps(
-                        begin, h, self.state, min(int(asked), most, each - int(done) % each)
+                        begin, h, self.state, min(int(count_left), most, each - int(done) % each)
                     )
                 due = False
                 if self.control is not None:

@@ -288,5 +288,5 @@ class Feasibility:
     """Feasibility of the product modes at a configuration."""
 
     modes: Mapping[Key, str]  # mode -> reason why it is infeasible, or ""
-    declared: Mapping[Key, str]  # likewise without directions of sliding
+    declared: Mapping[Key, str]  # the same without directions of sliding
     remarks: tuple[str, ...] = ()

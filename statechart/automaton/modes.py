@@ -238,9 +238,9 @@ class Reconstruction(NamedTuple):
         """Return a state (n,) with dependent coordinates computed from the others."""
         if not len(self.program[3]):
             return state
-        moved = np.array(state)
-        reconstruct(self.program, moved, time)
-        return moved
+        result = np.array(state)
+        reconstruct(self.program, result, time)
+        return result
 
 
 @dataclass(frozen=True, eq=False)

@@ -125,8 +125,8 @@ def _key_names(automaton: Automaton, directions: bool) -> Callable[[Key], Key]:
     names: list[dict[str, str]] = []
     for region in automaton.regions:
         declared = {state: region.declared(state) for state in region.states}
-        kept = region.states if directions else declared.values()
-        names.append({**({} if directions else declared), **{state: state for state in kept}})
+        states = region.states if directions else declared.values()
+        names.append({**({} if directions else declared), **{state: state for state in states}})
 
     def shown(key: Key) -> Key:
         try:

@@ -285,7 +285,7 @@ def jump_times(jumps: Sequence[Jump]) -> list[float]:
 class TraceRecorder(TraceStore):
     """Records a run in a buffer, copied to a block when full and at the end.
 
-    `begun`: the buffer already contains the beginning of the run.
+    `is_started`: the buffer already contains the beginning of the run.
     """
 
     def __init__(
@@ -295,11 +295,11 @@ class TraceRecorder(TraceStore):
         buffer: TraceBuffer,
         jump: Callable[[RecordedEvent], Jump] | None = None,
         *,
-        begun: bool = False,
+        is_started: bool = False,
     ) -> None:
         super().__init__(variables, kinds, buffer, jump)
         self._places: dict[Kind, int] = {}
-        if not begun:
+        if not is_started:
             buffer.used[:] = 0
         self.arcs, self.jumps = self.sequences()
 

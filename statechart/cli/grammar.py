@@ -104,7 +104,7 @@ _VERBS = {
 
 
 def read(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Return what a command line says; end the process with the reason where it cannot be read."""
+    """Parse a command line; end the process with the reason if it is invalid."""
     whole = parser()
     (verbs,) = (one for one in whole._actions if isinstance(one, argparse._SubParsersAction))
     words = sys.argv[1:] if arguments is None else arguments
@@ -302,7 +302,7 @@ def _settable(parser: argparse.ArgumentParser) -> None:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line, which the list of all options would hide."""
+    """Reports an error in one line, without the list of all options."""
 
     def error(self, message: str) -> NoReturn:
         message = message.replace("the following arguments are required", "missing")

@@ -1,4 +1,4 @@
-"""The command line as a process: streams and signals, exit codes, and what errors become."""
+"""The command line as a process: streams, signals, exit codes, and reports of errors."""
 
 from __future__ import annotations
 

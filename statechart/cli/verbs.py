@@ -99,8 +99,12 @@ def run(arguments: argparse.Namespace) -> int:
     # From here on nothing is lost: a part that fails is left out, with a message.
     with interrupts.held(), interrupts.limit_time(PATIENCE):
         complete = _deliver(runner, result, parameters, arguments)
-    asked = result.asked
-    met = asked is None or asked.setting.accuracy is None or asked.reached(result.error_estimate)
+    request = result.asked
+    met = (
+        request is None
+        or request.setting.accuracy is None
+        or request.reached(result.error_estimate)
+    )
     return 0 if complete and met and result.trace.outcome.succeeded else 1
 
 
@@ -342,7 +346,7 @@ def _open(path: Path) -> None:
 
 
 def trade(arguments: argparse.Namespace) -> int:
-    """Run a model at many settings; print what each costs and gives."""
+    """Run a model at many settings; print cost and error of each."""
     from statechart.study.text import describe_study, to_dict
     from statechart.study.trade import trade as study_of
 
@@ -370,7 +374,7 @@ def trade(arguments: argparse.Namespace) -> int:
 
 
 def sweep(arguments: argparse.Namespace) -> int:
-    """Run a model over its parameters; print how cells ended and between what outputs lie."""
+    """Run a model over its parameters; print outcomes of cells and ranges of outputs."""
     from statechart.documents.setting import Setting
     from statechart.sweeps import results
     from statechart.sweeps.ranges import cells
@@ -494,7 +498,7 @@ def new(arguments: argparse.Namespace) -> int:
 
 
 def completion(arguments: argparse.Namespace) -> int:
-    """Print what a shell is to read to complete commands."""
+    """Print the completion script of a shell."""
     from statechart.cli.grammar import script
 
     print(script(arguments.shell))

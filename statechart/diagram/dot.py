@@ -80,11 +80,11 @@ def _tables(below: Legend) -> list[LayoutBlock]:
 
 def _table(name: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[LayoutBlock]:
     """Return a table without empty columns, if it has rows."""
-    kept = [column for column in range(len(heads)) if any(row[column] for row in rows)]
-    if not kept:
+    used_columns = [column for column in range(len(heads)) if any(row[column] for row in rows)]
+    if not used_columns:
         return []
-    lines = [[text(heads[k], size=SMALL, italic=True, colour=FRAME) for k in kept]]
-    lines += [[text(_wrap_text(row[k]), size=SMALL) for k in kept] for row in rows]
+    lines = [[text(heads[k], size=SMALL, italic=True, colour=FRAME) for k in used_columns]]
+    lines += [[text(_wrap_text(row[k]), size=SMALL) for k in used_columns] for row in rows]
     # Graphviz has no spacing of columns only.
     lines = [
         [part for cell in row for part in (cell, text("   ", size=SMALL))][:-1] for row in lines

@@ -468,7 +468,7 @@ class Execution:
         """Jump until the mode holds; return whether the run ends."""
         laws = self.automaton.laws_of_events
         self.instants += 1
-        moved = False
+        projected = False
         if fired and is_of_switch(fired[0]):
             self._livelock.rearranged(self.clock, fired)
             if self.certificate is not None:
@@ -486,15 +486,15 @@ class Execution:
                     self.flow.roles,
                     self.flow.tolerances,
                 ):
-                    moved = True
+                    projected = True
                     self._livelock.rearranged(self.clock, fired)
                 if following.start is not None:
                     self.state = following.start
                 self.flow = following._replace(start=None)
-                if moved:
+                if projected:
                     self._warn()
                 continue
-            moved = True
+            projected = True
             if self.certificate is not None:
                 self.certificate.jump(self._instant(*fired), jump)
             self.flow = following
@@ -510,7 +510,7 @@ class Execution:
                 break
         else:
             raise loop_error(self.record.jumps[-6:], self.clock, self.automaton)
-        if fired and not moved:
+        if fired and not projected:
             if self.failure is not None:
                 if fired != (UNBOUNDED,) or not (last := self._fell_at_last()):
                     raise self.failure

@@ -35,10 +35,10 @@ def with_increased_start(automaton: Automaton) -> Automaton:
 
     def changed(setup: Setup, relative: float) -> Setup:
         horizon = _HORIZON_FACTOR * setup.horizon if setup.horizon < math.inf else 1.0
-        moved = _perturb(
+        perturbed = _perturb(
             setup, np.sign(setup.initial) * max(relative, _MIN_PERTURBATION), gap=_GAP_FACTOR
         )
-        return replace(moved, horizon=horizon)
+        return replace(perturbed, horizon=horizon)
 
     return _with_setup(automaton, changed)
 

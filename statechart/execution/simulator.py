@@ -283,7 +283,7 @@ class Simulator:
         if loop is not None:
             kinds, jump = loop.kinds, partial(loop.jump, lambda: setup)
         variables = len(self.automaton.variables)
-        record = TraceRecorder(variables, kinds, self.buffer, jump, begun=batch is not None)
+        record = TraceRecorder(variables, kinds, self.buffer, jump, is_started=batch is not None)
         return Execution(
             self.modes, self.path, record, setup, zeros, until, max_jumps, self.progress, loop,
             batch_start=batch,

@@ -167,10 +167,10 @@ class Relation:
     def require_still(self, changing: Collection[str]) -> None:
         """Raise `FormulaError` at the first ``==`` or ``!=`` of names that vary along flows."""
         for one in self.comparisons:
-            moved = sorted((one.left.names | one.right.names).intersection(changing))
-            if one.operator in _EQUALITIES and moved:
+            changing_names = sorted((one.left.names | one.right.names).intersection(changing))
+            if one.operator in _EQUALITIES and changing_names:
                 Source(self.text).fail(
-                    f"{one.operator} compares {moved[0]!r}, which changes between events",
+                    f"{one.operator} compares {changing_names[0]!r}, which changes between events",
                     one.offset,
                     "write <= or >=: it becomes true as the value passes the other side",
                 )

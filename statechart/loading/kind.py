@@ -34,7 +34,7 @@ class Kind:
     """
 
     name: str  # the value of the document's `kind:`
-    model: type[Declaration]  # what the document is validated as
+    model: type[Declaration]  # pydantic model that validates the document
     automaton: Callable[[Any], Automaton]  # builds the automaton of a model
     # A commented document that runs, to start from; the word NAME in it stands for the name of the
     # model.
@@ -71,7 +71,7 @@ def load_kind(offered: EntryPoint) -> Kind:
 
 
 def load_entry(group: str, name: str) -> Any:
-    """Return what is installed under a kind's name in a group of entry points; None where nothing.
+    """Return the object of a kind in a group of entry points; None if there is none.
 
     Raises `StatechartError` if its package is hidden by another of its name.
     """
@@ -84,12 +84,12 @@ _OURS = Path(__file__).resolve().parents[2]
 
 @cache
 def entries(group: str) -> tuple[EntryPoint, ...]:
-    """Return what is installed in a group, looked for once: that takes 10 ms."""
+    """Return the entry points of a group; cached, since the search takes 10 ms."""
     return tuple(importlib.metadata.entry_points(group=group))
 
 
 def load(entry: EntryPoint) -> Any:
-    """Return what an entry point names.
+    """Load the object of an entry point.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def _home(entry: EntryPoint) -> Path | None:
 
 
 def _hiding_module(home: Path) -> Path | None:
-    """Return what Python imports by the name of a package of ours instead of it."""
+    """Return the module that hides one of our packages by its name."""
     name = home.parent.name
     found = sys.modules[name].__spec__ if name in sys.modules else importlib.util.find_spec(name)
     if found is None or found.origin is None or Path(found.origin).resolve() == home:

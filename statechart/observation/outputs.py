@@ -392,8 +392,8 @@ class Outputs:
             values.append(np.fmax(*map(np.abs, sides)))
         magnitudes = np.abs(np.concatenate([*values, [0.0]]))
         if trace.arcs:
-            along = self.observer.sample(trace, (str(formula),), per_step=1)
-            np.fmax.at(magnitudes, along.j + 1, np.abs(along.columns[str(formula)]))
+            sampled = self.observer.sample(trace, (str(formula),), per_step=1)
+            np.fmax.at(magnitudes, sampled.j + 1, np.abs(sampled.columns[str(formula)]))
         magnitudes[~np.isfinite(magnitudes)] = 0.0
         return np.maximum.accumulate(magnitudes)
 
@@ -442,14 +442,14 @@ class OutputAccumulator:
     def add(self, piece: Trace) -> None:
         """Process the arcs and jumps since the last call."""
         self._waiting += piece.jumps
-        beside = replace(piece, arcs=(*self._last, *piece.arcs)) if self._last else piece
-        if beside.arcs:
+        with_last = replace(piece, arcs=(*self._last, *piece.arcs)) if self._last else piece
+        if with_last.arcs:
             # Values at a jump may need the unknowns of the steps on both sides.
-            last = beside.arcs[-1].j
+            last = with_last.arcs[-1].j
             known = [jump for jump in self._waiting if jump.j < last]
             self._waiting = self._waiting[len(known) :]
-            self.take(beside, piece.arcs, known, ended=False)
-            self._last = (beside.arcs[-1],)
+            self.take(with_last, piece.arcs, known, ended=False)
+            self._last = (with_last.arcs[-1],)
 
     def end(self, piece: Trace) -> dict[str, OutputValue]:
         """Process the end of the run, with the whole run or no arcs; return the outputs."""

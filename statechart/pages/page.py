@@ -53,7 +53,7 @@ MOST_EVENTS = 300
 _FEW, _CHANGED = 60, 9000
 # Points of a curve; a diagram of more modes is not looked at.
 _POINTS, _NODES = 1200, 40
-# How wide the moving scene is, in its own units.
+# Width of the moving scene, in its own units.
 _PICTURE = 1000.0
 
 
@@ -236,7 +236,7 @@ def _impulses_of(trace: Trace, panel: Panel, region: str, end: float) -> dict[st
 
 
 def _sample_rows(samples: Samples, end: float) -> NDArray[np.intp]:
-    """Return the rows that curves are drawn by: some, and both ends of every flow.
+    """Return the sampled rows of curves, including both ends of every flow.
 
     Without these a curve would end short of where it jumps. Of too many flows all rows, of which
     `Line` draws the least and the greatest of every column.
@@ -308,7 +308,7 @@ def _visits(path: Sequence[str], entered: Sequence[tuple[str, ...]]) -> NDArray[
 def _complete_diagram(
     automaton: Automaton, diagram: Diagram, modes: Sequence[Key]
 ) -> tuple[Diagram, Callable[[Key], tuple[str, ...]]]:
-    """Return a diagram that has every mode, and the nodes of it that are active in one.
+    """Return a diagram with every mode, and its active nodes in each mode.
 
     Of a run through many modes a diagram shows the first ones; what it does after that is seen on
     the charts of its regions.

@@ -38,7 +38,7 @@ _SHORT, _LONG = 3.0, 10.0
 _MAX_FRAMES = 600
 # Pixels along a side; a video's are even.
 _NARROWEST, _WIDEST = 120, 1920
-# The last picture stays for so long before all begins anew.
+# Seconds for which the last picture stays before the animation repeats.
 _STAYS = 1.0
 _DPI = 100
 # The clock: its letters and the paper around it in pixels, its place in parts of the picture.
@@ -131,7 +131,7 @@ def _clock(speed: float) -> str:
 
 
 def _pictures(film: Film, clock: str, size: int, trail: float | None) -> Iterator[Image.Image]:
-    """Yield the pictures of a film; what does not move is drawn once for all of them."""
+    """Yield the pictures of a film; the static background is drawn once."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.font_manager import FontProperties, findfont
@@ -173,7 +173,7 @@ def _write_clock(picture: Image.Image, words: str, font: ImageFont.FreeTypeFont)
 def _gif(pictures: Iterator[Image.Image], lasting: float) -> bytes:
     from PIL import Image
 
-    # One palette for all: what stands still stays the same, and takes no place in the file.
+    # One palette for all pictures: static parts stay equal, and compress to nothing.
     shared = Image.new("P", (1, 1))
     shared.putpalette(_palette())
     kept = [p.quantize(palette=shared, dither=Image.Dither.NONE) for p in pictures]

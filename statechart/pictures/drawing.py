@@ -83,7 +83,7 @@ class Drawing:
             self._show(touch, artists, instant)
 
     def moving(self) -> list[Artist]:
-        """Return all that has to be drawn anew at another instant, from back to front.
+        """Return the artists to redraw at another instant, from back to front.
 
         That is what moves, and what is drawn upon it. What is seen by an eye that moves does, too.
         """
@@ -97,7 +97,7 @@ class Drawing:
     def _move_window(self, instant: int) -> None:
         (x, y), (width, height) = self._film.centres[instant], self._film.half
         limits = (x - width, x + width), (y - height, y + height)
-        # To set them, though they are the same, places everything anew.
+        # Setting equal limits would trigger a new layout.
         if limits != self._limits:
             self._limits = limits
             self._ax.set(xlim=limits[0], ylim=limits[1])
@@ -141,7 +141,7 @@ class Drawing:
 
 
 _SIZE = 8  # points
-# What is in the way of a name, from what must not be to what is not nice.
+# Costs of covering other parts by a name, from forbidden to undesirable.
 _OUTSIDE, _TEXT, _MARK, _LINE, _FARTHER = 1000.0, 500.0, 30.0, 4.0, 0.4
 # Around a point a name is tried in so many directions and distances, these in points of the paper.
 _ROUND, _DISTANCES = 12, (3.0, 8.0, 16.0, 28.0)
@@ -285,14 +285,14 @@ def _costs(
 
 def crosses_boxes(low: Array, high: Array, one: Array, two: Array) -> Array:
     """Return which boxes (m,) a line from one point to another passes (Liang and Barsky 1984)."""
-    along = two - one
+    direction = two - one
     with np.errstate(divide="ignore", invalid="ignore"):
-        enter, leave = (low - one) / along, (high - one) / along
+        enter, leave = (low - one) / direction, (high - one) / direction
     first, last = np.minimum(enter, leave), np.maximum(enter, leave)
-    beside = (low <= one) & (one <= high)
-    still = along == 0.0
-    first = np.where(still, np.where(beside, -np.inf, np.inf), first).max(axis=1)
-    last = np.where(still, np.where(beside, np.inf, -np.inf), last).min(axis=1)
+    is_between = (low <= one) & (one <= high)
+    still = direction == 0.0
+    first = np.where(still, np.where(is_between, -np.inf, np.inf), first).max(axis=1)
+    last = np.where(still, np.where(is_between, np.inf, -np.inf), last).min(axis=1)
     found: Array = (first <= last) & (first <= 1.0) & (last >= 0.0)
     return found
 
@@ -374,9 +374,9 @@ def picture_size(film: Film, width: float, highest: float) -> tuple[float, float
 
 def spread(film: Film, count: int) -> list[int]:
     """Return the first, the last, and instants between which bodies move alike far."""
-    moved = np.abs(np.diff(film.poses[:, :, :2], axis=0)).max(axis=(1, 2)) / film.unit
+    displacements = np.abs(np.diff(film.poses[:, :, :2], axis=0)).max(axis=(1, 2)) / film.unit
     turned = np.abs(np.diff(film.poses[:, :, 2], axis=0)).max(axis=1)
-    far = np.concatenate([[0.0], np.cumsum(moved + 0.2 * turned)])
+    far = np.concatenate([[0.0], np.cumsum(displacements + 0.2 * turned)])
     if not far[-1] > 0.0:
         return [0]
     chosen = np.searchsorted(far, np.linspace(0.0, far[-1], count) * (1.0 - 1e-12))

@@ -157,8 +157,8 @@ def place_points(points: Array, pose: Array) -> Array:
     """Return points (..., m, 2) of a frame in the world, for its poses (..., 3)."""
     x, y, angle = (pose[..., k, None] for k in range(3))
     c, s = np.cos(angle), np.sin(angle)
-    along, across = points.T
-    return np.stack([x + c * along - s * across, y + s * along + c * across], axis=-1)
+    tangential, normal = points.T
+    return np.stack([x + c * tangential - s * normal, y + s * tangential + c * normal], axis=-1)
 
 
 def ends_of(shape: Shape, poses: Array) -> tuple[Array, Array]:
@@ -194,9 +194,9 @@ def catenary(first: Array, last: Array, slack: Array) -> Array:
     part = np.linspace(0.0, 1.0, _HANGING)
     points = first[:, None] + part[:, None] * (last - first)[:, None]
     c, low, high = (values[hangs, None] for values in (c, low, high))
-    along = (1.0 - part) * np.sinh(low) + part * np.sinh(high)
-    x = np.sign(dx)[hangs, None] * c * (np.arcsinh(along) - low)
-    y = c * (np.hypot(1.0, along) - np.cosh(low))
+    tangential = (1.0 - part) * np.sinh(low) + part * np.sinh(high)
+    x = np.sign(dx)[hangs, None] * c * (np.arcsinh(tangential) - low)
+    y = c * (np.hypot(1.0, tangential) - np.cosh(low))
     points[hangs, 1:-1] = first[hangs, None] + np.stack([x, y], axis=-1)[:, 1:-1]
     return points
 
@@ -207,12 +207,12 @@ def hatching(points: Array, spacing: float) -> Array:
     Where the line turns sharply they are as far apart as along it.
     """
     ends = np.diff(points, axis=0)
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*ends.T))])
-    if not along[-1] > 0.0:
+    tangential = np.concatenate([[0.0], np.cumsum(np.hypot(*ends.T))])
+    if not tangential[-1] > 0.0:
         return np.empty((0, 2, 2))
-    at = np.arange(spacing / 2, along[-1], spacing)
-    piece = np.clip(np.searchsorted(along, at, side="right") - 1, 0, len(ends) - 1)
+    at = np.arange(spacing / 2, tangential[-1], spacing)
+    piece = np.clip(np.searchsorted(tangential, at, side="right") - 1, 0, len(ends) - 1)
     direction = ends[piece] / np.hypot(*ends[piece].T)[:, None]
-    start = points[piece] + (at - along[piece])[:, None] * direction
+    start = points[piece] + (at - tangential[piece])[:, None] * direction
     right = np.column_stack([direction[:, 1], -direction[:, 0]])
     return np.stack([start, start + spacing * (right - direction) * np.sqrt(0.5)], axis=1)

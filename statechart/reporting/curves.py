@@ -206,7 +206,7 @@ def _variable_panels(automaton: Automaton, samples: Samples) -> list[Panel]:
     model = automaton.declaration
     places = {symbol: k for k, symbol in enumerate(automaton.variables)}
     speeds = {places[rate] for rate in automaton.rates if rate in places}
-    moved = {k for k, rate in enumerate(automaton.rates) if rate in places}
+    variables = {k for k, rate in enumerate(automaton.rates) if rate in places}
     few = len(automaton.names) < _MAX_PANELS
     groups: dict[tuple[str, str], list[str]] = {}
     for k, name in enumerate(automaton.names):
@@ -215,7 +215,7 @@ def _variable_panels(automaton: Automaton, samples: Samples) -> list[Panel]:
         dimension, unit = model.quantity(name).dimension, model.unit(name)
         title = _STATES.get(dimension, "")
         if not title and speeds:
-            title = _OTHER_STATES[0 if k in moved else 1 if k in speeds else 2]
+            title = _OTHER_STATES[0 if k in variables else 1 if k in speeds else 2]
         elif not title:
             # Variables without dimensions: few get a panel each, since units may differ.
             title = name if few else "variables"

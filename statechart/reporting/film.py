@@ -59,9 +59,11 @@ def until_rest(stage: Stage, observer: Observer, trace: Trace) -> float:
     """Return the time of the last visible motion plus a margin, at most the end of the run."""
     times = np.linspace(0.0, trace.t_end, _INSTANTS)
     film = film_at(stage, observer, trace, times)
-    moved = np.abs(film.poses[:, :, :2] - film.poses[-1:, :, :2]).max(axis=(1, 2)) / film.unit
+    displacements = (
+        np.abs(film.poses[:, :, :2] - film.poses[-1:, :, :2]).max(axis=(1, 2)) / film.unit
+    )
     turned = np.abs(film.poses[:, :, 2] - film.poses[-1:, :, 2]).max(axis=1)
-    moving = np.flatnonzero(np.maximum(moved, turned) > _STILL)
+    moving = np.flatnonzero(np.maximum(displacements, turned) > _STILL)
     if not len(moving):
         return trace.t_end
     last = float(times[min(moving[-1] + 1, len(times) - 1)])

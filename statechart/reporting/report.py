@@ -76,8 +76,8 @@ def report(
     )
     jumps = trace.jumps[:most]
     events = _event_rows(observer, trace, jumps, conditions[:most], done, explain=explain)
-    without = left_out(automaton, trace)
-    without += [{"what": what, "why": why} for what, why in done.failed.items()]
+    unused = left_out(automaton, trace)
+    unused += [{"what": what, "why": why} for what, why in done.failed.items()]
     result = _outcome(trace) | {
         "error_estimate": computation.error_estimate,
         "asked": computation.request,
@@ -86,7 +86,7 @@ def report(
         "modes_declared": automaton.modes_declared,
         "modes_built": trace.counts.get("modes_built", 0),
         "built": built(observer, trace),
-        "left_out": without,
+        "left_out": unused,
         "modes": [dict(zip(trace.regions, key, strict=True)) for key in trace.modes],
         "indeterminate": [
             {"mode": dict(zip(trace.regions, key, strict=True)), "regions": names}
@@ -329,7 +329,7 @@ def unkept_invariants(automaton: Automaton, trace: Trace) -> list[Invariant]:
 
 
 def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
-    """Return the parts of the model that a run did not use: `what` and `why`."""
+    """Return the unused parts of the model (`what`), with reasons (`why`)."""
     found = []
     total, n_built = automaton.modes_total, trace.counts.get("modes_built", 0)
     if trace.step is not None:

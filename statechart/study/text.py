@@ -147,8 +147,8 @@ def _divergence_lines(study: Measurements) -> str:
 def _foot(study: Measurements) -> str:
     shown = {name for point in study.points for name in point.errors.violations}
     shown |= {"path"} if study.parted is None and study.points else set()
-    told = "; ".join(f"{name}: {words}" for name, words in _COLUMNS.items() if name in shown)
-    lines = [told] if told else []
+    columns = "; ".join(f"{name}: {words}" for name, words in _COLUMNS.items() if name in shown)
+    lines = [columns] if columns else []
     if study.front():
         lines.append(
             "no other setting is both faster and more accurate: * warm, after other runs in "

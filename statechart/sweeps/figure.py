@@ -152,7 +152,7 @@ def shorten_alike(texts: Sequence[str]) -> list[str]:
     """Return sequences of modes for a legend, long ones reduced to their differences."""
     if max(map(len, texts), default=0) <= _MAX_LETTERS:
         return list(texts)
-    # Of many regions those that are in a state of their own; a digest tells people nothing.
+    # Only the regions with a state that differs; a digest is unreadable.
     usual: dict[str, Counter[str]] = {}
     for region, state in _STATE.findall(" ".join(texts)):
         usual.setdefault(region, Counter())[state] += 1

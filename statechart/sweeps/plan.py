@@ -249,10 +249,10 @@ class Plan:
     def parameter_values(self, tile: Tile, places: NDArray[np.intp]) -> Array:
         """Return the parameters (m, p) of the cells at `places` of a chunk."""
         where = np.unravel_index(places, tile.shape)
-        along = [part.start + place for part, place in zip(tile.slices, where, strict=True)]
+        indices = [part.start + place for part, place in zip(tile.slices, where, strict=True)]
         if not self.grid:
-            along *= len(self.columns)
-        columns = [column[k] for column, k in zip(self.columns.values(), along, strict=True)]
+            indices *= len(self.columns)
+        columns = [column[k] for column, k in zip(self.columns.values(), indices, strict=True)]
         return np.ascontiguousarray(np.stack(columns, axis=1))
 
 

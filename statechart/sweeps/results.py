@@ -146,8 +146,8 @@ def format_text(report: dict[str, Any], digits: int = DIGITS) -> list[TextBlock]
 
 def _without_empty_columns(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[TextBlock]:
     """Return a table without empty columns."""
-    said = [k for k in range(len(head)) if any(row[k] for row in rows)]
-    columns = [[head[k], *align_numbers([row[k] for row in rows])] for k in said]
+    used_columns = [k for k in range(len(head)) if any(row[k] for row in rows)]
+    columns = [[head[k], *align_numbers([row[k] for row in rows])] for k in used_columns]
     return [Table(list(zip(*columns, strict=True)), headed=True)] if rows else []
 
 

@@ -389,7 +389,7 @@ def _rates(trace: Trace) -> list[Array]:
         first, last = arc.coefficients[0], arc.coefficients[-1]
         starts.setdefault(arc.j, first[:, 1:2].sum(axis=1) / arc.times[1])
         ends[arc.j] = last @ np.arange(last.shape[1]) / (arc.times[-1] - arc.times[-2])
-    # Of simultaneous jumps, the first has an arc before it, the last one after it.
+    # The first of simultaneous jumps has an arc before it, the last one an arc after it.
     count, still = len(trace.jumps), np.zeros(len(trace.variables))
     before = [*accumulate(range(count), lambda rates, j: ends.get(j, rates), initial=still)]
     after = [*accumulate(range(count, 0, -1), lambda r, j: starts.get(j, r), initial=still)]

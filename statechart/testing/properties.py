@@ -78,11 +78,11 @@ def assert_start(case: Case) -> None:
     """
     for trace in case.traces.values():
         declared = case.subject.automaton.setup(case.parameters, trace.tolerance).initial
-        moved = largest_projection(trace)
+        projection = largest_projection(trace)
         size = np.abs(declared).max(initial=0.0)
         off = np.abs(trace.initial - declared)
         worst = int(np.argmax(off))
-        if off[worst] > _START * size + moved:
+        if off[worst] > _START * size + projection:
             raise AssertionError(
                 f"{trace.engine}: {trace.variables[worst]} starts at "
                 f"{shortest_text(trace.initial[worst])}, declared is "

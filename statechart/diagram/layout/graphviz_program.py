@@ -63,7 +63,7 @@ def size_of(item: Mapping[str, str], prefix: str = "") -> tuple[float, float]:
 
 @contextmanager
 def _stderr_into(descriptor: int) -> Iterator[None]:
-    """Keep what Graphviz and fontconfig say about their own settings out of the user's sight."""
+    """Hide messages of Graphviz and fontconfig about their own settings."""
     sys.stderr.flush()
     kept = os.dup(2)
     os.dup2(descriptor, 2)
