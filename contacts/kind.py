@@ -32,7 +32,7 @@ def automaton(scene: Scene) -> Automaton:
 
 
 def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
-    """Compose the automaton of a scene; return it and what gives the numbers of its runs."""
+    """Compose the automaton of a scene; return it and its setup of runs."""
     from contacts.dynamics.components import components
     from contacts.dynamics.controllers import controlled_symbols
     from contacts.dynamics.mechanics import Mechanics
@@ -75,7 +75,7 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
         setup=numbers.at,
         laws=laws,
         controls=controlled_symbols(mechanics),
-        # Rates of what is eliminated would follow from the memory as well.
+        # Rates of eliminated coordinates would depend on the memory as well.
         coordinates=None if mechanics.scene.leading else coordinates(mechanics),
         stepper=stepper,
         switching=switching,

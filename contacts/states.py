@@ -85,7 +85,7 @@ def declared_state(state: str) -> str:
 
 
 def cause_of(before: str, after: str) -> str:
-    """Return what the change of a contact's state is called that no impact makes."""
+    """Return the name of a change of a contact's state without an impact."""
     if DISENGAGED in (before, after):
         return "close" if before == DISENGAGED else "open"
     if after == "locked":
@@ -114,13 +114,13 @@ STATES = {
 """Number of a mode of a region to its state."""
 
 
-def undetermined(names: Iterable[str]) -> str:
+def undetermined_warning(names: Iterable[str]) -> str:
     """Return the warning of contacts whose forces the motion leaves open."""
     return f"the forces of {', '.join(names)} are indeterminate: the smallest are shown"
 
 
 def implied_joints(names: Iterable[str]) -> str:
-    """Return what is said of joints that others imply, by the names of their rows."""
+    """Return the message on redundant joints, from the names of their rows."""
     return (
         f"other joints imply {' and '.join(map(repr, dict.fromkeys(names)))}: the motion is "
         "determined, how they share the forces is not"

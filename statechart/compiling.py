@@ -11,9 +11,10 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 _AFTER = 1.0  # seconds before a compilation is reported, and between two reports
+_ONCE = "this happens once"  # numba's kernels and heyoka's modules are cached on disk
 
 KERNELS = "numerical kernels"
 """The name of numba's work in messages."""
@@ -100,22 +101,17 @@ def end(counts: bool = True) -> None:
     if _now.depth == 0:
         _now.spent += now - _now.began
         if _now.announced or now - _now.began >= _AFTER:
-            _report(f"compiled {_now.name} in {now - _now.began:.0f} s; {_often()}", last=True)
+            _report(f"compiled {_now.name} in {now - _now.began:.0f} s; {_ONCE}", last=True)
     elif now - _now.reported_at >= _AFTER:
         _now.reported_at, _now.announced = now, True
         # What was counted on as compiled may be of no use, since another process compiled what it
         # calls; the outermost function is still to come.
         total = max(_now.total, _now.done + 1)
         _report(
-            f"compiling {_now.name}: {_now.done} of {several(total, 'function')}, "
-            f"{now - _now.began:.0f} s; {_often()}",
+            f"compiling {_now.name}: {_now.done} of {pluralise(total, 'function')}, "
+            f"{now - _now.began:.0f} s; {_ONCE}",
             last=False,
         )
-
-
-def _often() -> str:
-    # heyoka keeps nothing on the disk.
-    return "this happens once" if _now.name == KERNELS else "once in each process"
 
 
 def _report(line: str, *, last: bool) -> None:

@@ -54,7 +54,7 @@ class Position:
         return Position(self.source, self.line, self.column + columns)
 
     def error(self, message: str, advice: str = "") -> DeclarationError:
-        """Return the error of what is wrong here."""
+        """Return an error at this place."""
         return DeclarationError(
             message, advice=advice, source=self.source, line=self.line, column=self.column
         )
@@ -297,7 +297,7 @@ def close_matches(name: str, known: Iterable[str]) -> str:
     """Return advice: the names in `known` that `name` may have meant, and all of them."""
     # Numbers in names count: grain2 is before grain10.
     names = sorted(known, key=lambda one: [(a, len(n), n) for a, n in _NUMBERS.findall(one)])
-    if numbered := _numbered(name, names):
+    if numbered := _with_other_number(name, names):
         return numbered
     close = difflib.get_close_matches(name, names, n=3)
     listed = ", ".join(names[:30]) + (", ..." if len(names) > 30 else "")
@@ -305,7 +305,7 @@ def close_matches(name: str, known: Iterable[str]) -> str:
     return f"{meant}known: {listed or 'none'}"
 
 
-def _numbered(name: str, names: Sequence[str]) -> str:
+def _with_other_number(name: str, names: Sequence[str]) -> str:
     """Return which names there are that differ from `name` in a number; "" for none."""
     split = re.fullmatch(r"(.+?)\d*((?:\.\w+)?)", name)
     if split is None:

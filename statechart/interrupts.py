@@ -50,7 +50,7 @@ def forget() -> None:
     _now.count = _now.reported = 0
 
 
-def arrived() -> int:
+def signal_count() -> int:
     """Return how many signals to end have arrived."""
     return _now.count
 
@@ -109,9 +109,9 @@ def let_through() -> Iterator[None]:
 
 
 @contextmanager
-def limited(seconds: float) -> Iterator[None]:
+def limit_time(seconds: float) -> Iterator[None]:
     """Raise KeyboardInterrupt so long after the first signal, as a further signal does."""
-    if not (arrived() and hasattr(signal, "setitimer")):
+    if not (signal_count() and hasattr(signal, "setitimer")):
         yield
         return
     before = signal.signal(signal.SIGALRM, _note)

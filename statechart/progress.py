@@ -27,7 +27,7 @@ class Bar:
         self._task = self._shown.add_task("", total=total)
 
     def show(self, done: float, words: str) -> None:
-        """Say how much is done, and what besides."""
+        """Show the progress, with a remark."""
         self._shown.update(self._task, completed=done, description=words)
 
     def close(self) -> None:
@@ -40,7 +40,7 @@ def possible() -> bool:
     return sys.stderr.isatty()
 
 
-def counted(items: Iterable[T], total: int, words: str) -> Iterator[T]:
+def count_items(items: Iterable[T], total: int, words: str) -> Iterator[T]:
     """Yield items, with a bar where one is possible."""
     if not possible():
         yield from items

@@ -71,7 +71,7 @@ class ModelItem(pytest.Item):
     """The check of a model."""
 
     def runtest(self) -> None:
-        """Check the model; write what fails."""
+        """Check the model; write failing examples."""
         from statechart.documents.files import write_atomic
         from statechart.loading.load import load
         from statechart.testing.checking import check
@@ -88,7 +88,7 @@ class ModelItem(pytest.Item):
             raise NotHeld(report, place)
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> str:
-        """Say what does not hold, or what is wrong with the file, without our own frames."""
+        """Report the violated property, or the error of the file, without internal frames."""
         from statechart.errors import StatechartError
 
         if isinstance(excinfo.value, NotHeld | StatechartError):

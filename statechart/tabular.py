@@ -20,7 +20,7 @@ MAX_LISTED = 6
 """Values of a list that are written out; a longer one is summarised."""
 _NUMERIC_CELL = re.compile(r"(-?\d+)(\.\d+)?(e[+-]?\d+)?")
 
-# What is counted one by one; above it two digits say as much.
+# Largest number written in full; larger ones are rounded to two digits.
 _COUNTED = 10**9
 
 
@@ -36,7 +36,7 @@ TextBlock = str | Table
 """A part of a text: lines, or a table."""
 
 
-def plain(blocks: Iterable[TextBlock]) -> str:
+def write_plain(blocks: Iterable[TextBlock]) -> str:
     """Return a text as it is written to a file."""
     return "".join(block if isinstance(block, str) else table(block.rows) for block in blocks)
 
@@ -78,7 +78,7 @@ def number(value: Any, digits: int = DIGITS) -> str:
     return f"{len(value)} values: {' ... '.join(ends)}, min {low}, max {high}"
 
 
-def aligned(texts: Sequence[str]) -> list[str]:
+def align_numbers(texts: Sequence[str]) -> list[str]:
     """Return the texts of a column with the decimal points of its numbers below each other."""
     found = [_NUMERIC_CELL.fullmatch(text) for text in texts]
     width = max((len(one[1]) for one in found if one), default=0)
@@ -88,18 +88,18 @@ def aligned(texts: Sequence[str]) -> list[str]:
     ]
 
 
-def grouped(number: int) -> str:
+def readable_count(number: int) -> str:
     """Return a number of things as people read it: a huge one as a power, such as about 1.4e143."""
     # A float ends at 1e308, and Python writes no integer of more than 4300 digits.
     return str(number) if number < _COUNTED else f"about {Decimal(number):.1e}".replace("e+", "e")
 
 
-def several(count: int, noun: str) -> str:
+def pluralise(count: int, noun: str) -> str:
     """Return how many of something there are: ``1 step``, ``2 steps``."""
-    return f"{grouped(count)} {noun}{'' if count == 1 else 's'}"
+    return f"{readable_count(count)} {noun}{'' if count == 1 else 's'}"
 
 
-def ends(items: Sequence[T], half: int = FEW) -> list[T | int]:
+def abridge(items: Sequence[T], half: int = FEW) -> list[T | int]:
     """Return the items that people are shown, in the place of many the number left out."""
     left_out = len(items) - 2 * half
     if left_out <= 0:
@@ -107,6 +107,6 @@ def ends(items: Sequence[T], half: int = FEW) -> list[T | int]:
     return [*items[:half], left_out, *items[-half:]]
 
 
-def shortest(number: float) -> str:
+def shortest_text(number: float) -> str:
     """Return the shortest text that reads as a number: ``0.2``, ``10``, ``1e-09``."""
     return repr(float(number)).removesuffix(".0")

@@ -1,4 +1,4 @@
-"""Contacts as rows, for tests of what solves them."""
+"""Contact rows for tests of the solvers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from statechart.arrays import Array, Ints
 def contact_rows(
     bodies: Ints, moving: int, rows: Array, columns: Array, cones: Array
 ) -> ContactRows:
-    """Return contacts of so many bodies, with what follows from their rows."""
+    """Return contacts of `moving` bodies, with derived numbers."""
     contacts = ContactRows.allocate(len(bodies), moving)._replace(
         bodies=bodies, moving=moving, rows=rows, columns=columns, cones=cones
     )

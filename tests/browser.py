@@ -94,7 +94,7 @@ class Browser:
                 return
 
     def value(self, script: str) -> Any:
-        """Return what an expression of the page is; promises are waited for."""
+        """Return the value of an expression in the page; promises are awaited."""
         found = self.do(
             "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
         )
@@ -119,7 +119,7 @@ class Browser:
         self.do("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, **button)
 
     def screenshot(self, path: Path) -> None:
-        """Write what is seen, the whole page, as a PNG."""
+        """Write a screenshot of the whole page as a PNG."""
         shot = self.do("Page.captureScreenshot", captureBeyondViewport=True)
         path.write_bytes(base64.b64decode(shot["data"]))
 

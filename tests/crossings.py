@@ -20,7 +20,7 @@ def first_crossing(
     *,
     budget: int = BOXES,
 ) -> Search:
-    """Return what `search` finds in all steps, of arrays of any kind."""
+    """Return the result of `search` in all steps, for arrays of any kind."""
     times, coeffs, parameters = checked_arc(tape, times, coeffs, parameters)
     tolerances = contiguous(tolerances)
     if tolerances.shape != tape.outputs.shape:

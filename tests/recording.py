@@ -23,18 +23,18 @@ from statechart.cli.main import main
 
 FOLDER = Path(__file__).parent / "recorded"
 ENGINES = {"taylor": (), "scipy": (), "impulse": ("--step", "1e-3")}
-# Of a run of many events: so many are recorded whole, of all the rest only when and what.
+# Number of events of a run that are recorded completely; of the others time and name.
 _WHOLE, _MANY = 6, 60
 _LINES = 200
 _UNTOLD = ("timings", "counts")
-# What rounding does not change, in the report of a run.
+# Parts of a report that round-off does not change.
 _FIRM = ("code", "outcome", "causes", "sequence", "instants", "t_end", "warnings")
 PROCESSOR = FOLDER / "processor.txt"
 _NUMBER = re.compile(r"-?\d+\.?\d*(?:e[+-]?\d+)?|-?inf|nan")
 
 
 def record(model: str, folder: Path) -> dict[str, Any]:
-    """Return what a model gives; drawings are written to a folder on their way."""
+    """Return the results of a model; drawings are written to a folder."""
     found: dict[str, Any] = {}
     for engine, options in ENGINES.items():
         code, out = _said("run", model, "--engine", engine, *options, "--json")
@@ -50,12 +50,12 @@ def record(model: str, folder: Path) -> dict[str, Any]:
 
 
 def processor() -> str:
-    """Return what the compilers make code for: it decides how sums are rounded."""
+    """Return the target of the compilers, which determines the round-off of sums."""
     return numba.config.CPU_NAME or llvm.get_host_cpu_name()
 
 
 def firm(record: dict[str, Any]) -> dict[str, Any]:
-    """Return what is the same on every processor: ties and zeros are decided by rounding."""
+    """Return the results that are equal on every processor: round-off decides ties and zeros."""
     runs = {
         name: {key: value for key, value in said.items() if key in _FIRM}
         for name, said in record.items()
@@ -102,7 +102,7 @@ def _compared(old: Any, new: Any, tolerance: float, at: str, size: float) -> Ite
             yield from (
                 f"{at}: {new!r} instead of {old!r}"
                 for a, b in zip(*told, strict=True)
-                # What people read is rounded.
+                # Texts are rounded.
                 if not (a == b or abs(a - b) <= max(tolerance, 1e-5) * max(abs(a), abs(b), 1e-9))
             )
     elif isinstance(old, dict | list) and type(old) is type(new):

@@ -23,7 +23,7 @@ from statechart.observation.observers import Observers
 from statechart.observation.outputs import Outputs
 from statechart.running.result import Result
 
-# What these show is a run that cannot go on.
+# These models show runs that cannot continue.
 PARADOXICAL = ("no_slip_pencil",)
 MODELS = {name: load(name) for name in models.names()}
 # Models that declare time stepping run on no engine with events.
@@ -54,7 +54,7 @@ def number(value: Any) -> float:
 
 
 def without_compilation(stderr: str) -> str:
-    """Return what was said beside what was compiled: that depends on how long it takes."""
+    """Return the messages, except those on compilation, which depend on its duration."""
     lines = stderr.splitlines(keepends=True)
     return "".join(line for line in lines if not line.startswith(("compiling ", "compiled ")))
 

@@ -15,7 +15,7 @@ from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.scene.modes import Bearing
 from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton, Component, Places
-from statechart.automaton.components import Data, composed, split
+from statechart.automaton.components import Data, compose_components, split
 from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Role
 
@@ -47,11 +47,11 @@ def components(
     if not all(part.get("bodies") for part, _ in parts):
         # A controller of time alone has no bodies and is no scene.
         return ()
-    return composed(
+    return compose_components(
         parts,
         _scene_form,
         automaton,
-        lambda made: partial(_restricted, numbers[id(made)]),
+        lambda made: partial(_restrict, numbers[id(made)]),
         _shown,
         joint=True,
     )
@@ -64,23 +64,23 @@ def _scene_form(declaration: Data) -> Data:
         for content in form.get(section, {}).values():
             for key in ("start", "rate"):
                 content.pop(key, None)
-            content["inertia"] = _class(content.get("inertia"))
+            content["inertia"] = _structure_key(content.get("inertia"))
     for content in form.get("contacts", {}).values():
         for key in ("friction", "restitution"):
-            content[key] = _class(content.get(key))
+            content[key] = _structure_key(content.get(key))
     return form
 
 
-def _class(value: Any) -> Any:
+def _structure_key(value: Any) -> Any:
     """Replace numbers other than 0 and 1, which shape the equations, by a placeholder."""
     if isinstance(value, dict):
-        return {key: _class(entry) for key, entry in value.items()}
+        return {key: _structure_key(entry) for key, entry in value.items()}
     if isinstance(value, bool) or not isinstance(value, int | float):
         return value
     return value if value in (0, 1) else "a number"
 
 
-def _restricted(numbers: SceneNumbers, setup: Setup, places: Places) -> SceneSetup:
+def _restrict(numbers: SceneNumbers, setup: Setup, places: Places) -> SceneSetup:
     """Restrict the setup of a scene to a component; the scales remain those of the scene."""
     assert isinstance(setup, SceneSetup)
     assert setup.sizes is not None

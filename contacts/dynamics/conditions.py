@@ -222,10 +222,12 @@ class ConditionsAt:
             return uncertainties
         gradients = np.empty((len(margins), len(state) // 2))
         for i in range(len(state) // 2):
-            moved = state.copy()
-            moved[i] += _DIFFERENCE * max(abs(state[i]), self._setup.scales.sizes[i])
-            shifted_margins = self._numbers(moved)[: PER_CONDITION * len(margins) : PER_CONDITION]
-            gradients[:, i] = (shifted_margins - margins) / (moved[i] - state[i])
+            displaced = state.copy()
+            displaced[i] += _DIFFERENCE * max(abs(state[i]), self._setup.scales.sizes[i])
+            shifted_margins = self._numbers(displaced)[
+                : PER_CONDITION * len(margins) : PER_CONDITION
+            ]
+            gradients[:, i] = (shifted_margins - margins) / (displaced[i] - state[i])
         steep = np.linalg.norm(gradients, axis=1)
         for k in places[steep[places] > 0.0].tolist():
             point = points[self._of._conditions[k].contact]

@@ -46,7 +46,7 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
         return State(
             tuple(row.force if off else row.equation(mechanics.a) for row in joint),
             margins=guard_margins(flat, role.state, mechanics.observables),
-            values=mechanics.sets(name, role.state) | _flows(mechanics, name, role.state),
+            values=mechanics.sets(name, role.state) | _region_flows(mechanics, name, role.state),
             holds=() if off else tuple(row.hold(mechanics.a) for row in joint),
         )
 
@@ -75,7 +75,7 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
     )
 
 
-def _flows(mechanics: Mechanics, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
+def _region_flows(mechanics: Mechanics, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
     rates = mechanics.controller_rates
     flows = mechanics.scene.controlled.flows(region, state)
     return {rates[v]: parse(text).to_sympy(mechanics.known) for v, text in flows.items()}
@@ -85,7 +85,7 @@ def flows_in(mechanics: Mechanics, states: Mapping[str, str]) -> list[sp.Expr]:
     """Return the rates of the controllers' variables in these states."""
     flows: dict[sp.Symbol, sp.Expr] = {}
     for name, state in states.items():
-        flows |= _flows(mechanics, name, state)
+        flows |= _region_flows(mechanics, name, state)
     return [flows.get(rate, sp.S.Zero) for rate in mechanics.controller_rates.values()]
 
 

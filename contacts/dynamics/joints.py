@@ -154,10 +154,10 @@ def redundant_rows(jacobian: Array, redundant: Bools) -> Bools:
     jacobian = np.where(np.abs(jacobian) > noise, jacobian, 0.0)
     scaled = jacobian * column_scales(jacobian)
     scaled /= np.maximum(np.linalg.norm(scaled, axis=1, keepdims=True), SMALLEST)
-    kept, every = (
+    independent, every = (
         np.linalg.svd(rows, compute_uv=False)[:count] for rows in (scaled[~redundant], scaled)
     )
-    if count == 0 or kept[-1] >= DECAYED * every[-1]:
+    if count == 0 or independent[-1] >= DECAYED * every[-1]:
         return redundant
     _, order, _ = independent_rows(scaled)
     result = np.ones(len(redundant), np.bool_)

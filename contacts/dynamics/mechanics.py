@@ -25,7 +25,7 @@ from contacts.dynamics.parameters import (
     scene_parameters,
 )
 from contacts.scene.couplings import CouplingSymbols, Rolling
-from contacts.scene.expansion import Reach, Stop, stops, switched
+from contacts.scene.expansion import Reach, Stop, is_switched, limit_contacts
 from contacts.scene.joints import Joint
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point, Surface
@@ -44,7 +44,7 @@ HAULED = "length"
 _MIN_LENGTH = 1e-3
 
 
-def hauled_in(name: str, time: float) -> NoConsistentMode:
+def winch_end_message(name: str, time: float) -> NoConsistentMode:
     """Return why a run ends at a time at which a rope is hauled in to next to nothing."""
     return NoConsistentMode(
         f"rope {name!r} is hauled in to {_MIN_LENGTH:g} of its length at the start by "
@@ -113,7 +113,7 @@ class Mechanics(Geometry):
         self._closed = {
             name: sp.Symbol(f"on{i}", real=True)
             for i, (name, joint) in enumerate(scene.joints.items())
-            if switched(joint)
+            if is_switched(joint)
         }
         # Rates and accelerations of the controllers' variables on which paths of surfaces depend.
         self._led = {
@@ -407,13 +407,13 @@ class Mechanics(Geometry):
         (n_x, n_y), (t_x, t_y) = self.contact(name).normal, self.contact(name).tangent
         # In its frame, as the normal and the point are.
         (x, y), (c, s) = self.contact(name).point, (sp.cos(frame[2]), sp.sin(frame[2]))
-        moved = (
+        frame_motion = (
             c * rates[0] + s * rates[1] - rates[2] * y,
             c * rates[1] - s * rates[0] + rates[2] * x,
         )
-        normal = n_x * moved[0] + n_y * moved[1]
+        normal = n_x * frame_motion[0] + n_y * frame_motion[1]
         normal += -radius_rate if surface.hollow else radius_rate
-        return normal, t_x * moved[0] + t_y * moved[1]
+        return normal, t_x * frame_motion[0] + t_y * frame_motion[1]
 
     def contact(self, name: str) -> ContactGeometry:
         """Return the geometry of a contact or a coupling; cached."""
@@ -502,7 +502,7 @@ class Mechanics(Geometry):
             result[f"{name}.friction"] = self._coefficients[name]["friction"]
         for name, joint in self.scene.joints.items():
             if joint.limits is not None and not self.scene.collisions:
-                low, high = (self.forces[stop][0] for stop in stops(name))
+                low, high = (self.forces[stop][0] for stop in limit_contacts(name))
                 result[f"{name}.M"] = self._arm(joint.point) * (low - high)
         result["energy"] = self.energy
         return result
@@ -525,8 +525,8 @@ class Mechanics(Geometry):
                 (x0, y0), (x1, y1) = self._corners(edge)
                 x, y = self.contact(name).point
                 length = sp.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2)
-                along = ((x1 - x0) * (x - x0) + (y1 - y0) * (y - y0)) / length
-                ends = {"begin of its edge": along, "end of its edge": length - along}
+                fraction = ((x1 - x0) * (x - x0) + (y1 - y0) * (y - y0)) / length
+                ends = {"begin of its edge": fraction, "end of its edge": length - fraction}
             gated = contact.enabled or ends
             self._gates[name] = (
                 gate_of(

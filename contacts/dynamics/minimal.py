@@ -31,12 +31,12 @@ def coordinates(mechanics: Mechanics) -> Coordinates:
         mechanics.time,
         tuple(row.hold(mechanics.a) for row in joints),
         partial(motion, mechanics),
-        _written(mechanics),
+        _display_parameters(mechanics),
         mechanics.parameters.symbols.get(MASS_UNIT),
     )
 
 
-def _written(mechanics: Mechanics) -> dict[sp.Symbol, sp.Expr]:
+def _display_parameters(mechanics: Mechanics) -> dict[sp.Symbol, sp.Expr]:
     """Return formulas of moments of inertia, and cones as (1, coefficient), for display."""
     symbols, scene = mechanics.parameters.symbols, mechanics.scene
     expressions: dict[sp.Symbol, sp.Expr] = {}
@@ -68,7 +68,7 @@ def motion(
 
     def gradient_and_drift(position: sp.Expr) -> tuple[dict[int, sp.Expr], sp.Expr]:
         """Return the gradient of a position, and its acceleration at constant rates."""
-        expression = _collected(position.xreplace(elimination.positions), mechanics.variables)
+        expression = _collect(position.xreplace(elimination.positions), mechanics.variables)
         gradient = {
             numbers[q]: sp.diff(expression, q).xreplace(elimination.anchors)
             for q in expression.free_symbols
@@ -139,7 +139,7 @@ def _terms(expression: sp.Expr, variables: Collection[sp.Symbol]) -> _Terms:
     return terms
 
 
-def _collected(expression: sp.Expr, variables: Collection[sp.Symbol]) -> sp.Expr:
+def _collect(expression: sp.Expr, variables: Collection[sp.Symbol]) -> sp.Expr:
     terms = _terms(expression, variables)
     return sp.Add(*(c * varying for varying, c in terms.items() if c != 0))
 
@@ -161,7 +161,7 @@ def inner(first: _Pair, second: _Pair) -> sp.Expr:
                     continue
                 key = (f.func, f.args[0], g.func, g.args[0])
                 products[key] = products.get(key, sp.S.Zero) + a * b
-    return sp.Add(*plain_terms, *_joined(products))
+    return sp.Add(*plain_terms, *_combine_waves(products))
 
 
 def _wave(term: sp.Expr) -> tuple[sp.Expr, sp.Expr | None]:
@@ -173,7 +173,7 @@ def _wave(term: sp.Expr) -> tuple[sp.Expr, sp.Expr | None]:
     return sp.Mul(*(f for f in factors if f is not waves[0])), waves[0]
 
 
-def _joined(products: dict[tuple[type, sp.Expr, type, sp.Expr], sp.Expr]) -> list[sp.Expr]:
+def _combine_waves(products: dict[tuple[type, sp.Expr, type, sp.Expr], sp.Expr]) -> list[sp.Expr]:
     """Return the terms of coefficients times two waves, combined by the addition formulas."""
     terms: list[sp.Expr] = []
     remaining = dict(products)

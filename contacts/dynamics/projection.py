@@ -172,9 +172,9 @@ class Projection:
         """Return the effect of the last bits of the state on the joint rows (rows, 2)."""
         rows = [self.tape.at(state, values, time)]
         for i, number in enumerate(state):
-            moved = state.copy()
-            moved[i] += _SHIFT * number
-            rows.append(self.tape.at(moved, values, time))
+            displaced = state.copy()
+            displaced[i] += _SHIFT * number
+            rows.append(self.tape.at(displaced, values, time))
         moves = np.abs(np.array(rows[1:]) - rows[0]).sum(axis=0)
         return (EPS / _SHIFT) * moves[5 * len(self._gaps) :].reshape(-1, 2)
 
@@ -288,12 +288,14 @@ def _brought(
             rows.append(contact.jacobian[0])
             residuals.append((-contact.gap, -contact.gap_rate if name not in OPEN else 0.0))
         if name in STICKING:
-            moved = 0.0
+            displaced = 0.0
             if pinned is not None:
                 before = pinned.contacts[i]
-                moved = contact.tx * (contact.x - before.x) + contact.ty * (contact.y - before.y)
+                displaced = contact.tx * (contact.x - before.x) + contact.ty * (
+                    contact.y - before.y
+                )
             rows.append(contact.jacobian[1])
-            residuals.append((-moved, -contact.slip))
+            residuals.append((-displaced, -contact.slip))
     if not rows:
         return state
     jacobian, sides = reduce_to_independent(np.array(rows), np.array(residuals))

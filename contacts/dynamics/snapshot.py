@@ -70,7 +70,7 @@ class Snapshot(NamedTuple):
     energy: float  # Kinetic plus gravity's
     contacts: tuple[PerContact, ...]  # In the order of the declaration
     jacobians: Array  # (c, 2, n)
-    biases: Array  # (c, 2): Of all contacts
+    biases: Array  # (c, 2): all contacts
     reduction: JointReduction | None = None  # None without joints
     # (k, 2): Static and kinetic limits of the couplings, which are the last of the contacts
     limits: Array = np.empty((0, 2))
@@ -190,7 +190,7 @@ class SnapshotTape:
     def at(self, values: Array, state: Array, time: float) -> Snapshot:
         """Return the snapshot at `state` (2 n,), reduced to the motions that joints allow."""
         whole, joints = self.unreduced(values, state, time)
-        return whole if joints is None else _reduced(whole, joints, self._blocks)
+        return whole if joints is None else _reduce(whole, joints, self._blocks)
 
     def unreduced(
         self, values: Array, state: Array, time: float
@@ -280,7 +280,7 @@ class SnapshotTape:
         )
 
 
-def press_closed(snapshot: Snapshot, closed: Sequence[bool]) -> Snapshot:
+def close_compliant(snapshot: Snapshot, closed: Sequence[bool]) -> Snapshot:
     """Return the snapshot with the forces of compliant contacts whose gap is round-off."""
     if snapshot.pushes is None:
         return snapshot
@@ -289,11 +289,11 @@ def press_closed(snapshot: Snapshot, closed: Sequence[bool]) -> Snapshot:
         if closed[i] and contact.gap > 0.0 and snapshot.pushes[i].any():
             forces, contacts[i] = forces + snapshot.pushes[i], contact._replace(gap=0.0)
     if reduction is not None:
-        reduction = replace(reduction, unreduced=press_closed(reduction.unreduced, closed))
+        reduction = replace(reduction, unreduced=close_compliant(reduction.unreduced, closed))
     return snapshot._replace(contacts=tuple(contacts), forces=forces, reduction=reduction)
 
 
-def _reduced(whole: Snapshot, joints: JointNumbers, groups: Sequence[JointGroup]) -> Snapshot:
+def _reduce(whole: Snapshot, joints: JointNumbers, groups: Sequence[JointGroup]) -> Snapshot:
     """Return the snapshot reduced to the motions that joints allow."""
     allowed = motions(joints, whole.velocity, groups)
     basis = allowed.basis

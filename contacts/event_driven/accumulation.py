@@ -13,9 +13,9 @@ from contacts.dynamics.contact_law import ContactLaw, sliding_edge
 from contacts.dynamics.projection import landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot, answer
-from contacts.event_driven.decision import decide
+from contacts.event_driven.decision import choose_mode
 from contacts.event_driven.impact_jump import flow_in
-from contacts.impacts.jamming import Jam, struck
+from contacts.impacts.jamming import Jam, strike_jammed
 from contacts.impacts.simultaneous import impacts
 from contacts.scene.parts import Resolution
 from contacts.states import INACTIVE, OPEN
@@ -32,7 +32,7 @@ _MAX_HEIGHT, _MAX_HEIGHT_AT_REST = 1e-10, 1e-7
 _MAX_MAGNIFICATION = 30.0
 
 
-def closed_at_once(
+def close_immediately(
     setup: SceneSetup,
     at: Callable[[Array], Snapshot],
     flow: Flow,
@@ -75,7 +75,7 @@ def closed_at_once(
     if min(rates) < -setup.tolerances["speed"]:
         early = remaining > 0.0 and height > gap_tolerance
         low = max(_MAX_HEIGHT * setup.scales.length, gap_tolerance)
-        if early and (height > low or _pushed_aside(key, at(state), state, setup)):
+        if early and (height > low or _moves_tangentially(key, at(state), state, setup)):
             return None
         try:
             sequence = impacts(snapshot, setup.contacts, participating, "sequential")
@@ -85,8 +85,8 @@ def closed_at_once(
         state = snapshot.moved(state, sequence.velocity)
         snapshot = at(state)
     slip_tolerance = 2.0 * setup.tolerances["speed"]
-    settled_velocity = _settled(
-        snapshot, setup.contacts, struck(setup.contacts, closing), slip_tolerance
+    settled_velocity = _velocity_after_impacts(
+        snapshot, setup.contacts, strike_jammed(setup.contacts, closing), slip_tolerance
     )
     if settled_velocity is not None:
         state = snapshot.moved(state, settled_velocity)
@@ -94,7 +94,7 @@ def closed_at_once(
     snapshot = hidden(at(state), flow.mode)
     slides = any(
         abs(c.slip) > slip_tolerance
-        for c, closes in zip(snapshot.contacts, struck(setup.contacts, closing), strict=True)
+        for c, closes in zip(snapshot.contacts, strike_jammed(setup.contacts, closing), strict=True)
         if closes
     )
     lowest = (
@@ -106,7 +106,7 @@ def closed_at_once(
         warnings.append(
             "the friction impulse of the summed bounces is undetermined, and is left out"
         )
-    choice = decide(setup, snapshot, closing, paradox)
+    choice = choose_mode(setup, snapshot, closing, paradox)
     if isinstance(choice, Jam):
         return None
     after = landed(choice.taken.states, snapshot, state, setup.tolerances)
@@ -119,7 +119,7 @@ def closed_at_once(
     return replace(jump, after=after, energy=energy, skipped=remaining), following
 
 
-def _pushed_aside(key: Key, snapshot: Snapshot, state: Array, setup: SceneSetup) -> bool:
+def _moves_tangentially(key: Key, snapshot: Snapshot, state: Array, setup: SceneSetup) -> bool:
     """Return whether projecting the gaps of `key` to zero would move a contact tangentially."""
     displacement = (on_constraints(key, snapshot, state) - state)[: len(state) // 2]
     return any(
@@ -129,7 +129,7 @@ def _pushed_aside(key: Key, snapshot: Snapshot, state: Array, setup: SceneSetup)
     )
 
 
-def _settled(
+def _velocity_after_impacts(
     snapshot: Snapshot, laws: Sequence[ContactLaw], closing: Sequence[bool], slip_tolerance: float
 ) -> Array | None:
     """Return the velocity (n,) after all alternating impacts, without the effect of other forces.

@@ -13,7 +13,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers, setup_rules
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.compiled_instants import CAUSES
-from contacts.event_driven.decision import cause, explained
+from contacts.event_driven.decision import cause, explain_choice
 from contacts.event_driven.impact_jump import flow_in
 from contacts.event_driven.scene_loop import SceneLoop, run_batch
 from contacts.event_driven.switching import alike
@@ -163,7 +163,7 @@ class CompiledSceneLaws:
             for is_closed, contact in zip(closed, after.contacts, strict=True)
         ):
             return None
-        return explained({}, setup.contacts, after.contacts, closed, [False] * len(closed), {})
+        return explain_choice({}, setup.contacts, after.contacts, closed, [False] * len(closed), {})
 
     def _modes(self, event: RecordedEvent) -> Iterator[str]:
         """Yield the modes of the contacts of a group in a plastic impact."""

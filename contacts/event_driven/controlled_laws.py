@@ -31,7 +31,7 @@ from statechart.automaton.laws import Feasibility, Flow, Instant, Setup, moving_
 from statechart.automaton.margin_derivatives import MarginDerivatives
 from statechart.automaton.regions import Region, active_in
 from statechart.automaton.trace import Arc, Jump, Key, Roles
-from statechart.charts.guard_watch import EventQueues, GuardTruths, considered
+from statechart.charts.guard_watch import EventQueues, GuardTruths, transition_outcomes
 
 
 class ControlledLaws:
@@ -66,7 +66,9 @@ class ControlledLaws:
         )
         self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
         self._leads = bool(mechanics.scene.leading)
-        self._considered = {r.name: considered(r) for r in regions if r.name in self._controllers}
+        self._considered = {
+            r.name: transition_outcomes(r) for r in regions if r.name in self._controllers
+        }
         self._queues = EventQueues(regions, self._controllers)
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
@@ -143,7 +145,7 @@ class ControlledLaws:
             setup_after = self._within(setup, states, after)
             after_update = self._at(states).snapshot(setup_after, motion, clock.high)
             before_update = laws.snapshot(inner, motion, clock.high)
-            contacts = displaced(
+            contacts = displaced_modes(
                 self._mechanics.scene, inner, contacts, before_update, after_update
             )
         jump = at.jump(
@@ -349,7 +351,9 @@ class ControlledLaws:
         )
 
 
-def displaced(scene: Scene, setup: SceneSetup, mode: Key, before: Snapshot, after: Snapshot) -> Key:
+def displaced_modes(
+    scene: Scene, setup: SceneSetup, mode: Key, before: Snapshot, after: Snapshot
+) -> Key:
     """Return the modes of the contacts after a jump that may have moved their surfaces.
 
     The jump opens contacts that no longer hold, and they are classified after it: a surface that
@@ -361,7 +365,7 @@ def displaced(scene: Scene, setup: SceneSetup, mode: Key, before: Snapshot, afte
     gap_tolerance, speed_tolerance = setup.tolerances["gap"], setup.tolerances["speed"]
     laws = zip(setup.contacts, mode, before.contacts, after.contacts, strict=True)
     modes = []
-    for law, state, contact, moved in laws:
+    for law, state, contact, changed in laws:
         # Couplings have no surface.
         if law.name not in scene.contacts:
             modes.append(state)
@@ -370,24 +374,24 @@ def displaced(scene: Scene, setup: SceneSetup, mode: Key, before: Snapshot, afte
         rigid = scene.contacts[law.name].stiffness is None
         # Approach and departure count relative to the motion before the jump.
         separates = (
-            abs(moved.gap - contact.gap) > gap_tolerance
-            or abs(moved.gap_rate - contact.gap_rate) > speed_tolerance
+            abs(changed.gap - contact.gap) > gap_tolerance
+            or abs(changed.gap_rate - contact.gap_rate) > speed_tolerance
         )
         separates, is_closed = separates and rigid, state not in OPEN
-        if rigid and state != OFF and moved.gap < min(contact.gap, 0.0) - gap_tolerance:
-            raise displaced_surface_error(scene.contacts[law.name].surface, law.name, -moved.gap)
+        if rigid and state != OFF and changed.gap < min(contact.gap, 0.0) - gap_tolerance:
+            raise displaced_surface_error(scene.contacts[law.name].surface, law.name, -changed.gap)
         target = state
         if is_closed and separates:
             target = "free"
-        elif is_closed and abs(moved.slip - contact.slip) > speed_tolerance:
-            target = _slipping(state, moved, speed_tolerance)
+        elif is_closed and abs(changed.slip - contact.slip) > speed_tolerance:
+            target = _slip_mode(state, changed, speed_tolerance)
         if target != state and target not in law.states:
             raise surface_jump_error(scene.contacts[law.name].surface, law.name, target)
         modes.append(target)
     return tuple(modes)
 
 
-def _slipping(state: str, contact: PerContact, speed_tolerance: float) -> str:
+def _slip_mode(state: str, contact: PerContact, speed_tolerance: float) -> str:
     """Return the mode of a closed contact after a tangential velocity jump of its surface."""
     if state == "slide" or abs(contact.slip) <= speed_tolerance:
         return state

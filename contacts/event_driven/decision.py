@@ -10,7 +10,7 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot
-from contacts.impacts.jamming import Jam, jammed, paradoxes
+from contacts.impacts.jamming import Jam, paradoxes, resolve_jam
 from contacts.modes.classification import Before, Choice, ForceUncertainty, choose
 from contacts.modes.compiled_classification import ENDLESS
 from contacts.scene.parts import Resolution
@@ -19,7 +19,7 @@ from statechart.automaton.trace import Key
 from statechart.errors import DeclarationProblem, NoConsistentMode
 
 
-def decide(
+def choose_mode(
     setup: SceneSetup,
     snapshot: Snapshot,
     touching: Sequence[bool],
@@ -46,14 +46,14 @@ def decide(
             uncertainty,
         )
     except NoConsistentMode as error:
-        jam = jammed(snapshot, setup.contacts, touching, slip_tolerance)
+        jam = resolve_jam(snapshot, setup.contacts, touching, slip_tolerance)
         if paradox == "impact" and jam is not None:
             return replace(jam, considered=error.considered)
         paradoxes_met = paradoxes(snapshot, setup.contacts, touching, slip_tolerance)
         reports = "".join(f"; {paradox_met}" for paradox_met in paradoxes_met.values())
         raise NoConsistentMode(f"{error}{reports}", considered=error.considered) from None
     if np.abs(choice.taken.forces).max(initial=0.0) > ENDLESS * setup.scales.force:
-        jam = jammed(snapshot, setup.contacts, touching, slip_tolerance)
+        jam = resolve_jam(snapshot, setup.contacts, touching, slip_tolerance)
         if paradox == "impact" and jam is not None:
             return replace(jam, considered=choice.considered)
     if choice.warning:
@@ -85,7 +85,7 @@ def check_listed(setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool]
         )
 
 
-def explained(
+def explain_choice(
     before: Mapping[str, str],
     laws: Sequence[ContactLaw],
     contacts: Sequence[PerContact],

@@ -11,7 +11,12 @@ import sympy as sp
 from contacts.dynamics.controllers import values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.scene.lint import NEARLY_MEETING, goes_off, passes_end, stays_off
+from contacts.scene.lint import (
+    NEARLY_MEETING,
+    goes_off_warning,
+    passed_end_warning,
+    stays_off_warning,
+)
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.laws import Setup
@@ -46,7 +51,7 @@ class Handovers:
         arcs, gap_tolerance = list(arcs), setup.tolerances["gap"]
         early = self._let_through(setup, arcs, gap_tolerance)
         tables, inside = self._tables(setup, arcs, gap_tolerance)
-        beside = self._past_ends(setup, arcs, tables, gap_tolerance)
+        missed_ends = self._past_ends(setup, arcs, tables, gap_tolerance)
         shallow = NEARLY_MEETING * setup.scales.length
         missed: dict[str, float] = {}
         for place, (contact, name) in enumerate(self._gated.items()):
@@ -75,16 +80,16 @@ class Handovers:
                         if -first > gap_tolerance:
                             depths += (-first, -gap)
             end()
-        late = (stays_off(self._mechanics.scene, name, d) for name, d in missed.items())
-        return (*early, *beside, *late)
+        late = (stays_off_warning(self._mechanics.scene, name, d) for name, d in missed.items())
+        return (*early, *missed_ends, *late)
 
     def _past_ends(
         self, setup: SceneSetup, arcs: Sequence[Arc], tables: Mapping[int, Array], near: float
     ) -> Iterator[str]:
-        """Yield a warning for each contact that is off by next to nothing as its gap closes."""
+        """Yield a warning for each contact that just misses its condition as its gap closes."""
         names = [*self._mechanics.scene.contacts]
         points = [self._mechanics.scene.contacts[name].point for name in names]
-        gated, beside = list(self._gated.items()), _BESIDE * setup.scales.length
+        gated, missed_ends = list(self._gated.items()), _BESIDE * setup.scales.length
         warned: set[str] = set()
         for k, table in tables.items():
             arc, gaps = arcs[k], table[:, 1::2]
@@ -102,11 +107,11 @@ class Handovers:
                 sample = int(through[:, place].argmax()) + 1
                 around = table[sample - 1 : sample + 1, 2 * place]
                 low, high = around.min(), around.max()
-                if 2.0 * high - low < -beside or 2.0 * low - high > 0.0:
+                if 2.0 * high - low < -missed_ends or 2.0 * low - high > 0.0:
                     continue  # Far from its boundary before and after
-                if -beside <= self._at_crossing(setup, arc, place, sample, gap=True) <= 0.0:
+                if -missed_ends <= self._at_crossing(setup, arc, place, sample, gap=True) <= 0.0:
                     warned.add(name)
-                    yield passes_end(name)
+                    yield passed_end_warning(name)
 
     def _let_through(
         self, setup: SceneSetup, arcs: Sequence[Arc], gap_tolerance: float
@@ -125,7 +130,7 @@ class Handovers:
                     for t in after.times[:2].tolist()
                 )
                 if abs(gap) <= gap_tolerance and later < -gap_tolerance:
-                    warnings.setdefault(name, goes_off(name, after.start.high))
+                    warnings.setdefault(name, goes_off_warning(name, after.start.high))
         return [*warnings.values()]
 
     def _tables(

@@ -16,9 +16,9 @@ from contacts.dynamics.contact_law import ContactLaw, sliding_edge
 from contacts.dynamics.projection import landed
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape, answer, solve_kkt
-from contacts.event_driven.decision import check_listed, decide, explained
-from contacts.impacts.bounces import corrected, rests_of_bounces, stands_for_bounces
-from contacts.impacts.jamming import Jam, listed, struck, without_collision
+from contacts.event_driven.decision import check_listed, choose_mode, explain_choice
+from contacts.impacts.bounces import correct_durations, remaining_durations, stands_for_bounces
+from contacts.impacts.jamming import Jam, impact_without_collision, listed_mode, strike_jammed
 from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.modes.classification import Before, ForceUncertainty
 from contacts.scene.modes import INSIDE, OUTSIDE
@@ -146,14 +146,14 @@ def impact_jump(
     `event` is the region and the cause of the jump.
     """
     at, setup, closed, speed_tolerance = landing.at, landing.setup, landing.closed, landing.slow
-    struck = _struck(rules, landing, jam)
+    struck = _solve_struck(rules, landing, jam)
     laws, contacts, bounce_times = struck.laws, struck.snapshot.contacts, struck.bounce_times
     touching = [
         was_closed and contact.gap_rate <= speed_tolerance
         for was_closed, contact in zip(closed, contacts, strict=True)
     ]
-    entered = _entered(rules, landing, struck, touching)
-    target = listed(entered.target, laws, contacts, 2.0 * speed_tolerance)
+    entered = _choose_entered(rules, landing, struck, touching)
+    target = listed_mode(entered.target, laws, contacts, 2.0 * speed_tolerance)
     energy = rules.tape.at(setup.values, entered.state, at.clock.high).energy
     bounce_time = max(bounce_times.values(), default=None)
     jump = at.jump(
@@ -168,7 +168,7 @@ def impact_jump(
         path=struck.result.path,
         considered=LazyMapping(
             partial(
-                explained,
+                explain_choice,
                 {} if jam is None else jam.considered,
                 laws,
                 contacts,
@@ -197,22 +197,22 @@ def impact_jump(
     return jump, flow, struck.snapshot
 
 
-def _struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
+def _solve_struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
     """Compute an impact, and sum the bounces that follow it if that is possible."""
     (_, clock, _, flow, state, _), setup, snapshot, _, closed = landing
 
     def under(laws: Sequence[ContactLaw], bounce_times: Mapping[int, float]) -> _Struck:
         if jam is not None:
-            result = without_collision(snapshot, laws, jam.places)
+            result = impact_without_collision(snapshot, laws, jam.places)
         else:
-            result = impacts(snapshot, laws, struck(laws, closed), rules.simultaneous)
-        result = resisted(snapshot, laws, result, 2.0 * landing.slow)
+            result = impacts(snapshot, laws, strike_jammed(laws, closed), rules.simultaneous)
+        result = apply_rolling_resistance(snapshot, laws, result, 2.0 * landing.slow)
         after = snapshot.moved(state, result.velocity)
         snapshot_after = hidden(rules.tape.at(setup.values, after, clock.high), flow.mode)
         return _Struck(laws, result, after, snapshot_after, bounce_times)
 
     elastic = under(setup.contacts, {})
-    bounce_times = rests_of_bounces(setup, elastic.snapshot, closed)
+    bounce_times = remaining_durations(setup, elastic.snapshot, closed)
     if not bounce_times:
         return elastic
     plastic = tuple(
@@ -226,7 +226,7 @@ def _struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
         return elastic
     if not stands_for_bounces(bounce_times, elastic.snapshot, captured.snapshot, closed):
         return elastic
-    lasting = corrected(
+    lasting = correct_durations(
         bounce_times,
         setup,
         lambda state, later: hidden(
@@ -240,7 +240,9 @@ def _struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
     return elastic if lasting is None else captured._replace(bounce_times=lasting)
 
 
-def _entered(rules: Rules, landing: Landing, struck: _Struck, touching: list[bool]) -> _Entered:
+def _choose_entered(
+    rules: Rules, landing: Landing, struck: _Struck, touching: list[bool]
+) -> _Entered:
     setup, following = landing.setup, struck.snapshot
     # If a contact still approaches after a sequence of impacts, the next jump is its impact.
     settled = not any(
@@ -253,7 +255,7 @@ def _entered(rules: Rules, landing: Landing, struck: _Struck, touching: list[boo
         return _Entered(flying, roles_in(flying), struck.state, settled)
     uncertainty = rules.uncertainty(landing, struck.state)
     before = Before.flow(landing.at.flow.roles)
-    choice = decide(setup, following, touching, rules.paradox, before, uncertainty)
+    choice = choose_mode(setup, following, touching, rules.paradox, before, uncertainty)
     roles = roles_in(choice.sliding) if isinstance(choice, Jam) else choice.taken.roles
     moving = moving_mode(roles)
     state = landed(moving, following, struck.state, setup.tolerances)
@@ -268,7 +270,7 @@ def _entered(rules: Rules, landing: Landing, struck: _Struck, touching: list[boo
     return _Entered(target, roles, state, settled, *explanation)
 
 
-def resisted(
+def apply_rolling_resistance(
     snapshot: Snapshot, laws: Sequence[ContactLaw], result: Impacts, slip_tolerance: float
 ) -> Impacts:
     """Return the impacts of an instant with the angular impulses of rolling resistance.
@@ -309,11 +311,11 @@ def resisted(
             result = replace(result, velocity=velocity, impulses=impulses)
             continue
         edge = edge[0], math.copysign(edge[1], tangential)
-        result = _slipping_on(snapshot, result, law.carrier, couple, slip, limit, edge)
+        result = _continue_slip(snapshot, result, law.carrier, couple, slip, limit, edge)
     return result
 
 
-def _slipping_on(
+def _continue_slip(
     snapshot: Snapshot,
     result: Impacts,
     place: int,

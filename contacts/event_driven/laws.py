@@ -12,11 +12,11 @@ import numpy as np
 
 from contacts.dynamics.conditions import Conditions, hidden
 from contacts.dynamics.held_forces import HeldForces
-from contacts.dynamics.mechanics import HAULED, Mechanics, hauled_in
+from contacts.dynamics.mechanics import HAULED, Mechanics, winch_end_message
 from contacts.dynamics.projection import Projection, dead_point, in_contact, landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
-from contacts.dynamics.snapshot import Snapshot, SnapshotTape, press_closed
+from contacts.dynamics.snapshot import Snapshot, SnapshotTape, close_compliant
 from contacts.dynamics.starting import (
     check_closing,
     check_joints,
@@ -25,14 +25,14 @@ from contacts.dynamics.starting import (
     check_start,
     hovering_warnings,
 )
-from contacts.event_driven.accumulation import closed_at_once
+from contacts.event_driven.accumulation import close_immediately
 from contacts.event_driven.compiled_laws import CompiledSceneLaws
-from contacts.event_driven.decision import cause, check_declared, decide
+from contacts.event_driven.decision import cause, check_declared, choose_mode
 from contacts.event_driven.handovers import Handovers
 from contacts.event_driven.impact_jump import Landing, Rules, flow_in, impact_jump, shown_roles
 from contacts.event_driven.switching import Switching, alike
-from contacts.impacts.bounces import opens_in_vain, rest_of_passages
-from contacts.impacts.jamming import Jam, listed, off_state, struck, unbounded
+from contacts.impacts.bounces import reopens_immediately, rest_of_passages
+from contacts.impacts.jamming import Jam, listed_mode, off_state, strike_jammed, unbounded_jam
 from contacts.impacts.simultaneous import impacts
 from contacts.modes.classification import Before, Choice
 from contacts.modes.feasibility import scene_feasibility
@@ -173,9 +173,9 @@ class SceneLaws:
         if state is not setup.initial:
             snapshot = hidden(self.tape.at(setup.values, state, 0.0), off)
         above = self._hovering(setup, state, off)
-        choice = decide(setup, snapshot, touching, self._paradox, Before())
+        choice = choose_mode(setup, snapshot, touching, self._paradox, Before())
         if isinstance(choice, Jam):
-            starts = listed(choice.sliding, setup.contacts, snapshot.contacts, 2.0 * slow)
+            starts = listed_mode(choice.sliding, setup.contacts, snapshot.contacts, 2.0 * slow)
             roles = roles_in(choice.sliding)
             return flow_in(setup, starts, roles, None, above, settled=False), state
         check_declared(self._modes, self._names, choice, snapshot, touching, failing)
@@ -183,7 +183,7 @@ class SceneLaws:
         settled = not any(
             shut and c.gap_rate < -slow for shut, c in zip(closed, snapshot.contacts, strict=True)
         )
-        starts = listed(taken.states, setup.contacts, snapshot.contacts, 2.0 * slow)
+        starts = listed_mode(taken.states, setup.contacts, snapshot.contacts, 2.0 * slow)
         warning = "; ".join(filter(None, (above, choice.warning)))
         return flow_in(setup, starts, taken.roles, None, warning, settled, choice.notes), state
 
@@ -266,14 +266,14 @@ class SceneLaws:
             return self._unbounded(here)
         for name in self._names:
             if f"{name}.{HAULED}" in fired:
-                raise hauled_in(name, clock.high)
+                raise winch_end_message(name, clock.high)
         hitting = here.hitting
         if hitting:
             return self._impact(here, hitting)
         touching = [shut and c.gap_rate <= slow for shut, c in zip(closed, contacts, strict=True)]
         uncertainty = self._rules.uncertainty(here)
         before = Before.flow(at.flow.roles, here.moving)
-        choice = decide(setup, here.snapshot, touching, self._paradox, before, uncertainty)
+        choice = choose_mode(setup, here.snapshot, touching, self._paradox, before, uncertainty)
         if isinstance(choice, Jam):
             if all(choice.sliding[i] == here.moving[i] for i in choice.places):
                 # A contact that slid to where sliding ends: p fell to zero on the way.
@@ -337,7 +337,7 @@ class SceneLaws:
             if state is not brought:
                 snapshot = hidden(self.tape.at(setup.values, state, at.clock.high), flow.mode)
         closed = [c.gap <= close for c in snapshot.contacts]
-        snapshot = press_closed(snapshot, closed)
+        snapshot = close_compliant(snapshot, closed)
         return Landing(at._replace(state=state), setup, snapshot, moving, closed)
 
     def _unbounded(self, here: Landing) -> tuple[Jump, Flow] | None:
@@ -359,7 +359,7 @@ class SceneLaws:
     def _grown(self, here: Landing) -> Jam | None:
         """Return the jam if a force grows without bound."""
         shut = [state not in OPEN for state in here.moving]
-        return unbounded(here.snapshot, here.setup.contacts, shut, 2.0 * here.slow)
+        return unbounded_jam(here.snapshot, here.setup.contacts, shut, 2.0 * here.slow)
 
     def _enter(self, at: Instant, here: Landing, choice: Choice) -> tuple[Jump | None, Flow] | None:
         """Return the jump to a mode; None if the flow already moves in it."""
@@ -471,7 +471,7 @@ class SceneLaws:
         period: float, rest: float,
     ) -> tuple[Jump, Flow] | None:  # fmt: skip
         at = partial(self.tape.at, setup.values, time=clock.high)
-        return closed_at_once(setup, at, flow, jump, took_part, period, rest, self._paradox)
+        return close_immediately(setup, at, flow, jump, took_part, period, rest, self._paradox)
 
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
         """Return the constraints of the closed contacts of `roles`, and of pinned points."""
@@ -498,7 +498,7 @@ class SceneLaws:
         jump, flow, following = impact_jump(self._rules, here, self._struck(hitting, jam), jam)
         setup, closed, (before, after) = here.setup, here.closed, jump.energy or (0.0, 0.0)
         idle = jam is None and sum(closed) > 1 and after >= before
-        if idle and opens_in_vain(setup, following, closed):
+        if idle and reopens_immediately(setup, following, closed):
             at = here.at
             done = self._closed_at_once(setup, at.clock, flow, jump, closed, 0.0, jump.skipped)
             if done is not None:
@@ -523,7 +523,7 @@ class SceneLaws:
         points, other = self.conditions.points, in_corner[0]
 
         def strike(snapshot: Snapshot, closed: Sequence[bool]) -> Array:
-            closed = struck(setup.contacts, closed)
+            closed = strike_jammed(setup.contacts, closed)
             return impacts(snapshot, setup.contacts, closed, self._rules.simultaneous).velocity
 
         for on in (i for i in shut if points[i] == points[other]):

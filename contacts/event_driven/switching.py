@@ -10,8 +10,8 @@ import numpy as np
 from contacts.dynamics.conditions import Conditions, ConditionsAt, hidden
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot
-from contacts.event_driven.decision import decide
-from contacts.impacts.jamming import Jam, engaged, off_state
+from contacts.event_driven.decision import choose_mode
+from contacts.impacts.jamming import Jam, engaged_state, off_state
 from contacts.modes.classification import Before
 from contacts.scene.parts import Resolution
 from contacts.states import INACTIVE, OFF, cause_of
@@ -23,7 +23,7 @@ from statechart.errors import NonFinite, SimulationError
 # Safety factor of the round-off of a place: a zero may be on either side.
 _MORE = 2.0
 
-# Size of a corner, in gap tolerances, at which a warning tells that all its contacts are off.
+# Size of a corner, in gap tolerances, above which a warning says that all its contacts are off.
 _CORNER = 1000.0
 
 Strike = Callable[[Key], tuple[Array, Snapshot] | None]
@@ -42,7 +42,7 @@ class Switching:
     ) -> tuple[str, ...]:
         """Return a failing condition of each contact, or ""; see `ConditionsAt`."""
         here = self._conditions.at(setup, state, time)
-        near = _closed_below(setup, snapshot, here)
+        near = _closing_gaps(setup, snapshot, here)
         return self._conditions.first(self._judged(setup, snapshot, here, near))
 
     def _judged(
@@ -76,7 +76,7 @@ class Switching:
                 for c, close in zip(shown.contacts, near, strict=True)
             ]
             try:
-                choice = decide(setup, shown, touching, self._paradox, Before())
+                choice = choose_mode(setup, shown, touching, self._paradox, Before())
             except SimulationError:
                 return None
             return None if isinstance(choice, Jam) else choice.taken.roles
@@ -129,7 +129,7 @@ class Switching:
         if not self._conditions.present:
             return {}
         here = self._conditions.at(setup, at.state, at.clock.high)
-        near = _closed_below(setup, snapshot, here)
+        near = _closing_gaps(setup, snapshot, here)
         on = [state not in INACTIVE for state in at.flow.mode]
         self._verdicts = self._judged(setup, snapshot, here, near, at.fired, on)
         failing = self._conditions.first(self._verdicts)
@@ -169,7 +169,7 @@ class Switching:
         mode = tuple(
             off_state(law)
             if why
-            else engaged(law, contact, 2.0 * slow)
+            else engaged_state(law, contact, 2.0 * slow)
             if state in INACTIVE and contact.gap >= -close
             else state
             for why, state, contact, close, law in zip(
@@ -201,7 +201,7 @@ class Switching:
         if not self._conditions.present:
             return []
         here, points = self._conditions.at(setup, state, time), self._conditions.points
-        near, every = _closed_below(setup, snapshot, here), range(len(points))
+        near, every = _closing_gaps(setup, snapshot, here), range(len(points))
         fails = self._conditions.first(here.with_boundary(here.verdicts(), every, ()))
         gaps = zip(snapshot.contacts, near, strict=True)
         met = [abs(contact.gap) <= close for contact, close in gaps]
@@ -219,7 +219,7 @@ class Switching:
         for place, why in switched.items():
             law, contact = setup.contacts[place], snapshot.contacts[place]
             still = 2.0 * setup.tolerances["speed"]
-            mode[place] = off_state(law) if why else engaged(law, contact, still)
+            mode[place] = off_state(law) if why else engaged_state(law, contact, still)
             roles[place] = Role(mode[place])
         place, why = next(iter(switched.items()))
         name = self._names[place]
@@ -275,7 +275,7 @@ class Switching:
         return None, flow._replace(tolerances={**flow.tolerances, **own})
 
 
-def _closed_below(setup: SceneSetup, snapshot: Snapshot, here: ConditionsAt) -> list[float]:
+def _closing_gaps(setup: SceneSetup, snapshot: Snapshot, here: ConditionsAt) -> list[float]:
     """Return the largest gap at which each contact is closed.
 
     The zero of a gate is known to its round-off, and so is the gap of the contact that takes over

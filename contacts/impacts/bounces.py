@@ -19,7 +19,7 @@ _MAX_CORRECTION = 1e-4
 _MAX_CHANGE = 10.0
 
 
-def rests_of_bounces(
+def remaining_durations(
     setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]
 ) -> dict[int, float]:
     """Return the duration of the further bounces, for the contacts whose bounces are skipped.
@@ -31,19 +31,19 @@ def rests_of_bounces(
     durations: dict[int, float] = {}
     accelerations: Array | None = None
     speed_tolerance = setup.tolerances["speed"]
-    lying = _lying(setup, snapshot, closed)
+    lying = _resting_contacts(setup, snapshot, closed)
     for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True)):
         rebound, e = contact.gap_rate, law.restitution
         if not closed[i] or not 0.0 < e < 1.0 or not speed_tolerance < rebound <= setup.capture:
             continue
         if accelerations is None:
-            accelerations = _falling(setup, snapshot, lying)
+            accelerations = _closing_accelerations(setup, snapshot, lying)
         if accelerations[i] > 0.0:
             durations[i] = 2.0 * rebound / (float(accelerations[i]) * (1.0 - e))
     return durations
 
 
-def corrected(
+def correct_durations(
     durations: Mapping[int, float],
     setup: SceneSetup,
     at: Callable[[Array, float], Snapshot],
@@ -64,9 +64,9 @@ def corrected(
     and `plastic` are the snapshots after the impact with and without rebounds; the plastic impact
     leads to `state`.
     """
-    lying = _lying(setup, resolved, closed)
+    lying = _resting_contacts(setup, resolved, closed)
     try:
-        accelerations = _chosen(setup, plastic, _lying(setup, plastic, closed))
+        accelerations = _choose_resting(setup, plastic, _resting_contacts(setup, plastic, closed))
     except SimulationError:
         return dict(durations)
     if plastic.reduction is not None:
@@ -75,7 +75,7 @@ def corrected(
     # Without the pads of compliant contacts, which are no coordinates of the scene.
     accelerations = accelerations[:n]
     resolved_fall, resting_fall = (
-        _falling(setup, snapshot, lying) for snapshot in (resolved, plastic)
+        _closing_accelerations(setup, snapshot, lying) for snapshot in (resolved, plastic)
     )
     corrected_durations: dict[int, float] = {}
     for i in durations:
@@ -86,7 +86,7 @@ def corrected(
         state_after = state.copy()
         state_after[:n] += duration * (state[n:] + 0.5 * duration * accelerations)
         state_after[n:] += duration * accelerations
-        final_fall = _falling(setup, at(state_after, duration), lying)
+        final_fall = _closing_accelerations(setup, at(state_after, duration), lying)
         change = (resting_fall[i] - final_fall[i] - (resolved_fall[i] - resting_fall[i]) / loss) / (
             3.0 * resting_fall[i]
         )
@@ -96,7 +96,7 @@ def corrected(
     return corrected_durations
 
 
-def opens_in_vain(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> bool:
+def reopens_immediately(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> bool:
     """Return whether contacts open and none of them leaves the tolerance of its gap.
 
     Alternating impacts, each of which opens another contact, would not end once they dissipate less
@@ -106,7 +106,9 @@ def opens_in_vain(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool])
     opening = np.asarray(closed) & (rates > setup.tolerances["speed"])
     if not opening.any():
         return False
-    fall = _falling(setup, snapshot, _lying(setup, snapshot, closed))[opening]
+    fall = _closing_accelerations(setup, snapshot, _resting_contacts(setup, snapshot, closed))[
+        opening
+    ]
     heights = setup.tolerances["gap"] * 2.0 * fall
     return bool((fall > 0.0).all() and (rates[opening] ** 2 < heights).all())
 
@@ -133,7 +135,7 @@ def rest_of_passages(
         reversed_state = np.concatenate([state[:size], -state[size:]])
         resting = [i == supporting for i in range(count)]
         a, b = (
-            float(_falling(setup, shifted, resting)[opening])
+            float(_closing_accelerations(setup, shifted, resting)[opening])
             for shifted in (snapshot, at(reversed_state))
         )
         if not (a > 0.0 and b > 0.0 and rates[-1] > 0.0):
@@ -160,7 +162,7 @@ def rest_of_passages(
     return total / (1.0 - ratio_of_cycle) if ratio_of_cycle < 1.0 else None
 
 
-def _lying(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> list[bool]:
+def _resting_contacts(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> list[bool]:
     speed_tolerance = setup.tolerances["speed"]
     return [
         is_closed and contact.gap_rate <= speed_tolerance
@@ -168,16 +170,16 @@ def _lying(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> lis
     ]
 
 
-def _chosen(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Array:
+def _choose_resting(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Array:
     slip_tolerance = 2.0 * setup.tolerances["speed"]
     choice = choose(snapshot, setup.contacts, lying, setup.scales, setup.tie, slip_tolerance)
     return choice.taken.accelerations
 
 
-def _falling(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Array:
+def _closing_accelerations(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Array:
     """Return the closing accelerations of the gaps with these contacts closed; nan if undefined."""
     try:
-        accelerations = _chosen(setup, snapshot, lying)
+        accelerations = _choose_resting(setup, snapshot, lying)
     except SimulationError:
         return np.full(len(snapshot.contacts), np.nan)
     return np.array([-float(c.jacobian[0] @ accelerations) - c.bias_n for c in snapshot.contacts])

@@ -151,12 +151,12 @@ def off_state(law: ContactLaw) -> str:
     return DISENGAGED if law.coupling else OFF
 
 
-def engaged(law: ContactLaw, contact: PerContact, slip_tolerance: float) -> str:
+def engaged_state(law: ContactLaw, contact: PerContact, slip_tolerance: float) -> str:
     """Return the state in which a contact or a coupling begins whose conditions hold again."""
     return closed_state(law, contact, slip_tolerance) if law.coupling else "free"
 
 
-def listed(
+def listed_mode(
     key: Key, laws: Sequence[ContactLaw], contacts: Sequence[PerContact], slip_tolerance: float
 ) -> Key:
     """Return the mode with closed states for contacts that do not list free."""
@@ -167,16 +167,16 @@ def listed(
     )  # fmt: skip
 
 
-def jammed(
+def resolve_jam(
     snapshot: Snapshot, laws: Sequence[ContactLaw], touching: Sequence[bool], slip_tolerance: float
 ) -> Jam | None:
     """Return the jam of a state without a consistent mode; None if no impact resolves it."""
     paradoxes_met = paradoxes(snapshot, laws, touching, slip_tolerance)
-    for group in groups(snapshot, struck(laws, touching)):
+    for group in groups(snapshot, strike_jammed(laws, touching)):
         why = ""
         if len(group) == 1:
             why = str(paradoxes_met.get(group[0], ""))
-        elif _at_once(snapshot, laws, group) is not None:
+        elif _plastic_impulse(snapshot, laws, group) is not None:
             names = ", ".join(laws[i].name for i in group)
             why = "; ".join(
                 [
@@ -189,12 +189,12 @@ def jammed(
     return None
 
 
-def unbounded(
+def unbounded_jam(
     snapshot: Snapshot, laws: Sequence[ContactLaw], closed: Sequence[bool], slip_tolerance: float
 ) -> Jam | None:
     """Return the jam at the end of a flow in which p falls to zero with b < 0."""
     paradoxes_met = paradoxes(snapshot, laws, closed, slip_tolerance, _UNBOUNDED_P)
-    for group in groups(snapshot, struck(laws, closed)):
+    for group in groups(snapshot, strike_jammed(laws, closed)):
         paradox = paradoxes_met.get(group[0])
         if len(group) == 1 and paradox is not None and paradox.b < 0.0:
             why = f"the force of {paradox.contact} grows without bound: {paradox}"
@@ -202,7 +202,7 @@ def unbounded(
     return None
 
 
-def without_collision(
+def impact_without_collision(
     snapshot: Snapshot, laws: Sequence[ContactLaw], places: Sequence[int]
 ) -> Impacts:
     """Return the impact without collision of contacts that friction presses into their surfaces.
@@ -222,7 +222,7 @@ def without_collision(
         impulses[place] = result.normal, result.tangential
         velocity, path = result.velocity, f"{law.name} {' '.join(result.path)}"
     else:
-        impulse = _at_once(snapshot, laws, places)
+        impulse = _plastic_impulse(snapshot, laws, places)
         if impulse is None:
             names = ", ".join(laws[i].name for i in places)
             raise NoConsistentMode(f"no impulse ends the jam of {names} (Painleve's paradox)")
@@ -232,7 +232,7 @@ def without_collision(
     return Impacts(velocity, impulses, (path,), 1.0, unknown)
 
 
-def struck(laws: Sequence[ContactLaw], closed: Sequence[bool]) -> list[bool]:
+def strike_jammed(laws: Sequence[ContactLaw], closed: Sequence[bool]) -> list[bool]:
     """Return a mask of the closed contacts without couplings, whose impulses are zero."""
     return [shut and not law.coupling for law, shut in zip(laws, closed, strict=True)]
 
@@ -248,7 +248,7 @@ def _sliding(
     )  # fmt: skip
 
 
-def _at_once(
+def _plastic_impulse(
     snapshot: Snapshot, laws: Sequence[ContactLaw], places: Sequence[int]
 ) -> Impulses | None:
     """Return the preferred nonzero plastic impulse."""

@@ -83,9 +83,9 @@ def impacts(
         if len(group) == 1:
             result = _single_impact(snapshot, laws, group[0])
         elif choice == "sequential":
-            result = _in_sequence(snapshot, laws, group)
+            result = _solve_sequentially(snapshot, laws, group)
         else:
-            result = _at_once(snapshot, laws, group, choice == "capped")
+            result = _solve_simultaneously(snapshot, laws, group, choice == "capped")
         share = min(share, result.share)
         for i in group:
             indeterminate[i] = result.indeterminate[i]
@@ -116,18 +116,18 @@ def _single_impact(snapshot: Snapshot, laws: Sequence[ContactLaw], place: int) -
     """Compute the impact of one contact by its own law."""
     law, contact = laws[place], snapshot.contacts[place]
     if law.impact == MOREAU:
-        return _at_once(snapshot, laws, [place], True)
+        return _solve_simultaneously(snapshot, laws, [place], True)
     result = impact(snapshot, contact, law, law.restitution)
     impulses = np.zeros((len(laws), 2))
     impulses[place] = result.normal, result.tangential
     change = result.velocity - snapshot.velocity
-    raised = _raises(contact, result, change)
+    raised = _raises_energy(contact, result, change)
     warning = f"{law.name}: the impact law {law.impact!r} raised the energy" if raised else ""
     path = [f"{law.name} {' '.join(result.path)}"]
     return _GroupImpacts(change, impulses, path, warning, 1.0, [False] * len(laws))
 
 
-def _raises(contact: PerContact, result: Impact, change: Array) -> bool:
+def _raises_energy(contact: PerContact, result: Impact, change: Array) -> bool:
     """Return whether the impulse increases the kinetic energy beyond round-off."""
     normal, tangential = (contact.jacobian @ change).tolist()
     work = result.normal * (contact.gap_rate + 0.5 * normal)
@@ -136,7 +136,7 @@ def _raises(contact: PerContact, result: Impact, change: Array) -> bool:
     return work > RAISES * size
 
 
-def _at_once(
+def _solve_simultaneously(
     snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int], rebound: bool
 ) -> _GroupImpacts:
     """Solve for the velocities of all contacts of a group at once."""
@@ -145,7 +145,7 @@ def _at_once(
     elastic = [law.restitution for law in laws]
     plastic = solve_collisions(snapshot, laws, closed, [0.0] * len(laws))
     if not plastic and rebound and any(elastic[i] > 0.0 for i in group):
-        sequence = _in_sequence(snapshot, laws, group)
+        sequence = _solve_sequentially(snapshot, laws, group)
         reason = (
             f"no simultaneous impulse of {names} satisfies the friction cones; the impacts "
             "follow one another"
@@ -160,7 +160,7 @@ def _at_once(
         elastic_solutions = solve_collisions(snapshot, laws, closed, elastic)
         if elastic_solutions:
             target = elastic_solutions[0]
-            plastic_share, share = _shares(snapshot, group, base, target)
+            plastic_share, share = _work_free_shares(snapshot, group, base, target)
         else:
             warnings.append(f"{names}: no impulse satisfies Moreau's law; the impact is plastic")
     if len(plastic) > 1 or len(elastic_solutions) > 1:
@@ -180,7 +180,7 @@ def _at_once(
     return _GroupImpacts(change, impulses, path, "; ".join(warnings), share, unknown)
 
 
-def _shares(
+def _work_free_shares(
     snapshot: Snapshot, group: Sequence[int], plastic: Impulses, target: Impulses
 ) -> tuple[float, float]:
     """Return (1 - s, s) for the largest s at which the impulses do no work on the bodies.
@@ -208,7 +208,9 @@ def _work(snapshot: Snapshot, group: Sequence[int], solution: Impulses) -> tuple
     return float(work), float(size)
 
 
-def _in_sequence(snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int]) -> _GroupImpacts:
+def _solve_sequentially(
+    snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int]
+) -> _GroupImpacts:
     """Compute impacts one after another, the fastest approach first."""
     impulses = np.zeros((len(laws), 2))
     path: list[str] = []
@@ -237,7 +239,9 @@ def _in_sequence(snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int
                     f"approach velocity is {approach:.3g}, and the rest is plastic"
                 )
             ]
-            result = _at_once(current, laws, group, False)._replace(path=["plastic rest"])
+            result = _solve_simultaneously(current, laws, group, False)._replace(
+                path=["plastic rest"]
+            )
         else:
             result = _single_impact(current, laws, group[k])
         impulses += result.impulses

@@ -2,8 +2,8 @@
 
 A mode gives accelerations and contact forces by one linear system
 (`contacts.solvers.mode_solver`) and is consistent if they satisfy its inequalities. The modes come
-from enumeration (`candidates`) or from Lemke's algorithm (`by_lemke`). If the constraints of
-contacts are dependent, a mode is consistent if some forces in the cones explain its motion
+from enumeration (`candidates`) or from Lemke's algorithm (`lemke_candidates`). If the constraints
+of contacts are dependent, a mode is consistent if some forces in the cones explain its motion
 (`contacts.modes.load_sharing`).
 """
 
@@ -172,7 +172,7 @@ def _solved_combinations(
     return solved
 
 
-def _refused(candidate: Candidate, why: str) -> Candidate:
+def _refuse(candidate: Candidate, why: str) -> Candidate:
     return candidate._replace(violation=math.inf, undetermined=why)
 
 
@@ -190,18 +190,18 @@ def _explain(
     moving = [(k, solved[k]) for k in redundant if solved[k].violation <= bound]
     if not moving:
         return
-    moving.sort(key=lambda item: openness(item[1]))
+    moving.sort(key=lambda item: closedness_key(item[1]))
     motions = np.array([rejected.accelerations for _, rejected in moving]).reshape(len(moving), -1)
     largest = _SAME_MOTION * np.maximum(scales.acceleration, np.abs(motions).max(1, initial=0.0))
     represented = np.zeros(len(moving), np.bool_)
     failed: list[tuple[Candidate, Ints]] = []
     for place, (k, candidate) in enumerate(moving):
         if represented[place]:
-            solved[k] = _refused(candidate, _DUPLICATE)
+            solved[k] = _refuse(candidate, _DUPLICATE)
             continue
         shared_forces = None
         if not any(
-            _within(codes[k], code) and same_motion(rejected, candidate, scales, _EXACT)
+            _is_within(codes[k], code) and same_motion(rejected, candidate, scales, _EXACT)
             for rejected, code in failed
         ):
             chosen = np.empty((len(codes[k]), 2))
@@ -217,7 +217,7 @@ def _explain(
             )
         if shared_forces is None or shared_forces.violation > tie * scales.force:
             failed.append((candidate, codes[k]))
-            solved[k] = _refused(candidate, _UNEXPLAINED)
+            solved[k] = _refuse(candidate, _UNEXPLAINED)
             continue
         excess = shared_forces.violation / scales.force
         shared = candidate._replace(forces=shared_forces.forces, share=shared_forces)
@@ -227,7 +227,7 @@ def _explain(
         represented |= np.abs(motions - motions[place]).max(1, initial=0.0) <= largest
 
 
-def _within(code: Ints, other: Ints) -> bool:
+def _is_within(code: Ints, other: Ints) -> bool:
     return bool(((code == other) | (code == FREE) | (other == PIN) | (other == LOCKED)).all())
 
 
@@ -264,7 +264,7 @@ def same_motion(
     return bool(difference <= tolerance * size)
 
 
-def openness(candidate: Candidate) -> tuple[int, int, str]:
+def closedness_key(candidate: Candidate) -> tuple[int, int, str]:
     """Sort key: most contacts closed, then most of them pinned, then names."""
     states = candidate.states
     return (
@@ -274,7 +274,7 @@ def openness(candidate: Candidate) -> tuple[int, int, str]:
     )
 
 
-def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
+def lemke_candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     """Solve the modes that Lemke's algorithm ends in (see `candidates`).
 
     The complementarity problem is in accelerations and forces of the contacts (Stewart and

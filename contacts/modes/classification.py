@@ -26,14 +26,14 @@ from contacts.modes.candidates import (
     SINGULAR,
     Candidate,
     Case,
-    by_lemke,
     candidates,
+    closedness_key,
     consistent,
-    openness,
+    lemke_candidates,
     resistance_pairs,
     same_motion,
 )
-from contacts.modes.load_sharing import Share, bearing, prestressed_contacts, rank
+from contacts.modes.load_sharing import Share, bearing_contacts, prestressed_contacts, rank
 from contacts.modes.signs_at_rest import laws_of, signs_at_rest, with_signs
 from contacts.scene.modes import OWN
 from contacts.solvers.mode_solver import (
@@ -50,7 +50,7 @@ from contacts.states import (
     SLIPPING,
     STICKING,
     declared_state,
-    undetermined,
+    undetermined_warning,
 )
 from statechart.arrays import Array
 from statechart.automaton.lazy import LazyMapping
@@ -84,8 +84,10 @@ class ForceUncertainty(NamedTuple):
         if not any(map(_comes_to_rest, options, self.certain_modes)):
             return None
         tolerance = self.setup.force_uncertainty
-        for candidate in sorted(candidates(case._replace(tie=tolerance), options), key=openness):
-            if openness(candidate)[:2] > openness(taken)[:2]:
+        for candidate in sorted(
+            candidates(case._replace(tie=tolerance), options), key=closedness_key
+        ):
+            if closedness_key(candidate)[:2] > closedness_key(taken)[:2]:
                 break
             rests = any(map(_comes_to_rest, candidate.states, self.certain_modes))
             is_close = (
@@ -163,7 +165,7 @@ def _verdicts(case: Case, tried: Iterable[Candidate], taken: Candidate | None) -
         _label(laws, c.states): _verdict(c, case.tie) + coefficients(c.states) for c in tried
     }
     if taken is not None:
-        firmer = _firmer(case)
+        firmer = _more_sticking(case)
         verdicts |= {
             _label(laws, c.states): c.reason + coefficients(c.states)
             for c in tried
@@ -226,7 +228,7 @@ class Before(NamedTuple):
     @classmethod
     def flow(cls, roles: Roles, mode: tuple[str, ...] | None = None) -> Before:
         """Return mode and loads of a flow."""
-        return cls(mode, bearing(roles))
+        return cls(mode, bearing_contacts(roles))
 
 
 def choose(
@@ -265,7 +267,7 @@ def choose(
     touching = sum(closed)
     by_pivoting = touching > _MAX_ENUMERATED
     if by_pivoting:
-        tried = by_lemke(case, options)
+        tried = lemke_candidates(case, options)
         agreeing = consistent(tried, tie)
     if not agreeing and touching <= _MAX_ENUMERATED_LAST:
         by_pivoting = False
@@ -282,7 +284,9 @@ def choose(
         reasons = "; ".join(filter(None, (*_rejections(refused), note)))
         advice = "; ".join(_advice(laws, closed, tried))
         raise NoConsistentMode(". ".join(filter(None, (reasons, advice))), considered=refused)
-    taken, warning = _rivals(_continuing(agreeing, tried, case, before), case, before)
+    taken, warning = _select_candidate(
+        _continuing_candidates(agreeing, tried, case, before), case, before
+    )
     uncertain = (
         None if by_pivoting or uncertainty is None else uncertainty.sticking(case, options, taken)
     )
@@ -292,13 +296,13 @@ def choose(
     if (
         not warning
         and taken.violation >= -tie
-        and any(_opens(taken, rejected, closed) for rejected in tried)
+        and any(_opens_more(taken, rejected, closed) for rejected in tried)
     ):
         warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken.states)} taken"
     notes: tuple[str, ...] = (_UNCHECKED,) if by_pivoting else ()
     if taken.share is not None:
         notes += _indeterminate(laws, taken.share)
-    notes += _carried(snapshot, laws, closed, taken.states)
+    notes += _note_held_contacts(snapshot, laws, closed, taken.states)
     if uncertainty is not None and uncertain is not None:
         notes += tuple(
             f"{law.name} comes to rest with its friction at the bound, within the tolerance: it "
@@ -312,7 +316,7 @@ def choose(
     return Choice(taken, considered, warning, notes, uncertain is not None)
 
 
-def _continuing(
+def _continuing_candidates(
     agreeing: list[Candidate],
     tried: Iterable[Candidate],
     case: Case,
@@ -332,14 +336,16 @@ def _continuing(
     ):
         return agreeing
     if previous.violation > _NEGLIGIBLE_TIE * case.tie:
-        firmer = _firmer(case)
+        firmer = _more_sticking(case)
         if any(_held(previous, c, firmer) for c in agreeing):
             # Static friction has just been exceeded, and kinetic friction is less.
             return agreeing
     return [c for c in agreeing if same_motion(c, previous, case.scales, _CONTINUES)] or agreeing
 
 
-def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[Candidate, str]:
+def _select_candidate(
+    agreeing: Sequence[Candidate], case: Case, before: Before
+) -> tuple[Candidate, str]:
     """Select one of several consistent candidates; the second value is "" or a warning.
 
     Raises `AmbiguousMode` if their motions differ and all keep every contact closed.
@@ -353,11 +359,11 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
         if candidate.share is not None and before.is_mode(candidate.states):
             return _without_new_loads(candidate, clear, case, before.bearing)
     # A contact held by static friction does not start to slip because another does.
-    firmer, holding = _firmer(case), clear
+    firmer, holding = _more_sticking(case), clear
     if firmer:
         lost = [any(_held(d, c, firmer) > _held(c, d, firmer) for d in clear) for c in clear]
         holding = [c for c, slips in zip(clear, lost, strict=True) if not slips]
-    taken = min(holding or clear or agreeing, key=openness)
+    taken = min(holding or clear or agreeing, key=closedness_key)
     # A candidate on the boundary of its inequalities (an unloaded massless body) is no rival.
     certain = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
     rivals = [
@@ -391,7 +397,7 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
     minimal = [
         c for c, loaded in zip(opened, bearing, strict=True) if not any(b < loaded for b in bearing)
     ]
-    taken = min(minimal, key=openness)
+    taken = min(minimal, key=closedness_key)
     return (
         taken,
         f"indeterminate: {labels} all agree with the state; {_label(laws, taken.states)} taken",
@@ -405,7 +411,7 @@ def _held(taken: Candidate, other: Candidate, firmer: Sequence[int]) -> bool:
     )
 
 
-def _firmer(case: Case) -> Sequence[int]:
+def _more_sticking(case: Case) -> Sequence[int]:
     """Return the contacts and couplings whose static friction exceeds their kinetic friction."""
     edges = bounds(case.laws, case.snapshot)
     mu = edges[:, 1::2] / np.maximum(edges[:, ::2], np.finfo(float).tiny)
@@ -431,7 +437,7 @@ def _without_new_loads(
     unloaded = [c for c in agreeing if _bearing(c) <= loaded_before]
     moving = [c for c in unloaded if rank(c.states, jacobians) < rank(candidate.states, jacobians)]
     if len(moving) == len(unloaded):
-        return min(moving, key=openness, default=candidate), ""
+        return min(moving, key=closedness_key, default=candidate), ""
     pressing = [i for i in sorted(_bearing(candidate)) if not case.laws[i].coupling]
     edges = np.empty((len(candidate.states), 2))
     chosen = np.array([CODES[state] for state in candidate.states])
@@ -476,7 +482,7 @@ def _bearing(candidate: Candidate) -> frozenset[int]:
     return frozenset(i for i, state in enumerate(candidate.states) if state not in OPEN)
 
 
-def _opens(taken: Candidate, other: Candidate, closed: Sequence[bool]) -> bool:
+def _opens_more(taken: Candidate, other: Candidate, closed: Sequence[bool]) -> bool:
     """Return whether `taken` opens contacts, or unlocks couplings, that `other` keeps closed."""
     if other.undetermined != OPEN_LOAD:
         return False
@@ -491,10 +497,10 @@ def _opens(taken: Candidate, other: Candidate, closed: Sequence[bool]) -> bool:
 
 def _indeterminate(laws: Sequence[ContactLaw], shared: Share) -> tuple[str, ...]:
     names = [law.name for law, zone in zip(laws, shared.zones, strict=True) if zone != OWN]
-    return (undetermined(names),)
+    return (undetermined_warning(names),)
 
 
-def _carried(
+def _note_held_contacts(
     snapshot: Snapshot,
     laws: Sequence[ContactLaw],
     closed: Sequence[bool],
@@ -526,11 +532,11 @@ def _options(
     if not touching:
         off_name = DISENGAGED if law.coupling else OFF
         return (off_name if contact.gap == math.inf else "free",)
-    return _open(law.states, contact.slip > 0.0, at_rest)
+    return _open_states(law.states, contact.slip > 0.0, at_rest)
 
 
 @lru_cache(maxsize=1024)
-def _open(states: tuple[str, ...], forward: bool, at_rest: bool) -> tuple[str, ...]:
+def _open_states(states: tuple[str, ...], forward: bool, at_rest: bool) -> tuple[str, ...]:
     """Return the possible states of a touching contact with this direction of slip."""
     direction = ("slide+", "slip+") if forward else ("slide-", "slip-")
     return tuple(

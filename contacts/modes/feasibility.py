@@ -30,7 +30,7 @@ from statechart.arrays import Array
 from statechart.automaton.laws import Feasibility
 from statechart.automaton.regions import Region
 from statechart.errors import StatechartError
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 Condition = tuple[int, int, int]
 """Contact, row (0: normal, 1: tangential), sign of the velocity."""
@@ -172,7 +172,7 @@ def _conditions(states: Sequence[str], count: int) -> list[Condition]:
     if len(states) != count or not _CONDITIONS.keys() >= set(states):
         raise ValueError(
             f"mode {' '.join(states)!r}: expected one state for each of "
-            f"{several(count, 'contact')}, of {', '.join(_CONDITIONS)}"
+            f"{pluralise(count, 'contact')}, of {', '.join(_CONDITIONS)}"
         )
     return [(c, row, sign) for c, state in enumerate(states) for row, sign in _CONDITIONS[state]]
 
@@ -269,7 +269,7 @@ def _sentence(conflict: Sequence[Condition], names: Sequence[str]) -> str:
     if len(strict) == 1:
         c, row, _ = strict[0]
         excluded = "go on" if names[c] == DRIVEN else ("separate", "slip")[row]
-        premise = f"with {_held(zero, names)}" if zero else "in any motion"
+        premise = f"with {_is_held(zero, names)}" if zero else "in any motion"
         return f"{names[c]} cannot {excluded} {premise}"
     moving = []
     for c, row, sign in strict:
@@ -278,11 +278,11 @@ def _sentence(conflict: Sequence[Condition], names: Sequence[str]) -> str:
             continue
         verb = "slide" if zero.pop(c, None) else "slip"
         moving.append(f"{names[c]} " + (f"{verb}{'+' if sign > 0 else '-'}" if row else "free"))
-    premise = f" with {_held(zero, names)}" if zero else ""
+    premise = f" with {_is_held(zero, names)}" if zero else ""
     return f"{_joined(moving)} exclude one another{premise}"
 
 
-def _held(zero: Mapping[int, set[int]], names: Sequence[str]) -> str:
+def _is_held(zero: Mapping[int, set[int]], names: Sequence[str]) -> str:
     phrases = {(0,): "closed", (1,): "without slip", (0, 1): "pin"}
     return _joined([f"{names[c]} {phrases[tuple(sorted(rows))]}" for c, rows in zero.items()])
 
@@ -302,7 +302,7 @@ def scene_feasibility(
     names = [law.name for law in setup.contacts]
     options = [law.states for law in setup.contacts]
     jacobians = snapshot.jacobians
-    driven = _driven(snapshot)
+    driven = _prescribed_velocities(snapshot)
     if driven.any():
         driven_row = np.zeros((1, 2, jacobians.shape[2] + 1))
         driven_row[0, 0, -1] = 1.0
@@ -327,7 +327,7 @@ def scene_feasibility(
     )
 
 
-def _driven(snapshot: Snapshot) -> Array:
+def _prescribed_velocities(snapshot: Snapshot) -> Array:
     """Return the velocities (c, 2) of the contacts due to prescribed motions."""
     rates = np.array([(contact.gap_rate, contact.slip) for contact in snapshot.contacts])
     reduced_rates = snapshot.jacobians @ snapshot.velocity

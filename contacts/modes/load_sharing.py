@@ -61,7 +61,7 @@ class Share:
     signs: tuple[tuple[SignFriction, str], ...] = ()  # Signs that share, and their zones
 
     def of_contacts(self, count: int, frictions: Sequence[SignFriction]) -> Share | None:
-        """Return what the first contacts share, those behind them being signs."""
+        """Return the load sharing of the first contacts, without the signs that follow them."""
         behind = zip(frictions, self.zones[count:], strict=True)
         signs = tuple((sign, zone) for sign, zone in behind if zone != OWN)
         zones, rows, carriers = self.zones[:count], self.rows[:count], self.carriers[:count]
@@ -186,7 +186,7 @@ def share(
     )
 
 
-def bearing(roles: Roles) -> frozenset[int]:
+def bearing_contacts(roles: Roles) -> frozenset[int]:
     """Return the contacts that may bear a load in a flow: closed, and not at the cone's apex."""
     return frozenset(
         i
@@ -198,18 +198,18 @@ def bearing(roles: Roles) -> frozenset[int]:
 
 def rank(states: Sequence[str], jacobians: Array) -> int:
     """Return the rank of the constraints of a mode's contacts."""
-    rows = [jacobians[k, d] for k, d in _own([CODES[state] for state in states])]
+    rows = [jacobians[k, d] for k, d in _mode_constraints([CODES[state] for state in states])]
     return independent_rows(np.array(rows))[0] if rows else 0
 
 
-def _own(code: Iterable[int]) -> list[tuple[int, int]]:
+def _mode_constraints(code: Iterable[int]) -> list[tuple[int, int]]:
     """Return the constraints of a mode as (contact, direction)."""
     return [(k, "nt".index(row)) for k, c in enumerate(code) for row in _LETTERS.get(c, "n")]
 
 
 def _row_names(code: Ints, jacobians: Array) -> tuple[str, ...]:
     """Return the independent constraints of each contact, as letters."""
-    constraints = _own(code.tolist())
+    constraints = _mode_constraints(code.tolist())
     count, order, _ = independent_rows(np.array([jacobians[k, d] for k, d in constraints]))
     independent = {constraints[i] for i in order[:count]}
     return tuple(

@@ -37,14 +37,14 @@ def with_signs(snapshot: Snapshot, which: Sequence[int]) -> Snapshot:
     rows, reduction = snapshot.signs.rows[which], snapshot.reduction
     effect = np.sign(slips) * limits
     if reduction is None:
-        return _extended(snapshot, rows, biases, limits, effect)
-    whole = _extended(snapshot.unreduced, rows, biases, limits, effect)
+        return _extend(snapshot, rows, biases, limits, effect)
+    whole = _extend(snapshot.unreduced, rows, biases, limits, effect)
     biases, rows = biases + rows @ reduction.drift, rows @ reduction.basis
-    extended = _extended(snapshot, rows, biases, limits, effect)
+    extended = _extend(snapshot, rows, biases, limits, effect)
     return extended._replace(reduction=replace(reduction, unreduced=whole))
 
 
-def _extended(
+def _extend(
     snapshot: Snapshot, rows: Array, biases: Array, limits: Array, effect: Array
 ) -> Snapshot:
     jacobians = np.stack([np.zeros_like(rows), rows], axis=1)

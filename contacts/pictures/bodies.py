@@ -127,9 +127,9 @@ class BodyShapes:
         if not inertia > 0.0:
             bars = [shape("bar", [[0.0, 0.0], point]) for point in away]
             return [*bars, shape("mass", [[0.0, 0.0]])]
-        along, flat = _line(np.array(away))
+        projections, flat = _line(np.array(away))
         if flat:
-            direction, places = along
+            direction, places = projections
             low, high = min(0.0, float(places.min())), max(0.0, float(places.max()))
             uniform = float(np.sqrt(3.0 * inertia / mass)) if mass > 0.0 else 0.0
             if low == 0.0:
@@ -148,24 +148,24 @@ class BodyShapes:
         Drawn are those of `bare` that do not move with a declared shape: with a constant place in
         its frame, or with its coordinates (formulas may be for small angles).
         """
-        moved = {name: self._coordinates(name) for name in self._scene.bodies}
-        shapes = {moved[name] for name, body in self._scene.bodies.items() if body.shape}
+        coordinates = {name: self._coordinates(name) for name in self._scene.bodies}
+        shapes = {coordinates[name] for name, body in self._scene.bodies.items() if body.shape}
         poses, names = self._sampled_poses(), list(self._scene.bodies)
         size = float(np.abs(poses[..., :2]).max(initial=0.0))
 
         def places(frames: Array, of: Array) -> tuple[Array, Array]:
             """Return places in frames at one configuration, and whether they stay there."""
             angle, away = frames[..., 2].T, (of - frames)[..., :2].T
-            along = np.cos(angle) * away[0] + np.sin(angle) * away[1]
+            projections = np.cos(angle) * away[0] + np.sin(angle) * away[1]
             across = np.cos(angle) * away[1] - np.sin(angle) * away[0]
-            own = np.stack([along, across], axis=-1)
+            own = np.stack([projections, across], axis=-1)
             return own[:, 0], (np.ptp(own, axis=1) <= SAME * size).all(axis=-1)
 
         shaped = np.array([bool(body.shape) for body in self._scene.bodies.values()])
         attached: dict[str, list[tuple[float, float]]] = {}
         for name in bare:
             own_poses = poses[:, [names.index(name)]]
-            if moved[name] not in shapes and not places(poses[:, shaped], own_poses)[1].any():
+            if coordinates[name] not in shapes and not places(poses[:, shaped], own_poses)[1].any():
                 others, stay = places(own_poses, poses)
                 stay[names.index(name)] = False
                 turns = np.ptp(own_poses[..., 2]) != 0.0
@@ -255,13 +255,13 @@ def _side_by_side(shapes: Sequence[Shape]) -> list[Shape]:
         if shape.kind in ("spring", "damper"):
             ends = zip((shape.frame, shape.other), map(tuple, shape.points), strict=True)
             lanes[frozenset(ends)].append(shape)
-    moved = {}
+    coordinates = {}
     for lane in lanes.values():
         for place, shape in enumerate(lane):
             # To the left of the first one, whichever end this one begins at.
             side = 1.0 if shape.frame == lane[0].frame else -1.0
-            moved[id(shape)] = replace(shape, aside=side * (len(lane) - 1.0 - 2.0 * place))
-    return [moved.get(id(shape), shape) for shape in shapes]
+            coordinates[id(shape)] = replace(shape, aside=side * (len(lane) - 1.0 - 2.0 * place))
+    return [coordinates.get(id(shape), shape) for shape in shapes]
 
 
 def disc_of(scene: Scene, contact: Contact, number: Callable[[str | int | float], float]) -> float:

@@ -51,7 +51,7 @@ class Links:
         """Evaluate expressions in some states, by default in unrelated ones."""
         values = np.fromiter(self._values.values(), float, len(self._values))
         times = np.linspace(0.1, 1.0, _CONFIGURATIONS)
-        tape = compiled(self._automaton, expressions)
+        tape = compile_expressions(self._automaton, expressions)
         return tape.table(self._states() if states is None else states, values, times)
 
     def _states(self) -> Array:
@@ -167,11 +167,11 @@ class Links:
         )
 
     def _pair(self, pair: tuple[str | int | float, str | int | float]) -> tuple[float, float]:
-        along, across = (parse(text).value(self._values) for text in pair)
-        return along, across
+        axial, transverse = (parse(text).value(self._values) for text in pair)
+        return axial, transverse
 
 
-def compiled(automaton: Automaton, expressions: Sequence[sp.Expr]) -> Tape:
+def compile_expressions(automaton: Automaton, expressions: Sequence[sp.Expr]) -> Tape:
     """Compile expressions over the variables and parameters of an automaton."""
     return compile_tape(
         expressions,
@@ -192,5 +192,5 @@ def _line_force(values: Array) -> tuple[Array, Array]:
 def _off(values: Array) -> bool:
     """Return whether a force deviates from its line; `values` as for `_line_force`."""
     force, way = values[:, :2], values[:, 2:]
-    across = force[:, 0] * way[:, 1] - force[:, 1] * way[:, 0]
-    return bool((np.abs(across) > SAME * np.hypot(*force.T) * np.hypot(*way.T)).any())
+    transverse = force[:, 0] * way[:, 1] - force[:, 1] * way[:, 0]
+    return bool((np.abs(transverse) > SAME * np.hypot(*force.T) * np.hypot(*way.T)).any())

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from contacts.dynamics.geometry import Vector, surface_frame
 from contacts.dynamics.mechanics import Mechanics
 from contacts.pictures.bodies import BodyShapes, disc_of, led_ends
-from contacts.pictures.links import compiled
+from contacts.pictures.links import compile_expressions
 from contacts.scene.parts import Surface
 from contacts.scene.scene import Scene
 from contacts.states import OFF, OPEN
@@ -32,7 +32,7 @@ from statechart.pictures.film import (
     catenary,
     cones,
     ends_of,
-    placed,
+    place_points,
 )
 from statechart.pictures.stage import Moments
 
@@ -52,11 +52,11 @@ class SceneStage:
         assert isinstance(scene, Scene)
         self._automaton, self._scene = automaton, scene
         self._mechanics = Mechanics(scene)
-        moved = [n for n, s in scene.surfaces.items() if s.moves]
+        moving_surfaces = [n for n, s in scene.surfaces.items() if s.moves]
         self._bodies = {name: 1 + k for k, name in enumerate(scene.bodies)}
         self._led = led_ends(scene)
         first = 1 + len(self._bodies) + len(self._led)
-        self._moved = {name: first + k for k, name in enumerate(moved)}
+        self._moved = {name: first + k for k, name in enumerate(moving_surfaces)}
 
     @property
     def wanted(self) -> tuple[str, ...]:
@@ -159,12 +159,12 @@ class SceneStage:
             expressions += [*mechanics.joint_end(self._scene.joints[name].to), sp.S.Zero]
         for name in self._moved:
             expressions += surface_frame(self._scene.surfaces[name], mechanics.known)
-        return compiled(self._automaton, expressions)
+        return compile_expressions(self._automaton, expressions)
 
     @cached_property
     def _contact_tapes(self) -> dict[str, Tape]:
         return {
-            name: compiled(self._automaton, [*self._point(name), *self._normal(name)])
+            name: compile_expressions(self._automaton, [*self._point(name), *self._normal(name)])
             for name in self._scene.contacts
         }
 
@@ -211,8 +211,8 @@ class SceneStage:
             if surface.turn != 0 or not is_straight(surface):
                 continue
             _, direction = line_of(surface, lambda text: parse(text).value(moments.parameters))
-            along = result[:, frame, :2] @ direction
-            whole = spacing * np.round(along / spacing)
+            projections = result[:, frame, :2] @ direction
+            whole = spacing * np.round(projections / spacing)
             result[:, frame, :2] -= whole[:, None] * direction
         return result
 
@@ -277,7 +277,7 @@ def cloud_of(shapes: Sequence[Shape], poses: Array, places: Sequence[Array]) -> 
             clouds.append(catenary(*ends_of(shape, poses), shape.slack))
         if shape.other != shape.frame:
             ends = [(points[:1], shape.frame), (points[-1:], shape.other)]
-        clouds += [placed(part, poses[:, frame]) for part, frame in ends]
+        clouds += [place_points(part, poses[:, frame]) for part, frame in ends]
     cloud = np.concatenate(clouds, axis=1)
     return np.where(np.isfinite(cloud), cloud, np.nanmean(cloud, axis=(0, 1)))
 
@@ -309,7 +309,7 @@ def include_near_surfaces(cloud: Array, surfaces: Sequence[Shape], poses: Array)
     middle, size = (low + high) / 2.0, float((high - low).max()) / 2.0
     clouds = [cloud]
     for surface in surfaces:
-        line = placed(surface.points, poses[:, surface.frame])
+        line = place_points(surface.points, poses[:, surface.frame])
         near = (np.abs(line - middle) <= _AROUND * size).all()
         if np.allclose(line[:, 0], line[:, -1], atol=1e-9 * size):
             around = line.min(axis=1) <= low, line.max(axis=1) >= high
@@ -328,11 +328,11 @@ def include_nearest_points(cloud: Array, surfaces: Sequence[Shape], poses: Array
     middle, size = (low + high) / 2.0, float((high - low).max()) / 2.0
     clouds = [cloud]
     for surface in surfaces:
-        line = placed(surface.points, poses[:, surface.frame])[0]
-        along = np.diff(line, axis=0)
-        squares = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
-        part = ((middle - line[:-1]) * along).sum(axis=1) / squares
-        places = line[:-1] + np.clip(part, 0.0, 1.0)[:, None] * along
+        line = place_points(surface.points, poses[:, surface.frame])[0]
+        projections = np.diff(line, axis=0)
+        squares = np.maximum((projections**2).sum(axis=1), np.finfo(float).tiny)
+        part = ((middle - line[:-1]) * projections).sum(axis=1) / squares
+        places = line[:-1] + np.clip(part, 0.0, 1.0)[:, None] * projections
         away = np.hypot(*(places - middle).T)
         if len(away) and away.min() <= _VISIBLE * size:
             clouds.append(places[None, [int(away.argmin())]])
@@ -376,7 +376,7 @@ def grounds(
     for name, surface in scene.surfaces.items():
         frame = frames[name]
         if surface.body is not None:
-            shapes += _carried(scene, name, surface, frame, unit, number)
+            shapes += _carried_surfaces(scene, name, surface, frame, unit, number)
             continue
         lift = _rim_offset(scene, name, number)
         if surface.edge is not None:
@@ -394,17 +394,17 @@ def grounds(
             start, direction = line_of(surface, number)
             start = start + lift * np.array([direction[1], -direction[0]])
             straight.append((len(shapes), start, direction))
-            shapes.append(_ground(name, _through(start, direction, box), frame))
+            shapes.append(_ground(name, _line_through(start, direction, box), frame))
             continue
-        shapes.append(_ground(name, _shifted(points, lift), frame))
-    return tuple(_cut(shapes, straight))
+        shapes.append(_ground(name, _shift(points, lift), frame))
+    return tuple(_clip_line(shapes, straight))
 
 
 def _ground(name: str, points: Array, frame: int) -> Shape:
     return Shape("ground", points, frame, frame, name=name)
 
 
-def _carried(
+def _carried_surfaces(
     scene: Scene,
     name: str,
     surface: Surface,
@@ -463,7 +463,7 @@ def line_of(surface: Surface, number: Callable[[str | int | float], float]) -> t
     )
 
 
-def _through(start: Array, direction: Array, box: tuple[Array, Array]) -> Array:
+def _line_through(start: Array, direction: Array, box: tuple[Array, Array]) -> Array:
     """Return the part of a line next to the middle of a box, as long as the box."""
     middle, reach = (box[0] + box[1]) / 2.0, np.hypot(*(box[1] - box[0])) / 2.0
     nearest = start + ((middle - start) @ direction) * direction
@@ -481,15 +481,15 @@ def _graph(
     return points[np.isfinite(points).all(axis=1)]
 
 
-def _shifted(points: Array, offset: float) -> Array:
+def _shift(points: Array, offset: float) -> Array:
     if offset == 0.0:
         return points
-    along = np.gradient(points, axis=0)
-    along /= np.hypot(*along.T)[:, None]
-    return points + offset * np.column_stack([along[:, 1], -along[:, 0]])
+    projections = np.gradient(points, axis=0)
+    projections /= np.hypot(*projections.T)[:, None]
+    return points + offset * np.column_stack([projections[:, 1], -projections[:, 0]])
 
 
-def _cut(shapes: list[Shape], straight: Sequence[tuple[int, Array, Array]]) -> list[Shape]:
+def _clip_line(shapes: list[Shape], straight: Sequence[tuple[int, Array, Array]]) -> list[Shape]:
     """Cut off parts of fixed straight surfaces inside the solids of others."""
     result = list(shapes)
     for place, _, _ in straight:

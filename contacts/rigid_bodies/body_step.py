@@ -251,12 +251,12 @@ def _store_joints(
 
 @kernel
 def _store_couplings(
-    numbers: BodyNumbers, limits: Array, warm: WarmStart, space: Workspace, first: int, k: int,
-    rates: Array, chunk: Chunk,
+    numbers: BodyNumbers, warm: WarmStart, space: Workspace, first: int, k: int, rates: Array,
+    chunk: Chunk,
 ) -> None:  # fmt: skip
     """Store the couplings, behind the joints, in the warm start; write their modes and couples."""
     active, bodies, signs = space.active, len(numbers.inverse), numbers.couplings.signs
-    levers = numbers.couplings.levers
+    levers, limits = numbers.couplings.levers, space.limits
     # Controls fill the rest.
     at = 3 * (bodies - numbers.links.bodies) + numbers.links.size + joint_forces(numbers)
     for c in range(len(limits)):
@@ -376,14 +376,11 @@ def step_bodies(
     registers = allocate_registers(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
     registers[1][1] = 0.0
     frames, still, applied = np.zeros((3, 3)), np.zeros((3, 3)), prescribed.forces
-    bounds = prescribed.limits
+    bounds, limits = prescribed.limits, space.limits
     width = 2 * n + prescribed.controller_states.shape[1]
     acting = allocate_registers(applied.code, applied.constants, applied.values, width, 1)
     linking = allocate_registers(links.code, links.constants, links.values, 2 * links.size, 1)
-    bounding, limits = (
-        allocate_registers(bounds.code, bounds.constants, bounds.values, width, 1),
-        np.zeros((len(numbers.couplings.holds), 4)),
-    )
+    bounding = allocate_registers(bounds.code, bounds.constants, bounds.values, width, 1)
     steps, rates, forced = len(chunk.codes), np.empty_like(loose), np.empty_like(loose)
     early, fall = np.empty_like(loose), math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     # The detection after the last step decides on its acceptance.
@@ -430,7 +427,7 @@ def step_bodies(
         if lands:
             _without_impacts(numbers, active, space.mid, count, early)
         space.joint_energy[1] = 1.0 if deepest < math.inf else 0.0
-        solve_islands(numbers, limits, law, forces, h, space, count, allowed, chunk.stats[k])
+        solve_islands(numbers, law, forces, h, space, count, allowed, chunk.stats[k])
         copy_rows(loose, rates)
         copy_rows(loose, forced)
         for i in range(count):
@@ -456,7 +453,7 @@ def step_bodies(
             chunk.approach[k] = max(chunk.approach[k], _shown_approach(active, old, forced, count))
         if joins:
             _store_joints(numbers, warm, space, detected.contacts, k, rates, chunk)
-        _store_couplings(numbers, limits, warm, space, first_coupling, k, rates, chunk)
+        _store_couplings(numbers, warm, space, first_coupling, k, rates, chunk)
         for at in range(n):
             # Rates of coordinates follow those of all bodies.
             b, d = (

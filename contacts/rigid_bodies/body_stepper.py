@@ -25,7 +25,7 @@ from contacts.rigid_bodies.declared_numbers import (
     closed_joints,
     implied_remarks,
     link_numbers,
-    touched,
+    touchable_surfaces,
 )
 from contacts.rigid_bodies.initial_penetration import check_containers, check_penetration
 from contacts.rigid_bodies.mechanics import BodyMechanics
@@ -135,7 +135,10 @@ class BodyStepper(Stepper):
         self._paths = Paths(mechanics.scene)
         self._constants = declared.constants()
         self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
-        self._names, self._surfaces = list(mechanics.scene.bodies), touched(mechanics.scene)
+        self._names, self._surfaces = (
+            list(mechanics.scene.bodies),
+            touchable_surfaces(mechanics.scene),
+        )
         self._warnings = lint(declared)
 
     def own_step(self) -> float:
@@ -197,11 +200,11 @@ class BodyStepper(Stepper):
         known = self._constants.values(overrides)
         if overrides:
             check_physical(self._declared, known)
-        moved = self._bodies.starts.at(values, known)
+        placed = self._bodies.starts.at(values, known)
         links = link_numbers(self._bodies.linked, known)
         bodies = body_numbers(self._declared.expanded, known, self._owners, links)
-        self._check_inertia(bodies, moved)
-        setup = self._setup(values, moved, remembered, bodies)
+        self._check_inertia(bodies, placed)
+        setup = self._setup(values, placed, remembered, bodies)
         defaults = StepOptions(get_args(Simultaneous).index(self._scene.simultaneous))
 
         def run_of(
@@ -220,11 +223,11 @@ class BodyStepper(Stepper):
         options = StepOptions(defaults.law, forces, tolerance, DEEPEST * setup.scales.length)
         return setup, run_of(bodies, options, depth)
 
-    def _check_inertia(self, bodies: BodyNumbers, moved: Array) -> None:
+    def _check_inertia(self, bodies: BodyNumbers, placed: Array) -> None:
         """Check that every motion of the coordinates has inertia at the start."""
         if not bodies.links.bodies:
             return
-        mass = bodies.inertia(moved[None])[0][0]
+        mass = bodies.inertia(placed[None])[0][0]
         root = np.sqrt(np.maximum(np.diag(mass), np.finfo(float).tiny))
         sizes, shapes = np.linalg.eigh(mass / root / root[:, None])
         if not sizes[0] > _NO_INERTIA:
@@ -236,7 +239,7 @@ class BodyStepper(Stepper):
             )
 
     def _setup(
-        self, values: Array, moved: Array, remembered: Array, bodies: BodyNumbers
+        self, values: Array, placed: Array, remembered: Array, bodies: BodyNumbers
     ) -> SceneSetup:
         """Return the setup of a run, in scales of the initial positions and sizes."""
         owners = self._bodies.owners
@@ -245,13 +248,13 @@ class BodyStepper(Stepper):
         for number in bodies.gravity.tolist():
             check_range(number, "", ("gravity",))
         own = bodies.sizes[: len(bodies.inverse)]
-        poses, rates = bodies.motion(moved[None])
+        poses, rates = bodies.motion(placed[None])
         length = float(np.abs(poses[..., :2]).max() + own.max())
         speed = math.sqrt(math.hypot(*bodies.gravity) * length)
         speed = max(speed, float(np.abs(rates).max())) or 1.0
-        initial = np.concatenate([moved, remembered])
+        initial = np.concatenate([placed, remembered])
         places = np.append(
-            np.tile([length, length, 1.0], bodies.free), length / bodies.levers(moved)
+            np.tile([length, length, 1.0], bodies.free), length / bodies.levers(placed)
         )
         sizes = np.concatenate([places, places * (speed / length)])
         acceleration = speed**2 / length
@@ -287,7 +290,7 @@ class BodyStepper(Stepper):
         it.
         """
         scene, owners = self._scene, self._bodies.owners
-        moved, remembered = np.split(setup.initial, [2 * bodies.size])
+        placed, remembered = np.split(setup.initial, [2 * bodies.size])
         length, speed = setup.scales.length, setup.scales.speed
         soon = 1e-6 * length / speed
         positions = self._paths.at(known, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
@@ -302,11 +305,11 @@ class BodyStepper(Stepper):
                         "has no value at the start, or an infinite one",
                         loc=(part, name, place if np.isfinite(frame[2]) else angle),
                     )
-        check_containers(scene, owners, bodies, moved, positions)
+        check_containers(scene, owners, bodies, placed, positions)
         # One-sided differences of second order: a path need not exist before the start.
         rates = np.tensordot([-1.5, 2.0, -0.5], positions.places, axes=1) / soon
         joints = closed_joints(
-            scene, bodies.joints, np.concatenate(bodies.motion(moved[None])), positions.places[0],
+            scene, bodies.joints, np.concatenate(bodies.motion(placed[None])), positions.places[0],
             rates, _START_DEPTH * length,
             _START_DEPTH * speed,
         )  # fmt: skip

@@ -47,7 +47,7 @@ Number = Callable[[FormulaText], float]
 _Numbers = tuple[float, float, float, float]
 
 
-def touched(scene: Scene) -> list[str]:
+def touchable_surfaces(scene: Scene) -> list[str]:
     """Return the names of the surfaces that bodies with shapes can touch."""
     used = {name for collision in scene.collisions.values() for name in collision.surfaces}
     return [name for name in scene.surfaces if name in used]
@@ -61,7 +61,7 @@ def surface_numbers(
     def number(text: FormulaText) -> float:
         return parse(text).value(known)
 
-    surfaces = [scene.surfaces[name] for name in touched(scene)]
+    surfaces = [scene.surfaces[name] for name in touchable_surfaces(scene)]
     forms = [_form(surface, number) for surface in surfaces]
     heights = tuple(
         str(surface.height)
@@ -465,7 +465,7 @@ def _pieces(outlines: Sequence[Sequence[_Piece]], kinds: Ints) -> PieceNumbers:
     pieces = [piece for outline in outlines for piece in outline]
     first = np.cumsum(counts) - counts
     # Index of the declared piece for every piece of every body.
-    which = _runs(first[kinds], counts[kinds])
+    which = _concatenated_ranges(first[kinds], counts[kinds])
     many = np.array([len(piece.corners) for piece in pieces], dtype=np.int64)
     corners = np.concatenate([np.empty((0, 2)), *(piece.corners for piece in pieces)])
     middles = np.array([piece.middle for piece in pieces], dtype=float).reshape(-1, 2)
@@ -473,14 +473,14 @@ def _pieces(outlines: Sequence[Sequence[_Piece]], kinds: Ints) -> PieceNumbers:
     return PieceNumbers(
         np.repeat(np.arange(len(kinds)), counts[kinds]),
         np.concatenate([[0], np.cumsum(counts[kinds])]),
-        corners[_runs((np.cumsum(many) - many)[which], many[which])],
+        corners[_concatenated_ranges((np.cumsum(many) - many)[which], many[which])],
         np.concatenate([[0], np.cumsum(many[which])]),
         middles[which],
         *numbers,
     )
 
 
-def _runs(firsts: Ints, counts: Ints) -> Ints:
+def _concatenated_ranges(firsts: Ints, counts: Ints) -> Ints:
     """Return the concatenated ranges of `counts` integers from `firsts` on."""
     ends = np.cumsum(counts)
     runs: Ints = np.arange(counts.sum()) + np.repeat(firsts - ends + counts, counts)
@@ -525,7 +525,7 @@ def _core(corners: Sequence[Sequence[float]]) -> float:
 def _laws(scene: Scene, owners: Sequence[str], number: Number) -> tuple[Ints, Ints, Array]:
     """Return kinds of bodies (b,), contact law of each pair (k, k + s), and the laws (m, 8)."""
     kinds = {name: kind for kind, name in enumerate(scene.bodies)}
-    surfaces = touched(scene)
+    surfaces = touchable_surfaces(scene)
     laws = np.full((len(kinds), len(kinds) + len(surfaces)), -1, dtype=np.int64)
     materials = []
     for law, collision in enumerate(scene.collisions.values()):

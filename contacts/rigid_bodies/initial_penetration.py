@@ -9,7 +9,7 @@ import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.surfaces import HOLLOW
-from contacts.rigid_bodies.declared_numbers import touched
+from contacts.rigid_bodies.declared_numbers import touchable_surfaces
 from contacts.rigid_bodies.prescribed_motion import Positions
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts
 from contacts.scene.scene import Scene
@@ -84,7 +84,7 @@ def check_penetration(
         b, out = next(iter(deep)), _STUCK
     where = deepest_of(b)
     if contacts.is_covered(b):
-        b, where, out = _covered(detect, numbers, names, surfaces, initial, b, deep[b])
+        b, where, out = _covering_pieces(detect, numbers, names, surfaces, initial, b, deep[b])
     if len(deep) > _PAIR:
         out += f"; {len(deep)} bodies overlap, by {-min(deep.values()):.3g} at most"
     key = "start"
@@ -110,7 +110,7 @@ def _check_places(
         if numbers.laws[kind, kind] >= 0:
             raise DeclarationProblem(
                 f"bodies {names[firsts[b]]!r} and {names[b]!r} start at the same place",
-                advice=f"write a start that depends on index, {_in_rows(numbers, b)}",
+                advice=f"write a start that depends on index, {_row_formulas(numbers, b)}",
                 loc=("bodies", owners[b], "start"),
             )
 
@@ -146,12 +146,12 @@ def _check_crowd(
     raise DeclarationProblem(
         f"body {names[b]!r} starts at least {depth:.6g} deep in body {names[members[other]]!r}, "
         f"and at least {np.count_nonzero(deep)} of {len(members)} copies overlap",
-        advice=f"write a start that depends on index, {_in_rows(numbers, b)}",
+        advice=f"write a start that depends on index, {_row_formulas(numbers, b)}",
         loc=("bodies", owners[b], "start"),
     )
 
 
-def _in_rows(numbers: BodyNumbers, b: int) -> str:
+def _row_formulas(numbers: BodyNumbers, b: int) -> str:
     """Return start formulas that separate the copies of a body."""
     count = int(np.count_nonzero(numbers.kinds == numbers.kinds[b]))
     apart = f"{float(f'{2.1 * numbers.sizes[b]:.2g}'):g}"
@@ -194,7 +194,7 @@ def _way_out(
     return ""
 
 
-def _covered(
+def _covering_pieces(
     detect: Detect,
     numbers: BodyNumbers,
     names: Sequence[str],
@@ -271,7 +271,7 @@ def check_containers(
     moving, frames = len(numbers.inverse), paths.frames[0]
     poses = numbers.motion(initial[None])[0][0]
     places = np.concatenate([poses, paths.poses[0], numbers.fixed])
-    for s, name in enumerate(touched(scene)):
+    for s, name in enumerate(touchable_surfaces(scene)):
         if surfaces.kinds[s] != HOLLOW:
             continue
         x, y, radius, _ = surfaces.numbers[s].tolist()

@@ -531,11 +531,9 @@ def close_joints(
 
 
 @kernel
-def _write_frictions(
-    numbers: BodyNumbers, limits: Array, active: ActiveContacts, island: Island
-) -> bool:
+def _write_frictions(numbers: BodyNumbers, space: Workspace, island: Island) -> bool:
     """Write the frictions of an island; return whether any has two coefficients."""
-    splits = False
+    splits, active = False, space.active
     for a in range(len(island.members)):
         i = island.members[a]
         used, island.kinds[a], island.slip_directions[a] = (
@@ -544,7 +542,7 @@ def _write_frictions(
             active.slip_directions[i],
         )
         if used <= COUPLED and active.materials[i, 1] > 0.0:
-            bounds = limits[COUPLED - used]
+            bounds = space.limits[COUPLED - used]
             if bounds[STATIC] != bounds[KINETIC_LIMIT]:
                 splits, island.kinds[a] = True, LIMIT
             for way in range(3):
@@ -572,12 +570,10 @@ def _write_slips(contacts: ContactRows, island: Island, none: float) -> None:
 
 @kernel
 def solve_islands(
-    numbers: BodyNumbers, limits: Array, law: int, forces: bool, h: float, space: Workspace,
-    count: int, tolerance: float, effort: Array,
+    numbers: BodyNumbers, law: int, forces: bool, h: float, space: Workspace, count: int,
+    tolerance: float, effort: Array,
 ) -> None:  # fmt: skip
     """Solve the impulses of a step with `count` contacts, island by island.
-
-    `limits` (c, 4) are those of couplings.
 
     Writes impulses and the next warm start to `space`, and statistics `effort` (see `Chunk.stats`).
     For `law`, `forces` and `tolerance` see `contacts.rigid_bodies.body_step.StepOptions`.
@@ -606,7 +602,7 @@ def solve_islands(
             space.slip_directions[:size], space.frictions[:size],
         )  # fmt: skip
         quiet, lively, joined, rigid = True, False, False, 0
-        splits = _write_frictions(numbers, limits, active, together)
+        splits = _write_frictions(numbers, space, together)
         for a in range(size):
             joint = materials[members[a], 0] < 0.0
             joined = joined or joint

@@ -344,5 +344,5 @@ def _squares(*symbols: sp.Symbol) -> sp.Expr:
 
 
 def _sum(terms: Sequence[sp.Expr]) -> sp.Expr:
-    """Return an unevaluated sum: SymPy would search for equal terms, most of the time in vain."""
+    """Return an unevaluated sum: SymPy's search for equal terms is slow and rarely useful."""
     return sp.Add(*terms, evaluate=False)

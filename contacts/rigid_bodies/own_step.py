@@ -38,25 +38,25 @@ def inner_radii(numbers: BodyNumbers) -> Array:
         for p in range(pieces.begins[b], pieces.begins[b + 1]):
             radius = float(pieces.radii[p])
             corners = pieces.vertices[pieces.firsts[p] : pieces.firsts[p + 1]]
-            found[kind] = min(found[kind], radius if radius > 0.0 else inscribed(corners))
+            found[kind] = min(found[kind], radius if radius > 0.0 else inscribed_radius(corners))
     radii: Array = found[kinds]
     return radii
 
 
-def inscribed(corners: Array) -> float:
+def inscribed_radius(corners: Array) -> float:
     """Return the radius of the largest circle in a convex polygon (k, 2).
 
     It touches three edges.
     """
-    along = np.roll(corners, -1, axis=0) - corners
-    normals = np.stack([along[:, 1], -along[:, 0]], 1) / np.hypot(*along.T)[:, None]
+    edges = np.roll(corners, -1, axis=0) - corners
+    normals = np.stack([edges[:, 1], -edges[:, 0]], 1) / np.hypot(*edges.T)[:, None]
     bounds = (normals * corners).sum(axis=1)
     three = np.array(list(combinations(range(len(corners)), 3)))
     rows = np.concatenate([normals[three], np.ones((*three.shape, 1))], axis=2)
     regular = np.abs(np.linalg.det(rows)) > _STEP_ROUND_OFF
     circles = np.linalg.solve(rows[regular], bounds[three][regular][:, :, None])[:, :, 0]
     outside = circles @ np.column_stack([normals, np.ones(len(normals))]).T - bounds
-    inside = (outside <= _STEP_ROUND_OFF * np.abs(along).max()).all(axis=1)
+    inside = (outside <= _STEP_ROUND_OFF * np.abs(edges).max()).all(axis=1)
     return float(circles[inside, 2].max())
 
 

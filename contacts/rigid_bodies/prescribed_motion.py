@@ -12,9 +12,9 @@ import sympy as sp
 from contacts.collision_detection.midpoint import LimitProgram, Prescribed
 from contacts.dynamics.controllers import controlled_symbols
 from contacts.dynamics.geometry import surface_frame
-from contacts.rigid_bodies.declared_numbers import symbols_of, touched
+from contacts.rigid_bodies.declared_numbers import symbols_of, touchable_surfaces
 from contacts.rigid_bodies.mechanics import BodyMechanics
-from contacts.scene.expansion import captured
+from contacts.scene.expansion import captured_variables
 from contacts.scene.joints import Path
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
@@ -42,7 +42,7 @@ class Paths:
     """
 
     def __init__(self, scene: Scene) -> None:
-        surfaces = [scene.surfaces[name] for name in touched(scene)]
+        surfaces = [scene.surfaces[name] for name in touchable_surfaces(scene)]
         self._surfaces, self._joints = len(surfaces), len(scene.joints)
         self._moved = [s for s, surface in enumerate(surfaces) if surface.moves]
         single = scene.single_bodies()
@@ -66,7 +66,7 @@ class Paths:
             expressions = [
                 e
                 for s in self._moved
-                for e in surface_frame(scene.surfaces[touched(scene)[s]], known)
+                for e in surface_frame(scene.surfaces[touchable_surfaces(scene)[s]], known)
             ]
             for joint in scene.joints.values():
                 path = joint.to if isinstance(joint.to, Path) else Path(x=0, y=0)
@@ -195,7 +195,7 @@ class PrescribedMotion:
     def captured(self, joint: str, remembered: Array) -> dict[str, float]:
         """Return the pose that a joint captured as it closed: x, y and turn."""
         known = dict(zip(self._mechanics.controller_state, remembered.tolist(), strict=True))
-        names = captured(joint, self._mechanics.scene.joints[joint])
+        names = captured_variables(joint, self._mechanics.scene.joints[joint])
         return {name.rpartition(".")[2]: known[name] for name in names}
 
     def place_of(self, joint: int, time: float, remembered: Array) -> Array:
@@ -281,7 +281,7 @@ class PrescribedMotion:
     def _named(self) -> tuple[list[str], list[str], list[str]]:
         scene = self._mechanics.scene
         return (
-            [f"surface {name!r}" for name in touched(scene)],
+            [f"surface {name!r}" for name in touchable_surfaces(scene)],
             [f"joint {name!r}" for name in scene.joints],
             [f"body {name!r}" for name in self._paths.led],
         )

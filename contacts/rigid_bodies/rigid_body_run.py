@@ -44,7 +44,7 @@ from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode, StepTooLarge
 from statechart.kernels.tapes import ACOS, ASIN, DIV, LOG, POW, POWI, SQRT, TAN, tape_table
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 # Depth, relative to the inscribed radius, from which a body may leave through another side.
 _DEEP = 0.1
@@ -164,7 +164,7 @@ _PARTS = (4, 16, 64, 256)
 _JUMPED_INTO = 1e-6
 # Cutting planes against overlap; part of a step that a detection takes.
 _MOVES, _INSTANT = 20, 1e-6
-# Contacts of the warm start with this feature are found anew.
+# Contacts of the warm start with this feature are detected again.
 _NO_FEATURE = np.iinfo(np.int64).min
 
 
@@ -415,8 +415,9 @@ class RigidBodyRun(SteppedSystem):
         if self._parted:
             joints = ", or joints would not close" if len(self.numbers.joints.kinds) else ""
             warnings += (
-                f"in {several(self._parted, 'step')} of {self._length:g} bodies would pass through "
-                f"each other, or turn by more than half a turn{joints}: these were taken in up to "
+                f"in {pluralise(self._parted, 'step')} of {self._length:g} bodies would pass "
+                f"through each other, or turn by more than half a turn{joints}: these were taken "
+                f"in up to "
                 f"{self._most_parts} parts; a step of {self._length / self._most_parts:.1g} needs "
                 "none",
             )
@@ -485,14 +486,14 @@ class RigidBodyRun(SteppedSystem):
         chunk.energy_gain[:] = 0.0
         rates = self.numbers.motion(chunk.states[1:])[1]
         moving = 0.5 * (rates**2 / self.numbers.inverse).sum(axis=(1, 2))
-        moved = np.maximum.accumulate(np.append(self._moved, moving))
+        ever_moved = np.maximum.accumulate(np.append(self._moved, moving))
         added -= np.minimum.accumulate(np.minimum(added, 0.0))
-        self._added, self._moved = float(added[-1]), float(moved[-1])
-        wrong = np.flatnonzero(added[1:] > _ADDED * moved[1:])
+        self._added, self._moved = float(added[-1]), float(ever_moved[-1])
+        wrong = np.flatnonzero(added[1:] > _ADDED * ever_moved[1:])
         if not len(wrong):
             return chunk
         k = int(wrong[0])
-        part = float(added[k + 1] / moved[k + 1])
+        part = float(added[k + 1] / ever_moved[k + 1])
         self._gain_error = StepTooLarge(
             f"steps of {chunk.h:g} are too long for the joints: these have added {part:.2g} of the "
             f"largest kinetic energy, and should add none; take "
@@ -539,17 +540,17 @@ class RigidBodyRun(SteppedSystem):
         couplings = len(self.numbers.couplings.holds)
         solved = n + joint_forces(self.numbers) + couplings
         # One more, for the last detection.
-        ahead, remembered, known = self._prescribed.prescribe(start, h, state[2 * n :], count + 1)
+        motion, remembered, known = self._prescribed.prescribe(start, h, state[2 * n :], count + 1)
         count = min(count, known)
         remembered = remembered[: count + 1]
         chunk = Chunk.allocate(h, state, solved + self._prescribed.count, bodies + couplings, count)
         done, status = 0, DONE
         while status == FULL or (status == DONE and done < count):
-            if done and interrupts.arrived():
+            if done and interrupts.signal_count():
                 break
             some = chunk.after(done).first(count - done)
             taken, status = step_bodies(
-                self.numbers, ahead.after(done), self._options._replace(deepest=deepest), start,
+                self.numbers, motion.after(done), self._options._replace(deepest=deepest), start,
                 done, self._warm, self._workspace, some,
             )  # fmt: skip
             done += taken
@@ -561,7 +562,7 @@ class RigidBodyRun(SteppedSystem):
         chunk = chunk.first(done)
         if done:
             at = slice(1, done + 1)
-            self._no_ground.add(start, h, chunk.states, ahead.frames[at], ahead.poses[at])
+            self._no_ground.add(start, h, chunk.states, motion.frames[at], motion.poses[at])
         if self._prescribed.count:
             chunk.solved[:, solved:] = self._prescribed.control_values(start, h, chunk.states)
         return chunk, status

@@ -43,6 +43,8 @@ class Workspace(NamedTuple):
     # (4,): inexact island of largest mass ratio: ratio, lightest body, heaviest body, residual.
     worst: Array
     earlier: WarmStart  # Before the last step.
+    # (c, 4): limits of couplings (see `contacts.collision_detection.couplings`).
+    limits: Array
     # (2,): energy that unclosed joints add in a step, relative to the kinetic energy; 1 if the
     # step can be split.
     joint_energy: Array
@@ -60,5 +62,5 @@ class Workspace(NamedTuple):
             np.empty(most, np.int64), np.empty((most, 3, 2)), np.empty(count, np.int64),
             np.empty(count, np.int64), np.empty(count + 1, np.int64), np.empty(most, np.int64),
             np.empty(most, np.int64), np.empty(most, np.int64), np.empty(count), np.zeros(4),
-            warm.copy(), np.zeros(2),
+            warm.copy(), np.zeros((len(numbers.couplings.holds), 4)), np.zeros(2),
         )  # fmt: skip

@@ -30,7 +30,7 @@ from statechart.documents.fields import (
     check_named_infinity,
     check_names,
     check_smooth,
-    switching,
+    has_switch,
     value_of,
 )
 from statechart.errors import DeclarationProblem, Findings, Loc, close_matches
@@ -50,7 +50,7 @@ _SWITCHED = (
 )
 _PULLED = "write a force on the body, or give the ground a displacement"
 _CONSTANT = "write a formula of parameters"
-# Of what forces cannot use of a contact: why, and what to write.
+# Quantities of a contact that forces cannot use: reason, and alternative.
 _PUSH = (
     "a force follows from places and velocities",
     "for a contact that gives, write stiffness and damping of {0!r}; else coordinates and rates of "
@@ -65,7 +65,7 @@ _OF_FORCES = {"gap": _PUSH, "slip": _PUSH, "V": _FRICTION, "H": _FRICTION}
 
 
 def formulas(part: BaseModel, loc: Loc = ()) -> Iterator[tuple[Loc, FormulaText]]:
-    """Yield the formulas of a part of a scene, and where they stand: what its units measure."""
+    """Yield the formulas of a part of a scene with their places: all fields with a unit."""
     for name, info in type(part).model_fields.items():
         yield from _formulas_in(
             getattr(part, name), (*loc, name), isinstance(info.json_schema_extra, dict)
@@ -75,7 +75,7 @@ def formulas(part: BaseModel, loc: Loc = ()) -> Iterator[tuple[Loc, FormulaText]
 def _formulas_in(value: Any, loc: Loc, measured: bool) -> Iterator[tuple[Loc, FormulaText]]:
     match value:
         case Path():
-            # Declared as a list or as a mapping: what it is not is skipped.
+            # Declared as a list or as a mapping; anything else is skipped.
             for place, axis in enumerate(("x", "y")):
                 yield from _formulas_in(getattr(value, axis), (*loc, place, axis), True)
         case BaseModel():
@@ -98,7 +98,7 @@ _SECTIONS = frozenset(
 
 
 def scene_formulas(scene: SceneFields) -> Iterator[tuple[Loc, FormulaText]]:
-    """Yield the formulas of bodies and what they touch, and where they stand."""
+    """Yield the formulas of bodies, surfaces and contacts, with their places."""
     return ((loc, text) for loc, text in formulas(scene) if loc[0] in _SECTIONS)
 
 
@@ -153,7 +153,7 @@ def check_formulas(scene: SceneFields, findings: Findings) -> None:
             known, formula = names_for(scene, loc), parse(text)
             for node in names_in(formula.root):
                 if node.name not in known:
-                    # Those that a formula cannot use where it stands are told what to write.
+                    # The error of a name that a formula cannot use gives the alternative.
                     reason, advice = _reason(scene, node.name, known, loc)
                     if advice:
                         raise DeclarationProblem(
@@ -181,8 +181,8 @@ def _check_law(scene: SceneFields, name: str) -> None:
 
 
 def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> tuple[str, str]:
-    """Return why a name cannot stand in a place, and what to write; nothing for any other."""
-    if loc[0] == "joints" and loc[-1] in ("rod", "rope") and name in _changing(scene):
+    """Return why a name is not allowed at a place, and the alternative; empty if it is."""
+    if loc[0] == "joints" and loc[-1] in ("rod", "rope") and name in _changing_names(scene):
         advice = f"write a formula of {TIME}, or a rope, whose length may use controls"
         if loc[-1] == "rope":
             advice = f"write a formula of {TIME}, controls and variables of controllers"
@@ -215,14 +215,14 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
             "copies differ only in their start",
             "declare bodies that differ in more than that one by one",
         )
-    if TIME not in known and name in _changing(scene):
+    if TIME not in known and name in _changing_names(scene):
         switched = _is_coefficient(loc)
         advice = {"surfaces": _MOVED, "gravity": _PULLED}.get(str(loc[0]), _CONSTANT)
         return "it changes along a run, and this does not", _SWITCHED if switched else advice
     return "", ""
 
 
-def _changing(scene: SceneFields) -> Collection[str]:
+def _changing_names(scene: SceneFields) -> Collection[str]:
     names = {f"{contact}.{quantity}" for contact in scene.contacts for quantity in _OF_CONTACTS}
     names |= {f"{name}.{force}" for name, joint in scene.joints.items() for force in joint.forces}
     names |= {f"{name}.{quantity}" for name in scene.couplings for quantity in ("M", "slip")}
@@ -238,7 +238,7 @@ class Limit(NamedTuple):
     most: float
     words: str = "must be zero or positive, not {:g}"
     advice: str = ""
-    shown: tuple[FormulaText, ...] = ()  # Formulas whose values the sentence tells, if not its own
+    shown: tuple[FormulaText, ...] = ()  # Formulas whose values the message gives, if not its own
     slips: Mapping[str, float] = MappingProxyType({})  # Names of the slip -> its value
 
 
@@ -249,7 +249,7 @@ _PART = 0.0, 1.0, "must be between 0 and 1, not {:g}"
 _MASSES = "must be between 1e-280 and 1e+300, not {:g}"
 _LIGHT = 1e-280, _MAX_NUMBER, _MASSES, "take smaller units"
 _HEAVY = 0.0, 1e300, _MASSES, "take larger units"
-# Beyond it the solid would be above; what is meant are degrees, or a line for a ceiling.
+# Beyond it the solid would be above: degrees instead of radians, or a ceiling, which needs a line.
 _RIGHT_ANGLE = math.nextafter(math.pi / 2, math.inf)
 _INCLINES = (
     -_RIGHT_ANGLE,
@@ -435,7 +435,7 @@ _SMOOTH = "write a smooth formula: a velocity that jumps would be an impact with
 
 
 def check_kinks(scene: SceneFields) -> None:
-    """Check that surfaces, paths and positions have the derivatives that are taken of them.
+    """Check that surfaces, paths and positions have the necessary derivatives.
 
     Forces, and what controllers set them to, are smooth as long as a state lasts; derivatives are
     not too large to be built.
@@ -457,7 +457,7 @@ def check_kinks(scene: SceneFields) -> None:
         if loc[0] == "couplings":
             check_named_infinity(text, *loc, advice=_NEVER_SLIPS)
         check_named_infinity(text, *loc)
-        if scene.collisions and switching(text, changing, ("sign",)):
+        if scene.collisions and has_switch(text, changing, ("sign",)):
             raise DeclarationProblem(
                 "a force on a body with a shape cannot use sign: a time step would jump past zero",
                 advice="declare a coupling for dry friction in a joint or against rotation, or "
@@ -467,7 +467,7 @@ def check_kinks(scene: SceneFields) -> None:
 
 
 def has_switches(scene: SceneFields) -> bool:
-    """Return whether what moves the scene has abs, sign, min, max or sat of what changes."""
+    """Return whether forces or flows have abs, sign, min, max or sat of a changing value."""
     changing, texts = _force_formulas(scene)
     controls = scene.controlled
     changing = {*changing, TIME, *controls.controller_state}
@@ -479,7 +479,7 @@ def has_switches(scene: SceneFields) -> bool:
     ]
     values = [text for _, _, _, text, _ in controls.sets()]
     formulas = [*(text for _, text in texts), *flows, *(values if flows else ())]
-    return any(switching(text, changing) for text in formulas)
+    return any(has_switch(text, changing) for text in formulas)
 
 
 def _force_formulas(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc, FormulaText]]]:
@@ -523,7 +523,7 @@ def check_polygon(corners: _Corners) -> None:
     """
     _check_places(corners)
     _check_crossings(corners)
-    turns, area = _turns(corners)
+    turns, area = _turn_sines(corners)
     if area < 0.0:
         raise DeclarationProblem(f"{_WHAT}; these are clockwise", advice="reverse their order")
     if all(turn > _STRAIGHT for turn in turns):
@@ -584,12 +584,12 @@ def _check_crossings(corners: _Corners) -> None:
             raise DeclarationProblem(
                 f"{_WHAT}; the edge from corner {i + 1} to {i + 2} crosses that from corner "
                 f"{j + 1} to {(j + 1) % len(corners) + 1}",
-                advice=_ordered(corners),
+                advice=_convex_order(corners),
                 loc=(j,),
             )
 
 
-def _ordered(corners: _Corners) -> str:
+def _convex_order(corners: _Corners) -> str:
     """Return in which order corners make a convex polygon; that there is one, if not which."""
     x, y = (sum(values) / len(corners) for values in zip(*corners, strict=True))
     around = sorted(
@@ -597,12 +597,12 @@ def _ordered(corners: _Corners) -> str:
     )
     first = around.index(0)
     around = [*around[first:], *around[:first]]
-    if min(_turns([corners[k] for k in around])[0]) > _STRAIGHT:
+    if min(_turn_sines([corners[k] for k in around])[0]) > _STRAIGHT:
         return f"list them in the order {', '.join(str(k + 1) for k in around)}"
     return "list corners in their order around it"
 
 
-def _turns(corners: _Corners) -> tuple[list[float], float]:
+def _turn_sines(corners: _Corners) -> tuple[list[float], float]:
     """Return the sines of a polygon's turns to the left after its edges, and its area."""
     following = [*corners[1:], corners[0]]
     edges = [(b[0] - a[0], b[1] - a[1]) for a, b in zip(corners, following, strict=True)]
@@ -626,7 +626,7 @@ def _split(corners: _Corners, inward: int) -> str:
     order = [(inward + step) % count for step in range(count)]
     for step in range(2, count - 1):
         halves = order[: step + 1], [*order[step:], inward]
-        if all(min(_turns([corners[k] for k in half])[0]) > _STRAIGHT for half in halves):
+        if all(min(_turn_sines([corners[k] for k in half])[0]) > _STRAIGHT for half in halves):
             first, second = (", ".join(str(k + 1) for k in half) for half in halves)
             return (
                 f"split it from there to corner {order[step] + 1}: shape: [{{polygon: corners "
@@ -657,7 +657,7 @@ def check_turns(scene: SceneFields) -> None:
 
 
 def check_copies(scene: SceneFields) -> None:
-    """Check what copies of bodies need."""
+    """Check the requirements of copies of bodies."""
     if INDEX in scene.parameters and any(b.copies is not None for b in scene.bodies.values()):
         raise DeclarationProblem(
             f"{INDEX!r} is the number of a copy", loc=("parameters", INDEX), key=True
@@ -728,7 +728,7 @@ def check_carrier(scene: SceneFields, surface: str, body: str) -> None:
 
 
 def check_collisions(scene: SceneFields) -> None:
-    """Check what collisions need, and exclude."""
+    """Check the requirements of collisions."""
     if not scene.collisions:
         return
     absent: dict[str, str] = {}
@@ -858,7 +858,7 @@ def _moving_names(scene: SceneFields) -> set[str]:
 
 
 def check_led_surfaces(scene: SceneFields, findings: Findings) -> None:
-    """Check that what moves surfaces of points changes within states as time and itself tell."""
+    """Check that the motion of surfaces within a state depends on time and itself only."""
     leading, constant = scene.leading, {*scene.parameters}
     texts: list[tuple[Loc, FormulaText]] = [(("controls", n), t) for n, t in scene.controls.items()]
     for region in scene.regions:
@@ -900,7 +900,7 @@ def check_prescribed(scene: SceneFields, findings: Findings) -> None:
 
 
 def _check_controller_state(scene: SceneFields) -> None:
-    """Check that what controllers remember is known ahead of the steps."""
+    """Check that the memory of controllers is known before the steps."""
     if not any(region.variables for region in scene.regions.values()):
         return
     moving = _moving_names(scene)

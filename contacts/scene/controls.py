@@ -64,7 +64,7 @@ class Controller(ControlRegion):
 
     @classmethod
     def counting(cls, count: Count) -> Controller:
-        """Return the region that counts the periods of what a formula has of time."""
+        """Return the region that counts the periods of time in a formula."""
         states = {STATE: ControlState()}
         controller = cls(initial=STATE, states=states, transitions=count.transitions)
         # The name has a dot, which no declared variable has.

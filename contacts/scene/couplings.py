@@ -105,7 +105,7 @@ class Rolling(Coupling):
 class CouplingSymbols(NamedTuple):
     """A coupling's quantities as expressions."""
 
-    contact: ContactSymbols  # Its slip, acceleration, couple H, and what it holds; it has no V
+    contact: ContactSymbols  # Its slip, acceleration, couple H, and constraint; it has no V
     static: sp.Expr  # Bounds of the couple
     kinetic: sp.Expr
 

@@ -40,15 +40,15 @@ BROKEN = "broken"
 """State of a joint opened by its own forces; only another part of `enabled` closes it again."""
 
 
-def switched(joint: Joint) -> bool:
+def is_switched(joint: Joint) -> bool:
     """Return whether a joint becomes a region with the states closed and off."""
     return bool(joint.enabled) and joint.rope is None
 
 
-def captured(name: str, joint: Joint) -> tuple[str, ...]:
+def captured_variables(name: str, joint: Joint) -> tuple[str, ...]:
     """Return the variables that hold the pose in which a joint closed."""
     place = {"X": "x", "Y": "y"} if joint.rest is not None else {}
-    turn = {"M": "turn"} if switched(joint) else {}
+    turn = {"M": "turn"} if is_switched(joint) else {}
     names = (place | turn).get
     return tuple(f"{name}.{variable}" for c in joint.components if (variable := names(c)))
 
@@ -70,7 +70,7 @@ class Stop(Surface):
     other: str | None
 
 
-def stops(name: str) -> tuple[str, str]:
+def limit_contacts(name: str) -> tuple[str, str]:
     """Return the names of the contacts with the least and the greatest angle of a joint."""
     return f"{name}_min", f"{name}_max"
 
@@ -103,14 +103,16 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
             holder = f"{name}_{CLOSED}"
             controllers[holder] = _region(scene, name, joint)
             gate = (f"in({holder}.{CLOSED})",)
-        if switched(joint):
+        if is_switched(joint):
             controllers[name] = _region(scene, name, joint)
             gate = (f"in({name}.{CLOSED})",)
         if joint.rope is not None:
             add_contact(name, joint, _circle(joint, joint.rope), gate)
         if joint.limits is not None:
             other = joint.to.body if isinstance(joint.to, Point) else None
-            for contact_name, limit, side in zip(stops(name), joint.limits, (1, -1), strict=True):
+            for contact_name, limit, side in zip(
+                limit_contacts(name), joint.limits, (1, -1), strict=True
+            ):
                 stop = Stop.model_construct(limit=limit, side=side, other=other)
                 add_contact(contact_name, joint, stop, gate)
     resisted = {
@@ -142,7 +144,7 @@ def _resistance(scene: SceneFields, name: str, contact: Contact) -> Rolling:
 def _in_joint(scene: SceneFields, coupling: Coupling) -> Coupling:
     """Return a coupling that is open while its joint is off."""
     joint = scene.joints.get(coupling.joint or "")
-    if joint is None or not switched(joint):
+    if joint is None or not is_switched(joint):
         return coupling
     closed = f"in({coupling.joint}.{CLOSED})"
     return coupling.model_copy(update={"enabled": (*coupling.enabled, closed)})
@@ -176,7 +178,7 @@ def _uses_forces(scene: SceneFields, relations: tuple[str, ...]) -> bool:
 
 def _region(scene: SceneFields, name: str, joint: Joint) -> Controller:
     """Return the region of a joint that can be off."""
-    relation, captures = conjunction(joint.enabled), _captures(scene, name, joint)
+    relation, captures = conjunction(joint.enabled), _capture_formulas(scene, name, joint)
     term = parse_relation(relation)
     own_forces = re.compile(rf"(?<![\w.]){re.escape(name)}\.\w+")
     # The joint's forces are zero while it is off: opened by them, it would close at once.
@@ -251,7 +253,7 @@ def _rotated_formulas(vector: tuple[str, str], angle: str, back: bool = False) -
     return f"({c}*({x}) {sign} {s}*({y}))", f"({c}*({y}) {opposite_sign} {s}*({x}))"
 
 
-def _captures(scene: SceneFields, name: str, joint: Joint) -> dict[str, str]:
+def _capture_formulas(scene: SceneFields, name: str, joint: Joint) -> dict[str, str]:
     """Return the formulas of the captured pose of a joint, by variable."""
     x, y, angle = _frame(scene, joint.point.body)
     arm_x, arm_y = _rotated_formulas(_texts(joint.point.at), angle)
@@ -264,7 +266,10 @@ def _captures(scene: SceneFields, name: str, joint: Joint) -> dict[str, str]:
         angle0 = "0"
         relative = f"{position[0]} - ({joint.to.x or 0})", f"{position[1]} - ({joint.to.y or 0})"
     values = {"x": relative[0], "y": relative[1], "turn": f"{angle} - {angle0}"}
-    return {variable: values[variable.rpartition(".")[2]] for variable in captured(name, joint)}
+    return {
+        variable: values[variable.rpartition(".")[2]]
+        for variable in captured_variables(name, joint)
+    }
 
 
 def _texts(pair: Pair) -> tuple[str, str]:

@@ -24,7 +24,7 @@ from contacts.scene.parts import (
     Surface,
 )
 from contacts.scene.shapes import INDEX, Collision
-from statechart.charts.flatten import timed
+from statechart.charts.flatten import timer_dimension
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.documented import declare
 from statechart.documents.fields import FiniteText, FormulaText, NameText, ValueName, value_of
@@ -236,7 +236,7 @@ class SceneFields(Declaration):
 
     @property
     def timers(self) -> frozenset[str]:
-        """Variables that nobody declared: what transitions of controllers wait by."""
+        """Undeclared variables: the timers of transitions of controllers."""
         flat = self.controlled.flat.values()
         return frozenset(timer for region in flat for timer in region.timers)
 
@@ -284,7 +284,7 @@ class SceneFields(Declaration):
             )
         if name == INDEX and name not in self.parameters:
             return Quantity("number of a copy", "1")
-        if dimension := timed(self.controlled.flat.values(), name):
+        if dimension := timer_dimension(self.controlled.flat.values(), name):
             return Quantity(name, dimension)
         rates = {self.rate_name(coordinate): coordinate for coordinate in self.coordinates}
         if name in rates:

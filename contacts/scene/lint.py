@@ -42,7 +42,7 @@ def lint(scene: SceneFields) -> tuple[str, ...]:
 
 def _warnings(scene: SceneFields) -> Iterator[str]:
     if not isinstance(scene.gravity, tuple):
-        value = _plain(parse(scene.gravity).root, scene.parameters)
+        value = _constant_value(parse(scene.gravity).root, scene.parameters)
         if value is not None and value < 0.0:
             yield (
                 f"gravity: {value:g} acts upwards, as it is the acceleration downwards; "
@@ -50,7 +50,7 @@ def _warnings(scene: SceneFields) -> Iterator[str]:
             )
     for name, body in scene.bodies.items():
         if "angle" in body.start:
-            value = _plain(parse(body.start["angle"]).root, scene.parameters)
+            value = _constant_value(parse(body.start["angle"]).root, scene.parameters)
             if value is not None and abs(value) > _TURN:
                 yield f"bodies.{name}.start.angle: {_degrees(value)}"
     yield from _static_by_hand(scene)
@@ -66,7 +66,7 @@ def _warnings(scene: SceneFields) -> Iterator[str]:
     for formula, _ in fields_of(scene):
         for node in nodes(formula):
             if isinstance(node, Call) and node.function in _OF_ANGLES:
-                value = _plain(node.arguments[0], {})
+                value = _constant_value(node.arguments[0], {})
                 if value is not None and abs(value) > _TURN:
                     yield f"{node.function}({value:g}): {_degrees(value)}"
 
@@ -163,7 +163,7 @@ def _starts_inside(scene: SceneFields) -> Iterator[str]:
             )
 
 
-def _plain(node: Node, parameters: Mapping[str, FormulaText]) -> float | None:
+def _constant_value(node: Node, parameters: Mapping[str, FormulaText]) -> float | None:
     """Return the value of a constant, or of a parameter that is one; None for other formulas."""
     match node:
         case Number(value=value):
@@ -171,7 +171,7 @@ def _plain(node: Node, parameters: Mapping[str, FormulaText]) -> float | None:
         case Unary(operator=sign, operand=Number(value=value)):
             return -value if sign == "-" else value
         case Name(name=name) if name in parameters:
-            return _plain(parse(parameters[name]).root, {})
+            return _constant_value(parse(parameters[name]).root, {})
     return None
 
 
@@ -181,7 +181,7 @@ def _degrees(value: float) -> str:
     )
 
 
-def stays_off(scene: SceneFields, contact: str, depth: float) -> str:
+def stays_off_warning(scene: SceneFields, contact: str, depth: float) -> str:
     """Return the warning about a contact that stays off since its point is inside the surface."""
     surface = scene.contacts[contact].surface
     if scene.surfaces[surface].edge is None:
@@ -195,7 +195,7 @@ def stays_off(scene: SceneFields, contact: str, depth: float) -> str:
     )
 
 
-def passes_end(contact: str) -> str:
+def passed_end_warning(contact: str) -> str:
     """Return the warning about a point that passes a surface next to where its conditions hold."""
     return (
         f"{contact} stays off: its conditions just fail as its point passes the surface; "
@@ -203,7 +203,7 @@ def passes_end(contact: str) -> str:
     )
 
 
-def goes_off(contact: str, time: float) -> str:
+def goes_off_warning(contact: str, time: float) -> str:
     """Return a warning: the conditions of a contact end on its own surface."""
     return (
         f"{contact} goes off at t = {time:.7g}, as its point touches: its conditions fail there; "
@@ -238,11 +238,11 @@ def nearly_meeting_ends(scene: SceneFields) -> Iterator[str]:
             )
 
 
-def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
+def replaced_laws(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
     """Return the declared laws that time stepping replaces -> sentence on the replacement."""
     replacements = {}
     rigid = {n: c for n, c in scene.contacts.items() if "free" in c.kinds and c.stiffness is None}
-    if scene.simultaneous == "sequential" and rigid and _meet(scene):
+    if scene.simultaneous == "sequential" and rigid and _nearly_meet(scene):
         replacements["simultaneous: sequential"] = (
             "by steps, simultaneous impacts follow Moreau's law, as with capped"
         )
@@ -266,7 +266,7 @@ def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
         )
     other_laws: dict[str, list[str]] = {}
     for name, contact in rigid.items():
-        if contact.impact != MOREAU and not _agrees(scene, contact, values):
+        if contact.impact != MOREAU and not _impact_laws_agree(scene, contact, values):
             other_laws.setdefault(contact.impact, []).append(name)
     for law, names in other_laws.items():
         replacements[f"impact: {law} at {', '.join(names)}"] = (
@@ -279,7 +279,7 @@ def _accumulates(events: Sequence[Event]) -> bool:
     return any(event.cause == "zeno" for event in events)
 
 
-def _meet(scene: SceneFields) -> bool:
+def _nearly_meet(scene: SceneFields) -> bool:
     """Return whether contacts may be coupled: on one body, or by joints and coordinates."""
     linked = bool(scene.joints) or any(body.position is not None for body in scene.bodies.values())
     touched = sorted(
@@ -291,7 +291,7 @@ def _meet(scene: SceneFields) -> bool:
     return len(scene.contacts) > 1 and (linked or any(a == b for a, b in pairwise(touched)))
 
 
-def _agrees(scene: SceneFields, contact: Contact, values: Mapping[str, float]) -> bool:
+def _impact_laws_agree(scene: SceneFields, contact: Contact, values: Mapping[str, float]) -> bool:
     """Return whether all impact laws agree: no friction, or a free particle."""
     if contact.frictionless:
         return True

@@ -1,4 +1,4 @@
-"""The contact modes free, slide and pin: what each contributes to a product mode (paper 3.3)."""
+"""Contributions of the contact modes free, slide and pin to a product mode (paper 3.3)."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ class Pin(Part):
         return State(equations, tuple(margins), values=values, holds=holds)
 
 
-def off(contact: ContactSymbols, back: tuple[Margin, ...]) -> State:
+def off_state(contact: ContactSymbols, back: tuple[Margin, ...]) -> State:
     """Return the state of a contact that is off: no force, until it may come `back`."""
     return State((contact.V, contact.H), back, values=contact.friction.used.get(0, {}))
 
@@ -172,7 +172,7 @@ OWN = "own"
 """The zone of a contact that does not share its load."""
 
 
-def shared(
+def shared_state(
     mode: Free | Slide | Pin, contact: ContactSymbols, direction: int, bearing: Bearing
 ) -> State:
     """Return the state of a contact that shares its load (see `contacts.modes.load_sharing`)."""
@@ -203,9 +203,9 @@ def share_of(
     # The tangential component of the edge.
     t = t if pinned and zone == "upper" else -t if pinned else -direction * t
     if limit is None:
-        bears, laws, further = _on_cone(contact, zone, (n, t), (w, u), pinned)
+        bears, laws, further = _cone_zone_equations(contact, zone, (n, t), (w, u), pinned)
     else:
-        bears, laws, further = _within(contact, zone, limit, u)
+        bears, laws, further = _coupling_zone_equations(contact, zone, limit, u)
     margins = state.margins
     if zone != "inside":
         margins = *(m for m in margins if m.kind == "speed"), *further
@@ -250,7 +250,7 @@ def share_of(
     return State(independent, margins, values=state.values, loads=loads)
 
 
-def _on_cone(
+def _cone_zone_equations(
     contact: ContactSymbols,
     zone: str,
     edge: tuple[sp.Expr, sp.Expr],
@@ -281,7 +281,7 @@ def _on_cone(
     return bears, laws, tuple(margins)
 
 
-def _within(
+def _coupling_zone_equations(
     contact: ContactSymbols, zone: str, limit: sp.Expr, spring: sp.Expr
 ) -> tuple[tuple[sp.Expr, sp.Expr], dict[sp.Symbol, sp.Expr], tuple[Margin, ...]]:
     """Return the force of a locked coupling in a zone, its equation, and its margins."""

@@ -231,7 +231,7 @@ class Body(Part):
         return self
 
     def _check_fixed(self) -> None:
-        """Check that a fixed body has a shape and a place, and nothing of what moves."""
+        """Check that a fixed body has a shape and a place, and no motion."""
         for key in ("mass", "inertia", "position", "angle"):
             if key in self.model_fields_set:
                 raise DeclarationProblem(

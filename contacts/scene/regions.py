@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from contacts.scene.friction import Friction
-from contacts.scene.modes import Bearing, ContactSymbols, Free, Pin, Slide, off, shared
+from contacts.scene.modes import Bearing, ContactSymbols, Free, Pin, Slide, off_state, shared_state
 from contacts.scene.parts import Contact
 from contacts.states import OFF, OPEN, declared_state, superstates_of
 from statechart.automaton.regions import Claim, Edge, Margin, Region, State
@@ -70,11 +70,11 @@ def region(
 
     def build(role: Role) -> State:
         if role.state == OFF:
-            return off(symbols(), back())
+            return off_state(symbols(), back())
         mode: Free | Slide | Pin = modes[declared_state(role.state)]  # type: ignore[index]
         direction = _DIRECTIONS.get(role.state, 0)
         if isinstance(role.share, Bearing):
-            built = shared(mode, symbols(), direction, role.share)
+            built = shared_state(mode, symbols(), direction, role.share)
         else:
             built = mode.state(symbols(), direction)
         return replace(built, margins=(*built.margins, *gates()))

@@ -26,13 +26,13 @@ from contacts.scene.controls import Controller
 from contacts.scene.couplings import coupling_edges, coupling_states
 from contacts.scene.expansion import expansion
 from contacts.scene.fields import SceneFields, copies
-from contacts.scene.lint import replaced
+from contacts.scene.lint import replaced_laws
 from contacts.scene.parts import FREE_START, Contact, Point, Simultaneous
 from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
 from contacts.states import declared_state, superstates_of
 from statechart.charts.flatten import causes_of
 from statechart.charts.transitions import check_listening, check_periods, declared_transitions
-from statechart.charts.wrapping import check_wrapping, counted
+from statechart.charts.wrapping import check_wrapping, count_periods
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import check_names, check_relation, value_of
 from statechart.documents.outputs import check_member
@@ -57,7 +57,7 @@ class Scene(SceneFields):
 
         And with those that count periods (`statechart.charts.wrapping`).
         """
-        scene, counts = counted(self)
+        scene, counts = count_periods(self)
         regions = {name: Controller.counting(count) for name, count in counts.items()}
         if counts:
             scene = scene.model_construct(
@@ -79,8 +79,8 @@ class Scene(SceneFields):
         }
 
     def omitted(self, values: Mapping[str, float], *, stepped: bool) -> Mapping[str, str]:
-        """Return what a run of the scene does without, and why."""
-        reasons = replaced(self, values) if stepped else {}
+        """Return the parts that a run of the scene omits, with reasons."""
+        reasons = replaced_laws(self, values) if stepped else {}
         for name, body in self.bodies.items():
             if body.fixed:
                 reasons[f"coordinates of {name}"] = "it is fixed"
@@ -217,7 +217,7 @@ class Scene(SceneFields):
             self.controlled.check(self.kinematic_names)
         with findings:
             self.controlled.check_controller_state(self.kinematic_names)
-        # Beside what moves, a body may stand at a place.
+        # A body that does not move may have a constant place.
         nothing_moves = not self.coordinates and all(
             body.position is not None for body in self.bodies.values()
         )
@@ -321,8 +321,8 @@ class Scene(SceneFields):
         names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.forces}
         names |= {f"{name}.{quantity}" for name in self.couplings for quantity in ("M", "slip")}
         names |= {"energy", *self.controls} | self.placed_names
-        kept = {v for region in self.regions.values() for v in region.variables}
-        changing = names - {*self.parameters, *(kept - {*self.controlled.flowing})}
+        variables = {v for region in self.regions.values() for v in region.variables}
+        changing = names - {*self.parameters, *(variables - {*self.controlled.flowing})}
         gates = {c: expanded.gate(c) for c in expanded.contacts}
         found = {c: {*_active(states(x, gate=gates[c]))} for c, x in expanded.contacts.items()} | {
             name: {*region.named} for name, region in expanded.controlled.flat.items()

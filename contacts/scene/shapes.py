@@ -75,7 +75,7 @@ LAW_WORDS = {
 
 
 def check_compliant(law: Any, rigid: tuple[str, ...]) -> None:
-    """Check that what is compliant has no impacts, and nothing else has damping."""
+    """Check that compliant contacts have no impacts, and rigid ones no damping."""
     if law.stiffness is None and law.damping is not None:
         raise DeclarationProblem(
             "damping is that of a compliant contact",

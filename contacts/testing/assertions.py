@@ -131,12 +131,12 @@ def missed_by_slopes(
     most = np.zeros((len(spans), states.shape[1]))
     np.maximum.at(most, steps, off)
     here = subject.values(trace, gaps, states, times)
-    moved = np.zeros(here.shape)
+    displacement = np.zeros(here.shape)
     for i in range(states.shape[1]):
         there = states.copy()
         there[:, i] += most[steps, i]
-        moved += np.abs(subject.values(trace, gaps, there, times) - here)
-    return moved
+        displacement += np.abs(subject.values(trace, gaps, there, times) - here)
+    return displacement
 
 
 def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:

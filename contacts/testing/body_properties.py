@@ -142,8 +142,8 @@ def _between(one: Array, radius: float, other: Array, other_radius: float) -> Ar
     # Beside an edge the disc is nearest to a corner.
     sides = np.roll(one, -1, axis=1) - one
     to = other - one
-    along = np.clip((to * sides).sum(-1) / (sides * sides).sum(-1), 0.0, 1.0)
-    nearest = np.linalg.norm(to - along[..., None] * sides, axis=-1).min(axis=1)
+    fractions = np.clip((to * sides).sum(-1) / (sides * sides).sum(-1), 0.0, 1.0)
+    nearest = np.linalg.norm(to - fractions[..., None] * sides, axis=-1).min(axis=1)
     # A plate has no inside, and ends.
     return np.where((gaps > 0.0) | (one.shape[1] == 2), nearest, gaps) - both
 

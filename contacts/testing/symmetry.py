@@ -142,7 +142,7 @@ class _Change:
 
     def _value(self, name: str, value: Any, unit: str) -> Any:
         """Return a field's value (or an item of it) in the new units."""
-        along, up, plain = self._units.get(unit, (1.0, 1.0, 1.0))
+        factor_x, up, plain = self._units.get(unit, (1.0, 1.0, 1.0))
         match value:
             case Coupling():
                 return self._coupling(value)
@@ -152,10 +152,10 @@ class _Change:
                 return {key: self._item(name, key, one, unit) for key, one in value.items()}
             case tuple() if name in _RELATIONS:
                 return tuple(map(self._relation, value))
-            case (least, greatest) if name == "limits" and along < 0.0:
-                return self._formula(greatest, along), self._formula(least, along)
+            case (least, greatest) if name == "limits" and factor_x < 0.0:
+                return self._formula(greatest, factor_x), self._formula(least, factor_x)
             case (str() | int() | float(), str() | int() | float()) if unit:
-                return self._formula(value[0], along), self._formula(value[1], up)
+                return self._formula(value[0], factor_x), self._formula(value[1], up)
             case tuple():
                 items = tuple(self._value(name, one, unit) for one in value)
                 return items[::-1] if name in _OUTLINES and self.x < 0.0 else items
@@ -164,7 +164,9 @@ class _Change:
             case str() | int() | float() if name == "height":
                 return _times(self._read(parse(value), {"x": self.x}), up)
             case str() | int() | float() if unit and not isinstance(value, bool):
-                factor = {"x": along, "radius": abs(along), "disc": abs(along)}.get(name, plain)
+                factor = {"x": factor_x, "radius": abs(factor_x), "disc": abs(factor_x)}.get(
+                    name, plain
+                )
                 return self._formula(value, factor)
         return value
 
@@ -193,14 +195,14 @@ class _Change:
                 f"{name}.y": self.y,
                 f"{name}.turn": self._start("angle"),
             }
-            moment, along = units["force length"][2], units["force"][2]
-            factors |= {f"{name}.M": moment, f"{name}.T": along}
+            moment, factor_x = units["force length"][2], units["force"][2]
+            factors |= {f"{name}.M": moment, f"{name}.T": factor_x}
         return factors | dict.fromkeys(old.controlled.clocks, self.time)
 
     def _couple(self, name: str) -> tuple[float, float]:
-        along = ("X", "Y").index(self.declared.along_guide(name) or "X")
+        factor_x = ("X", "Y").index(self.declared.along_guide(name) or "X")
         if self.declared.along_guide(name):
-            return self._units["force"][along], self._units["length/time"][along]
+            return self._units["force"][factor_x], self._units["length/time"][factor_x]
         return self._units["force length"][0], self._units["rad/time"][0]
 
     def _coupling(self, coupling: Coupling) -> Coupling:

@@ -26,7 +26,7 @@ from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.states import CLOSED, OPEN, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.recorder import Recorder
-from contacts.time_stepping.stop_conditions import ActiveStates, first_lost
+from contacts.time_stepping.stop_conditions import ActiveStates, first_undefined
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.regions import Raised, Region
 from statechart.automaton.trace import Jump
@@ -130,10 +130,10 @@ class StepControl:
             )
             if name in self._joints and taken.target == CLOSED:
                 after = self._closed(name, after, recorder, h)
-            moved, strikes = self._scene.switch(
+            switched, strikes = self._scene.switch(
                 self._states.named(self.states), (state, after, recorder.clock.high)
             )
-            jump = recorder.turn(name, taken.name, self.states, (state, after), fired, moved)
+            jump = recorder.turn(name, taken.name, self.states, (state, after), fired, switched)
             pending, state = self._queues.pending_after(firing.pending, jump), after
             if strikes:
                 self._pending, self._strikes = pending, True
@@ -188,7 +188,7 @@ class StepControl:
         rows = guards.table(self._setup, chunk.ends(start), chunk.states[1:], solved)
         singles = guards.watch.singles
         margins = rows[:, singles, 0]
-        found = first_lost(margins, np.hstack([chunk.states[1:], solved]))
+        found = first_undefined(margins, np.hstack([chunk.states[1:], solved]))
         return None if found is None else (found[0], guards.watch.margins[singles[found[1]]])
 
     def _due(self, times: Array, states: Array, solved: Array, h: float, codes: Ints) -> Bools:

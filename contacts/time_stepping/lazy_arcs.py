@@ -93,7 +93,7 @@ class StepPolynomials(NamedTuple):
         return cls(pieces[np.argsort(order)], places)
 
 
-def defined(rows: Array) -> Array:
+def fill_undefined(rows: Array) -> Array:
     """Replace NaN by the value of the nearest row, the later of two."""
     unknown = np.isnan(rows)
     if not unknown.any():
@@ -114,7 +114,7 @@ def defined(rows: Array) -> Array:
 Numbers = TypeVar("Numbers", bound=NDArray[Any])
 
 
-def _own(rows: Numbers) -> Numbers:
+def _compact(rows: Numbers) -> Numbers:
     """Return rows whose base is at most twice as large: chunks often end early."""
     base = rows.base
     return rows.copy() if base is not None and base.nbytes > 2 * rows.nbytes else rows
@@ -142,8 +142,9 @@ class Steps(NamedTuple):
     def of(cls, chunk: Chunk, hit: Bools, coordinates: int, begin: Clock) -> Steps:
         """Return the steps of a chunk."""
         return cls(
-            begin, ((chunk.h, len(hit)),), coordinates, _own(chunk.states), _own(chunk.solved),
-            _own(chunk.impulses), _own(chunk.struck), hit, _own(chunk.impact_delay), _places(hit),
+            begin, ((chunk.h, len(hit)),), coordinates, _compact(chunk.states),
+            _compact(chunk.solved), _compact(chunk.impulses), _compact(chunk.struck), hit,
+            _compact(chunk.impact_delay), _places(hit),
         )  # fmt: skip
 
     @classmethod
@@ -288,7 +289,7 @@ class ArcMaker:
             unknowns.append(whole.unknowns[first:last])
         return Arc(
             lazy.mode, roles_in(lazy.mode), lazy.start, lazy.j, np.concatenate(ends),
-            np.concatenate(terms), defined(np.concatenate(unknowns)),
+            np.concatenate(terms), fill_undefined(np.concatenate(unknowns)),
         )  # fmt: skip
 
     def jump(self, lazy: LazyJump | Jump) -> Jump:

@@ -25,7 +25,7 @@ from contacts.states import (
     SLIP_PLUS,
     STATES,
     cause_of,
-    undetermined,
+    undetermined_warning,
 )
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.lazy_arcs import ArcMaker, LazyArc, LazyJump, StepRange, Steps, cut
@@ -118,10 +118,10 @@ class Recorder:
             if shared:
                 self._note_shared(chunk.shared[first:k])
             first = k + int(hit[k])
-            enabled = _enabled(self.row, shown[k], chunk.struck[k])
+            enabled = _enabled_contacts(self.row, shown[k], chunk.struck[k])
             if enabled.any():
                 done = self._flow(steps, done, k, 0)
-                self._change(_opened(self.row, shown[k], enabled), chunk.states[k])
+                self._change(_opened_modes(self.row, shown[k], enabled), chunk.states[k])
             done = self._flow(steps, done, k, first - k)
             if hit[k]:
                 self._strike(steps, k, shown[k])
@@ -140,9 +140,9 @@ class Recorder:
         shown, hit = self.shown(chunk), np.any(chunk.struck, axis=1).tolist()
         jumps = np.where(hit, 1, np.count_nonzero(self._differs(shown), axis=1))
         before = self._before(shown)
-        enabled = _enabled(before, shown, chunk.struck)
+        enabled = _enabled_contacts(before, shown, chunk.struck)
         for k in np.flatnonzero(enabled.any(axis=1)).tolist():
-            opened = _opened(before[k], shown[k], enabled[k])
+            opened = _opened_modes(before[k], shown[k], enabled[k])
             jumps[k] = np.count_nonzero(opened != before[k])
             jumps[k] += 1 if hit[k] else np.count_nonzero(opened != shown[k])
         begin = self.clock.later(last * chunk.h).short
@@ -234,7 +234,7 @@ class Recorder:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Warnings of undetermined forces, once each."""
-        return tuple(dict.fromkeys(map(undetermined, self.indeterminate.values())))
+        return tuple(dict.fromkeys(map(undetermined_warning, self.indeterminate.values())))
 
     def _key(self, row: Ints) -> Key:
         states = self._keys.get(row.tobytes())
@@ -340,13 +340,13 @@ class Recorder:
         return self.again if struck and is_lasting else cause
 
 
-def _enabled(before: Ints, after: Ints, struck: Bools) -> Bools:
+def _enabled_contacts(before: Ints, after: Ints, struck: Bools) -> Bools:
     """Return which disabled contacts close at once: they are free first, as with events."""
     enabled: Bools = (before == OFF_CODE) & (after != OFF_CODE) & (struck | (after != FREE))
     return enabled
 
 
-def _opened(before: Ints, after: Ints, enabled: Bools) -> Ints:
+def _opened_modes(before: Ints, after: Ints, enabled: Bools) -> Ints:
     """Return the modes after conditions have changed, before these contacts close."""
     return np.where(enabled, FREE, np.where(after == OFF_CODE, OFF_CODE, before))
 

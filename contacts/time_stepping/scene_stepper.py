@@ -11,7 +11,7 @@ import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw, edge
 from contacts.dynamics.controllers import Controllers, ControllerState
-from contacts.dynamics.mechanics import Mechanics, hauled_in
+from contacts.dynamics.mechanics import Mechanics, winch_end_message
 from contacts.dynamics.setup import ROUNDING, SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.dynamics.snapshot import SnapshotTape
@@ -23,7 +23,7 @@ from contacts.dynamics.starting import (
     hovering_warnings,
     surface_jump_error,
 )
-from contacts.scene.lint import NEARLY_MEETING, goes_off, stays_off
+from contacts.scene.lint import NEARLY_MEETING, goes_off_warning, stays_off_warning
 from contacts.solvers.contact_rows import STEEPEST
 from contacts.solvers.dependence import independent_rows
 from contacts.solvers.redundancy import mode_columns
@@ -169,14 +169,14 @@ class SteppedScene(SteppedSystem):
         slips &= touched & (codes != SLIDE) & (np.abs(now - old)[:, 2] > self._still)
         after = np.where(slips, np.where(now[:, 2] > 0.0, SLIDE_PLUS, SLIDE_MINUS), codes)
         after[touched & parts] = FREE
-        moved = {i: int(after[i]) for i in np.flatnonzero(after != codes).tolist()}
-        for i, code in moved.items():
+        switched = {i: int(after[i]) for i in np.flatnonzero(after != codes).tolist()}
+        for i, code in switched.items():
             if self._undeclared[i, code]:
                 raise surface_jump_error(
                     was.scene.contacts[was.names[i]].surface, was.names[i], STATES[code]
                 )
             codes[i] = memory.modes[i] = code
-        return moved, bool((touched & parts & (now[:, 1] < -self._still)).any())
+        return switched, bool((touched & parts & (now[:, 1] < -self._still)).any())
 
     def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Set equations and coefficients."""
@@ -238,10 +238,10 @@ class SteppedScene(SteppedSystem):
             self._source.names, self._step_state.contacts.missed_depths.tolist(), strict=True
         ):
             if time < math.inf:
-                yield goes_off(name, time)
+                yield goes_off_warning(name, time)
             depth = min(past, first) if last > first else past
             if self._near < depth <= self._nearly:
-                yield stays_off(self._source.scene, name, depth)
+                yield stays_off_warning(self._source.scene, name, depth)
 
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
         """Take steps from `state` (2 n + w,).
@@ -429,7 +429,7 @@ class SteppedScene(SteppedSystem):
         if contact >= len(self._source.names) - self._source.couplings:
             return invalid_limit(name, end)
         if contact in self._source.hauled:
-            return hauled_in(name, end)
+            return winch_end_message(name, end)
         if not self._undeclared[contact, code]:
             return NoConsistentMode(
                 f"contact {name!r} can neither slide nor lift off: friction presses it into "

@@ -18,7 +18,7 @@ from contacts.time_stepping.chunk import (
 )
 from statechart.automaton.time_stepper import Impulses
 from statechart.errors import SimulationError, UnsolvedImpulses
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 INDETERMINATE = (
     "friction presses a contact into its surface so that it may slide as well as lift off "
@@ -90,13 +90,13 @@ class SolverResidual:
         if self._softened:
             warnings += (
                 (
-                    f"in {several(self._softened, 'step')} no impulses satisfy Moreau's impact "
+                    f"in {pluralise(self._softened, 'step')} no impulses satisfy Moreau's impact "
                     "law at all contacts: impacts there have no rebound"
                 ),
             )
         if self._ambiguous:
             warnings += (
-                f"in {several(self._ambiguous, 'step')}, the first at t = {self._first:.6g}, "
+                f"in {pluralise(self._ambiguous, 'step')}, the first at t = {self._first:.6g}, "
                 f"bodies with a restitution of {LIVELY:g} or more are struck in several places at "
                 "once, and Moreau's law lets a body that passes the blow on not rebound. "
                 "simultaneous: sequential resolves impacts one after another (points on surfaces, "
@@ -104,21 +104,22 @@ class SolverResidual:
             )
         if self._several:
             warnings += (
-                f"in {several(self._several, 'step')}, the first at t = {self._choice:.6g}, "
+                f"in {pluralise(self._several, 'step')}, the first at t = {self._choice:.6g}, "
                 + INDETERMINATE,
             )
         if self._unended:
             warnings += (
                 (
-                    f"in {several(self._unended, 'step')} a sequence of impacts did not end (light "
-                    f"bodies between heavy ones): Moreau's law resolved the approach left after "
+                    f"in {pluralise(self._unended, 'step')} a sequence of impacts did not end "
+                    f"(light bodies between heavy ones): Moreau's law resolved the approach left "
+                    f"after "
                     f"{LONGEST_SEQUENCE} impacts, up to {self._left:.3g}"
                 ),
             )
         if self._missed:
             warnings += (
                 (
-                    f"in {several(self._missed, 'step')} the residual of the contact impulses "
+                    f"in {pluralise(self._missed, 'step')} the residual of the contact impulses "
                     f"exceeds the tolerance of {self._tolerance:g}: up to {self.residual:.2g} of "
                     f"the fastest approach, at t = {self._when:.6g}"
                 ),

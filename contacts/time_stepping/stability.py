@@ -44,7 +44,7 @@ _ITERATIONS = 60
 _AT_ONCE = 64
 
 
-def unstable(motion: str, radians: float, h: float, finest: float) -> StepTooLarge:
+def instability_error(motion: str, radians: float, h: float, finest: float) -> StepTooLarge:
     """Return the error of an unstable step size."""
     return StepTooLarge(
         f"{motion} by {radians:.3g} radians in one step of {h:g}, which is unstable from 2 on; "
@@ -153,7 +153,7 @@ class StepLimits:
 def check_swing(swing: float, h: float) -> None:
     """Raise `StepTooLarge` if springs are unstable at this step size."""
     if (swing * h) ** 2 >= UNSTABLE:
-        raise unstable("springs swing", swing * h, h, _FINE / swing)
+        raise instability_error("springs swing", swing * h, h, _FINE / swing)
 
 
 def remarks(swing: float, h: float) -> tuple[str, ...]:
@@ -278,7 +278,7 @@ def check_stiffness(entries: Stiffness, held: csr_array | Array, h: float) -> No
         return
     spring, damper = math.sqrt(max(largest(entries.places), 0.0)), 0.5 * largest(entries.rates)
     what = "position- or velocity-dependent forces oscillate"
-    raise unstable(what, math.sqrt(most), h, _FINE * h / max(spring, damper, _FINE))
+    raise instability_error(what, math.sqrt(most), h, _FINE * h / max(spring, damper, _FINE))
 
 
 def _largest(matrix: Callable[[Array], Array], start: Array) -> float:

@@ -39,7 +39,7 @@ import numpy as np
 from contacts.dynamics.controllers import Controllers, controlled_symbols
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.scene.lint import replaced
+from contacts.scene.lint import replaced_laws
 from contacts.states import STATES
 from contacts.time_stepping.chunk import WORK, Chunk, SteppedSystem
 from contacts.time_stepping.control import StepControl
@@ -80,7 +80,7 @@ from statechart.documents.setting import Record
 from statechart.errors import DeclarationProblem, NonFinite, SimulationError, TooLong, Unsupported
 from statechart.execution.outcome import error_of
 from statechart.formulas.tape import Tape
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 
 class RunInputs(NamedTuple):
@@ -201,12 +201,12 @@ class SteppedRun:
             first = self.time
             while done < count:
                 interrupts.check()
-                begin, asked = first + done * h, count - done
-                if asked < 1.0:
-                    chunk = self.system.steps(begin, asked * h, self.state, 1)
+                begin, count_left = first + done * h, count - done
+                if count_left < 1.0:
+                    chunk = self.system.steps(begin, count_left * h, self.state, 1)
                 else:
                     chunk = self.system.steps(
-                        begin, h, self.state, min(int(asked), most, each - int(done) % each)
+                        begin, h, self.state, min(int(count_left), most, each - int(done) % each)
                     )
                 due = False
                 if self.control is not None:
@@ -282,7 +282,7 @@ class SteppedRun:
         modes = self.span.policy.record is Record.MODES
         jumps = self.recorder.count if modes else len(self.recorder.control_jumps)
         if jumps >= self.span.max_jumps:
-            self.end(Outcome.TOO_MANY_JUMPS, several(self.span.max_jumps, "jump"))
+            self.end(Outcome.TOO_MANY_JUMPS, pluralise(self.span.max_jumps, "jump"))
             return True
         self.size += chunk.states[1:].nbytes + chunk.solved.nbytes
         self.size += chunk.impulses.nbytes if modes else 0
@@ -546,4 +546,4 @@ class Stepper(ABC):
     def _replaced_laws(self, setup: SceneSetup) -> tuple[str, ...]:
         """Return warnings of replaced laws."""
         values = dict(zip(self.parameter_names, setup.values.tolist(), strict=True))
-        return tuple(f"{what}: {why}" for what, why in replaced(self._scene, values).items())
+        return tuple(f"{what}: {why}" for what, why in replaced_laws(self._scene, values).items())

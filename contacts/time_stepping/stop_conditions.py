@@ -171,7 +171,7 @@ class StopConditions:
             part if alone else np.where(np.isnan(part).all(axis=1, keepdims=True), part, 0.0)
             for part, alone in zip(self._parts(margins), single, strict=True)
         ]
-        found = first_lost(np.hstack(values), rows)
+        found = first_undefined(np.hstack(values), rows)
         if found is None:
             return None
         owners = [stop.name for stop in self._tapes.stops for _ in stop.margins]
@@ -221,7 +221,7 @@ class StopConditions:
         return self._tape.table(rows, self._values, times)
 
 
-def first_lost(margins: Array, inputs: Array) -> tuple[int, int] | None:
+def first_undefined(margins: Array, inputs: Array) -> tuple[int, int] | None:
     """Return (row, column) of the first margin that is NaN although its inputs are finite.
 
     Forces of steps with impacts are NaN, and so are margins on them.

@@ -51,8 +51,8 @@ def split(
         names |= set(content.get("variables", ())) if section in regions else set()
         for owned_name in names:
             owners.setdefault(owned_name, set()).add((section, name))
-    mentions = {entity: _mentioned(content, owners) for entity, content in entities.items()}
-    mentions |= {("stop", name): _mentioned(text, owners) for name, text in stops.items()}
+    mentions = {entity: _mentioned_names(content, owners) for entity, content in entities.items()}
+    mentions |= {("stop", name): _mentioned_names(text, owners) for name, text in stops.items()}
     # Fixed surfaces and conditions of time alone couple nothing.
     static = {
         entity
@@ -66,10 +66,12 @@ def split(
     groups = [group for group in groups if group not in idle]
     if len(groups) < 2:
         return []
-    if any(not _mentioned(event, owners) for event in _declared_events(data, "contacts" in data)):
+    if any(
+        not _mentioned_names(event, owners) for event in _declared_events(data, "contacts" in data)
+    ):
         # An event without a region couples all regions.
         return []
-    words = {*_reserved(schema), *_words_of_regions(data, regions)}
+    words = {*_reserved_words(schema), *_words_of_regions(data, regions)}
     if any(NEUTRAL.search(text) for text in _texts(data)):
         return []
     groups[0] = groups[0].union(*idle, (e for e in static if e[0] == "stop"))
@@ -115,17 +117,17 @@ def _component_declaration(
             content = {n: v for n, v in content.items() if n in names}
         elif isinstance(content, dict) and key not in ("parameters", "settings", "units"):
             continue
-        declaration[key] = content if key == "parameters" else _renamed(content, names | rates)
+        declaration[key] = content if key == "parameters" else _rename(content, names | rates)
     return declaration, {neutral: name for name, neutral in names.items()}
 
 
-def _renamed(value: Any, names: Mapping[str, str]) -> Any:
+def _rename(value: Any, names: Mapping[str, str]) -> Any:
     if isinstance(value, str):
         return _NAME.sub(lambda found: names.get(found[0], found[0]), value)
     if isinstance(value, Mapping):
-        return {_renamed(key, names): _renamed(entry, names) for key, entry in value.items()}
+        return {_rename(key, names): _rename(entry, names) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return type(value)(_renamed(entry, names) for entry in value)
+        return type(value)(_rename(entry, names) for entry in value)
     return value
 
 
@@ -141,7 +143,7 @@ def _texts(value: Any) -> Iterator[str]:
             yield from _texts(entry)
 
 
-def _mentioned(value: Any, owners: Mapping[str, set[Entity]]) -> set[Entity]:
+def _mentioned_names(value: Any, owners: Mapping[str, set[Entity]]) -> set[Entity]:
     names = {name for text in _texts(value) for name in _NAME.findall(text)}
     return set().union(*(owners[name] for name in names if name in owners))
 
@@ -182,7 +184,7 @@ def _words_of_regions(data: Data, regions: Collection[str]) -> set[str]:
 
 
 @cache
-def _reserved(schema: Path) -> frozenset[str]:
+def _reserved_words(schema: Path) -> frozenset[str]:
     # An energy in forces or conditions couples all bodies.
     return frozenset((*_words_of_schema(json.loads(schema.read_text("utf-8"))), "energy"))
 
@@ -201,7 +203,7 @@ def _words_of_schema(schema: Any) -> Iterator[str]:
             yield from _words_of_schema(content)
 
 
-def composed(
+def compose_components(
     parts: Sequence[tuple[Data, dict[str, str]]],
     form: Callable[[Data], Data],
     compose: Callable[[Data], Automaton],

@@ -48,7 +48,7 @@ def roles_in(mode: Key) -> Roles:
     return tuple([roles[state] for state in mode])
 
 
-def of_regions(roles: Roles) -> Roles:
+def region_roles(roles: Roles) -> Roles:
     """Return roles without those of parameters and switches, which may stand behind them."""
     while roles and roles[-1].state in (PARAMETERS, SWITCHES):
         roles = roles[:-1]
@@ -64,7 +64,7 @@ def uncaptured(roles: Roles) -> Roles:
 @lru_cache(maxsize=1024)
 def moving_mode(roles: Roles) -> Key:
     """Return the states of roles."""
-    return tuple([role.state for role in of_regions(roles)])
+    return tuple([role.state for role in region_roles(roles)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,5 +288,5 @@ class Feasibility:
     """Feasibility of the product modes at a configuration."""
 
     modes: Mapping[Key, str]  # mode -> reason why it is infeasible, or ""
-    declared: Mapping[Key, str]  # likewise without directions of sliding
+    declared: Mapping[Key, str]  # the same without directions of sliding
     remarks: tuple[str, ...] = ()

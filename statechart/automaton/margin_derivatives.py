@@ -92,8 +92,8 @@ class MarginDerivatives:
         horizon = setup.horizon if math.isfinite(setup.horizon) else 1.0
         later = []
         for part in _LATER:
-            moved = np.array([polyval(part * horizon, grown.values) for grown in series])
-            later.append(tape.at(moved, setup.values, time + part * horizon)[-1].item())
+            increments = np.array([polyval(part * horizon, grown.values) for grown in series])
+            later.append(tape.at(increments, setup.values, time + part * horizon)[-1].item())
         signs = {float(np.sign(value)) for value in later}
         return signs.pop() if len(signs) == 1 else math.nan
 

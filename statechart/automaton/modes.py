@@ -13,7 +13,7 @@ import sympy as sp
 from statechart.arrays import Array, Ints32
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import uncaptured
-from statechart.automaton.reduction import Elimination, eliminated
+from statechart.automaton.reduction import Elimination, eliminate
 from statechart.automaton.regions import Loads, Margin, Mode, State
 from statechart.automaton.trace import Roles
 from statechart.formulas.linear import Definition, solve_linear
@@ -38,7 +38,9 @@ def build_mode(
     """
     plain_roles = uncaptured(roles)
     if plain_roles != roles:
-        return captured(automaton, build_mode(automaton, plain_roles, zeros, fixed), roles)
+        return hide_captured_forces(
+            automaton, build_mode(automaton, plain_roles, zeros, fixed), roles
+        )
     states = [region.build(role) for region, role in zip(automaton.regions, roles, strict=True)]
     loads = [state.loads for state in states if state.loads is not None]
     substitution: dict[sp.Expr, sp.Expr] = dict.fromkeys(zeros, sp.S.Zero)
@@ -61,13 +63,13 @@ def build_mode(
         holds = [hold for state in states for hold in state.holds]
         about = {e for hold in holds for e in hold.equations}
         laws = [e for state in states for e in state.equations if e not in about]
-        elimination = eliminated(automaton.coordinates, holds, substitution, laws)
+        elimination = eliminate(automaton.coordinates, holds, substitution, laws)
         if elimination is not None:
-            follows = _follows(automaton, elimination)
+            follows = _dependent_fields(automaton, elimination)
             if not elimination.steep:
                 minimal = _minimal(automaton, states, elimination, substitution)
                 return Mode((*controls, *minimal), rates, margins, **follows)
-    solved = _solved(automaton, states, loads, substitution)
+    solved = _solve_mode(automaton, states, loads, substitution)
     return Mode((*controls, *solved), rates, margins, **follows)
 
 
@@ -109,7 +111,7 @@ class _MassUnit:
         return tuple(found)
 
 
-def _solved(
+def _solve_mode(
     automaton: Automaton,
     states: Sequence[State],
     loads: Sequence[Loads],
@@ -135,7 +137,7 @@ def _solved(
         own = [unknown] if by is None else [c for c in carriers if by.has(c)]
         unknowns |= dict.fromkeys(own)
     solved = solve_linear(equations, tuple(unknowns), len(automaton.equations))
-    return (*unit.solved(solved), *_shared(loads, substitution))
+    return (*unit.solved(solved), *_solve_shared(loads, substitution))
 
 
 def _minimal(
@@ -176,7 +178,7 @@ def _minimal(
     )
 
 
-def _follows(automaton: Automaton, elimination: Elimination) -> dict[str, Any]:
+def _dependent_fields(automaton: Automaton, elimination: Elimination) -> dict[str, Any]:
     """Return the fields of a mode for its dependent variables."""
     coordinates = automaton.coordinates
     assert coordinates is not None
@@ -187,7 +189,7 @@ def _follows(automaton: Automaton, elimination: Elimination) -> dict[str, Any]:
     return {"eliminated": {places[v]: e for v, e in found.items()}, "anchors": elimination.anchors}
 
 
-def captured(automaton: Automaton, mode: Mode, roles: Roles) -> Mode:
+def hide_captured_forces(automaton: Automaton, mode: Mode, roles: Roles) -> Mode:
     """Return `mode` with the forces of captured regions hidden, except in their own margins."""
     pairs = list(zip(automaton.regions, roles, strict=True))
     hidden: dict[sp.Symbol, sp.Expr] = {
@@ -197,16 +199,18 @@ def captured(automaton: Automaton, mode: Mode, roles: Roles) -> Mode:
     for region, role in pairs:
         region_margins = region.build(role).margins
         region_part = mode.margins[len(margins) : len(margins) + len(region_margins)]
-        margins += region_part if role.captured else _without(region_part, hidden)
-    margins += _without(mode.margins[len(margins) :], hidden)
+        margins += region_part if role.captured else _without_hidden(region_part, hidden)
+    margins += _without_hidden(mode.margins[len(margins) :], hidden)
     return replace(mode, margins=tuple(margins), hidden=hidden)
 
 
-def _without(margins: Iterable[Margin], hidden: Mapping[sp.Symbol, sp.Expr]) -> Iterable[Margin]:
+def _without_hidden(
+    margins: Iterable[Margin], hidden: Mapping[sp.Symbol, sp.Expr]
+) -> Iterable[Margin]:
     return [margin.replaced(hidden) for margin in margins]
 
 
-def _shared(
+def _solve_shared(
     loads: Sequence[Loads], substitution: Mapping[sp.Expr, sp.Expr]
 ) -> tuple[Definition, ...]:
     """Solve for unknowns that the motion does not determine: shared forces, displacements.
@@ -234,9 +238,9 @@ class Reconstruction(NamedTuple):
         """Return a state (n,) with dependent coordinates computed from the others."""
         if not len(self.program[3]):
             return state
-        moved = np.array(state)
-        reconstruct(self.program, moved, time)
-        return moved
+        result = np.array(state)
+        reconstruct(self.program, result, time)
+        return result
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,7 +52,7 @@ class Product:
         return result
 
 
-def explored(
+def explore(
     automaton: Automaton,
     *,
     around: Iterable[Key] = (),
@@ -74,7 +74,7 @@ def explored(
         drawn_region(region, directions=directions, unreached=unreached)
         for region in automaton.regions
     )
-    path = () if trace is None else visited(automaton, trace, directions=directions)
+    path = () if trace is None else visited_modes(automaton, trace, directions=directions)
     begin = list(map(_key_names(automaton, directions), around)) or path
     keys = _all_modes(charts) if within is None else _neighbours(charts, begin, within)
     reasons = {} if found is None else found.modes if directions else found.declared
@@ -95,7 +95,9 @@ def explored(
     return Product(automaton.name, modes, charts, taken)
 
 
-def visited(automaton: Automaton, trace: Trace, *, directions: bool = True) -> tuple[Key, ...]:
+def visited_modes(
+    automaton: Automaton, trace: Trace, *, directions: bool = True
+) -> tuple[Key, ...]:
     """Return the modes of a product in the order of a run, repeats merged."""
     shown = map(_key_names(automaton, directions), trace.modes)
     return tuple(key for key, _ in groupby(shown))
@@ -123,8 +125,8 @@ def _key_names(automaton: Automaton, directions: bool) -> Callable[[Key], Key]:
     names: list[dict[str, str]] = []
     for region in automaton.regions:
         declared = {state: region.declared(state) for state in region.states}
-        kept = region.states if directions else declared.values()
-        names.append({**({} if directions else declared), **{state: state for state in kept}})
+        states = region.states if directions else declared.values()
+        names.append({**({} if directions else declared), **{state: state for state in states}})
 
     def shown(key: Key) -> Key:
         try:
@@ -160,11 +162,11 @@ def drawn_region(region: Region, *, directions: bool, unreached: bool = False) -
     return replace(
         region,
         states=tuple(dict.fromkeys(states)),
-        edges=(*edges, *(edge for state in outside for edge in _declared(region, state))),
+        edges=(*edges, *(edge for state in outside for edge in _declared_edges(region, state))),
     )
 
 
-def _declared(region: Region, state: str) -> Iterator[Edge]:
+def _declared_edges(region: Region, state: str) -> Iterator[Edge]:
     """Yield the declared edges out of an unreachable state."""
     nesting, active = region.nesting, region.active(state)
     for edge in nesting.edges:

@@ -71,7 +71,7 @@ class Coordinates:
         return sp.Add(sp.diff(expression, self.time), *terms)
 
 
-def eliminated(
+def eliminate(
     coordinates: Coordinates,
     mode_holds: Iterable[Hold],
     substitution: Known,

@@ -356,7 +356,7 @@ def hierarchical_edges(region: Region) -> tuple[HierarchicalEdge, ...]:
         sources_by_edge.setdefault(key, []).append(e.source)
     fans: dict[tuple[str, str, str, bool], dict[str, str]] = {}
     for (cause, target, guard, reset, on_zeno), sources in sources_by_edge.items():
-        for source in _covered(sources, superstates, leaves):
+        for source in _replace_complete_sets(sources, superstates, leaves):
             fans.setdefault((cause, source, guard, on_zeno), {})[target] = reset
     return tuple(
         HierarchicalEdge(
@@ -368,7 +368,7 @@ def hierarchical_edges(region: Region) -> tuple[HierarchicalEdge, ...]:
             on_zeno,
         )
         for (cause, source, guard, on_zeno), targets in fans.items()
-        for target in _covered(list(targets), superstates, leaves)
+        for target in _replace_complete_sets(list(targets), superstates, leaves)
     )
 
 
@@ -377,7 +377,7 @@ def _outermost_first(region: Region) -> list[str]:
     return sorted(superstates, key=lambda name: len(region.active(name)))
 
 
-def _covered(
+def _replace_complete_sets(
     states: Sequence[str], superstates: Sequence[str], leaves: Mapping[str, tuple[str, ...]]
 ) -> list[str]:
     """Return states with complete sets replaced by their superstate."""
@@ -390,7 +390,7 @@ def _covered(
     return [*covered, *remaining]
 
 
-def happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
+def has_happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
     """Return whether a jump raises an event: a cause, a state entered, or a state done.
 
     A jump may change several regions (an impact acts on all closed contacts); their causes are
@@ -406,7 +406,7 @@ def happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
             continue
         if event.cause in _causes(region, jump, before, after):
             return True
-        if owner is not None and event.cause in _entered(region, before, after):
+        if owner is not None and event.cause in _entered_states(region, before, after):
             return True
     return False
 
@@ -425,7 +425,7 @@ class Raised(NamedTuple):
         return (self.region == listener) == (self.cause == DONE and event.region in own)
 
 
-def raised(regions: Sequence[Region], jump: Jump) -> tuple[Raised, ...]:
+def raised_events(regions: Sequence[Region], jump: Jump) -> tuple[Raised, ...]:
     """Return the events of a jump in order: causes, states entered, states done."""
     events: dict[Raised, None] = {}
     changes = list(zip(regions, jump.source, jump.target, strict=True))
@@ -433,7 +433,7 @@ def raised(regions: Sequence[Region], jump: Jump) -> tuple[Raised, ...]:
         for cause in _causes(region, jump, before, after):
             events[Raised(region.name, region.name, cause)] = None
     for region, before, after in changes:
-        for state in _entered(region, before, after):
+        for state in _entered_states(region, before, after):
             events[Raised(region.name, region.name, state)] = None
         for owner in _done(region, before, after):
             events[Raised(region.name, owner, DONE)] = None
@@ -452,7 +452,7 @@ def _causes(region: Region, jump: Jump, before: str, after: str) -> tuple[str, .
     return (*hit, jump.cause) if jump.cause in other_causes else (*hit, *other_causes[:1])
 
 
-def _entered(region: Region, before: str, after: str) -> list[str]:
+def _entered_states(region: Region, before: str, after: str) -> list[str]:
     """Return the states entered, outer first."""
     if before == after:
         return []

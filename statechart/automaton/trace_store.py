@@ -178,7 +178,7 @@ def _empty(capacity: tuple[int, int, int, int], variables: int) -> TraceBuffer:
     )
 
 
-def copied(buffer: TraceBuffer) -> TraceBuffer:
+def copy_buffer(buffer: TraceBuffer) -> TraceBuffer:
     """Return a copy of the written part of a buffer."""
     arcs, times, terms, events = buffer.used.tolist()
     return TraceBuffer(
@@ -285,7 +285,7 @@ def jump_times(jumps: Sequence[Jump]) -> list[float]:
 class TraceRecorder(TraceStore):
     """Records a run in a buffer, copied to a block when full and at the end.
 
-    `begun`: the buffer already contains the beginning of the run.
+    `is_started`: the buffer already contains the beginning of the run.
     """
 
     def __init__(
@@ -295,11 +295,11 @@ class TraceRecorder(TraceStore):
         buffer: TraceBuffer,
         jump: Callable[[RecordedEvent], Jump] | None = None,
         *,
-        begun: bool = False,
+        is_started: bool = False,
     ) -> None:
         super().__init__(variables, kinds, buffer, jump)
         self._places: dict[Kind, int] = {}
-        if not begun:
+        if not is_started:
             buffer.used[:] = 0
         self.arcs, self.jumps = self.sequences()
 
@@ -361,7 +361,7 @@ class TraceRecorder(TraceStore):
     def seal(self) -> None:
         """Move the written part of the buffer to a block."""
         if any(self.buffer.used.tolist()):
-            self.add(copied(self.buffer))
+            self.add(copy_buffer(self.buffer))
             self.buffer.used[:] = 0
 
     def _reserve(self, arcs: int, times: int, terms: int, events: int) -> bool:

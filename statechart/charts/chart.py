@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import model_validator
 
-from statechart.charts.flatten import FlatRegion, causes_of, flatten, timed
+from statechart.charts.flatten import FlatRegion, causes_of, flatten, timer_dimension
 from statechart.charts.transitions import (
     BaseRegion,
     BaseState,
@@ -18,7 +18,7 @@ from statechart.charts.transitions import (
     declared_transitions,
     nested,
 )
-from statechart.charts.wrapping import STATE, check_wrapping, counted
+from statechart.charts.wrapping import STATE, check_wrapping, count_periods
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.documented import declare
 from statechart.documents.fields import (
@@ -29,7 +29,7 @@ from statechart.documents.fields import (
     ValueName,
     check_derived,
     check_relation,
-    switching,
+    has_switch,
     value_of,
 )
 from statechart.documents.quantities import Quantity
@@ -105,7 +105,7 @@ class Chart(Declaration):
     @property
     def expanded(self) -> Self:
         """The chart with the regions that count periods (`statechart.charts.wrapping`)."""
-        chart, counts = counted(self)
+        chart, counts = count_periods(self)
         if not counts:
             return self
         own = {name: getattr(chart, name) for name in type(self).model_fields}
@@ -126,7 +126,7 @@ class Chart(Declaration):
     def switching(self) -> bool:
         """True if flows are nonsmooth: abs, sign, min, max or sat of a variable."""
         changing = {TIME, *self.variables}
-        return any(switching(flow, changing) for _, flow, _ in self._flows())
+        return any(has_switch(flow, changing) for _, flow, _ in self._flows())
 
     @property
     def timers(self) -> frozenset[str]:
@@ -135,7 +135,7 @@ class Chart(Declaration):
 
     def stated(self, name: str) -> Quantity:
         """Return the quantity of a name, including clocks and counters."""
-        dimension = timed(self.flat.values(), name)
+        dimension = timer_dimension(self.flat.values(), name)
         return Quantity(name, dimension) if dimension else super().stated(name)
 
     def check_values(self, values: Mapping[str, float]) -> None:

@@ -73,7 +73,7 @@ class _Flattening:
     def region(self) -> FlatRegion:
         """Follow all transitions from the initial configuration."""
         found = self._tree
-        begin = beginning(found)
+        begin = initial_entry(found)
         initial = self._name_of(begin.active, {})
         if found.flat:
             for node in found.nodes[ROOT].children:
@@ -136,7 +136,7 @@ class _Flattening:
         # The first enabled arrow of each atomic state decides the set.
         choices = [
             [(), *((i,) for i in out if arrows[i].declared.events and arrows[i].source in holders)]
-            for leaf in leaves(self._tree, active)
+            for leaf in atomic_states(self._tree, active)
             if (holders := {leaf, *self._tree.above[leaf]})
         ]
         if prod(map(len, choices)) > MAX_CONFIGURATIONS:
@@ -209,7 +209,9 @@ class _Flattening:
             f"{found.nodes[history].name}={self._joined(remembered)}"
             for history, remembered in shown.items()
         ]
-        name = self._joined(leaves(found, active)) + (f"[{', '.join(words)}]" if words else "")
+        name = self._joined(atomic_states(found, active)) + (
+            f"[{', '.join(words)}]" if words else ""
+        )
         self._named.setdefault(name, (active, shown))
         if len(self._named) > MAX_CONFIGURATIONS:
             raise self._too_many("configurations")
@@ -252,7 +254,7 @@ class _Flattening:
         return replace(
             flat,
             configurations={
-                name: tuple(nodes[leaf].name for leaf in leaves(self._tree, active))
+                name: tuple(nodes[leaf].name for leaf in atomic_states(self._tree, active))
                 for name, (active, _) in self._named.items()
             },
             initial={n.name: nodes[n.initial].name for n in nodes if n.sort is Sort.COMPOUND},
@@ -467,7 +469,7 @@ def causes_of(regions: Mapping[str, FlatRegion]) -> dict[str, tuple[str, ...]]:
     return found
 
 
-def timed(regions: Iterable[FlatRegion], name: str) -> Dimension:
+def timer_dimension(regions: Iterable[FlatRegion], name: str) -> Dimension:
     """Return the dimension of a clock or counter; empty for another variable."""
     for region in regions:
         if name in region.timers:
@@ -490,7 +492,7 @@ class Microstep(NamedTuple):
     histories: Histories  # contents of the histories afterwards
 
 
-def beginning(tree: Tree) -> Microstep:
+def initial_entry(tree: Tree) -> Microstep:
     """Return the entry into the initial configuration."""
     entered: set[int] = set()
     _add_descendants(tree, tree.nodes[ROOT].initial, entered, {})
@@ -498,7 +500,7 @@ def beginning(tree: Tree) -> Microstep:
     return Microstep((), (), tuple(sorted(entered)), frozenset(entered), {})
 
 
-def leaves(tree: Tree, active: Collection[int]) -> list[int]:
+def atomic_states(tree: Tree, active: Collection[int]) -> list[int]:
     """Return the atomic states of a configuration, in document order."""
     return [node for node in sorted(active) if tree.nodes[node].sort is Sort.ATOMIC]
 
@@ -516,7 +518,7 @@ def select_transitions(
     by_source: dict[int, list[int]] = {}
     for place in sorted(enabled):
         by_source.setdefault(tree.arrows[place].source, []).append(place)
-    for leaf in leaves(tree, active):
+    for leaf in atomic_states(tree, active):
         holders = (leaf, *tree.above[leaf])
         first = next((by_source[node][0] for node in holders if node in by_source), None)
         if first is not None:
@@ -546,7 +548,7 @@ def microstep(tree: Tree, active: Nodes, memory: Histories, taken: Iterable[int]
             deep = tree.nodes[history].sort is Sort.DEEP
             histories[history] = frozenset(
                 n
-                for n in (leaves(tree, active) if deep else active)
+                for n in (atomic_states(tree, active) if deep else active)
                 if (tree.holds(node, n) if deep else tree.nodes[n].parent == node)
             )
     entered: set[int] = set()

@@ -32,7 +32,15 @@ import sympy as sp
 from statechart.arrays import EPS, Array, Bools
 from statechart.automaton.laws import UNBOUNDED, Setup
 from statechart.automaton.margin_derivatives import UNDERFLOW, rounding_scale, time_derivative
-from statechart.automaton.regions import Claim, Edge, Margin, Raised, Region, margins_of, raised
+from statechart.automaton.regions import (
+    Claim,
+    Edge,
+    Margin,
+    Raised,
+    Region,
+    margins_of,
+    raised_events,
+)
 from statechart.automaton.trace import Jump, Key
 from statechart.charts.flatten import FlatRegion, FlatTransition, Updates
 from statechart.errors import NonFinite
@@ -393,7 +401,7 @@ def check_updated(cause: str, names: Iterable[str], values: Array) -> None:
             raise NonFinite(f"{cause} sets {name} to {value}")
 
 
-def considered(region: Region) -> Callable[[FlatTransition], Mapping[str, str]]:
+def transition_outcomes(region: Region) -> Callable[[FlatTransition], Mapping[str, str]]:
     """Return a function: taken transition -> outcome of every transition out of its source."""
     leaving: dict[str, list[Edge]] = {}
     for edge in region.edges:
@@ -427,7 +435,7 @@ class EventQueues:
         """Return the pending events after `jump`."""
         if not self._waiting:
             return {}
-        new = raised(self._regions, jump)
+        new = raised_events(self._regions, jump)
         return {
             name: (*pending.get(name, ()), *(event for event in new if event.cause in causes))
             for name, causes in self._waiting.items()

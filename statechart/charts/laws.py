@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton, Component, Places
 from statechart.automaton.clock import Clock, between
-from statechart.automaton.components import Data, composed, split
+from statechart.automaton.components import Data, compose_components, split
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, flow_sizes, moving_mode, roles_in
 from statechart.automaton.margin_derivatives import MarginDerivatives, rounding_scale
@@ -35,11 +35,11 @@ from statechart.charts.guard_watch import (
     GuardTruths,
     GuardWatch,
     check_updated,
-    considered,
     guard_claims,
     guard_margins,
     guards,
     guards_at_events,
+    transition_outcomes,
     values_after,
 )
 from statechart.documents.declaration import TIME
@@ -165,7 +165,7 @@ class ChartLaws:
         self._derivatives = MarginDerivatives(
             tuple(symbols.variables.values()), symbols.parameters.ordered, symbols.time
         )
-        self._considered = tuple(map(considered, regions))
+        self._considered = tuple(map(transition_outcomes, regions))
         self._queues = EventQueues(regions, chart.flat)
         self._active = partial(active_in, regions)
 
@@ -381,7 +381,7 @@ def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Com
         data, ("variables", "regions"), ("regions",), Path(__file__).with_name("schema.json")
     )
     try:
-        return composed(
+        return compose_components(
             parts,
             _chart_form,
             lambda part: compose(Chart.model_validate(part)),

@@ -114,7 +114,7 @@ class Transition(Part):
     @model_validator(mode="before")
     @classmethod
     def _one_source(cls, given: Any) -> Any:
-        """Explain what other programs write: lists of states, and guards that always hold."""
+        """Explain spellings of other programs: lists of states, and guards that always hold."""
         if isinstance(given, Mapping):
             for key in ("from", "to"):
                 if isinstance(given.get(key), list):

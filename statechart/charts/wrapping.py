@@ -57,7 +57,7 @@ class Count(NamedTuple):
     transitions: tuple[Transition, ...]
 
 
-def counted(document: Document) -> tuple[Document, Mapping[str, Count]]:
+def count_periods(document: Document) -> tuple[Document, Mapping[str, Count]]:
     """Return the document with counts in place of `mod` and `floor`, and the counting regions."""
     regions: dict[tuple[str, str, str], str] = {}
     taken: set[str] = set()
@@ -78,7 +78,7 @@ def counted(document: Document) -> tuple[Document, Mapping[str, Count]]:
 
     def rewritten(value: Any) -> Any:
         if isinstance(value, str):
-            for wrap in reversed(list(wraps(value))):
+            for wrap in reversed(list(periodic_calls(value))):
                 count, call = f"{name(wrap)}.count", wrap.call
                 if call.function == "mod":
                     count = f"({wrap.value} - {_factor(wrap.period)}*{count})"
@@ -132,7 +132,7 @@ def _at_start(text: str) -> str:
     return text
 
 
-def wraps(text: str) -> Iterator[Wrap]:
+def periodic_calls(text: str) -> Iterator[Wrap]:
     """Yield the calls of `mod` and `floor` of time in a formula or relation."""
     formulas: tuple[Formula, ...] = ()
     if any(function in text for function in JUMPS):
@@ -159,7 +159,7 @@ def check_wrapping(
     `still` are prefixes of the places of formulas that may not jump. Raises `DeclarationProblem`.
     """
     for loc, text in _texts(document, ()):
-        for wrap in wraps(text):
+        for wrap in periodic_calls(text):
             call = wrap.call
             _check(document, wrap, loc, values)
             if loc[0] in _NOT_WRAPPED or any(loc[: len(part)] == part for part in still):

@@ -32,7 +32,7 @@ def compile_kernels(*, quiet: bool) -> None:
     """Compile all kernels; say on stderr how far that is, and at the end how long it took."""
     from statechart.kernels.jit import ahead_of_time
 
-    begun, total = time.perf_counter(), len(_RUNS) + 1
+    start_time, total = time.perf_counter(), len(_RUNS) + 1
     show = compiling.StderrLine() if not quiet else None
     # The runs have one line of progress in all.
     compiling.announce(None)
@@ -47,7 +47,7 @@ def compile_kernels(*, quiet: bool) -> None:
                 _sweep()
     if show is not None:
         show(compiling.KERNELS, "", True)
-        seconds = time.perf_counter() - begun
+        seconds = time.perf_counter() - start_time
         print(f"compiled {compiling.KERNELS} in {seconds:.0f} s", file=sys.stderr)
 
 

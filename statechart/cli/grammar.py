@@ -48,14 +48,18 @@ def parser() -> argparse.ArgumentParser:
     verb("validate", "check a model and its initial state")
     run = verb("run", "run a model and report what happened")
     _settable(run)
-    _running(run)
-    _reporting(run)
-    _viewing(verb("view", "run a model, write the run as a page and open it in the browser"))
-    _trading(verb("trade", "measure what speed costs in accuracy"))
-    _sweeping(verb("sweep", "run a model over its parameters: grids, tables, samples"))
-    _listing(verb("modes", "list a model's modes, which are possible, and their transitions"))
-    _drawing(verb("draw", "draw the statechart of a model, or its scene"))
-    _checking(verb("check", "test a model's invariants over its ranges of parameters"))
+    _add_run_options(run)
+    _add_report_options(run)
+    _add_view_options(
+        verb("view", "run a model, write the run as a page and open it in the browser")
+    )
+    _add_trade_options(verb("trade", "measure what speed costs in accuracy"))
+    _add_sweep_options(verb("sweep", "run a model over its parameters: grids, tables, samples"))
+    _add_list_options(
+        verb("modes", "list a model's modes, which are possible, and their transitions")
+    )
+    _add_draw_options(verb("draw", "draw the statechart of a model, or its scene"))
+    _add_check_options(verb("check", "test a model's invariants over its ranges of parameters"))
     ahead = verb("compile", "compile all numerical kernels, once per machine", file=False)
     ahead.add_argument("-q", "--quiet", action="store_true", help="show no progress")
     schema = verb("schema", "print the JSON Schema of the documents", file=False)
@@ -100,7 +104,7 @@ _VERBS = {
 
 
 def read(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Return what a command line says; end the process with the reason where it cannot be read."""
+    """Parse a command line; end the process with the reason if it is invalid."""
     whole = parser()
     (verbs,) = (one for one in whole._actions if isinstance(one, argparse._SubParsersAction))
     words = sys.argv[1:] if arguments is None else arguments
@@ -142,7 +146,7 @@ def _flag(parser: argparse._ActionsContainer, names: str, words: str) -> None:
     parser.add_argument(*names.split(), action="store_true", help=words)
 
 
-def _running(parser: argparse.ArgumentParser) -> None:
+def _add_run_options(parser: argparse.ArgumentParser) -> None:
     _value(parser, "--until", "T", "end of the run", type=_number_argument)
     _engine(parser)
     words = (
@@ -173,7 +177,7 @@ def _errors(group: argparse._ActionsContainer) -> None:
     _value(group, "--tolerance", "R", "relative tolerance of every step", type=_number_argument)
 
 
-def _reporting(parser: argparse.ArgumentParser) -> None:
+def _add_report_options(parser: argparse.ArgumentParser) -> None:
     words = "enclose the defect of every step, and estimate the global error"
     _flag(parser, "--certify", words)
     words = "also run with the other laws of simultaneous impacts, and compare"
@@ -204,19 +208,19 @@ def _json(parser: argparse.ArgumentParser, *, digits: bool = False) -> None:
         _value(parser, "--digits", "N", words, type=_positive, default=DIGITS)
 
 
-def _viewing(parser: argparse.ArgumentParser) -> None:
+def _add_view_options(parser: argparse.ArgumentParser) -> None:
     _settable(parser)
     _value(parser, "--until", "T", "end of the run", type=_number_argument)
     _value(parser, "-o --output", "PAGE", "file of the page; a temporary one by default")
 
 
-def _trading(parser: argparse.ArgumentParser) -> None:
+def _add_trade_options(parser: argparse.ArgumentParser) -> None:
     _json(parser)
     words = "folder for table, data and figure; an interrupted study goes on from there"
     _value(parser, "-o --output", "DIR", words)
 
 
-def _listing(parser: argparse.ArgumentParser) -> None:
+def _add_list_options(parser: argparse.ArgumentParser) -> None:
     _settable(parser)
     where = parser.add_mutually_exclusive_group()
     words = "check this configuration instead of the initial one, such as bar.angle=0.3"
@@ -228,7 +232,7 @@ def _listing(parser: argparse.ArgumentParser) -> None:
     _flag(parser, "--latex", "print them in LaTeX")
 
 
-def _drawing(parser: argparse.ArgumentParser) -> None:
+def _add_draw_options(parser: argparse.ArgumentParser) -> None:
     words = (
         "file to write: .svg .png .pdf .dot .mmd .scxml .graphml; without it the picture opens in "
         "the browser, or goes to a pipe as SVG"
@@ -246,7 +250,7 @@ def _drawing(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _checking(parser: argparse.ArgumentParser) -> None:
+def _add_check_options(parser: argparse.ArgumentParser) -> None:
     _value(parser, "--examples", "N", "examples per property; 50", type=_positive, default=50)
     _value(parser, "--seed", "S", "repeats a check exactly", type=_count)
     _json(parser)
@@ -261,7 +265,7 @@ def _engine(parser: argparse.ArgumentParser) -> None:
     _value(parser, "--step", "H", "time step of the engine impulse", type=_number_argument)
 
 
-def _sweeping(parser: argparse.ArgumentParser) -> None:
+def _add_sweep_options(parser: argparse.ArgumentParser) -> None:
     words = (
         "values of a parameter: lin:A:B:N, log:A:B:N, or 0.1,1/3,inf; "
         "all combinations of them are run"
@@ -298,7 +302,7 @@ def _settable(parser: argparse.ArgumentParser) -> None:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line, which the list of all options would hide."""
+    """Reports an error in one line, without the list of all options."""
 
     def error(self, message: str) -> NoReturn:
         message = message.replace("the following arguments are required", "missing")
@@ -382,9 +386,9 @@ def script(shell: str) -> str:
 
 def _models() -> dict[str, object]:
     """Return completions of a model: the name of a shipped one, or a file."""
-    from statechart.loading.load import shipped
+    from statechart.loading.load import shipped_models
 
-    names = " ".join(sorted(shipped()))
+    names = " ".join(sorted(shipped_models()))
     return {
         "bash": "_statechart_model_file",
         "zsh": "_statechart_models",

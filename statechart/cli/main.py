@@ -1,4 +1,4 @@
-"""The command line as a process: streams and signals, exit codes, and what errors become."""
+"""The command line as a process: streams, signals, exit codes, and reports of errors."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         verb: Callable[[argparse.Namespace], int] = getattr(verbs, chosen.verb)
         code = verb(chosen)
         sys.stdout.flush()
-        return code or (_say("interrupted", _FAILED) if interrupts.arrived() else _DONE)
+        return code or (_say("interrupted", _FAILED) if interrupts.signal_count() else _DONE)
     except SystemExit as exit_:
         return exit_.code if isinstance(exit_.code, int) else _WRONG
     except DeclarationError as error:
@@ -85,11 +85,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if os.environ.get("STATECHART_DEBUG") == "1":
             raise
-        return _say(_unexpected(error), _FAILED)
+        return _say(_report_unexpected(error), _FAILED)
 
 
-def _unexpected(error: Exception) -> str:
-    if interrupts.arrived():
+def _report_unexpected(error: Exception) -> str:
+    if interrupts.signal_count():
         # In compiled code a signal becomes another error.
         return "interrupted"
     causes: list[BaseException] = [error]

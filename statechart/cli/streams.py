@@ -27,7 +27,7 @@ def take_streams() -> None:
 
 
 def be_quiet() -> None:
-    """Keep warnings and logs of libraries off stderr: the report has what users must know."""
+    """Keep warnings and logs of libraries off stderr: the report has the relevant warnings."""
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
     logging.disable(logging.CRITICAL)
@@ -69,7 +69,7 @@ class _Out(io.TextIOBase):
         except BrokenPipeError:
             raise
         except OSError as error:
-            # What is still in its buffer would fail once more as the process ends.
+            # The rest of its buffer would fail again at the end of the process.
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             raise StatechartError(f"cannot write to stdout: {error.strerror or error}") from None
 

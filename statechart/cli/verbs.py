@@ -32,7 +32,7 @@ from statechart.cli.places import (
 )
 from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.reporting.partial_report import PartialReport
-from statechart.tabular import Table, TextBlock, plain, table
+from statechart.tabular import Table, TextBlock, table, write_plain
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -53,7 +53,7 @@ _SAMPLES = (
 def validate(arguments: argparse.Namespace) -> int:
     """Read a model and check its initial state; print one line."""
     from statechart.reporting.modes import format_count
-    from statechart.tabular import FEW, several
+    from statechart.tabular import FEW, pluralise
 
     runner = _runner(arguments.file)
     mode, warnings = runner.start()
@@ -68,7 +68,7 @@ def validate(arguments: argparse.Namespace) -> int:
     place = "" if arguments.file == automaton.name else f"{arguments.file}: "
     print(
         f"{place}{kind} {automaton.name!r} is correct: "
-        f"{several(len(automaton.names), 'variable')}, {count}{starts}{remarks}"
+        f"{pluralise(len(automaton.names), 'variable')}, {count}{starts}{remarks}"
     )
     return 0
 
@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run a model; print a summary or one object."""
     from statechart.documents.setting import Setting
 
-    parameters = _assigned("--set", arguments.parameters)
+    parameters = _assigned_values("--set", arguments.parameters)
     runner = _runner(
         arguments.file,
         **{part.name: getattr(arguments, part.name) for part in fields(Setting)},
@@ -97,10 +97,14 @@ def run(arguments: argparse.Namespace) -> int:
         import xarray  # noqa: F401, it takes a second that a signal does not leave
     result = runner.run(parameters, until=arguments.until, certify=arguments.certify, throw=False)
     # From here on nothing is lost: a part that fails is left out, with a message.
-    with interrupts.held(), interrupts.limited(PATIENCE):
+    with interrupts.held(), interrupts.limit_time(PATIENCE):
         complete = _deliver(runner, result, parameters, arguments)
-    asked = result.asked
-    met = asked is None or asked.setting.accuracy is None or asked.reached(result.error_estimate)
+    request = result.asked
+    met = (
+        request is None
+        or request.setting.accuracy is None
+        or request.reached(result.error_estimate)
+    )
     return 0 if complete and met and result.trace.outcome.succeeded else 1
 
 
@@ -182,7 +186,7 @@ def view(arguments: argparse.Namespace) -> int:
     """Run a model, write the run as a page, and open that."""
     check_file("-o", arguments.output, PAGES)
     runner = _runner(arguments.file, once=True, progress=not arguments.quiet)
-    parameters = _assigned("--set", arguments.parameters)
+    parameters = _assigned_values("--set", arguments.parameters)
     result = runner.run(parameters, until=arguments.until, throw=False)
     warn(result.warnings)
     place = arguments.output or Path(
@@ -240,9 +244,9 @@ def _alternatives(
 def modes(arguments: argparse.Namespace) -> int:
     """List modes, which of them are possible at a configuration, and every region's chart."""
     from statechart.automaton.product import feasibility
-    from statechart.reporting.modes import check_variables, format_listing, listing
+    from statechart.reporting.modes import check_variables, format_listing, list_modes
 
-    parameters = _assigned("--set", arguments.parameters)
+    parameters = _assigned_values("--set", arguments.parameters)
     if arguments.latex and arguments.equations is None:
         raise DeclarationError("--latex prints equations: add --equations MODE")
     if arguments.latex and arguments.json:
@@ -263,7 +267,7 @@ def modes(arguments: argparse.Namespace) -> int:
         text = equations.format_equations(automaton, setup, arguments.equations, form, digits)
         print(text, end="")
         return 0
-    at = _assigned("--at", arguments.at)
+    at = _assigned_values("--at", arguments.at)
     check_variables(automaton, at)
     if not at:
         # Where no mode agrees with the start, modes are listed all the more.
@@ -277,7 +281,7 @@ def modes(arguments: argparse.Namespace) -> int:
         state, time, built = trace.final.copy(), trace.t_end, trace.counts["modes_built"]
     for name, value in at.items():
         state[automaton.names.index(name)] = value
-    listed = listing(
+    listed = list_modes(
         automaton,
         built=built,
         time=time,
@@ -293,7 +297,7 @@ def modes(arguments: argparse.Namespace) -> int:
 
 def draw(arguments: argparse.Namespace) -> int:
     """Draw the statechart, with the path of a run where asked for or needed; or the scene."""
-    from statechart.diagram.scxml import lost
+    from statechart.diagram.scxml import unexpressed_parts
     from statechart.diagram.write import SUFFIXES, write
     from statechart.reporting.figure import SUFFIXES as FIGURES
     from statechart.running.drawing import draw_scene, drawn
@@ -311,7 +315,12 @@ def draw(arguments: argparse.Namespace) -> int:
             code = _warn_of_early_end(trace)
         write(diagram, path, arguments.guards)
         if path.suffix.lower() == ".scxml" and diagram.machine is not None:
-            warn([f"the SCXML file leaves out {sentence}" for sentence in lost(diagram.machine)])
+            warn(
+                [
+                    f"the SCXML file leaves out {sentence}"
+                    for sentence in unexpressed_parts(diagram.machine)
+                ]
+            )
     return code
 
 
@@ -337,7 +346,7 @@ def _open(path: Path) -> None:
 
 
 def trade(arguments: argparse.Namespace) -> int:
-    """Run a model at many settings; print what each costs and gives."""
+    """Run a model at many settings; print cost and error of each."""
     from statechart.study.text import describe_study, to_dict
     from statechart.study.trade import trade as study_of
 
@@ -365,14 +374,16 @@ def trade(arguments: argparse.Namespace) -> int:
 
 
 def sweep(arguments: argparse.Namespace) -> int:
-    """Run a model over its parameters; print how cells ended and between what outputs lie."""
+    """Run a model over its parameters; print outcomes of cells and ranges of outputs."""
     from statechart.documents.setting import Setting
     from statechart.sweeps import results
     from statechart.sweeps.ranges import cells
     from statechart.sweeps.sweep import make_plan, run_plan
     from statechart.sweeps.workers import crew
 
-    over, samples = cells(_assigned("--over", arguments.over), arguments.samples, arguments.sobol)
+    over, samples = cells(
+        _assigned_values("--over", arguments.over), arguments.samples, arguments.sobol
+    )
     names = {part.name for part in fields(Setting)} & set(vars(arguments))
     setting = Setting(**{name: getattr(arguments, name) for name in names})
     plan = make_plan(
@@ -385,7 +396,7 @@ def sweep(arguments: argparse.Namespace) -> int:
     with crew(workers, arguments.scheduler) as executor:
         made = run_plan(plan, executor, store=store, resume=arguments.resume, progress=shown)
     pieces = PartialReport()
-    with interrupts.held(), interrupts.limited(PATIENCE):
+    with interrupts.held(), interrupts.limit_time(PATIENCE):
         data = made.dataset(loaded=True)
         write_sweep(arguments, plan, data, pieces)
         report = results.to_dict(plan, data, where=arguments.output)
@@ -487,7 +498,7 @@ def new(arguments: argparse.Namespace) -> int:
 
 
 def completion(arguments: argparse.Namespace) -> int:
-    """Print what a shell is to read to complete commands."""
+    """Print the completion script of a shell."""
     from statechart.cli.grammar import script
 
     print(script(arguments.shell))
@@ -505,7 +516,7 @@ def _runner(file: str, **options: Any) -> Runner:
     return runner
 
 
-def _assigned(option: str, pairs: Iterable[tuple[str, Value]]) -> dict[str, Value]:
+def _assigned_values(option: str, pairs: Iterable[tuple[str, Value]]) -> dict[str, Value]:
     """Return pairs of names and values as a dictionary, each name once."""
     found: dict[str, Value] = {}
     for name, value in pairs:
@@ -533,7 +544,7 @@ def _print_left_out(pieces: PartialReport) -> None:
 def show(blocks: Iterable[TextBlock]) -> None:
     """Print a text."""
     if not sys.stdout.isatty():
-        print(plain(blocks), end="")
+        print(write_plain(blocks), end="")
         return
     from rich.console import Console
 
@@ -542,7 +553,7 @@ def show(blocks: Iterable[TextBlock]) -> None:
         if isinstance(block, Table):
             lines = table(block.rows)
             if max(map(len, lines.splitlines())) > console.width:
-                console.print(_ruled(block))
+                console.print(_with_rules(block))
                 continue
             head, _, rest = lines.partition("\n")
             console.print(head, style="bold" if block.headed else None)
@@ -551,7 +562,7 @@ def show(blocks: Iterable[TextBlock]) -> None:
             console.print(block, end="", soft_wrap=True)
 
 
-def _ruled(table: Table) -> object:
+def _with_rules(table: Table) -> object:
     from rich.table import Table as Ruled
     from rich.text import Text
 

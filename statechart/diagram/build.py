@@ -10,8 +10,8 @@ from itertools import groupby
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import Feasibility
-from statechart.automaton.product import Product, drawn_region, explored
-from statechart.automaton.product import visited as modes_on_path
+from statechart.automaton.product import Product, drawn_region, explore
+from statechart.automaton.product import visited_modes as modes_on_path
 from statechart.automaton.regions import (
     UNREACHED,
     HierarchicalEdge,
@@ -22,7 +22,7 @@ from statechart.automaton.regions import (
 from statechart.automaton.trace import Key, Role, Trace
 from statechart.diagram.layout.ring import MAX_STEPS
 from statechart.diagram.model import Chart, Diagram, Link, Node
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 _MAX_CELLS = 16  # of a grid: two contacts with mode `off`
 _MAX_VISITED = 12  # modes of a run; of a longer run the first ones are drawn
@@ -31,7 +31,7 @@ _MAX_NAMED = 2  # regions on an arrow
 
 def needs_run(automaton: Automaton) -> bool:
     """Return whether the product is too large to draw, so that a run selects its modes."""
-    moving = _moving(automaton)
+    moving = _changing_regions(automaton)
     return len(moving) > 2 or (len(moving) == 2 and automaton.modes_declared > _MAX_CELLS)
 
 
@@ -51,9 +51,9 @@ def build(
     is required if `needs_run`; otherwise it replaces the product by the visited modes. Modes that
     `found` calls infeasible are marked with the reason. `visited`: omit the charts of the regions.
     """
-    moving = _moving(automaton)
+    moving = _changing_regions(automaton)
     if trace is not None:
-        modes = explored(automaton, within=0, trace=trace, found=found)
+        modes = explore(automaton, within=0, trace=trace, found=found)
         run, notes = _run(automaton, trace, modes)
         charts = _charts(automaton, trace.start_mode)
         shown = (run,) if visited else (run, *charts)
@@ -64,20 +64,20 @@ def build(
     if not moving:
         notes = (*notes, "one mode: no contacts, no regions")
     if len(moving) < 2 or any(map(_is_composed, moving)):
-        modes = explored(automaton, found=found, unreached=True)
+        modes = explore(automaton, found=found, unreached=True)
         charts = _charts(automaton, start)
         if len(automaton.regions) == 1:
             reasons = {key[0]: data.get("reason") for key, data in modes.modes.items()}
-            charts = tuple(_judged(chart, reasons) for chart in charts)
+            charts = tuple(_mark_infeasible(chart, reasons) for chart in charts)
         return Diagram(automaton.name, charts, notes, modes.graph)
-    modes = explored(automaton, found=found, directions=False, unreached=True)
+    modes = explore(automaton, found=found, directions=False, unreached=True)
     total = f"{automaton.modes_total} with the directions of sliding"
     if automaton.modes_total != automaton.modes_declared:
-        notes = (*notes, f"{several(automaton.modes_declared, 'mode')}, {total}")
+        notes = (*notes, f"{pluralise(automaton.modes_declared, 'mode')}, {total}")
     return Diagram(automaton.name, (_grid(automaton, start, modes),), notes, modes.graph)
 
 
-def _moving(automaton: Automaton) -> list[Region]:
+def _changing_regions(automaton: Automaton) -> list[Region]:
     """Return the regions with several states or transitions; all if there is none."""
     changing = [r for r in automaton.regions if len({*r.states, *r.innermost}) > 1 or r.edges]
     return changing or list(automaton.regions)
@@ -101,7 +101,7 @@ def _charts(automaton: Automaton, mode: Key | None) -> tuple[Chart, ...]:
     """Return the distinct charts of the regions, with initial states of `mode`."""
     charts = []
     states = dict(zip((r.name for r in automaton.regions), mode or (), strict=False))
-    moving = _moving(automaton)
+    moving = _changing_regions(automaton)
     for regions in group_alike(moving):
         region = regions[0]
         title = ", ".join(abbreviate([r.name for r in regions]))
@@ -113,11 +113,11 @@ def _charts(automaton: Automaton, mode: Key | None) -> tuple[Chart, ...]:
             starts.setdefault(states.get(each.name), []).append(each.name)
         start = None if len(starts) > 1 else next(iter(starts))
         chart = region_chart(automaton, region, prefix=prefix, title=title, start=start)
-        charts.append(_starting(chart, prefix, starts) if len(starts) > 1 else chart)
+        charts.append(_with_start_names(chart, prefix, starts) if len(starts) > 1 else chart)
     return tuple(charts)
 
 
-def _starting(chart: Chart, prefix: str, starts: Mapping[str | None, list[str]]) -> Chart:
+def _with_start_names(chart: Chart, prefix: str, starts: Mapping[str | None, list[str]]) -> Chart:
     """Return a chart of regions with the names of those that start in a state beside it."""
     names = {f"{prefix}{state}": ", ".join(abbreviate(own)) for state, own in starts.items()}
     nodes = (
@@ -128,7 +128,7 @@ def _starting(chart: Chart, prefix: str, starts: Mapping[str | None, list[str]])
 
 def active_states(automaton: Automaton) -> Callable[[Key], tuple[str, ...]]:
     """Return a function from a mode to the active nodes of the charts of the regions."""
-    moving = _moving(automaton)
+    moving = _changing_regions(automaton)
     owners = {
         region.name: "" if len(moving) == 1 else f"{regions[0].name}:"
         for regions in group_alike(moving)
@@ -148,7 +148,7 @@ def active_states(automaton: Automaton) -> Callable[[Key], tuple[str, ...]]:
     return active
 
 
-def _judged(chart: Chart, reasons: Mapping[str, str | None]) -> Chart:
+def _mark_infeasible(chart: Chart, reasons: Mapping[str, str | None]) -> Chart:
     nodes = (
         replace(node, infeasible=reasons.get(node.name) or node.infeasible) for node in chart.nodes
     )
@@ -159,7 +159,7 @@ def _grid(automaton: Automaton, start: Key, modes: Product) -> Chart:
     """Return the product of the two regions with several states."""
     regions = automaton.regions
     initial = tuple(r.declared(state) for r, state in zip(regions, start, strict=True))
-    moving = {region.name for region in _moving(automaton)}
+    moving = {region.name for region in _changing_regions(automaton)}
     shown = [k for k, region in enumerate(regions) if region.name in moving]
     colours = [automaton.colours[region.name] for region in regions]
     nodes = tuple(
@@ -211,7 +211,7 @@ def _run(automaton: Automaton, trace: Trace, modes: Product) -> tuple[Chart, tup
     """Return the chart of the modes that a run visited, and notes."""
     if trace.step is None:
         path = modes_on_path(automaton, trace)
-        links = _taken(automaton, modes)
+        links = _run_links(automaton, modes)
     else:
         path, links = _stepped_links(automaton, trace)
     drawn_path = path if len(set(path)) <= _MAX_VISITED else path[:MAX_STEPS]
@@ -230,8 +230,8 @@ def _run(automaton: Automaton, trace: Trace, modes: Product) -> tuple[Chart, tup
     notes = list(_notes(automaton))
     if len(drawn_path) < len(path):
         notes.append(
-            f"{several(len(visits), 'mode')} in {several(len(path), 'step')}, of which the first "
-            f"{len(drawn_path)} are drawn"
+            f"{pluralise(len(visits), 'mode')} in {pluralise(len(path), 'step')}, of which the "
+            f"first {len(drawn_path)} are drawn"
         )
     resting: dict[str, list[str]] = {}
     for k, (region, states) in enumerate(regions):
@@ -264,7 +264,7 @@ def _stepped_links(automaton: Automaton, trace: Trace) -> tuple[tuple[Key, ...],
         )
         for jump in together:
             whose.setdefault((*ends, jump.cause), {})[jump.region] = None
-    single = len(_moving(automaton)) == 1
+    single = len(_changing_regions(automaton)) == 1
     links = [
         Link(
             _name(ends[0]), _name(ends[1]), cause, "", "", count,
@@ -283,14 +283,14 @@ def _several(names: Sequence[str]) -> str:
     return f"{names[0]} and {len(names) - 1} more"
 
 
-def _taken(automaton: Automaton, modes: Product) -> list[Link]:
+def _run_links(automaton: Automaton, modes: Product) -> list[Link]:
     """Return the jumps of a run as links, merged if they differ in their regions only."""
     made: dict[tuple[Key, Key, str, str, str], Counter[str]] = {}
     for source, target, data in modes.edges():
         if data["visits"]:
             alike = source, target, data["event"], data["guard"], data["reset"]
             made.setdefault(alike, Counter())[data["region"]] += data["visits"]
-    single = len(_moving(automaton)) == 1
+    single = len(_changing_regions(automaton)) == 1
     return [
         Link(
             _name(source), _name(target), event, guard, reset, counts.total(),
@@ -304,7 +304,7 @@ def _notes(automaton: Automaton) -> tuple[str, ...]:
     notes = [automaton.declaration.doc] if automaton.declaration.doc else []
     if automaton.stops:
         notes.append(f"stops when: {', '.join(stop.name for stop in automaton.stops)}")
-    moving = _moving(automaton)
+    moving = _changing_regions(automaton)
     for region in automaton.regions:
         if region.nesting.names and region not in moving:
             (state,) = region.innermost

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Sequence
 
-from statechart.diagram.layout.block import LayoutBlock, side_by_side, stacked, written
+from statechart.diagram.layout.block import LayoutBlock, side_by_side, stacked, text_block
 from statechart.diagram.layout.flow import flow
 from statechart.diagram.layout.graphviz_program import FONT, INCH
 from statechart.diagram.layout.grid import grid
@@ -34,7 +34,7 @@ def dot(diagram: Diagram, guards: Guards = "legend") -> str:
     style = Style(identifiers(diagram), guards, below.reasons)
     several = len(diagram.charts) > 1
     charts = [
-        _titled(_laid(chart, style, f"_{k}_"), chart.title if several else "", f"_{k}_title")
+        _add_title(_lay_out(chart, style, f"_{k}_"), chart.title if several else "", f"_{k}_title")
         for k, chart in enumerate(diagram.charts)
         if chart.nodes
     ]
@@ -43,7 +43,7 @@ def dot(diagram: Diagram, guards: Guards = "legend") -> str:
     return _source(stacked(rows, _GAP), diagram.title)
 
 
-def _laid(chart: Chart, style: Style, prefix: str) -> LayoutBlock:
+def _lay_out(chart: Chart, style: Style, prefix: str) -> LayoutBlock:
     if chart.axes is not None:
         return grid(chart, style, prefix)
     return ring(chart, style, prefix) or flow(chart, style, prefix)
@@ -57,13 +57,13 @@ def _heading(diagram: Diagram) -> LayoutBlock:
         for line in textwrap.wrap(note, _LINE) or [""]
     ]
     rows += [text(route, colour=RUN) for route in diagram.routes]
-    return written("_title", table(rows))
+    return text_block("_title", table(rows))
 
 
-def _titled(block: LayoutBlock, title: str, name: str) -> LayoutBlock:
+def _add_title(block: LayoutBlock, title: str, name: str) -> LayoutBlock:
     if not title:
         return block
-    above = written(name, table([text(title, bold=True, colour=FRAME)]))
+    above = text_block(name, table([text(title, bold=True, colour=FRAME)]))
     return stacked([above, block], _TITLE_GAP)
 
 
@@ -80,19 +80,19 @@ def _tables(below: Legend) -> list[LayoutBlock]:
 
 def _table(name: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[LayoutBlock]:
     """Return a table without empty columns, if it has rows."""
-    kept = [column for column in range(len(heads)) if any(row[column] for row in rows)]
-    if not kept:
+    used_columns = [column for column in range(len(heads)) if any(row[column] for row in rows)]
+    if not used_columns:
         return []
-    lines = [[text(heads[k], size=SMALL, italic=True, colour=FRAME) for k in kept]]
-    lines += [[text(_wrapped(row[k]), size=SMALL) for k in kept] for row in rows]
+    lines = [[text(heads[k], size=SMALL, italic=True, colour=FRAME) for k in used_columns]]
+    lines += [[text(_wrap_text(row[k]), size=SMALL) for k in used_columns] for row in rows]
     # Graphviz has no spacing of columns only.
     lines = [
         [part for cell in row for part in (cell, text("   ", size=SMALL))][:-1] for row in lines
     ]
-    return [written(name, table(lines, padding=2, align="LEFT"))]
+    return [text_block(name, table(lines, padding=2, align="LEFT"))]
 
 
-def _wrapped(words: str) -> str:
+def _wrap_text(words: str) -> str:
     lines = (textwrap.wrap(line, _CELL) or [""] for line in words.split("\n"))
     return "\n".join(line for part in lines for line in part)
 

@@ -27,16 +27,18 @@ def mermaid(diagram: Diagram, guards: Guards = "legend") -> str:
     pieces = diagram.pieces
     for k, piece in enumerate(pieces, 1):
         if len(pieces) > 1 and not piece.frames:
-            lines.append(f'    state "{_escape(piece.title)}" as {_fresh(f"chart{k}", states)} {{')
+            lines.append(
+                f'    state "{_escape(piece.title)}" as {_unused_name(f"chart{k}", states)} {{'
+            )
             lines += [*_indent(_indent(_chart(piece, states, guards))), "    }"]
         else:
             # Mermaid fails at arrows into a composite state without outside links.
-            shown = _titled(piece) if len(pieces) > 1 else piece
+            shown = _add_title(piece) if len(pieces) > 1 else piece
             lines += _indent(_chart(shown, states, guards))
     notes = [*diagram.notes, *diagram.routes, *_table_rows(legend(diagram, guards))]
     if notes:
         # A note beside a state would push the others apart.
-        name = _fresh("legend", states)
+        name = _unused_name("legend", states)
         lines.append(f'    state "{_escape(diagram.title)}" as {name}')
         lines += [f"    {name} : {_escape(note)}" for note in notes]
     coloured = [n for p in pieces for n in (*p.leaves, *p.frames) if n.colours or n.infeasible]
@@ -44,14 +46,14 @@ def mermaid(diagram: Diagram, guards: Guards = "legend") -> str:
     return "\n".join(lines) + "\n"
 
 
-def _fresh(name: str, states: dict[str, str]) -> str:
+def _unused_name(name: str, states: dict[str, str]) -> str:
     taken = {identifier.lower() for identifier in states.values()}
     while name in taken:
         name += "_"
     return name
 
 
-def _titled(chart: Chart) -> Chart:
+def _add_title(chart: Chart) -> Chart:
     """Return a chart with its title prefixed to the labels of its outermost states."""
     nodes = (
         replace(node, label=f"{chart.title} {node.label}")

@@ -274,7 +274,7 @@ class Diagram:
 def identifiers(diagram: Diagram) -> dict[str, str]:
     """Return name -> unique ASCII identifier, valid in DOT, Mermaid and XML."""
     pieces = (node for piece in diagram.pieces for node in piece.nodes)
-    return named(dict.fromkeys(node.name for node in (*diagram.nodes, *pieces)), set())
+    return unique_identifiers(dict.fromkeys(node.name for node in (*diagram.nodes, *pieces)), set())
 
 
 def spell_signs(name: str) -> str:
@@ -282,7 +282,7 @@ def spell_signs(name: str) -> str:
     return name.replace("+", "_plus").replace("-", "_minus")
 
 
-def named(names: Iterable[str], taken: set[str]) -> dict[str, str]:
+def unique_identifiers(names: Iterable[str], taken: set[str]) -> dict[str, str]:
     """Return name -> identifier, as `identifiers`."""
 
     def claim(name: str) -> str:

@@ -20,7 +20,7 @@ from statechart.automaton.regions import (
     Region,
     hierarchical_edges,
 )
-from statechart.diagram.model import Diagram, Machine, named, printable, spell_signs
+from statechart.diagram.model import Diagram, Machine, printable, spell_signs, unique_identifiers
 from statechart.errors import FormulaError, StatechartError
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.relation import (
@@ -52,7 +52,7 @@ def scxml(diagram: Diagram) -> str:
     if diagram.machine is None:
         raise StatechartError(f"diagram {diagram.title!r} shows no model that SCXML could run")
     root = _MachineWriter(diagram.machine).root
-    for place, sentence in enumerate(lost(diagram.machine)):
+    for place, sentence in enumerate(unexpressed_parts(diagram.machine)):
         # Comments may not contain two hyphens.
         words = f" left out: {printable(sentence).replace('--', '- -')} "
         root.insert(place, ET.Comment(words))
@@ -63,13 +63,13 @@ def scxml(diagram: Diagram) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def lost(machine: Machine) -> tuple[str, ...]:
+def unexpressed_parts(machine: Machine) -> tuple[str, ...]:
     """Return sentences on the parts of a machine that SCXML cannot express."""
     losses = _MachineWriter(machine).lost
     return tuple(f"{what}: {', '.join(whose)}" for what, whose in losses.items())
 
 
-def _entered_at_start(region: Region, start: str) -> set[str]:
+def _initially_entered(region: Region, start: str) -> set[str]:
     """Return the initial state of a region with its superstates and default substates."""
     nesting = region.nesting
     entered, found = [nesting.initial.get("", start)], set[str]()
@@ -102,7 +102,7 @@ class _MachineWriter:
         starting = {
             f"{region.name}.{state}"
             for region, start in zip(machine.regions, machine.start, strict=True)
-            for state in _entered_at_start(region, start)
+            for state in _initially_entered(region, start)
         }
         self._starting = starting & self._awaited
         self._started = ""
@@ -110,11 +110,13 @@ class _MachineWriter:
         data = ET.SubElement(self.root, "datamodel")
         parent = self.root
         if not single:
-            (together,) = named(["all_regions"], taken).values()
+            (together,) = unique_identifiers(["all_regions"], taken).values()
             self.root.set("initial", together)
             parent = ET.SubElement(self.root, "parallel", {"id": together})
         if self._starting:
-            run, before, self._started = named(["run", "starting", "started"], taken).values()
+            run, before, self._started = unique_identifiers(
+                ["run", "starting", "started"], taken
+            ).values()
             whole = ET.SubElement(parent, "state", {"id": run, "initial": before})
             begin = ET.SubElement(whole, "state", {"id": before})
             ET.SubElement(begin, "transition", {"target": self._started})
@@ -138,9 +140,9 @@ class _MachineWriter:
         """Choose identifiers for the states of a region; return its own, "" for a single region."""
         prefix = "" if single else f"{region.name} "
         names = (*self._states(region), *region.nesting.histories)
-        found = named((f"{prefix}{name}" for name in names), taken)
+        found = unique_identifiers((f"{prefix}{name}" for name in names), taken)
         self._ids[region.name] = {name.removeprefix(prefix): found[name] for name in found}
-        return "" if single else named([region.name], taken)[region.name]
+        return "" if single else unique_identifiers([region.name], taken)[region.name]
 
     @staticmethod
     def _states(region: Region) -> tuple[str, ...]:

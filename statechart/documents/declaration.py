@@ -35,11 +35,11 @@ from statechart.documents.quantities import (
     Fact,
     Powers,
     Quantity,
+    dimension_name,
     fields_of,
-    inferred,
-    named,
+    infer_dimensions,
     unit_of,
-    written,
+    unit_text,
 )
 from statechart.documents.settings import Settings, Stop
 from statechart.documents.validation import located
@@ -175,11 +175,11 @@ class Declaration(Part):
         for name, output in self.outputs.items():
             formula = formula_of(output)
             if formula is None:
-                yield Name(_of_output(name)), POWERS["1"]
+                yield Name(_free_output_name(name)), POWERS["1"]
                 continue
             root = parse(formula).root
             timed = Binary("*", root, Name(TIME)) if isinstance(output, Integral) else root
-            yield Name(_of_output(name)), timed
+            yield Name(_free_output_name(name)), timed
 
     @cached_property
     def dimensions(self) -> Mapping[str, Powers]:
@@ -191,16 +191,16 @@ class Declaration(Part):
         known = {name: POWERS[dimension] for name, dimension in stated.items() if dimension}
         for name in names.intersection(self.units):
             for powers in POWERS.values():
-                if written(powers, self.units) == self.units[name]:
+                if unit_text(powers, self.units) == self.units[name]:
                     known.setdefault(name, powers)
-        return inferred(facts, known)
+        return infer_dimensions(facts, known)
 
     def quantity(self, name: str) -> Quantity:
         """Return the quantity of a variable, observable or parameter."""
         stated = self.stated(name)
         if stated.dimension:
             return stated
-        return stated._replace(dimension=named(self.dimensions.get(name)))
+        return stated._replace(dimension=dimension_name(self.dimensions.get(name)))
 
     def unit(self, name: str) -> str:
         """Return the unit of a variable, an observable or an output; empty if unknown.
@@ -223,10 +223,10 @@ class Declaration(Part):
             if same != name and same and same in parse(same).names:
                 return self.unit(same)
         if name in self.outputs:
-            return written(self.dimensions.get(_of_output(name)), self.units)
+            return unit_text(self.dimensions.get(_free_output_name(name)), self.units)
         if dimension := self.stated(name).dimension:
             return unit_of(dimension, self.units)
-        return written(self.dimensions.get(name), self.units)
+        return unit_text(self.dimensions.get(name), self.units)
 
     def __str__(self) -> str:
         """Return the model as YAML."""
@@ -427,7 +427,7 @@ class Declaration(Part):
         return self
 
 
-def _of_output(name: str) -> str:
+def _free_output_name(name: str) -> str:
     """Return a name of an output that differs from all names of values."""
     return f"outputs.{name}"
 

@@ -239,7 +239,7 @@ KINKED = ("abs", "sign", "min", "max", "sat")
 """Nonsmooth functions."""
 
 
-def switching(
+def has_switch(
     text: str | int | float, variables: Collection[str], functions: Collection[str] = KINKED
 ) -> bool:
     """Return whether a formula contains one of `functions` of any of `variables`."""
@@ -302,7 +302,7 @@ def check_derived(
     root: Node, variables: Collection[str], loc: tuple[str | int, ...] = (), order: int = 2
 ) -> None:
     """Raise `DeclarationProblem` if the derivatives of a formula are too large to be built."""
-    nested = _nested(root)
+    nested = _nesting_depth(root)
     if nested > MAX_NESTED:
         raise DeclarationProblem(
             f"{nested} functions in each other are too many to be differentiated",
@@ -319,9 +319,9 @@ def check_derived(
         )
 
 
-def _nested(node: Node) -> int:
+def _nesting_depth(node: Node) -> int:
     """Return the depth of nested functions."""
-    within = max(map(_nested, children(node)), default=0)
+    within = max(map(_nesting_depth, children(node)), default=0)
     return within + isinstance(node, Call)
 
 

@@ -128,7 +128,7 @@ def _sweep(place: Path, name: str) -> None:
     pattern = re.compile(re.escape(_prefix(name, "PID")).replace("PID", "([0-9]+)") + "[a-z0-9_]+")
     for found in os.listdir(place):
         match = pattern.fullmatch(found)
-        if match is None or _lives(int(match[1])) or (place / found).is_symlink():
+        if match is None or _is_alive(int(match[1])) or (place / found).is_symlink():
             continue
         with suppress(OSError):
             if (place / found).is_dir():
@@ -137,7 +137,7 @@ def _sweep(place: Path, name: str) -> None:
                 (place / found).unlink()
 
 
-def _lives(process: int) -> bool:
+def _is_alive(process: int) -> bool:
     try:
         os.kill(process, 0)
     except ProcessLookupError:

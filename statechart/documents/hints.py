@@ -190,7 +190,7 @@ def _walk(
                 below.append(arguments[1])
             elif isinstance(origin, type) and issubclass(origin, Sequence):
                 below += arguments[:1] if isinstance(part, int) else ()
-        annotations = below or list(_tagged(annotations, part)) or annotations
+        annotations = below or list(_tagged_member(annotations, part)) or annotations
         yield part, annotations, found
 
 
@@ -218,23 +218,23 @@ def _members(annotations: Sequence[Any]) -> Iterator[Any]:
             yield annotation
 
 
-def _tagged(annotations: Sequence[Any], part: str | int) -> Iterator[Any]:
+def _tagged_member(annotations: Sequence[Any], part: str | int) -> Iterator[Any]:
     """Yield the member of a union with the tag `part` of pydantic."""
     for annotation in annotations:
         if get_origin(annotation) is Annotated:
             member, *attached = get_args(annotation)
-            yield from [member] if Tag(str(part)) in attached else _tagged([member], part)
+            yield from [member] if Tag(str(part)) in attached else _tagged_member([member], part)
         elif get_origin(annotation) in (Union, types.UnionType):
-            yield from _tagged(get_args(annotation), part)
+            yield from _tagged_member(get_args(annotation), part)
 
 
-def checked(function: Callable[P, R]) -> Callable[P, R]:
+def check_arguments(function: Callable[P, R]) -> Callable[P, R]:
     """Decorate a function to raise `DeclarationError` for wrong arguments.
 
     Wrong are unknown arguments, and arguments of a wrong type that make the call fail. Keywords
     ``**words: Unpack[TypedDict]`` are checked like the others.
     """
-    signature = _expanded(function)
+    signature = _expand_words(function)
 
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -254,7 +254,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     return called
 
 
-def _expanded(function: Callable[..., Any]) -> inspect.Signature:
+def _expand_words(function: Callable[..., Any]) -> inspect.Signature:
     """Return the signature of a function with ``**words`` expanded."""
     signature = inspect.signature(function)
     parts = list(signature.parameters.values())
@@ -277,7 +277,7 @@ def _wrong_call(
     except TypeError as error:
         otherwise = str(error)
     else:
-        found = (_mistaken(signature, word, value) for word, value in bound.arguments.items())
+        found = (_type_message(signature, word, value) for word, value in bound.arguments.items())
         return next(((message, "") for message in found if message), None)
     taken = {name: part for name, part in signature.parameters.items() if name != "self"}
     known = ", ".join(taken)
@@ -299,7 +299,7 @@ def _wrong_call(
     return otherwise, f"it takes {known}"
 
 
-def _mistaken(signature: inspect.Signature, word: str, value: object) -> str:
+def _type_message(signature: inspect.Signature, word: str, value: object) -> str:
     """Return a message on an argument of a wrong type, or an empty text."""
     annotation = str(signature.parameters[word].annotation)
     kind = annotation.removesuffix(" | None").replace("str | Path", "Path | str")

@@ -94,7 +94,7 @@ def per_time(dimension: Dimension) -> Dimension:
     return rates.get(dimension, "")
 
 
-def named(powers: Powers | None) -> Dimension:
+def dimension_name(powers: Powers | None) -> Dimension:
     """Return the name of a dimension, or an empty text."""
     found: Iterable[Dimension] = ("1", "angle", "length", "time", "mass", "length/time",
                                   "angle/time", "force", "impulse")  # fmt: skip
@@ -105,10 +105,10 @@ def unit_of(dimension: Dimension, units: Mapping[str, str]) -> str:
     """Return the unit of a dimension."""
     if dimension == "energy" and (_force(units), units.get("length")) == ("N", "m"):
         return "J"
-    return written(POWERS.get(dimension), units)
+    return unit_text(POWERS.get(dimension), units)
 
 
-def written(powers: Powers | None, units: Mapping[str, str]) -> str:
+def unit_text(powers: Powers | None, units: Mapping[str, str]) -> str:
     """Return the unit of a dimension."""
     if all(units.get(base) == "1" for base in ("length", "time", "mass")):
         return "rad" if powers == POWERS["angle"] else "1"
@@ -138,7 +138,7 @@ def unit_suffix(unit: str) -> str:
     return "" if unit == "1" else unit
 
 
-def entitled(what: str, unit: str) -> str:
+def axis_label(what: str, unit: str) -> str:
     """Return an axis label such as `height in m`."""
     return f"{what} in {unit_suffix(unit)}" if unit_suffix(unit) else what
 
@@ -169,7 +169,7 @@ _COUNTS = range(1, 13)
 _MAX_OPERATIONS = 200  # longer formulas are skipped
 
 
-def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Dimensions:
+def infer_dimensions(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Dimensions:
     """Infer the dimensions of names."""
     found, short = _Inference(known), [fact for fact in facts if _short(fact)]
     for _ in range(_MAX_PASSES):
@@ -189,7 +189,7 @@ def _short(fact: Fact) -> bool:
     )
 
 
-def measured(node: Node, known: Mapping[str, Powers]) -> Powers | None:
+def dimension_of(node: Node, known: Mapping[str, Powers]) -> Powers | None:
     """Return the dimension of a formula, or None.
 
     A small integer is dimensionless; another number may be a conversion factor.
@@ -202,21 +202,21 @@ def measured(node: Node, known: Mapping[str, Powers]) -> Powers | None:
         case Constant():
             return Powers() if node.name == "pi" else None
         case Unary():
-            return measured(node.operand, known)
+            return dimension_of(node.operand, known)
         case Binary(operator="*" | "/", left=left, right=right):
-            first, second = measured(left, known), measured(right, known)
+            first, second = dimension_of(left, known), dimension_of(right, known)
             if first is None or second is None:
                 return None
-            if node.operator == "/" and _of_turn(right):
+            if node.operator == "/" and _is_turn(right):
                 first = first._replace(angle=False)
             return first.times(second, 1 if node.operator == "*" else -1)
         case Binary(operator="**", left=left, right=Number(value=value)):
-            base = measured(left, known)
+            base = dimension_of(left, known)
             return None if base is None else Powers().times(base, Fraction(value))
         case Binary(operator="+" | "-", left=left, right=right):
             return _common((left, right), known)
         case Call(function="sqrt", arguments=(of,)):
-            base = measured(of, known)
+            base = dimension_of(of, known)
             return None if base is None else Powers().times(base, Fraction(1, 2))
         case Call(function=function, arguments=arguments):
             if function in _DIMENSION_PRESERVING:
@@ -225,22 +225,22 @@ def measured(node: Node, known: Mapping[str, Powers]) -> Powers | None:
     return None
 
 
-def _of_turn(node: Node) -> bool:
+def _is_turn(node: Node) -> bool:
     """Return whether a formula has the factor pi: angle/(2*pi) is a number of turns."""
     match node:
         case Constant():
             return node.name == "pi"
         case Binary(operator="*", left=left, right=right):
-            return _of_turn(left) or _of_turn(right)
+            return _is_turn(left) or _is_turn(right)
         case Binary(operator="/", left=left):
-            return _of_turn(left)
+            return _is_turn(left)
     return False
 
 
 def _common(parts: Iterable[Node], known: Mapping[str, Powers]) -> Powers | None:
     several = tuple(parts)
     speaking = [part for part in several if not is_constant(part)] or several
-    return next((p for part in speaking if (p := measured(part, known)) is not None), None)
+    return next((p for part in speaking if (p := dimension_of(part, known)) is not None), None)
 
 
 class _Inference(Dimensions):
@@ -265,7 +265,7 @@ def _unify(left: Node, right: Node | Powers, known: _Inference) -> None:
         _unify_parts(one, known)
         powers = other if isinstance(other, Powers) else None
         if not isinstance(other, Powers) and not is_constant(other):
-            powers = measured(other, known)
+            powers = dimension_of(other, known)
         if powers is not None:
             _infer_names(one, powers, known)
 
@@ -277,7 +277,7 @@ def _unify_parts(node: Node, known: _Inference) -> None:
             case Call(function=function, arguments=(of,)) if function in _OF_ANGLES:
                 _infer_names(of, POWERS["angle"], known)
             case Binary(operator="+" | "-"):
-                whole = measured(part, known)
+                whole = dimension_of(part, known)
                 if whole is not None:
                     _infer_names(part, whole, known)
 
@@ -292,9 +292,9 @@ def _infer_names(node: Node, powers: Powers, known: _Inference) -> None:
             for part in children(node):
                 _infer_names(part, powers, known)
         case Binary(operator="*" | "/", left=left, right=right):
-            first, second = measured(left, known), measured(right, known)
+            first, second = dimension_of(left, known), dimension_of(right, known)
             sign = 1 if node.operator == "*" else -1
-            if sign == 1 and (_of_turn(left) or _of_turn(right)):
+            if sign == 1 and (_is_turn(left) or _is_turn(right)):
                 # A number of turns.
                 powers = powers._replace(angle=False)
             if first is None and second is not None:
@@ -356,6 +356,6 @@ def _powers(words: object) -> Powers | None:
     if not isinstance(words, str):
         return None
     try:
-        return measured(parse(words.replace(" ", "*")).root, POWERS)
+        return dimension_of(parse(words.replace(" ", "*")).root, POWERS)
     except FormulaError:
         return None

@@ -30,7 +30,7 @@ from statechart.formulas.hints import no_name
 from statechart.formulas.relation import conjunction, place_in
 from statechart.formulas.syntax import NAME
 from statechart.formulas.tree import Source
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -66,22 +66,22 @@ def declaration_error(
     found = [
         one
         for details in errors
-        if not _implied(details, errors) and not _follows_from_empty(details, empty, document)
+        if not _is_implied(details, errors) and not _follows_from_empty(details, empty, document)
         for one in _errors_of(details, document, model)
     ]
     if isinstance(document, Document):
         unknown = {_key(details) for details in errors}
         found += _empty(document, model, unknown)
-    return _combined(found)
+    return _combine(found)
 
 
-def _combined(found: list[DeclarationError]) -> DeclarationError:
+def _combine(found: list[DeclarationError]) -> DeclarationError:
     found.sort(key=lambda one: (one.line or 0, one.column or 0))
     found[0].others = tuple(found[1:])
     return found[0]
 
 
-def _implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
+def _is_implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
     """Return whether an error follows from the others."""
     if _lacks_items(details):
         # One error for a list that lacks two items.
@@ -178,7 +178,7 @@ def _to_error(
         kind, loc = "too_short", loc[:-1]
     key, offset = kind == "extra_forbidden" or loc[-1:] == ("[key]",), 0
     if isinstance(cause, DeclarationProblem):
-        cause = _in_list(document, cause, loc)
+        cause = _locate_in_list(document, cause, loc)
         loc = (*loc, *cause.loc)
         key, offset = key or cause.key, cause.offset
         message, advice = _message(document, cause), cause.advice
@@ -191,7 +191,7 @@ def _to_error(
         known = names.values() if built else names
         message, advice = _message_and_advice(details, list(known), built=built)
         if kind == "extra_forbidden":
-            advice = _of_key(details, model, known) or advice
+            advice = _key_advice(details, model, known) or advice
         if kind == "missing" and isinstance(loc[-1], str) and shown:
             name = details["loc"][-1]
             advice = f"such as {name}={shown}" if built else f"such as {name}: {shown}"
@@ -213,7 +213,7 @@ def _to_error(
     return at.error(message, advice)
 
 
-def _of_key(details: ErrorDetails, model: type[BaseModel], known: Collection[str]) -> str:
+def _key_advice(details: ErrorDetails, model: type[BaseModel], known: Collection[str]) -> str:
     """Return advice on an unknown key that is not misspelt, or an empty text."""
     loc = details["loc"]
     key = str(loc[-1])
@@ -239,12 +239,12 @@ def _message_and_advice(
         )
     if kind == "missing":
         if isinstance(last[0], int):
-            return f"must have {several(last[0] + 1, 'item')}, not {len(given)}", ""
+            return f"must have {pluralise(last[0] + 1, 'item')}, not {len(given)}", ""
         return f"{last[0]!r} is missing", ""
     if kind == "too_long":
         # Lists of a fixed length are pairs.
         most = context["max_length"]
-        words = f"{'at most ' if most > 2 else ''}{several(most, 'item')}"
+        words = f"{'at most ' if most > 2 else ''}{pluralise(most, 'item')}"
         return f"must have {words}, not {context['actual_length']}", ""
     if "error" in context:
         return str(context["error"]), ""
@@ -287,7 +287,7 @@ def validate(document: Document, model: type[Model]) -> Model:
     except ValidationError as error:
         raise declaration_error(error, document, model) from None
     if empty := list(_empty(document, model)):
-        raise _combined(empty)
+        raise _combine(empty)
     return made
 
 
@@ -313,8 +313,8 @@ class located:  # noqa: N801 - a context manager, faster than a generator
 
     def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
         if isinstance(error, DeclarationProblem):
-            found = _located(self._document, error, self._overrides)
-            others = (_located(self._document, each, self._overrides) for each in error.others)
+            found = _locate(self._document, error, self._overrides)
+            others = (_locate(self._document, each, self._overrides) for each in error.others)
             found.others = tuple(others)
             raise found from None
         if isinstance(error, FormulaError):
@@ -326,7 +326,7 @@ class located:  # noqa: N801 - a context manager, faster than a generator
             problem = DeclarationProblem(
                 error.message, advice=error.advice, loc=loc, offset=error.offset, text=error.text
             )
-            raise _located(self._document, problem, {}) from None
+            raise _locate(self._document, problem, {}) from None
 
 
 def _path_parts(document: Document | None, loc: Loc) -> Iterator[str]:
@@ -349,12 +349,12 @@ def _message(document: Document | Built | None, problem: DeclarationProblem) -> 
     return problem.message.replace("{see}", path)
 
 
-def _in_list(
+def _locate_in_list(
     document: Document | Built | None, problem: DeclarationProblem, above: Loc = ()
 ) -> DeclarationProblem:
     """Return a problem of a conjunction as one of its item in the list."""
     texts: Any = document.value((*above, *problem.loc)) if document and problem.text else None
-    if not (relations(texts) and conjunction(texts) == problem.text):
+    if not (may_be_relations(texts) and conjunction(texts) == problem.text):
         return problem
     place, offset = place_in(texts, problem.offset)
     old, new = Source(problem.text).named, Source(texts[place]).named
@@ -367,10 +367,10 @@ def _in_list(
     )
 
 
-def _located(
+def _locate(
     document: Document | None, problem: DeclarationProblem, overrides: Mapping[str, float]
 ) -> DeclarationError:
-    problem = _in_list(document, problem)
+    problem = _locate_in_list(document, problem)
     path = ".".join(_path_parts(document, problem.loc))
     message = _message(document, problem)
     message = f"{path}: {message}" if path else message
@@ -382,7 +382,7 @@ def _located(
     return at.error(message, problem.advice)
 
 
-def relations(value: object) -> bool:
+def may_be_relations(value: object) -> bool:
     """Return whether a value may be a list of relations."""
     return (
         isinstance(value, list | tuple)
@@ -416,7 +416,7 @@ class Document:
         """
         for loc in self._values:
             value = self.value(loc)
-            if value == text or (relations(value) and conjunction(value) == text):
+            if value == text or (may_be_relations(value) and conjunction(value) == text):
                 return loc
         return ()
 

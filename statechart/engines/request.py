@@ -101,7 +101,7 @@ class Measured(Protocol):
         """Return the data for the page of a run; `label` marks its own setting."""
         ...
 
-    def choose(self, asked: Setting, *, once: bool) -> Chosen | None:
+    def choose(self, requested: Setting, *, once: bool) -> Chosen | None:
         """Return the fastest setting for an accuracy, or the most accurate for a budget.
 
         `once`: times are those of the first run of a process, with compilation.
@@ -121,8 +121,8 @@ class Plan:
     reason: str = ""  # of an engine other than the first choice
 
 
-def planned(
-    asked: Setting,
+def plan_request(
+    requested: Setting,
     model: Declaration,
     automaton: Automaton,
     study: Measured | None = None,
@@ -133,62 +133,64 @@ def planned(
 
     `once`: see `Measured.choose`.
     """
-    settings, given = model.settings, asked
+    settings, given = model.settings, requested
     # A requested method implies scipy, and overrides the file.
-    engine = asked.engine or ("scipy" if asked.method is not None else settings.engine)
+    engine = requested.engine or ("scipy" if requested.method is not None else settings.engine)
     steps_only = engine == "auto" and automaton.own_step is not None
-    asked = replace(asked, engine="impulse" if steps_only else engine)
+    requested = replace(requested, engine="impulse" if steps_only else engine)
     try:
-        asked.check()
+        requested.check()
     except DeclarationProblem as problem:
         # A value of the call has no place in the file.
         raise DeclarationError(problem.message, advice=problem.advice) from None
     # A value in the file is reported with its place.
-    of_file = asked.engine == settings.engine and given.engine is None and given.method is None
-    if asked.engine != "impulse" and automaton.laws is None:
-        message = f"the engine {asked.engine} cannot run bodies that collide by their shapes"
-        raise _refused(message, "leave the engine out, or take impulse", of_file)
-    if asked.engine == "impulse":
-        return _stepping(asked, model, automaton, steps_only, of_file)
-    if asked.recorded is not Record.MODES:
+    of_file = requested.engine == settings.engine and given.engine is None and given.method is None
+    if requested.engine != "impulse" and automaton.laws is None:
+        message = f"the engine {requested.engine} cannot run bodies that collide by their shapes"
+        raise _refusal(message, "leave the engine out, or take impulse", of_file)
+    if requested.engine == "impulse":
+        return _plan_steps(requested, model, automaton, steps_only, of_file)
+    if requested.recorded is not Record.MODES:
         raise DeclarationError(
             f"only the engine impulse records less than modes, and {model.name!r} runs with events",
             advice="remove record, or take the engine impulse",
         )
-    if asked.method is None and asked.engine != "taylor":
-        asked = replace(asked, method=settings.method)
-    if asked.max_step is None:
-        asked = replace(asked, max_step=settings.max_step)
-    if asked.tolerance is None and asked.accuracy is None and asked.budget is None:
-        asked = replace(asked, tolerance=settings.tolerance, accuracy=settings.accuracy)
-    return _learned(Plan(asked), study, model, once=once)
+    if requested.method is None and requested.engine != "taylor":
+        requested = replace(requested, method=settings.method)
+    if requested.max_step is None:
+        requested = replace(requested, max_step=settings.max_step)
+    if requested.tolerance is None and requested.accuracy is None and requested.budget is None:
+        requested = replace(requested, tolerance=settings.tolerance, accuracy=settings.accuracy)
+    return _apply_measurements(Plan(requested), study, model, once=once)
 
 
-def _learned(plan: Plan, study: Measured | None, model: Declaration, *, once: bool) -> Plan:
+def _apply_measurements(
+    plan: Plan, study: Measured | None, model: Declaration, *, once: bool
+) -> Plan:
     """Return the plan with engine and first tolerance from the measurements."""
-    asked = plan.setting
-    if study is None or (asked.accuracy is None and asked.budget is None):
+    requested = plan.setting
+    if study is None or (requested.accuracy is None and requested.budget is None):
         return plan
     if not study.of(model):
         return replace(plan, basis="guessed: the study is of another model or version")
-    chosen = study.choose(asked, once=once)
+    chosen = study.choose(requested, once=once)
     if chosen is None or chosen.setting.tolerance is None:
         return replace(plan, basis="guessed: the study measured no setting that suffices")
     found, tolerance = chosen.setting, chosen.setting.tolerance
-    setting = replace(asked, engine=found.engine, method=found.method)
+    setting = replace(requested, engine=found.engine, method=found.method)
     basis = f"measured: {found.label}"
-    if asked.budget is not None:
+    if requested.budget is not None:
         # The first of two runs, whose difference estimates the error.
         return Plan(setting, tolerance / TIGHTER, basis, measured=study.until)
     return Plan(setting, tolerance, basis, chosen, study.until)
 
 
-def _stepping(
-    asked: Setting, model: Declaration, automaton: Automaton, steps_only: bool, of_file: bool
+def _plan_steps(
+    requested: Setting, model: Declaration, automaton: Automaton, steps_only: bool, of_file: bool
 ) -> Plan:
     """Return the plan of a run on the engine impulse; `steps_only`: no other engine can run it."""
     if automaton.stepper is None:
-        raise _refused(
+        raise _refusal(
             f"{model.name!r} cannot run on the engine impulse, which moves bodies in "
             "contact: a scene is needed",
             "take the engine taylor or scipy",
@@ -203,18 +205,18 @@ def _stepping(
         except DeclarationProblem as problem:
             problem.loc = ("settings", *problem.loc)
             raise
-    if asked.step is None and asked.accuracy is None:
-        asked = replace(asked, accuracy=model.settings.accuracy)
+    if requested.step is None and requested.accuracy is None:
+        requested = replace(requested, accuracy=model.settings.accuracy)
     settings = model.settings
-    asked = replace(
-        asked,
-        impulse_tolerance=asked.impulse_tolerance or settings.impulse_tolerance,
-        impulse_bound=asked.impulse_bound or settings.impulse_bound,
+    requested = replace(
+        requested,
+        impulse_tolerance=requested.impulse_tolerance or settings.impulse_tolerance,
+        impulse_bound=requested.impulse_bound or settings.impulse_bound,
         # Error estimates compare events too.
-        record=asked.record or ("modes" if asked.accuracy is not None else settings.record),
+        record=requested.record or ("modes" if requested.accuracy is not None else settings.record),
     )
-    step, basis = asked.step or model.settings.step, "as given"
-    searched = asked.accuracy is not None
+    step, basis = requested.step or model.settings.step, "as given"
+    searched = requested.accuracy is not None
     if step is None and automaton.own_step is not None and (steps_only or searched):
         step, basis = automaton.own_step(), "chosen by the size and speeds of the scene"
     if step is None and searched:
@@ -225,17 +227,17 @@ def _stepping(
             "add --step 1e-3, or settings: {engine: impulse, step: 1e-3}; a thousandth of the "
             "shortest time of interest is a good start"
         )
-        raise _refused(message, advice, model.settings.engine == "impulse")
+        raise _refusal(message, advice, model.settings.engine == "impulse")
     reason = ""
     if steps_only:
         reason = (
             f"bodies with shapes run on the engine impulse; step {step:g}"
             f"{' at most' if searched else ''} ({basis})"
         )
-    return Plan(replace(asked, step=step), basis=basis, reason=reason)
+    return Plan(replace(requested, step=step), basis=basis, reason=reason)
 
 
-def _refused(message: str, advice: str, of_file: bool) -> Exception:
+def _refusal(message: str, advice: str, of_file: bool) -> Exception:
     """Return the error that an engine cannot run a model, with its place in the file."""
     if of_file:
         return DeclarationProblem(message, advice=advice, loc=("settings", "engine"))

@@ -81,11 +81,11 @@ class SciPy(Engine):
         polynomial = _polynomial(solver.dense_output(), h, solver.n)
         path.append(h, polynomial)
         polynomial.sum(axis=1, out=end)
-        moved = watch.reconstruction.onto(end, start + h)
-        if moved is not end:
-            end[:] = moved
+        reconstructed = watch.reconstruction.onto(end, start + h)
+        if reconstructed is not end:
+            end[:] = reconstructed
             if self.method != "LSODA":  # its Nordsieck history contains the state
-                solver.y[:] = moved
+                solver.y[:] = reconstructed
         if finished := bool(solver.status == "finished"):
             path.times[path.count] = until
         return finished

@@ -30,12 +30,12 @@ from statechart.engines.taylor_loop import (
 from statechart.errors import NonFinite, StepFailure, Unsupported
 from statechart.formulas.tape import Tape
 from statechart.kernels.polynomials import append_steps
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 # Unrolled and unoptimised, 250 operations compile in 0.13 s, and a step takes 11 us; optimised, 2 s
-# and 5 us; in heyoka's compact mode 0.45 s and 11 us. Above _LARGE operations on tape, compact mode
-# compiles faster and steps as fast.
-_LARGE = 500
+# and 5 us; in heyoka's compact mode 0.45 s and 11 us. Up to _FEW operations on tape are optimised,
+# which takes little time; above _LARGE, compact mode compiles faster and steps as fast.
+_FEW, _LARGE = 100, 500
 # This to the power -20, the order of the method, is near the largest float.
 _LEAST_BASE = 1e-12
 # Allowed slope error, relative to the motion and in tolerances: ten times the maximum over the
@@ -113,14 +113,14 @@ class Taylor(Engine):
         if cached is None:
             compact = extended or len(rates.code) > _LARGE
             states = [hy.expression(f"v{i}") for i in range(rates.n_variables)]
-            with whole(f"the equations of a mode ({several(len(states), 'variable')})"):
+            with whole(f"the equations of a mode ({pluralise(len(states), 'variable')})"):
                 integrator = hy.taylor_adaptive(
                     list(zip(states, found.expressions, strict=True)),
                     [self._number(0)] * len(states),
                     tol=self._number(self.tolerance),
                     fp_type=self._number,
                     compact_mode=compact,
-                    opt_level=3 if compact else 0,
+                    opt_level=3 if compact or len(rates.code) <= _FEW else 0,
                 )
             step = None if extended else Step.of(integrator)
             cached = self._programs[found.expressions] = integrator, step

@@ -224,11 +224,11 @@ class Certificate:
     def _gradients(self, tape: Tape, states: Array, times: Array) -> Array:
         """Return the derivatives (m, n_out, n) of a tape's outputs by scaled variables."""
         m, n = states.shape
-        moved = np.repeat(states[:, None, :], 2 * n, axis=1)
+        displaced = np.repeat(states[:, None, :], 2 * n, axis=1)
         shift = _STEP * np.diag(self._scale)
-        moved[:, :n] -= shift
-        moved[:, n:] += shift
-        values = tape.table(moved.reshape(-1, n), self._setup.values, np.repeat(times, 2 * n))
+        displaced[:, :n] -= shift
+        displaced[:, n:] += shift
+        values = tape.table(displaced.reshape(-1, n), self._setup.values, np.repeat(times, 2 * n))
         values = values.reshape(m, 2, n, -1)
         return np.asarray((values[:, 1] - values[:, 0]).swapaxes(1, 2) / (2.0 * _STEP))
 

@@ -12,8 +12,13 @@ import sympy as sp
 
 from statechart.arrays import Bools
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import HELD, SWITCHES, moving_mode, of_regions, uncaptured
-from statechart.automaton.modes import ModeReconstruction, build_mode, captured, mode_reconstruction
+from statechart.automaton.laws import HELD, SWITCHES, moving_mode, region_roles, uncaptured
+from statechart.automaton.modes import (
+    ModeReconstruction,
+    build_mode,
+    hide_captured_forces,
+    mode_reconstruction,
+)
 from statechart.automaton.regions import Mode, whole_margins
 from statechart.automaton.switches import Switches, switches_of
 from statechart.automaton.trace import Key, Role, Roles
@@ -105,13 +110,15 @@ class SolvedModes:
             mode = self._modes[roles, zeros] = switches.mode_with_signs(roles[-1].share)
         elif mode is None:
             # Zero parameters that do not occur in its equations need no other mode.
-            regions = of_regions(roles)
+            regions = region_roles(roles)
             mentioned = zeros & self._used(regions)
             mode = self._modes.get((roles, mentioned))
             if mode is None:
                 symbols, plain_roles = self.automaton.parameters, uncaptured(roles)
                 if plain_roles != roles:
-                    mode = captured(self.automaton, self.mode(plain_roles, zeros), regions)
+                    mode = hide_captured_forces(
+                        self.automaton, self.mode(plain_roles, zeros), regions
+                    )
                 else:
                     vanishing = frozenset(symbols[i] for i in mentioned)
                     share: Any = roles[-1].share if regions != roles else ()

@@ -19,12 +19,12 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton, Component, Places
 from statechart.automaton.clock import Clock, between
-from statechart.automaton.laws import PARAMETERS, Setup, of_regions
+from statechart.automaton.laws import PARAMETERS, Setup, region_roles
 from statechart.automaton.lazy import LazyMapping, LazySequence
 from statechart.automaton.trace import Arc, Jump, Key, Outcome, Role, Roles, Trace
 from statechart.automaton.trace_store import jump_times
 from statechart.formulas.tape import Tape
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 # Distance of simultaneous instants, in units in the last place of time.
 _ONE_INSTANT = 4.0
@@ -129,7 +129,7 @@ class MergedRun:
         ended = runs[self._last]
         outcome, message = ended.trace.outcome, ended.component.named(ended.trace.message)
         if self.many:
-            outcome, message = Outcome.TOO_MANY_JUMPS, several(len(self._groups), "jump")
+            outcome, message = Outcome.TOO_MANY_JUMPS, pluralise(len(self._groups), "jump")
         end, jumps = Clock(self.end), len(self._groups)
         finals = [
             run.trace.final
@@ -291,7 +291,7 @@ class MergedRun:
         merged_roles = [roles[0][0]] * len(self._automaton.regions)
         fixed: list[Any] = []
         for run, roles_of_run in zip(self._parts, roles, strict=True):
-            own = of_regions(roles_of_run)
+            own = region_roles(roles_of_run)
             for region, role in zip(run.places.regions.tolist(), own, strict=True):
                 merged_roles[region] = run.component.shown(role, run.places)
             for role in roles_of_run[len(own) :]:

@@ -33,12 +33,12 @@ from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.filippov import Filippov
 from statechart.execution.finding import closing, from_here, only_stops
 from statechart.execution.flow import FOLLOWED, UNFOLLOWED, Advance
-from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, looping
+from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, loop_error
 from statechart.execution.outcome import Progress, error_of
 from statechart.execution.zeno import Accumulation
 from statechart.formulas.series import sizes_at
 from statechart.kernels.polynomials import term_sizes
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 if TYPE_CHECKING:
     from statechart.automaton.constraints import Constraints
@@ -468,7 +468,7 @@ class Execution:
         """Jump until the mode holds; return whether the run ends."""
         laws = self.automaton.laws_of_events
         self.instants += 1
-        moved = False
+        projected = False
         if fired and is_of_switch(fired[0]):
             self._livelock.rearranged(self.clock, fired)
             if self.certificate is not None:
@@ -486,15 +486,15 @@ class Execution:
                     self.flow.roles,
                     self.flow.tolerances,
                 ):
-                    moved = True
+                    projected = True
                     self._livelock.rearranged(self.clock, fired)
                 if following.start is not None:
                     self.state = following.start
                 self.flow = following._replace(start=None)
-                if moved:
+                if projected:
                     self._warn()
                 continue
-            moved = True
+            projected = True
             if self.certificate is not None:
                 self.certificate.jump(self._instant(*fired), jump)
             self.flow = following
@@ -509,8 +509,8 @@ class Execution:
             if self.flow.settled and self._filippov is None:
                 break
         else:
-            raise looping(self.record.jumps[-6:], self.clock, self.automaton)
-        if fired and not moved:
+            raise loop_error(self.record.jumps[-6:], self.clock, self.automaton)
+        if fired and not projected:
             if self.failure is not None:
                 if fired != (UNBOUNDED,) or not (last := self._fell_at_last()):
                     raise self.failure
@@ -546,7 +546,7 @@ class Execution:
         if not self.automaton.stops:
             check_pace(self.record.jumps, self.clock, self.until, self.max_jumps)
         if too_many := len(self.record.jumps) >= self.max_jumps:
-            self._end(Outcome.TOO_MANY_JUMPS, several(self.max_jumps, "jump"))
+            self._end(Outcome.TOO_MANY_JUMPS, pluralise(self.max_jumps, "jump"))
         return too_many
 
     def _skip(self, jump: Jump) -> None:

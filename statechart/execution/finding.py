@@ -67,7 +67,7 @@ def noise(
     return tolerances
 
 
-def decided(found: Search, compiled: CompiledMode, watch: FlowWatch, path: Path) -> Crossing:
+def resolve_search(found: Search, compiled: CompiledMode, watch: FlowWatch, path: Path) -> Crossing:
     """Return the located event, or the limit of a singular margin; raise otherwise."""
     location = found.crossing or found.undecided
     assert location is not None

@@ -26,12 +26,12 @@ from statechart.engines.event_location import Crossing, Search, Verdict, search
 from statechart.errors import SimulationError, StepFailure, TooLong, Unsupported
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.execution.finding import (
-    decided,
     first_event,
     first_tolerances,
     noise,
     path_sizes,
     relative_error,
+    resolve_search,
 )
 from statechart.formulas.series import sizes_at
 from statechart.kernels.boxes import Steps
@@ -198,7 +198,7 @@ class Advance:
                 Steps(path.times, path.coefficients, watch.parameters, watch.start),
                 first,
                 last if location is None else location.step + 1,
-                floors(self.engine, len(self.initial)),
+                significant_sizes(self.engine, len(self.initial)),
                 max(self.engine.allowed, self._rounded),
                 MAX_DEFECT_BOXES,
             )
@@ -239,7 +239,7 @@ class Advance:
     def _arrive(self, found: Search, ended: Array) -> None:
         """End at the located event."""
         try:
-            crossing = decided(found, self.compiled, self.watch, self.path)
+            crossing = resolve_search(found, self.compiled, self.watch, self.path)
         except SimulationError:
             if found.undecided is not None:
                 self._cut(found.undecided.time, ended)
@@ -319,7 +319,7 @@ class Advance:
             )
 
 
-def floors(engine: Engine, variables: int) -> Array:
+def significant_sizes(engine: Engine, variables: int) -> Array:
     """Return the smallest significant magnitude of each variable (n,)."""
     smallest = np.empty(variables)
     smallest[:] = LEAST if engine.sizes is None else LEAST * engine.sizes

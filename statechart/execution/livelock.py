@@ -12,7 +12,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import Clock, between
 from statechart.automaton.trace import FAR_TOO_MANY, Jump
 from statechart.errors import EventLoop, TooLong
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 JUMPS_AT_ONCE = 64
 """Limit of jumps at one instant; a few contacts need a handful."""
@@ -65,7 +65,7 @@ class Livelock:
         if count and count % JUMPS_NEAR == 0:
             first = jumps[count - JUMPS_NEAR].t
             if self._stays(Clock(first), clock):
-                raise looping(jumps[-6:], clock, automaton, JUMPS_NEAR)
+                raise loop_error(jumps[-6:], clock, automaton, JUMPS_NEAR)
 
 
 def check_pace(jumps: Sequence[Jump], clock: Clock, until: float, max_jumps: int) -> None:
@@ -81,11 +81,11 @@ def check_pace(jumps: Sequence[Jump], clock: Clock, until: float, max_jumps: int
     if max(paces) <= 2.0 * min(paces) and remaining > FAR_TOO_MANY * max_jumps * max(paces):
         raise TooLong(
             f"{count} jumps took {clock.high:.3g}, and {remaining:.3g} is left, too much for "
-            f"{several(max_jumps, 'jump')}; end the run earlier"
+            f"{pluralise(max_jumps, 'jump')}; end the run earlier"
         )
 
 
-def looping(
+def loop_error(
     last: Sequence[Jump], clock: Clock, automaton: Automaton, count: int = JUMPS_AT_ONCE
 ) -> EventLoop:
     """Return the error of too many jumps at one instant, with the last ones."""

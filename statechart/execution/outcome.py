@@ -8,7 +8,7 @@ from statechart import progress
 from statechart.automaton.trace import Outcome, Trace
 from statechart.compiling import working_time
 from statechart.errors import SimulationError
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 _PROGRESS_AFTER = 1.0  # seconds of wall time before progress is shown, and between lines
 _MOVES = 0.2  # seconds between updates of a bar
@@ -29,8 +29,8 @@ class Progress:
             return
         self._shown = now
         text = (
-            f"t = {time:.6g} of {self._until:g}, {several(jumps, 'jump')}, "
-            f"{several(steps, 'step')}, "
+            f"t = {time:.6g} of {self._until:g}, {pluralise(jumps, 'jump')}, "
+            f"{pluralise(steps, 'step')}, "
             f"{now - self._began:.0f} s"
         )
         if self._bar is None and progress.possible():

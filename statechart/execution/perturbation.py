@@ -25,8 +25,8 @@ _HORIZON_FACTOR = 1e-3
 _GAP_FACTOR = 4.5
 
 
-def nudged(automaton: Automaton) -> Automaton:
-    """Return the automaton with all initial values increased by a small factor, and `widened`.
+def with_increased_start(automaton: Automaton) -> Automaton:
+    """Return the automaton with all initial values increased by a small factor.
 
     The relative change is the tolerance of the run, at least a few units in the last place. Zeros
     stay zero, and symmetric starts symmetric. The tolerance of gaps is larger, too, and the first
@@ -35,29 +35,29 @@ def nudged(automaton: Automaton) -> Automaton:
 
     def changed(setup: Setup, relative: float) -> Setup:
         horizon = _HORIZON_FACTOR * setup.horizon if setup.horizon < math.inf else 1.0
-        moved = _perturbed(
+        perturbed = _perturb(
             setup, np.sign(setup.initial) * max(relative, _MIN_PERTURBATION), gap=_GAP_FACTOR
         )
-        return replace(moved, horizon=horizon)
+        return replace(perturbed, horizon=horizon)
 
     return _with_setup(automaton, changed)
 
 
-def shifted(automaton: Automaton, part: float, signs: Array) -> Automaton:
-    """Return the automaton with all initial values changed by a factor, and `widened`."""
-    return _with_setup(automaton, lambda own, _: _perturbed(own, signs * part), part)
+def with_shifted_start(automaton: Automaton, part: float, signs: Array) -> Automaton:
+    """Return the automaton with initial values changed by a factor, and doubled tolerances."""
+    return _with_setup(automaton, lambda own, _: _perturb(own, signs * part), part)
 
 
-def widened(automaton: Automaton) -> Automaton:
+def with_doubled_tolerances(automaton: Automaton) -> Automaton:
     """Return the automaton with the tolerances of all forces doubled.
 
     A mode is left when a force is below zero by its tolerance, which delays the event in all runs,
     whatever the accuracy of the engine; another tolerance shows the effect.
     """
-    return _with_setup(automaton, lambda own, _: _perturbed(own, np.zeros(len(own.initial))))
+    return _with_setup(automaton, lambda own, _: _perturb(own, np.zeros(len(own.initial))))
 
 
-def loosened(automaton: Automaton, relative: float) -> Automaton:
+def with_loosened_modes(automaton: Automaton, relative: float) -> Automaton:
     """Return the automaton with the tolerances of modes, but not of the engine, for `relative`."""
     return _with_setup(automaton, lambda own, _: own, relative)
 
@@ -73,7 +73,7 @@ def _with_setup(
     return replace(automaton, setup=setup)
 
 
-def _perturbed(setup: Setup, parts: Array, gap: float = 1.0) -> Setup:
+def _perturb(setup: Setup, parts: Array, gap: float = 1.0) -> Setup:
     """Return the setup with changed initial values and doubled tolerances of forces."""
     tolerances = {**setup.tolerances}
     for kind, factor in (("force", 2.0), ("hold", 2.0), ("gap", gap)):

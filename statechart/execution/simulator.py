@@ -21,7 +21,7 @@ from statechart.automaton.trace_store import (
     TraceRecorder,
     TraceStore,
     arc_polynomials,
-    copied,
+    copy_buffer,
     event_of,
     trace_buffer,
 )
@@ -152,7 +152,7 @@ class Simulator:
             stop = partial(Jump, t_end, count, "", "stop", key, key, final, final, (margin,))
         else:
             message = f"reached t = {t_end:.6g}"
-        block = copied(batch.block)
+        block = copy_buffer(batch.block)
         store = TraceStore.of(block, modes.kinds, partial(modes.jump, setup), stop)
         arcs, jumps = store.sequences()
         arcs.source = batch._replace(block=block)
@@ -283,7 +283,7 @@ class Simulator:
         if loop is not None:
             kinds, jump = loop.kinds, partial(loop.jump, lambda: setup)
         variables = len(self.automaton.variables)
-        record = TraceRecorder(variables, kinds, self.buffer, jump, begun=batch is not None)
+        record = TraceRecorder(variables, kinds, self.buffer, jump, is_started=batch is not None)
         return Execution(
             self.modes, self.path, record, setup, zeros, until, max_jumps, self.progress, loop,
             batch_start=batch,

@@ -64,7 +64,7 @@ class Atom:
     strict: bool
 
 
-def folded(
+def fold(
     tree: Any,
     leaf: Callable[[Any], Any],
     within: Callable[[InState], Any],
@@ -73,7 +73,7 @@ def folded(
 ) -> Any:
     """Fold a tree from its leaves: `every` for conjunctions, `some` for disjunctions."""
     if isinstance(tree, And | Or):
-        parts = [folded(part, leaf, within, every, some) for part in tree.parts]
+        parts = [fold(part, leaf, within, every, some) for part in tree.parts]
         return (every if isinstance(tree, And) else some)(parts)
     return within(tree) if isinstance(tree, InState) else leaf(tree)
 
@@ -82,7 +82,7 @@ def replaced(
     tree: Any, leaf: Callable[[Any], Any], within: Callable[[InState], Any] = lambda one: one
 ) -> Any:
     """Return a tree with `leaf` applied to every atom, and `within` to every `in`."""
-    return folded(tree, leaf, within, lambda p: And(tuple(p)), lambda p: Or(tuple(p)))
+    return fold(tree, leaf, within, lambda p: And(tuple(p)), lambda p: Or(tuple(p)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +114,7 @@ class Condition:
 
     def truths(self, atoms: Any, active: Callable[[str, str], Any]) -> Any:
         """Return the truth (m,) from the atoms (m, a); `active` returns (m,)."""
-        return folded(
+        return fold(
             self.root,
             lambda place: atoms[:, place],
             lambda within: active(within.region, within.state) == within.holds,
@@ -128,7 +128,7 @@ class Condition:
         def within(tree: InState) -> float:
             return -inf if active(tree.region, tree.state) == tree.holds else inf
 
-        margin: float = folded(self.root, values.__getitem__, within, max, min)
+        margin: float = fold(self.root, values.__getitem__, within, max, min)
         return margin
 
     def certificate(
@@ -278,7 +278,7 @@ def condition_of(tree: Any, source: Source) -> Condition:
 
     def split(tree: Any) -> Any:
         if isinstance(tree, And | Or):
-            return _flattened(type(tree), tuple(split(part) for part in tree.parts))
+            return _flatten(type(tree), tuple(split(part) for part in tree.parts))
         if isinstance(tree, InState):
             return tree
         if tree not in leaves:
@@ -304,7 +304,7 @@ def condition_of(tree: Any, source: Source) -> Condition:
     return Condition(tuple(atoms[place] for place in used), replaced(root, used.__getitem__))
 
 
-def _flattened(kind: type[And] | type[Or], parts: tuple[Any, ...]) -> Any:
+def _flatten(kind: type[And] | type[Or], parts: tuple[Any, ...]) -> Any:
     """Return a junction without constant parts."""
     decisive, neutral = (True, False) if kind is Or else (False, True)
     rest: dict[Any, None] = {}

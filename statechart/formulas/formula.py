@@ -97,7 +97,7 @@ def _power_of_numbers(node: Binary, left: sp.Expr, right: sp.Expr, source: Sourc
     return sympy.Float(value) if math.isfinite(value) else sympy.oo * math.copysign(1, value)
 
 
-def finished(expression: sp.Expr, formula: Formula) -> sp.Expr:
+def rewrite_overflow(expression: sp.Expr, formula: Formula) -> sp.Expr:
     """Return an expression without quotients that overflow to inf/inf.
 
     Raises `FormulaError` if it has no real value.
@@ -111,12 +111,12 @@ def finished(expression: sp.Expr, formula: Formula) -> sp.Expr:
     if expression.has(sympy.exp, sympy.cosh):
         return expression.replace(
             lambda part: bool(part.is_Pow and part.exp.is_Integer and part.exp.is_negative),
-            _bounded,
+            _bounded_power,
         )
     return expression
 
 
-def _bounded(power: sp.Expr) -> sp.Expr:
+def _bounded_power(power: sp.Expr) -> sp.Expr:
     """Rewrite powers of 1/(a + b exp(x)) and 1/cosh(x), whose derivatives overflow to inf/inf.
 
     For a, b > 0 the first is (1 - tanh((x + log(b/a))/2))/(2 a).
@@ -165,7 +165,7 @@ class Formula:
         computed in floats. Raises `FormulaError` if a name is missing from `symbols`, or the
         expression has no real value.
         """
-        return finished(_build(self.root, symbols, self._source), self)
+        return rewrite_overflow(_build(self.root, symbols, self._source), self)
 
     def value(self, values: Mapping[str, float]) -> float:
         """Evaluate in IEEE floats.

@@ -55,10 +55,10 @@ def solve_linear(
     """
     definitions: list[Definition] = []
     missing: list[sp.Symbol] = []
-    for component in _connected(equations, unknowns):
+    for component in _connected_components(equations, unknowns):
         pairs = sum(place < paired for place in component)
         try:
-            definitions += _solved(
+            definitions += _solve_component(
                 tuple(equations[i] for i in component if i < len(equations)),
                 tuple(unknowns[i] for i in component if i < len(unknowns)),
                 pairs,
@@ -71,7 +71,9 @@ def solve_linear(
     return tuple(definitions)
 
 
-def _connected(equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol]) -> list[list[int]]:
+def _connected_components(
+    equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol]
+) -> list[list[int]]:
     """Return the connected components of equations and unknowns; pairs are connected."""
     place = {unknown: i for i, unknown in enumerate(unknowns)}
     edges = [
@@ -85,7 +87,7 @@ def _connected(equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol]) -> l
 
 
 @lru_cache(4096)
-def _solved(
+def _solve_component(
     equations: tuple[sp.Expr, ...],
     unknowns: tuple[sp.Symbol, ...],
     paired: int,
@@ -94,12 +96,12 @@ def _solved(
     """Solve the equations of one component; modes share the result."""
     place = {unknown: i for i, unknown in enumerate(unknowns)}
     given: list[Equation] = [(*_linear_row(e, place), i) for i, e in enumerate(equations)]
-    first, rows, last = _reduced(given, unknowns, before, paired)
+    first, rows, last = _reduce(given, unknowns, before, paired)
     if paired and _largest(rows) > 2 * _MAX_PAIRED:
-        first, rows, last = _reduced(given, unknowns, before)
+        first, rows, last = _reduce(given, unknowns, before)
     if paired and _largest(rows) > 2 * MAX_CRAMER:
         mirrors = _mirrors(given, unknowns, paired)
-        first, rows, last = _reduced(given, unknowns, before, mirrors=mirrors)
+        first, rows, last = _reduce(given, unknowns, before, mirrors=mirrors)
     block = _blocks(rows, place, (paired, len(unknowns)) if paired else ())
     solved = {u for u, _ in (*first, *block, *last)}
     missing = [u for u in unknowns if u not in solved]
@@ -108,7 +110,7 @@ def _solved(
     return (*first, *block, *reversed(last))
 
 
-def _reduced(
+def _reduce(
     rows: list[Equation],
     unknowns: Sequence[sp.Symbol],
     before: Collection[sp.Symbol],
@@ -201,7 +203,7 @@ def _pivot(
     """Choose the cheapest pivot (Markowitz) that divides by a factor of the determinant only.
 
     `sizes` caches magnitudes of coefficients, 0 for symbolic ones. `wanted` pairs and `before`
-    unknowns have priority. `motions`, `mirrors`: see `_reduced`.
+    unknowns have priority. `motions`, `mirrors`: see `_reduce`.
     """
 
     def size(coefficient: sp.Expr) -> float:
@@ -278,14 +280,16 @@ def _blocks(
         if len(indices) != len(unknowns):
             raise Singular(unknowns)
         if len(unknowns) > MAX_CRAMER and pairs:
-            named, rest, later = _by_pairs([rows[i] for i in indices], unknowns, place, pairs[0])
+            named, rest, later = _eliminate_pairs(
+                [rows[i] for i in indices], unknowns, place, pairs[0]
+            )
             definitions += [*named, *_blocks(rest, place, pairs[1:]), *reversed(later)]
             continue
         component_rows = [rows[i] for i in indices]
         if len(unknowns) > MAX_CRAMER:
-            definitions += _by_elimination(component_rows, unknowns)
+            definitions += _solve_by_elimination(component_rows, unknowns)
         else:
-            definitions += _by_determinants(component_rows, unknowns)
+            definitions += _solve_by_determinants(component_rows, unknowns)
     return definitions
 
 
@@ -299,7 +303,7 @@ def _largest(rows: list[Equation]) -> int:
     return max((len(component) for component in _components(rows)), default=0)
 
 
-def _eliminated(
+def _eliminate_named(
     rows: list[Equation],
     pivot: Callable[[list[Equation]], tuple[int, sp.Symbol] | None],
     name: Callable[[sp.Expr], sp.Expr],
@@ -319,7 +323,7 @@ def _eliminated(
     return rows, last
 
 
-def _by_pairs(
+def _eliminate_pairs(
     rows: list[Equation], unknowns: Sequence[sp.Symbol], place: Mapping[sp.Symbol, int], paired: int
 ) -> tuple[list[Definition], list[Equation], list[Definition]]:
     """Eliminate unknowns by their paired equations, motions first.
@@ -338,11 +342,11 @@ def _by_pairs(
         return None
 
     named: list[Definition] = []
-    rest, last = _eliminated(rows, own, _naming("pair", named))
+    rest, last = _eliminate_named(rows, own, _naming_function("pair", named))
     return named, rest, last
 
 
-def _by_elimination(rows: list[Equation], unknowns: Sequence[sp.Symbol]) -> list[Definition]:
+def _solve_by_elimination(rows: list[Equation], unknowns: Sequence[sp.Symbol]) -> list[Definition]:
     """Solve by Gaussian elimination, in O(n^3) operations."""
     columns = {unknown: k for k, unknown in enumerate(unknowns)}
 
@@ -357,15 +361,15 @@ def _by_elimination(rows: list[Equation], unknowns: Sequence[sp.Symbol]) -> list
         return index, unknowns[column]
 
     named: list[Definition] = []
-    _, last = _eliminated(rows, sparsest, _naming("elimination", named))
+    _, last = _eliminate_named(rows, sparsest, _naming_function("elimination", named))
     return [*named, *reversed(last)]
 
 
-def _by_determinants(rows: list[Equation], unknowns: Sequence[sp.Symbol]) -> list[Definition]:
+def _solve_by_determinants(rows: list[Equation], unknowns: Sequence[sp.Symbol]) -> list[Definition]:
     """Solve by Cramer's rule with named entries, so that the determinants are short."""
     tag = str(unknowns[0])
     result: list[Definition] = []
-    name = _naming(f"entry_{tag}", result)
+    name = _naming_function(f"entry_{tag}", result)
     matrix = sp.Matrix([[row.get(u, 0) for u in unknowns] for row, _, _ in rows]).applyfunc(name)
     right = sp.Matrix([right for _, right, _ in rows]).applyfunc(name)
     determinant = sp.Dummy(f"det_{tag}", real=True)
@@ -380,7 +384,7 @@ def _by_determinants(rows: list[Equation], unknowns: Sequence[sp.Symbol]) -> lis
     return result
 
 
-def _naming(word: str, named: list[Definition]) -> Callable[[sp.Expr], sp.Expr]:
+def _naming_function(word: str, named: list[Definition]) -> Callable[[sp.Expr], sp.Expr]:
     """Return a function that replaces compound expressions by new symbols."""
     known: dict[sp.Expr, sp.Symbol] = {}
 

@@ -21,10 +21,10 @@ from statechart.formulas.condition import (
     InState,
     Or,
     condition_of,
-    folded,
+    fold,
     replaced,
 )
-from statechart.formulas.formula import Formula, finished
+from statechart.formulas.formula import Formula, rewrite_overflow
 from statechart.formulas.syntax import RELATIONS, Reader
 from statechart.formulas.tree import Source
 
@@ -80,7 +80,7 @@ class Comparison:
         """Return the margin; see `Relation.margin`."""
         left, right = self.left.to_sympy(symbols), self.right.to_sympy(symbols)
         margin = left - right if self.operator in ("<", "<=") else right - left
-        return finished(margin, self.left)
+        return rewrite_overflow(margin, self.left)
 
     @property
     def strict(self) -> bool:
@@ -167,10 +167,10 @@ class Relation:
     def require_still(self, changing: Collection[str]) -> None:
         """Raise `FormulaError` at the first ``==`` or ``!=`` of names that vary along flows."""
         for one in self.comparisons:
-            moved = sorted((one.left.names | one.right.names).intersection(changing))
-            if one.operator in _EQUALITIES and moved:
+            changing_names = sorted((one.left.names | one.right.names).intersection(changing))
+            if one.operator in _EQUALITIES and changing_names:
                 Source(self.text).fail(
-                    f"{one.operator} compares {moved[0]!r}, which changes between events",
+                    f"{one.operator} compares {changing_names[0]!r}, which changes between events",
                     one.offset,
                     "write <= or >=: it becomes true as the value passes the other side",
                 )
@@ -185,7 +185,7 @@ class Relation:
 
         if any((member.region, member.state) not in states for member in self.members):
             self.require_states({})
-        return folded(
+        return fold(
             _normal(self.root),
             lambda comparison: comparison.margin(symbols),
             lambda within: _within(within, states).expression,

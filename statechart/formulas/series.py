@@ -83,7 +83,7 @@ def _product(a: Sequence[float], b: Sequence[float]) -> list[float]:
     return [sum(a[i] * b[k - i] for i in range(k + 1)) for k in range(len(a))]
 
 
-def _amounts(a: Sequence[float]) -> list[float]:
+def _absolute_values(a: Sequence[float]) -> list[float]:
     return [abs(x) for x in a]
 
 
@@ -104,7 +104,7 @@ def _sub(a: Series, b: Series) -> Series:
 
 
 def _mul(a: Series, b: Series) -> Series:
-    left, right = _amounts(a.values), _amounts(b.values)
+    left, right = _absolute_values(a.values), _absolute_values(b.values)
     return Series(
         _product(a.values, b.values), _sum(_product(left, b.sizes), _product(a.sizes, right))
     )
@@ -123,8 +123,8 @@ def _div(a: Series, b: Series) -> Series:
 
     sign = math.copysign(1.0, b.values[0])
     values = quotient([sign * x for x in a.values], [sign * x for x in below])
-    sizes = _sum(a.sizes, _product(_amounts(values), b.sizes))
-    return Series(values, quotient(sizes, _amounts(b.values)))
+    sizes = _sum(a.sizes, _product(_absolute_values(values), b.sizes))
+    return Series(values, quotient(sizes, _absolute_values(b.values)))
 
 
 def _chain(first: float, *parts: tuple[Series, Series]) -> Series:
@@ -137,11 +137,11 @@ def _chain(first: float, *parts: tuple[Series, Series]) -> Series:
             )
             / k
         )
-    sizes = [_product(_amounts(slope.values), a.sizes) for a, slope in parts]
-    return Series(values, _sum(_amounts(values), *sizes))
+    sizes = [_product(_absolute_values(slope.values), a.sizes) for a, slope in parts]
+    return Series(values, _sum(_absolute_values(values), *sizes))
 
 
-def _coupled(
+def _coupled_series(
     a: Series, first: tuple[float, float], signs: tuple[float, float]
 ) -> tuple[Series, Series]:
     """Return f and g with f' = signs[0] g and g' = signs[1] f."""
@@ -153,22 +153,22 @@ def _coupled(
         f.append(f_k)
         g.append(g_k)
     return (
-        Series(f, _sum(_amounts(f), _product(_amounts(g), a.sizes))),
-        Series(g, _sum(_amounts(g), _product(_amounts(f), a.sizes))),
+        Series(f, _sum(_absolute_values(f), _product(_absolute_values(g), a.sizes))),
+        Series(g, _sum(_absolute_values(g), _product(_absolute_values(f), a.sizes))),
     )
 
 
 def _trigonometric(a: Series) -> tuple[Series, Series]:
-    return _coupled(a, (math.sin(a.values[0]), math.cos(a.values[0])), (1.0, -1.0))
+    return _coupled_series(a, (math.sin(a.values[0]), math.cos(a.values[0])), (1.0, -1.0))
 
 
 def _hyperbolic(a: Series) -> tuple[Series, Series]:
-    return _coupled(a, (math.sinh(a.values[0]), math.cosh(a.values[0])), (1.0, 1.0))
+    return _coupled_series(a, (math.sinh(a.values[0]), math.cosh(a.values[0])), (1.0, 1.0))
 
 
 def _exp(a: Series) -> Series:
     first = math.exp(a.values[0])
-    return _coupled(a, (first, first), (1.0, 1.0))[0]
+    return _coupled_series(a, (first, first), (1.0, 1.0))[0]
 
 
 def _one(a: Series) -> Series:
@@ -182,9 +182,9 @@ def _sqrt(a: Series) -> Series:
     for k in range(1, len(a.values)):
         mixed = sum(values[i] * values[k - i] for i in range(1, k))
         values.append((a.values[k] - mixed) / (2.0 * values[0]))
-    root = Series(values, _amounts(values))
+    root = Series(values, _absolute_values(values))
     slope = _div(_constant(0.5, len(values)), root)
-    return Series(values, _sum(root.sizes, _product(_amounts(slope.values), a.sizes)))
+    return Series(values, _sum(root.sizes, _product(_absolute_values(slope.values), a.sizes)))
 
 
 def _log(a: Series) -> Series:

@@ -89,7 +89,9 @@ class Tape:
         colour.
         """
         if variables not in self._colourings:
-            self._colourings[variables] = _coloured(self._read_by_outputs(variables), variables)
+            self._colourings[variables] = _colour_columns(
+                self._read_by_outputs(variables), variables
+            )
         return self._colourings[variables]
 
     @cached_property
@@ -131,7 +133,7 @@ class Tape:
             )
 
 
-def _coloured(reads: list[list[int]], variables: int) -> tuple[Ints, Ints, Ints]:
+def _colour_columns(reads: list[list[int]], variables: int) -> tuple[Ints, Ints, Ints]:
     """Return rows and columns of a sparsity pattern, and a greedy column colouring."""
     readers: list[list[int]] = [[] for _ in range(variables)]
     for output, columns in enumerate(reads):

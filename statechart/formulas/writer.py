@@ -173,7 +173,7 @@ class _Writer:
 
     def _product(self, node: sp.Expr) -> int:
         number, factors = node.as_coeff_mul()
-        factors, exponent = _exponential_joined(_powers_joined(factors))
+        factors, exponent = _exponential_joined(_join_powers(factors))
         above: list[int] = []
         below: list[int] = []
         if exponent is not None:
@@ -310,7 +310,7 @@ def _signed(node: sp.Expr) -> tuple[list[sp.Expr], list[sp.Expr]]:
     return plus, minus
 
 
-def _powers_joined(factors: Sequence[sp.Expr]) -> Sequence[sp.Expr]:
+def _join_powers(factors: Sequence[sp.Expr]) -> Sequence[sp.Expr]:
     """Return factors with ``x**n / x``, of SymPy derivatives, as ``x**(n - 1)``, valid at x = 0."""
     bases = {factor.base for factor in factors if factor.is_Pow and not factor.exp.is_Number}
     if not bases:

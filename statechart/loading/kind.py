@@ -30,11 +30,11 @@ class Kind:
     """One kind of document, as a package offers it.
 
     What must hold for its runs, and by how much it does not, it offers under the kind's name in the
-    groups `statechart.properties` and `statechart.violations` (see `offered`).
+    groups `statechart.properties` and `statechart.violations` (see `load_entry`).
     """
 
     name: str  # the value of the document's `kind:`
-    model: type[Declaration]  # what the document is validated as
+    model: type[Declaration]  # pydantic model that validates the document
     automaton: Callable[[Any], Automaton]  # builds the automaton of a model
     # A commented document that runs, to start from; the word NAME in it stands for the name of the
     # model.
@@ -59,10 +59,10 @@ def kind(name: str) -> Kind:
     Raises `KeyError` if there is none of this name. Raises `TypeError` if the entry point leads to
     something else. Raises `StatechartError` if its package is hidden by another of its name.
     """
-    return loaded(kinds()[name])
+    return load_kind(kinds()[name])
 
 
-def loaded(offered: EntryPoint) -> Kind:
+def load_kind(offered: EntryPoint) -> Kind:
     """Return the kind of one of `kinds`; fails as `kind` does."""
     found = load(offered)
     if not isinstance(found, Kind):
@@ -70,8 +70,8 @@ def loaded(offered: EntryPoint) -> Kind:
     return found
 
 
-def offered(group: str, name: str) -> Any:
-    """Return what is installed under a kind's name in a group of entry points; None where nothing.
+def load_entry(group: str, name: str) -> Any:
+    """Return the object of a kind in a group of entry points; None if there is none.
 
     Raises `StatechartError` if its package is hidden by another of its name.
     """
@@ -84,12 +84,12 @@ _OURS = Path(__file__).resolve().parents[2]
 
 @cache
 def entries(group: str) -> tuple[EntryPoint, ...]:
-    """Return what is installed in a group, looked for once: that takes 10 ms."""
+    """Return the entry points of a group; cached, since the search takes 10 ms."""
     return tuple(importlib.metadata.entry_points(group=group))
 
 
 def load(entry: EntryPoint) -> Any:
-    """Return what an entry point names.
+    """Load the object of an entry point.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def load(entry: EntryPoint) -> Any:
         If its package stands beside this one, and another of its name hides it.
     """
     home = _home(entry)
-    hiding = None if home is None else _hiding(home)
+    hiding = None if home is None else _hiding_module(home)
     if hiding is not None:
         name = entry.module.partition(".")[0]
         raise StatechartError(
@@ -113,7 +113,7 @@ def module(entry: EntryPoint) -> ModuleType:
     Its package must need no other module of its own.
     """
     home = _home(entry)
-    if home is None or _hiding(home) is None:
+    if home is None or _hiding_module(home) is None:
         return importlib.import_module(entry.module)
     spec = importlib.util.spec_from_file_location(f"statechart's {entry.module}", home)
     assert spec is not None
@@ -129,8 +129,8 @@ def _home(entry: EntryPoint) -> Path | None:
     return home if home.is_file() else None
 
 
-def _hiding(home: Path) -> Path | None:
-    """Return what Python imports by the name of a package of ours instead of it."""
+def _hiding_module(home: Path) -> Path | None:
+    """Return the module that hides one of our packages by its name."""
     name = home.parent.name
     found = sys.modules[name].__spec__ if name in sys.modules else importlib.util.find_spec(name)
     if found is None or found.origin is None or Path(found.origin).resolve() == home:

@@ -11,7 +11,7 @@ from statechart.documents.declaration import Declaration
 from statechart.documents.validation import Document, validate
 from statechart.documents.yaml_reader import read
 from statechart.errors import DeclarationError, close_matches
-from statechart.loading.kind import entries, kind, kinds, loaded, module
+from statechart.loading.kind import entries, kind, kinds, load_kind, module
 
 
 def interpret(document: Document) -> Declaration:
@@ -22,7 +22,7 @@ def interpret(document: Document) -> Declaration:
     name = document.data.get("kind")
     offered = kinds().get(name) if isinstance(name, str) else None
     if offered is not None:
-        return validate(document, loaded(offered).model)
+        return validate(document, load_kind(offered).model)
     at = document.position(("kind",))
     given, known = name is not None, close_matches(str(name), kinds())
     if given:
@@ -49,10 +49,12 @@ def load(path_or_name: str | Path) -> Declaration:
     >>> load("toppling_stick").doc
     'A stick balanced on its tip topples toward +x and may slip (paper, section 4).'
     """
-    return resolved(path_or_name)[0]
+    return resolve_model(path_or_name)[0]
 
 
-def resolved(model: Declaration | Document | str | Path) -> tuple[Declaration, Document | None]:
+def resolve_model(
+    model: Declaration | Document | str | Path,
+) -> tuple[Declaration, Document | None]:
     """Return a model, and the document that it was read from.
 
     Raises `DeclarationError` if it is none of these, or wrong.
@@ -79,7 +81,7 @@ def find(path_or_name: str) -> Path:
     """
     if not path_or_name.strip():
         raise DeclarationError(
-            "the name of the model is empty", advice=close_matches(path_or_name, shipped())
+            "the name of the model is empty", advice=close_matches(path_or_name, shipped_models())
         )
     path = Path(path_or_name)
     try:
@@ -94,18 +96,18 @@ def find(path_or_name: str) -> Path:
             return found
     if exists:
         return path
-    meant = close_matches(path.stem, shipped())
+    meant = close_matches(path.stem, shipped_models())
     if path.suffix in (".yaml", ".yml") and not meant.startswith("did"):
         raise DeclarationError(
             f"no such file: {path_or_name!r}", advice="`statechart new NAME` writes one"
         )
     raise DeclarationError(
         f"no such file, and no shipped model of this name: {path_or_name!r}",
-        advice=close_matches(path_or_name, shipped()),
+        advice=close_matches(path_or_name, shipped_models()),
     )
 
 
-def shipped() -> list[str]:
+def shipped_models() -> list[str]:
     """Return the names of the models that installed packages offer."""
     names: list[str] = []
     for offered in entries("statechart.models"):

@@ -68,10 +68,10 @@ def _condition(
 ) -> list[float]:
     """Return the conditions of the events of one margin."""
 
-    def gradient(moved: Sequence[tuple[Jump, Jump]], steps: Array) -> Array:
+    def gradient(perturbed: Sequence[tuple[Jump, Jump]], steps: Array) -> Array:
         below, above = (
             observer.at(trace, [margin.expression], side, before=True)[:, 0]
-            for side in zip(*moved, strict=True)
+            for side in zip(*perturbed, strict=True)
         )
         return np.asarray((above - below) / (2.0 * steps))
 

@@ -16,7 +16,7 @@ from statechart.automaton.trace import Jump, Key, Trace, sizes
 from statechart.observation.sampling import at_times
 from statechart.observation.scales import NO_SCALES, Scales
 from statechart.observation.scales import OutputValue as Output
-from statechart.observation.zeno_tails import without_summed
+from statechart.observation.zeno_tails import drop_summed
 
 # Values below this fraction of all others are round-off of zero. In time stepping, velocities of a
 # stack at rest are 1.5e-12.
@@ -81,9 +81,9 @@ def compare(
 
     Non-finite values must be equal. A value without a scale (from `Outputs.scales`) is relative to
     itself. For `endless` outputs (Zeno sequences) only common events are compared. `brief`: as in
-    `paired`. Values up to `nothing` are round-off of zero.
+    `pair_jumps`. Values up to `nothing` are round-off of zero.
     """
-    pairs, diverged = paired(coarse, fine, brief=brief)
+    pairs, diverged = pair_jumps(coarse, fine, brief=brief)
     same_end = coarse.outcome is fine.outcome
     if diverged is None and not same_end:
         diverged = min(coarse.t_end, fine.t_end)
@@ -128,13 +128,13 @@ def _worst(compared: Iterable[Compared]) -> Compared:
     return max(compared, key=lambda one: one.off, default=_NONE)
 
 
-def parted(reference: Trace, trace: Trace, *, brief: float = 0.0) -> float | None:
+def separation_time(reference: Trace, trace: Trace, *, brief: float = 0.0) -> float | None:
     """Return the time of separation of two runs, or None.
 
     The first time at which a variable differs by a hundredth of its size, or modes differ. States
     are not compared between the times of an event in the two runs, where a jump separates them.
     """
-    pairs, diverged = paired(reference, trace, brief=brief)
+    pairs, diverged = pair_jumps(reference, trace, brief=brief)
     end = min(reference.t_end, trace.t_end)
     if diverged is None and reference.outcome is not trace.outcome:
         diverged = end
@@ -204,19 +204,19 @@ def mode_disagreement(reference: Trace, trace: Trace) -> float:
     return float(np.diff(marks) @ (one != other)) / end
 
 
-def paired(
+def pair_jumps(
     coarse: Trace, fine: Trace, *, brief: float = 0.0
 ) -> tuple[list[tuple[Jump, Jump]], float | None]:
     """Pair the jumps of two runs; return the pairs, and the time of the first unpaired one.
 
     The number of resolved jumps of a Zeno sequence depends on the tolerance: jumps that one run
-    summed up are omitted (see `without_summed`), and those after the accumulation of the other run
+    summed up are omitted (see `drop_summed`), and those after the accumulation of the other run
     are passed over.
     """
     pairs: list[tuple[Jump, Jump]] = []
     a, b = coarse.jumps, fine.jumps
     ends: set[int] = set()
-    unpaired = without_summed([a, b])
+    unpaired = drop_summed([a, b])
     if unpaired is not None:
         ends = {id(jump) for run in unpaired for jump, end in run if end}
         a, b = (tuple(jump for jump, _ in run) for run in unpaired)
@@ -229,9 +229,9 @@ def paired(
         ):
             pairs.append((one, other))
             i, j = i + 1, j + 1
-        elif _accumulates(one) and _repeats(other, one):
+        elif _is_zeno(one) and _repeats(other, one):
             j += 1
-        elif _accumulates(other) and _repeats(one, other):
+        elif _is_zeno(other) and _repeats(one, other):
             i += 1
         else:
             next_match = _next_common_mode(a, b, i, j, window) if window > 0.0 else None
@@ -290,13 +290,13 @@ def _sampled_states(trace: Trace, times: Array) -> Array:
 _what = attrgetter("region", "cause", "source", "target")
 
 
-def _accumulates(jump: Jump) -> bool:
+def _is_zeno(jump: Jump) -> bool:
     return jump.fired == ("zeno",)
 
 
 def _repeats(jump: Jump, end: Jump) -> bool:
     """Return whether `jump` belongs to the Zeno sequence that ends in `end`."""
-    return jump.region == end.region and not _accumulates(jump)
+    return jump.region == end.region and not _is_zeno(jump)
 
 
 def _differences(

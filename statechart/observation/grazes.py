@@ -167,13 +167,13 @@ class _GuardScan:
         last = np.cumsum(counts) - 1
         of = np.repeat(np.arange(len(arcs)), counts)
         terms = np.concatenate([arc.coefficients for arc in arcs])
-        begun = np.concatenate([arc.times[:-1] for arc in arcs])
+        step_starts = np.concatenate([arc.times[:-1] for arc in arcs])
         spans = np.concatenate([np.diff(arc.times) for arc in arcs])
         first = last + 1 - np.array(counts)
         edges = (first, np.array([_EDGE])), (last, np.array([1.0 - _EDGE, 1.0]))
         taus, rows, owners = [], [], []
         for steps, places in ((np.arange(len(terms)), s), *edges):
-            tau = begun[steps, None] + places * spans[steps, None]
+            tau = step_starts[steps, None] + places * spans[steps, None]
             powers = places ** np.arange(terms.shape[2])[:, None]
             states = np.swapaxes(terms[steps] @ powers, 1, 2).reshape(-1, terms.shape[1])
             owner = np.repeat(of[steps], len(places))

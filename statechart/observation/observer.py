@@ -31,15 +31,15 @@ from statechart.observation.sampling import (
     Points,
     Samples,
     Where,
-    along,
     at_endpoints,
     at_times,
     end_of,
     places_in,
     roles_at,
+    sample_arcs,
     side_of,
     start_of,
-    subdivided,
+    subdivide,
     visible_expressions,
 )
 
@@ -89,11 +89,11 @@ class Observer:
         expressions = tuple(self.programs.expression(formula) for formula in formulas)
         if times is None:
             arcs = list(trace.arcs)
-            local = subdivided(arcs, per_step)
+            local = subdivide(arcs, per_step)
         else:
             arcs, local = at_times(trace, np.asarray(times, dtype=float))
         if arcs:
-            points = along(arcs, local)
+            points = sample_arcs(arcs, local)
             counts = [len(tau) for tau in local]
             modes_shown, jumped = [arc.mode for arc in arcs], [arc.j for arc in arcs]
         else:  # a run without flows is its last state

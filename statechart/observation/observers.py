@@ -11,7 +11,7 @@ from statechart.documents.setting import Record, Setting
 from statechart.engines.engine import Allowance, Engine
 from statechart.engines.request import choose
 from statechart.execution.compiled_modes import SolvedModes
-from statechart.execution.perturbation import nudged
+from statechart.execution.perturbation import with_increased_start
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.observer import Observer
@@ -74,6 +74,6 @@ class Observers:
             return SteppingSimulator(
                 self._automaton, setting.step, asked, setting.recorded, progress=self._progress
             )
-        automaton = nudged(self._automaton) if off else self._automaton
+        automaton = with_increased_start(self._automaton) if off else self._automaton
         engine, solved = self.engine(setting), self._solved
         return Simulator(automaton, engine, solved=solved, progress=self._progress)

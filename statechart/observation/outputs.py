@@ -18,7 +18,7 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints
-from statechart.automaton.regions import Mode, happened
+from statechart.automaton.regions import Mode, has_happened
 from statechart.automaton.trace import Arc, Jump, Key, Trace
 from statechart.automaton.trace_store import Kind, TraceBuffer
 from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Moment, Value
@@ -42,11 +42,11 @@ from statechart.observation.sampling import (
     Where,
     at_endpoints,
     end_of,
-    passed,
+    passed_modes,
+    requested_states,
     side_of,
     start_of,
     visible_expressions,
-    wanted,
 )
 from statechart.observation.scales import OutputValue, RunScales, Scales
 from statechart.observation.zeno_tails import last_resolved
@@ -234,7 +234,10 @@ class Outputs:
         if marks is None:
             regions = self.observer.automaton.regions
             marks = self._marked[key] = tuple(
-                [int(any(happened(regions, jump, event) for event in wait)) for wait in self._waits]
+                [
+                    int(any(has_happened(regions, jump, event) for event in wait))
+                    for wait in self._waits
+                ]
             )
         return marks
 
@@ -324,7 +327,9 @@ class Outputs:
             separate_tapes(self._watched),
         )
         integrals = [output.integral for output in self.integrals.values()]
-        over = tapes(integrals, wanted([output.during for output in self.integrals.values()]))
+        over = tapes(
+            integrals, requested_states([output.during for output in self.integrals.values()])
+        )
         waits = [(self._waits.index(moment.events), output.before) for _, output, moment in self.at]
         return OutputTapes(
             *packed.arrays(), at, *points, *over, np.array(waits, np.int64).reshape(len(waits), 2)
@@ -341,7 +346,7 @@ class Outputs:
         return frozenset(
             name
             for name, events in (*several, *self.counts)
-            if any(happened(regions, jump, event) for jump in summed for event in events)
+            if any(has_happened(regions, jump, event) for jump in summed for event in events)
         )
 
     def scales(self, trace: Trace) -> Scales:
@@ -387,8 +392,8 @@ class Outputs:
             values.append(np.fmax(*map(np.abs, sides)))
         magnitudes = np.abs(np.concatenate([*values, [0.0]]))
         if trace.arcs:
-            along = self.observer.sample(trace, (str(formula),), per_step=1)
-            np.fmax.at(magnitudes, along.j + 1, np.abs(along.columns[str(formula)]))
+            sampled = self.observer.sample(trace, (str(formula),), per_step=1)
+            np.fmax.at(magnitudes, sampled.j + 1, np.abs(sampled.columns[str(formula)]))
         magnitudes[~np.isfinite(magnitudes)] = 0.0
         return np.maximum.accumulate(magnitudes)
 
@@ -398,7 +403,7 @@ class Outputs:
         jumps = [
             jump
             for jump in trace.jumps
-            if any(happened(regions, jump, event) for event in moment.events)
+            if any(has_happened(regions, jump, event) for event in moment.events)
         ]
         return jumps[_selected_events(moment)]
 
@@ -437,14 +442,14 @@ class OutputAccumulator:
     def add(self, piece: Trace) -> None:
         """Process the arcs and jumps since the last call."""
         self._waiting += piece.jumps
-        beside = replace(piece, arcs=(*self._last, *piece.arcs)) if self._last else piece
-        if beside.arcs:
+        with_last = replace(piece, arcs=(*self._last, *piece.arcs)) if self._last else piece
+        if with_last.arcs:
             # Values at a jump may need the unknowns of the steps on both sides.
-            last = beside.arcs[-1].j
+            last = with_last.arcs[-1].j
             known = [jump for jump in self._waiting if jump.j < last]
             self._waiting = self._waiting[len(known) :]
-            self.take(beside, piece.arcs, known, ended=False)
-            self._last = (beside.arcs[-1],)
+            self.take(with_last, piece.arcs, known, ended=False)
+            self._last = (with_last.arcs[-1],)
 
     def end(self, piece: Trace) -> dict[str, OutputValue]:
         """Process the end of the run, with the whole run or no arcs; return the outputs."""
@@ -465,7 +470,7 @@ class OutputAccumulator:
     ) -> None:
         """Process arcs and adjacent jumps of a trace, from the start of the run on."""
         outputs, before = self._outputs, self.values
-        left = {jump.j for jump in passed(trace)} if len(before.extremes) else set[int]()
+        left = {jump.j for jump in passed_modes(trace)} if len(before.extremes) else set[int]()
         every = [(*outputs.marks_of(jump), jump.j in left) for jump in jumps]
         for place, wait in enumerate(outputs.count_waits):
             self._counted[place] += sum([own[wait] for own in every])
@@ -584,7 +589,7 @@ def extremes(observer: Observer, trace: Trace, formula: Formula) -> tuple[float,
         return None if own in (sp.oo, -sp.oo) else own
 
     if _by_mode(formula):
-        entered = (jump.target for jump in passed(trace))
+        entered = (jump.target for jump in passed_modes(trace))
         modes = {trace.start_mode, trace.final_mode, *entered, *(arc.mode for arc in trace.arcs)}
         infinite = {float(own) for own in map(formula, modes) if own in (sp.oo, -sp.oo)}
     accumulator = OutputAccumulator(

@@ -16,7 +16,7 @@ from statechart.arrays import Array
 from statechart.automaton.laws import roles_in
 from statechart.automaton.regions import Mode, Region
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
-from statechart.tabular import shortest
+from statechart.tabular import shortest_text
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Endpoint(NamedTuple):
     ends: bool
 
 
-def subdivided(arcs: Sequence[Arc], per_step: float) -> list[Array]:
+def subdivide(arcs: Sequence[Arc], per_step: float) -> list[Array]:
     """Return local times with `per_step` intervals in every step, including the ends of arcs."""
     every, count = max(1, math.ceil(1.0 / per_step)), math.ceil(per_step)
     arcs_by_length: dict[int, list[int]] = {}
@@ -70,7 +70,7 @@ def subdivided(arcs: Sequence[Arc], per_step: float) -> list[Array]:
     return [samples[place] for place in range(len(arcs))]
 
 
-def along(arcs: Sequence[Arc], local: Sequence[Array]) -> Points:
+def sample_arcs(arcs: Sequence[Arc], local: Sequence[Array]) -> Points:
     """Return the points of arcs at local times, one array per arc."""
     pairs = list(zip(arcs, local, strict=True))
 
@@ -120,7 +120,7 @@ def at_times(trace: Trace, times: Array) -> tuple[list[Arc], list[Array]]:
     if times.ndim != 1 or not (np.diff(times) >= 0.0).all():
         raise ValueError("times must be one row of numbers in ascending order")
     if len(times) and not (times[0] >= 0.0 and times[-1] <= trace.t_end):
-        raise ValueError(f"times must lie in the run, 0 to {shortest(trace.t_end)}")
+        raise ValueError(f"times must lie in the run, 0 to {shortest_text(trace.t_end)}")
     if not trace.arcs:
         return [], []
     starts = [arc.start.high for arc in trace.arcs]
@@ -138,7 +138,7 @@ Where = tuple[tuple[str, str], ...]
 """Regions with required states or superstates."""
 
 
-def wanted(during: Sequence[Mapping[str, str]]) -> tuple[Where, ...]:
+def requested_states(during: Sequence[Mapping[str, str]]) -> tuple[Where, ...]:
     """Return declared regions and states in the form of `places_in`."""
     return tuple([tuple(states.items()) for states in during])
 
@@ -191,7 +191,7 @@ def _solved_rows(trace: Trace, endpoints: Sequence[Endpoint], width: int) -> Arr
     return rows
 
 
-def passed(trace: Trace) -> list[Jump]:
+def passed_modes(trace: Trace) -> list[Jump]:
     """Return the jumps into modes of zero duration, and the last jump; none for time stepping."""
     if trace.step is not None:
         return []

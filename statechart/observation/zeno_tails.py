@@ -54,7 +54,7 @@ def last_resolved(trace: Trace) -> list[Jump]:
     return list(found.values())
 
 
-def without_summed(runs: Sequence[Sequence[Jumping]]) -> list[list[tuple[Jumping, bool]]] | None:
+def drop_summed(runs: Sequence[Sequence[Jumping]]) -> list[list[tuple[Jumping, bool]]] | None:
     """Omit the jumps that at least one run skipped at the end of a Zeno sequence.
 
     If regions bounce in turn, round-off decides at which of them the rest is skipped. Returns the

@@ -30,19 +30,19 @@ from statechart.loading.kind import kind
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
 from statechart.palette import GRID, LINES
-from statechart.pictures.film import LONGEST, Film, Shape, strokes
+from statechart.pictures.film import LONGEST, Film, Shape, hatching
 from statechart.reporting.curves import (
     DrawnCurve,
     Panel,
-    busy_until,
     curves,
+    end_of_activity,
     impulse_label,
     impulses_of,
     largest,
 )
-from statechart.reporting.figure import banded, unbanded
-from statechart.reporting.film import filmed, stage_of
-from statechart.reporting.text import ALIKE, change, computed, explanation
+from statechart.reporting.figure import band_remarks, regions_with_bands
+from statechart.reporting.film import film_at, stage_of
+from statechart.reporting.text import ALIKE, change, computation_lines, explanation
 from statechart.tabular import MAX_LISTED, number
 
 # Pictures that a page has at most and at least, and numbers that all of them have.
@@ -53,7 +53,7 @@ MOST_EVENTS = 300
 _FEW, _CHANGED = 60, 9000
 # Points of a curve; a diagram of more modes is not looked at.
 _POINTS, _NODES = 1200, 40
-# How wide the moving scene is, in its own units.
+# Width of the moving scene, in its own units.
 _PICTURE = 1000.0
 
 
@@ -66,36 +66,36 @@ def content(
     seen = kind(automaton.declaration.kind).stage is not None
     stage = stage_of(automaton) if seen else None
     drawn, panels = curves(observer, trace)
-    end = busy_until(trace, drawn, panels)
+    end = end_of_activity(trace, drawn, panels)
     width = 3 * len(automaton.regions) + 9 if seen else 1
     count = int(np.clip(_NUMBERS // max(width, 1), _LEAST, _MOST))
     limit = int(np.clip(_CHANGED // max(len(automaton.regions), 1), _FEW, MOST_EVENTS))
     events = [event for event in report["events"] if event["t"] <= end][:limit]
     times = np.unique([*np.linspace(0.0, end, count), *(event["t"] for event in events)])
-    film = None if stage is None else filmed(stage, observer, trace, times)
+    film = None if stage is None else film_at(stage, observer, trace, times)
     samples = observer.sample(trace, automaton.names[:1], times=times)
     keys = [samples.modes[place] for place in samples.mode]
-    rows = banded(automaton, trace)
+    rows = regions_with_bands(automaton, trace)
     return {
         "title": trace.name,
         "doc": automaton.declaration.doc,
         "outcome": f"{report['outcome']}: {report['message']}",
-        "computed": computed(report),
+        "computed": computation_lines(report),
         "lines": list(LINES),
         "unit": unit_suffix(automaton.declaration.unit(TIME)),
         "cut": end < trace.t_end,
         "end": trace.t_end,
-        "times": _packed(times, np.float64),
+        "times": _pack(times, np.float64),
         "regions": _regions(automaton, keys, rows),
-        "unbanded": list(unbanded(trace, rows)),
-        "mode": _packed(samples.mode, np.int32),
+        "unbanded": list(band_remarks(trace, rows)),
+        "mode": _pack(samples.mode, np.int32),
         "film": None if film is None else _film(film, automaton.declaration.units),
         "panels": _panels(trace, _until(observer, trace, drawn, end), panels),
         "events": [_event(event, times, trace.step) for event in events],
         "more": len(trace.jumps) - len(events),
         "chart": _chart(automaton, diagram, trace, samples),
-        "outputs": _measured(report["outputs"], report["units"]),
-        "parameters": _measured(
+        "outputs": _with_units(report["outputs"], report["units"]),
+        "parameters": _with_units(
             {name: value for name, value in report["parameters"].items() if name in declared},
             report["units"],
         ),
@@ -114,7 +114,7 @@ def _regions(
             "name": name,
             "states": list(states),
             "colours": [colours[name].get(state, GRID) for state in states],
-            "state": _packed(
+            "state": _pack(
                 np.array(
                     [states.index(key[k - unrecorded]) if k >= unrecorded else 0 for key in keys]
                 ),
@@ -140,17 +140,17 @@ def _film(film: Film, units: Mapping[str, str]) -> dict[str, Any]:
         "longest": LONGEST * film.force,
         "trails": film.trails,
         "frames": film.poses.shape[1],
-        "poses": _packed(film.poses * place, np.float32),
-        "centres": _packed(part * film.centres, np.float32),
+        "poses": _pack(film.poses * place, np.float32),
+        "centres": _pack(part * film.centres, np.float32),
         "shapes": [_shape(film, shape, part) for shape in film.shapes],
         "touches": [
             {
                 "name": touch.name,
                 "region": touch.region,
-                "places": _packed(part * touch.places, np.float32),
-                "normals": _packed(touch.normals, np.float32),
-                "forces": _packed(touch.forces, np.float32),
-                "friction": _packed(touch.friction, np.float32),
+                "places": _pack(part * touch.places, np.float32),
+                "normals": _pack(touch.normals, np.float32),
+                "forces": _pack(touch.forces, np.float32),
+                "friction": _pack(touch.friction, np.float32),
             }
             for touch in film.touches
         ],
@@ -169,9 +169,9 @@ def _shape(film: Film, shape: Shape, part: float) -> dict[str, Any]:
         "aside": shape.aside,
     }
     if shape.slack is not None:
-        made["slack"] = _packed(part * shape.slack, np.float32)
+        made["slack"] = _pack(part * shape.slack, np.float32)
     if shape.kind == "ground":
-        made["strokes"] = _short(part * strokes(shape.points, film.spacing).reshape(-1, 4))
+        made["strokes"] = _short(part * hatching(shape.points, film.spacing).reshape(-1, 4))
     return made
 
 
@@ -200,7 +200,7 @@ def _panels(trace: Trace, samples: Samples, found: Sequence[Panel]) -> list[dict
     line = DrawnCurve.of(replace(samples, t=samples.t[chosen], j=samples.j[chosen]))
 
     def drawn(values: Array) -> str:
-        return _packed(line.values(values[chosen]), np.float32)
+        return _pack(line.values(values[chosen]), np.float32)
 
     made = []
     for panel in found:
@@ -212,7 +212,7 @@ def _panels(trace: Trace, samples: Samples, found: Sequence[Panel]) -> list[dict
         made.append(
             {
                 "title": panel.label,
-                "t": _packed(line.times, np.float32),
+                "t": _pack(line.times, np.float32),
                 "names": list(names),
                 "curves": [drawn(samples.columns[name]) for name in names],
                 "colours": list(LINES[: len(names)]),
@@ -230,13 +230,13 @@ def _impulses_of(trace: Trace, panel: Panel, region: str, end: float) -> dict[st
     seen = times <= end
     return {
         "name": impulse_label(panel, sizes) if panel.names else region,
-        "t": _packed(times[seen], np.float32),
-        "sizes": "" if panel.names else _packed(sizes[seen], np.float32),
+        "t": _pack(times[seen], np.float32),
+        "sizes": "" if panel.names else _pack(sizes[seen], np.float32),
     }
 
 
 def _sample_rows(samples: Samples, end: float) -> NDArray[np.intp]:
-    """Return the rows that curves are drawn by: some, and both ends of every flow.
+    """Return the sampled rows of curves, including both ends of every flow.
 
     Without these a curve would end short of where it jumps. Of too many flows all rows, of which
     `Line` draws the least and the greatest of every column.
@@ -270,10 +270,10 @@ def _chart(
     if diagram is not None:
         diagram, active = _complete_diagram(automaton, diagram, samples.modes)
     if diagram is None or not 0 < len(diagram.nodes) <= _NODES:
-        return {**none, "place": _packed(place, np.uint8)}
+        return {**none, "place": _pack(place, np.uint8)}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "chart.svg"
-        write_diagram(_bare(diagram), path)
+        write_diagram(_without_markup(diagram), path)
         svg = path.read_text(encoding="utf-8")
     names = identifiers(diagram)
     nodes = [[names[name] for name in active(key) if name in names] for key in samples.modes]
@@ -285,7 +285,7 @@ def _chart(
         "svg": svg[svg.index("<svg") :],
         "nodes": nodes,
         "states": states,
-        "place": _packed(place, np.uint8),
+        "place": _pack(place, np.uint8),
     }
 
 
@@ -308,7 +308,7 @@ def _visits(path: Sequence[str], entered: Sequence[tuple[str, ...]]) -> NDArray[
 def _complete_diagram(
     automaton: Automaton, diagram: Diagram, modes: Sequence[Key]
 ) -> tuple[Diagram, Callable[[Key], tuple[str, ...]]]:
-    """Return a diagram that has every mode, and the nodes of it that are active in one.
+    """Return a diagram with every mode, and its active nodes in each mode.
 
     Of a run through many modes a diagram shows the first ones; what it does after that is seen on
     the charts of its regions.
@@ -324,7 +324,7 @@ def _complete_diagram(
     return replace(diagram, charts=diagram.explained, explained=()), active_states(automaton)
 
 
-def _bare(diagram: Diagram) -> Diagram:
+def _without_markup(diagram: Diagram) -> Diagram:
     """Return a diagram without its title, guards, conditions and actions, for the page."""
 
     def bare(chart: Chart) -> Chart:
@@ -337,7 +337,7 @@ def _bare(diagram: Diagram) -> Diagram:
     return replace(diagram, title="", charts=charts, notes=(), explained=())
 
 
-def _measured(values: Mapping[str, object], units: Mapping[str, str]) -> dict[str, Any]:
+def _with_units(values: Mapping[str, object], units: Mapping[str, str]) -> dict[str, Any]:
     """Return values as text with their units; of a long list the numbers, for a sparkline."""
 
     def shown(name: str, value: object) -> dict[str, Any]:
@@ -353,7 +353,7 @@ def _short(values: Array) -> list[Any]:
     return found
 
 
-def _packed(values: Array | NDArray[np.integer[Any]], kind: type) -> str:
+def _pack(values: Array | NDArray[np.integer[Any]], kind: type) -> str:
     little = np.ascontiguousarray(values, dtype=np.dtype(kind).newbyteorder("<"))
     return b64encode(little.tobytes()).decode()
 

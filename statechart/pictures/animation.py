@@ -19,10 +19,10 @@ from statechart.arrays import Array
 from statechart.documents.files import write_atomic
 from statechart.errors import DeclarationError, StatechartError
 from statechart.palette import FAINT, FRAME, INK, PAPER, state_colours
-from statechart.pictures.drawing import CLOSED, FORCE, TRAIL, Drawing, shaped
+from statechart.pictures.drawing import CLOSED, FORCE, TRAIL, Drawing, picture_size
 from statechart.pictures.film import Film
 from statechart.pictures.scenery import BODY
-from statechart.progress import counted
+from statechart.progress import count_items
 
 if TYPE_CHECKING:
     from PIL import Image, ImageFont
@@ -38,7 +38,7 @@ _SHORT, _LONG = 3.0, 10.0
 _MAX_FRAMES = 600
 # Pixels along a side; a video's are even.
 _NARROWEST, _WIDEST = 120, 1920
-# The last picture stays for so long before all begins anew.
+# Seconds for which the last picture stays before the animation repeats.
 _STAYS = 1.0
 _DPI = 100
 # The clock: its letters and the paper around it in pixels, its place in parts of the picture.
@@ -114,7 +114,7 @@ def write_animation(
     check(path, size)
     pictures = _pictures(film, _clock(speed), size, trail)
     if progress:
-        pictures = counted(pictures, len(film.times), f"pictures of {path.name}")
+        pictures = count_items(pictures, len(film.times), f"pictures of {path.name}")
     # A long run was thinned: each picture stays for longer.
     lasting = (film.times[-1] - film.times[0]) / speed / max(len(film.times) - 1, 1) or 1.0 / _RATE
     make = _gif if path.suffix.lower() == ".gif" else _mp4
@@ -131,13 +131,13 @@ def _clock(speed: float) -> str:
 
 
 def _pictures(film: Film, clock: str, size: int, trail: float | None) -> Iterator[Image.Image]:
-    """Yield the pictures of a film; what does not move is drawn once for all of them."""
+    """Yield the pictures of a film; the static background is drawn once."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.font_manager import FontProperties, findfont
     from PIL import Image, ImageFont
 
-    width, height = shaped(film, size / _DPI, size / _DPI)
+    width, height = picture_size(film, size / _DPI, size / _DPI)
     even = [2 * round(side * _DPI / 2) / _DPI for side in (width, height)]
     figure = Figure(figsize=(even[0], even[1]), dpi=_DPI)
     canvas = FigureCanvasAgg(figure)
@@ -173,7 +173,7 @@ def _write_clock(picture: Image.Image, words: str, font: ImageFont.FreeTypeFont)
 def _gif(pictures: Iterator[Image.Image], lasting: float) -> bytes:
     from PIL import Image
 
-    # One palette for all: what stands still stays the same, and takes no place in the file.
+    # One palette for all pictures: static parts stay equal, and compress to nothing.
     shared = Image.new("P", (1, 1))
     shared.putpalette(_palette())
     kept = [p.quantize(palette=shared, dither=Image.Dither.NONE) for p in pictures]

@@ -11,7 +11,16 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.palette import FAINT, INK, LINES, PAPER, state_colours
-from statechart.pictures.film import BETWEEN, Film, Shape, Touch, arrows, cones, placed, strokes
+from statechart.pictures.film import (
+    BETWEEN,
+    Film,
+    Shape,
+    Touch,
+    arrows,
+    cones,
+    hatching,
+    place_points,
+)
 from statechart.pictures.scenery import Scenery, bar_width, points_of, thinner
 
 if TYPE_CHECKING:
@@ -74,7 +83,7 @@ class Drawing:
             self._show(touch, artists, instant)
 
     def moving(self) -> list[Artist]:
-        """Return all that has to be drawn anew at another instant, from back to front.
+        """Return the artists to redraw at another instant, from back to front.
 
         That is what moves, and what is drawn upon it. What is seen by an eye that moves does, too.
         """
@@ -88,7 +97,7 @@ class Drawing:
     def _move_window(self, instant: int) -> None:
         (x, y), (width, height) = self._film.centres[instant], self._film.half
         limits = (x - width, x + width), (y - height, y + height)
-        # To set them, though they are the same, places everything anew.
+        # Setting equal limits would trigger a new layout.
         if limits != self._limits:
             self._limits = limits
             self._ax.set(xlim=limits[0], ylim=limits[1])
@@ -132,7 +141,7 @@ class Drawing:
 
 
 _SIZE = 8  # points
-# What is in the way of a name, from what must not be to what is not nice.
+# Costs of covering other parts by a name, from forbidden to undesirable.
 _OUTSIDE, _TEXT, _MARK, _LINE, _FARTHER = 1000.0, 500.0, 30.0, 4.0, 0.4
 # Around a point a name is tried in so many directions and distances, these in points of the paper.
 _ROUND, _DISTANCES = 12, (3.0, 8.0, 16.0, 28.0)
@@ -186,7 +195,9 @@ def _names(ax: Axes, film: Film, radius: float) -> Iterator[_Name]:
     many = len({shape.name for shape in film.shapes if shape.region >= 0}) > _MAX_NAMED
     for touch in film.touches:
         place, size = ax.transData.transform(touch.places[0]), _size(ax, touch.name)
-        yield _Name(touch.name, {"color": LINES[0]}, size, _around(place, size, radius, scale))
+        yield _Name(
+            touch.name, {"color": LINES[0]}, size, _places_around(place, size, radius, scale)
+        )
     for shape in film.shapes:
         if shape.name in named or shape.kind in (*BETWEEN, "joint", "pivot"):
             continue
@@ -202,7 +213,7 @@ def _names(ax: Axes, film: Film, radius: float) -> Iterator[_Name]:
             style = {"color": INK, "style": "italic"}
             size = _size(ax, shape.name)
             at = ax.transData.transform(film.poses[0, shape.frame, :2])
-            places = _around(at, size, radius, scale)
+            places = _places_around(at, size, radius, scale)
             if shape.kind in ("outline", "disc"):
                 places = np.concatenate([at[None], places])
         if len(places):
@@ -216,7 +227,7 @@ def _size(ax: Axes, text: str) -> Array:
     return np.array([extent.width, extent.height])
 
 
-def _around(place: Array, size: Array, radius: float, scale: float) -> Array:
+def _places_around(place: Array, size: Array, radius: float, scale: float) -> Array:
     """Return middles of a text around a point, on the right and near first."""
     turns = np.pi * np.arange(_ROUND) / (_ROUND / 2)
     turns = turns[np.argsort(1.0 - np.cos(turns - np.pi / 6.0), kind="stable")]
@@ -229,7 +240,7 @@ def _around(place: Array, size: Array, radius: float, scale: float) -> Array:
 
 def _label_positions(ax: Axes, film: Film, shape: Shape, size: Array, scale: float) -> Array:
     """Return middles of a text along a surface, on the side of its solid, beyond the hatching."""
-    points = ax.transData.transform(placed(shape.points, film.poses[0, shape.frame]))
+    points = ax.transData.transform(place_points(shape.points, film.poses[0, shape.frame]))
     steps = np.diff(points, axis=0)
     lengths = np.hypot(*steps.T)
     far = np.concatenate([[0.0], np.cumsum(lengths)])
@@ -268,20 +279,20 @@ def _costs(
     for mark in marks:
         costs += _MARK * ((low < mark + radius) & (high > mark - radius)).all(axis=1)
     for one, two in lines:
-        costs += _LINE * crossing(low - clear, high + clear, one, two)
+        costs += _LINE * crosses_boxes(low - clear, high + clear, one, two)
     return costs
 
 
-def crossing(low: Array, high: Array, one: Array, two: Array) -> Array:
+def crosses_boxes(low: Array, high: Array, one: Array, two: Array) -> Array:
     """Return which boxes (m,) a line from one point to another passes (Liang and Barsky 1984)."""
-    along = two - one
+    direction = two - one
     with np.errstate(divide="ignore", invalid="ignore"):
-        enter, leave = (low - one) / along, (high - one) / along
+        enter, leave = (low - one) / direction, (high - one) / direction
     first, last = np.minimum(enter, leave), np.maximum(enter, leave)
-    beside = (low <= one) & (one <= high)
-    still = along == 0.0
-    first = np.where(still, np.where(beside, -np.inf, np.inf), first).max(axis=1)
-    last = np.where(still, np.where(beside, np.inf, -np.inf), last).min(axis=1)
+    is_between = (low <= one) & (one <= high)
+    still = direction == 0.0
+    first = np.where(still, np.where(is_between, -np.inf, np.inf), first).max(axis=1)
+    last = np.where(still, np.where(is_between, np.inf, -np.inf), last).min(axis=1)
     found: Array = (first <= last) & (first <= 1.0) & (last >= 0.0)
     return found
 
@@ -289,7 +300,7 @@ def crossing(low: Array, high: Array, one: Array, two: Array) -> Array:
 def _marks(film: Film) -> Array:
     found = [touch.places[:1] for touch in film.touches]
     marked = [s for s in film.shapes if s.kind in ("mass", "joint", "pivot")]
-    found += [placed(shape.points, film.poses[0, shape.frame]) for shape in marked]
+    found += [place_points(shape.points, film.poses[0, shape.frame]) for shape in marked]
     return np.concatenate([np.empty((0, 2)), *found])
 
 
@@ -298,19 +309,19 @@ def _lines(film: Film) -> Array:
     found = [np.empty((0, 2, 2))]
     poses = film.poses[0]
     for shape in film.shapes:
-        points = placed(shape.points, poses[shape.frame])
+        points = place_points(shape.points, poses[shape.frame])
         if shape.kind == "disc":
             rim = np.column_stack([np.cos(_CORNERS), np.sin(_CORNERS)])
             if shape.region >= 0:
                 spoke = shape.points + np.array([[0.0, 0.0], [shape.radius, 0.0]])
-                found.append(placed(spoke, poses[shape.frame])[None])
+                found.append(place_points(spoke, poses[shape.frame])[None])
             points = points + shape.radius * rim
         elif shape.kind == "outline":
             points = np.concatenate([points, points[:1]])
         elif shape.kind in BETWEEN:
-            points[-1:] = placed(shape.points[-1:], poses[shape.other])
+            points[-1:] = place_points(shape.points[-1:], poses[shape.other])
         elif shape.kind == "ground":
-            found.append(strokes(points, film.spacing))
+            found.append(hatching(points, film.spacing))
         found.append(np.stack([points[:-1], points[1:]], axis=1))
     for touch in film.touches:
         tip = touch.places[0] + arrows(touch.forces[0], film.half, film.force)
@@ -331,7 +342,7 @@ def picture(film: Film) -> Figure:
     """Return the first instant of a film, its bodies, contacts and surfaces named."""
     from matplotlib.figure import Figure
 
-    size = shaped(film, _WIDTH, _HIGHEST)
+    size = picture_size(film, _WIDTH, _HIGHEST)
     result = Figure(figsize=size)
     Drawing(result.add_axes((0.0, 0.0, 1.0, 1.0)), film, names=True)
     return result
@@ -340,7 +351,7 @@ def picture(film: Film) -> Figure:
 def strip(figure: Figure, film: Film, top: float) -> None:
     """Draw instants of a film side by side, each with the trails up to it."""
     width, height = figure.get_size_inches()
-    own, high = shaped(film, width / _SIDE_BY_SIDE, _STRIP)
+    own, high = picture_size(film, width / _SIDE_BY_SIDE, _STRIP)
     own, high = _PART * own / width, _PART * high / height
     chosen = spread(film, _SIDE_BY_SIDE)
     for place, instant in enumerate(chosen):
@@ -352,10 +363,10 @@ def strip(figure: Figure, film: Film, top: float) -> None:
 
 def strip_height(film: Film, width: float) -> float:
     """Return how high a strip of so many inches is."""
-    return _PART * shaped(film, width / _SIDE_BY_SIDE, _STRIP)[1] + _CLOCK
+    return _PART * picture_size(film, width / _SIDE_BY_SIDE, _STRIP)[1] + _CLOCK
 
 
-def shaped(film: Film, width: float, highest: float) -> tuple[float, float]:
+def picture_size(film: Film, width: float, highest: float) -> tuple[float, float]:
     """Return width and height that fit a film, neither above what is given."""
     height = width * film.half[1] / film.half[0]
     return (width, height) if height <= highest else (width * highest / height, highest)
@@ -363,9 +374,9 @@ def shaped(film: Film, width: float, highest: float) -> tuple[float, float]:
 
 def spread(film: Film, count: int) -> list[int]:
     """Return the first, the last, and instants between which bodies move alike far."""
-    moved = np.abs(np.diff(film.poses[:, :, :2], axis=0)).max(axis=(1, 2)) / film.unit
+    displacements = np.abs(np.diff(film.poses[:, :, :2], axis=0)).max(axis=(1, 2)) / film.unit
     turned = np.abs(np.diff(film.poses[:, :, 2], axis=0)).max(axis=1)
-    far = np.concatenate([[0.0], np.cumsum(moved + 0.2 * turned)])
+    far = np.concatenate([[0.0], np.cumsum(displacements + 0.2 * turned)])
     if not far[-1] > 0.0:
         return [0]
     chosen = np.searchsorted(far, np.linspace(0.0, far[-1], count) * (1.0 - 1e-12))

@@ -153,18 +153,18 @@ HATCH = 1.0 / 48.0
 """Between the strokes of a hatching, in parts of `Film.unit`."""
 
 
-def placed(points: Array, pose: Array) -> Array:
+def place_points(points: Array, pose: Array) -> Array:
     """Return points (..., m, 2) of a frame in the world, for its poses (..., 3)."""
     x, y, angle = (pose[..., k, None] for k in range(3))
     c, s = np.cos(angle), np.sin(angle)
-    along, across = points.T
-    return np.stack([x + c * along - s * across, y + s * along + c * across], axis=-1)
+    tangential, normal = points.T
+    return np.stack([x + c * tangential - s * normal, y + s * tangential + c * normal], axis=-1)
 
 
 def ends_of(shape: Shape, poses: Array) -> tuple[Array, Array]:
     """Return the first and last point (..., 2) of a shape, for poses (..., f, 3) of all frames."""
-    first = placed(shape.points[:1], poses[..., shape.frame, :])
-    return first[..., 0, :], placed(shape.points[-1:], poses[..., shape.other, :])[..., 0, :]
+    first = place_points(shape.points[:1], poses[..., shape.frame, :])
+    return first[..., 0, :], place_points(shape.points[-1:], poses[..., shape.other, :])[..., 0, :]
 
 
 # A sag below this part of half the distance of the ends is not visible; points of a curve.
@@ -194,25 +194,25 @@ def catenary(first: Array, last: Array, slack: Array) -> Array:
     part = np.linspace(0.0, 1.0, _HANGING)
     points = first[:, None] + part[:, None] * (last - first)[:, None]
     c, low, high = (values[hangs, None] for values in (c, low, high))
-    along = (1.0 - part) * np.sinh(low) + part * np.sinh(high)
-    x = np.sign(dx)[hangs, None] * c * (np.arcsinh(along) - low)
-    y = c * (np.hypot(1.0, along) - np.cosh(low))
+    tangential = (1.0 - part) * np.sinh(low) + part * np.sinh(high)
+    x = np.sign(dx)[hangs, None] * c * (np.arcsinh(tangential) - low)
+    y = c * (np.hypot(1.0, tangential) - np.cosh(low))
     points[hangs, 1:-1] = first[hangs, None] + np.stack([x, y], axis=-1)[:, 1:-1]
     return points
 
 
-def strokes(points: Array, spacing: float) -> Array:
+def hatching(points: Array, spacing: float) -> Array:
     """Return the strokes (m, 2, 2) of the hatching on the right of a line of points.
 
     Where the line turns sharply they are as far apart as along it.
     """
     ends = np.diff(points, axis=0)
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*ends.T))])
-    if not along[-1] > 0.0:
+    tangential = np.concatenate([[0.0], np.cumsum(np.hypot(*ends.T))])
+    if not tangential[-1] > 0.0:
         return np.empty((0, 2, 2))
-    at = np.arange(spacing / 2, along[-1], spacing)
-    piece = np.clip(np.searchsorted(along, at, side="right") - 1, 0, len(ends) - 1)
+    at = np.arange(spacing / 2, tangential[-1], spacing)
+    piece = np.clip(np.searchsorted(tangential, at, side="right") - 1, 0, len(ends) - 1)
     direction = ends[piece] / np.hypot(*ends[piece].T)[:, None]
-    start = points[piece] + (at - along[piece])[:, None] * direction
+    start = points[piece] + (at - tangential[piece])[:, None] * direction
     right = np.column_stack([direction[:, 1], -direction[:, 0]])
     return np.stack([start, start + spacing * (right - direction) * np.sqrt(0.5)], axis=1)

@@ -10,7 +10,7 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.palette import FRAME, INK, state_colours
-from statechart.pictures.film import BETWEEN, WORLD, Film, Shape, catenary, ends_of, strokes
+from statechart.pictures.film import BETWEEN, WORLD, Film, Shape, catenary, ends_of, hatching
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -95,16 +95,16 @@ class Scenery:
                 continue
             if shape.frame != WORLD:
                 x, y, angle = self._film.poses[instant, shape.frame]
-                moved = Affine2D().rotate(angle).translate(x, y) + self._ax.transData
+                transform = Affine2D().rotate(angle).translate(x, y) + self._ax.transData
                 for artist in artists:
-                    artist.set_transform(moved)
+                    artist.set_transform(transform)
 
     def _line(self, shape: Shape, ends: Array, instant: int) -> Array:
         """Return the line between two ends; parts of it are separated by nan."""
         if shape.slack is not None:
             return catenary(ends[:1], ends[1:], shape.slack[[instant]])[0]
-        along = ends[1] - ends[0]
-        length = float(np.hypot(*along))
+        direction = ends[1] - ends[0]
+        length = float(np.hypot(*direction))
         if shape.kind not in _PROFILES or length == 0.0:
             return ends
         profile = _PROFILES[shape.kind]
@@ -112,8 +112,8 @@ class Scenery:
             profile = profile * (1.0 - 2.0 * _TURNS, 1.0) + np.array([_TURNS, shape.aside])
             corners = np.array([(0.0, 0.0), (_TURNS, 0.0)])
             profile = np.concatenate([corners, profile, (1.0, 0.0) - corners[::-1]])
-        across = np.array([-along[1], along[0]]) / length * _HALF_WIDTH * self._film.unit
-        return ends[0] + profile[:, :1] * along + profile[:, 1:] * across
+        across = np.array([-direction[1], direction[0]]) / length * _HALF_WIDTH * self._film.unit
+        return ends[0] + profile[:, :1] * direction + profile[:, 1:] * across
 
     def _artists(self, shape: Shape) -> list[Any]:
         made = getattr(self, f"_{shape.kind}")(shape)
@@ -171,12 +171,10 @@ class Scenery:
         from matplotlib.collections import LineCollection
         from matplotlib.lines import Line2D
 
-        marks = strokes(shape.points, self._film.spacing)
-        hatching = LineCollection(
-            list(marks), colors=FRAME, linewidths=0.7 * self._thin, zorder=1.2
-        )
-        hatching.set_transform(self._ax.transData)
-        return [Line2D(*shape.points.T, color=INK, lw=1.4 * self._thin, zorder=1.3), hatching]
+        marks = hatching(shape.points, self._film.spacing)
+        lines = LineCollection(list(marks), colors=FRAME, linewidths=0.7 * self._thin, zorder=1.2)
+        lines.set_transform(self._ax.transData)
+        return [Line2D(*shape.points.T, color=INK, lw=1.4 * self._thin, zorder=1.3), lines]
 
 
 class _Bodies:
@@ -221,7 +219,7 @@ class _Bodies:
 
 
 def state_colour(film: Film, instant: int, region: int) -> str:
-    """Return the colour of the state of a region at an instant; a body's where there is none."""
+    """Return the colour of a region's state at an instant; the colour of bodies without one."""
     if region < 0:
         return BODY
     return state_colours(film.states[region])[film.state(instant, region)]

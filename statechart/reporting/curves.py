@@ -12,7 +12,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
 from statechart.documents.declaration import TIME
-from statechart.documents.quantities import entitled, unit_of, unit_suffix
+from statechart.documents.quantities import axis_label, unit_of, unit_suffix
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
 
@@ -64,7 +64,7 @@ class Panel:
     @property
     def label(self) -> str:
         """Label of the axis."""
-        return entitled(self.title, self.unit)
+        return axis_label(self.title, self.unit)
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -94,7 +94,7 @@ def curves(observer: Observer, trace: Trace) -> tuple[Samples, list[Panel]]:
     return samples, [*panels, *_controls(observer.automaton, samples)]
 
 
-def busy_until(trace: Trace, samples: Samples, panels: Iterable[Panel]) -> float:
+def end_of_activity(trace: Trace, samples: Samples, panels: Iterable[Panel]) -> float:
     """Return the time of the last visible change plus a margin, at most the end of the run."""
     events = [jump.t for jump in trace.jumps if jump.t < trace.t_end]
     last = max(events, default=0.0)
@@ -121,10 +121,10 @@ def largest(values: Array) -> float:
 
 
 def impulses_of(trace: Trace, region: str) -> tuple[Array, Array]:
-    """Return the times and normal impulses of impacts in a region, decimated by `strongest`."""
+    """Return the times and normal impulses of impacts in a region; see `largest_impulses`."""
     found = [(jump.t, jump.impulse[region][0]) for jump in trace.jumps if region in jump.impulse]
     times, impulses = np.array(found).reshape(-1, 2).T
-    return strongest(times, impulses, trace.t_end)
+    return largest_impulses(times, impulses, trace.t_end)
 
 
 def impulse_label(panel: Panel, impulses: Array) -> str:
@@ -171,7 +171,7 @@ def without_round_off(automaton: Automaton, trace: Trace, samples: Samples) -> S
     return replace(samples, columns=columns)
 
 
-def _chosen(title: str, names: Sequence[str], unit: str, samples: Samples) -> Panel:
+def _choose_panel(title: str, names: Sequence[str], unit: str, samples: Samples) -> Panel:
     """Return a panel of the curves with the largest range, evenly chosen if many are similar."""
     columns = {name: np.nan_to_num(samples.columns[name]) for name in names}
     round_off = _ROUND_OFF * max(map(largest, columns.values()))
@@ -206,7 +206,7 @@ def _variable_panels(automaton: Automaton, samples: Samples) -> list[Panel]:
     model = automaton.declaration
     places = {symbol: k for k, symbol in enumerate(automaton.variables)}
     speeds = {places[rate] for rate in automaton.rates if rate in places}
-    moved = {k for k, rate in enumerate(automaton.rates) if rate in places}
+    variables = {k for k, rate in enumerate(automaton.rates) if rate in places}
     few = len(automaton.names) < _MAX_PANELS
     groups: dict[tuple[str, str], list[str]] = {}
     for k, name in enumerate(automaton.names):
@@ -215,13 +215,13 @@ def _variable_panels(automaton: Automaton, samples: Samples) -> list[Panel]:
         dimension, unit = model.quantity(name).dimension, model.unit(name)
         title = _STATES.get(dimension, "")
         if not title and speeds:
-            title = _OTHER_STATES[0 if k in moved else 1 if k in speeds else 2]
+            title = _OTHER_STATES[0 if k in variables else 1 if k in speeds else 2]
         elif not title:
             # Variables without dimensions: few get a panel each, since units may differ.
             title = name if few else "variables"
         groups.setdefault((title, unit), []).append(name)
     ordered = sorted(groups, key=lambda g: _ORDER.index(g[0]) if g[0] in _ORDER else len(_ORDER))
-    panels = [_chosen(title, groups[title, unit], unit, samples) for title, unit in ordered]
+    panels = [_choose_panel(title, groups[title, unit], unit, samples) for title, unit in ordered]
     # The last nonzero panel lists the columns of the zero panels.
     nonzero = [p for p in panels if any(largest(samples.columns[name]) > 0.0 for name in p.names)]
     nonzero = nonzero or panels[:1]
@@ -251,7 +251,7 @@ def _gaps(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
     }
     active = [name for name in names if name in changing]
     active = active if active and len(names) > MAX_CURVES else names
-    panel = _chosen("gap", active, model.unit(names[0]), samples)
+    panel = _choose_panel("gap", active, model.unit(names[0]), samples)
     idle = tuple(name for name in names if name not in active)
     return [replace(panel, left_out=(*panel.left_out, *idle))]
 
@@ -312,7 +312,7 @@ def _controls(automaton: Automaton, samples: Samples) -> list[Panel]:
     groups: dict[str, list[str]] = {}
     for name in names:
         groups.setdefault(automaton.declaration.unit(name), []).append(name)
-    return [_chosen("control", group, unit, samples) for unit, group in groups.items()]
+    return [_choose_panel("control", group, unit, samples) for unit, group in groups.items()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,7 +344,7 @@ class DrawnCurve:
         return np.insert(column, self._breaks, np.nan)
 
 
-def strongest(times: Array, sizes: Array, end: float) -> tuple[Array, Array]:
+def largest_impulses(times: Array, sizes: Array, end: float) -> tuple[Array, Array]:
     """Return events and their sizes, of many the largest in each column of the figure."""
     if len(times) <= COLUMNS:
         return times, sizes

@@ -12,7 +12,7 @@ import sympy as sp
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import Setup, roles_in
 from statechart.automaton.modes import build_mode
-from statechart.automaton.reduction import Coordinates, Elimination, eliminated
+from statechart.automaton.reduction import Coordinates, Elimination, eliminate
 from statechart.automaton.trace import Key
 from statechart.errors import DeclarationError, close_matches
 from statechart.tabular import ALL_DIGITS
@@ -48,13 +48,15 @@ def format_equations(
     made = blocks(automaton, key, frozenset(s for name, s in zeros if name not in declared))
     if digits < ALL_DIGITS:
         made = [
-            EquationBlock(title, tuple((_rounded(a, digits), _rounded(b, digits)) for a, b in rows))
+            EquationBlock(
+                title, tuple((_round_side(a, digits), _round_side(b, digits)) for a, b in rows)
+            )
             for title, rows in made
         ]
     return _FORMS[form](automaton, key, made)
 
 
-def _rounded(side: sp.Expr, digits: int) -> sp.Expr:
+def _round_side(side: sp.Expr, digits: int) -> sp.Expr:
     numbers = {x: sp.Float(x, digits) for x in side.atoms(sp.Float)}
     whole = {x: y for x, y in numbers.items() if float(y).is_integer() and abs(y) < _WHOLE}
     return side.xreplace({**numbers, **{x: sp.Integer(int(y)) for x, y in whole.items()}})
@@ -213,7 +215,7 @@ def _equation_rows(
     for state in states:
         written |= {control: value.xreplace(written) for control, value in state.values.items()}
     holds = [*coordinates.joints, *(hold for state in states for hold in state.holds)]
-    found = eliminated(coordinates, holds[len(coordinates.joints) :], written)
+    found = eliminate(coordinates, holds[len(coordinates.joints) :], written)
     replaced = {} if found is None else found.replaced
     equations = [
         *(e for hold in coordinates.joints for e in hold.equations),

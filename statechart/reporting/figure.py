@@ -17,7 +17,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Jump, Trace
 from statechart.documents.declaration import TIME
 from statechart.documents.files import write_atomic
-from statechart.documents.quantities import entitled
+from statechart.documents.quantities import axis_label
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
@@ -29,8 +29,8 @@ from statechart.reporting.curves import (
     COLUMNS,
     DrawnCurve,
     Panel,
-    busy_until,
     curves,
+    end_of_activity,
     impulse_label,
     impulses_of,
     largest,
@@ -99,8 +99,8 @@ def figure(
     from matplotlib.figure import Figure
 
     samples, panels = curves(observer, trace)
-    end = busy_until(trace, samples, panels) or 1.0
-    bands = len(banded(observer.automaton, trace)) or 1
+    end = end_of_activity(trace, samples, panels) or 1.0
+    bands = len(regions_with_bands(observer.automaton, trace)) or 1
     each = _TALL if len(panels) < _MANY else _LOW
     heights = [*(each for _ in panels), 0.26 * bands]
     with rc_context(STYLE):
@@ -156,7 +156,7 @@ def frame_bands(ax: Axes) -> None:
     frame(ax, hidden=("top", "right", "left"), grid=False)
 
 
-def entitle(drawing: Figure, title: str) -> Figure:
+def set_title(drawing: Figure, title: str) -> Figure:
     """Write the title of a figure in its upper left corner."""
     drawing.suptitle(title, x=0.01, ha="left", fontsize=10, fontweight="bold")
     return drawing
@@ -230,13 +230,13 @@ def _limits(curves: Sequence[Array]) -> tuple[float, float]:
 
 
 def _time(unit: str, trace: Trace, end: float) -> str:
-    label = entitled("time", unit)
+    label = axis_label("time", unit)
     if end < trace.t_end:
         label += f"; until the end at {trace.t_end:.6g} nothing happens any more"
     return label
 
 
-def _labelled(jumps: Sequence[Jump]) -> Iterator[tuple[Jump, str]]:
+def _event_labels(jumps: Sequence[Jump]) -> Iterator[tuple[Jump, str]]:
     """Yield events with their labels, one label for more than _LEVELS events at one instant."""
     for _, group in groupby(jumps, key=lambda jump: jump.t):
         together = list(group)
@@ -274,7 +274,7 @@ def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> int:
         return 0
     free = [-1.0] * _LEVELS
     top = axes[0].get_xaxis_transform()
-    for jump, label in _labelled(jumps):
+    for jump, label in _event_labels(jumps):
         place, width = jump.t / span, label_width(label)
         left = place if place + width <= 1.0 else place - width
         level = next((k for k, last in enumerate(free) if left >= last), None)
@@ -295,7 +295,7 @@ def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> int:
     return sum(last > -1.0 for last in free)
 
 
-def banded(automaton: Automaton, trace: Trace) -> list[int]:
+def regions_with_bands(automaton: Automaton, trace: Trace) -> list[int]:
     """Return the regions with a band: at most _MAX_BANDS that change mode.
 
     Regions with unique states, such as controllers, come before one of many alike.
@@ -314,7 +314,7 @@ def draw_bands(ax: Axes, automaton: Automaton, trace: Trace, end: float) -> None
     """Draw one row per region, the first on top, with its states as coloured intervals."""
     from matplotlib.patches import Patch
 
-    places = banded(automaton, trace)
+    places = regions_with_bands(automaton, trace)
     unnamed: dict[str, Artist] = {}
     for y, row in zip(reversed(range(len(places))), places, strict=True):
         colours = automaton.colours[trace.regions[row]]
@@ -343,12 +343,12 @@ def draw_bands(ax: Axes, automaton: Automaton, trace: Trace, end: float) -> None
     ax.set_yticks([rows - 0.5 - k for k in range(rows)], [trace.regions[k] for k in places])
     frame_bands(ax)
     ax.set_xlim(0.0, end)
-    left = remark_lines(unbanded(trace, places))
+    left = remark_lines(band_remarks(trace, places))
     if unnamed or left:
         legend(ax, [*unnamed.values(), *left], 2 if len(unnamed) > max(2 * rows, 3) else 1)
 
 
-def unbanded(trace: Trace, places: Sequence[int]) -> tuple[str, ...]:
+def band_remarks(trace: Trace, places: Sequence[int]) -> tuple[str, ...]:
     """Return remarks on regions without a row."""
     found: dict[str, list[str]] = {}
     for k, name in enumerate(trace.regions):

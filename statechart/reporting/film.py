@@ -36,7 +36,7 @@ def stage_of(automaton: Automaton) -> Stage:
     return stage(automaton)
 
 
-def filmed(stage: Stage, observer: Observer, trace: Trace, times: ArrayLike) -> Film:
+def film_at(stage: Stage, observer: Observer, trace: Trace, times: ArrayLike) -> Film:
     """Return the film of a run at instants, after the jumps at them."""
     automaton = observer.automaton
     names = (*automaton.names, *stage.wanted)
@@ -58,10 +58,12 @@ def filmed(stage: Stage, observer: Observer, trace: Trace, times: ArrayLike) -> 
 def until_rest(stage: Stage, observer: Observer, trace: Trace) -> float:
     """Return the time of the last visible motion plus a margin, at most the end of the run."""
     times = np.linspace(0.0, trace.t_end, _INSTANTS)
-    film = filmed(stage, observer, trace, times)
-    moved = np.abs(film.poses[:, :, :2] - film.poses[-1:, :, :2]).max(axis=(1, 2)) / film.unit
+    film = film_at(stage, observer, trace, times)
+    displacements = (
+        np.abs(film.poses[:, :, :2] - film.poses[-1:, :, :2]).max(axis=(1, 2)) / film.unit
+    )
     turned = np.abs(film.poses[:, :, 2] - film.poses[-1:, :, 2]).max(axis=1)
-    moving = np.flatnonzero(np.maximum(moved, turned) > _STILL)
+    moving = np.flatnonzero(np.maximum(displacements, turned) > _STILL)
     if not len(moving):
         return trace.t_end
     last = float(times[min(moving[-1] + 1, len(times) - 1)])
@@ -89,7 +91,7 @@ def animate(
     animation.check(path, showing.size, showing.speed, showing.trail)
     stage = stage_of(observer.automaton)
     speed, times = animation.pace(until_rest(stage, observer, trace), showing.speed)
-    film = filmed(stage, observer, trace, times)
+    film = film_at(stage, observer, trace, times)
     animation.write_animation(
         film, path, speed=speed, size=showing.size, trail=showing.trail, progress=progress
     )
@@ -102,4 +104,4 @@ def strip_of(observer: Observer, trace: Trace) -> Film | None:
         return None
     stage = stage_of(observer.automaton)
     end = until_rest(stage, observer, trace)
-    return filmed(stage, observer, trace, np.linspace(0.0, end, _INSTANTS))
+    return film_at(stage, observer, trace, np.linspace(0.0, end, _INSTANTS))

@@ -7,23 +7,23 @@ from typing import Any
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import MAX_MODES, Feasibility
-from statechart.automaton.product import explored
+from statechart.automaton.product import explore
 from statechart.automaton.regions import HierarchicalEdge, Region, hierarchical_edges
 from statechart.errors import DeclarationError, close_matches
 from statechart.tabular import (
     DIGITS,
     Table,
     TextBlock,
-    ends,
-    grouped,
+    abridge,
     join_blocks,
     number,
-    plain,
-    several,
+    pluralise,
+    readable_count,
+    write_plain,
 )
 
 
-def listing(
+def list_modes(
     automaton: Automaton,
     *,
     built: int,
@@ -60,7 +60,7 @@ def check_variables(automaton: Automaton, names: Iterable[str]) -> None:
 
 def text(listed: Mapping[str, Any]) -> str:
     """Return a listing as text, without directions of sliding."""
-    return plain(format_listing(listed))
+    return write_plain(format_listing(listed))
 
 
 def format_listing(listed: Mapping[str, Any], digits: int = DIGITS) -> list[TextBlock]:
@@ -74,7 +74,7 @@ def format_listing(listed: Mapping[str, Any], digits: int = DIGITS) -> list[Text
             (f"  ... {r} more: --json has all", "")
             if isinstance(r, int)
             else (f"  {r['name']}", format_count(r["modes_declared"], r["modes_total"]))
-            for r in ends(listed["regions"])
+            for r in abridge(listed["regions"])
         ]
         words = f"more than {MAX_MODES} modes: the product is not enumerated; regions:\n"
         parts.append([words, Table(counts)])
@@ -82,15 +82,19 @@ def format_listing(listed: Mapping[str, Any], digits: int = DIGITS) -> list[Text
         parts.append(_possible(listed, digits))
     parts += [
         [f"... {region} more: --json has all\n"] if isinstance(region, int) else _edges(region)
-        for region in ends(listed["regions"])
+        for region in abridge(listed["regions"])
     ]
     return join_blocks(parts)
 
 
 def format_count(declared: int, total: int) -> str:
     """Return numbers of modes as text, without and with directions of sliding."""
-    words = several(declared, "mode")
-    return words if declared == total else f"{words} ({grouped(total)} with directions of sliding)"
+    words = pluralise(declared, "mode")
+    return (
+        words
+        if declared == total
+        else f"{words} ({readable_count(total)} with directions of sliding)"
+    )
 
 
 def _region(region: Region) -> dict[str, Any]:
@@ -130,7 +134,7 @@ def _feasibility(automaton: Automaton, found: Feasibility) -> dict[str, Any]:
     names = [region.name for region in automaton.regions]
 
     def verdicts(directions: bool) -> dict[str, Any]:
-        modes = explored(automaton, found=found, directions=directions).modes.items()
+        modes = explore(automaton, found=found, directions=directions).modes.items()
         named = [(dict(zip(names, key, strict=True)), data.get("reason")) for key, data in modes]
         return {
             "declared": len(named),

@@ -34,12 +34,12 @@ class PartialReport:
     def __init__(self, *, strict: bool = False) -> None:
         self.failed: dict[str, str] = {}
         self._strict = strict
-        self._signals = interrupts.arrived()
+        self._signals = interrupts.signal_count()
 
     @property
     def hurried(self) -> bool:
         """Return whether a signal to end has arrived, so that slow reports are skipped."""
-        return not self._strict and interrupts.arrived() > 0
+        return not self._strict and interrupts.signal_count() > 0
 
     def attempt(self, name: str, work: Callable[[], T], otherwise: T) -> T:
         """Return `work()`; if it fails, record the reason and return `otherwise`."""
@@ -66,7 +66,7 @@ class PartialReport:
             if self.failed.get(name) != _INTERRUPTED:
                 return done
             del self.failed[name]
-        self._signals, before = interrupts.arrived(), self._signals
+        self._signals, before = interrupts.signal_count(), self._signals
         try:
             with interrupts.held(firmly=True):
                 return self.attempt(name, partial(work, True), otherwise)
@@ -92,7 +92,7 @@ class PartialReport:
         return ", ".join(f"{', '.join(names)} ({reason})" for reason, names in why.items())
 
     def _over(self) -> bool:
-        return interrupts.arrived() > self._signals
+        return interrupts.signal_count() > self._signals
 
 
 def reason(error: Exception) -> str:

@@ -21,7 +21,7 @@ from statechart.observation.grazes import graze_warnings, grazes
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import extremes, outputs
 from statechart.reporting.partial_report import PartialReport
-from statechart.tabular import grouped, several
+from statechart.tabular import pluralise, readable_count
 
 
 class Computation(NamedTuple):
@@ -76,9 +76,9 @@ def report(
     )
     jumps = trace.jumps[:most]
     events = _event_rows(observer, trace, jumps, conditions[:most], done, explain=explain)
-    without = left_out(automaton, trace)
-    without += [{"what": what, "why": why} for what, why in done.failed.items()]
-    result = _ended(trace) | {
+    unused = left_out(automaton, trace)
+    unused += [{"what": what, "why": why} for what, why in done.failed.items()]
+    result = _outcome(trace) | {
         "error_estimate": computation.error_estimate,
         "asked": computation.request,
         "condition": max((c for c in conditions if c is not None), default=None),
@@ -86,7 +86,7 @@ def report(
         "modes_declared": automaton.modes_declared,
         "modes_built": trace.counts.get("modes_built", 0),
         "built": built(observer, trace),
-        "left_out": without,
+        "left_out": unused,
         "modes": [dict(zip(trace.regions, key, strict=True)) for key in trace.modes],
         "indeterminate": [
             {"mode": dict(zip(trace.regions, key, strict=True)), "regions": names}
@@ -112,7 +112,7 @@ def report(
     return safe | {"events": events}
 
 
-def _ended(trace: Trace) -> dict[str, Any]:
+def _outcome(trace: Trace) -> dict[str, Any]:
     """Return the outcome and the settings of a run."""
     return {
         "model": trace.name,
@@ -329,13 +329,13 @@ def unkept_invariants(automaton: Automaton, trace: Trace) -> list[Invariant]:
 
 
 def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
-    """Return the parts of the model that a run did not use: `what` and `why`."""
+    """Return the unused parts of the model (`what`), with reasons (`why`)."""
     found = []
     total, n_built = automaton.modes_total, trace.counts.get("modes_built", 0)
     if trace.step is not None:
         found.append(
             {
-                "what": f"the equations of {'all ' * (total > 1)}{several(total, 'mode')}",
+                "what": f"the equations of {'all ' * (total > 1)}{pluralise(total, 'mode')}",
                 "why": ("a step solves all contacts together, and modes follow from the solution"),
             }
         )
@@ -352,7 +352,8 @@ def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
     elif n_built < total:
         found.append(
             {
-                "what": f"the equations of {grouped(total - n_built)} of {several(total, 'mode')}",
+                "what": f"the equations of {readable_count(total - n_built)} of "
+                f"{pluralise(total, 'mode')}",
                 "why": "the run did not enter them",
             }
         )

@@ -199,7 +199,7 @@ def write_run(
     def events(short: bool) -> bytes:
         return _csv(events_table(observer, _shape(trace, done, short)[0]))
 
-    with _explained(folder):
+    with _explain_errors(folder):
         if folder.exists() and not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "there is a file of this name")
         with staging_folder(folder, _FILES) as place:
@@ -287,7 +287,7 @@ def _without_empty(units: Mapping[str, str]) -> dict[str, str]:
 
 
 @contextmanager
-def _explained(path: Path) -> Iterator[None]:
+def _explain_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:

@@ -13,13 +13,13 @@ from statechart.tabular import (
     FEW,
     Table,
     TextBlock,
-    aligned,
-    ends,
+    abridge,
+    align_numbers,
     join_blocks,
     number,
-    plain,
-    several,
+    pluralise,
     table,
+    write_plain,
 )
 
 _SHOWN = 20  # events listed from the start and from the end
@@ -41,7 +41,7 @@ _CERTIFIED: Mapping[object, str] = {
 
 def summary(report: Mapping[str, Any], digits: int = DIGITS) -> str:
     """Return the report of a run as lines of text."""
-    return plain(describe_run(report, digits))
+    return write_plain(describe_run(report, digits))
 
 
 def describe_run(report: Mapping[str, Any], digits: int = DIGITS) -> list[TextBlock]:
@@ -52,7 +52,7 @@ def describe_run(report: Mapping[str, Any], digits: int = DIGITS) -> list[TextBl
         _values(title, values, units, digits)
         for title, values in (
             ("outputs", list(report["outputs"].items())),
-            ("final state", ends(list(report["final"].items()), FEW)),
+            ("final state", abridge(list(report["final"].items()), FEW)),
             ("margins, least sampled value", _least(report["margins"])),
             ("invariants, least exact margin (violated below 0)", _least(report["invariants"])),
         )
@@ -64,20 +64,20 @@ def describe_run(report: Mapping[str, Any], digits: int = DIGITS) -> list[TextBl
 
 
 def _head(report: Mapping[str, Any]) -> str:
-    lines = [Outcome[report["outcome"]].value, report["message"], *computed(report)]
+    lines = [Outcome[report["outcome"]].value, report["message"], *computation_lines(report)]
     return "\n".join([f"{report['model']}: {report['outcome']}", *(f"  {x}" for x in lines)]) + "\n"
 
 
-def computed(report: Mapping[str, Any]) -> list[str]:
+def computation_lines(report: Mapping[str, Any]) -> list[str]:
     """Return lines on engine, cost and accuracy of a run."""
     counts = report["counts"]
     certified = _CERTIFIED[report["certified"]]
     lines = [
         f"engine {report['engine']}, {_how(report)}; {certified}",
-        f"{several(counts['steps'], 'step')}, {several(counts['jumps'], 'jump')}",
+        f"{pluralise(counts['steps'], 'step')}, {pluralise(counts['jumps'], 'jump')}",
     ]
     if report["step"] is None:  # time steps build no modes
-        built = f"{report['modes_built']} of {several(report['modes_total'], 'mode')} built"
+        built = f"{report['modes_built']} of {pluralise(report['modes_total'], 'mode')} built"
         lines[-1] = f"{lines[-1]}, {built}"
     if report["error_estimate"] is not None:
         decides = report["asked"] and report["asked"]["decides"]
@@ -86,7 +86,7 @@ def computed(report: Mapping[str, Any]) -> list[str]:
     if report["asked"] is not None:
         cost = report["asked"]["cost"]
         lines.append(
-            f"it took {several(cost['runs'], 'run')}, {several(cost['steps'], 'step')}, "
+            f"it took {pluralise(cost['runs'], 'run')}, {pluralise(cost['steps'], 'step')}, "
             f"{cost['seconds']:.2g} s; first "
             f"{'tolerance' if report['step'] is None else 'step'} {report['asked']['basis']}"
         )
@@ -102,11 +102,11 @@ def computed(report: Mapping[str, Any]) -> list[str]:
         alike: dict[str, list[str]] = {}
         for name, how in report["evidence"].items():
             alike.setdefault(how, []).append(name)
-        lines += [f"{_evident(names)}: {how}" for how, names in alike.items()]
+        lines += [f"{_accuracy_lines(names)}: {how}" for how, names in alike.items()]
     return lines
 
 
-def _evident(names: Sequence[str]) -> str:
+def _accuracy_lines(names: Sequence[str]) -> str:
     return "motion" if names == ["motion"] else f"events of {_cut(names)}"
 
 
@@ -137,16 +137,16 @@ def _event_blocks(report: Mapping[str, Any], digits: int) -> list[TextBlock]:
             event["cause"],
             change(event, ALIKE),
         )
-        for event in shown(events)
+        for event in text_of_value(events)
     ]
-    times = aligned([row[0] for row in rows])
+    times = align_numbers([row[0] for row in rows])
     rows = [(t, *row[1:]) for t, row in zip(times, rows, strict=True)]
     return [Table([("t", "region", "cause", "from -> to"), *rows], headed=True)]
 
 
-def shown(events: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any] | int]:
+def text_of_value(events: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any] | int]:
     """Return the events to list, with the number of omitted ones in their place."""
-    return ends(events, _SHOWN)
+    return abridge(events, _SHOWN)
 
 
 def change(event: Mapping[str, Any], most: int | None = None) -> str:
@@ -167,7 +167,7 @@ def change(event: Mapping[str, Any], most: int | None = None) -> str:
         return "".join(changes)
     most = len(before) if most is None else most
     return "; ".join(
-        f"{', '.join(names) if len(names) <= most else several(len(names), 'region')}: {what}"
+        f"{', '.join(names) if len(names) <= most else pluralise(len(names), 'region')}: {what}"
         for what, names in changes.items()
     )
 
@@ -209,7 +209,7 @@ def _values(
 ) -> list[TextBlock]:
     """Return a table of values and units; an integer item is a number of omitted values."""
     known = [item for item in values if not isinstance(item, int)]
-    texts = iter(aligned([number(value, digits) for _, value in known]))
+    texts = iter(align_numbers([number(value, digits) for _, value in known]))
     lines = [("", item) if isinstance(item, int) else (item[0], next(texts)) for item in values]
     lists = {name for name, value in known if isinstance(value, list)}
     width = max((len(x) for n, x in lines if isinstance(x, str) and n not in lists), default=0)
@@ -227,7 +227,7 @@ def _values(
 
 def explanation(report: Mapping[str, Any], digits: int = DIGITS) -> str:
     """Return for every jump the guards that fired, margins, effects and candidates."""
-    return plain(explain_events(report, digits))
+    return write_plain(explain_events(report, digits))
 
 
 def explain_events(report: Mapping[str, Any], digits: int = DIGITS) -> list[TextBlock]:
@@ -236,13 +236,13 @@ def explain_events(report: Mapping[str, Any], digits: int = DIGITS) -> list[Text
         [f"... {event} more: --json --explain or --output has all\n"]
         if isinstance(event, int)
         else _event(event, digits, _IMMEDIATE if report["step"] is None else _STEPPED)
-        for event in shown(report["events"])
+        for event in text_of_value(report["events"])
     )
 
 
 def _event(event: Mapping[str, Any], digits: int, unguarded: str) -> list[TextBlock]:
     def columns(values: Mapping[str, Any]) -> list[tuple[str, ...]]:
-        texts = aligned([number(value, digits) for value in values.values()])
+        texts = align_numbers([number(value, digits) for value in values.values()])
         return list(zip(values, texts, strict=True))
 
     what = " ".join(filter(None, (event["contact"], event["cause"])))
@@ -257,19 +257,19 @@ def _event(event: Mapping[str, Any], digits: int, unguarded: str) -> list[TextBl
         name: ", ".join(f"{part} {number(size, digits)}" for part, size in pair.items())
         for name, pair in event["impulse"].items()
     }
-    rows = [("fired", fired), *_entitled("margins", columns(dict(margins)))]
-    rows += _entitled("impulse", list(impulses.items()))
-    rows += _entitled("path", [(step,) for step in event["path"]])
+    rows = [("fired", fired), *_with_head("margins", columns(dict(margins)))]
+    rows += _with_head("impulse", list(impulses.items()))
+    rows += _with_head("path", [(step,) for step in event["path"]])
     if event["energy"] is not None:
         before, after = (number(energy, digits) for energy in event["energy"])
         rows.append(("energy", f"{before} -> {after}"))
     if event["skipped"]:
         rows.append(("skipped", f"the bounces of {number(event['skipped'], digits)} units of time"))
-    rows += _entitled("considered", _candidates(event))
+    rows += _with_head("considered", _candidates(event))
     return [title, Table([(f"  {head}", text) for head, text in rows])]
 
 
-def _entitled(head: str, lines: list[tuple[str, ...]]) -> list[tuple[str, str]]:
+def _with_head(head: str, lines: list[tuple[str, ...]]) -> list[tuple[str, str]]:
     if not lines:
         return []
     texts = table(lines).splitlines()

@@ -1,8 +1,8 @@
 """Global error estimation and control by differences of runs.
 
-`tighten` reaches an accuracy by decreasing tolerances, `refine` by decreasing time steps, `within`
-the best accuracy in a time budget; `replay` repeats a run that a study measured. `RunPlanner`
-selects among them.
+`tighten` reaches an accuracy by decreasing tolerances, `refine` by decreasing time steps;
+`run_within_budget` reaches the best accuracy in a time budget; `replay` repeats a run that a study
+measured. `RunPlanner` selects among them.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from statechart.observation.difference import (
     compare,
     distance,
     mode_disagreement,
-    paired,
+    pair_jumps,
 )
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.observation.outputs import outputs_of
 from statechart.observation.scales import OutputValue, Scales
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 WITHOUT_ERROR = (Outcome.OUT_OF_BUDGET, Outcome.UNSUPPORTED)
 """Outcomes of runs without an error estimate."""
@@ -338,7 +338,7 @@ class _Tightened(_Series):
         runs, self.diverged = f"runs {how} {other.trace.tolerance:.2g}", ""
         if found.diverged is None:
             # Events in only one of the runs that do not change the result.
-            _, self._merged = paired(one.trace, other.trace)
+            _, self._merged = pair_jumps(one.trace, other.trace)
         else:
             self.diverged = (
                 f"{runs} take different modes from t = {found.diverged:.6g} on: no accuracy can be "
@@ -396,7 +396,7 @@ def tighten(
     return replace(found, warnings=(missed,))
 
 
-def within(
+def run_within_budget(
     once: Once,
     budget: float,
     *,
@@ -565,7 +565,7 @@ def refine(
         if runs.stuck:
             return runs.missed(last, "shorter steps do not reduce the difference")
         if taken > _MAX_STEPS * SHORTER:
-            return runs.missed(last, f"it took {several(taken, 'step')}")
+            return runs.missed(last, f"it took {pluralise(taken, 'step')}")
         step *= SHORTER
 
 
@@ -664,7 +664,7 @@ class RunPlanner:
         first = self._observers.first(setting) if plan.first is None else plan.first
         if self._allowance is not None:
             allowed = self._allowance.seconds
-            return within(once, allowed, spent=spent, first=first, floor=floor), basis
+            return run_within_budget(once, allowed, spent=spent, first=first, floor=floor), basis
         assert setting.accuracy is not None
         if plan.chosen is not None:
             found = replay(once, plan.chosen)

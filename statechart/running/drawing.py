@@ -6,14 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from statechart.automaton.product import explored, feasibility
+from statechart.automaton.product import explore, feasibility
 from statechart.automaton.trace import Key, Trace
 from statechart.diagram.build import build, needs_run
 from statechart.diagram.legend import GUARDS, Guards
 from statechart.diagram.model import Diagram, Machine
 from statechart.diagram.write import write
 from statechart.documents.declaration import TIME, Declaration
-from statechart.documents.hints import checked
+from statechart.documents.hints import check_arguments
 from statechart.documents.setting import Record
 from statechart.errors import DeclarationError, StatechartError
 from statechart.loading.kind import kind
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _MOMENT = 1e-6
 
 
-@checked
+@check_arguments
 def draw(
     model: Declaration | str | Path,
     path: str | Path | None = None,
@@ -100,7 +100,7 @@ def notebook(model: Declaration) -> str:
 
 def _scene(runner: Runner) -> Figure:
     from statechart.pictures.drawing import picture
-    from statechart.reporting.film import filmed, stage_of
+    from statechart.reporting.film import film_at, stage_of
 
     stage = stage_of(runner.automaton)
     start = runner.run(until=0.0)
@@ -108,10 +108,10 @@ def _scene(runner: Runner) -> Figure:
     least = start.trace.tolerances
     moment = start.trace.step or _MOMENT * least["gap"] / least["speed"]
     start = runner.run(until=moment, throw=False)
-    return picture(filmed(stage, start.observer, start.trace, [0.0]))
+    return picture(film_at(stage, start.observer, start.trace, [0.0]))
 
 
-@checked
+@check_arguments
 def graph(
     model: Declaration | str | Path,
     *,
@@ -166,7 +166,7 @@ def graph(
     values = {} if trace is None else trace.parameters
     setup = runner.setup({name: values[name] for name in runner.model.parameters if name in values})
     found = feasibility(runner.automaton, setup, setup.initial, 0.0)
-    part = explored(
+    part = explore(
         runner.automaton,
         around=start,
         within=within,

@@ -10,7 +10,7 @@ from typing import Any
 
 from statechart.automaton.product import feasibility
 from statechart.documents.declaration import Declaration
-from statechart.documents.hints import checked
+from statechart.documents.hints import check_arguments
 from statechart.errors import SimulationError
 from statechart.running.runner import Runner
 
@@ -56,7 +56,7 @@ class Modes:
         return none if found is None else found["without_direction"]
 
 
-@checked
+@check_arguments
 def modes(model: Declaration | str | Path, parameters: Mapping[str, float] | None = None) -> Modes:
     """Return the modes of a model, with their feasibility at the initial state.
 
@@ -73,7 +73,7 @@ def modes(model: Declaration | str | Path, parameters: Mapping[str, float] | Non
     >>> len(found), found.possible[0]
     (9, {'A': 'free', 'B': 'free'})
     """
-    from statechart.reporting.modes import listing
+    from statechart.reporting.modes import list_modes
 
     runner = Runner(model)
     # Modes are listed even if none is consistent with the initial state.
@@ -82,10 +82,10 @@ def modes(model: Declaration | str | Path, parameters: Mapping[str, float] | Non
     setup, automaton = runner.setup(parameters), runner.automaton
     state = dict(zip(automaton.names, setup.initial.tolist(), strict=True))
     found = feasibility(automaton, setup, setup.initial, 0.0)
-    return Modes(listing(automaton, built=0, time=0.0, state=state, found=found))
+    return Modes(list_modes(automaton, built=0, time=0.0, state=state, found=found))
 
 
-@checked
+@check_arguments
 def equations(
     model: Declaration | str | Path,
     mode: str,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from statechart.automaton.trace import Trace
-from statechart.documents.hints import checked
+from statechart.documents.hints import check_arguments
 from statechart.documents.setting import Record
 from statechart.engines.request import Measured
 from statechart.errors import StatechartError
@@ -172,7 +172,7 @@ class Result:
 
         return by_time(to_xarray(self.observer, self.trace))
 
-    @checked
+    @check_arguments
     def at(self, t: float) -> Reading:
         """Return the state at an instant; at the instant of a jump, after it.
 
@@ -202,7 +202,7 @@ class Result:
         values = {name: float(column[0]) for name, column in found.columns.items()}
         return Reading(t, int(found.j[0]), states, values)
 
-    @checked
+    @check_arguments
     def plot(self, path: Path | str | None = None) -> Figure:
         """Return the figure of the run: film strip of the bodies, curves, modes.
 
@@ -217,7 +217,7 @@ class Result:
         trace = self.trace.at_hand()
         return figure(self.observer, trace, path, strip=strip_of(self.observer, trace))
 
-    @checked
+    @check_arguments
     def diagram(self, path: Path | str | None = None) -> Diagram:
         """Return the diagram of the visited modes and the path through them.
 
@@ -247,7 +247,7 @@ class Result:
             write(diagram, Path(path))
         return diagram
 
-    @checked
+    @check_arguments
     def animate(
         self,
         path: Path | str,
@@ -277,7 +277,7 @@ class Result:
         showing = Showing(speed, size, trail)
         return animate(self.observer, self.trace, path, showing, progress=progress)
 
-    @checked
+    @check_arguments
     def report(self, path: Path | str, *, study: Measured | None = None) -> Path:
         """Write the run as one self-contained HTML file.
 
@@ -340,7 +340,7 @@ class Result:
             self.observer, self.trace, computation, explain=explain, most=most, pieces=pieces
         )
 
-    @checked
+    @check_arguments
     def save(self, folder: Path | str, *, samples: bool | None = None) -> tuple[str, ...]:
         """Write tables, data set and figure; return the names of the files.
 

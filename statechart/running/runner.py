@@ -15,17 +15,17 @@ from statechart.automaton.time_stepper import Control, Sample, Sampling
 from statechart.automaton.trace import Arc, Jump, Key, Outcome
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
-from statechart.documents.hints import checked, unknown_parameter
+from statechart.documents.hints import check_arguments, unknown_parameter
 from statechart.documents.setting import Record, Setting, SettingWords
 from statechart.documents.validation import Document, located
 from statechart.engines.engine import Allowance
-from statechart.engines.request import Measured, planned
+from statechart.engines.request import Measured, plan_request
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
 from statechart.execution.outcome import error_of
 from statechart.execution.simulator import BatchRunner, Simulator
 from statechart.formulas.formula import parse
 from statechart.loading.kind import kind
-from statechart.loading.load import resolved
+from statechart.loading.load import resolve_model
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.observation.outputs import Outputs, outputs_of
@@ -78,7 +78,7 @@ class Runner:
         If the model or one of the settings is wrong.
     """
 
-    @checked
+    @check_arguments
     def __init__(
         self,
         model: Declaration | Document | str | Path,
@@ -89,7 +89,7 @@ class Runner:
         **setting: Unpack[SettingWords],
     ) -> None:
         began = working_time()
-        model, document = resolved(model)
+        model, document = resolve_model(model)
         self.model = model
         self._inputs = RunInputs(model, document)
         self._copies = self._inputs.copies({})
@@ -107,7 +107,7 @@ class Runner:
         # Cached runner of the last other number of copies of bodies.
         self._varied: Runner | None = None
         with located(document, {}):
-            self._plan = planned(self._asked, model, self.automaton, study, once=once)
+            self._plan = plan_request(self._asked, model, self.automaton, study, once=once)
         budget = self._plan.setting.budget
         allowance = None if budget is None else Allowance(budget)
         self.observers = Observers(self.automaton, allowance=allowance, progress=progress)
@@ -127,7 +127,7 @@ class Runner:
         """Pickle the model and the setting; the other process compiles them."""
         return _restored, (self.model, self._arguments(self.study), self.document)
 
-    @checked
+    @check_arguments
     def run(
         self,
         parameters: Mapping[str, float] | None = None,
@@ -215,7 +215,7 @@ class Runner:
         assert isinstance(observer.simulator, Simulator)
         return observer, BatchRunner(observer.simulator, names)
 
-    @checked
+    @check_arguments
     def stream(
         self,
         parameters: Mapping[str, float] | None = None,
@@ -378,7 +378,7 @@ class _Source:
         return outputs_of(self._observer)
 
 
-@checked
+@check_arguments
 def run(
     model: Declaration | Document | str | Path,
     *,

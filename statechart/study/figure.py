@@ -15,9 +15,9 @@ import numpy as np
 from statechart.documents.files import write_atomic
 from statechart.errors import StatechartError
 from statechart.palette import GRID, INK, LINES
-from statechart.reporting.figure import STYLE, entitle, frame, render
+from statechart.reporting.figure import STYLE, frame, render, set_title
 from statechart.study.measurements import Measurements, Point
-from statechart.study.slopes import Slope, fitted, slopes
+from statechart.study.slopes import Slope, points_to_fit, slopes
 from statechart.study.text import describe_study
 from statechart.tabular import Table
 
@@ -101,7 +101,7 @@ def figure(study: Measurements) -> Figure:
         handles, labels = times.get_legend_handles_labels()
         if handles:
             drawing.legend(handles, labels, loc="outside right center")
-        return entitle(drawing, study.model)
+        return set_title(drawing, study.model)
 
 
 def write_study_figure(folder: Path | str, study: Measurements) -> None:
@@ -233,7 +233,7 @@ def _front(ax: Axes, study: Measurements, *, once: bool) -> None:
 
 def _slope(ax: Axes, study: Measurements, slope: Slope, colour: str) -> None:
     """Draw a fitted line over its points, its slope in the legend."""
-    x, y = np.log(np.array(fitted(study, slope.family, slope.of))).T
+    x, y = np.log(np.array(points_to_fit(study, slope.family, slope.of))).T
     ends = np.array([x.min(), x.max()])
     line = np.exp(y.mean() + slope.slope * (ends - x.mean()))
     ends = np.exp(ends)

@@ -92,7 +92,7 @@ class Point(Record):
     outcome: str
     same_modes: bool  # as the reference
     diverged: float | None  # time of the first other mode
-    parted: float | None  # see `statechart.observation.difference.parted`
+    parted: float | None  # see `statechart.observation.difference.separation_time`
     refused: str = ""  # warning of a run that missed its accuracy
     warnings: tuple[str, ...] = ()  # each text once
     errors: Errors
@@ -161,8 +161,8 @@ class Measurements(Record):
     def error(self, point: Point) -> float | None:
         """Return the largest error of a point, at least the resolution.
 
-        For time steps without outputs that do not converge (`unsettled`). None for chaotic motion,
-        or if the run did not reach the end.
+        Outputs that do not converge with the step (`unconverged_outputs`) do not count. None for
+        chaotic motion, or if the run did not reach the end.
         """
         errors = point.errors
         if point.setting.step is not None:
@@ -177,7 +177,7 @@ class Measurements(Record):
         steps = [p for p in self.points if p.setting.step is not None]
         finest = min((p.setting.impulse_tolerance or 0.0 for p in steps), default=0.0)
         steps = [p for p in steps if (p.setting.impulse_tolerance or 0.0) == finest]
-        return {} if self.parted is not None else unsettled(steps, self.least)
+        return {} if self.parted is not None else unconverged_outputs(steps, self.least)
 
     def comparable(self, point: Point) -> bool:
         """Return whether a point has the modes of the reference and an error."""
@@ -273,7 +273,7 @@ def median_slope(x: Array, y: Array) -> float:
     return float(np.median((y[j] - y[i]) / (x[j] - x[i])))
 
 
-def unsettled(points: Sequence[Point], least: float) -> dict[str, float]:
+def unconverged_outputs(points: Sequence[Point], least: float) -> dict[str, float]:
     """Return the outputs that do not converge with the step -> error at the shortest step."""
     found = {}
     for name in dict.fromkeys(name for point in points for name in point.errors.named):
@@ -281,12 +281,12 @@ def unsettled(points: Sequence[Point], least: float) -> dict[str, float]:
         # Accumulated round-off.
         rounded = EPS * max(point.steps for point in having)
         pairs = [(point.setting.fineness, point.errors.named[name]) for point in having]
-        if not falls(pairs, max(least, rounded / RESOLVED)):
+        if not converges(pairs, max(least, rounded / RESOLVED)):
             found[name] = min(pairs)[1]
     return found
 
 
-def falls(pairs: Sequence[tuple[float, float]], least: float) -> bool:
+def converges(pairs: Sequence[tuple[float, float]], least: float) -> bool:
     """Return whether errors converge with the step, within their uncertainty."""
     ordered = sorted(pairs)
     large = [(h, e) for h, e in ordered if e > max(RESOLVED * least, EPS)]

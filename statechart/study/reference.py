@@ -16,9 +16,9 @@ from statechart.documents.declaration import Declaration
 from statechart.documents.setting import LONG_DOUBLE, Setting
 from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.execution.outcome import error_of
-from statechart.execution.perturbation import shifted, widened
-from statechart.loading.kind import offered
-from statechart.observation.difference import distance, paired, parted
+from statechart.execution.perturbation import with_doubled_tolerances, with_shifted_start
+from statechart.loading.kind import load_entry
+from statechart.observation.difference import distance, pair_jumps, separation_time
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.running.accuracy import BRIEF, EvaluatedRun
@@ -74,8 +74,8 @@ class Run:
         return np.append(before, self.observer.final(self.trace, ["energy"]))
 
     def left(self, other: Run) -> float | None:
-        """Return the time of separation of another run from this one, see `parted`."""
-        return parted(self.trace, other.trace, brief=self.brief(other))
+        """Return the time of separation of another run from this one, see `separation_time`."""
+        return separation_time(self.trace, other.trace, brief=self.brief(other))
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,9 @@ class References:
         reference, check = found.reference, found.check
         setting, shift = reference.setting, Errors()
         if setting.step is None:
-            late = self._ended(setting, Observers(widened(self.automaton)).at(setting))
+            late = self._ended(
+                setting, Observers(with_doubled_tolerances(self.automaton)).at(setting)
+            )
             shift = self._pair(reference, late).separation.errors
         study = Study(
             model=self.model.name,
@@ -231,7 +233,7 @@ class References:
         found = _Separation(None, Errors(state=0.0))
         for signs in (np.ones(len(alternating)), alternating):
             for sign in (1.0, -1.0):
-                off = shifted(self.automaton, part, sign * signs)
+                off = with_shifted_start(self.automaton, part, sign * signs)
                 try:
                     other = self._ended(run.setting, Observers(off).at(run.setting))
                 except DeclarationError:  # no valid initial state
@@ -255,7 +257,7 @@ def errors_of(model: Declaration, reference: Run, run: Run) -> tuple[Errors, flo
     """Return the errors of a run, and the time of its first mode other than the reference's."""
     one, other = reference.evaluated, run.evaluated
     found = one.difference(other, one.scales, brief=reference.brief(run))
-    pairs, _ = paired(reference.trace, run.trace, brief=reference.brief(run))
+    pairs, _ = pair_jumps(reference.trace, run.trace, brief=reference.brief(run))
     ours = run.energies([other for _, other in pairs])
     theirs = reference.energies([one for one, _ in pairs])
     energy = None
@@ -263,7 +265,7 @@ def errors_of(model: Declaration, reference: Run, run: Run) -> tuple[Errors, flo
         size = float(np.abs(theirs).max()) or 1.0
         energy = float(np.abs(ours - theirs).max()) / size
     same = found.diverged is None
-    violations = offered("statechart.violations", model.kind)
+    violations = load_entry("statechart.violations", model.kind)
     violated = {} if violations is None else violations(model, run.observer, run.trace)
     errors = Errors(
         state=found.state if found.state < math.inf else None,

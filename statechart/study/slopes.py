@@ -15,7 +15,7 @@ from statechart.study.measurements import (
     RESOLVED,
     Measurements,
     Point,
-    falls,
+    converges,
     median_slope,
 )
 
@@ -62,7 +62,7 @@ def slopes(study: Measurements) -> tuple[Slope, ...]:
     found = []
     for family, theories in _theories(study).items():
         for of, theory in theories.items():
-            points = fitted(study, family, of)
+            points = points_to_fit(study, family, of)
             if len(points) < MIN_POINTS:
                 continue
             x, y = np.log(np.array(points)).T
@@ -76,7 +76,7 @@ def slopes(study: Measurements) -> tuple[Slope, ...]:
     return tuple(found)
 
 
-def unfitted(study: Measurements) -> dict[str, str]:
+def reasons_without_slope(study: Measurements) -> dict[str, str]:
     """Return quantities with a theory but no slope -> reason."""
     known = {(slope.family, slope.of) for slope in slopes(study)}
     deviating, found = reasons(study), {}
@@ -88,7 +88,7 @@ def unfitted(study: Measurements) -> dict[str, str]:
                 why = "there are no errors"
             elif family in deviating and of == "error":
                 why = "its runs differ for the reason that they warn of"
-            elif len(fitted(study, family, of)) >= MIN_POINTS:
+            elif len(points_to_fit(study, family, of)) >= MIN_POINTS:
                 why = "it does not fall: it is round-off, or the runs take other modes"
             elif len(_same(study, family)) < MIN_POINTS:
                 why = "few runs take the modes of the reference"
@@ -124,7 +124,7 @@ def _grown(study: Measurements, family: str, of: Quantity) -> list[Point]:
     return points if points and max(steps) >= _GROWN[of] * min(steps) else []
 
 
-def fitted(study: Measurements, family: str, of: Quantity) -> list[tuple[float, float]]:
+def points_to_fit(study: Measurements, family: str, of: Quantity) -> list[tuple[float, float]]:
     """Return (fineness, error or steps) of the points of a fit."""
     points = _grown(study, family, of)
     if of == "steps":
@@ -152,15 +152,15 @@ class Note:
 
     def says_one_of(self, texts: Collection[str]) -> bool:
         """Return whether it equals one of `texts` apart from numbers."""
-        return _alike(self.text) in map(_alike, texts)
+        return _same_apart_from_numbers(self.text) in map(_same_apart_from_numbers, texts)
 
 
 def notes(study: Measurements) -> tuple[Note, ...]:
     """Return the distinct warnings of all points."""
     found: dict[str, list[tuple[str, Point]]] = {}
     for point in study.points:
-        for text in beyond(point.warnings, ()):
-            found.setdefault(_alike(text), []).append((text, point))
+        for text in new_warnings(point.warnings, ()):
+            found.setdefault(_same_apart_from_numbers(text), []).append((text, point))
     return tuple(
         Note(
             alike[0][0],
@@ -183,19 +183,19 @@ def reasons(study: Measurements) -> dict[str, tuple[str, ...]]:
     found = {}
     for family, points in families.items():
         finest = min(points, key=lambda point: point.setting.fineness)
-        own = beyond(finest.warnings, study.warnings.get(study.reference, ()))
+        own = new_warnings(finest.warnings, study.warnings.get(study.reference, ()))
         if own and _deviates(study, points, finest):
             found[family] = own
     return found
 
 
-def beyond(warnings: Sequence[str], known: Collection[str]) -> tuple[str, ...]:
+def new_warnings(warnings: Sequence[str], known: Collection[str]) -> tuple[str, ...]:
     """Return the distinct warnings that are not known, apart from numbers."""
-    seen = set(map(_alike, known))
+    seen = set(map(_same_apart_from_numbers, known))
     found = []
     for text in warnings:
-        if _alike(text) not in seen:
-            seen.add(_alike(text))
+        if _same_apart_from_numbers(text) not in seen:
+            seen.add(_same_apart_from_numbers(text))
             found.append(text)
     return tuple(found)
 
@@ -208,8 +208,8 @@ def _deviates(study: Measurements, points: Sequence[Point], finest: Point) -> bo
     if finest.setting.step is None:
         return False
     errors = [(p.setting.fineness, error) for p in points if (error := study.error(p)) is not None]
-    return bool(study.unsettled()) or not falls(errors, study.least)
+    return bool(study.unsettled()) or not converges(errors, study.least)
 
 
-def _alike(text: str) -> str:
+def _same_apart_from_numbers(text: str) -> str:
     return _NUMBER.sub("#", text)

@@ -8,8 +8,15 @@ from typing import Any
 
 from statechart.automaton.trace import Outcome
 from statechart.study.measurements import Measurements, Point, Third
-from statechart.study.slopes import Note, beyond, notes, reasons, slopes, unfitted
-from statechart.tabular import Table, TextBlock, aligned, plain, several
+from statechart.study.slopes import (
+    Note,
+    new_warnings,
+    notes,
+    reasons,
+    reasons_without_slope,
+    slopes,
+)
+from statechart.tabular import Table, TextBlock, align_numbers, pluralise, write_plain
 
 # Least listed error of an odd run, relative to its largest.
 _MUCH = 0.5
@@ -29,7 +36,7 @@ _MAX_NOTES = 8  # warnings listed in full
 
 def format_text(study: Measurements) -> str:
     """Return a study as text: table and conclusions."""
-    return plain(describe_study(study))
+    return write_plain(describe_study(study))
 
 
 def describe_study(study: Measurements) -> list[TextBlock]:
@@ -60,18 +67,21 @@ def describe_study(study: Measurements) -> list[TextBlock]:
             )
         )
     above = "".join(f"{line}\n" for line in _head(study)) + "\n"
-    columns = [(head, *aligned(texts)) for head, *texts in zip(*rows, strict=True)]
+    columns = [(head, *align_numbers(texts)) for head, *texts in zip(*rows, strict=True)]
     return [above, Table(list(zip(*columns, strict=True)), headed=True), _foot(study)]
 
 
 def _head(study: Measurements) -> list[str]:
     lines = [
         f"{study.model} to t = {study.until:g}: {len(study.points)} of "
-        f"{several(study.planned, 'setting')}",
+        f"{pluralise(study.planned, 'setting')}",
         f"reference: {study.reference}, checked by {study.check}",
     ]
     if study.parted is not None:
-        return [*lines, f"{_parting(study)}; for every setting, when it leaves the reference"]
+        return [
+            *lines,
+            f"{_divergence_lines(study)}; for every setting, when it leaves the reference",
+        ]
     third, shift = study.third, study.shift.largest or 0.0
     if third is not None and third.odd:
         lines.append(_odd(third, study))
@@ -103,7 +113,9 @@ def _odd(third: Third, study: Measurements) -> str:
     ]
     parts += [f"{name} by {e:.2g}" for name, e in errors.named.items() if e >= _MUCH * worst > 0.0]
     when = "" if third.parted is None else f"leaves both at t = {third.parted:.6g}, and "
-    warned = beyond(study.warnings.get(third.setting, ()), study.warnings.get(study.reference, ()))
+    warned = new_warnings(
+        study.warnings.get(third.setting, ()), study.warnings.get(study.reference, ())
+    )
     return (
         f"{third.setting} is the odd one out and not relied on: it {when}is off in "
         + (", ".join(parts) or "its modes")
@@ -112,10 +124,10 @@ def _odd(third: Third, study: Measurements) -> str:
     )
 
 
-def _parting(study: Measurements) -> str:
+def _divergence_lines(study: Measurements) -> str:
     """Describe the evidence that the motion is chaotic."""
     third, known = study.third, study.warnings.get(study.reference, ())
-    own = beyond(study.warnings.get(study.check, ()), known)
+    own = new_warnings(study.warnings.get(study.check, ()), known)
     why = "chaotic, or at a bifurcation" + (
         ", or their steps are too long" if study.step > 0.0 else ""
     )
@@ -135,8 +147,8 @@ def _parting(study: Measurements) -> str:
 def _foot(study: Measurements) -> str:
     shown = {name for point in study.points for name in point.errors.violations}
     shown |= {"path"} if study.parted is None and study.points else set()
-    told = "; ".join(f"{name}: {words}" for name, words in _COLUMNS.items() if name in shown)
-    lines = [told] if told else []
+    columns = "; ".join(f"{name}: {words}" for name, words in _COLUMNS.items() if name in shown)
+    lines = [columns] if columns else []
     if study.front():
         lines.append(
             "no other setting is both faster and more accurate: * warm, after other runs in "
@@ -170,17 +182,17 @@ def _foot(study: Measurements) -> str:
         lines.append(
             f"outputs that {kept}, no part of the errors above (at the shortest step): {off}"
         )
-    lines += [f"no slope for {what}: {why}" for what, why in unfitted(study).items()]
+    lines += [f"no slope for {what}: {why}" for what, why in reasons_without_slope(study).items()]
     lines += [f"left out: {line}" for line in omitted(study)]
     lines += [
-        f"warning {place}, of {_named(study, note.settings)}: {note.text}"
+        f"warning {place}, of {_list_settings(study, note.settings)}: {note.text}"
         + (f" (numbers of {note.settings[0]})" if note.differs else "")
         for place, note in enumerate(listed, 1)
     ]
     more = len(notes(study)) - len(listed)
     if more:
         lines.append(
-            f"{several(more, 'further warning')} {'is' if more == 1 else 'are'} in trade.json"
+            f"{pluralise(more, 'further warning')} {'is' if more == 1 else 'are'} in trade.json"
         )
     lines += advice(study)
     return "\n" + "".join(f"{line}\n" for line in lines) if lines else ""
@@ -241,7 +253,7 @@ def _footnote(texts: Sequence[str], listed: Sequence[Note]) -> str:
     return f"warning{'s' if len(places) > 1 else ''} {', '.join(places)}"
 
 
-def _named(study: Measurements, labels: Sequence[str]) -> str:
+def _list_settings(study: Measurements, labels: Sequence[str]) -> str:
     """Return settings by family, as ranges or one by one."""
     families: dict[str, list[str]] = {}
     for point in study.points:
@@ -299,7 +311,7 @@ def to_dict(study: Measurements) -> dict[str, Any]:
         for family, (missed, count) in study.missed().items()
     }
     shown["slopes"] = [asdict(slope) for slope in slopes(study)]
-    shown["no_slope"] = unfitted(study)
+    shown["no_slope"] = reasons_without_slope(study)
     shown["unsettled"] = study.unsettled()
     shown["notes"] = [asdict(note) for note in notes(study)]
     shown["reasons"] = reasons(study)

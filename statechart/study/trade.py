@@ -13,7 +13,7 @@ from statechart.automaton.trace import Outcome, Trace
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.files import obstacle
-from statechart.documents.hints import checked
+from statechart.documents.hints import check_arguments
 from statechart.documents.setting import Setting
 from statechart.engines.request import Plan
 from statechart.errors import DeclarationError, StatechartError
@@ -154,7 +154,7 @@ class Bench:
         )
 
 
-@checked
+@check_arguments
 def trade(
     model: Runner | Declaration | str | Path,
     *,

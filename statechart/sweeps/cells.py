@@ -304,7 +304,7 @@ class _Structure:
 
     def _text(self, modes: Sequence[Key]) -> str:
         words = [self._word(key) for key in modes]
-        text = " > ".join(repeats(words))
+        text = " > ".join(contract_cycles(words))
         if len(text) <= _MAX_LETTERS:
             return text
         digest = hashlib.sha256(" > ".join(words).encode()).hexdigest()[:8]
@@ -332,7 +332,7 @@ class _Structure:
         return found
 
 
-def repeats(words: Sequence[str]) -> list[str]:
+def contract_cycles(words: Sequence[str]) -> list[str]:
     """Return a sequence with repeated cycles contracted: ``(a > b) x 3``."""
     found: list[str] = []
     k = 0

@@ -21,7 +21,7 @@ from statechart.arrays import Array, Bools
 from statechart.automaton.trace import Outcome
 from statechart.errors import DeclarationError
 from statechart.palette import LINES
-from statechart.reporting.figure import STYLE, entitle, frame, frame_bands
+from statechart.reporting.figure import STYLE, frame, frame_bands, set_title
 from statechart.sweeps.plan import Plan
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ def shorten_alike(texts: Sequence[str]) -> list[str]:
     """Return sequences of modes for a legend, long ones reduced to their differences."""
     if max(map(len, texts), default=0) <= _MAX_LETTERS:
         return list(texts)
-    # Of many regions those that are in a state of their own; a digest tells people nothing.
+    # Only the regions with a state that differs; a digest is unreadable.
     usual: dict[str, Counter[str]] = {}
     for region, state in _STATE.findall(" ".join(texts)):
         usual.setdefault(region, Counter())[state] += 1
@@ -260,7 +260,7 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
             if name in plan.lists:
                 _points(ax, x.at[chosen], values.reshape(len(x.at), -1)[chosen], colour)
             else:
-                _joined_cells(ax, x.at[chosen], values.ravel()[chosen], cells.modes[chosen], colour)
+                _join_cells(ax, x.at[chosen], values.ravel()[chosen], cells.modes[chosen], colour)
         ax.set_ylabel(plan.entitled(name))
         frame(ax)
     x.put(axes[-1, 0], "x")
@@ -275,10 +275,10 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
             for k, v in enumerate(np.unique(other))
         ]
         drawing.legend(handles=handles, loc="outside right upper", handlelength=1.4)
-    return entitle(drawing, plan.model.name)
+    return set_title(drawing, plan.model.name)
 
 
-def _joined_cells(ax: Axes, x: Array, y: Array, modes: NDArray[np.int32], colour: str) -> None:
+def _join_cells(ax: Axes, x: Array, y: Array, modes: NDArray[np.int32], colour: str) -> None:
     """Join neighbours with the same modes; other cells are dots."""
     here = np.isfinite(y)
     joins = (modes[1:] == modes[:-1]) & here[1:] & here[:-1]
@@ -362,7 +362,7 @@ def _maps(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
         loc="outside lower center",
         ncols=_legend_columns(cells, drawing.get_figwidth(), 3 if columns > 2 else 2),
     )
-    return entitle(drawing, plan.model.name)
+    return set_title(drawing, plan.model.name)
 
 
 def _map(

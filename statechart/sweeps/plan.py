@@ -20,7 +20,7 @@ from statechart.arrays import Array
 from statechart.documents.declaration import Declaration
 from statechart.documents.hints import unknown_parameter
 from statechart.documents.outputs import Value
-from statechart.documents.quantities import entitled
+from statechart.documents.quantities import axis_label
 from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError, close_matches
 from statechart.reporting.tables import RESERVED
@@ -149,14 +149,16 @@ class Plan:
     def coordinates(self) -> dict[str, str]:
         """Parameter -> name of its coordinate."""
         taken = {*_OWN, SAMPLE}
-        return {name: _claimed(name, taken) for name in self.columns}
+        return {name: _claim_name(name, taken) for name in self.columns}
 
     @cached_property
     def variables(self) -> dict[str, str]:
         """Output -> name of its variable."""
         taken = {*_OWN, SAMPLE, *self.coordinates.values()}
         return {
-            name: _claimed(name, taken, ("", "_count", "_index") if name in self.lists else ("",))
+            name: _claim_name(
+                name, taken, ("", "_count", "_index") if name in self.lists else ("",)
+            )
             for name in self.task.outputs
         }
 
@@ -182,7 +184,7 @@ class Plan:
 
     def entitled(self, name: str) -> str:
         """Return the axis label of a parameter or output."""
-        return entitled(name, self.model.unit(name))
+        return axis_label(name, self.model.unit(name))
 
     def declared(self, name: str) -> dict[str, str]:
         """Return the declaration of an output as attributes of its variable."""
@@ -247,10 +249,10 @@ class Plan:
     def parameter_values(self, tile: Tile, places: NDArray[np.intp]) -> Array:
         """Return the parameters (m, p) of the cells at `places` of a chunk."""
         where = np.unravel_index(places, tile.shape)
-        along = [part.start + place for part, place in zip(tile.slices, where, strict=True)]
+        indices = [part.start + place for part, place in zip(tile.slices, where, strict=True)]
         if not self.grid:
-            along *= len(self.columns)
-        columns = [column[k] for column, k in zip(self.columns.values(), along, strict=True)]
+            indices *= len(self.columns)
+        columns = [column[k] for column, k in zip(self.columns.values(), indices, strict=True)]
         return np.ascontiguousarray(np.stack(columns, axis=1))
 
 
@@ -275,7 +277,7 @@ def columns_of(samples: pd.DataFrame) -> dict[str, Array]:
     return {name: numbers(name, samples.iloc[:, k].array) for k, name in enumerate(names)}
 
 
-def _claimed(name: str, taken: set[str], suffixes: Sequence[str] = ("",)) -> str:
+def _claim_name(name: str, taken: set[str], suffixes: Sequence[str] = ("",)) -> str:
     """Return a name that is free with all suffixes, and reserve these."""
     while name in RESERVED or not taken.isdisjoint(name + suffix for suffix in suffixes):
         name += "_"

@@ -12,7 +12,15 @@ import numpy as np
 from statechart.automaton.trace import Outcome
 from statechart.documents.quantities import unit_suffix
 from statechart.sweeps.plan import Plan
-from statechart.tabular import DIGITS, Table, TextBlock, aligned, join_blocks, number, several
+from statechart.tabular import (
+    DIGITS,
+    Table,
+    TextBlock,
+    align_numbers,
+    join_blocks,
+    number,
+    pluralise,
+)
 
 if TYPE_CHECKING:  # importing xarray takes half a second
     import xarray as xr
@@ -47,8 +55,8 @@ def to_dict(plan: Plan, data: xr.Dataset, *, where: str | None) -> dict[str, Any
         "over": {
             name: {
                 "values": len(column),
-                "least": _plain(column.min()),
-                "greatest": _plain(column.max()),
+                "least": _plain_value(column.min()),
+                "greatest": _plain_value(column.max()),
             }
             for name, column in plan.columns.items()
         },
@@ -98,7 +106,7 @@ def format_text(report: dict[str, Any], digits: int = DIGITS) -> list[TextBlock]
         for name, one in report["over"].items()
     )
     done = report["done"]
-    counted = several(report["cells"], "cell")
+    counted = pluralise(report["cells"], "cell")
     if done < report["cells"]:
         counted = f"{done} of {counted}"
     each = report["seconds"] / done if done else 0.0
@@ -138,10 +146,10 @@ def format_text(report: dict[str, Any], digits: int = DIGITS) -> list[TextBlock]
 
 def _without_empty_columns(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[TextBlock]:
     """Return a table without empty columns."""
-    said = [k for k in range(len(head)) if any(row[k] for row in rows)]
-    columns = [[head[k], *aligned([row[k] for row in rows])] for k in said]
+    used_columns = [k for k in range(len(head)) if any(row[k] for row in rows)]
+    columns = [[head[k], *align_numbers([row[k] for row in rows])] for k in used_columns]
     return [Table(list(zip(*columns, strict=True)), headed=True)] if rows else []
 
 
-def _plain(value: float) -> float | str:
+def _plain_value(value: float) -> float | str:
     return float(value) if math.isfinite(value) else str(float(value))

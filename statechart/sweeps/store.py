@@ -67,7 +67,7 @@ _OWN: Mapping[str, tuple[_Kind, Mapping[str, str]]] = {
 
 
 @contextmanager
-def locked(path: Path) -> Iterator[Callable[[], None]]:
+def lock_folder(path: Path) -> Iterator[Callable[[], None]]:
     """Create and lock a folder; yield a check that it still exists.
 
     The folder is removed if the work fails before anything is written. The operating system
@@ -349,11 +349,17 @@ class Store:
     @property
     def _single(self) -> list[str]:
         """The variables of one value per cell, the outcome last."""
-        return [*(self._plan.variables[name] for name in self._plan.numbers), *_own(self._plan)]
+        return [
+            *(self._plan.variables[name] for name in self._plan.numbers),
+            *_sweep_variables(self._plan),
+        ]
 
     def _columns(self, block: CellBlock) -> Iterator[tuple[str, NDArray[Any]]]:
         """Yield variables of one value per cell with their values (n,), the outcome last."""
-        values = [*block.numbers.values(), *(getattr(block, name) for name in _own(self._plan))]
+        values = [
+            *block.numbers.values(),
+            *(getattr(block, name) for name in _sweep_variables(self._plan)),
+        ]
         yield from zip(self._single, values, strict=True)
 
     def _write_sequences(self) -> None:
@@ -436,7 +442,7 @@ class Store:
         return StatechartError(f"cannot {verb} {self._path}: {error.strerror or error}")
 
 
-def _own(plan: Plan) -> list[str]:
+def _sweep_variables(plan: Plan) -> list[str]:
     """Return the variables of every sweep, the outcome last."""
     return [name for name in _OWN if name != "error_estimate" or plan.accurate]
 
@@ -489,7 +495,7 @@ def create(group: zarr.Group, plan: Plan) -> None:
         texts = {"long_name": "modes in the order in which they were entered"}
         make(place, _TEXT, (0,), (_TABLE_CHUNK,), (SEQUENCE,), texts)
     make(f"{UNFINISHED}/modes", _CODE, shape, chunk, dims, {})
-    for name in _own(plan):
+    for name in _sweep_variables(plan):
         kind, words = _OWN[name]
         unit = plan.named(TIME) if name == "t_end" else {}
         make(name, kind, shape, chunk, dims, {**unit, **words})

@@ -20,16 +20,16 @@ from statechart import interrupts, progress
 from statechart.arrays import Array
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
-from statechart.documents.hints import checked
+from statechart.documents.hints import check_arguments
 from statechart.documents.setting import IntegrationWords, Setting
 from statechart.documents.validation import Document
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
 from statechart.sweeps.cells import CellBlock, run_block
 from statechart.sweeps.plan import Plan, Tile, columns_of
-from statechart.sweeps.store import Store, locked
-from statechart.sweeps.workers import ClusterWatch, unguarded
-from statechart.tabular import several
+from statechart.sweeps.store import Store, lock_folder
+from statechart.sweeps.workers import ClusterWatch, guard_advice
+from statechart.tabular import pluralise
 
 if TYPE_CHECKING:  # importing them takes half a second
     import pandas as pd
@@ -68,7 +68,7 @@ class Sweep:
         return found.assign_attrs(ended=self.ended) if self.ended else found
 
 
-@checked
+@check_arguments
 def sweep(
     model: Declaration | Document | str | Path,
     over: Mapping[str, Sequence[float] | Array] | None = None,
@@ -182,7 +182,7 @@ def run_plan(
     """Run the undone cells of a sweep; see `sweep` for parameters and errors."""
     if resume and store is None:
         raise DeclarationError("there is no store to resume", advice="give its path")
-    with nullcontext(lambda: None) if store is None else locked(Path(store)) as check_lock:
+    with nullcontext(lambda: None) if store is None else lock_folder(Path(store)) as check_lock:
         kept = Store(plan, store, resume=resume, check_lock=check_lock)
         left = kept.left
         shown = _Progress(plan.size, plan.size - left) if progress else None
@@ -219,7 +219,7 @@ class _Progress:
             return
         rate = (self._done - self._said) / max(worked - self._worked, 1e-9)
         left = timedelta(seconds=round((self._total - self._done) / rate))
-        cells = f"{self._done} of {several(self._total, 'cell')}"
+        cells = f"{self._done} of {pluralise(self._total, 'cell')}"
         words = f"{cells}, {rate:.3g} a second, {left} left"
         if self._bar is not None:
             self._bar.show(self._done, words)
@@ -375,7 +375,7 @@ def _hand_out(work: _Work, executor: Executor) -> None:
         ) from None
     except (BrokenExecutor, CancelledError) as error:
         words = str(error).strip().rstrip(".") or "the connection to them was lost"
-        advice = "" if work.done else unguarded(error)
+        advice = "" if work.done else guard_advice(error)
         raise _Lost(StatechartError(f"workers died: {words}{advice}")) from None
     except Exception as error:  # executors raise various errors for failed workers
         problem = f"workers failed, {type(error).__name__}: {error}"

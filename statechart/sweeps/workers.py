@@ -62,7 +62,7 @@ def processes(count: int) -> Iterator[Executor]:
     says = context.Semaphore(1) if compiling.announced() else None
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin, initargs=(says,))
     try:
-        with _blocked():
+        with _block_signals():
             started: list[Future[str]] = [pool.submit(version, _NAME) for _ in range(count)]
         del started
         yield pool
@@ -72,7 +72,7 @@ def processes(count: int) -> Iterator[Executor]:
             child.terminate()
 
 
-def unguarded(error: Exception) -> str:
+def guard_advice(error: Exception) -> str:
     """Return advice if workers died because the main script has no guard; else nothing."""
     file = getattr(sys.modules["__main__"], "__file__", None)
     if not isinstance(error, BrokenProcessPool) or file is None:
@@ -100,11 +100,11 @@ def cluster(address: str) -> Iterator[Executor]:
     try:
         kind = asyncio.run(asyncio.wait_for(_identity(address), _SCHEDULER_TIMEOUT))
     except (OSError, ValueError) as error:
-        raise _silent(address, str(error) or "it took too long") from None
+        raise _silence(address, str(error) or "it took too long") from None
     except Exception:  # the answer of another program
-        raise _silent(address, "another program listens there") from None
+        raise _silence(address, "another program listens there") from None
     if kind != "Scheduler":
-        raise _silent(address, f"there is a {kind}")
+        raise _silence(address, f"there is a {kind}")
     client = Client(address, timeout=_SCHEDULER_TIMEOUT, set_as_default=False)
     try:
         _check(client, address)
@@ -160,7 +160,7 @@ async def _identity(address: str) -> str:
         return str((await there.identity())["type"])
 
 
-def _silent(address: str, words: str) -> DeclarationError:
+def _silence(address: str, words: str) -> DeclarationError:
     return DeclarationError(
         f"no scheduler answers at {address}: " + words.strip().split("\n")[0],
         advice="start one with `dask scheduler`; it prints its address, tcp://HOST:8786",
@@ -193,7 +193,7 @@ def _check(client: object, address: str) -> None:
 
 
 @contextmanager
-def _blocked() -> Iterator[None]:
+def _block_signals() -> Iterator[None]:
     """Block terminal signals in processes started meanwhile; this process ends its workers."""
     if not hasattr(signal, "pthread_sigmask"):
         yield

@@ -16,8 +16,8 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.trace import Jump, Key, Trace
-from statechart.observation.zeno_tails import without_summed
-from statechart.tabular import shortest
+from statechart.observation.zeno_tails import drop_summed
+from statechart.tabular import shortest_text
 
 NUDGE = 1e-7
 """Relative perturbation of parameters; above the errors of the runs."""
@@ -191,8 +191,8 @@ def _assert_close(mine: Array, its: Array, allowed: Array, trace: Trace, place: 
     if not (off <= allowed).all():
         names = ["the time", *(f"{v} before" for v in trace.variables), *trace.variables]
         raise AssertionError(
-            f"{place}: {names[worst]} is {shortest(mine[worst])} in one run and "
-            f"{shortest(its[worst])} in the other; their errors explain {allowed[worst]:.1e}"
+            f"{place}: {names[worst]} is {shortest_text(mine[worst])} in one run and "
+            f"{shortest_text(its[worst])} in the other; their errors explain {allowed[worst]:.1e}"
         )
 
 
@@ -276,7 +276,7 @@ def _raise_difference(
 
 
 def _event_label(i: int, event: Event) -> str:
-    return f"event {i + 1} ({event.what[0]} {event.what[1]}, t = {shortest(event.t)})"
+    return f"event {i + 1} ({event.what[0]} {event.what[1]}, t = {shortest_text(event.t)})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -389,7 +389,7 @@ def _rates(trace: Trace) -> list[Array]:
         first, last = arc.coefficients[0], arc.coefficients[-1]
         starts.setdefault(arc.j, first[:, 1:2].sum(axis=1) / arc.times[1])
         ends[arc.j] = last @ np.arange(last.shape[1]) / (arc.times[-1] - arc.times[-2])
-    # Of simultaneous jumps, the first has an arc before it, the last one after it.
+    # The first of simultaneous jumps has an arc before it, the last one an arc after it.
     count, still = len(trace.jumps), np.zeros(len(trace.variables))
     before = [*accumulate(range(count), lambda rates, j: ends.get(j, rates), initial=still)]
     after = [*accumulate(range(count, 0, -1), lambda r, j: starts.get(j, r), initial=still)]
@@ -398,8 +398,8 @@ def _rates(trace: Trace) -> list[Array]:
 
 
 def without_unresolved(sequences: list[EventSequence]) -> list[EventSequence]:
-    """Omit the bounces that at least one run skipped; see `without_summed`."""
-    left = without_summed([sequence.events for sequence in sequences])
+    """Omit the bounces that at least one run skipped; see `drop_summed`."""
+    left = drop_summed([sequence.events for sequence in sequences])
     if left is None:
         return sequences
     return [

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from statechart.documents.declaration import Declaration
-from statechart.documents.hints import checked
+from statechart.documents.hints import check_arguments
 from statechart.documents.yaml_writer import dump
 from statechart.errors import DeclarationError, DeclarationProblem, StatechartError
-from statechart.loading.kind import offered
-from statechart.loading.load import resolved
-from statechart.tabular import Table, TextBlock, join_blocks, plain
+from statechart.loading.kind import load_entry
+from statechart.loading.load import resolve_model
+from statechart.tabular import Table, TextBlock, join_blocks, write_plain
 from statechart.testing.agreement import Undecidable
 from statechart.testing.properties import Property, generic
 from statechart.testing.subject import Case, Subject, parameters, ranges
@@ -109,7 +109,7 @@ class CheckReport:
 
     def text(self) -> str:
         """Return the report as text: a table of the properties, then failures."""
-        return plain(self.blocks())
+        return write_plain(self.blocks())
 
     __repr__ = __str__ = text
 
@@ -144,7 +144,7 @@ def _verdict(result: PropertyReport) -> str:
     return "holds"
 
 
-@checked
+@check_arguments
 def check(
     model: Declaration | str | Path,
     *,
@@ -181,11 +181,11 @@ def check(
     """
     if not isinstance(examples, int) or examples < 1:
         raise DeclarationError(f"examples must be a whole number from 1 on, not {examples!r}")
-    model, _ = resolved(model)
+    model, _ = resolve_model(model)
     subject = Subject(model)
     if model.stop.time is None:
         subject.end({})
-    of_kind = offered("statechart.properties", model.kind)
+    of_kind = load_entry("statechart.properties", model.kind)
     properties = (*generic(subject), *(of_kind(model) if of_kind else ()))
     if seed is None:
         seed = random.SystemRandom().randrange(2**32)

@@ -16,7 +16,7 @@ import sympy as sp
 
 from statechart.arrays import ROUND_OFF, Array, Bools
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import HELD, of_regions
+from statechart.automaton.laws import HELD, region_roles
 from statechart.automaton.regions import Claim, Invariant, Margin, active_in, whole_margins
 from statechart.automaton.trace import Arc, Jump, Key, Role, Trace, sizes
 from statechart.execution.finding import STATE_ROUND_OFF, STATE_TOLERANCES
@@ -32,7 +32,7 @@ from statechart.formulas.relation import (
 )
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import extremes_along
-from statechart.observation.sampling import passed
+from statechart.observation.sampling import passed_modes
 from statechart.testing.agreement import NUDGE
 from statechart.testing.subject import Subject
 
@@ -69,11 +69,11 @@ def assert_margins(subject: Subject, trace: Trace) -> None:
     subject, trace : Subject, Trace
         The model, and a run of it.
     """
-    moved = _variation(trace)
+    variation = _variation(trace)
     for arc, tau in dense(trace):
         mode = subject.mode(trace, arc)
         if margins := whole_margins(mode.margins):
-            _assert_margins(subject, trace, arc, tau, margins, moved)
+            _assert_margins(subject, trace, arc, tau, margins, variation)
 
 
 def assert_invariants(subject: Subject, trace: Trace) -> None:
@@ -87,12 +87,12 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
         The model, and a run of it.
     """
     observer = subject.observers[trace.engine.split()[0]]
-    moved = _variation(trace)
+    variation = _variation(trace)
     for arc, tau in dense(trace):
         margins = _invariants(subject, arc)
         if not margins:
             continue
-        allowed = _assert_margins(subject, trace, arc, tau, margins, moved)
+        allowed = _assert_margins(subject, trace, arc, tau, margins, variation)
         found = extremes_along(observer, trace, arc, [margin.expression for margin in margins])
         for margin, less, least in zip(margins, allowed, found[:, 0].tolist(), strict=True):
             if least < -less:
@@ -103,7 +103,7 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
                 )
     automaton = subject.automaton
     for invariant in automaton.invariants:
-        for jump in {jump.j: jump for jump in (*trace.jumps[:1], *passed(trace))}.values():
+        for jump in {jump.j: jump for jump in (*trace.jumps[:1], *passed_modes(trace))}.values():
             for before in (True, False):
                 active = automaton.active(jump.source if before else jump.target)
                 _assert_at(observer, trace, jump, invariant.margin(active), before=before)
@@ -141,8 +141,8 @@ def _assert_at(
     for i, size in enumerate(np.maximum(np.abs(jump.before), np.abs(jump.after)).tolist()):
         changed = state.copy()
         changed[i] += max(trace.tolerance, ROUND_OFF) * size
-        moved = replace(jump, before=changed, after=changed)
-        allowed += abs(observer.at(trace, (expression,), [moved], before=before).item() - value)
+        variation = replace(jump, before=changed, after=changed)
+        allowed += abs(observer.at(trace, (expression,), [variation], before=before).item() - value)
     if value < -allowed:
         raise AssertionError(
             f"the margin of {margin.name!r} is {value:.6g} at t = {jump.t:.6g} in {mode}"
@@ -161,12 +161,12 @@ def _assert_margins(
         changed = states.copy()
         if trace.step is None:
             changed[:, i] *= 1.0 + NUDGE
-            moved = subject.solved(trace, arc, tau, expressions, changed)
-            rounding += np.abs(moved - values) * (max(trace.tolerance, ROUND_OFF) / NUDGE)
+            variation = subject.solved(trace, arc, tau, expressions, changed)
+            rounding += np.abs(variation - values) * (max(trace.tolerance, ROUND_OFF) / NUDGE)
         # A variable after a jump has the round-off of its value before.
         changed[:, i] = states[:, i] + change
-        moved = subject.solved(trace, arc, tau, expressions, changed)
-        rounding += np.nan_to_num(np.abs(moved - values), nan=0.0)
+        variation = subject.solved(trace, arc, tau, expressions, changed)
+        rounding += np.nan_to_num(np.abs(variation - values), nan=0.0)
     allowed = rounding + [trace.tolerances.get(margin.kind, 0.0) for margin in margins]
     holds, known = values >= -allowed, arc.unknowns(tau)
     if known is not None:
@@ -258,7 +258,7 @@ def _assert_claims(
 
 def _claims(subject: Subject, arc: Arc) -> Iterator[Claim]:
     for region, state, role in zip(
-        subject.automaton.regions, arc.mode, of_regions(arc.roles), strict=True
+        subject.automaton.regions, arc.mode, region_roles(arc.roles), strict=True
     ):
         if role.state != HELD:
             yield from region.claims(state)
@@ -291,9 +291,9 @@ def _state_errors(trace: Trace) -> Array:
     moves = np.zeros(len(errors), np.bool_)
     for arc in trace.arcs:
         moves |= (arc.coefficients[:, :, 1:] != 0.0).any(axis=(0, 2))
-    begun = np.array([trace.initial, *(jump.after for jump in trace.jumps)])
-    whole = (begun == np.round(begun)).all(axis=0)
-    exact: Bools = ~moves & (whole | (begun == begun[0]).all(axis=0))
+    arc_starts = np.array([trace.initial, *(jump.after for jump in trace.jumps)])
+    whole = (arc_starts == np.round(arc_starts)).all(axis=0)
+    exact: Bools = ~moves & (whole | (arc_starts == arc_starts[0]).all(axis=0))
     errors[exact] = 0.0
     return errors
 

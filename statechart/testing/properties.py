@@ -25,7 +25,7 @@ import numpy as np
 from statechart.arrays import ROUND_OFF, Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Outcome, Role, Trace
-from statechart.tabular import several, shortest
+from statechart.tabular import pluralise, shortest_text
 from statechart.testing.agreement import Undecidable, assert_same
 from statechart.testing.guards import GOLDEN, assert_invariants, assert_margins, assert_relations
 from statechart.testing.subject import Case, Subject
@@ -78,14 +78,15 @@ def assert_start(case: Case) -> None:
     """
     for trace in case.traces.values():
         declared = case.subject.automaton.setup(case.parameters, trace.tolerance).initial
-        moved = projected(trace)
+        projection = largest_projection(trace)
         size = np.abs(declared).max(initial=0.0)
         off = np.abs(trace.initial - declared)
         worst = int(np.argmax(off))
-        if off[worst] > _START * size + moved:
+        if off[worst] > _START * size + projection:
             raise AssertionError(
                 f"{trace.engine}: {trace.variables[worst]} starts at "
-                f"{shortest(trace.initial[worst])}, declared is {shortest(declared[worst])}"
+                f"{shortest_text(trace.initial[worst])}, declared is "
+                f"{shortest_text(declared[worst])}"
             )
 
 
@@ -128,9 +129,10 @@ def assert_prefix(case: Case) -> None:
 def _assert_same_steps(trace: Trace, shorter: Trace) -> None:
     """Check that the steps of a run are bitwise the first of another."""
     for ours, theirs in zip(shorter.jumps, trace.jumps, strict=False):
-        place = f"jump {ours.j} at t = {shortest(ours.t)} ({ours.region} {ours.cause})"
+        place = f"jump {ours.j} at t = {shortest_text(ours.t)} ({ours.region} {ours.cause})"
         assert (ours.t, ours.source, ours.target) == (theirs.t, theirs.source, theirs.target), (
-            f"{place}: a longer run has {theirs.region} {theirs.cause} at t = {shortest(theirs.t)}"
+            f"{place}: a longer run has {theirs.region} {theirs.cause} at "
+            f"t = {shortest_text(theirs.t)}"
         )
         assert (ours.after == theirs.after).all(), f"{place}: a longer run has another state"
     steps = [np.concatenate([arc.coefficients for arc in one.arcs]) for one in (shorter, trace)]
@@ -208,14 +210,14 @@ def assert_ordered(trace: Trace) -> None:
         key=lambda point: point[:2],
     )
     for of, what, start, end in points:
-        place = f"{('arc', 'jump')[what - 1]} at t = {shortest(start)}, j = {of}"
+        place = f"{('arc', 'jump')[what - 1]} at t = {shortest_text(start)}, j = {of}"
         off = abs(start - t)
-        assert off <= allowed, f"{place} does not begin where the run was, t = {shortest(t)}"
-        assert end >= start, f"{place} ends before it begins, at t = {shortest(end)}"
-        assert of == j, f"{place} comes after {several(j, 'jump')}"
+        assert off <= allowed, f"{place} does not begin where the run was, t = {shortest_text(t)}"
+        assert end >= start, f"{place} ends before it begins, at t = {shortest_text(end)}"
+        assert of == j, f"{place} comes after {pluralise(j, 'jump')}"
         t, j = end, of + (what == 2)
     assert abs(t - trace.t_end) <= allowed, (
-        f"the run ends at t = {shortest(trace.t_end)}, its parts at {shortest(t)}"
+        f"the run ends at t = {shortest_text(trace.t_end)}, its parts at {shortest_text(t)}"
     )
 
 
@@ -231,7 +233,7 @@ def assert_edges(automaton: Automaton, trace: Trace) -> None:
     """
     mode = trace.start_mode
     for jump in trace.jumps:
-        place = f"jump {jump.j} at t = {shortest(jump.t)} ({jump.region} {jump.cause})"
+        place = f"jump {jump.j} at t = {shortest_text(jump.t)} ({jump.region} {jump.cause})"
         assert jump.source == mode, f"{place} leaves {jump.source}, but the mode was {mode}"
         mode = jump.target
         for region, before, after in zip(automaton.regions, jump.source, mode, strict=True):
@@ -245,7 +247,7 @@ def assert_edges(automaton: Automaton, trace: Trace) -> None:
     for arc in trace.arcs:
         mode = trace.jumps[arc.j - 1].target if arc.j else trace.start_mode
         assert arc.mode == mode, (
-            f"the arc at t = {shortest(arc.start.high)} shows {arc.mode}, not {mode}"
+            f"the arc at t = {shortest_text(arc.start.high)} shows {arc.mode}, not {mode}"
         )
 
 
@@ -260,7 +262,7 @@ def assert_continuous(trace: Trace) -> None:
     visited = [arc.coefficients[:, :, 0] for arc in trace.arcs]
     sizes = np.abs(np.concatenate([*visited, trace.initial[None], trace.final[None]])).max(axis=0)
     error = ROUND_OFF if trace.step is not None else max(trace.tolerance, ROUND_OFF)
-    allowed = _CONTINUOUS * error * sizes + projected(trace)
+    allowed = _CONTINUOUS * error * sizes + largest_projection(trace)
     state, j = trace.initial, 0
     for arc in trace.arcs:
         state = _through(trace, state, j, arc.j, allowed)
@@ -286,11 +288,11 @@ def _join(trace: Trace, before: Array, after: Array, t: float, allowed: Array) -
         step, variable = np.unravel_index(int(np.argmax(off / (allowed + 1e-300))), off.shape)
         raise AssertionError(
             f"{trace.variables[variable]} changes by {off[step, variable]:.3g} without a jump "
-            f"in the arc from t = {shortest(t)}"
+            f"in the arc from t = {shortest_text(t)}"
         )
 
 
-def projected(trace: Trace) -> float:
+def largest_projection(trace: Trace) -> float:
     """Return the largest relative projection of states onto constraints."""
     if trace.step is not None:
         return 0.0

@@ -19,9 +19,9 @@ from statechart.automaton.time_stepper import DEFAULT_IMPULSES
 from statechart.automaton.trace import Arc, Outcome, Trace
 from statechart.documents.declaration import Declaration
 from statechart.documents.setting import Setting
-from statechart.engines.request import planned
+from statechart.engines.request import plan_request
 from statechart.errors import DeclarationError, DeclarationProblem, SimulationError
-from statechart.execution.perturbation import loosened
+from statechart.execution.perturbation import with_loosened_modes
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
@@ -54,7 +54,7 @@ class Subject:
         self.observers: dict[str, Observer] = {}
         self.missing: dict[str, str] = {}
         made = Observers(self.automaton)
-        asked = planned(Setting(record="modes"), model, self.automaton).setting
+        asked = plan_request(Setting(record="modes"), model, self.automaton).setting
         self.model, self.step = model, asked.step
         if self.step is not None:
             # Transformed models are run with the step of the original.
@@ -104,7 +104,7 @@ class Subject:
         if relative not in self._loosened:
             simulator = next(iter(self.observers.values())).simulator
             assert isinstance(simulator, Simulator)  # there are several engines
-            automaton = loosened(self.automaton, relative)
+            automaton = with_loosened_modes(self.automaton, relative)
             self._loosened[relative] = Simulator(automaton, simulator.engine)
         return self._loosened[relative]
 

@@ -1,4 +1,4 @@
-"""States in states: what a contact's superstates say, and its edges as a person draws them."""
+"""Superstates of contacts, and the edges of a drawn statechart."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_flattening_the_drawn_edges_gives_those_of_the_executor(model: str) -> N
 
 @pytest.fixture
 def stick(tmp_path: Path) -> Callable[[str], Path]:
-    """Return what writes the shipped stick with other sections at its end."""
+    """Return a function that writes the shipped stick with other final sections."""
     shipped = path("toppling_stick")
     assert shipped is not None
     text = shipped.read_text(encoding="utf-8")
@@ -111,7 +111,7 @@ outputs:
     found = statechart.run(stick(outputs)).outputs
     assert found["touches"] == pytest.approx(found["pinned"] + found["slides"], rel=1e-12)
     assert found["pinned"] > 0.0 < found["slides"]
-    # It begins closed, and what slips or sticks enters no state that it is in already.
+    # It starts closed; slip and stick enter no state that is already active.
     assert found["closes"] == 0
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from statechart.automaton.product import explored, feasibility
+from statechart.automaton.product import explore, feasibility
 from statechart.diagram.build import build, needs_run
 from statechart.diagram.dot import dot
 from statechart.documents.yaml_reader import read_text
@@ -53,10 +53,10 @@ def test_a_run_builds_the_modes_that_it_visits_and_no_other() -> None:
     report = result.to_dict(explain=True)
     assert (report["modes_total"], report["modes_built"]) == (4**COUNT, 3)
     edges = [edge for edge in automaton.regions[0].edges if edge.source == "free"]
-    near = explored(automaton, around=[start], within=1).graph()
+    near = explore(automaton, around=[start], within=1).graph()
     assert near.out_degree(start) == COUNT * len({(e.cause, e.target) for e in edges})
     assert len(near) == 1 + COUNT * 3
-    # What was considered at the end's jump are the modes of the one contact that touches.
+    # The jump of the end considers the modes of the one touching contact only.
     assert max(len(event["considered"]) for event in report["events"]) <= 4
 
 

@@ -1,4 +1,4 @@
-"""The product automaton as a graph: what is in it, and that no more is built than asked for."""
+"""The product automaton as a graph: its contents, built on demand."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import networkx as nx
 import pytest
 
 import statechart
-from statechart.automaton.product import explored
+from statechart.automaton.product import explore
 from statechart.running.runner import Runner
 
 BAR = "double_contact_bar"
@@ -71,7 +71,7 @@ def test_equal_jumps_of_two_regions_are_counted_separately() -> None:
     trace = runner.run().trace
     start = trace.start_mode
     one = next(jump for jump in trace.jumps if jump.region == "floor1" and jump.target == start)
-    modes = explored(runner.automaton, trace=replace(trace, jumps=(one,))).graph()
+    modes = explore(runner.automaton, trace=replace(trace, jumps=(one,))).graph()
     touched = {d["region"]: d["visits"] for _, t, d in modes.edges(start, data=True) if t == start}
     assert touched == {"floor1": 1, "floor2": 0, "pair": 0}
 

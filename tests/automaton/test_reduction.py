@@ -1,4 +1,4 @@
-"""Minimal coordinates: what is left moves as all coordinates do, and nothing drifts."""
+"""Minimal coordinates reproduce the motion in all coordinates, without drift."""
 
 from __future__ import annotations
 
@@ -84,12 +84,12 @@ def test_the_hinge_phase_is_the_papers_section_4_3(inertia: float) -> None:
     gone = frozenset(model.parameters[i] for i in setup.zeros)
     mode = mode_of(model, PIN, zeros=gone)
     assert names(model, mode) == ["stick.x", "stick.y", "stick.dx", "stick.dy"]
-    # Whatever the eliminated variables are: nothing reads them.
+    # The values of eliminated variables do not matter.
     state = np.array([7.0, 8.0, -lean, 9.0, 10.0, -rate])
     *_, turning, V, H = solved(model, mode, state, setup.values, 0.0)
     expected = M * g * L * math.sin(lean) / (inertia + M * L**2)
     assert -turning == pytest.approx(expected, rel=1e-14)
-    # Of the centre, L (sin, cos) of the lean.
+    # The centre is at L (sin, cos) of the lean.
     along = L * (math.cos(lean) * expected - math.sin(lean) * rate**2)
     down = L * (math.sin(lean) * expected + math.cos(lean) * rate**2)
     assert pytest.approx(M * along, rel=1e-13) == H
@@ -244,7 +244,7 @@ def test_a_bead_follows_the_height_of_its_bowl(
     assert np.abs(energy / 8 - 1).max() < (1e-13 if name == "taylor" else 1e-9)
 
     def rates(t: float, state: Array) -> list[float]:
-        # Of x along the bowl, from the energy by hand.
+        # Rate of x along the bowl, from the energy by hand.
         u, v = state
         f = slope(u)
         return [v, -f * (bend(u) * v * v + 9.81) / (1 + f * f)]
@@ -291,7 +291,7 @@ def test_feet_do_not_drift_off_the_slope() -> None:
             if state == PIN and "pin" not in arc.mode[:contact]:
                 states = arc.coefficients[:, :, 0]
                 found = tape.table(states, trace.values, np.zeros(len(states)))
-                # Of positions up to 14: eight roundings in the last step.
+                # Positions are up to 14: eight times their round-off in the last step.
                 pinned += 1
                 assert np.abs(found[:, contact] - found[0, contact]).max() < 8e-15
     assert pinned > 20

@@ -14,7 +14,7 @@ Data = Mapping[str, Any]
 
 
 class Interpreter:
-    """Runs a region, declared as plain data, event by event; keeps what is done, in order."""
+    """Interprets a region, declared as plain data, event by event; logs its actions in order."""
 
     def __init__(self, region: Data) -> None:
         self.order: list[str] = []
@@ -58,7 +58,7 @@ class Interpreter:
         return outer in self.ancestors(name)
 
     def send(self, event: str) -> None:
-        """Take what one event enables: one microstep."""
+        """Take the transitions that one event enables: one microstep."""
         self.done = []
         enabled: list[Data] = []
         for name in self.order:
@@ -250,7 +250,7 @@ def _across(
 
 
 def numbered(region: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return the region with updates that write what is done, and number -> what that is."""
+    """Return the region with updates that log actions, and number -> action."""
     found: dict[str, str] = {}
 
     def number(what: str) -> dict[str, int]:

@@ -410,7 +410,7 @@ def test_simultaneous_events_trigger_in_order() -> None:
         },
     )
     trace = run(chart, TAYLOR, 2.0)
-    # What passed before a state was entered is not heard in it.
+    # Events before the entry of a state do not trigger its transitions.
     final = dict(zip(trace.regions, trace.final_mode, strict=True))
     assert final == {
         "clock": "run", "one": "b", "two": "b",

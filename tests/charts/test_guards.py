@@ -98,7 +98,7 @@ def test_a_clock_strikes_as_often_as_its_sine_passes_zero(
     periods: float,
 ) -> None:
     until = periods * 2 * math.pi / rate
-    # Where rounding of the phase decides whether the run ends before or after a zero.
+    # Round-off of the phase decides whether the run ends before or after a zero.
     angle = phase - rate * late
     first, last = math.ceil(angle / math.pi), math.floor((angle + rate * until) / math.pi)
     near = 1e-12 * (1.0 + abs(rate * late))

@@ -171,7 +171,7 @@ outputs: {x: {value: x}, y: {value: y}, z: {value: z}}
 
 
 def test_exits_come_before_updates_and_these_before_entries(tmp_path: Path) -> None:
-    # Within a block all values are those before it; a block sees what the one before it left.
+    # A block uses the values before it; the next block uses its results.
     assert run(tmp_path, ORDER).outputs == {"x": 112345.0, "y": 112.0, "z": 0.0}
 
 

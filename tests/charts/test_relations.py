@@ -70,7 +70,7 @@ FIRST = {
     "abs(x) < 0": None,
     "max(c, n) < 0": None,
     "sin(abs(s)) < abs(n)": None,
-    # What only jumps change, and states of regions.
+    # Values that only jumps change, and states of regions.
     "count == 3": 3.0,
     "count != 0 and x <= 0.5": 1.0,
     "in(gate.open)": PI / 2,

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from runs import run_chart
 
-from statechart.charts.wrapping import wraps
+from statechart.charts.wrapping import periodic_calls
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, NoConsistentMode
 from statechart.loading.load import interpret
@@ -139,7 +139,9 @@ def test_generated_region_names_do_not_collide(tmp_path: Path) -> None:
 
 
 def test_wraps_yields_calls_with_their_arguments() -> None:
-    found = list(wraps("a.mod + 2*mod( (time + min(p, q)) , T/2) - mod(p, q) + floor(w*time)"))
+    found = list(
+        periodic_calls("a.mod + 2*mod( (time + min(p, q)) , T/2) - mod(p, q) + floor(w*time)")
+    )
     assert [wrap.key for wrap in found] == [
         ("mod", "(time + min(p, q))", "T/2"),
         ("floor", "w*time", "1"),

@@ -34,14 +34,14 @@ def numbered(transitions: list[Data]) -> list[Data]:
 
 
 def region(initial: str, states: Data, *transitions: Data) -> Data:
-    """Return a region, or what a state holds."""
+    """Return a region, or the contents of a state."""
     return {"initial": initial, "states": states} | (
         {"transitions": numbered(list(transitions))} if transitions else {}
     )
 
 
 def raising(**heard: str) -> Data:
-    """Return regions that make events one after another: event -> what it follows."""
+    """Return regions that raise events in sequence: event -> its predecessor."""
     return {
         f"of_{event}": region("on", {"on": {}}, t("on", None, event, on=on))
         for event, on in heard.items()
@@ -203,7 +203,7 @@ CHARTS: dict[str, Data] = {
             t("on", "idle", "event1", after=1))},
         v1=1,
     ),
-    # What a session would send later is not sent once it has ended.
+    # Delayed events of an ended session are not sent.
     "187": chart(
         "s0", {"s0": {}},
         t("s0", "fail", on="child.child_to_parent"), t("s0", "pass", after=1),
@@ -224,7 +224,7 @@ CHARTS: dict[str, Data] = {
         after=child(t("sub0", "sub1", "child_to_parent"),
                     t("sub1", "end", "event_received", on="main.parent_to_child"), sub1={}),
     ),
-    # What one session waits for is not cancelled by another.
+    # A session does not cancel the delayed events of another.
     "207": chart(
         "s0", {"s0": region("s01", {"s01": {}, "s02": {}},
                             t("s01", "s02", on="child.child_to_parent"),
@@ -265,7 +265,7 @@ CHARTS: dict[str, Data] = {
         t("s0", "fail", after=3),
         after=child(t("sub0", "sub1", "first"), t("sub1", "end", "second"), sub1={}),
     ),
-    # What an event sets is seen by the guard that it meets.
+    # A guard reads the values that its event sets.
     "233": chart(
         "s0", {"s0": {}},
         t("s0", "pass", on="child.child_to_parent", guard="v1 == 2"),
@@ -339,7 +339,7 @@ CHARTS: dict[str, Data] = {
         t("s0", "pass", on="s0.done", guard="v1 == 2"), t("s0", "fail", on="s0.done"),
         t("s0", "fail", after=1), v1=1,
     ),
-    # Histories enter their defaults where nothing is remembered, and else what is.
+    # Histories enter their defaults without a memory, else the remembered states.
     "387": chart(
         "s3", {
             "s0": region("s01", {
@@ -405,7 +405,7 @@ CHARTS: dict[str, Data] = {
         t("p1", "fail", on="of_event2.event2"),
         before={**raising(event1="main.p0"), **raising(event2="of_event1.event1")},
     ),
-    # Of two that exclude each other the first in the document is taken.
+    # Of two conflicting transitions the first in the document is taken.
     "403c": chart(
         "s0", {"s0": region("p0", {"p0": {"regions": {
             "p0s1": region("p1", {"p1": {}}), "p0s2": region("p2", {"p2": {}}),
@@ -461,7 +461,7 @@ CHARTS: dict[str, Data] = {
                             t("s1p121", "s1p12final", after=0.5))}}})},
         t("s1p1", "pass", on="s1p1.done"), t("s1", "fail", after=1),
     ),
-    # Transitions without events come before those of events that are raised meanwhile.
+    # Eventless transitions come before transitions of internal events.
     "419": chart(
         "s1", {"s1": {}},
         t("s1", "fail", on="of_foo.foo or of_bar.bar"), t("s1", "pass"), after=FOO_BAR,
@@ -494,7 +494,7 @@ CHARTS: dict[str, Data] = {
         t("s2", "s3", on="of_bar.bar", guard="v2 == 1"), t("s2", "fail", on="of_bar.bar"),
         t("s3", "pass", guard="v1 == 1"), t("s3", "fail"), after=FOO_BAR,
     ),
-    # External transitions leave all up to what holds both ends, internal ones do not.
+    # External transitions exit up to the common ancestor, internal ones do not.
     "504": chart(
         "s1", {"s1": {}, "s2": {"exit": up("v5"), **region("p", {"p": {
             "exit": up("v1"), "regions": {

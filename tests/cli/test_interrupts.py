@@ -1,4 +1,4 @@
-"""Signals that end a run, and streams that cannot be written: what the user sees, what is kept."""
+"""Signals that end a run, and unwritable streams: output and saved files."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ def test_these_tests_pass_where_a_shell_ignores_signals_in_the_background() -> N
 def test_a_held_signal_waits_for_the_next_check() -> None:
     with interrupts.held():
         strike()
-        assert interrupts.arrived() == 1
+        assert interrupts.signal_count() == 1
         with pytest.raises(KeyboardInterrupt):
             interrupts.check()
-    assert interrupts.arrived() == 0
+    assert interrupts.signal_count() == 0
 
 
 def test_a_held_signal_without_a_check_is_delivered_at_the_end() -> None:
@@ -83,7 +83,7 @@ def test_long_work_lets_signals_through_unless_they_are_blocked() -> None:
         with pytest.raises(KeyboardInterrupt), interrupts.let_through():
             strike()
         with interrupts.let_through():
-            pass  # that one has been told of
+            pass  # that was reported
         with interrupts.held(firmly=True), interrupts.let_through():
             strike()
         with pytest.raises(KeyboardInterrupt), interrupts.let_through():
@@ -104,10 +104,10 @@ def test_kernels_are_compiled_where_signals_are_let_through() -> None:
 
 def test_after_a_signal_time_is_limited() -> None:
     def work() -> None:
-        with interrupts.limited(0.0), interrupts.let_through():
+        with interrupts.limit_time(0.0), interrupts.let_through():
             signal.pause()
 
-    with interrupts.limited(0.0):
+    with interrupts.limit_time(0.0):
         pass  # without one it is not
     with interrupts.held():
         strike()
@@ -115,7 +115,7 @@ def test_after_a_signal_time_is_limited() -> None:
             interrupts.check()
         with pytest.raises(KeyboardInterrupt):
             work()
-        assert interrupts.arrived() == 2
+        assert interrupts.signal_count() == 2
 
 
 def test_after_a_signal_only_required_files_are_written() -> None:
@@ -140,7 +140,7 @@ def test_signals_shorten_held_blocks_without_ending_them() -> None:
         with pytest.raises(KeyboardInterrupt):
             interrupts.check()
     assert pieces.some("names", ["a", "b"]) == ("a", "b")
-    # Of many variables fewer rows are as many numbers.
+    # With more variables fewer rows have as many numbers.
     assert short_length(1) == short_length(30) == SOME
     assert [short_length(width) * width <= 2**17 for width in (33, 400, 2**17)] == [True] * 3
     assert short_length(2**20) == 1

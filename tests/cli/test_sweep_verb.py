@@ -1,4 +1,4 @@
-"""`statechart sweep`: what it prints, writes and refuses."""
+"""`statechart sweep`: output, files and refusals."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_address_without_scheduler_is_refused(capfd: pytest.CaptureFixture[str])
 
 
 def _answer(server: socket.socket) -> None:
-    """Say what a web server would."""
+    """Answer as a web server."""
     connection, _ = server.accept()
     with connection:
         connection.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n" * 10)

@@ -25,7 +25,7 @@ STATECHART = str(Path(sys.executable).with_name("statechart"))
 
 
 def on_a_terminal(*arguments: str) -> str:
-    """Return what a command shows on a terminal of 60 columns."""
+    """Return the output of a command on a terminal of 60 columns."""
     ours, theirs = pty.openpty()
     settings = {**os.environ, "COLUMNS": "60", "TERM": "dumb"}
     with subprocess.Popen(
@@ -125,7 +125,7 @@ def test_a_run_is_a_table_on_a_terminal() -> None:
     assert max(map(len, plain.splitlines())) > 60
     cells = [line.split() for line in lines if line.strip().startswith(("free ", "slide ", "pin "))]
     assert ["free", "possible"] in cells
-    # Nothing is cut off: what is long goes on in the next line.
+    # Nothing is cut off: long text continues on the next line.
     assert sorted("".join(plain.split())) == sorted("".join("".join(lines).split()))
 
 
@@ -210,7 +210,7 @@ def test_long_work_is_a_bar_on_a_terminal_and_lines_elsewhere(
     bar.close()
     shown = capsys.readouterr().err
     assert "50%" in shown
-    assert list(progress.counted("abc", 3, "letters")) == ["a", "b", "c"]
+    assert list(progress.count_items("abc", 3, "letters")) == ["a", "b", "c"]
     assert "letters" in capsys.readouterr().err
 
 

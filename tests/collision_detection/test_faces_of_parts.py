@@ -1,4 +1,4 @@
-"""Faces that several parts of a body have in common are touched, and starts are told in what."""
+"""Contacts with faces that several parts of a body share, and messages on starts inside."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pairs that are near each other: those of brute force, whatever was listed before."""
+"""Near pairs equal a brute-force search, with any earlier list."""
 
 from __future__ import annotations
 

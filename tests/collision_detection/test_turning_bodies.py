@@ -1,4 +1,4 @@
-"""A rod that turns by 0.3 radians in a step strikes what is in its way, and nothing else."""
+"""A rod that turns by 0.3 radians in a step strikes exactly the obstacles in its way."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ collisions: {all: {bodies: [rod, ball], friction: 0, restitution: 1}}
 stop: {time: 0.005}
 settings: {engine: impulse, step: 1e-3}
 """
-# Where in a step it arrives.
+# Part of the step at which it arrives.
 _PHASES = [-0.16, -0.2, -0.24, -0.3, -0.37, -0.41, -0.45, -0.52, -0.6, -0.7]
 
 

@@ -72,7 +72,7 @@ def test_one_contact_is_drawn_as_boxes_in_boxes() -> None:
     assert all(part.visits is None for part in (*diagram.nodes, *diagram.links))
     ends = {(link.source, link.cause, link.target) for link in chart.links}
     assert {("closed", "liftoff", "free"), ("free", "touchdown", "closed")} <= ends
-    # Where the stick turns so fast that its tip recedes, the impact ends in flight.
+    # If the stick turns so fast that its tip recedes, the impact ends in flight.
     assert {("free", "touchdown", "free"), ("slide", "stick", "pin")} <= ends
     assert sum(link.cause in ("liftoff", "touchdown", "stick") for link in chart.links) == 4
 

@@ -71,7 +71,7 @@ def test_mermaid_ends_inside_the_states_that_are_done(diagram: Diagram) -> None:
     work = lines.index(next(line for line in lines if line.strip().startswith('state "work')))
     end = next(k for k in range(work, len(lines)) if lines[k].strip() == "}")
     assert "ready --> [*]" in [line.strip() for line in lines[work:end]]
-    # A history is no region of its own.
+    # A history is not a separate region.
     assert sum(line.strip() == "--" for line in lines) == 1
 
 

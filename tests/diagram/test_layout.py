@@ -18,7 +18,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.running.drawing import drawn
 from statechart.running.runner import Runner
 
-# Of DejaVu Sans, by the size of its type: of ascenders above the line, of descenders below it.
+# Heights of ascenders and descenders of DejaVu Sans, relative to the font size.
 ABOVE, BELOW = 0.76, 0.24
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from statechart.cli.main import main
-from statechart.diagram.scxml import NOTES, SCXML, lost, scxml
+from statechart.diagram.scxml import NOTES, SCXML, scxml, unexpressed_parts
 from statechart.documents.yaml_reader import read_text
 from statechart.running.drawing import drawn
 from statechart.running.runner import Runner
@@ -114,7 +114,9 @@ def test_parts_that_scxml_cannot_express_are_listed(
     assert path.read_text(encoding="utf-8").count("<!-- left out: ") == 2
     machine = drawn(Runner("bouncing_ball_chart"))[0].machine
     assert machine is not None
-    assert lost(machine) == ("guards (the host program sends these events): ball.settle",)
+    assert unexpressed_parts(machine) == (
+        "guards (the host program sends these events): ball.settle",
+    )
 
 
 def test_a_contact_is_written_with_its_states_in_states() -> None:
@@ -124,7 +126,7 @@ def test_a_contact_is_written_with_its_states_in_states() -> None:
     (liftoff,) = root.findall(f".//{{{SCXML}}}transition[@event='tip.liftoff']")
     assert liftoff.get("target") == "free"
     events = [t.get("event") for t in root.iter(f"{{{SCXML}}}transition")]
-    # Who sends one says which state is entered, where that is open.
+    # The sender of an event names the state to enter if there are several.
     assert {f"tip.touchdown.{s}" for s in ("pin", "slide_plus", "slide_minus")} <= {*events}
 
 

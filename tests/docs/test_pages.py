@@ -70,7 +70,7 @@ def test_examples_of_a_page_run(name: str, at_home: Path) -> None:
     follow(NAMES[name], at_home, thinner if name == "sweeps.md" else str, here)
 
 
-# What stands around a part of a document that a page shows; `@` is its place.
+# Frame of a part of a document on a page; `@` is the place of the part.
 HOSTS = {
     ("format/contacts.md", "Wheels and round feet"): """
         kind: scene
@@ -137,7 +137,7 @@ HOSTS = {
 
 
 def parts() -> list[tuple[str, str, str]]:
-    """The blocks of YAML that are no file: page, heading, text."""
+    """The blocks of YAML that are not files: page, heading, text."""
     found = []
     for name, page in NAMES.items():
         heads = {
@@ -170,7 +170,7 @@ def test_every_block_has_a_tested_kind() -> None:
             elif block.language == "bash":
                 assert f"```bash\n{block.text}" in (ROOT / "README.md").read_text("utf-8"), place
             else:
-                # Cells run when the site is built; `text` is what is no code.
+                # Cells run when the site is built; `text` is the prose.
                 known = block.language in ("yaml", "console", "text") or "{" in block.language
                 assert known, f"{place}: a block of {block.language or 'no language'}"
 

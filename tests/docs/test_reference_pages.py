@@ -1,4 +1,4 @@
-"""The reference of the format says of every key what may stand there, and in which unit."""
+"""The reference of the format lists the values and unit of every key."""
 
 from __future__ import annotations
 

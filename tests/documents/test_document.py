@@ -330,7 +330,7 @@ def test_models_are_immutable() -> None:
 
 @pytest.fixture
 def _anew() -> Iterator[None]:
-    """Look for what is installed anew, and again afterwards."""
+    """Search installed packages again now, and after the test."""
     entries.cache_clear()
     yield
     entries.cache_clear()

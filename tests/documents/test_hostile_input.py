@@ -130,7 +130,7 @@ def _nothing_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     evaluate = builtins.eval
 
     def forbidden(*arguments: object, **options: object) -> object:
-        # What is imported late, as numpy.random by Hypothesis, may have named tuples.
+        # Late imports, such as numpy.random by Hypothesis, may have named tuples.
         if sys._getframe(1).f_code is namedtuple.__code__:
             return evaluate(*arguments, **options)  # type: ignore[arg-type]
         raise AssertionError("text of a file was run")

@@ -371,24 +371,24 @@ def test_disabled_contact_may_start_behind_its_line() -> None:
 @pytest.mark.parametrize(
     ("changes", "places"),
     [
-        # What has the wrong form.
+        # Wrong forms.
         (
             (("mass: m", "mas: m"), ("height: 0", "hight: 0"), ("friction: mu", "friction: true")),
             ("7:9", "9:12", "11:69"),
         ),
-        # What means nothing.
+        # Keys without effect.
         (
             (("m*L**2", "M*L**2"), ("body: rod", "body: stick"), ("surface: ground", "surface: a"),
              ("friction: mu", "friction: nu"), ("height: 0", "height: z")),
             ("7:27", "9:20", "11:23", "11:53", "11:66"),
         ),
-        # What no number may be.
+        # Values that are not allowed.
         (
             (("mass: m", "mass: -1"), ("friction: mu", "friction: -1"),
              ("restitution: e", "restitution: 3")),
             ("7:15", "11:69", "11:86"),
         ),
-        # What is watched and reported.
+        # Conditions and outputs.
         (
             (("rod.angle", "rod.a"), ("value: time", "value: tip.F")),
             ("12:36", "14:14"),

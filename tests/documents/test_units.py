@@ -1,4 +1,4 @@
-"""Units: what is declared, what follows, and where they are shown."""
+"""Units: declared ones, inferred ones, and their display."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 import models
 from statechart import Chart, load, run
-from statechart.documents.quantities import entitled, unit_of
+from statechart.documents.quantities import axis_label, unit_of
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.running.result import Result
@@ -171,7 +171,7 @@ def test_unit_words_exist_for_all_bases() -> None:
 
 
 def test_quantities_without_a_unit_show_none() -> None:
-    assert (entitled("x", "1"), entitled("x", ""), entitled("x", "m")) == ("x", "x", "x in m")
+    assert (axis_label("x", "1"), axis_label("x", ""), axis_label("x", "m")) == ("x", "x", "x in m")
     shown = str(run("toppling_stick", until=0.5))
     assert not re.search(r"stick\.x .* 1$", shown, re.M)
     assert re.search(r"stick\.angle .* rad$", shown, re.M)

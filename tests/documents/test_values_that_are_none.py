@@ -1,4 +1,4 @@
-"""Formulas that have no finite value: each is told where it stands, before or as a run begins."""
+"""Formulas without a finite value are reported with their place, before or as a run starts."""
 
 from __future__ import annotations
 

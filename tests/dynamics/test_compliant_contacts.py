@@ -182,7 +182,7 @@ def test_steps_longer_than_a_contact_lasts_add_no_energy(stiffness: float, dampi
         if arc.mode == ("free",)
         for y, v in arc.states(arc.times)[:, [1, 3]].tolist()
     ]
-    # In flight a step adds what it is late by: g^2 h^2/8 per unit of mass.
+    # In flight the delay of a step adds g^2 h^2/8 per unit of mass.
     assert max(energies) <= 9.81 * (1 + 1e-3)
 
 

@@ -106,7 +106,7 @@ def test_scaling_masses_keeps_the_motion(scene: str, how: str) -> None:
         assert _events(other.trace) == _events(one.trace)
         assert len(one.trace.jumps) > 0
         assert [j.t for j in other.trace.jumps] == pytest.approx([j.t for j in one.trace.jumps])
-        # Sums of bounces, and what is left of a slip, are known to a tolerance.
+        # Sums of bounces, and the remaining slip, are known to a tolerance.
         assert other.trace.final == pytest.approx(one.trace.final, rel=1e-9, abs=1e-9)
         assert dict(other.outputs) == pytest.approx(dict(one.outputs), rel=1e-9, abs=1e-9)
 

@@ -1,4 +1,4 @@
-"""Joints: pivots, linkages, loops, driven points, and what happens to them in impacts."""
+"""Joints: pivots, linkages, loops, driven points, and their impacts."""
 
 from __future__ import annotations
 
@@ -271,7 +271,7 @@ def test_a_jointed_body_lands_as_the_same_body_in_its_angles(name: str) -> None:
         assert one.t == pytest.approx(other.t, abs=1e-9)
         for k in one.impulse:
             assert one.impulse[k] == pytest.approx(other.impulse[k], rel=1e-7, abs=1e-9)
-        # What joints hold together moves together after an impact as well.
+        # Jointed bodies move together after an impact as well.
         th, u, v, w = one.after[[2, 6, 7, 8]]
         assert (u, v) == pytest.approx((w * math.cos(th), w * math.sin(th)), abs=1e-10)
     assert jointed.final[[2, 5, 8, 11]] == pytest.approx(reduced.final, abs=1e-7)
@@ -304,7 +304,7 @@ stop: {time: 3}
 def test_work_of_a_prescribed_joint_in_an_impact_is_counted() -> None:
     scene = validate(read_text(LED), Scene)
     trace = _run(scene)
-    # The hand goes on as it is led, whatever it takes: what the rod gains is its work.
+    # The hand follows its path under any load: the rod gains its work.
     first = next(j for j in trace.jumps if j.energy is not None and j.energy[1] > j.energy[0] + 0.1)
     assert_energy(*_energy_arguments(scene), trace)
     lost = replace(first, after=first.after + 1e-3 * np.array([0, 0, 0, 1, 0, 1]))

@@ -182,7 +182,7 @@ def test_prescribed_motions_count_by_their_range_over_the_run() -> None:
     belt = belt.replace("stop: {time: T}", "stop: {time: end}")
     scales = numbers(belt).scales
     assert scales.length == pytest.approx(1.0)
-    # A belt that runs for days is no larger than it takes to brake from its speed.
+    # The range of a belt that runs for days is at most its braking distance.
     assert numbers(belt, end=1e6).scales.length == pytest.approx(1.0)
     assert numbers(belt, v=20.0, end=1e6).scales.length == pytest.approx(400.0 / 9.81)
     # A pad that shakes fast goes no farther than its range.

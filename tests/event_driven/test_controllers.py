@@ -118,7 +118,7 @@ def test_a_controller_that_counts_bounces_does_not_disturb_their_accumulation(na
     bounces = [jump for jump in trace.jumps if jump.cause == "touchdown"]
     assert len(bounces) == len([jump for jump in plain.jumps if jump.cause == "touchdown"])
     assert sum(jump.region == "pump" for jump in trace.jumps) == len(bounces)
-    # What happens at their end is an event like another.
+    # The events at their end are ordinary events.
     rests = [jump.t for t in (trace, plain) for jump in t.jumps if jump.cause == "zeno"]
     assert rests == pytest.approx([rests[1]] * 2, abs=1e-12)
 

@@ -14,7 +14,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
 
 ENGINES = pytest.mark.parametrize("engine", ["taylor", "scipy"])
-# Of an event time: SciPy integrates to 1e-12.
+# Error of an event time: SciPy integrates to 1e-12.
 EXACT = 1e-9
 
 

@@ -1,4 +1,4 @@
-"""Controllers as they are declared: what is refused, and which modes they make."""
+"""Declaration of controllers: refusals, and the modes of controllers."""
 
 from __future__ import annotations
 

@@ -121,7 +121,7 @@ def test_steps_stand_still_under_a_push_below_friction() -> None:
     text = BLOCK.replace("x: 1}", "x: 0.5}").replace("6*sin(2*time)", "sin(2*time)")
     result = run(scene(text), engine="impulse", step=1e-2)
     assert np.abs(result.trace.final - [0.5, 0.0, 0.0, 0.0]).max() < 1e-14
-    # The control is what holds the block.
+    # The control holds the block.
     assert result.outputs["way"] < 1e-12
 
 

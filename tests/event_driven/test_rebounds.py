@@ -1,4 +1,4 @@
-"""Reasons of rebounds: the recorded candidates are those of the impact law."""
+"""Reasons of rebounds: the recorded candidates agree with the impact law."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from statechart.loading.load import interpret
 G = 9.81
 # The ball falls to the floor, rests there and slides against friction until it stops.
 FALL = math.sqrt(2 * 0.5 / G)
-V = 1.0 - 0.2 * G * FALL  # what friction of the landing leaves of the speed along the floor
+V = 1.0 - 0.2 * G * FALL  # speed along the floor after the friction of the landing
 STOPS = FALL + V / (0.2 * G)
 SCENE = """
 kind: scene

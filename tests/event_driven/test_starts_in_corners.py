@@ -85,7 +85,7 @@ def test_point_oscillating_through_a_corner_comes_to_rest(
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("at", [(0.0, 0.0), (-1e4, 3e4), (1e5, -1e5), (1e6, 1e6)])
 def test_edge_end_at_a_stopped_point_stays_enabled(engine: str, at: tuple[float, float]) -> None:
-    # It slides down one edge and strikes the other, where friction takes what the impact leaves.
+    # It slides down one edge and strikes the other, where friction takes the remaining speed.
     text = _corner("edge", math.pi / 4, 0.6, at, mu=0.3).replace(
         f"x: {at[0]!r}, y: {at[1]!r}", f"x: {at[0] - 0.5!r}, y: {at[1] + 0.5!r}"
     )

@@ -1,4 +1,4 @@
-"""Points on surfaces whose paths use what controllers set and remember, beside closed forms."""
+"""Points on surfaces that controllers move, against closed forms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Loops in compiled code do what flows and instants do that are made one by one, to the bit."""
+"""The compiled loop is bit-identical to single flows and instants."""
 
 from __future__ import annotations
 

@@ -172,7 +172,7 @@ def test_an_impossible_start_is_reported_in_declared_names(tmp_path: Path) -> No
         Simulator(automaton, Taylor(1e-12)).run(until=1.0)
 
 
-# A controller of one particle that hears, or reads, what another one does.
+# A controller of one particle that hears or reads another particle.
 HEARD = """
 kind: scene
 name: heard

@@ -34,7 +34,7 @@ def test_times_of_many_flows_add_up_to_the_last_bit() -> None:
 def test_a_ball_a_billionth_above_a_shelf_falls_on_it() -> None:
     result = run(read_text(DROP))
     (touchdown,) = result.trace.jumps
-    # The height itself is known to the rounding of what it is measured from.
+    # The height has the round-off of its reference.
     fallen = (1.0 + 1e-9) - 1.0
     assert touchdown.cause == "touchdown"
     assert touchdown.t == pytest.approx(math.sqrt(2.0 * fallen / 9.81), rel=1e-4)
@@ -55,7 +55,7 @@ stop: {time: 1}
 
 @pytest.mark.parametrize("name", ["taylor", "scipy"])
 def test_contact_release_has_hysteresis(name: str) -> None:
-    # What rounding makes of no force: 1e-12 of the weight, and half of it where a mode begins.
+    # Round-off of a zero force: 1e-12 of the weight, and half of it at the start of a mode.
     lifted = Runner(read_text(LIFTED), engine=name)
 
     def end(**parts: float) -> tuple[str, float]:
@@ -100,7 +100,7 @@ def test_ends_that_land_together_lie_on_the_ground_from_the_jump_on(name: str) -
     assert abs(y) + abs(tilt) < 0.05 * tolerance
 
 
-# The pull comes near to what it will be, and then hardly changes.
+# The pull approaches its limit, and then hardly changes.
 SLOWLY = LIFTED.replace("pull + more*time", "pull - exp(-time)").replace("time: 1", "time: 40")
 
 

@@ -130,7 +130,7 @@ def test_a_trace_of_many_blocks_takes_few_files(monkeypatch: pytest.MonkeyPatch)
     kept = Runner("stick_slip_block", engine="taylor").run(until=2000.0).trace
     monkeypatch.setattr(trace_store, "IN_MEMORY", 2**18)
     monkeypatch.setattr(trace_store, "_TERMS", 2**11)
-    # What a flow may take of a pad fits on it.
+    # The steps of a flow fit into the buffer.
     monkeypatch.setattr(compiled_loop, "_MAX_COEFFICIENTS", 2**9)
     runner = Runner("stick_slip_block", engine="taylor")
     resource.setrlimit(resource.RLIMIT_NOFILE, (opened + 60, most[1]))

@@ -31,7 +31,7 @@ CONTROL = (
     "regions: {{r: {{initial: s, states: {{s: {{sets: {{lift: 'F*{shape}'}}}}}}}}}}\n"
     "forces: {{burn: {{body: b, force: [0, lift]}}}}"
 )
-# What changes, and its integral from 0 to 4.
+# Rate, and its integral from 0 to 4.
 SHAPES: dict[str, Callable[[float, float], float]] = {
     "(1+tanh((time-t0)/w))/2": lambda t0, w: (
         4.0

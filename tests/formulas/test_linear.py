@@ -1,4 +1,4 @@
-"""Symbolic linear systems against numpy, and what they divide by."""
+"""Symbolic linear systems against numpy, and their pivots."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from statechart.formulas.writer import compile_tape
 def values(
     definitions: Sequence[Definition], known: Mapping[sp.Symbol, float]
 ) -> dict[sp.Symbol, float]:
-    """Run a straight-line program in floats, each definition from what stands before it."""
+    """Run a straight-line program in floats."""
     symbols = [symbol for symbol, _ in definitions]
     tape = compile_tape(
         symbols,

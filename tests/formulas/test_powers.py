@@ -1,4 +1,4 @@
-"""Powers of what is zero, or nearly so, against an independent integration."""
+"""Powers of zero and nearly zero values, against an independent integration."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ numbers = st.floats(-2.0, 2.0)
 @given(expressions, numbers, numbers, numbers, numbers)
 @example(sp.Min(X, sp.atan(sp.log(sp.sqrt(T**2 + 1)) / (2 + (sp.pi - 3 * T) ** 2))), 1, 0, 0, 4e-85)
 def test_values_agree_with_sympy(expression, x, y, p, t):
-    # Of fractions SymPy cannot always tell which is less.
+    # SymPy cannot always compare fractions.
     exact = expression.subs(
         {s: sp.Float(v, 60) for s, v in ((X, x), (Y, y), (P, p), (T, t))}
     ).evalf(30)

@@ -80,7 +80,7 @@ def test_weight_acts_after_the_bounces_at_any_origin(
         felt = [jump for jump in trace.jumps if jump.region in ("scale", "rub")]
         assert [jump.cause for jump in felt] == ["feel", "drag"][: 1 + (mu > 0.0)], name
         assert {jump.t for jump in felt} == {zeno.t}
-        # Where rounding hides what is above the floor, by the third power of what is left out.
+        # Bounces hidden by round-off of the height, by the third power of the omitted speed.
         assert zeno.t == pytest.approx(end, rel=1e-9)
         found = Outputs(Observer(simulator)).of(trace)
         assert found["before"] == 0.0

@@ -82,7 +82,7 @@ def test_newton_is_a_ratio_of_speeds() -> None:
 def test_stronge_is_a_ratio_of_works() -> None:
     snapshot, e = rod(0.9, 0.8, -1.0), 0.7
     full = impact(snapshot, snapshot.contacts[0], law(0.4), e)
-    # Work of the normal force: the energy lost minus what friction took, in compression and after.
+    # Work of the normal force: lost energy minus work of friction, in compression and after.
     plastic = impact(snapshot, snapshot.contacts[0], law(0.4), 0.0)
     assert plastic.path[0] == full.path[0]
     assert after(snapshot, plastic)[0] == pytest.approx(0.0, abs=1e-14)
@@ -119,7 +119,7 @@ def test_random_impacts_keep_energy_cone_and_separation() -> None:
         before, left = energy(snapshot, snapshot.velocity), energy(snapshot, result.velocity)
         assert left <= before * (1 + 1e-12), (inertia, mu, e)
         assert abs(result.tangential) <= mu * result.normal * (1 + 1e-12) + 1e-300
-        # What rounding leaves of the normal velocity is relative to the terms it is summed from.
+        # The round-off of the normal velocity is relative to its terms.
         terms = np.abs(jacobian[0]) @ np.abs(result.velocity - velocity) + np.abs(velocity).sum()
         assert after(snapshot, result)[0] >= -1e-13 * terms, (inertia, mu, e)
 

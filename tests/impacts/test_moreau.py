@@ -24,9 +24,9 @@ from contacts.scene.scene import Scene
 from statechart.documents.settings import Stop
 from statechart.running.runner import Runner
 
-# What is left of steps after an impact, all of one step long: the error is of this order.
+# Remaining part of the step after an impact; the error is of this order.
 STEP = 1e-7
-# Solutions nearer to a change of mode than this are not told apart by a step.
+# A step does not distinguish solutions closer to a change of mode than this.
 MARGIN = 1e-4
 
 
@@ -120,7 +120,7 @@ def capped(mass, before, plastic, target):
 
 @cache
 def runner(contacts, simultaneous, engine):
-    """Return what runs a body of so many contacts, each with a line through its point."""
+    """Return a runner of a body with these contacts, each with a line through its point."""
     numbers = range(contacts)
     parameters = {"m": 1.0, "inertia": 1.0, "u": 0.0, "v": 0.0, "w": 0.0}
     for i in numbers:

@@ -275,7 +275,7 @@ def test_closed_contacts_that_are_not_hit_cause_nothing() -> None:
         assert (result.path, result.warning) == ((), "")
 
 
-# --- the cap, redundancy, and what vanishes
+# --- the energy cap, redundancy, and vanishing inertia
 
 
 def test_energy_cap_limits_restitution() -> None:
@@ -458,9 +458,9 @@ def check(snapshot: Snapshot, laws: list[ContactLaw], result: Impacts) -> None:
     # The work of the impulses is the change of the kinetic energy, without its cancellation.
     work = (P * 0.5 * (before + new)).sum()
     assert work <= 1e-11 * (np.abs(P) * terms).sum(), "raises energy"
-    # Where impulses are so large that their rounding hides their work, it is there to be seen.
+    # The round-off of large impulses hides their work; the motion shows it.
     assert kinetic(snapshot, result) <= kinetic(snapshot) * (1 + 1e-9), "raises energy by far"
-    # The impulses are what moved the bodies.
+    # The impulses explain the motion of the bodies.
     pushed = np.einsum("cdn,cd->n", snapshot.jacobians, P)
     pushes = np.einsum("cdn,c->n", np.abs(snapshot.jacobians), sizes)
     momentum = np.abs(snapshot.mass) @ np.abs(snapshot.velocity)

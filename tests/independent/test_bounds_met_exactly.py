@@ -44,7 +44,7 @@ contacts: {c: {point: {body: b}, surface: floor, friction: mu, restitution: 0}}
 forces: {spring: {body: b, force: ["-k*b.x", 0]}}
 stop: {time: 4*pi/w}
 """
-# The slip ends at T, where the spring pulls by f, and what pushes passes through zero.
+# The slip ends at T, where the spring pulls by f and the push passes through zero.
 _PUSHED = """
 bodies:
   b:

@@ -20,7 +20,7 @@ import statechart
 
 _FOLDER = Path(__file__).parent / "brute_force"
 _ANSWERS = json.loads((_FOLDER / "answers.json").read_text())
-# Of bands of forces 1e-12 wide on slopes of some 0.1 a second, and of what impacts magnify.
+# Error by force bands of 1e-12 at slopes of 0.1 per second, and by magnification in impacts.
 _ERROR = 1e-9
 
 
@@ -35,12 +35,12 @@ def test_brute_force_over_modes_agrees(name: str, engine: str) -> None:
     contacts = [*answer["modes"][0][1]]
     entered: list[tuple[float, Any]] = [(0.0, {c: report["modes"][0][c] for c in contacts})]
     for event in report["events"]:
-        # Of what happens at one instant the last holds.
+        # The last of several events at one instant counts.
         same = event["t"] - entered[-1][0] <= _ERROR
         entered[-1 if same else len(entered) :] = [
             (event["t"], {c: event["to"][c] for c in contacts})
         ]
-    # What leaves the contacts as they are is no change.
+    # Events that keep all contact modes are omitted.
     entered = [now for before, now in pairwise([(0.0, None), *entered]) if now[1] != before[1]]
     assert [mode for _, mode in entered] == [mode for _, mode in answer["modes"]]
     times = [t for t, _ in answer["modes"]]

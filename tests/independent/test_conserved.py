@@ -68,5 +68,5 @@ def test_hinged_rods_with_a_motor_conserve_momenta(engine: str) -> None:
     assert found["spin"] == pytest.approx(0.0, abs=1e-9)
     work = push * found["turned"]
     assert work > 1000.0
-    # What the motor did is in the speeds; rates of some 300 rad/s are known to their rounding.
+    # The speeds contain the work of the motor; rates of 300 rad/s have their round-off.
     assert found["energy"] - work == pytest.approx(2 * mass * g * y, abs=1e-9 * work)

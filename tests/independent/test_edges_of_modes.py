@@ -92,7 +92,7 @@ def test_a_block_at_the_friction_limit_sticks(engine: str, force: str) -> None:
 def test_a_falling_plate_carries_its_load_without_force(
     engine: str, path: str, y: float, push: float, left: int
 ) -> None:
-    # It presses, or leaves, by what its path has beyond the second order.
+    # The terms of its path beyond the second order decide whether it presses or leaves.
     found = outputs(_LOWERED.replace("PATH", path), engine)
     assert [found["y"], found["V"]] == pytest.approx([y, push], abs=1e-12)
     assert (found["on"], found["off"]) == (0, left)

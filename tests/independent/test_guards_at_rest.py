@@ -1,4 +1,4 @@
-"""Guards on what stays zero: a block that comes to rest, and one that squeals on a belt."""
+"""Guards on values that stay zero: a block that comes to rest, and one that squeals on a belt."""
 
 from __future__ import annotations
 

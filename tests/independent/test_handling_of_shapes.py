@@ -100,7 +100,7 @@ def test_a_shaker_conveys_by_the_phase_of_its_second_harmonic():
     assert x < -0.05
     for step in (2e-3, 1e-3):
         final = run(SHAKER, step=step).trace.final
-        # To what the plate goes in two steps.
+        # Displacement of the plate in two steps.
         assert final[[0, 3, 6]] == pytest.approx(x + np.array([0, 0.1, 0.2]), abs=0.4 * step)
         assert final[[1, 4, 7, 2, 5, 8]] == pytest.approx([0.02] * 3 + [0] * 3, abs=1e-9)
 

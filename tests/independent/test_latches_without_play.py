@@ -60,7 +60,7 @@ outputs:
 """
 
 
-# Where bodies are is a formula of two angles, or joints hold them.
+# Formulas of two angles place the bodies, or joints do.
 _ANGLES = f"""
 coordinates: {{q: {{start: -0.6, rate: 3}}, s: {{start: -1.4}}}}
 bodies:

@@ -53,7 +53,7 @@ settings: {{engine: impulse, step: 2e-3}}
 
 @pytest.mark.parametrize("n", [2, 3, 5, 8])
 def test_bricks_overhang_by_the_harmonic_series(n):
-    # All but the lowest within their bounds; the common centre is what the table bears.
+    # All but the lowest within their bounds; the table bears the common centre.
     ends = np.cumsum([0.0, *(0.49 / j for j in range(n - 1, 0, -1))])
     for beyond in (-1e-3, 1e-3):
         left = ends - ends.mean() + beyond - 0.5

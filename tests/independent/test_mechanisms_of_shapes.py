@@ -108,7 +108,7 @@ settings: {{engine: impulse, step: STEP}}
 
 
 def test_a_plank_goes_twice_as_far_as_its_rollers():
-    # Of a roller at v/2 the kinetic energy is 3/16 m v^2.
+    # A roller at v/2 has the kinetic energy 3/16 m v^2.
     way = 0.5 * 3 / (2 + 2 * 3 / 8 * 0.5) * 0.6**2
     final = run(PLANK, step=4e-3).trace.final
     assert final[[0, 3, 6]] == pytest.approx([way / 2, 0.5 + way / 2, 0.2 + way], abs=1e-10)

@@ -100,7 +100,7 @@ outputs:
 def _billiard(
     mu: float, e: float, spin: float, r: float = 0.03, k: float = 0.4
 ) -> dict[str, object]:
-    """Routh's impact of a disc: friction takes what slip its cone lets it."""
+    """Routh's impact of a disc: friction reduces the slip within its cone."""
     place, v, t, hits = np.array([0.3, 0.2]), np.array([3.1, 1.7]), 0.0, []
     normals = np.array([[0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [1.0, 0.0]])
     depths = np.array([r, r - 1.2, r - 0.7, r])  # n . place where it touches

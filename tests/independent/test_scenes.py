@@ -58,7 +58,7 @@ def test_event_times_match_references(
 def test_steps_converge_to_references(name: str) -> None:
     result = statechart.run(_SCENES / f"{name}.yaml", engine="impulse", step=_STEP)
     for output, wanted in expected(name).items():
-        # Steps resolve no end of a sequence, and no force of what shares it.
+        # Steps do not resolve the end of a sequence, nor the forces of contacts that share it.
         if output in ("tz", "H") or output in _TOO_FINE.get(name, ()):
             continue
         assert_close(result.outputs[output], wanted, 10.0 * _STEP, output)

@@ -133,7 +133,7 @@ def test_masses_on_a_rope_end_in_mutual_rotation(engine: str) -> None:
     turned += across / reach * (3.0 - times[-1])
     found = statechart.run(interpret(read_text(_ROPE, "rope.yaml")), engine=engine).outputs
     assert found["t"] == pytest.approx(times[:5], rel=1e-10)
-    # What the last bounces take is summed as if they were alike.
+    # The last bounces are summed as if they were equal.
     assert found["taut"] == pytest.approx(times[-1], rel=3e-9)
     wanted = [reach * math.cos(turned), reach * math.sin(turned)]
     assert [found["x"], found["y"]] == pytest.approx(wanted, abs=1e-9)

@@ -1,4 +1,4 @@
-"""Stop conditions on what stays zero by steps: as with events, and not by rounding."""
+"""Stop conditions on values that stay zero by steps agree with events, whatever the round-off."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import pytest
 
 @pytest.fixture
 def kernels(request, tmp_path, monkeypatch):
-    """Return what imports the file's KERNELS as a new process would."""
+    """Return a function that imports the file's KERNELS as a new process does."""
     name = f"{request.module.__name__.removeprefix('test_')}_kernels"
     (tmp_path / f"{name}.py").write_text(request.module.KERNELS)
     monkeypatch.syspath_prepend(tmp_path)

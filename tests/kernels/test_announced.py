@@ -31,7 +31,7 @@ def upper_kernel(x):
 
 
 class Clock:
-    """A clock that tells what it was set to."""
+    """A clock with a settable time."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -50,7 +50,7 @@ def clock(monkeypatch):
 
 @pytest.fixture
 def lines(clock):
-    """Return what is said; every function takes a second."""
+    """Return the messages; every function takes a second."""
     said: list[str] = []
     compiling.announce(lambda subject, line, last: said.append(line))
     return said
@@ -105,7 +105,7 @@ def test_compiled_equations_of_a_mode_are_announced(clock, lines, monkeypatch):
     monkeypatch.setattr(heyoka, "taylor_adaptive", slowly)
     began = compiling.working_time()
     run("bouncing_ball", until=0.1, engine="taylor")
-    assert lines == ["compiled the equations of a mode (2 variables) in 3 s; once in each process"]
+    assert lines == ["compiled the equations of a mode (2 variables) in 3 s; this happens once"]
     assert compiling.working_time() == began
 
 

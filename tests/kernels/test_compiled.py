@@ -93,7 +93,7 @@ def _swapped(pair: tuple[Array, Array]) -> tuple[Array, Array]:
 
 
 def _kept_by_views(values: Array, count: int) -> Array:
-    """Views outlive the names of what they look at, and are of what was given or of what is new."""
+    """Views outlive the names of their arrays, which are arguments or new."""
     right, left = _swapped(_halves(values))
     for k in range(count):
         new = np.full(values.shape[0], float(k))

@@ -61,7 +61,7 @@ def compiled(monkeypatch):
 
 
 def told(model, until, certify):
-    """Return all that a run tells, but for what it took."""
+    """Return everything that a run reports, except its cost."""
     result = Runner(model, once=True).run(until=until, certify=certify, throw=False)
     found = result.to_dict(explain=True)
     for name in ("timings", "counts"):
@@ -157,7 +157,7 @@ def test_short_verbs_import_no_compiler_and_use_one_thread(verb, model, tmp_path
         "print(len(os.listdir(tasks)) if os.path.isdir(tasks) else 1, file=sys.stderr); "
         "sys.exit(code)"
     )
-    # What the first certificate compiles imports more than one that finds it on disk.
+    # The first certificate imports more than one that finds its code on disk.
     for _ in range(2 if options else 1):
         done = subprocess.run(
             [sys.executable, "-c", script, name, model, *options],

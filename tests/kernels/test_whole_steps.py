@@ -35,7 +35,7 @@ def test_every_value_lies_in_the_range(shrink: float) -> None:
     random = np.random.default_rng(1)
     terms = random.normal(size=(60, 12)) * shrink ** np.arange(12)
     terms[:20, 3:] = 0.0  # parabolas, which may turn
-    terms[20:25, 0] = 1e9  # what moves is in the last digits
+    terms[20:25, 0] = 1e9  # the differences are in the last digits
     finite, jets = placed(terms)
     assert finite
     for row, jet in zip(terms, jets, strict=False):
@@ -57,7 +57,7 @@ def test_time_range_covers_the_step() -> None:
     _, jets = placed(np.zeros((1, 2)), start=7.0)
     assert jets[1, 0] <= 7.5 < 7.75 <= jets[1, 1]
     np.testing.assert_allclose(jets[1, :2], [7.5, 7.75], rtol=1e-14)
-    assert jets[0, 0] == jets[0, 1] == 0.0  # what is exactly zero stays so
+    assert jets[0, 0] == jets[0, 1] == 0.0  # exact zeros stay zero
 
 
 @pytest.mark.parametrize("term", [np.inf, np.nan])

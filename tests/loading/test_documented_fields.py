@@ -1,4 +1,4 @@
-"""Every field tells what it is, in what it is measured, and how it is written."""
+"""Every field has a description, a unit and an example."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def test_help_of_returned_objects_lists_public_methods() -> None:
         assert re.search(rf"^ \|  {name}\(self", said, re.MULTILINE)
     for name in ("events", "outputs", "samples", "warnings"):
         assert re.search(rf"^ \|  {name}\b", said, re.MULTILINE)
-    # What a shell completes is all there is.
+    # The completions of a shell are complete.
     assert {"trace", "events", "__dict__"} <= set(dir(statechart.run("bouncing_ball_chart")))
 
 

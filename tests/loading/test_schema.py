@@ -1,4 +1,4 @@
-"""The committed JSON Schemas are those of the models, and the shipped documents agree with them."""
+"""The committed JSON Schemas equal the generated ones; the shipped documents agree with them."""
 
 from __future__ import annotations
 

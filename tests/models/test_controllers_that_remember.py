@@ -1,4 +1,4 @@
-"""The hopper with foot placement, and the sampled balance: what they remember, and what it does."""
+"""Memory of controllers: the hopper with foot placement, and the sampled balance."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def test_the_hopper_reaches_the_required_speed(v: float) -> None:
     assert isinstance(stances, list)
     assert speeds[-1] == pytest.approx(v, rel=0.02)
     assert max(speeds[:3]) < v
-    # What is remembered of a stance is how long it took; the last one may not be over.
+    # The controller remembers the duration of a stance; the last one may not be over.
     left = found.outputs["in_stance"] - sum(stances)
     assert -1e-12 <= left <= max(stances)
     assert found.outputs["in_stance"] == pytest.approx(found.outputs["on_ground"], rel=1e-12)

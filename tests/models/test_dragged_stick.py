@@ -10,7 +10,7 @@ from runs import ENGINES, golden, outputs, run
 
 MODEL = "dragged_stick"
 GOLDEN = golden(MODEL)
-# Where the stick is pulled, as the parameter `pull` says it.
+# Place of the pull, as the parameter `pull`.
 FORMS = {"seed_eq6": 0.0, "uniform_end_pulled": 1.0}
 
 pytestmark = [

@@ -44,7 +44,7 @@ CHARTS = ("bouncing_ball_chart", "simplest_walker")
 SEQUENTIAL = "newtons_cradle"
 # Has couplings, which steps refuse.
 COUPLED = "braking_car"
-# Modes differ where a few steps slide before they stick, or what slides lifts off within a step.
+# Modes differ if a few steps slide before they stick, or a sliding contact lifts off within a step.
 SLIDES_ON = ("double_contact_bar", "raibert_hopper")
 
 
@@ -105,7 +105,7 @@ def test_lasting_contact_shares_an_impact_as_with_events():
     )
     (strike,) = [jump for jump in found.trace.jumps if jump.region == "B" and jump.impulse]
     (other,) = [jump for jump in exact.trace.jumps if jump.region == "B" and jump.impulse]
-    # How two contacts of one bar share what acts along it the motion does not tell.
+    # The motion does not determine how two contacts of a bar share an axial force.
     ours, theirs = (np.array([jump.impulse[c] for c in ("A", "B")]) for jump in (strike, other))
     assert ours[:, 0] == pytest.approx(theirs[:, 0], rel=1e-3)
     assert ours[:, 1].sum() == pytest.approx(theirs[:, 1].sum(), rel=1e-3)
@@ -130,6 +130,6 @@ def test_controllers_act_at_the_ends_of_steps():
     for jump in result.trace.jumps:
         if jump.region == "leg":
             assert abs(jump.t / step - round(jump.t / step)) < 1e-6
-    # What a state sets acts from there on.
+    # The values that a state sets act from its entry on.
     push = result.observer.sample(result.trace, ["push", "l"], times=[0.1, 0.3]).columns
     assert push["push"] == pytest.approx([1.0, 200.0 * (1.0 - push["l"][1])], rel=1e-2)

@@ -1,4 +1,4 @@
-"""The arch and the row of dominoes beside what is known of them."""
+"""The arch and the row of dominoes against the literature."""
 
 from __future__ import annotations
 

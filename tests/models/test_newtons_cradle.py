@@ -1,4 +1,4 @@
-"""Newton's cradle: what goes through its balls, by every law for simultaneous impacts."""
+"""Newton's cradle by every law for simultaneous impacts."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_the_first_blow_by_every_law(
     assert after == pytest.approx(rates(e), abs=1e-11)
     assert after.sum() == pytest.approx(SPEED, abs=1e-11)
     assert (np.diff(after) >= -1e-13).all()
-    # What the balls do then: those that move off together stay closed.
+    # Outcome: balls that move off together stay closed.
     together = tuple("slide" if step < 1e-12 else "free" for step in np.diff(after))
     assert trace.jumps[0].target == together
 

@@ -1,4 +1,4 @@
-"""Painleve's rod as whole runs: what is reported, and what an impact without collision does."""
+"""Painleve's rod as complete runs: reports, and impacts without collision."""
 
 from __future__ import annotations
 

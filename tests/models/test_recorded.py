@@ -1,4 +1,4 @@
-"""The shipped models give what they gave: whatever moves in the code, no digit does."""
+"""The shipped models reproduce their recorded results to the digit."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ outputs: {x: {value: b.x}, push: {value: c.V}, guide: {value: guide.COMPONENT}}
 def test_a_contact_that_a_joint_holds_closed_has_no_force(
     engine: str, path: str, component: str, push: float, force: float
 ) -> None:
-    # What drives it along the floor holds nothing of the load.
+    # The drive along the floor carries no load.
     text = _GUIDED.replace("PATH", path).replace("COMPONENT", component)
     result = statechart.run(interpret(read_text(text, "guided.yaml")), engine=engine)
     assert [*result.outputs.values()] == pytest.approx([4.0, push, force], abs=1e-12)

@@ -16,7 +16,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot
 from contacts.event_driven.laws import SceneLaws
 from contacts.kind import automaton
-from contacts.modes.candidates import Case, by_lemke, candidates
+from contacts.modes.candidates import Case, candidates, lemke_candidates
 from contacts.modes.classification import choose
 from contacts.scene.joints import Force, Joint
 from contacts.scene.modes import Free, Slide
@@ -276,7 +276,7 @@ def test_lemke_reports_that_it_finds_no_mode() -> None:
     snapshot, setup = numbers(standing([-1.0, -0.5, 0.0, 0.5, 1.0]))
     options = [("slide+",)] * 5  # at rest on a level floor nothing slides
     true = [True] * 5
-    tried = by_lemke(Case(snapshot, setup.contacts, true, true, setup.scales), options)
+    tried = lemke_candidates(Case(snapshot, setup.contacts, true, true, setup.scales), options)
     assert not [c for c in tried if c.violation <= 0.0]
 
 

@@ -37,7 +37,7 @@ contacts: {}
 forces: {spring: {body: b, force: [-4*b.x, 0]}}
 stop: {time: 3, conditions: {top: b.x >= 1 - e}}
 """
-# What swings pulls at what rests on a rough floor: by 1 + e of what friction bears, at most.
+# A pendulum pulls at a block on a rough floor, by at most 1 + e of the friction limit.
 _PULLED = """
 kind: scene
 name: pulled
@@ -114,7 +114,7 @@ def test_a_pull_that_grazes_the_friction_limit_gives_a_warning_and_no_slip(
     engine: str, tolerance: float
 ) -> None:
     result = ran(_PULLED, engine, tolerance)
-    # Slips under what a force is off by last as long as its root, and go by its square.
+    # A slip under a force error lasts as long as its root, and covers its square.
     assert abs(result.outputs["x"]) <= (10.0 * tolerance) ** 1.5 + 1e-15
     assert {warning.split()[0] for warning in told(result)} == {"c.mu"}
 

@@ -235,7 +235,7 @@ def test_output_scale_is_the_running_maximum() -> None:
     trace = run(block, until=12.0)
     made = Outputs(block)
     values, sizes = made.of(trace), made.scales(trace).outputs
-    # Where the block comes back towards its start it has moved farther before.
+    # The block has moved farther before it returns towards its start.
     assert sizes["t_first_slip"] == values["t_first_slip"] == trace.jumps[0].t
     places = [abs(float(jump.after[0])) for jump in trace.jumps]
     assert sizes["x_end"] == max(*places, abs(float(trace.final[0])))

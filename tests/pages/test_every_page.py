@@ -15,7 +15,7 @@ pytestmark = pytest.mark.skipif(FOUND is None, reason="no Chromium is installed 
 
 MOST = 2_500_000  # bytes of a page
 
-# What a reader sees of an instant, in all parts of the page.
+# The display of an instant in all parts of the page.
 SEEN = """(() => ({
     time: times[now],
     said: document.querySelector('#time').value,

@@ -13,7 +13,7 @@ from statechart import StatechartError
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.pictures.drawing import picture
-from statechart.reporting.film import filmed, stage_of
+from statechart.reporting.film import film_at, stage_of
 
 in_browser = pytest.mark.skipif(FOUND is None, reason="no Chromium is installed here")
 
@@ -394,7 +394,7 @@ def test_a_page_draws_ropes_and_springs_as_a_picture_does(tmp_path):
         pull = f"k*(bob.{axis} - ball.{axis}) + c*(bob.d{axis} - ball.d{axis})"
         text = text.replace(f"pull_{axis}", pull)
     result = statechart.run(read_text(text))
-    film = filmed(stage_of(result.observer.automaton), result.observer, result.trace, [0.0])
+    film = film_at(stage_of(result.observer.automaton), result.observer, result.trace, [0.0])
     (ax,) = picture(film).axes
     lines = [line.get_xydata() for line in ax.lines]
     drawn = {len(xy): xy[np.isfinite(xy[:, 0])] for xy in lines}

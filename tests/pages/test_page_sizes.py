@@ -79,7 +79,7 @@ def test_text_has_sufficient_contrast(dark, tmp_path):
         paper = opened.value("getComputedStyle(document.body).backgroundColor")
         found = set(opened.value(colours))
         assert len(found) > 1
-        # What WCAG 2.2 asks of letters of this size.
+        # Contrast that WCAG 2.2 requires for letters of this size.
         assert min(contrast(colour, paper) for colour in found) >= 4.5
 
 

@@ -1,4 +1,4 @@
-"""The page of a run beside what was measured of its model: speed against accuracy."""
+"""The page of a run with the study of its model: speed against accuracy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Animations: how fast, how long, how large, and what is said where none can be made."""
+"""Animations: speed, length, size, and messages if they are impossible."""
 
 import shutil
 

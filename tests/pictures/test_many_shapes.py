@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 import statechart
 from statechart.palette import state_colours
 from statechart.pictures.drawing import Drawing
-from statechart.pictures.film import Film, placed
-from statechart.reporting.film import filmed, stage_of
+from statechart.pictures.film import Film, place_points
+from statechart.reporting.film import film_at, stage_of
 
 # A circle of eight cubic splines is off its radius by no more than this part of it.
 SPLINE = 1e-5
@@ -18,7 +18,7 @@ SPLINE = 1e-5
 
 def film_of(name: str, times: list[float], **values: float) -> Film:
     result = statechart.run(name, until=times[-1], parameters=values)
-    return filmed(stage_of(result.observer.automaton), result.observer, result.trace, times)
+    return film_at(stage_of(result.observer.automaton), result.observer, result.trace, times)
 
 
 def drawn(film: Film, instant: int) -> tuple[PathCollection, LineCollection, int]:
@@ -39,11 +39,11 @@ def test_discs_are_drawn_with_position_state_and_rotation() -> None:
     ):
         pose = film.poses[2, disc.frame]
         rim = np.array([disc.points[0], disc.points[0] + [disc.radius, 0.0]])
-        np.testing.assert_allclose(line, placed(rim, pose), rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(line, place_points(rim, pose), rtol=1e-12, atol=1e-15)
         box = path.get_extents()
         assert box.width == pytest.approx(2.0 * disc.radius, rel=SPLINE)
         middle = (box.x0 + box.x1) / 2.0, (box.y0 + box.y1) / 2.0
-        np.testing.assert_allclose(middle, placed(rim[:1], pose)[0], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(middle, place_points(rim[:1], pose)[0], rtol=1e-12, atol=1e-12)
         state = film.state(2, disc.region)
         assert tuple(colour) == to_rgba(state_colours(film.states[disc.region])[state])
 
@@ -57,5 +57,5 @@ def test_artist_count_does_not_grow_with_bodies() -> None:
 def test_poses_of_many_instants_place_points_at_once() -> None:
     rng = np.random.default_rng(1)
     points, poses = rng.normal(size=(4, 2)), rng.normal(size=(5, 3))
-    expected = [placed(points, pose) for pose in poses]
-    assert placed(points, poses).tolist() == np.array(expected).tolist()
+    expected = [place_points(points, pose) for pose in poses]
+    assert place_points(points, poses).tolist() == np.array(expected).tolist()

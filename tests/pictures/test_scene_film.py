@@ -11,9 +11,9 @@ from contacts.pictures.stage import grounds
 from contacts.scene.scene import Scene
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
-from statechart.pictures.drawing import crossing, picture
-from statechart.pictures.film import Film, arrows, catenary, cones, ends_of, placed, strokes
-from statechart.reporting.film import filmed, stage_of, until_rest
+from statechart.pictures.drawing import crosses_boxes, picture
+from statechart.pictures.film import Film, arrows, catenary, cones, ends_of, hatching, place_points
+from statechart.reporting.film import film_at, stage_of, until_rest
 from statechart.running.drawing import draw_scene
 
 FILES = sorted((Path(__file__).parents[2] / "models").glob("*.yaml"))
@@ -22,7 +22,7 @@ SCENES = [file.stem for file in FILES if "kind: scene" in file.read_text(encodin
 
 def film_of(model: object, times: object, **options: object) -> Film:
     result = statechart.run(model, throw=False, **options)  # type: ignore[arg-type]
-    return filmed(stage_of(result.observer.automaton), result.observer, result.trace, times)
+    return film_at(stage_of(result.observer.automaton), result.observer, result.trace, times)
 
 
 def shapes(film: Film, kind: str) -> list:
@@ -66,9 +66,9 @@ def test_pendulums_hang_from_their_pivots_and_touch_at_their_rims():
     assert len(links) == 5
     for link in links:
         for pose in film.poses[:, link.frame]:
-            assert np.hypot(*(placed(link.points[:1], pose)[0] - link.points[-1])) == pytest.approx(
-                known["L"]
-            )
+            assert np.hypot(
+                *(place_points(link.points[:1], pose)[0] - link.points[-1])
+            ) == pytest.approx(known["L"])
     assert {disc.radius for disc in shapes(film, "disc")} == {known["radius"]}
     second = next(touch for touch in film.touches if touch.name == "c23")
     middle = (film.poses[0, 2, :2] + film.poses[0, 3, :2]) / 2.0
@@ -108,7 +108,7 @@ def test_legs_reach_from_feet_to_hip():
 
 
 def test_reactions_of_two_bodies_are_a_spring():
-    # Of the hopper where its leg acts: in the air a constant force holds it at its full length.
+    # The leg of the hopper acts on the ground; in the air a constant force extends it fully.
     (spring,) = shapes(film_of("hopper", [0.0], until=0.0), "spring")
     assert spring.frame != spring.other
     assert not shapes(film_of("hopper", [0.0], until=0.0), "damper")
@@ -230,11 +230,11 @@ def test_couples_are_not_drawn_as_links():
 
 def test_ground_hatching_is_even_and_on_the_solid_side():
     line = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0]])
-    found = strokes(line, 0.25)
+    found = hatching(line, 0.25)
     assert len(found) == 12
     assert (found[:8, 1, 1] < 0.0).all()
     assert (found[8:, 1, 0] > 2.0).all()
-    assert len(strokes(line[[0, 0]], 0.25)) == 0
+    assert len(hatching(line[[0, 0]], 0.25)) == 0
 
 
 def test_walls_end_at_floors():
@@ -253,7 +253,7 @@ def test_a_film_is_finite_and_shows_all_bodies(name):
     stage = stage_of(result.observer.automaton)
     end = until_rest(stage, result.observer, result.trace)
     assert 0.0 < end <= result.trace.t_end
-    film = filmed(stage, result.observer, result.trace, np.linspace(0.0, end, 7))
+    film = film_at(stage, result.observer, result.trace, np.linspace(0.0, end, 7))
     assert np.isfinite(film.poses).all()
     assert np.isfinite(film.centres).all()
     for touch in film.touches:
@@ -263,7 +263,7 @@ def test_a_film_is_finite_and_shows_all_bodies(name):
     for shape in film.shapes:
         if shape.kind in ("outline", "disc", "bar", "mass"):
             for k in range(7):
-                points = placed(shape.points, film.poses[k, shape.frame])
+                points = place_points(shape.points, film.poses[k, shape.frame])
                 assert (np.abs(points - film.centres[k]) <= film.half).all()
 
 
@@ -348,7 +348,7 @@ def test_a_few_bodies_with_shapes_are_named_and_many_are_not(name, bodies):
 def test_a_line_crosses_a_box_or_passes_it():
     low, high = np.array([[0.0, 0.0], [2.0, 0.0]]), np.array([[1.0, 1.0], [3.0, 1.0]])
     crossed = [
-        crossing(low, high, np.array(one), np.array(two)).tolist()
+        crosses_boxes(low, high, np.array(one), np.array(two)).tolist()
         for one, two in (
             ((-1.0, 0.5), (1.5, 0.5)),
             ((-1.0, 0.5), (4.0, 0.5)),
@@ -426,7 +426,7 @@ def test_short_arrows_point_where_forces_do():
     from statechart.pictures.drawing import Drawing
 
     result = statechart.run("hopper", until=0.1)
-    film = filmed(stage_of(result.observer.automaton), result.observer, result.trace, [0.0, 0.1])
+    film = film_at(stage_of(result.observer.automaton), result.observer, result.trace, [0.0, 0.1])
     figure = plt.figure(figsize=(1.4, 1.8))
     film = dataclasses.replace(film, force=60.0)
     drawing = Drawing(figure.add_axes((0, 0, 1, 1)), film)

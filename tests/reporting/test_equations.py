@@ -1,4 +1,4 @@
-"""Equations of a mode are what a person would write, and what is integrated."""
+"""Equations of a mode equal handwritten ones, and the integrated ones."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_the_slide_phase_is_that_of_the_paper() -> None:
 
 
 def test_forces_of_a_block_at_rest_on_a_slope_match_those_by_hand() -> None:
-    # Of a unit mass: V = g cos(alpha), H = g sin(alpha).
+    # For a unit mass V = g cos(alpha), H = g sin(alpha).
     _, _, found = shown("block_on_incline", "pin").partition("forces:\n")
     assert found == "  base.H = base.V*tan(alpha)\n  base.V = g*cos(alpha)\n"
 
@@ -149,7 +149,7 @@ def test_integrated_motion_satisfies_the_printed_equations(model: str, named: st
 def _on(
     built: Automaton, made: list[EquationBlock], state: Array, values: dict[sp.Symbol, float]
 ) -> Array:
-    """Put what is eliminated where the rest has it, with anchors at zero."""
+    """Substitute the eliminated variables, with anchors at zero."""
     assert built.coordinates is not None
     known = dict(zip(built.variables, state.tolist(), strict=True))
     for block in made:

@@ -1,4 +1,4 @@
-"""`run --explain`: of every jump what fired, the margins, what else was considered."""
+"""`run --explain`: the fired guard, margins and rejected candidates of every jump."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_margins_agree_with_the_observer() -> None:
     events = result.to_dict(explain=True)["events"]
     values = result.observer.at(result.trace, ["tip.V"], result.trace.jumps, before=True)[:, 0]
     shown = [event["margins"].get("tip.V") for event in events]
-    # Of a pin and of a slide backwards; on the cone's edge the margin is the length of the force.
+    # Margins of a pin and of a backward slide; on the cone's edge the margin is the force.
     assert shown[0] == pytest.approx(values[0], rel=1e-12)
     mu = result.trace.parameters["mu"]
     assert shown[1] == pytest.approx(values[1] * (1 + mu**2) ** 0.5, rel=1e-12)
@@ -75,7 +75,7 @@ def test_explanation_covers_all_data_of_a_jump() -> None:
     for event in report["events"]:
         for verdict in event["considered"].values():
             assert verdict in said
-    # What B does is the same in all candidates, and left out.
+    # The state of B is the same in all candidates, and omitted.
     assert "  A:slide+  taken" in first
     assert last.splitlines()[1] == "  fired    low"
 

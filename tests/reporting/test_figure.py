@@ -20,7 +20,7 @@ from statechart.loading.load import load
 from statechart.observation.observer import Observer
 from statechart.palette import region_colours, state_colours
 from statechart.reporting.curves import curves
-from statechart.reporting.figure import banded, figure, render
+from statechart.reporting.figure import figure, regions_with_bands, render
 from statechart.running.runner import Runner
 
 
@@ -176,7 +176,7 @@ def test_similar_curves_are_represented_by_some_of_the_whole_range(height: int) 
     runner = Runner(read_text(FALLING.replace("HEIGHT", str(height))))
     result = runner.run()
     _, panels = curves(result.observer, result.trace)
-    # Where the big one falls on for longer it is still of their order.
+    # While the big one still falls, its speed is of their order.
     every = [n.rpartition(".")[0] for n in runner.automaton.names if n.endswith(".y")]
     spread = [every[k] for k in (0, 6, 11, 16, 22)]  # quarters of 22, half to even
     for panel in panels:
@@ -198,7 +198,7 @@ def test_gaps_of_contacts_that_change_are_drawn_first() -> None:
     rolled = {jump.region for jump in result.trace.jumps}
     assert len(gaps.names) == 5
     assert {name.removesuffix(".gap") for name in gaps.names} <= rolled
-    # Of those that stay off all along nothing is lost but the curve.
+    # Contacts that stay off lose only their curve.
     assert {*gaps.names, *gaps.left_out} == {f"{r}.gap" for r in result.trace.regions}
 
 
@@ -244,7 +244,9 @@ def test_curves_that_stay_zero_have_no_axis_and_are_named() -> None:
 
 def test_regions_that_change_have_a_row() -> None:
     result = Runner("rimless_wheel").run()
-    rows = [result.trace.regions[k] for k in banded(result.observer.automaton, result.trace)]
+    rows = [
+        result.trace.regions[k] for k in regions_with_bands(result.observer.automaton, result.trace)
+    ]
     assert rows == [f"s{k}" for k in range(8)]  # the others are off all the time
     band = figure(result.observer, result.trace).axes[-1]
     (said,) = [text.get_text() for text in band.get_legend().get_texts()]
@@ -313,7 +315,9 @@ def test_figures_omit_timers_of_transitions() -> None:
 def test_a_controller_among_many_bodies_has_a_row() -> None:
     result = Runner("silo").run(until=0.1)
     assert len(result.trace.regions) == 152
-    rows = [result.trace.regions[k] for k in banded(result.observer.automaton, result.trace)]
+    rows = [
+        result.trace.regions[k] for k in regions_with_bands(result.observer.automaton, result.trace)
+    ]
     assert len(rows) == 12
     assert rows[-1] == "valve"
 

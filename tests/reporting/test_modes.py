@@ -1,4 +1,4 @@
-"""`statechart modes`: what is declared, what is possible somewhere, why the rest is not."""
+"""`statechart modes`: declared modes, feasible ones, and reasons against the others."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ from statechart.errors import StatechartError
 from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
 from statechart.observation.observer import Observer
-from statechart.observation.sampling import subdivided
+from statechart.observation.sampling import subdivide
 from statechart.reporting import tables
 from statechart.reporting.partial_report import PartialReport
 from statechart.reporting.report import dumps, report
@@ -164,7 +164,7 @@ def test_a_full_disk_keeps_complete_tables_and_names_the_missing_ones(
         "figure.svg, figure.png (File too large)"
     )
     assert os.listdir(tmp_path) == ["run"]
-    # What is left of another run would be taken for this one's.
+    # Leftovers of another run would be mistaken for this one's.
     notes = ["notes.txt"] if exists else []
     assert sorted(os.listdir(folder)) == ["events.csv", *notes, "run.json"]
     assert json.loads((folder / "run.json").read_text()) == made
@@ -259,9 +259,9 @@ def test_flows_are_divided_alike_one_by_one_and_together(per_step: float) -> Non
     ends = [np.array([0.0, 0.3, 1.0]), np.array([0.0, 0.7]), np.array([0.0, 0.1, 1.1])]
     ends.append(np.linspace(0.0, 2.0, 9))
     arcs = [SimpleNamespace(times=times) for times in ends]
-    together = subdivided(arcs, per_step)
+    together = subdivide(arcs, per_step)
     for arc, local in zip(arcs, together, strict=True):
-        np.testing.assert_array_equal(subdivided([arc], per_step)[0], local)
+        np.testing.assert_array_equal(subdivide([arc], per_step)[0], local)
         assert local[0] == 0.0
         assert local[-1] == arc.times[-1]
         assert (np.diff(local) > 0.0).all()

@@ -1,4 +1,4 @@
-"""Summaries of runs with much to tell: what is listed, and what is counted."""
+"""Summaries of large runs: listed and counted items."""
 
 from __future__ import annotations
 
@@ -17,7 +17,15 @@ from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import load
 from statechart.reporting.text import _values, change, summary
 from statechart.running.runner import Runner
-from statechart.tabular import aligned, ends, grouped, number, several, shortest, table
+from statechart.tabular import (
+    abridge,
+    align_numbers,
+    number,
+    pluralise,
+    readable_count,
+    shortest_text,
+    table,
+)
 
 GRAINS = """\
 kind: scene
@@ -96,14 +104,14 @@ def test_huge_mode_counts_are_printed_as_powers(report) -> None:
     ids=["one", "counted", "first", "grains", "beyond floats", "beyond text"],
 )
 def test_integers_are_printed_without_decimals(number: int, said: str) -> None:
-    assert grouped(number) == said
+    assert readable_count(number) == said
 
 
 def test_few_values_are_all_listed() -> None:
     result = Runner("toppling_stick").run()
     lines = under(summary(result.to_dict()), "final state")
     assert [line.split()[0] for line in lines] == list(result.trace.variables)
-    assert ends("few") == list("few")
+    assert abridge("few") == list("few")
 
 
 def test_some_of_many_regions_are_listed(tmp_path, capsys) -> None:
@@ -135,7 +143,7 @@ def test_a_change_shared_by_many_bodies_is_listed_once() -> None:
 
 def test_numbers_in_sentences_are_as_short_as_they_read() -> None:
     numbers = (0.2, 10.0, -0.0, 1e-9, 1e22, 2.0100000000000002, 1 / 3)
-    told = [shortest(number) for number in numbers]
+    told = [shortest_text(number) for number in numbers]
     assert told[:3] == ["0.2", "10", "-0"]
     assert [float(text) for text in told] == list(numbers)
 
@@ -160,13 +168,13 @@ def test_numbers_are_rounded_for_reading(value: Any, digits: int, said: str) -> 
 
 
 def test_numbers_of_a_column_have_their_decimal_points_below_each_other() -> None:
-    found = aligned(["-1.5", "20", "3e-05", "none", "0.125", ""])
+    found = align_numbers(["-1.5", "20", "3e-05", "none", "0.125", ""])
     assert found == ["-1.5", "20", " 3e-05", "none", " 0.125", ""]
 
 
 def test_several_writes_singular_and_plural():
-    assert [several(count, "step") for count in (0, 1, 2)] == ["0 steps", "1 step", "2 steps"]
-    assert several(10**143, "mode") == "about 1.0e143 modes"
+    assert [pluralise(count, "step") for count in (0, 1, 2)] == ["0 steps", "1 step", "2 steps"]
+    assert pluralise(10**143, "mode") == "about 1.0e143 modes"
 
 
 ONE = """\

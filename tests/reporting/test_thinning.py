@@ -1,4 +1,4 @@
-"""Curves of very many points: what is drawn of them is what can be seen of them."""
+"""Curves of very many points are decimated without visible change."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from statechart.observation.sampling import Samples
-from statechart.reporting.curves import COLUMNS, DrawnCurve, strongest
+from statechart.reporting.curves import COLUMNS, DrawnCurve, largest_impulses
 from statechart.reporting.figure import _visible
 from statechart.running.runner import Runner
 
@@ -51,12 +51,12 @@ def test_thinning_keeps_the_largest_impulse_of_a_column() -> None:
     times = np.linspace(0.0, 2.0, 50_000)
     sizes = 1.0 + 0.5 * np.sin(np.arange(50_000))
     sizes[31_234] = -7.0
-    chosen, drawn = strongest(times, sizes, 2.0)
+    chosen, drawn = largest_impulses(times, sizes, 2.0)
     assert len(chosen) == COLUMNS
     assert (np.diff(chosen) > 0.0).all()
     assert drawn[chosen == times[31_234]] == -7.0
     assert np.abs(drawn).min() > 1.4
-    few = strongest(times[:9], sizes[:9], 2.0)
+    few = largest_impulses(times[:9], sizes[:9], 2.0)
     np.testing.assert_array_equal(few[1], sizes[:9])
 
 

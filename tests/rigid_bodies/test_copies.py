@@ -127,6 +127,6 @@ def test_each_number_of_copies_is_composed_once(monkeypatch):
     for speed in (4, 5):
         final = runner.run({"k": 3, "v": speed}).trace.initial
         assert final.reshape(2, 7, 3)[1, 1:, 0].tolist() == [speed] * 6
-    # What another run was given is not left behind.
+    # Parameters of another run do not persist.
     assert runner.run({"k": 3}).trace.initial.reshape(2, 7, 3)[1, 1, 0] == 3
     assert len(composed) == 2

@@ -81,7 +81,7 @@ def test_jaws_lift_a_box_once_it_has_their_speed(step):
     assert result.outputs["slipped"] == pytest.approx(slipped, abs=2 * step * 0.2**2)
     jumps = result.trace.jumps
     raised = next(i for i, jump in enumerate(jumps) if jump.cause == "raise")
-    # What holds by friction neither slips nor sticks by what is left of iterated impulses.
+    # Contacts held by friction neither slip nor stick by the residual of iterated impulses.
     assert not {"slip", "stick"} & {jump.cause for jump in jumps[:raised]}
     last = [jump for jump in jumps if jump.cause == "stick"]
     assert [jump.t for jump in last] == pytest.approx(
@@ -197,7 +197,7 @@ def test_wheel_climbs_a_step_above_the_threshold():
 
 @pytest.mark.parametrize(("text", "values"), [(NUT, {"mu": 0.3}), (WHEEL, {"F": 60})])
 def test_penetration_of_a_turning_body_equals_the_reported_one(text, values):
-    # Nothing approaches what it touches but by turning.
+    # Touching bodies approach only by rotation.
     model = interpret(read_text(text))
     trace = Runner(model).run(values).trace
     assert_depths(body_numbers(model, model.values(values)), trace)

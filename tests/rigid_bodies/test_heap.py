@@ -318,7 +318,7 @@ def test_scenes_that_cannot_run_by_steps_give_advice(options, code, words, capsy
 
 @cache
 def fallen(simultaneous, step):
-    """Return what runs a box that falls on an incline, without gravity."""
+    """Return a runner of a box that falls on an incline, without gravity."""
     text = f"""
 kind: scene
 name: fallen

@@ -77,7 +77,7 @@ def test_a_jointed_bar_swings_as_a_pendulum():
         # Held at the midpoints, its pivot moves by h^2 w^2 l/8 between them.
         pivot = final[:2] + 0.25 * np.array([-math.sin(final[2]), math.cos(final[2])])
         assert math.hypot(*pivot) < step**2 * found.y[1, -1] ** 2 * 0.25 + 1e-7
-    # Of the second order, where nothing strikes.
+    # Second order, without impacts.
     assert errors[0] < 2e-4
     assert errors[2] < 0.3 * errors[1] < 0.09 * errors[0] / 0.25
 
@@ -138,7 +138,7 @@ def test_a_spinning_chain_without_gravity_keeps_its_energy_and_spin():
     assert moment(x, v) == pytest.approx(moment(begin, first), rel=1e-3)
     energy = result.observer.sample(trace, ["energy"], times=np.linspace(0, 4, 100))
     values = energy.columns["energy"]
-    # Verlet's scheme with constraints: what a chord of (h w) lacks or has, which does not grow.
+    # Verlet's scheme with constraints: the error of a chord of (h w), which does not grow.
     assert values.max() <= values[0] * (1 + (1e-3 * 5) ** 2 / 8)
     assert values.min() >= values[0] * 0.995
 

@@ -36,7 +36,7 @@ def test_copies_at_one_place_are_advised_to_use_index():
     with pytest.raises(DeclarationError, match=told):
         Runner(read_text(text)).run()
     Runner(read_text(text.replace("y: r", "x: 0.21*index, y: r"))).start()
-    # What touches each other by no law may.
+    # Bodies without a contact law may overlap.
     apart = SCENE.replace("start: {x: 0.3*index", "start: {x: 0").replace("copies: n", "copies: 1")
     Runner(read_text(apart)).start()
 

@@ -1,4 +1,4 @@
-"""Walls that close on a ball: what is said where none of it has room any more."""
+"""Walls that close on a ball: the message when it no longer fits."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_walls_that_squeeze_a_ball_are_reported_at_every_step_size(of, e):
 
 
 def test_a_body_escapes_between_walls_that_leave_a_gap():
-    # They lean away from each other: what is squeezed between them is driven out upwards.
+    # They lean away from each other: a squeezed body is driven out upwards.
     trace = Runner(interpret(read_text(WALLS + SHAPE))).run({"e": 0, "tilt": 2}).trace
     assert trace.outcome is Outcome.HORIZON
     assert trace.final[1] > 0.5
@@ -87,5 +87,5 @@ def test_a_squeezed_body_is_reported_at_any_earlier_speed(e, latest):
         float, re.findall(r"t = ([\d.]+): .*penetration of ([\d.e-]+) always", str(caught.value))[0]
     )
     assert 2.0 < time < latest
-    # Several places of contact share what the walls have closed.
+    # Several contacts share the closing of the walls.
     assert deep <= 0.1 * (time - 2.0)

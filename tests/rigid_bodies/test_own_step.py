@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from contacts.rigid_bodies.own_step import inscribed
+from contacts.rigid_bodies.own_step import inscribed_radius
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
@@ -154,4 +154,4 @@ def test_the_chosen_step_follows_the_speed_that_forces_reach(force, speed):
     ],
 )
 def test_the_largest_circle_in_a_polygon_touches_three_edges(corners, radius):
-    assert inscribed(np.array(corners, dtype=float)) == pytest.approx(radius, rel=1e-9)
+    assert inscribed_radius(np.array(corners, dtype=float)) == pytest.approx(radius, rel=1e-9)

@@ -1,4 +1,4 @@
-"""Masses that differ by more than arithmetic carries are told; those that are carried are not."""
+"""Extreme mass ratios give a warning, moderate ones do not."""
 
 from __future__ import annotations
 

@@ -149,7 +149,7 @@ def test_friction_of_impacts_in_turn_is_coulombs(mu):
     for step in (1e-3, 1e-5):
         result = run(row(masses, e, [0.0] * 3, [1.0, 0.0, 0.0], mu, spins), step, until=0.6)
         found = result.trace.final.reshape(2, 3, 3)[1]
-        # Rims meet half of what is left between them from where they touch.
+        # The rims meet half of their gap away from the contact point.
         np.testing.assert_allclose(found, np.stack([u, y, w], 1), rtol=5 * step, atol=1e-9)
 
 
@@ -278,7 +278,7 @@ collisions: {{all: {{bodies: [box], surfaces: [floor], friction: {mu}, restituti
 
 
 def test_equal_approaches_at_two_places_are_resolved_together():
-    """A disc between two: that it does not swerve is no matter of who is first."""
+    """A disc between two does not swerve, in either order of impacts."""
     x, y = 2 * R * math.cos(math.pi / 6), 2 * R * math.sin(math.pi / 6)
     text = f"""
 kind: scene

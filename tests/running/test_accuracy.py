@@ -1,4 +1,4 @@
-"""Accuracy and budgets: what is estimated, what it costs, and how events magnify errors."""
+"""Accuracy and budgets: estimates, cost, and magnification of errors by events."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from statechart.documents.setting import Setting
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.engine import Allowance
 from statechart.errors import OutOfBudget
-from statechart.observation.difference import compare, paired, parted
+from statechart.observation.difference import compare, pair_jumps, separation_time
 from statechart.observation.observer import Observer
-from statechart.running.accuracy import Once, tighten, within
+from statechart.running.accuracy import Once, run_within_budget, tighten
 from statechart.running.runner import Runner, run
 
 THROWN = """\
@@ -136,9 +136,9 @@ def test_a_missed_accuracy_is_reported_and_exits_with_1(
 def test_within_a_budget_runs_tighten_as_long_as_there_is_time() -> None:
     runner = Runner("toppling_stick")
     once, clock = slow(runner, lambda tolerance: 1.0)
-    few = within(once, 2.9, floor=1e-13, clock=clock)
+    few = run_within_budget(once, 2.9, floor=1e-13, clock=clock)
     once, clock = slow(runner, lambda tolerance: 1.0)
-    many = within(once, 4.9, floor=1e-13, clock=clock)
+    many = run_within_budget(once, 4.9, floor=1e-13, clock=clock)
     # A run is not begun unless half as much again as the last one took is left.
     assert (few.cost.runs, many.cost.runs) == (2, 4)
     assert few.cost.seconds <= 2.9
@@ -150,13 +150,13 @@ def test_within_a_budget_runs_tighten_as_long_as_there_is_time() -> None:
 
 def test_the_tightest_run_ends_a_budget_early() -> None:
     once, clock = slow(Runner("toppling_stick"), lambda tolerance: 0.0)
-    answer = within(once, 100.0, floor=1e-9, clock=clock)
+    answer = run_within_budget(once, 100.0, floor=1e-9, clock=clock)
     assert answer.trace.tolerance == pytest.approx(1e-9)
 
 
 def test_a_single_run_within_the_budget_warns_of_no_estimate() -> None:
     once, clock = slow(Runner("toppling_stick"), lambda tolerance: 1.0)
-    answer = within(once, 1.5, floor=1e-13, clock=clock)
+    answer = run_within_budget(once, 1.5, floor=1e-13, clock=clock)
     assert answer.error is None
     assert "allowed one run" in answer.warnings[0]
 
@@ -203,14 +203,14 @@ def test_difference_reports_its_parts_and_the_divergence_time() -> None:
     found = compare(exact.trace, rough.trace, exact.outputs, rough.outputs)
     assert found.diverged is None
     assert found.largest == max(found.state, found.times, found.outputs)
-    assert parted(exact.trace, rough.trace) is None
+    assert separation_time(exact.trace, rough.trace) is None
     other = run("toppling_stick", parameters={"mu": 0.25})
-    when = parted(exact.trace, other.trace)
+    when = separation_time(exact.trace, other.trace)
     assert when is not None
     assert 3.0 < when < exact.trace.t_end
-    # Bounces at slightly different times are no difference of the states between them.
+    # Slightly different times of bounces do not count as differences of states.
     ball, later = run("bouncing_ball"), run("bouncing_ball", parameters={"x0": 1 + 1e-4})
-    first = parted(ball.trace, later.trace)
+    first = separation_time(ball.trace, later.trace)
     assert first is None or first > 5.0
 
 
@@ -220,14 +220,16 @@ def test_short_mode_differences_are_ignored() -> None:
     jumps = trace.jumps
     later = replace(jumps[3], t=jumps[3].t + 1e-9, region="another")
     extra = replace(trace, jumps=(*jumps[:4], later, *jumps[4:]))
-    assert paired(trace, extra)[1] == later.t
-    pairs, diverged = paired(trace, extra, brief=1e-6)
+    assert pair_jumps(trace, extra)[1] == later.t
+    pairs, diverged = pair_jumps(trace, extra, brief=1e-6)
     assert diverged is None
     # What is beside it is still paired with itself.
     assert all(one.t == other.t for one, other in pairs)
     assert len(pairs) == len(jumps)
     elsewhere = replace(jumps[3], t=jumps[3].t + 1e-3, region="another")
-    assert paired(trace, replace(trace, jumps=(*jumps[:4], elsewhere)), brief=1e-6)[1] is not None
+    assert (
+        pair_jumps(trace, replace(trace, jumps=(*jumps[:4], elsewhere)), brief=1e-6)[1] is not None
+    )
 
 
 def test_an_accuracy_is_delivered_on_random_scenes_or_refused_with_the_reason() -> None:
@@ -249,7 +251,7 @@ def test_a_run_that_fails_early_parts_where_it_ends() -> None:
     exact = run("bouncing_ball_hills")
     short = run("bouncing_ball_hills", until=0.2)
     ended = replace(short.trace, outcome=Outcome.STEP_FAILURE)
-    assert parted(exact.trace, ended) is not None
+    assert separation_time(exact.trace, ended) is not None
 
 
 @pytest.mark.parametrize(
@@ -349,12 +351,12 @@ def test_accuracy_fails_if_an_engine_cannot_run(
 
 def test_an_exceeded_budget_gives_a_warning() -> None:
     once, clock = slow(Runner("toppling_stick"), lambda tolerance: 1.0)
-    told = within(once, 0.5, floor=1e-13, clock=clock).warnings
+    told = run_within_budget(once, 0.5, floor=1e-13, clock=clock).warnings
     assert told[0].startswith("the budget of 0.5 s allowed one run, of 1 s, ")
-    late = within(once, 0.5, spent=0.75, floor=1e-13, clock=clock).warnings
+    late = run_within_budget(once, 0.5, spent=0.75, floor=1e-13, clock=clock).warnings
     assert "one run, of 1.8 s" in late[0]
     once, clock = slow(Runner("toppling_stick"), lambda tolerance: 1.0)
-    kept = within(once, 2.9, floor=1e-13, clock=clock).warnings
+    kept = run_within_budget(once, 2.9, floor=1e-13, clock=clock).warnings
     assert not any("budget" in warning for warning in kept)
     assert (len(told), len(late)) == (1, 1)
 
@@ -372,7 +374,7 @@ def test_taylor_starts_at_its_least_tolerance_and_one_perturbed_run_estimates_it
 
 
 def test_run_from_zero_estimates_its_error() -> None:
-    # A force grows from nothing: there is no start to be off.
+    # A force grows from zero: the start has no error.
     text = """\
 kind: scene
 name: pushed

@@ -1,4 +1,4 @@
-"""Runs repeated under the other choices of what simultaneous impacts do."""
+"""Runs repeated under the other laws for simultaneous impacts."""
 
 from __future__ import annotations
 

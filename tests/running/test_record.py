@@ -31,7 +31,7 @@ STEPPED = [
     and not model.couplings
     and (model.collisions or not any(region.variables for region in model.regions.values()))
 ]
-# Of each model so many steps.
+# Number of steps of each model.
 STEPS = 200
 
 BALL = """

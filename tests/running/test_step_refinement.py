@@ -1,4 +1,4 @@
-"""Accuracies by time steps: what is delivered is within them, what is not is said."""
+"""Requested accuracies by time steps are reached, or the failure is reported."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_a_block_stops_where_the_closed_form_says(accuracy: float) -> None:
     result = run(read_text(BLOCK), engine="impulse", accuracy=accuracy)
     assert reached(result)
     assert result.error_estimate is not None
-    # Of a time, relative to the end of the run.
+    # Error of a time, relative to the end of the run.
     assert off(result, "t_stop", 3.0 / (0.5 * 9.81)) * 0.31 <= result.error_estimate
     assert off(result, "distance", 9.0 / (2 * 0.5 * 9.81)) <= result.error_estimate
 

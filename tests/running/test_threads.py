@@ -1,4 +1,4 @@
-"""Threads that share a runner: each gets what it would get alone."""
+"""Threads that share a runner get the results of separate runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Discs that touch with their rims: what they are declared on, and what stays as they roll."""
+"""Discs that touch with their rims: declaration, and invariants of rolling."""
 
 from __future__ import annotations
 

@@ -28,6 +28,6 @@ def test_labels_are_the_components_of_the_graph(seed: int) -> None:
     graph[:n, :n], graph[n:, :n] = mass, rows
     found = connected_components(graph, directed=False)[1][n + r : n + r + len(which)]
     expected = [found.tolist().index(label) for label in found.tolist()]
-    # What follows in a row is not read.
+    # Later entries of a row are not read.
     wide = [np.hstack([array, np.ones((len(array), 3))]) for array in (held, jacobians)]
     assert coupled_contacts(mass, *wide, which, constraints).tolist() == expected

@@ -1,4 +1,4 @@
-"""The impulses of an island against closed forms: what is pushed out of something else."""
+"""Impulses of an island against closed forms: stabilisation of penetration."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from statechart.kernels.jit import kernel
 
 @kernel
 def found(contacts, before, free, wanted, rebounds, impulses, allowed, bound):
-    """Call from Python what kernels alone call."""
+    """Call a function from Python that only kernels call."""
     return island_impulses(
         contacts, before, free, wanted, rebounds, impulses, allowed, bound, False
     )

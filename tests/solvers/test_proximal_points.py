@@ -13,7 +13,7 @@ from statechart.kernels.jit import kernel
 
 @kernel
 def solved(contacts, least, impulses, allowed):
-    """Call from Python what kernels alone call."""
+    """Call a function from Python that only kernels call."""
     return solve_rows(contacts, least, impulses, allowed, False, True)
 
 

@@ -32,7 +32,7 @@ def test_a_first_run_is_timed_in_a_separate_process() -> None:
             seconds = fresh.seconds(one)
             assert seconds is not None
             assert seconds > 0.0
-        # What cannot run has no time, and what follows has one all the same.
+        # A setting that cannot run has no time; the next one still has one.
         assert fresh.seconds(Setting(engine="impulse", step=1e-3)) is None
         assert fresh.seconds(RK45) is not None
     assert fresh._process is None

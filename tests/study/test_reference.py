@@ -45,7 +45,7 @@ stop: {time: 40}
 
 
 def lying(monkeypatch: pytest.MonkeyPatch, wrong: str, automaton: object) -> None:
-    """Let the runs of an engine or method be those of another automaton."""
+    """Replace the runs of an engine or method by runs of another automaton."""
     honest = Bench.once
 
     def once(bench: Bench, observer: Observer) -> Trace:
@@ -125,7 +125,7 @@ def test_three_diverging_runs_are_chaotic() -> None:
 
 
 def test_two_of_three_runs_do_not_decide_an_unstable_start() -> None:
-    # Of two courses two of three runs take the same one, whichever is right.
+    # Of three runs two always take the same of two possible motions.
     found = referred(Runner(read_text(EDGE.replace("TOP", str(1 - 1e-15)))))
     third = found.third
     assert third is not None

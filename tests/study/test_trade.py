@@ -1,4 +1,4 @@
-"""Speed against accuracy: studies, their slopes, what is kept of them and what uses them."""
+"""Speed against accuracy: studies, slopes, files, and their use."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def test_missed_accuracies_and_other_modes_are_counted() -> None:
     found = study(kept, missed, other, unresolved, refused)
     assert [found.meets_tolerance(p) for p in found.points] == [True, False, False, None, None]
     assert found.missed() == {"RK45": (2, 3)}
-    # What the reference cannot resolve is no digit of a run.
+    # Digits below the resolution of the reference do not count.
     assert found.error(unresolved) == 1e-13
 
 
@@ -418,11 +418,11 @@ def test_non_converging_outputs_are_named_and_excluded() -> None:
     assert list(to_dict(found)["unsettled"]) == ["V_max"]
     (slope,) = slopes(found)
     assert slope.slope == pytest.approx(1.0)
-    # Of a run with events it is right, or its error counts.
+    # For a run with events it is right, or its error counts.
     errors = Errors(state=1e-9, outputs=1e-4, named={"V_max": 1e-4})
     event_based = point(1e-6, 0.0, 1.0, errors=errors)
     assert study(*found.points, event_based).error(event_based) == 1e-4
-    # What rounding hides from three steps on is not told.
+    # Effects below round-off from three steps on are not reported.
     settled = study(*(stepped(h, h, V_max=1e-13, x=0.5 * h) for h in steps))
     assert settled.unsettled() == {}
 

@@ -1,4 +1,4 @@
-"""Cells that go through one compiled call give what a run of their own gives, to the bit."""
+"""Cells of a compiled batch are bit-identical to single runs."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def test_outputs_of_one_run_are_those_of_its_jumps_and_arcs(
             except DeclarationError:  # it starts in the floor
                 continue
             made += result.trace.arcs.source is not None
-            # What travels has no arrays that a loop has written.
+            # Pickled objects have no arrays of a loop.
             told = pickle.loads(pickle.dumps(result.trace))
             outputs = outputs_of(result.observer)
             np.testing.assert_equal(dict(result.outputs), outputs.of(told))

@@ -1,4 +1,4 @@
-"""Bifurcation diagrams against what is known of them."""
+"""Bifurcation diagrams against the literature."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ def test_progress_lines_have_cells_rate_and_time_left(
 ) -> None:
     now = [0.0]
     monkeypatch.setattr(sweeps.time, "monotonic", lambda: now[0])
-    # Of which five seconds are compilation.
+    # Five seconds of these are compilation.
     monkeypatch.setattr(sweeps, "working_time", lambda: max(now[0] - 5.0, 0.0))
     shown = sweeps._Progress(1000, 100)
     for now[0], count in ((1.0, 50), (10.0, 50), (12.0, 300), (30.0, 100)):

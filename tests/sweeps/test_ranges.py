@@ -1,4 +1,4 @@
-"""Ranges, lists, Sobol sequences and tables: what they stand for, and what is refused."""
+"""Ranges, lists, Sobol sequences and tables: values and refusals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stores of sweeps: what is interrupted goes on, what others have is left alone."""
+"""Stores of sweeps: interrupted ones resume, others' files stay untouched."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from statechart.sweeps import store as stores
 from statechart.sweeps import sweep as sweeps
 from statechart.sweeps.cells import CellBlock, run_block
 from statechart.sweeps.plan import Task
-from statechart.sweeps.store import create, locked
+from statechart.sweeps.store import create, lock_folder
 
 pytestmark = pytest.mark.usefixtures("default_signals")
 
@@ -67,7 +67,7 @@ def test_an_interrupted_sweep_resumes_to_the_same_bits(
     done = part["outcome"].to_numpy() != ""
     assert done.sum() == 8 or done.sum() == 9
     assert (part.attrs["complete"], part.attrs["ended"]) == (0, "interrupted")
-    # What is done can be read, in the state it is in.
+    # The finished part can be read.
     with xr.open_zarr(store, chunks=None) as read:
         np.testing.assert_array_equal(
             read["t_end"].to_numpy()[done], whole["t_end"].to_numpy()[done]
@@ -188,7 +188,7 @@ def test_store_being_written_is_not_touched(
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes that are forked")
 def test_forked_process_does_not_hold_the_lock(tmp_path: Path) -> None:
     heard, said = os.pipe()
-    with locked(tmp_path / "a.zarr"):
+    with lock_folder(tmp_path / "a.zarr"):
         child = os.fork()
         if child == 0:
             os.write(said, b".")
@@ -196,7 +196,7 @@ def test_forked_process_does_not_hold_the_lock(tmp_path: Path) -> None:
             os._exit(0)
         os.read(heard, 1)
     try:
-        with locked(tmp_path / "a.zarr"):
+        with lock_folder(tmp_path / "a.zarr"):
             pass
     finally:
         os.kill(child, signal.SIGKILL)
@@ -293,7 +293,7 @@ def test_a_store_that_lost_a_chunk_is_refused_with_its_name(
     sweep(model, over, store=store)
     chunks = [file for file in sorted(store.rglob("c/**/*")) if file.is_file()]
     held = {file.relative_to(store).parts[0] for file in chunks}
-    # Those that hold nothing but what stands for nothing are there, too.
+    # Chunks of fill values only exist as well.
     assert held == {one.name for one in store.iterdir() if one.is_dir()}
     for file in chunks:
         content = file.read_bytes()

@@ -34,7 +34,7 @@ def same(one: xr.Dataset, other: xr.Dataset) -> None:
 
 
 class Inline(Executor):
-    """Runs what it is given where it is: the last first, or dies of a call."""
+    """Runs jobs in this process, the last first, or fails at a call."""
 
     def __init__(self, dies_at: int = 0, dies_of: Exception | None = None) -> None:
         self.calls, self._dies_at = 0, dies_at

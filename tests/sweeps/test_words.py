@@ -16,7 +16,7 @@ from statechart import sweep
 from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError
 from statechart.running.runner import Runner
-from statechart.sweeps.cells import repeats
+from statechart.sweeps.cells import contract_cycles
 from statechart.sweeps.figure import check_drawable, figure, shorten_alike
 from statechart.sweeps.plan import Plan
 
@@ -34,7 +34,7 @@ STICK = "toppling_stick"
     ],
 )
 def test_repeated_cycles_are_abbreviated(words: str, told: str) -> None:
-    assert " > ".join(repeats(words.split())) == told
+    assert " > ".join(contract_cycles(words.split())) == told
 
 
 def unfolded(text: str) -> list[str]:
@@ -48,7 +48,7 @@ def unfolded(text: str) -> list[str]:
 @given(st.lists(st.sampled_from("abc"), min_size=1, max_size=60))
 def test_abbreviated_cycles_expand_to_the_sequence(words: list[str]) -> None:
     words = [word for k, word in enumerate(words) if k == 0 or word != words[k - 1]]
-    assert unfolded(" > ".join(repeats(words))) == words
+    assert unfolded(" > ".join(contract_cycles(words))) == words
 
 
 def drawn(columns: dict[str, np.ndarray], *, grid: bool = True, **options: object):  # type: ignore[no-untyped-def]

@@ -23,7 +23,7 @@ from statechart.sweeps import workers
 from statechart.sweeps.workers import cluster, crew, processes
 
 distributed = pytest.importorskip("distributed")
-# Of tornado's event loop, which its own threads close.
+# Warning of tornado's event loop, which its threads close.
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
 
 STICK = "toppling_stick"

@@ -52,7 +52,7 @@ def test_pytest_plugin_shrinks_and_writes_failures(tmp_path: Path) -> None:
     written = tmp_path / "leaves_failure.yaml"
     assert 3.0 < load(written).values()["a"] <= 4.0
     assert run(str(written)).trace.final[0] > 3.0
-    # What was written is no item of the next run.
+    # Written files are not collected by the next run.
     again = checked(tmp_path, "--statechart", "--collect-only", "-q")
     assert "leaves_failure" not in again.stdout
 

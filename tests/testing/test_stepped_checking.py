@@ -1,4 +1,4 @@
-"""Checks of models that run by time stepping: what holds, what is caught, what is undecidable."""
+"""Checks of models that run by time stepping: passed, failed and undecidable properties."""
 
 from __future__ import annotations
 
@@ -271,7 +271,7 @@ settings: {engine: impulse, step: 1e-3}
 @pytest.mark.parametrize(
     ("mu", "e", "boxes"),
     [
-        # Pushed by another, with friction beside what bears it: whose impulses are free in part.
+        # Pushed by another, with friction beside its support: its impulses are partly undetermined.
         (0.1, 0.5, [(0.8, 0.011, 0.1, 0.1, -0.1, 2), (0.6, 0.034, 0.075, 0.1, -0.44, 2.989)]),
         (0.1, 0.248, [(2, 0.046, 0.1, 0.1, -0.1, 2), (0.8, 0.033, 0.069, 0.1, -0.411, 2)]),
         # About to tip as it passes from one plate to the next.
@@ -347,7 +347,7 @@ def test_energy_counts_the_work_of_a_plate_that_catches_a_ball_slowly(u, step):
     trace = statechart.run(scene, parameters={"u": u}, engine="impulse", step=step).trace
     mechanics = Mechanics(scene)
     assert_energy(mechanics, subject, trace)
-    # Whatever is faster than the plate after the catch has no work to come from.
+    # A speed above the plate's after the catch would need extra work.
     last = trace.arcs[-1]
     faster = last.coefficients.copy()
     faster[len(faster) // 2 :, 3] *= 1.1

@@ -1,4 +1,4 @@
-"""Events by steps are those of the engines with events, at times that differ by some steps."""
+"""Events by steps equal the events of the event-driven engines, up to some steps in time."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ regions:
 
 @cache
 def runners(simultaneous: str, event: str) -> tuple[Runner, Runner]:
-    """Return what runs it with events, and by steps."""
+    """Return runners with events and by steps."""
     model = interpret(read_text(THROWN.format(simultaneous=simultaneous, event=event), "f.yaml"))
     return Runner(model, engine="scipy", tolerance=1e-10), Runner(model, engine="impulse", step=H)
 
@@ -224,7 +224,7 @@ def test_fast_point_in_a_bowl_stops_bouncing(h: float) -> None:
 
 
 def modes(trace: Trace) -> dict[str, list[tuple[float, str]]]:
-    """Return when each region changes, and to what; of what lasts no time, its end alone."""
+    """Return the changes of each region; for modes without duration the end alone."""
     found: dict[str, list[tuple[float, str]]] = {name: [] for name in trace.regions}
     for place, (name, changes) in enumerate(found.items()):
         last, hit = trace.start_mode[place], False

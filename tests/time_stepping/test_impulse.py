@@ -240,7 +240,7 @@ def test_a_mode_that_is_not_declared_ends_the_run():
 
 
 def test_final_forces_do_not_come_from_a_tiny_step():
-    # The step does not divide the run: what is left over is a ten-thousandth of it.
+    # The step does not divide the run: the remainder is a ten-thousandth of it.
     exact = run("dragged_stick").outputs["H"]
     found = run("dragged_stick", engine="impulse", step=1 / 1000.0001)
     assert found.trace.counts["steps"] == 1001
@@ -252,7 +252,7 @@ def test_warning_names_contacts_with_indeterminate_forces() -> None:
     shared = Runner("four_legged_table", engine="impulse", step=1e-3).run(until=0.01)
     told = "the forces of A, B, C, D are indeterminate: the smallest are shown"
     assert shared.trace.warnings.count(told) == 1
-    # Where one foot alone holds, or none touches, all is determined.
+    # All forces are determined while one foot holds, or none touches.
     for name in ("bouncing_ball", "block_on_incline"):
         alone = Runner(name, engine="impulse", step=1e-3).run(until=0.01)
         assert not [w for w in alone.trace.warnings if "indeterminate" in w]

@@ -181,7 +181,7 @@ def test_a_point_at_rest_in_a_corner_stays_there(at, angles, e):
     assert not any(jump.cause in ("enable", "disable") for jump in trace.jumps)
 
 
-# One side takes what the other gives back: the point slides on the plastic one, and comes back.
+# The plastic side absorbs the rebound of the other: the point slides on it, and comes back.
 @pytest.mark.parametrize("h", [1e-3, 1e-4])
 @pytest.mark.parametrize("at", [(0.0, 0.0), (0.604994, 0.101475)])
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ def test_large_arcs_are_recomputed(monkeypatch: pytest.MonkeyPatch) -> None:
     """A run that is kept and one that is not are the same; only the first makes an arc once."""
     kept = run(n=12)
     assert kept.arcs[3] is kept.arcs[3]
-    # Of what a run keeps polynomials would be more than a trace may take.
+    # Polynomials of the recorded steps would exceed the largest trace.
     monkeypatch.setattr(stepper, "LARGEST", 1000)
     passing = run(n=12)
     assert passing.arcs[3] is not passing.arcs[3]

@@ -1,4 +1,4 @@
-"""Time steps that are too long for what happens in them say so."""
+"""Time steps that are too long give warnings."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_discs_that_passed_before_a_split_step_collide() -> None:
 
 
 def test_a_step_of_fifty_diameters_is_taken_in_256_parts() -> None:
-    # In a sixty-fourth of it the disc goes 0.8 of what it is wide, and misses both looks.
+    # In a sixty-fourth of it the disc moves by 0.8 of its width, between two detections.
     text = DISCS.replace("disc: 0.1", "disc: 0.01").replace("50", "1000")
     found = runner(text, 1e-3).run({"x0": -3.1, "y0": 0.0})
     assert any("up to 256 parts" in warning for warning in found.warnings)
@@ -239,11 +239,11 @@ def named(warning: str) -> float:
 
 @pytest.mark.parametrize("turn", [2.0, 3.5, 6.0, 20.0])
 def test_a_drive_is_compared_with_the_speeds_that_it_makes(turn: float) -> None:
-    # The block moves at a hundredth of what gravity would give it in the run.
+    # The block moves at a hundredth of its free-fall speed.
     step = turn / (2.0 * math.pi * 25.0)
     assert words(runner(DRIVE, step).run(), "too long for the forces")
     (warning,) = words(runner(DRIVE, step).run({"mu": 0.0}), "too long for the forces")
-    # Where one look tells nothing of a turn, how many there are is seen at the second.
+    # One sample does not show a turn; the second one shows their number.
     again = words(runner(DRIVE, named(warning)).run({"mu": 0.0}), "too long for the forces")
     assert (turn > 6.0) == bool(again)
     assert not again or not runner(DRIVE, named(again[0])).run({"mu": 0.0}).warnings
@@ -274,7 +274,7 @@ def test_bar_turning_on_before_its_impact_gives_a_warning() -> None:
         found = runner(BAR, step * parts).run()
         off = abs(float(found.outputs["dy"]) - exact)  # type: ignore[arg-type]
         warnings = words(found, "contacts that are switched on")
-        # The largest speed is that of its fall, 3.07 m/s.
+        # The largest speed is 3.07 m/s, in its fall.
         assert bool(warnings) == (off > 0.15 * 3.07) or 0.12 < off / 3.07 < 0.18
         said += len(warnings)
     assert said > 0

@@ -1,4 +1,4 @@
-"""Points by steps, beside what follows by hand: rest stays rest, what is free bears nothing."""
+"""Points by steps against hand calculation: rest persists, free contacts bear no force."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Steps that more than one motion agrees with (Painleve: indeterminate): that is told."""
+"""Warnings of indeterminate steps, with which several motions agree (Painleve)."""
 
 from pathlib import Path
 

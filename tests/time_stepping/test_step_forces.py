@@ -99,7 +99,7 @@ def test_impulses_lie_in_the_cone_and_equal_the_change_of_momentum(values, step)
         for name, (V, H) in jump.impulse.items():
             assert V >= 0.0
             assert abs(H) <= values["mu"] * V * (1.0 + 1e-12)
-            # Of the wall, whose normal is to the left, the slip is upwards.
+            # The wall's normal is to the left; slip is positive upwards.
             push += (H, V) if name != "top" else (-V, H)
         n = len(jump.before) // 2
         change = MASS * (jump.after[n:] - jump.before[n:])[:2]

@@ -111,7 +111,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> str:
     (folder / "right.py").write_text(RIGHT)
     (folder / "wrong.py").write_text(WRONG)
     (folder / "right_controlled.py").write_text(CONTROLLED)
-    # With our own settings, so that what was checked of the packages is known already.
+    # With our own settings, so that mypy reuses its cache of the packages.
     made = subprocess.run(
         (sys.executable, "-m", "mypy", "--strict", *sorted(folder.iterdir())),
         cwd=Path(__file__).parents[2], capture_output=True, text=True, check=False,

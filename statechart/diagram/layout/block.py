@@ -11,7 +11,7 @@ from math import hypot
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.diagram.layout.graphviz_program import measured
+from statechart.diagram.layout.graphviz_program import measure_boxes
 from statechart.diagram.layout.markup import START, arrow
 
 Attributes = Mapping[str, str]
@@ -63,11 +63,11 @@ class LayoutBlock:
         return LayoutBlock(
             self.size,
             tuple(replace(b, centre=(b.centre[0] + x, b.centre[1] + y)) for b in self.boxes),
-            tuple(replace(a, curve=_translated(a.curve, x, y)) for a in self.arrows),
+            tuple(replace(a, curve=_translate(a.curve, x, y)) for a in self.arrows),
         )
 
 
-def bounded(boxes: Sequence[Box], arrows: Sequence[Arrow]) -> LayoutBlock:
+def bounding_block(boxes: Sequence[Box], arrows: Sequence[Arrow]) -> LayoutBlock:
     """Return the block with the bounding box of boxes and arrows."""
     centres, sizes = np.array([box.centre for box in boxes]), np.array([box.size for box in boxes])
     corners = [centres - sizes / 2, centres + sizes / 2]
@@ -76,14 +76,14 @@ def bounded(boxes: Sequence[Box], arrows: Sequence[Arrow]) -> LayoutBlock:
     return LayoutBlock((right - left, high - low), (*boxes,), (*arrows,)).moved(-left, -low)
 
 
-def _translated(course: str, x: float, y: float) -> str:
+def _translate(course: str, x: float, y: float) -> str:
     return _POINT.sub(lambda m: f"{float(m[1]) + x:.2f},{float(m[2]) + y:.2f}", course)
 
 
-def written(name: str, label: str) -> LayoutBlock:
+def text_block(name: str, label: str) -> LayoutBlock:
     """Return a text as a block."""
     look = {"shape": "plain", "label": label}
-    size = measured({name: look})[name]
+    size = measure_boxes({name: look})[name]
     return LayoutBlock(size, (Box(name, (size[0] / 2, size[1] / 2), size, look),))
 
 
@@ -94,7 +94,7 @@ def side_by_side(blocks: Sequence[LayoutBlock], gap: float) -> LayoutBlock:
     for block in blocks:
         placed.append(block.moved(x, height - block.size[1]))
         x += block.size[0] + gap
-    return _merged((x - gap, height), placed)
+    return _merge((x - gap, height), placed)
 
 
 def stacked(blocks: Sequence[LayoutBlock], gap: float, *, centred: bool = True) -> LayoutBlock:
@@ -104,10 +104,10 @@ def stacked(blocks: Sequence[LayoutBlock], gap: float, *, centred: bool = True) 
     for block in reversed(blocks):
         placed.append(block.moved((width - block.size[0]) / 2 if centred else 0.0, y))
         y += block.size[1] + gap
-    return _merged((width, y - gap), placed[::-1])
+    return _merge((width, y - gap), placed[::-1])
 
 
-def _merged(size: Point, blocks: Sequence[LayoutBlock]) -> LayoutBlock:
+def _merge(size: Point, blocks: Sequence[LayoutBlock]) -> LayoutBlock:
     boxes = (box for block in blocks for box in block.boxes)
     return LayoutBlock(size, (*boxes,), tuple(a for block in blocks for a in block.arrows))
 
@@ -126,10 +126,12 @@ def with_start(block: LayoutBlock, state: str, name: str) -> LayoutBlock:
         )
         dot = tip[0] + across * _OFF, tip[1] + up * _OFF
         begin = Arrow(name, state, polyline([dot, tip]), arrow(()))
-        return bounded((*block.boxes, Box(name, dot, (_DOT, _DOT), START)), (*block.arrows, begin))
+        return bounding_block(
+            (*block.boxes, Box(name, dot, (_DOT, _DOT), START)), (*block.arrows, begin)
+        )
 
     corners = (at(across, up) for across, up in ((-1, 1), (1, 1), (-1, -1), (1, -1)))
-    return min(corners, key=lambda one: (covered(one), _on_frame(one, name)))
+    return min(corners, key=lambda one: (count_overlaps(one), _on_frame(one, name)))
 
 
 def _on_frame(block: LayoutBlock, dot: str) -> bool:
@@ -158,7 +160,7 @@ def polyline(points: Iterable[Point], *, head: bool = True) -> str:
     return start + " ".join(f"{x:.2f},{y:.2f}" for x, y in curve)
 
 
-def covered(block: LayoutBlock) -> int:
+def count_overlaps(block: LayoutBlock) -> int:
     """Return the number of overlaps of arrows with text, dots or other states."""
     solid = [
         box for box in block.boxes if box.attributes["label"] or box.attributes["shape"] == "circle"

@@ -16,11 +16,11 @@ from statechart.diagram.layout.block import (
     Attributes,
     Box,
     LayoutBlock,
-    bounded,
-    covered,
+    bounding_block,
+    count_overlaps,
     polyline,
 )
-from statechart.diagram.layout.graphviz_program import FONT, laid_out, size_of
+from statechart.diagram.layout.graphviz_program import FONT, lay_out, size_of
 from statechart.diagram.layout.markup import (
     FRAMES,
     SMALL,
@@ -52,7 +52,7 @@ def flow(chart: Chart, style: Style, prefix: str) -> LayoutBlock:
     """Return the layout with the fewest lines through text, and the best fit on a slide."""
     drawn = _Flow(chart, style, prefix)
     found = [drawn.block(way, gap, "l") for way, gap in _WAYS]
-    if all(map(covered, found)):
+    if all(map(count_overlaps, found)):
         # Titles of frames on the left may overlap lines.
         found += [drawn.block(way, gap, "r") for way, gap in _WAYS]
     return min(found, key=_badness)
@@ -62,7 +62,7 @@ def _badness(block: LayoutBlock) -> tuple[float, ...]:
     """Return the cost of a block: lines through text, scale to fit, height."""
     width, height = block.size
     shrink = max(width / _SLIDE[0], height / _SLIDE[1], 1.0)
-    return covered(block), round(4 * shrink), height
+    return count_overlaps(block), round(4 * shrink), height
 
 
 class _Flow:
@@ -157,7 +157,7 @@ class _Flow:
 
     def block(self, way: str, gap: str, side: str) -> LayoutBlock:
         """Return the chart laid out by dot, with titles of frames on a side (l, r)."""
-        laid = laid_out(self.source(way, gap, side))
+        laid = lay_out(self.source(way, gap, side))
         items = {item["name"].removeprefix("cluster_"): item for item in laid["objects"]}
         frames = sorted(
             (self._frame(node, items) for node in self.chart.frames),
@@ -187,7 +187,7 @@ class _Flow:
         for node in self.chart.frames:
             if node.parallel:
                 arrows += self._dividers(node, places)
-        return bounded((*frames, *boxes), arrows)
+        return bounding_block((*frames, *boxes), arrows)
 
     def _frame(self, node: Node, items: dict[str, Any]) -> Box:
         name = self.names[node.name]

@@ -40,20 +40,20 @@ def render(source: str, form: str) -> bytes:
     return bytes(data)
 
 
-def laid_out(source: str) -> dict[str, Any]:
+def lay_out(source: str) -> dict[str, Any]:
     """Return the layout of a graph by Graphviz, as its JSON object."""
     found: dict[str, Any] = json.loads(render(source, "json"))
     return found
 
 
-def measured(looks: Mapping[str, Mapping[str, str]]) -> dict[str, tuple[float, float]]:
+def measure_boxes(looks: Mapping[str, Mapping[str, str]]) -> dict[str, tuple[float, float]]:
     """Return the width and height in points of boxes, all by one call of Graphviz."""
     import graphviz
 
     graph = graphviz.Digraph(node_attr={"fontname": FONT})
     for name, look in looks.items():
         graph.node(name, **look)
-    return {item["name"]: size_of(item) for item in laid_out(str(graph.source))["objects"]}
+    return {item["name"]: size_of(item) for item in lay_out(str(graph.source))["objects"]}
 
 
 def size_of(item: Mapping[str, str], prefix: str = "") -> tuple[float, float]:
@@ -63,7 +63,7 @@ def size_of(item: Mapping[str, str], prefix: str = "") -> tuple[float, float]:
 
 @contextmanager
 def _stderr_into(descriptor: int) -> Iterator[None]:
-    """Keep what Graphviz and fontconfig say about their own settings out of the user's sight."""
+    """Hide messages of Graphviz and fontconfig about their own settings."""
     sys.stderr.flush()
     kept = os.dup(2)
     os.dup2(descriptor, 2)

@@ -19,11 +19,11 @@ from statechart.diagram.layout.block import (
     Box,
     LayoutBlock,
     Point,
-    bounded,
+    bounding_block,
     polyline,
     with_start,
 )
-from statechart.diagram.layout.graphviz_program import measured
+from statechart.diagram.layout.graphviz_program import measure_boxes
 from statechart.diagram.layout.markup import (
     Style,
     arrow,
@@ -59,7 +59,7 @@ class _Bond(NamedTuple):
 
     @property
     def gap(self) -> Span:
-        """The last place before what it crosses, and the first behind."""
+        """The last place before the crossed line, and the first one after it."""
         return (self.tail[1], self.head[0]) if self.onward else (self.head[1], self.tail[0])
 
     @property
@@ -127,7 +127,7 @@ def grid(chart: Chart, style: Style, prefix: str) -> LayoutBlock:
     bands = [box for axis in axes for box in drawn.bands(axis)]
     words = [box for axis in axes for box in drawn.words(axis)]
     arrows = [one for axis in axes for one in drawn.arrows(axis)]
-    block = bounded((*bands, *drawn.states(), *words), arrows)
+    block = bounding_block((*bands, *drawn.states(), *words), arrows)
     if chart.initial is None:
         return block
     return with_start(block, style.names[chart.initial.name], f"{prefix}start")
@@ -145,22 +145,22 @@ class _Grid:
         if chart.axes is None:
             raise ValueError("a grid is drawn of a product of two regions")
         self.chart, self.names, self.prefix = chart, style.names, prefix
-        down, along = chart.axes
-        self.axes = _Axis(along), _Axis(down)
+        vertical, horizontal = chart.axes
+        self.axes = _Axis(horizontal), _Axis(vertical)
         # The nodes of the product by row and column.
         rows, columns = ([part.leaves.index(n) for n in axis.states] for part, axis in
-                         ((down, self.axes[1]), (along, self.axes[0])))  # fmt: skip
+                         ((vertical, self.axes[1]), (horizontal, self.axes[0])))  # fmt: skip
         nodes = chart.nodes
         self.nodes = [[nodes[row * len(columns) + column] for column in columns] for row in rows]
         self.looks: dict[str, Attributes] = {}
-        for k, part in enumerate((along, down)):
+        for k, part in enumerate((horizontal, vertical)):
             for number, bond in enumerate(self.axes[k].bonds):
                 look = arrow_attributes(bond.links, style, narrow=k == 1)
                 self.looks |= {self._key(k, number): look} if look else {}
             for number, (node, _, _) in enumerate(self.axes[k].frames):
                 self.looks[self._key(k, f"in{number}")] = title_attributes(node, part, style)
         self.cells = {self.names[node.name]: state_attributes(node, chart, style) for node in nodes}
-        self.sizes = measured({**self.looks, **self.cells})
+        self.sizes = measure_boxes({**self.looks, **self.cells})
         self._measure()
 
     def _key(self, axis: int, number: int | str) -> str:
@@ -170,15 +170,15 @@ class _Grid:
         return self.sizes.get(self._key(axis, bond), (0.0, 0.0))
 
     def _measure(self) -> None:
-        along, down = self.axes
+        horizontal, vertical = self.axes
         stacks, bundles = dict[int, Point](), dict[int, Point]()
         tallest = 0.0
-        for place in range(len(along.states) - 1):
-            tracks, height = self._stack(along.between(place))
+        for place in range(len(horizontal.states) - 1):
+            tracks, height = self._stack(horizontal.between(place))
             stacks |= tracks
             tallest = max(tallest, height)
-        for place in range(len(down.states) - 1):
-            bundles |= self._bundle(down.between(place))
+        for place in range(len(vertical.states) - 1):
+            bundles |= self._bundle(vertical.between(place))
         widest = max((abs(at) for at, _ in bundles.values()), default=0.0)
         cell = (max(self.sizes[name][k] for name in self.cells) for k in (0, 1))
         self.cell = width, height = (
@@ -198,9 +198,12 @@ class _Grid:
                 size, at = self._size(axis, k)[across], self.reach[across]
                 self.tracks[axis][k] = -at, -(at + near + size / 2)
                 self.reach[across] += size + clear
-        line = max((-bundles[k][0] for k in down.lanes), default=width / 2)
+        line = max((-bundles[k][0] for k in vertical.lanes), default=width / 2)
         self.places = self._places(0, line), self._places(1, self.reach[1])
-        edge = _MARGIN * along.deepest + _AIR, _MARGIN * max(along.deepest, down.deepest, 1)
+        edge = (
+            _MARGIN * horizontal.deepest + _AIR,
+            _MARGIN * max(horizontal.deepest, vertical.deepest, 1),
+        )
         self.size = [self.places[k][-1] + self.sides[k][1] + edge[k] for k in (0, 1)]
 
     def _places(self, k: int, lane: float) -> list[float]:
@@ -320,8 +323,8 @@ class _Grid:
         return self._side(k, span[side > 0], side, deep)
 
 
-def _along_axis(axis: int, along: float, across: float) -> Point:
-    return (along, across) if axis == 0 else (across, along)
+def _along_axis(axis: int, horizontal: float, across: float) -> Point:
+    return (horizontal, across) if axis == 0 else (across, horizontal)
 
 
 def _point(axis: int, u: float, v: float) -> Point:

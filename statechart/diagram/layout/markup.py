@@ -113,7 +113,7 @@ def arrow_attributes(
     links: Sequence[Link], style: Style, *, narrow: bool = False, counted: bool = True
 ) -> dict[str, str] | None:
     """Return the attributes of an arrow's label, narrow ones stacked; None without words."""
-    lines = _spoken(links if counted else [replace(x, visits=None) for x in links], style)
+    lines = _arrow_text(links if counted else [replace(x, visits=None) for x in links], style)
     if narrow:
         lines = [part for line in lines for part in line.replace(", ", ",\n").split("\n")]
     if not lines:
@@ -153,12 +153,12 @@ def _self_links(node: Node, chart: Chart, style: Style) -> list[str]:
         if source == node.name and chart.nested(links[0]):
             to = "" if target == source else f" → {labels[target]}"
             for sign, internal in (("↻ ", False), ("", True)):
-                shown = _spoken([link for link in links if link.internal is internal], style)
+                shown = _arrow_text([link for link in links if link.internal is internal], style)
                 lines += [sign + line + to for line in shown]
     return lines
 
 
-def _spoken(links: Sequence[Link], style: Style) -> list[str]:
+def _arrow_text(links: Sequence[Link], style: Style) -> list[str]:
     if style.guards == "legend":
         return list(filter(None, [events(links)]))
     lines: list[str] = []

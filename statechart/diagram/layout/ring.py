@@ -18,11 +18,11 @@ from statechart.diagram.layout.block import (
     Box,
     LayoutBlock,
     Point,
-    bounded,
+    bounding_block,
     polyline,
     with_start,
 )
-from statechart.diagram.layout.graphviz_program import measured
+from statechart.diagram.layout.graphviz_program import measure_boxes
 from statechart.diagram.layout.markup import (
     STATE,
     Style,
@@ -34,7 +34,7 @@ from statechart.diagram.layout.markup import (
 )
 from statechart.diagram.model import Chart
 from statechart.palette import RUN
-from statechart.tabular import several
+from statechart.tabular import pluralise
 
 # Points: width of a row, and of a picture that would be higher; line beside a label; its gap.
 _WIDTH, _WIDEST, _PADDING, _AIR = 740.0, 980.0, 16.0, 3.0
@@ -101,9 +101,9 @@ def ring(chart: Chart, style: Style, prefix: str) -> LayoutBlock | None:
     taken = [chart.bundles[order[a], order[b]] for a, b in steps]
     words = [arrow_attributes(links, style, narrow=True, counted=False) for links in taken]
     labels: dict[str, Attributes] = {f"{prefix}{k}": look for k, look in enumerate(words) if look}
-    count = text(several(found.rounds, "round"), size=STATE, bold=True, colour=RUN)
+    count = text(pluralise(found.rounds, "round"), size=STATE, bold=True, colour=RUN)
     middle = {f"{prefix}rounds": {"shape": "plain", "label": table([count])}}
-    sizes = measured({**looks, **labels, **middle})
+    sizes = measure_boxes({**looks, **labels, **middle})
     cell = max(sizes[n][0] for n in looks), max(sizes[n][1] for n in looks)
     wide, high = (
         cell[k] + max((sizes[n][k] for n in labels), default=0.0) + 2 * _PADDING for k in (0, 1)
@@ -123,7 +123,7 @@ def ring(chart: Chart, style: Style, prefix: str) -> LayoutBlock | None:
         arrows.append(Arrow(names[a], names[b], line, arrow(taken[k])))
     if back is not None:
         boxes += [Box(n, _middle(spots[back:]), sizes[n], look) for n, look in middle.items()]
-    return with_start(bounded(boxes, arrows), names[0], f"{prefix}start")
+    return with_start(bounding_block(boxes, arrows), names[0], f"{prefix}start")
 
 
 def _spots(found: Round, most: int) -> list[Point]:
