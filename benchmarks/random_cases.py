@@ -24,9 +24,10 @@ from random_cases_relations import gates, relations, rooms, windows
 from statechart.errors import StatechartError
 
 STRUCTURES = 40
+PLACES = "chart", "guard", "stop", "enabled", "invariant"
 
 FAMILIES: dict[str, Family] = {
-    **{f"relations, {place}": relations(place) for place in ("chart", "guard", "stop", "enabled")},
+    **{f"relations, {place}": relations(place) for place in PLACES},
     "windows": windows,
     "shaking pad": motions.pads,
     "scales": motions.scales,
@@ -47,9 +48,13 @@ FAMILIES: dict[str, Family] = {
     "beads by steps": steps.beads,
     "flush planks by steps": steps.planks,
     "planks that nearly meet": steps.next_plank,
+    "settings": steps.formulas,
     "drawings": steps.drawings,
     "layouts": pictures.layouts,
 }
+
+# Each of their siblings has a structure of its own.
+_DRAWN = ("drawings", "layouts", "settings")
 
 
 def main(count: int = 1000, seed: int = 0, *names: str) -> int:
@@ -63,7 +68,7 @@ def main(count: int = 1000, seed: int = 0, *names: str) -> int:
         found: Counter[str] = Counter()
         sentences: Counter[str] = Counter()
         for index in range(count):
-            if name in ("drawings", "layouts") or index % max(count // STRUCTURES, 1) == 0:
+            if name in _DRAWN or index % max(count // STRUCTURES, 1) == 0:
                 runner, draw = family(r)
             values, check = draw()
             try:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
-from math import acos
+from math import acos, inf
 
 import numpy as np
 from random_cases_common import (
@@ -62,44 +62,54 @@ def number(r: random.Random, p: list[str], depth: int) -> tuple[str, Signal]:
 
 
 def relation(r: random.Random, p: list[str], depth: int) -> tuple[str, Signal]:
-    """Return a random relation and its truth."""
+    """Return a random relation and its margin, which is negative where it fails."""
     kind = r.randrange(4) if depth else 0
     if kind == 0:
         one, first = number(r, p, r.randrange(3))
         i = len(p)
         p += [f"p{i}"]
-        word, of = r.choice([("<=", np.less_equal), (">", np.greater), ("<", np.less)])
-        return f"{one} {word} p{i}", lambda t, q: of(first(t, q), q[i])
+        word, sign = r.choice([("<=", 1.0), (">", -1.0), ("<", 1.0)])
+        return f"{one} {word} p{i}", lambda t, q: sign * (q[i] - first(t, q))
     one, first = relation(r, p, depth - 1)
     if kind == 1:
-        return f"not ({one})", lambda t, q: ~first(t, q)
+        return f"not ({one})", lambda t, q: -first(t, q)
     other, second = relation(r, p, depth - 1)
     if kind == 2:
-        return f"({one}) and ({other})", lambda t, q: first(t, q) & second(t, q)
-    return f"({one}) or ({other})", lambda t, q: first(t, q) | second(t, q)
+        return f"({one}) and ({other})", lambda t, q: np.minimum(first(t, q), second(t, q))
+    return f"({one}) or ({other})", lambda t, q: np.maximum(first(t, q), second(t, q))
 
 
-def changes(truth: Signal, q: list[float]) -> tuple[bool, list[float]] | None:
+def changes(margin: Signal, q: list[float]) -> tuple[bool, list[float]] | None:
     """Return the truth at the start and when it changes; None where a grid cannot tell."""
     times = np.linspace(0.0, END, 20_001)
-    holds = truth(times, q)
+    holds = margin(times, q) >= 0.0
     at = np.flatnonzero(holds[1:] != holds[:-1])
     if len(at) and np.diff([0, *at, len(holds)]).min() < 3:
         return None
     lows, highs = times[at], times[at + 1]
     for _ in range(50):
         middles = 0.5 * (lows + highs)
-        left = truth(middles, q) == holds[at] if len(at) else np.zeros(0, bool)
+        left = (margin(middles, q) >= 0.0) == holds[at] if len(at) else np.zeros(0, bool)
         lows, highs = np.where(left, middles, lows), np.where(left, highs, middles)
     return bool(holds[0]), list(highs)
 
 
+def least(margin: Signal, q: list[float]) -> tuple[float, float]:
+    """Return the least margin of a grid, and a bound below it from a finer grid around it."""
+    times = np.linspace(0.0, END, 20_001)
+    margins = margin(times, q)
+    ends = np.pad(margins, 1, constant_values=np.inf)
+    low = (margins <= np.minimum(ends[:-2], ends[2:])) & (margins <= margins.min() + 0.01)
+    fine = np.clip(np.add.outer(times[low], np.linspace(-3e-4, 3e-4, 2001)), 0.0, END)
+    return float(margins.min()), float(margin(fine, q).min()) - 1e-5 * float(np.ptp(margins) + 1.0)
+
+
 def relations(place: str) -> Family:
-    """Random relations at a place: of a chart's or scene's guard, a stop condition, a gate."""
+    """Random relations in a chart's or scene's guard, a stop condition, a gate, an invariant."""
 
     def family(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:
         p: list[str] = []
-        text, truth = relation(r, p, r.randrange(3))
+        text, margin = relation(r, p, r.randrange(3))
         parameters = f"parameters: {{{', '.join(f'{name}: 1' for name in p)}}}\n"
         clock = "  k: {initial: w, states: {w: {}}, transitions: [{name: tick, from: w,"
         clock += f" every: {PERIOD}, updates: {{n: n + 1}}}}]"
@@ -118,9 +128,10 @@ def relations(place: str) -> Family:
                 fire = fire.replace(f"*{name}", f"*{other}")
             gate = f'"{text}"' if place == "enabled" else "time >= -1"
             stop = f', conditions: {{fired: "{text}"}}' if place == "stop" else ""
+            kept = f'invariants: {{kept: "{text}"}}\n' if place == "invariant" else ""
             clock += ", variables: {n: 0}}\n"
             runner = scene(
-                parameters + "coordinates: {q: {start: 1}, z: {rate: 1}}\nbodies:\n"
+                kept + parameters + "coordinates: {q: {start: 1}, z: {rate: 1}}\nbodies:\n"
                 f"  a: {{mass: 1, position: [q, 0]}}\n  b: {{mass: 1, position: [z, 0]}}\n"
                 "  d: {mass: 1, start: {y: 1e3}}\nforces: {f: {body: a, force: [-q, 0]}}\n"
                 "surfaces: {floor: {height: 0}}\ncontacts: {c: {point: {body: d}, surface: floor,"
@@ -132,12 +143,15 @@ def relations(place: str) -> Family:
         def draw() -> Sibling:
             while True:
                 q = [r.gauss(0.0, 1.0) for _ in p]
-                found = changes(truth, q)
+                found = changes(margin, q)
                 if found is not None:
                     break
             holds, times = found
 
             def check(result: Result) -> float:
+                if place == "invariant":
+                    (high, low), found = least(margin, q), result.to_dict()["invariants"]["kept"]
+                    return 0.0 if low <= found <= high + 1e-9 * (1.0 + abs(high)) else inf
                 if place == "enabled":
                     return off(instants(result, "enable", "disable"), times, 1e-9)
                 first = [0.0] if holds else times[:1]

@@ -28,6 +28,7 @@ from random_cases_common import (
 from statechart import Runner
 from statechart.diagram.write import write
 from statechart.documents.yaml_reader import read_text
+from statechart.errors import StatechartError
 from statechart.running.drawing import drawn
 from statechart.running.result import Result
 
@@ -262,6 +263,60 @@ def next_plank(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:
         return q, check
 
     return runner, draw
+
+
+def formulas(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:
+    """Numbers of settings as formulas: the run of the number itself, or a message."""
+
+    def number(value: float) -> str:
+        a, b = r.randrange(2, 99), r.uniform(0.1, 9)
+        return r.choice([
+            f"1/{1 / value!r}", f"{a * value!r}/{a}", f"sqrt({value * value!r})", f"{value!r}*1",
+            f"{value + b!r} - {b!r}", f"({value / 2!r} + {value / 2!r})", f"exp(log({value!r}))",
+            f"{a}**2*{value / a**2!r}", f"{value / pi!r}*pi", f"min({value!r}, {a})", f"{value!r}",
+        ])  # fmt: skip
+
+    settings: dict[str, object] = r.choice([
+        {"engine": "impulse", "step": power(r, -3, -2)},
+        {"engine": "impulse", "step": 1e-3, "impulse_tolerance": power(r, -8, -5)},
+        {"engine": "impulse", "step": 1e-3, "impulse_bound": power(r, -3, -1)},
+        {"engine": "scipy", "max_step": power(r, -2, -1)}, {"tolerance": power(r, -10, -6)},
+        {"engine": "impulse", "accuracy": power(r, -2, -1)}, {"max_jumps": 9},
+    ])  # fmt: skip
+    key = [*settings][-1]
+    end = r.choice([1.0, 0.75])
+
+    def of(settings: dict[str, object], end: object) -> Runner:
+        words = ", ".join(f"{name}: {value}" for name, value in settings.items())
+        return scene(
+            "bodies: {b: {mass: 1, start: {y: 0.3, dx: 2}}}\nsurfaces: {f: {height: 0}}\ncontacts:"
+            " {c: {point: {body: b}, surface: f, friction: 0.2, restitution: 0.6, impact: moreau}}"
+            f"\nforces: {{f: {{body: b, force: [-b.x, 0]}}}}\nsettings: {{{words}}}\n", end,
+        )  # fmt: skip
+
+    def numbers_of(run: Result) -> list[float]:
+        trace = run.trace
+        step = trace.step or 0.0
+        return [step, trace.tolerance, trace.t_end, len(trace.jumps), *trace.final]
+
+    want = of(dict(settings), end).run(throw=False)
+    written: dict[str, object] = {**settings, key: number(float(str(settings[key])))}
+
+    def draw() -> Sibling:
+        def check(_: Result) -> float:
+            try:
+                found = of(written, number(end)).run(throw=False)
+            except StatechartError:
+                return 0.0
+            return (
+                0.0
+                if np.allclose(numbers_of(want), numbers_of(found), rtol=1e-6, equal_nan=True)
+                else inf
+            )
+
+        return {}, check
+
+    return of(dict(settings), end), draw
 
 
 def drawings(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:

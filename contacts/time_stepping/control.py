@@ -65,6 +65,10 @@ class StepControl:
         # A moved surface strikes in the next step, before any other event.
         self._strikes, self._pending = False, dict[str, tuple[Raised, ...]]()
         self._mechanics = mechanics
+        bounce = [law.restitution > 0.0 for law in setup.contacts]
+        self._bouncing = {law.name: i for i, law in enumerate(setup.contacts) if bounce[i]}
+        # Transition -> the warning that bounces which it waits for are left out.
+        self._left_out = dict[str, str]()
         self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
 
     def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
@@ -93,6 +97,14 @@ class StepControl:
             If they do not end.
         """
         pending, self._pending, self._strikes = self._pending, {}, False
+        # A contact with restitution closes without an impact in its last bounce.
+        last_bounces = [
+            jump
+            for jump in jumps
+            if jump.region in self._bouncing
+            and not (jump.impulse or jump.target[self._bouncing[jump.region]] in OPEN)
+            and jump.source[self._bouncing[jump.region]] in OPEN
+        ]
         for first, *others in _simultaneous(jumps):
             # Simultaneous jumps of several contacts are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
@@ -117,6 +129,8 @@ class StepControl:
                 partial(self._holding, *at_end, recorder.row[None]),
             )
             if firing is None:
+                for jump in last_bounces:
+                    self._warn_of(jump, (*at_end, recorder.row[None]), h)
                 return state
             name, taken = self._names[firing.place], firing.taken
             fired = tuple(g.name for g in watched if (g.place, g.trigger) in firing.due)
@@ -145,6 +159,23 @@ class StepControl:
         raise EventLoop(
             f"more than {_MOST_TURNS} transitions of controllers at one instant: {', '.join(last)}"
         )
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Warnings of bounces that controllers wait for and steps leave out."""
+        return tuple(self._left_out.values())
+
+    def _warn_of(self, jump: Jump, at_end: tuple[Array, Array, Array, Ints], h: float) -> None:
+        """Warn if a transition still waits for the touchdown in a jump."""
+        pending, holding = self._queues.pending_after({}, jump), partial(self._holding, *at_end)
+        firing = self._queues.first(self._controllers, self.states, pending, (), holding)
+        if firing is not None:
+            name = f"{self._names[firing.place]}.{firing.taken.name}"
+            self._left_out.setdefault(
+                name,
+                f"{jump.region}: from t = {jump.t:.6g} on bounces are shorter than a step of {h:g} "
+                f"and are left out, but {name} waits for one; use a shorter step",
+            )
 
     def _closed(self, joint: str, state: Array, recorder: Recorder, h: float) -> Array:
         """Return the state after a joint closes, with a plastic impact of the touching contacts.

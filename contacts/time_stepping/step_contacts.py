@@ -202,6 +202,9 @@ def find_active(
         role, level[i], above = contact_role(
             gap, level[i], memory.closed[i], nearing, slow, closing, reached, scene.gap_tolerance
         )
+        if role == LASTING and not memory.closed[i] and nearing < -slow:
+            # It has rebounded, and is still as deep as it landed: no contact for other impacts.
+            role = SEPARATED
         met.active[i], met.hit[i] = role != SEPARATED, role == HIT
         if role == LASTING:
             met.bias[i, 0] = above / h + bias

@@ -391,6 +391,7 @@ class SteppedRun:
                 *self.solver_residual.remarks,
                 *self.system.remarks,
                 *recorder.remarks,
+                *(() if self.control is None else self.control.remarks),
             ),
             counts={
                 "steps": self.taken,

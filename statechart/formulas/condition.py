@@ -323,6 +323,15 @@ def _split(atom: Atom) -> Any:
     import sympy
 
     expression, strict = atom.expression, atom.strict
+    # Of what is never negative an angle has no branch cut, but its smooth pieces would jump there.
+    uncut = {
+        angle: sympy.pi / 2 - sympy.atan2(x, y)
+        for angle in expression.atoms(sympy.atan2)
+        for y, x in [angle.args]
+        if y.free_symbols and y.is_nonnegative and not x.is_nonnegative
+    }
+    if uncut:
+        return Atom(expression.xreplace(uncut), strict)
     corners = expression.atoms(sympy.Max, sympy.Min, sympy.Abs)
     corners = {corner for corner in corners if corner.free_symbols}
     bare = _without_root(atom)

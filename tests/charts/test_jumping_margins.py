@@ -122,3 +122,30 @@ def test_a_guard_with_a_pole_is_refused_with_its_place(engine: str) -> None:
     result = run(read_text(turning("1/x < 0")), engine=engine, throw=False)
     assert result.trace.outcome.name == "NON_FINITE"
     assert "e.hit has no value near t = 1.5708" in result.trace.message
+
+
+UNCUT = """
+kind: chart
+name: uncut
+variables: {x: cos(2), y: sin(2)}
+regions:
+  m: {initial: a, states: {a: {flows: {x: -y, y: x}}}}
+  e: {initial: w, states: {w: {}, d: {}}, transitions: [{name: hit, from: w, to: d, guard: GUARD}]}
+stop: {time: 6}
+outputs: {at: {value: time, at: first hit}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("guard", "at"),
+    [
+        ("atan2(abs(y), x) < 0.1", 2 * math.pi - 2.1),
+        ("not atan2(abs(y), x) > 1", 2 * math.pi - 3),
+        ("atan2(max(y, 0), x) <= 1", 1.5 * math.pi - 2),
+        ("atan2(abs(y), abs(x)) < 0.1 and x > 0", 2 * math.pi - 2.1),
+    ],
+)
+def test_an_angle_from_an_axis_does_not_wrap(guard: str, at: float) -> None:
+    # It fired at pi - 2, where the angle of y itself wraps.
+    found = run(read_text(UNCUT.replace("GUARD", f'"{guard}"'))).outputs["at"]
+    assert found == pytest.approx(at, abs=1e-12)

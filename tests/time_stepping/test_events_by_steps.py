@@ -449,3 +449,53 @@ stop: {time: 0.6}
     # The state that it names is entered on both.
     assert steps.outputs["slides"] == pytest.approx(events.outputs["slides"], abs=0.01)
     assert events.outputs["rests"] == events.outputs["slides"]
+
+
+@pytest.mark.parametrize("h", [1e-3, 2.5e-4, 6e-5, 1.5e-5])
+def test_a_pushed_particle_whose_bounces_stick_rests_without_a_slide(h: float) -> None:
+    # Friction stops the push of each flight, 4.1*2 e v/g = 0.17 v, by mu (1 + e) v = 0.23 v.
+    model = interpret(
+        read_text("""
+kind: scene
+name: pushed
+gravity: 9.81
+bodies: {b: {mass: 1, start: {y: 0.01}}}
+surfaces: {floor: {height: 0}}
+contacts: {c: {point: {body: b}, surface: floor, friction: 0.2, restitution: 0.17}}
+forces: {push: {body: b, force: [1.9, 0]}}
+stop: {time: 0.15}
+""")
+    )
+    wanted = {j.cause for j in by_events(model).trace.jumps}
+    assert wanted == {"touchdown", "zeno"}
+    assert {j.cause for j in by_steps(model, h).trace.jumps} == {"touchdown"}
+
+
+def test_steps_warn_of_bounces_that_they_leave_out_and_a_controller_waits_for() -> None:
+    text = """
+kind: scene
+name: counted
+gravity: 9.81
+bodies: {b: {mass: 1, start: {y: 0.2}}}
+surfaces: {floor: {height: 0}}
+contacts: {c: {point: {body: b}, surface: floor, friction: 0, restitution: E}}
+regions:
+  r:
+    initial: one
+    states: {one: {}, two: {}, three: {}, four: {}}
+    transitions:
+    - {name: first, from: one, to: two, on: c.touchdown}
+    - {name: second, from: two, to: three, on: c.touchdown}
+    - {name: third, from: three, to: four, on: c.touchdown}
+stop: {time: 0.5}
+"""
+    model = interpret(read_text(text.replace("E", "0.03")))
+    assert by_events(model).trace.final_mode[-1] == "four"
+    coarse, fine = by_steps(model, 1e-3), by_steps(model, 1e-6)
+    assert coarse.trace.final_mode[-1] != "four"
+    assert len(coarse.warnings) == 1
+    assert "and are left out, but r." in coarse.warnings[0]
+    assert fine.trace.final_mode[-1] == "four"
+    assert not fine.warnings
+    plastic = by_steps(interpret(read_text(text.replace("E", "0"))), 1e-3)
+    assert not plastic.warnings
