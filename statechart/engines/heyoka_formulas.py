@@ -1,98 +1,170 @@
-"""Conversion of tapes to heyoka expressions."""
+"""Conversion of SymPy formulas to heyoka expressions."""
 
 from __future__ import annotations
 
+import functools
 import operator
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import heyoka as hy
+import sympy as sp
 
-from statechart.errors import Unsupported
-from statechart.formulas.tape import Tape
-from statechart.kernels.tapes import OPCODES, POW
+from statechart.automaton.automaton import Automaton
+from statechart.errors import StatechartError, Unsupported
+from statechart.formulas.writer import join_exponentials
 
 # No warnings on stdout about an unusable disk cache.
 hy.set_logger_level_error()
 
-_NAMES = {code: name for name, code in OPCODES.items()}
-_UNARY: dict[str, Callable[[Any], Any]] = {
-    "neg": operator.neg,
-    "square": lambda x: x**2.0,
-    # Analytic for x != 0, on either side.
-    "abs": lambda x: hy.sqrt(x**2.0),
-    "sign": lambda x: x / hy.sqrt(x**2.0),
-    **{
-        name: getattr(hy, name)
-        for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh",
-                     "cosh", "tanh")
-    },
-}  # fmt: skip
-_BINARY: dict[str, Callable[[Any, Any], Any]] = {
-    "add": operator.add,
-    "sub": operator.sub,
-    "mul": operator.mul,
-    "div": operator.truediv,
-    "hypot": lambda x, y: hy.sqrt(x**2.0 + y**2.0),
-    "atan2": hy.atan2,
-    "pow": lambda x, y: hy.exp(y * hy.log(x)),
+_FUNCTIONS: dict[Any, Callable[..., Any]] = {
+    sp.sin: hy.sin,
+    sp.cos: hy.cos,
+    sp.tan: hy.tan,
+    sp.exp: hy.exp,
+    sp.log: hy.log,
+    sp.asin: hy.asin,
+    sp.acos: hy.acos,
+    sp.atan: hy.atan,
+    sp.atan2: hy.atan2,
+    sp.sinh: hy.sinh,
+    sp.cosh: hy.cosh,
+    sp.tanh: hy.tanh,
+    sp.sech: lambda x: 1.0 / hy.cosh(x),
 }
-# Functions of a power without a Taylor series at base zero: exponent of their base in that power.
-_SINGULAR = {"sqrt": 1, "pow": 1, "abs": 2, "sign": 2, "hypot": 2}
 
 
-class HeyokaFormulas(NamedTuple):
-    """The outputs of a tape as heyoka expressions."""
+class Converter:
+    """SymPy to heyoka, one heyoka node per SymPy node.
 
-    expressions: tuple[Any, ...]
-    parameters: tuple[int, ...]  # registers that are heyoka's parameters, after the time
-    bases: dict[int, int]  # register -> exponent of the base of a power without a series at zero
-
-
-def convert(tape: Tape, *, folds: bool) -> HeyokaFormulas:
-    """Convert a tape in variables v0, v1, ..., one heyoka node per operation.
-
-    Constants, parameters and, if it `folds`, operations on these alone are parameters of heyoka:
-    as operations they would be expanded into series with one nonzero term, and modes that differ in
-    numbers only share a program. Raises `Unsupported` for a function without a Taylor series.
+    Subexpressions of parameters alone (`constants`) are evaluated once per flow and passed to
+    heyoka as parameters after the time: as operations they would be expanded into series with one
+    nonzero term. Products are split so that their varying part is shared.
     """
-    first = tape.n_variables + 1 + tape.n_parameters
-    base = first + len(tape.constants)
-    known: dict[int, Any] = {i: hy.expression(f"v{i}") for i in range(tape.n_variables)}
-    # heyoka's time starts at zero in every arc, so that late arcs lose no digits.
-    known[tape.n_variables] = hy.time + hy.par[0]
-    parameters: list[int] = []
-    bases: dict[int, int] = {}
 
-    def register(place: int) -> Any:
-        if place not in known:
-            parameters.append(place)
-            known[place] = hy.par[len(parameters)]
-        return known[place]
+    def __init__(
+        self, automaton: Automaton, definitions: Mapping[sp.Symbol, sp.Expr], *, folds: bool
+    ) -> None:
+        self._definitions, self._folds = definitions, folds
+        self.known: dict[sp.Expr, Any] = {
+            symbol: hy.expression(f"v{i}") for i, symbol in enumerate(automaton.variables)
+        }
+        self.constants: list[sp.Expr] = []
+        # Base and exponent of powers without a Taylor series at base zero.
+        self.singular: list[tuple[sp.Expr, sp.Expr]] = []
+        self.timed = False
+        self._parameters = frozenset(automaton.parameters)
+        self._time = automaton.time
+        self._moving: dict[sp.Expr, bool] = {}
 
-    skipped = tape.n_fixed if folds else 0
-    for place, (op, left, right) in enumerate(tape.code[skipped:].tolist(), base + skipped):
-        name, x = _NAMES[op], register(left)
-        if name in _SINGULAR:
-            bases[place if name == "hypot" else left] = _SINGULAR[name]
-        if name == "powi":
-            found = _product(x, right)
-        elif name == "pow" and first <= right < base:
-            found = x ** tape.constants.item(right - first)
-        elif op <= POW and name in _BINARY:
-            found = _BINARY[name](x, register(right))
-        elif name in _UNARY:
-            found = _UNARY[name](x)
-        else:
+    def __call__(self, expression: sp.Expr) -> Any:
+        """Return the heyoka expression."""
+        found = self.known.get(expression)
+        if found is None:
+            convert = self._convert if self._moves(expression) else self._constant
+            found = self.known[expression] = convert(expression)
+        return found
+
+    def rate(self, expression: sp.Expr) -> Any:
+        """Return a rate, with its additive constant as a parameter.
+
+        Modes whose rates differ in constants only (a heater on or off) then share a program.
+        """
+        while expression in self._definitions and expression not in self.known:
+            expression = self._definitions[expression]
+        if self._folds and expression.is_Add and self._moves(expression):
+            number, remainder = expression.as_coeff_Add()
+            if number != 0:
+                self.constants.append(number)
+                # Before the rest, which appends further constants.
+                shift = hy.par[len(self.constants)]
+                return self(remainder) + shift
+        return self(expression)
+
+    def _moves(self, node: sp.Expr) -> bool:
+        """Return whether a formula varies during a flow."""
+        depends = self._moving.get(node)
+        if depends is None:
+            if node.is_Symbol:
+                definition = self._definitions.get(node)
+                depends = (
+                    node not in self._parameters if definition is None else self._moves(definition)
+                )
+            else:
+                depends = any(self._moves(argument) for argument in node.args)
+                depends = depends or not (self._folds or node.is_number)
+            self._moving[node] = depends
+        return depends
+
+    def _constant(self, node: sp.Expr) -> Any:
+        if node.is_number:
+            return hy.expression(float(node))
+        self.constants.append(node)
+        return hy.par[len(self.constants)]
+
+    def _joined(self, operation: Callable[[Any, Any], Any], node: sp.Expr, operands: Any) -> Any:
+        """Join the operands of a sum or product: varying ones first, then the constant."""
+        constants = [operand for operand in operands if self._folds and not self._moves(operand)]
+        joined = [self(operand) for operand in operands if operand not in constants]
+        if constants:
+            joined.append(self(node.func(*constants)))
+        return functools.reduce(operation, joined)
+
+    def _convert(self, node: sp.Expr) -> Any:
+        if node.is_Symbol:
+            return self._symbol(node)
+        if node.is_Add:
+            return self._joined(operator.add, node, node.args)
+        if node.is_Mul:
+            factors, exponent = join_exponentials(node.args)
+            if exponent is None:
+                return self._joined(operator.mul, node, factors)
+            power = hy.exp(self(exponent))
+            return self._joined(operator.mul, node, factors) * power if factors else power
+        if node.is_Pow:
+            return self._power(*node.args)
+        if node.func is sp.Abs:
+            # SymPy simplifies sqrt(x**2), which is analytic for x != 0; `abs` itself is refused.
+            return self._power(node.args[0] ** 2, sp.S.Half)
+        if node.func is sp.sign:
+            return self(node.args[0]) / self(sp.Abs(node.args[0]))
+        if node.func is sp.DiracDelta:
+            # The derivative of sign where it exists.
+            return hy.expression(0.0)
+        function = _FUNCTIONS.get(node.func)
+        if function is None:
             raise Unsupported(
-                f"the Taylor engine cannot expand {name}() in a flow; use engine: scipy"
+                f"the Taylor engine cannot expand {node.func}() in a flow; use engine: scipy"
             )
-        known[place] = found
-    return HeyokaFormulas(tuple(map(register, tape.outputs.tolist())), tuple(parameters), bases)
+        return function(*(self(argument) for argument in node.args))
+
+    def _symbol(self, node: sp.Symbol) -> Any:
+        if node == self._time:
+            # heyoka's time starts at zero in every arc, so that late arcs lose no digits.
+            self.timed = True
+            return hy.time + hy.par[0]
+        if node in self._definitions:
+            # Only parameters that occur in the rates, as heyoka requires.
+            return self(self._definitions[node])
+        raise StatechartError(f"the unknown {node} is used before it is determined")
+
+    def _power(self, base: sp.Expr, exponent: sp.Expr) -> Any:
+        if exponent.is_Integer:
+            # heyoka's power series divides by the base, which may be zero.
+            product = _product(self(base), abs(int(exponent)))
+            return product if exponent > 0 else 1.0 / product
+        if not base.is_number:
+            self.singular.append((base, exponent))
+        if exponent == sp.Rational(1, 2):
+            return hy.sqrt(self(base))
+        if exponent == sp.Rational(-1, 2):
+            return 1.0 / hy.sqrt(self(base))
+        if exponent.is_number:
+            return self(base) ** float(exponent)
+        return hy.exp(self(exponent) * hy.log(self(base)))
 
 
 def _product(base: Any, exponent: int) -> Any:
-    """Return a power as a product: heyoka's series of a power divides by the base."""
     if exponent == 1:
         return base
     square = _product(base, exponent // 2) ** 2.0

@@ -6,9 +6,7 @@ heyoka computes steps and dense output. Its event detection is not used: it give
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -57,11 +55,9 @@ class _Stepper:
     integrator: Any
     compiled: Step | None
     fixed: Tape  # parameters of the integrator after the time
-    bases: Tape  # of powers without a Taylor series at base zero, and their exponents there
-    exponents: Array
+    powers: tuple[str, ...]  # without a Taylor series at base zero
+    bases: Tape
     rates: Tape
-    # Returns the text of such a power whose base is zero, from arguments of `Tape.values`.
-    power: Callable[[Array, Array, float], str]
 
     def __post_init__(self) -> None:
         # Views into the memory of the integrator.
@@ -105,37 +101,43 @@ class Taylor(Engine):
         """Compile the rates, shared by modes that differ in parameters only."""
         import heyoka as hy
 
-        from statechart.engines.heyoka_formulas import convert
+        from statechart.engines.heyoka_formulas import Converter
 
         extended = self._number is not float
-        found = convert(rates, folds=not extended)
-        cached = self._programs.get(found.expressions)
+        convert = Converter(automaton, dict(mode.definitions), folds=not extended)
+        states = [hy.expression(f"v{i}") for i in range(len(automaton.variables))]
+        form = tuple(convert.rate(rate) for rate in mode.rates)
+        cached = self._programs.get(form)
         if cached is None:
             compact = extended or len(rates.code) > _LARGE
-            states = [hy.expression(f"v{i}") for i in range(rates.n_variables)]
             with whole(f"the equations of a mode ({pluralise(len(states), 'variable')})"):
                 integrator = hy.taylor_adaptive(
-                    list(zip(states, found.expressions, strict=True)),
+                    list(zip(states, form, strict=True)),
                     [self._number(0)] * len(states),
                     tol=self._number(self.tolerance),
                     fp_type=self._number,
                     compact_mode=compact,
                     opt_level=3 if compact or len(rates.code) <= _FEW else 0,
                 )
-            step = None if extended else Step.of(integrator)
-            cached = self._programs[found.expressions] = integrator, step
+            cached = self._programs[form] = integrator, None if extended else Step.of(integrator)
         integrator, compiled = cached
         # heyoka drops parameters that it simplifies away (a mass may cancel); the first is the
         # start of the arc.
-        parameters = found.parameters[: max(len(integrator.pars) - 1, 0)]
+        fixed = automaton.tape(convert.constants[: max(len(integrator.pars) - 1, 0)], mode)
+        symbols = (*automaton.variables, *automaton.parameters)
+        symbol_names = (*automaton.names, *automaton.parameter_names)
+        names = dict(zip(symbols, map(sp.Symbol, symbol_names), strict=True))
         return _Stepper(
             integrator,
             compiled,
-            rates.until(rates.n_fixed, parameters),
-            rates.until(len(rates.code), tuple(found.bases)),
-            np.array([*found.bases.values()], dtype=float),
+            fixed,
+            tuple(
+                # Unevaluated: the root of a square would become an absolute value.
+                sp.sstr(sp.Pow(base.xreplace(names), exponent, evaluate=False))[:_SHOWN]
+                for base, exponent in convert.singular
+            ),
+            automaton.tape([base for base, _ in convert.singular], mode),
             rates,
-            partial(_power_at_zero, automaton, mode),
         )
 
     def entry(self, stepper: object) -> Entry | None:
@@ -149,12 +151,12 @@ class Taylor(Engine):
     def check(self, stepper: object, state: Array, parameters: Array, time: float) -> None:
         """Raise `Unsupported` at a non-integer power with base zero."""
         assert isinstance(stepper, _Stepper)
-        bases = stepper.bases.values(state, parameters, time) ** stepper.exponents
-        for base in bases.tolist():
+        bases = stepper.bases.values(state, parameters, time)
+        for power, base in zip(stepper.powers, bases.tolist(), strict=True):
             if not base > _LEAST_BASE:
                 raise Unsupported(
-                    f"{stepper.power(state, parameters, time)} has no Taylor series at "
-                    f"t = {time:.6g}, where its base is {base:.3g}; use engine: scipy"
+                    f"{power} has no Taylor series at t = {time:.6g}, where its base is "
+                    f"{base:.3g}; use engine: scipy"
                 )
 
     def steps(
@@ -208,27 +210,6 @@ class Taylor(Engine):
             path.times[limit] = until
         end[:] = watch.reconstruction.onto(end, watch.start + path.times.item(limit))
         return finished
-
-
-def _power_at_zero(
-    automaton: Automaton, mode: Mode, state: Array, parameters: Array, time: float
-) -> str:
-    """Return the text of a non-integer power of a mode whose base is zero."""
-    symbols = (*automaton.variables, *automaton.parameters)
-    symbol_names = (*automaton.names, *automaton.parameter_names)
-    names = dict(zip(symbols, map(sp.Symbol, symbol_names), strict=True))
-    for formula in (*mode.rates, *(value for _, value in mode.definitions)):
-        for node in sp.preorder_traversal(formula):
-            base, exponent = node.as_base_exp() if node.is_Pow else (None, sp.S.Half)
-            if isinstance(node, sp.Abs | sp.sign):
-                base = node.args[0] ** 2
-            if base is None or base.is_number or exponent.is_Integer:
-                continue
-            if not automaton.tape([base], mode).values(state, parameters, time)[0] > _LEAST_BASE:
-                # Unevaluated: the root of a square would become an absolute value.
-                text = sp.sstr(sp.Pow(base.xreplace(names), exponent, evaluate=False))
-                return text[:_SHOWN]
-    return "a power"
 
 
 def _one_by_one(

@@ -10,7 +10,7 @@ Constants are exact float64 numbers: 1/3 is divided at run time, pi is rounded.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -49,11 +49,6 @@ class Tape:
     def parts(self) -> TapeCode:
         """The tape for kernels that evaluate it along steps."""
         return TapeCode(self.code, self.constants, self.outputs, self.reads, self.n_fixed)
-
-    def until(self, operations: int, registers: tuple[int, ...]) -> Tape:
-        """Return the tape of the first operations, with these registers as outputs."""
-        outputs = np.array(registers, dtype=np.int32)
-        return replace(self, code=self.code[:operations], outputs=outputs)
 
     def values(self, state: ArrayLike, parameters: ArrayLike, time: float) -> Array:
         """Return the outputs at one point; raise `ValueError` for a wrong shape."""

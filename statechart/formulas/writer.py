@@ -173,7 +173,7 @@ class _Writer:
 
     def _product(self, node: sp.Expr) -> int:
         number, factors = node.as_coeff_mul()
-        factors, exponent = _exponential_joined(_join_powers(factors))
+        factors, exponent = join_exponentials(_join_powers(factors))
         above: list[int] = []
         below: list[int] = []
         if exponent is not None:
@@ -322,7 +322,7 @@ def _join_powers(factors: Sequence[sp.Expr]) -> Sequence[sp.Expr]:
     return [sp.Pow(base, exponent) for base, exponent in exponents.items()]
 
 
-def _exponential_joined(factors: Sequence[sp.Expr]) -> tuple[Sequence[sp.Expr], sp.Expr | None]:
+def join_exponentials(factors: Sequence[sp.Expr]) -> tuple[Sequence[sp.Expr], sp.Expr | None]:
     """Join a number that over- or underflows with an exponential factor.
 
     SymPy splits exp(x + 3000.0) into two exponentials, the first of which overflows. Returns the
