@@ -248,7 +248,7 @@ def judge(value: float, rate: float, size: float, rate_size: float, relative: fl
     The sizes of their terms are `size` and `rate_size`, their round-off is `relative` times these.
     A margin without a derivative may be about to jump, as an angle at the origin.
     """
-    if rate != rate or size != size:
+    if math.isnan(rate) or math.isnan(size):
         return UNSURE
     band = round_off(size, relative)
     if value > band:

@@ -254,7 +254,7 @@ def _body_mode(
                         row = active.rows[which[a], d, j] * numbers.inverse[b, j]
                         delassus[2 * a + d, 2 * c + e] += row * active.rows[which[c], e, j]
     per_speed = ALIKE * h / max(warm.last_step[1], h * sizes[:m].max())
-    sums, against = np.empty((m, 2)), np.zeros(m)
+    sums, against = np.empty((m, 2)), np.zeros(m, np.bool_)
     problem = delassus, free[:m], cones[:m]
     terms, forced, directions = sizes[:m], accelerations[:m], slides[:m]
     solved, _ = solve_accelerations(*problem, directions, terms, forced, sums)

@@ -47,7 +47,7 @@ from contacts.time_stepping.step_contacts import (
     unit_responses,
     write_cone,
 )
-from statechart.arrays import Array, Ints
+from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import copy_numbers, indices
 from statechart.kernels.jit import kernel
 
@@ -179,18 +179,18 @@ def clear_first_order_zeros(accelerations: Array, sums: Array, per_speed: float)
 
 @kernel
 def end_slips(
-    slips: Array, accelerations: Array, against: Array, sizes: Array, h: float, slides: Array
+    slips: Array, accelerations: Array, against: Bools, sizes: Array, h: float, slides: Array
 ) -> bool:
     """Clear the directions (m,) of slips that some steps explain; return whether there are.
 
-    These are slips that end within some steps, and slips against the previous mode that
-    accelerations, with terms of these `sizes` (m, 2), cause within `against` (m,) steps.
+    These are slips that end within some steps, and slips `against` the previous mode that
+    accelerations, with terms of these `sizes` (m, 2), cause within them.
     """
     any_ended = False
     for a in range(len(slips)):
-        explained = against[a] * h * (sizes[a, 1] + abs(accelerations[a, 1]))
+        explained = LEFT * h * (sizes[a, 1] + abs(accelerations[a, 1]))
         ends = slides[a] * (slips[a] + LEFT * h * accelerations[a, 1]) < 0.0
-        if ends or abs(slips[a]) <= explained:
+        if ends or (against[a] and abs(slips[a]) <= explained):
             slides[a], any_ended = 0.0, True
     return any_ended
 
@@ -250,7 +250,7 @@ def settle(
         slips, slides, rounding = np.empty(m), np.zeros(m), SUM_ROUNDING * scene.speed
         forced, sums, alone = np.empty((m, 2)), np.empty((m, 2)), np.empty((m, 2))
         cones, terms = np.empty((m, 2)), np.empty((m, 2))
-        against, brakes = np.zeros(m), np.zeros(m, np.bool_)
+        against, brakes = np.zeros(m, np.bool_), np.zeros(m, np.bool_)
         for a in range(m):
             i = which[a]
             copy_numbers(free[i], alone[a])
@@ -259,20 +259,12 @@ def settle(
             if abs(slips[a]) > rounding:
                 slides[a] = 1.0 if slips[a] > 0.0 else -1.0
             write_cone(scene, tape, i, int(slides[a]), cones[a])
-            bears, lasts = chunk.codes[k, i] != FREE, memory.modes[i] != FREE
-            arrives = not (lasts or chunk.struck[k, i] or is_coupling(scene, i))
-            lasts = lasts and memory.landing_steps[i] != HOLDING
-            if bears and arrives:
-                memory.settling[i] = LANDED
+            lasts = memory.modes[i] != FREE and memory.landing_steps[i] != HOLDING
+            lasts = lasts and chunk.codes[k, i] != FREE
+            against[a] = lasts and _direction(memory.modes[i]) != slides[a]
             # Forces decide the slip that an impact leaves to a brake.
             brakes[a] = landed and is_coupling(scene, i) and scene.carriers[i] < 0
-            if brakes[a]:
-                against[a] = LEFT
-            elif bears and _direction(memory.modes[i]) != slides[a] and (lasts or arrives):
-                # The last bounce starts h v/2 deep and ends there: it lasts up to h/e.
-                bounces = memory.settling[i] == LANDED and not is_coupling(scene, i)
-                e = scene.restitution[i] if bounces else 0.0
-                against[a] = LEFT + (min(1.0 / e, LEFT * LEFT) if e > 0.0 else 0.0)
+            against[a] = against[a] or brakes[a]
         ended, solved, forces = False, False, np.zeros((m, 2))
         pads = normal_pads(scene, tape, which, columns, h)
         for a in range(m):

@@ -202,9 +202,6 @@ def find_active(
         role, level[i], above = contact_role(
             gap, level[i], memory.closed[i], nearing, slow, closing, reached, scene.gap_tolerance
         )
-        if role == LASTING and not memory.closed[i] and nearing < -slow:
-            # It has rebounded, and is still as deep as it landed: no contact for other impacts.
-            role = SEPARATED
         met.active[i], met.hit[i] = role != SEPARATED, role == HIT
         if role == LASTING:
             met.bias[i, 0] = above / h + bias
@@ -221,6 +218,14 @@ def find_active(
             met.bias[i, 0] = -scene.restitution[i] * nearing
             chunk.approach[k] = max(chunk.approach[k], nearing)
             chunk.closing[k] = max(chunk.closing[k], -gap)
+    if not met.hit.any():
+        return
+    for i in range(len(scene.cones)):
+        lands = met.hit[i] or memory.closed[i] or _is_finite(scene, i)
+        if met.active[i] and not lands:
+            # It has rebounded, and is still as deep as it landed: the impacts of others do not see
+            # it, and one that sends it back is its next impact.
+            met.active[i] = not met.before[i, 0] > _slow(scene, memory, tape, met, i, h)
 
 
 @kernel

@@ -451,26 +451,6 @@ stop: {time: 0.6}
     assert events.outputs["rests"] == events.outputs["slides"]
 
 
-@pytest.mark.parametrize("h", [1e-3, 2.5e-4, 6e-5, 1.5e-5])
-def test_a_pushed_particle_whose_bounces_stick_rests_without_a_slide(h: float) -> None:
-    # Friction stops the push of each flight, 4.1*2 e v/g = 0.17 v, by mu (1 + e) v = 0.23 v.
-    model = interpret(
-        read_text("""
-kind: scene
-name: pushed
-gravity: 9.81
-bodies: {b: {mass: 1, start: {y: 0.01}}}
-surfaces: {floor: {height: 0}}
-contacts: {c: {point: {body: b}, surface: floor, friction: 0.2, restitution: 0.17}}
-forces: {push: {body: b, force: [1.9, 0]}}
-stop: {time: 0.15}
-""")
-    )
-    wanted = {j.cause for j in by_events(model).trace.jumps}
-    assert wanted == {"touchdown", "zeno"}
-    assert {j.cause for j in by_steps(model, h).trace.jumps} == {"touchdown"}
-
-
 def test_steps_warn_of_bounces_that_they_leave_out_and_a_controller_waits_for() -> None:
     text = """
 kind: scene
