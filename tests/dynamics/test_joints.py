@@ -177,8 +177,10 @@ def _four_bar(**more: Any) -> Scene:
 
 def test_a_closed_loop_keeps_its_energy_and_its_joints() -> None:
     scene = _four_bar()
+    # Joints drift by round-off, 1.3e-14 to 2.1e-14 in 5 s with compiled equations of more or fewer
+    # optimisations, until they are projected back: at 5e-14, also after 20 s.
+    assert _distance(scene, _run(scene, until=20.0)) < 6e-14
     trace = _run(scene, until=5.0)
-    assert _distance(scene, trace) < 2e-14
     assert_energy(*_energy_arguments(scene), trace)
     agreed = _run(scene, "scipy", 5.0)
     assert trace.final == pytest.approx(agreed.final, abs=1e-8)
