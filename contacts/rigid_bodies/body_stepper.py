@@ -174,7 +174,7 @@ class BodyStepper(Stepper):
     def _begin(
         self, overrides: Mapping[str, float], step: float, tolerance: float, forces: bool
     ) -> RunInputs:
-        setup, bodies = self._new_run(overrides, tolerance, forces)
+        setup, bodies = self._new_run(overrides, tolerance, forces, step)
         size, fall = setup.scales.length, math.hypot(*bodies.numbers.gravity) * step**2
         failure = None
         if fall > DEEPEST * size:
@@ -194,7 +194,7 @@ class BodyStepper(Stepper):
         return RunInputs(setup, bodies, free, self._replaced_laws(setup), control, failure)
 
     def _new_run(
-        self, overrides: Mapping[str, float], tolerance: float, forces: bool
+        self, overrides: Mapping[str, float], tolerance: float, forces: bool, step: float = 0.0
     ) -> tuple[SceneSetup, RigidBodyRun]:
         values, remembered = self._mechanics.parameters.values(overrides)
         known = self._constants.values(overrides)
@@ -212,7 +212,7 @@ class BodyStepper(Stepper):
         ) -> RigidBodyRun:
             prescribed = PrescribedMotion(self._bodies, self._paths, known, values)
             names, surfaces = self._names, self._surfaces
-            return RigidBodyRun(names, surfaces, bodies, prescribed, options, start_depth)
+            return RigidBodyRun(names, surfaces, bodies, prescribed, options, start_depth, step)
 
         if self._scene.couplings:
             tape = self._bodies.limits_at(self._scene.controlled.initial)

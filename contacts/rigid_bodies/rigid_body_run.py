@@ -238,7 +238,7 @@ class DetectedContacts(NamedTuple):
 class RigidBodyRun(SteppedSystem):
     """One run of colliding bodies.
 
-    Bodies start up to `start_depth` deep in each other, and stay no deeper.
+    Bodies start up to `start_depth` deep in each other, and stay no deeper. Steps of size `step`.
     """
 
     def __init__(
@@ -249,6 +249,7 @@ class RigidBodyRun(SteppedSystem):
         prescribed: PrescribedMotion,
         options: StepOptions,
         start_depth: float = 0.0,
+        step: float = 0.0,
     ) -> None:
         self.surfaces, self._options = surfaces, options
         self.numbers, self._names, self._prescribed = numbers, names, prescribed
@@ -258,7 +259,8 @@ class RigidBodyRun(SteppedSystem):
         self._warm.last_step[2] = start_depth / LANDED
         self._workspace = Workspace.of(self.numbers, self._warm)
         self._min_gaps = np.full(count, np.inf)
-        self._turned = self._length = 0.0
+        # Largest rotation in a step, and step size.
+        self._turned, self._length = 0.0, step
         self._parted, self._most_parts = 0, 1
         # Energy added by joints, and largest kinetic energy so far.
         self._added = self._moved = 0.0

@@ -227,3 +227,29 @@ settings: {engine: impulse, step: 1e-3}
         rtol=1e-10,
     )
     assert runner.run({"m": mass}).outputs["risen"] == pytest.approx(swing.t[-1], abs=1e-3)
+
+
+def test_a_controller_switches_a_led_body_at_the_start():
+    model = interpret(
+        read_text("""
+kind: scene
+name: press
+gravity: 9.81
+bodies:
+  box: {mass: 1, inertia: 0.002, shape: {disc: 0.05}, start: {y: 0.05}}
+  press: {position: [1 + s, 0.05], shape: {disc: 0.05}}
+surfaces: {floor: {height: 0}}
+collisions: {all: {bodies: [box, press], surfaces: [floor], friction: 0.3, restitution: 0}}
+regions:
+  ctl:
+    initial: rest
+    variables: {s: 0}
+    states: {rest: {}, moves: {flows: {s: -1}}}
+    transitions: [{name: go, from: rest, to: moves, guard: box.y <= 1}]
+stop: {time: 0.5}
+settings: {engine: impulse, step: 1e-3}
+""")
+    )
+    result = Runner(model).run()
+    assert ("go", 0.0) in [(jump.cause, jump.t) for jump in result.trace.jumps]
+    assert result.trace.final[-1] == pytest.approx(-0.5)
