@@ -65,8 +65,10 @@ class StepControl:
         # A moved surface strikes in the next step, before any other event.
         self._strikes, self._pending = False, dict[str, tuple[Raised, ...]]()
         self._mechanics = mechanics
-        bounce = [law.restitution > 0.0 for law in setup.contacts]
-        self._bouncing = {law.name: i for i, law in enumerate(setup.contacts) if bounce[i]}
+        # Contacts with restitution -> their places.
+        self._bouncing = {
+            law.name: i for i, law in enumerate(setup.contacts) if law.restitution > 0.0
+        }
         # Transition -> the warning that bounces which it waits for are left out.
         self._left_out = dict[str, str]()
         self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
