@@ -30,8 +30,8 @@ parameters: {y: 0.3, u: 0, w: 0, e: 0.3, mu: 0.3, s: 0.2, F: 10, t0: 0.2, dt: 0.
 gravity: 9.81
 stop: {time: 0.8}
 """
-# A particle that a controller pushes at events, one on a plate that starts and stops, and a rod on
-# two plastic feet.
+# A particle that a controller pushes at events, one on a plate that starts and stops, a rod on two
+# plastic feet, and others.
 SCENES = {
     "pushed": """\
 bodies: {b: {mass: 1, start: {y: y, dx: u}}}
@@ -149,6 +149,37 @@ regions:
     transitions:
     - {name: close, from: open, to: shut, on: d.touchdown}
     - {name: part, from: shut, to: open, after: dt}
+""",
+    "tow": """\
+simultaneous: plastic
+bodies:
+  a: {mass: 2, start: {dx: u}}
+  b: {mass: 1, inertia: 0.05, start: {x: 3, y: y, dx: u, dangle: w}}
+surfaces: {floor: {height: 0}}
+contacts:
+  c:
+    {point: {body: a}, surface: floor, friction: {static: 1.3*mu, kinetic: mu}, restitution: 0,
+     impact: moreau}
+  left:
+    {point: {body: b, at: [-0.3, 0]}, surface: floor, friction: mu, restitution: 0, impact: moreau}
+  right:
+    {point: {body: b, at: [0.3, 0]}, surface: floor, friction: mu, restitution: 0, impact: moreau}
+controls: {pull: 0, push: 0}
+forces: {motor: {body: a, force: [pull, 0]}, fan: {body: b, force: [push, 0]}}
+regions:
+  winch:
+    initial: idle
+    states: {idle: {}, forth: {sets: {pull: 2*F}}, back: {sets: {pull: -2*F}}}
+    transitions:
+    - {name: land, from: idle, to: forth, on: left.touchdown or right.touchdown}
+    - {name: turn, from: forth, to: back, guard: a.dx >= v + abs(u)}
+    - {name: rest, from: back, to: idle, on: c.stick or c.reverse}
+  air:
+    initial: calm
+    states: {calm: {}, blows: {sets: {push: 0.5*F}}}
+    transitions:
+    - {name: open, from: calm, to: blows, on: left.touchdown or right.touchdown}
+    - {name: shut, from: blows, to: calm, on: c.stick or c.reverse}
 """,
 }
 

@@ -123,6 +123,13 @@ class SteppedSystem(ABC):
         Returns the modes of regions whose surface moved, and whether one is struck at once.
         """
 
+    def hold(self, stopped: Mapping[int, tuple[float, float]]) -> dict[int, int]:
+        """Let contacts with these gaps and slips last, and return their modes.
+
+        For systems whose joints `StepControl` closes: a joint has stopped the contacts.
+        """
+        return {}
+
     @abstractmethod
     def depth_left(self, state: Array, time: float) -> float:
         """Return the penetration near a state that no motion removes; see `step_rejection`."""

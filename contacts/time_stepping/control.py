@@ -9,7 +9,7 @@ beyond a transition are reverted.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -99,6 +99,7 @@ class StepControl:
             If they do not end.
         """
         pending, self._pending, self._strikes = self._pending, {}, False
+        struck = {name for jump in jumps for name in jump.impulse}
         # A contact with restitution closes without an impact in its last bounce.
         last_bounces = [
             jump
@@ -144,11 +145,13 @@ class StepControl:
             after = self._memory.updated(
                 self._setup, recorder.clock, taken.name, taken.blocks, state
             )
+            held = dict[int, int]()
             if name in self._joints and taken.target == CLOSED:
-                after = self._closed(name, after, recorder, h)
+                after, held = self._closed(name, after, recorder, h, struck)
             switched, strikes = self._scene.switch(
                 self._states.named(self.states), (state, after, recorder.clock.high)
             )
+            switched = {**held, **switched}
             jump = recorder.turn(name, taken.name, self.states, (state, after), fired, switched)
             pending, state = self._queues.pending_after(firing.pending, jump), after
             if strikes:
@@ -179,8 +182,13 @@ class StepControl:
                 f"and are left out, but {name} waits for one; use a shorter step",
             )
 
-    def _closed(self, joint: str, state: Array, recorder: Recorder, h: float) -> Array:
+    def _closed(
+        self, joint: str, state: Array, recorder: Recorder, h: float, struck: Collection[str]
+    ) -> tuple[Array, dict[int, int]]:
         """Return the state after a joint closes, with a plastic impact of the touching contacts.
+
+        Contacts that were `struck` in this step touch, although they may rebound. Those that the
+        impact stops are returned with their modes.
 
         Raises `NoConsistentMode` if its points are farther apart than a step moves them, and
         `UnsolvedImpulses` if no impulses stop the contacts.
@@ -188,6 +196,7 @@ class StepControl:
         setup, time = self._memory.within(self._setup, state), recorder.clock.high
         motion, named = self._memory.parted(state), self._states.named(self.states)
         tape, contacts = SnapshotTape(self._mechanics, named), setup.contacts
+        held = dict[int, int]()
         snapshot = tape.at(setup.values, motion, time)
         check_closing(self._mechanics, snapshot, joint, setup.tolerances["gap"], 2.0 * h)
         motion = on_constraints(("free",) * len(contacts), snapshot, motion)
@@ -195,7 +204,7 @@ class StepControl:
         touching = [
             i
             for i, code in enumerate(recorder.row[: len(contacts)].tolist())
-            if STATES[code] not in OPEN
+            if STATES[code] not in OPEN or contacts[i].name in struck
         ]
         if touching and len(snapshot.velocity):
             edges = cones(contacts, snapshot.contacts)[touching, :2].copy()
@@ -210,8 +219,16 @@ class StepControl:
                 )
             impulses = np.einsum("ckn,ck->n", jacobians, pushes)
             change = np.linalg.lstsq(snapshot.mass, impulses)[0]
-            motion = snapshot.moved(motion, snapshot.velocity + change)
-        return self._memory.joined(motion, state)
+            velocity = snapshot.velocity + change
+            motion, slips = snapshot.moved(motion, velocity), jacobians[:, 1] @ velocity
+            held = self._scene.hold(
+                {
+                    i: (snapshot.contacts[i].gap, float(slip))
+                    for i, push, slip in zip(touching, pushes, slips, strict=True)
+                    if push[0] > 0.0 and STATES[recorder.row[i]] in OPEN
+                }
+            )
+        return self._memory.joined(motion, state), held
 
     def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
         """Return the first step at whose end a guard has no value, and its name."""

@@ -49,6 +49,7 @@ from contacts.time_stepping.scene_step import step_scene
 from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.solver_residual import INDETERMINATE
 from contacts.time_stepping.stability import Swings, check_swing, remarks
+from contacts.time_stepping.step_contacts import mode_of_impulse
 from contacts.time_stepping.step_rejection import depth_left, invalid_limit
 from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array, Bools, Ints
@@ -200,6 +201,17 @@ class SteppedScene(SteppedSystem):
     def press(self, closed: Bools) -> None:
         """Let contacts (c,) be closed and sliding, as after earlier steps."""
         self._step_state.contacts.closed[:] = self._step_state.contacts.slipped[:] = closed
+
+    def hold(self, stopped: Mapping[int, tuple[float, float]]) -> dict[int, int]:
+        """Let stopped contacts last; see `SteppedSystem`."""
+        memory, codes = self._step_state.contacts, self._step_state.codes
+        for i, (gap, slip) in stopped.items():
+            memory.closed[i], memory.target_gap[i] = True, gap
+            slides, directed = abs(slip) > self._still, bool(self._source.slips[i] == 2)
+            slip = slip if slides else 0.0
+            codes[i] = mode_of_impulse(np.zeros(2), slip, slides, self._cones[i], directed)
+            memory.modes[i] = codes[i]
+        return {i: int(codes[i]) for i in stopped}
 
     def forget(self) -> None:
         """Revert the last steps."""

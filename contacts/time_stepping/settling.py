@@ -21,6 +21,7 @@ import math
 
 import numpy as np
 
+from contacts.solvers.contact_rows import STEEPEST
 from contacts.solvers.lemke import forces_by_lemke
 from contacts.solvers.step_impulses import SUM_ROUNDING
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
@@ -53,6 +54,8 @@ from statechart.kernels.jit import kernel
 
 # Steps of acceleration that explain a velocity, and of that velocity that explain a gap.
 LEFT = 4.0
+# Forces strictly inside their cone, relative to its edge.
+_INSIDE = 1.0 - 1e-9
 # Accelerations that are zero to first order, relative to those of the step; and their upper limit,
 # relative to their terms, at any step size.
 ALIKE, _MOST_ALIKE = 0.1, 1e-2
@@ -162,6 +165,11 @@ def solve_accelerations(
             sums[a, d] = terms
             if abs(accelerations[a, d]) <= SUM_ROUNDING * terms:
                 accelerations[a, d] = 0.0
+        # By complementarity; tied pivots leave a residual.
+        if forces[a, 0] > 0.0:
+            accelerations[a, 0], across = 0.0, abs(forces[a, 1]) * max(cones[a, 0], STEEPEST)
+            if slides[a] == 0.0 and across < _INSIDE * cones[a, 1] * forces[a, 0]:
+                accelerations[a, 1] = 0.0
     return solved, forces
 
 

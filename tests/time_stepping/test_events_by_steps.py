@@ -479,3 +479,58 @@ stop: {time: 0.5}
     assert not fine.warnings
     plastic = by_steps(interpret(read_text(text.replace("E", "0"))), 1e-3)
     assert not plastic.warnings
+
+
+# A damper leads from a body that bounces to one that sticks: at the impact its force vanishes.
+DAMPED = """
+kind: scene
+name: damped
+gravity: 9.81
+simultaneous: plastic
+bodies: {a: {mass: 2, start: {x: 3}}, b: {mass: 1, start: {y: 0.1, dx: -0.05}}}
+surfaces: {floor: {height: 0}}
+contacts:
+  c: {point: {body: a}, surface: floor, friction: 0.3, restitution: 0, impact: moreau}
+  d: {point: {body: b}, surface: floor, friction: 0.9, restitution: 0.5, impact: moreau}
+forces:
+  f: {body: b, force: [-0.7*(b.dx - a.dx), 0]}
+  g: {body: a, force: [0.7*(b.dx - a.dx), 0]}
+outputs: {slips: {count: c.slip}, landings: {count: d.touchdown}}
+stop: {time: 0.2}
+"""
+
+
+@pytest.mark.parametrize("h", [1e-3, 1e-4])
+def test_an_impact_elsewhere_lets_no_pinned_contact_slip(h: float) -> None:
+    model = interpret(read_text(DAMPED))
+    assert by_events(model).outputs == {"slips": 0.0, "landings": 1.0}
+    assert by_steps(model, h).outputs == {"slips": 0.0, "landings": 1.0}
+
+
+# A hand that falls takes hold of a ball in the instant in which the ball rebounds.
+CATCH = """
+kind: scene
+name: catch
+gravity: 9.81
+bodies: {hand: {mass: 2, start: {x: 0.5, y: 0.5}}, ball: {mass: 1, start: {y: 0.2}}}
+surfaces: {floor: {height: 0}}
+contacts:
+  c: {point: {body: ball}, surface: floor, friction: 0.3, restitution: 0.4, impact: moreau}
+joints: {j: {point: {body: ball}, to: {body: hand}, enabled: in(grip.shut), rest: captured}}
+regions:
+  grip:
+    initial: open
+    states: {open: {}, shut: {}}
+    transitions: [{name: close, from: open, to: shut, on: c.touchdown}]
+outputs: {landings: {count: c.touchdown}}
+stop: {time: 0.5}
+"""
+
+
+@pytest.mark.parametrize("h", [1e-3, 1e-4])
+def test_a_joint_that_closes_at_a_rebound_stops_it(h: float) -> None:
+    model = interpret(read_text(CATCH))
+    exact, found = by_events(model), by_steps(model, h)
+    assert exact.trace.final[3] == pytest.approx(0.0, abs=1e-9)
+    assert len(found.trace.jumps) == len(exact.trace.jumps)
+    np.testing.assert_allclose(found.trace.final, exact.trace.final, rtol=0, atol=4 * h)
