@@ -34,6 +34,7 @@ STEPS = 1e-3, 2.5e-4, 6.25e-5, 1.5625e-5  # the next if one is not near
 TOLERANCE = 1e-13  # of SciPy: a slip of 1e-10 that reverses is late by more with its default
 AGREE, NEAR = 1e-6, 0.02  # of final states and times of events: engines; steps
 SAME = 1e-9  # of final states: engines may count bounces within 1e-6 s, and what each starts, apart
+LONGEST = 60.0  # seconds of a structure: its other draws are left out
 KINDS = "right", "warned", "wrong", "refused"
 
 # A scene as lines of its sections, such as {"bodies": ["b: {mass: 1}"]}.
@@ -418,6 +419,8 @@ def main(file: str, structures: int = 200, draws: int = 10, seed: int = 0) -> in
 
         document = with_parameters(text, draw.values(text, f"{one} 0"))
         for index in range(draws):
+            if time.process_time() - began > LONGEST:
+                break
             values = draw.values(text, f"{one} {index}")
             try:
                 kind, how = judge(document, values, family == "shapes", runner)
