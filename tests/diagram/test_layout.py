@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from itertools import combinations
-from typing import Any, NamedTuple
 
+import layouts
 import pytest
+from layouts import border, line
 
 import models
 from statechart.diagram.dot import dot
@@ -18,80 +17,9 @@ from statechart.documents.yaml_reader import read_text
 from statechart.running.drawing import drawn
 from statechart.running.runner import Runner
 
-# Heights of ascenders and descenders of DejaVu Sans, relative to the font size.
-ABOVE, BELOW = 0.76, 0.24
-
-
-class Rectangle(NamedTuple):
-    what: str
-    left: float
-    low: float
-    right: float
-    high: float
-
-    def meets(self, other: Rectangle) -> bool:
-        across = self.left < other.right and other.left < self.right
-        return across and self.low < other.high and other.low < self.high
-
-    def holds(self, x: float, y: float) -> bool:
-        return self.left < x < self.right and self.low < y < self.high
-
-
-def texts(item: dict[str, Any]) -> Iterator[Rectangle]:
-    size = 0.0
-    for one in item.get("_ldraw_", []):
-        size = one.get("size", size) if one["op"] == "F" else size
-        if one["op"] == "T" and one["text"].strip():
-            x, y = one["pt"]
-            left = x - {"l": 0.0, "c": 0.5, "r": 1.0}[one["align"]] * one["width"]
-            yield Rectangle(
-                one["text"], left, y - BELOW * size, left + one["width"], y + ABOVE * size
-            )
-
-
-def border(item: dict[str, Any]) -> Rectangle:
-    x, y = map(float, item["pos"].split(","))
-    width, height = 36 * float(item["width"]), 36 * float(item["height"])
-    return Rectangle(item["name"], x - width, y - height, x + width, y + height)
-
-
-def line(item: dict[str, Any]) -> Iterator[tuple[float, float]]:
-    """Points on an edge, closer to each other than any letter is wide."""
-    curves = [one["points"] for one in item["_draw_"] if one["op"] == "b"]
-    for points in curves:
-        for k in range(0, len(points) - 3, 3):
-            for i in range(201):
-                t = i / 200
-                weights = (1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t * t * (1 - t), t**3
-                piece = points[k : k + 4]
-                yield tuple(
-                    sum(w * p[c] for w, p in zip(weights, piece, strict=True)) for c in (0, 1)
-                )  # type: ignore[misc]
-
 
 def clashes(diagram: Diagram, guards: Guards = "legend") -> list[str]:
-    return clashes_of(dot(diagram, guards))
-
-
-def clashes_of(source: str) -> list[str]:
-    laid = json.loads(render(source, "json"))
-    words = [text for item in laid["objects"] for text in texts(item)]
-    assert words
-    found = [f"{a.what!r} on {b.what!r}" for a, b in combinations(words, 2) if a.meets(b)]
-    for edge in laid.get("edges", []):
-        course = list(line(edge))
-        assert course
-        ends = f"{laid['objects'][edge['tail']]['name']} -> {laid['objects'][edge['head']]['name']}"
-        found += [f"{ends} on {w.what!r}" for w in words if any(w.holds(*p) for p in course)]
-    for item in laid["objects"]:
-        if item.get("_draw_") and item.get("shape") != "none":
-            box = border(item)
-            found += [
-                f"the border of {box.what} on {w.what!r}"
-                for w in words
-                if w.meets(box) and not (box.holds(w.left, w.low) and box.holds(w.right, w.high))
-            ]
-    return found
+    return layouts.clashes(dot(diagram, guards))
 
 
 @pytest.mark.parametrize("name", models.names())
@@ -204,7 +132,7 @@ stop: {time: 1}
 
 def test_regions_side_by_side_are_divided_between_them() -> None:
     source = dot(drawn(Runner(read_text(TALL)))[0], "inline")
-    assert clashes_of(source) == []
+    assert layouts.clashes(source) == []
     laid = json.loads(render(source, "json"))
     (divider,) = (edge for edge in laid["edges"] if edge.get("style") == "dashed")
     boxes = {item["name"]: border(item) for item in laid["objects"]}
@@ -310,11 +238,11 @@ def test_guards_of_a_lane_are_clear_of_those_of_arrows_down() -> None:
 
 def test_a_clash_is_seen() -> None:
     near = 'graph [layout=nop2]; a [shape=none label=slide pos="0,0"]; b [shape=none label=pin'
-    assert clashes_of(f'digraph {{{near} pos="90,0"]}}') == []
-    assert clashes_of(f'digraph {{{near} pos="10,0"]}}') == ["'slide' on 'pin'"]
+    assert layouts.clashes(f'digraph {{{near} pos="90,0"]}}') == []
+    assert layouts.clashes(f'digraph {{{near} pos="10,0"]}}') == ["'slide' on 'pin'"]
     through = 'c [shape=none label=free pos="45,0"]; a -> b [pos="e,70,0 20,0 30,0 50,0 63,0"]'
-    assert clashes_of(f'digraph {{{near} pos="90,0"]; {through}}}') == ["a -> b on 'free'"]
+    assert layouts.clashes(f'digraph {{{near} pos="90,0"]; {through}}}') == ["a -> b on 'free'"]
     round_half = 'c [shape=box fixedsize=true label="" width=0.5 height=0.5 pos="90,12"]'
-    assert clashes_of(f'digraph {{{near} pos="90,0"]; {round_half}}}') == [
+    assert layouts.clashes(f'digraph {{{near} pos="90,0"]; {round_half}}}') == [
         "the border of c on 'pin'"
     ]
