@@ -303,7 +303,7 @@ class SceneLaws:
             moving_mode(at.flow.roles),
             [c.gap <= near for c in after.contacts],
         )
-        jump, flow, _ = impact_jump(self._rules, here, (joint, cause))
+        jump, flow, _ = impact_jump(self._rules, here, (joint, cause), before=at.state)
         _, energy_after = jump.energy or (0.0, 0.0)
         energy = snapshot.energy, energy_after
         return dataclasses.replace(jump, before=at.state, energy=energy), flow

@@ -269,7 +269,7 @@ class BodyStepper(Stepper):
             sizes=scales.state(remembered),
             warnings=(
                 *self._warnings,
-                *implied_remarks(self._scene, bodies.joints, poses[0]),
+                *implied_remarks(self._scene, bodies, poses[0]),
             ),
             rounded=RELATIVE,
         )  # fmt: skip

@@ -35,14 +35,21 @@ from contacts.time_stepping.chunk import (
     DONE,
     FULL,
     NOT_FINITE,
+    RESIDUAL,
     Chunk,
     SteppedSystem,
 )
 from contacts.time_stepping.stability import UNSTABLE, Held, check_stiffness
-from contacts.time_stepping.step_rejection import depth_left, invalid_limit
+from contacts.time_stepping.step_rejection import HELPLESS, depth_left, invalid_limit
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
-from statechart.errors import NoConsistentMode, NonFinite, SingularMode, StepTooLarge
+from statechart.errors import (
+    NoConsistentMode,
+    NonFinite,
+    SingularMode,
+    StepTooLarge,
+    UnsolvedImpulses,
+)
 from statechart.kernels.tapes import ACOS, ASIN, DIV, LOG, POW, POWI, SQRT, TAN, tape_table
 from statechart.tabular import pluralise
 
@@ -265,7 +272,7 @@ class RigidBodyRun(SteppedSystem):
         # Energy added by joints, and largest kinetic energy so far.
         self._added = self._moved = 0.0
         self._before = (0.0, 0.0)
-        self._gain_error: StepTooLarge | None = None
+        self._gain_error: StepTooLarge | UnsolvedImpulses | None = None
         self._no_ground = MissingGround(names, surfaces, numbers)
         self._penetration = Penetration(names, numbers, start_depth)
         # The rotation of a centred disc is irrelevant.
@@ -496,6 +503,12 @@ class RigidBodyRun(SteppedSystem):
             f"largest kinetic energy, and should add none; take "
             f"{0.1 * chunk.h / math.sqrt(part):.1g} or less"
         )
+        if chunk.stats[: k + 1, RESIDUAL].max() > HELPLESS:
+            name = self._names[int(np.argmin(chunk.gaps[k, : self._moving]))]
+            self._gain_error = UnsolvedImpulses(
+                f"no impulses keep {name} out of what it touches while joints hold; prescribed "
+                "motions or constraints leave it no room"
+            )
         return chunk.first(k)
 
     def _check_jumps(self, start: float, state: Array) -> None:

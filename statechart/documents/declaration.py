@@ -41,7 +41,7 @@ from statechart.documents.quantities import (
     unit_of,
     unit_text,
 )
-from statechart.documents.settings import Settings, Stop
+from statechart.documents.settings import LATE_END, Settings, Stop
 from statechart.documents.validation import located
 from statechart.errors import (
     DeclarationError,
@@ -80,6 +80,12 @@ class Declaration(Part):
     """Base of all models; `kind` is the first key of a document."""
 
     METHODS: ClassVar[tuple[str, ...]] = ("check", "diagram", "equations", "modes", "with_")
+
+    OTHER_WORDS: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(("until", "t_end", "duration", "end"), "stop: {time: 10}"),
+        **dict.fromkeys(("dt", "timestep", "time_step"), "settings: {engine: impulse, step: 1e-3}"),
+        **dict.fromkeys(("sensor", "sensors", "output"), "outputs: {NAME: {value: FORMULA}}"),
+    }
 
     kind: str = declare("What is declared.", "scene")
     name: NameText = declare("Name of the model: letters, digits and _.", "toppling_stick")
@@ -341,7 +347,9 @@ class Declaration(Part):
         end = value_of(self.stop.time, values, "stop", "time")
         if not 0.0 <= end < math.inf:
             raise DeclarationProblem(
-                f"must be a finite time from 0 on, not {end:g}", loc=("stop", "time")
+                f"must be a finite time from 0 on, not {end:g}",
+                advice=LATE_END,
+                loc=("stop", "time"),
             )
 
     def check_ranges(self) -> None:

@@ -253,7 +253,7 @@ def _event(event: Mapping[str, Any], digits: int, unguarded: str) -> list[TextBl
         for name, pair in event["impulse"].items()
     }
     rows = [("fired", fired), *_with_head("margins", columns(dict(margins)))]
-    rows += _with_head("impulse", list(impulses.items()))
+    rows += _with_head("impulse", [*impulses.items(), *columns(event.get("joint_impulse", {}))])
     rows += _with_head("path", [(step,) for step in event["path"]])
     if event["energy"] is not None:
         before, after = (number(energy, digits) for energy in event["energy"])

@@ -146,6 +146,70 @@ def test_regions_side_by_side_are_divided_between_them() -> None:
     assert sides["a"] != 0
 
 
+FRAMES = """\
+kind: chart
+name: heater
+variables: {x: 0}
+regions:
+  m:
+    initial: waiting
+    states:
+      waiting: {}
+      heating_up_to_the_set_point:
+        regions:
+          burner: {initial: lit, states: {lit: {initial: low, states: {low: {}}}}}
+          fan: {initial: blows, states: {blows: {entry: {x: x + 1}}}}
+      cooling: {initial: fast, states: {fast: {}, slow: {}}}
+    transitions:
+      - {name: the_operator_starts_it, from: waiting, to: heating_up_to_the_set_point, guard: x > 1}
+      - {name: cool, from: waiting, to: cooling, guard: x > 2}
+stop: {time: 1}
+"""
+
+
+def test_arrows_to_frames_lead_over_no_frame() -> None:
+    source = dot(drawn(Runner(read_text(FRAMES)))[0])
+    assert clashes_of(source) == []
+    laid = json.loads(render(source, "json"))
+    boxes = {item["name"]: border(item) for item in laid["objects"]}
+    frames = [boxes[name] for name in ("heating_up_to_the_set_point", "cooling")]
+    number = laid["objects"].index(next(o for o in laid["objects"] if o["name"] == "waiting"))
+    arrows = [[*line(edge)] for edge in laid["edges"] if edge["tail"] == number]
+    assert len(arrows) == 2
+    for frame in frames:
+        inner = Rectangle(
+            frame.what, frame.left + 6, frame.low + 6, frame.right - 6, frame.high - 6
+        )
+        assert not any(inner.holds(*point) for course in arrows for point in course)
+
+
+DIVIDED = """\
+kind: chart
+name: oven
+variables: {x: 0}
+regions:
+  m:
+    initial: heating_up_to_the_set_point
+    states:
+      heating_up_to_the_set_point:
+        regions:
+          burner: {initial: lit, states: {lit: {}}}
+          fan: {initial: blows, states: {blows: {}}}
+          light: {initial: shines, states: {shines: {}}}
+stop: {time: 1}
+"""
+
+
+def test_dividers_end_below_the_title_of_their_state() -> None:
+    source = dot(drawn(Runner(read_text(DIVIDED)))[0])
+    assert clashes_of(source) == []
+    laid = json.loads(render(source, "json"))
+    dividers = [[*line(edge)] for edge in laid["edges"] if edge.get("style") == "dashed"]
+    (title,) = (t for o in laid["objects"] for t in texts(o) if t.what.startswith("heating"))
+    assert [len({round(x, 1) for x, _ in course}) for course in dividers] == [1, 1]
+    assert all(y < title.low for course in dividers for _, y in course)
+
+
 NESTED = """\
 kind: chart
 name: nested
