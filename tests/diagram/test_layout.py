@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 
-import layouts
 import pytest
-from layouts import border, line
+from layouts import border, line, texts
+from layouts import clashes as clashes_of
 
 import models
 from statechart.diagram.dot import dot
@@ -19,7 +19,7 @@ from statechart.running.runner import Runner
 
 
 def clashes(diagram: Diagram, guards: Guards = "legend") -> list[str]:
-    return layouts.clashes(dot(diagram, guards))
+    return clashes_of(dot(diagram, guards))
 
 
 @pytest.mark.parametrize("name", models.names())
@@ -132,7 +132,7 @@ stop: {time: 1}
 
 def test_regions_side_by_side_are_divided_between_them() -> None:
     source = dot(drawn(Runner(read_text(TALL)))[0], "inline")
-    assert layouts.clashes(source) == []
+    assert clashes_of(source) == []
     laid = json.loads(render(source, "json"))
     (divider,) = (edge for edge in laid["edges"] if edge.get("style") == "dashed")
     boxes = {item["name"]: border(item) for item in laid["objects"]}
@@ -177,9 +177,7 @@ def test_arrows_to_frames_lead_over_no_frame() -> None:
     arrows = [[*line(edge)] for edge in laid["edges"] if edge["tail"] == number]
     assert len(arrows) == 2
     for frame in frames:
-        inner = Rectangle(
-            frame.what, frame.left + 6, frame.low + 6, frame.right - 6, frame.high - 6
-        )
+        inner = frame.shrunk(6)
         assert not any(inner.holds(*point) for course in arrows for point in course)
 
 
@@ -302,11 +300,11 @@ def test_guards_of_a_lane_are_clear_of_those_of_arrows_down() -> None:
 
 def test_a_clash_is_seen() -> None:
     near = 'graph [layout=nop2]; a [shape=none label=slide pos="0,0"]; b [shape=none label=pin'
-    assert layouts.clashes(f'digraph {{{near} pos="90,0"]}}') == []
-    assert layouts.clashes(f'digraph {{{near} pos="10,0"]}}') == ["'slide' on 'pin'"]
+    assert clashes_of(f'digraph {{{near} pos="90,0"]}}') == []
+    assert clashes_of(f'digraph {{{near} pos="10,0"]}}') == ["'slide' on 'pin'"]
     through = 'c [shape=none label=free pos="45,0"]; a -> b [pos="e,70,0 20,0 30,0 50,0 63,0"]'
-    assert layouts.clashes(f'digraph {{{near} pos="90,0"]; {through}}}') == ["a -> b on 'free'"]
+    assert clashes_of(f'digraph {{{near} pos="90,0"]; {through}}}') == ["a -> b on 'free'"]
     round_half = 'c [shape=box fixedsize=true label="" width=0.5 height=0.5 pos="90,12"]'
-    assert layouts.clashes(f'digraph {{{near} pos="90,0"]; {round_half}}}') == [
+    assert clashes_of(f'digraph {{{near} pos="90,0"]; {round_half}}}') == [
         "the border of c on 'pin'"
     ]
