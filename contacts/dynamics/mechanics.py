@@ -86,7 +86,7 @@ class Mechanics(Geometry):
             name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
             for i, name in enumerate(scene.contacts)
         }
-        # Couples M of couplings, whose limits take the role of normal forces.
+        # Moments M of couplings; their limits take the role of normal forces.
         self.couples = {
             name: sp.Symbol(f"M{i}", real=True) for i, name in enumerate(scene.couplings)
         }

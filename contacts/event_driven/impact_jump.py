@@ -101,7 +101,7 @@ class _Struck(NamedTuple):
 
 
 class _Entered(NamedTuple):
-    """Mode after an impact: as shown, its roles, and its explanation."""
+    """Mode after an impact, its roles and its explanation."""
 
     target: Key
     roles: Roles

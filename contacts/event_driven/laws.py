@@ -410,7 +410,7 @@ class SceneLaws:
         """
         if flow.sizes is None:
             return moving
-        # Of the rates of coordinates, which pads of compliant contacts follow.
+        # Round-off of the rates of coordinates; rates of pads of compliant contacts come after.
         rounding = EPS * flow.sizes[len(flow.sizes) // 2 :]
         n = len(rounding)
         return tuple(
@@ -489,7 +489,7 @@ class SceneLaws:
         return scene_feasibility(regions, setup, self.snapshot(setup, state, time), failing)
 
     def _struck(self, hitting: list[int], jam: Jam | None = None) -> tuple[str, str]:
-        """Return region and cause of an impact; which gap fell first is round-off."""
+        """Return region and cause of an impact; round-off decides between simultaneous ones."""
         return self._names[hitting[0]], "touchdown" if jam is None else "jam"
 
     def _impact(

@@ -183,7 +183,7 @@ class Joint(Part):
 
     @property
     def forces(self) -> tuple[str, ...]:
-        """Names of the forces that formulas may use: of components, and the couple of limits."""
+        """Forces that formulas may use: one per component, and the moment M of limits."""
         return (*self.components, *(() if self.limits is None else ("M",)))
 
     @model_validator(mode="after")

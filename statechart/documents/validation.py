@@ -433,7 +433,7 @@ class Document:
         return value
 
     def existing(self, loc: Loc) -> Loc:
-        """Return the parts of `loc` that lead down the data; of a list of one it may say none."""
+        """Return the parts of `loc` that exist in the data; the index of a list of one may lack."""
         at: Loc = ()
         for part in loc:
             alone = (*at, 0, part)

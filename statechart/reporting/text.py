@@ -183,7 +183,7 @@ def _alternatives(rows: Sequence[Mapping[str, Any]], digits: int) -> list[TextBl
 
 
 def _least(values: Mapping[str, Any]) -> list[tuple[str, Any] | int]:
-    """Return margins by name; of many the smallest, and the number of the others."""
+    """Return margins by name; if there are many, the smallest and the number of the others."""
     left_out = len(values) - 2 * FEW
     if left_out <= 0:
         return list(values.items())

@@ -64,9 +64,8 @@ _ROUNDED = 32.0 * float(np.finfo(float).eps)
 _NEARLY = 1.0 + 1e-9
 
 # Richardson extrapolation of time stepping: order 1, x(h) = x + c h, so that the error of the finer
-# of two runs is c h = (x(r h) - x(h)) / (r - 1). The place of an event between two steps is random,
-# and so is c: a run is compared with four, whose steps are powers of sqrt(1/2) and place no event
-# alike.
+# of two runs is c h = (x(r h) - x(h)) / (r - 1). The place of an event between two steps is random
+# and makes c random: a run is compared with four others, with steps longer by powers of sqrt(2).
 SHORTER = math.sqrt(0.5)
 """Ratio of successive step sizes."""
 FIRST_SHARE = 1e-3

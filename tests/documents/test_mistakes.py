@@ -404,7 +404,7 @@ def test_disabled_contact_may_start_behind_its_line() -> None:
         # Parameters.
         ((("m: 1", "m: k"), ("h: 1", "h: 2*w")), ("3:17", "3:48")),
         ((("mu: [0, 2]", "nu: [0, 2], e: [1, 0]"),), ("4:10", "4:25")),
-        # What is empty, and what is wrong beside it; what may follow from it is not told.
+        # Empty keys and independent mistakes are reported; possible consequences are not.
         (
             (("gravity: g", "gravity:"), ("inertia: m*L**2/3", "inertia:"), ("hei", "hi"),
              ("time: 1", "time: one")),
