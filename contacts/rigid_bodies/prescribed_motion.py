@@ -220,10 +220,7 @@ class PrescribedMotion:
         The number ends where paths have no value. Before the run, after a change of step size and
         beyond the ends of paths, motion is extrapolated.
 
-        Raises
-        ------
-        NonFinite
-            If no step can be taken.
+        Raises `NonFinite` if no step can be taken.
         """
         forces = self.forces.program
         # Counted from the start of the run, so that instants do not depend on chunks.

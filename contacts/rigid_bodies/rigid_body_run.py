@@ -307,10 +307,8 @@ class RigidBodyRun(SteppedSystem):
     def _close(self, j: int, joint: str, state: Array, time: float) -> None:
         """Close a joint at the pose that it has captured.
 
-        Raises
-        ------
-        NoConsistentMode
-            If it captures no place, and its points are apart by more than a step moves them.
+        Raises `NoConsistentMode` if it captures no place, and its points are apart by more than a
+        step moves them.
         """
         joints, remembered = self.numbers.joints, state[2 * self.numbers.size :]
         pose = self._prescribed.captured(joint, remembered)
@@ -472,10 +470,7 @@ class RigidBodyRun(SteppedSystem):
     def _with_limits(self, chunk: Chunk, start: float) -> Chunk:
         """Return the steps before a coupling has no valid limit.
 
-        Raises
-        ------
-        NoConsistentMode
-            If the first step has none.
+        Raises `NoConsistentMode` if the first step has none.
         """
         wrong = ~(chunk.gaps[:, self._moving :] >= 0.0)
         if not wrong.any():

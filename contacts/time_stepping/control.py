@@ -93,10 +93,7 @@ class StepControl:
 
         The step has these jumps, and unknowns `solved` (u,).
 
-        Raises
-        ------
-        EventLoop
-            If they do not end.
+        Raises `EventLoop` if they do not end.
         """
         pending, self._pending, self._strikes = self._pending, {}, False
         # A contact with restitution closes without an impact in its last bounce.

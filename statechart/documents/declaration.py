@@ -142,10 +142,7 @@ class Declaration(Part):
         overrides : mapping of str to float, optional
             Values of some parameters; parameters that depend on them are recomputed.
 
-        Raises
-        ------
-        FormulaError
-            If an override names no parameter, or a formula has no value.
+        Raises `FormulaError` if an override names no parameter, or a formula has no value.
         """
         return self.constants().values(overrides or {})
 
@@ -343,10 +340,7 @@ class Declaration(Part):
     def check_values(self, values: Mapping[str, float]) -> None:
         """Check the values of the parameters; kinds of models extend it.
 
-        Raises
-        ------
-        DeclarationProblem
-            At the first value that is not allowed.
+        Raises `DeclarationProblem` at the first value that is not allowed.
         """
         if self.stop.time is None:
             return
@@ -361,10 +355,7 @@ class Declaration(Part):
     def check_ranges(self) -> None:
         """Check the model at the ends of every range; the last validator of a kind.
 
-        Raises
-        ------
-        DeclarationProblem
-            At the first end with an invalid model.
+        Raises `DeclarationProblem` at the first end with an invalid model.
         """
         for name, ends in self.ranges.items():
             whole = (math.ceil(ends[0]), math.floor(ends[1])) if name in self.whole else ends

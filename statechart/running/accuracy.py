@@ -306,7 +306,9 @@ class _Tightened(_Series):
             observer, trace = self.make(now.trace.tolerance, True)
         except DeclarationError:
             return None  # no valid initial state
-        if _identical(trace, now.trace) or trace.outcome in _CUT_SHORT:
+        times, known = ([jump.t for jump in one.jumps] for one in (trace, now.trace))
+        identical = times == known and np.array_equal(trace.final, now.trace.final)
+        if identical or trace.outcome in _CUT_SHORT:
             return None
         words = "with gaps and from starts that differ by the tolerance"
         return self._difference(EvaluatedRun.of(observer, trace), now, words)
@@ -467,11 +469,6 @@ def replay(once: Once, chosen: Chosen) -> RunEstimate | None:
         return None
     endless = tuple(sorted(outputs_of(observer).endless(trace)))
     return RunEstimate(observer, trace, chosen.error, cost, (), endless, chosen.decides)
-
-
-def _identical(one: Trace, other: Trace) -> bool:
-    times = [[jump.t for jump in trace.jumps] for trace in (one, other)]
-    return times[0] == times[1] and np.array_equal(one.final, other.final)
 
 
 class _Refined(_Series):
