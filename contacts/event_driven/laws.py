@@ -306,7 +306,7 @@ class SceneLaws:
             moving_mode(at.flow.roles),
             [c.gap <= near for c in after.contacts],
         )
-        jump, flow, _ = impact_jump(self._rules, here, (joint, cause))
+        jump, flow, _ = impact_jump(self._rules, here, (joint, cause), before=at.state)
         _, energy_after = jump.energy or (0.0, 0.0)
         energy = snapshot.energy, energy_after
         return dataclasses.replace(jump, before=at.state, energy=energy), flow
@@ -418,7 +418,7 @@ class SceneLaws:
         """
         if flow.sizes is None:
             return moving
-        # Of the rates of coordinates, which pads of compliant contacts follow.
+        # Round-off of the rates of coordinates; rates of pads of compliant contacts come after.
         rounding = EPS * flow.sizes[len(flow.sizes) // 2 :]
         n = len(rounding)
         return tuple(
@@ -497,7 +497,7 @@ class SceneLaws:
         return scene_feasibility(regions, setup, self.snapshot(setup, state, time), failing)
 
     def _struck(self, hitting: list[int], jam: Jam | None = None) -> tuple[str, str]:
-        """Return region and cause of an impact; which gap fell first is round-off."""
+        """Return region and cause of an impact; round-off decides between simultaneous ones."""
         return self._names[hitting[0]], "touchdown" if jam is None else "jam"
 
     def _impact(

@@ -34,7 +34,7 @@ from contacts.modes.candidates import (
     resistance_pairs,
     same_motion,
 )
-from contacts.modes.load_sharing import Share, bearing_contacts, prestressed_contacts, rank
+from contacts.modes.load_sharing import bearing_contacts, prestressed_contacts, rank
 from contacts.modes.signs_at_rest import laws_of, signs_at_rest, with_signs
 from contacts.scene.couplings import LIMIT_MARGINS
 from contacts.scene.modes import FORCE_MARGINS, OWN
@@ -308,7 +308,8 @@ def choose(
         warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken.states)} taken"
     notes: tuple[str, ...] = (_UNCHECKED,) if by_pivoting else ()
     if taken.share is not None:
-        notes += _indeterminate(laws, taken.share)
+        zones = zip(laws, taken.share.zones, strict=True)
+        notes += (undetermined_warning([law.name for law, zone in zones if zone != OWN]),)
     notes += _note_held_contacts(snapshot, laws, closed, taken.states)
     if uncertainty is not None and uncertain is not None:
         notes += tuple(
@@ -505,11 +506,6 @@ def _opens_more(taken: Candidate, other: Candidate, closed: Sequence[bool]) -> b
         or (state in SLIPPING and other_state == "locked")
         for state, other_state, is_closed in pairs
     )
-
-
-def _indeterminate(laws: Sequence[ContactLaw], shared: Share) -> tuple[str, ...]:
-    names = [law.name for law, zone in zip(laws, shared.zones, strict=True) if zone != OWN]
-    return (undetermined_warning(names),)
 
 
 def _note_held_contacts(

@@ -28,6 +28,8 @@ class Shape(Part):
         "rectangle": "polygon: [[-a, -b], [a, -b], [a, b], [-a, b]]",
         "circle": "disc",
         "radius": "disc",
+        "capsule": "shape: [{polygon: ...}, {disc: r, at: [a, 0]}, {disc: r, at: [-a, 0]}]",
+        "mesh": "polygon: [[x, y], ...], its outline",
     }
 
     polygon: Annotated[tuple[_Pair, ...], Field(min_length=3, max_length=16)] | None = declare(

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from contacts.solvers.dependence import independent_rows
+from contacts.solvers.mode_solver import dot
 from contacts.solvers.saddle_point import SOLVED, largest_size, solve_refined
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
@@ -128,14 +129,6 @@ def _evaluate_displacement(
 
 
 @kernel
-def _dual_slope(left: Array, step: Array) -> float:
-    rise = 0.0
-    for i in range(len(step)):
-        rise += left[i] * step[i]
-    return rise
-
-
-@kernel
 def _step_length(
     reach: Array, cones: Array, sliding: Array, load: Array, y: Array, step: Array, w: Array,
     forces: Array,
@@ -146,13 +139,11 @@ def _step_length(
     Where the slope jumps over zero (a kink at the end of a flat zone) the length is just beyond the
     kink, in the zones that follow.
     """
-    initial_slope = _dual_slope(
-        _evaluate_displacement(reach, cones, sliding, load, y, w, forces), step
-    )
+    initial_slope = dot(_evaluate_displacement(reach, cones, sliding, load, y, w, forces), step)
     short, long = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = long if short == 0.0 else 0.5 * (short + long)
-        slope = _dual_slope(
+        slope = dot(
             _evaluate_displacement(reach, cones, sliding, load, y + middle * step, w, forces), step
         )
         if abs(slope) <= _LEVEL * initial_slope:
@@ -163,7 +154,7 @@ def _step_length(
             short = middle
         elif short == 0.0:
             long, half = middle, 0.5 * middle
-            slope = _dual_slope(
+            slope = dot(
                 _evaluate_displacement(reach, cones, sliding, load, y + half * step, w, forces),
                 step,
             )

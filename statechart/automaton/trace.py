@@ -238,6 +238,8 @@ class Jump:
         The margins that fell.
     impulse : mapping
         Region -> (normal, tangential) impulse.
+    joint_impulse : mapping
+        Force of a joint or couple of rolling resistance, such as ``pin.X`` -> its impulse.
     path : tuple of str
         Phases of the impact.
     considered : mapping
@@ -262,6 +264,7 @@ class Jump:
     considered: Mapping[str, str] = field(default_factory=dict)
     energy: tuple[float, float] | None = None
     skipped: float = 0.0
+    joint_impulse: Mapping[str, float] = field(default_factory=dict)
 
 
 _UNKNOWN_AMOUNT = "an unknown amount, as an event is met too slowly or errors grow too fast"

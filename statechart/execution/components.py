@@ -261,6 +261,9 @@ class MergedRun:
             after=self._state(states_after),
             fired=tuple(name(margin) for margin in first_jump.fired),
             impulse={name(k): v for name, jump in named_jumps for k, v in jump.impulse.items()},
+            joint_impulse={
+                name(k): v for name, jump in named_jumps for k, v in jump.joint_impulse.items()
+            },
             path=tuple(name(text) for name, jump in named_jumps for text in jump.path),
             considered=LazyMapping(
                 lambda: {name(k): name(v) for name, modes in considered for k, v in modes.items()}

@@ -147,6 +147,8 @@ def meant(
         return _HYBRID[bare.lower()]
     if name == "e":
         return "its power is exp(...); a number of your own stands in parameters"
+    if name == "g":
+        return "write 9.81, or declare parameters: {g: 9.81} and gravity: g"
     if bare.lower() == "nan":
         return "nothing follows from what is not a number; write one"
     if bare in ("pow", "power"):

@@ -325,7 +325,7 @@ class DrawnCurve:
 
     @classmethod
     def of(cls, samples: Samples) -> DrawnCurve:
-        """Return the polyline; of many samples the minimum and maximum of each column."""
+        """Return the polyline; for many samples, the minimum and maximum of each column."""
         t, jumped = samples.t, np.flatnonzero(np.diff(samples.j)) + 1
         if len(t) <= _DENSE * COLUMNS:
             return cls(np.insert(t, jumped, np.nan), None, jumped)

@@ -135,7 +135,7 @@ def test_time_steps_cannot_be_certified():
 
 def test_estimate_grows_with_sensitivity():
     # A stick that is balanced falls the later the less it leans, and errors grow as it does, until
-    # it slips: from there on what it is late by, a tolerance of forces, is more.
+    # it slips: from there on the delay, a tolerance of forces, is larger.
     wholes = [
         run("toppling_stick", parameters={"theta0": lean}, until=until, certify=True)
         .trace.motion.whole
@@ -213,7 +213,7 @@ _LOWEST = (
 
 @pytest.mark.parametrize("until", [10, 100, 1000])
 def test_round_off_of_steps_is_part_of_the_global_error(until: float) -> None:
-    # Of each step no more is known than its bound; a sum of them is off by one of them at least.
+    # Each step has only a bound; the sum of bounds is at least one of them.
     motion = run(read_text(_SWING), engine="taylor", until=until, certify=True).trace.motion
     assert motion.local <= motion.whole <= 100.0 * motion.local
 

@@ -72,8 +72,8 @@ def test_load_sharing_finds_zones_on_both_sides(past: float, inward: float) -> N
         assert np.einsum("gdi,gd->i", _REACH, forces) == pytest.approx(load, abs=1e-12)
 
 
-# A body wedged between three surfaces. From the time that c1 comes to its edge another mode would
-# agree, too, in which only c2 bears; that is no reason to leave the one that holds.
+# A body wedged between three surfaces. From the time that c1 comes to its edge another mode, in
+# which only c2 bears, is consistent, too. The run must stay in its mode.
 _WEDGED = """
 kind: scene
 name: wedged

@@ -358,7 +358,7 @@ def test_a_compound_that_starts_inside_a_body_is_reported_with_its_name(start, w
 
 
 def test_a_point_on_the_seam_of_two_pieces_counts_as_inside():
-    # Of two boxes side by side it is nearest to the sides that they cover of each other.
+    # It is nearest to the covered sides of two boxes side by side.
     boxes = shaped(box(-1, 0, -0.5, 0.5), box(0, 1, -0.5, 0.5))
     small = "mass: 1, inertia: 1, shape: {polygon: [[-0.05, -0.05], [0.05, -0.05], [0, 0.1]]}"
     bodies = {"boxes": (boxes, "y: 0.5"), "small": (small, "x: 0.02, y: 0.6")}

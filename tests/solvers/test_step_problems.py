@@ -71,7 +71,7 @@ def test_a_problem_without_solution_says_so():
 
 
 def test_restitution_is_omitted_if_plastic_impulses_are_undetermined():
-    # As restitution asks there are impulses; plastic ones there are none.
+    # Impulses exist for the velocities of restitution, but not for plastic ones.
     delassus = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.diag([1.0, 0.0]))
     before, free = np.array([[-1.0, 0.0], [1.0, 0.0]]), np.array([[-2.0, 0.0], [-1.0, 0.0]])
     wanted, rebounds = np.array([[3.0, 0.0], [0.0, 0.0]]), np.array([True, False])

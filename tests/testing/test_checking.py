@@ -437,7 +437,7 @@ def test_a_start_that_is_not_the_declared_one_is_caught():
 
 
 def test_an_asymmetric_law_breaks_the_mirror():
-    # Friction that pushes to the right only: the declared scene cannot say so, its laws can.
+    # Friction that pushes to the right only, which laws can express but no declared scene.
     def drifting(name, state):
         if name != "free":
             return state
