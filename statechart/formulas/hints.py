@@ -121,6 +121,8 @@ _HYBRID: Mapping[str, str] = {
         ("rand", "random", "randn", "noise", "uniform", "normal"),
         "runs are not random; write a parameter, and sweep it",
     ),
+    **dict.fromkeys(("clip", "clamp", "saturate", "saturation", "limit"), "write sat(x, a, b)"),
+    "integral": "write a variable with flows: {i: x}",
     "log10": "write log(x)/log(10)",
     **dict.fromkeys(("log2", "lb"), "write log(x)/log(2)"),
 }
