@@ -194,6 +194,45 @@ def _violation(zones: Ints, w: Array, cones: Array, sliding: Array) -> float:
 
 
 @kernel
+def _release_edges(scaled: Array, zones: Ints, cones: Array, sliding: Array, first: int) -> bool:
+    """Move contacts, from `first` on, from edges into cones until the displacement is determined.
+
+    Forces on the edges of all cones, as those of a disc in a groove, leave a range of
+    displacements; at its ends one of them is also inside its cone.
+    """
+    count, size = len(zones), scaled.shape[2]
+    known = independent_rows(_stiffness(scaled, zones, cones))[0]
+    for k in range(count):
+        g = (first + k) % count
+        zone = zones[g]
+        if known < size and sliding[g] == 0.0 and UPPER <= zone <= LOWER:
+            zones[g] = INSIDE
+            more = independent_rows(_stiffness(scaled, zones, cones))[0]
+            if more > known:
+                known = more
+            else:
+                zones[g] = zone
+    return known == size
+
+
+@kernel
+def _zones_agree(
+    zones: Ints, wider: Array, scaled: Array, sliding: Array, pushed: Array, w: Array, forces: Array
+) -> float:
+    """Solve for the forces in zones; return their size if they lie there, 0 if not."""
+    stiffness = _stiffness(scaled, zones, wider)
+    if not _solve_zones(stiffness, zones, wider, scaled, pushed, w, forces):
+        return 0.0
+    own, error, largest = np.empty(2), 0.0, largest_size(pushed)
+    for g in range(len(zones)):
+        _project_to_zone(_zone_of(w[g], wider[g], sliding[g]), w[g], wider[g], own)
+        for d in range(2):
+            error = max(error, abs(own[d] - forces[g, d]))
+            largest = max(largest, abs(w[g, d]))
+    return largest if error <= _FORCE_ROUND_OFF * largest else 0.0
+
+
+@kernel
 def smallest_forces(
     cones: Array, sliding: Array, reach: Array, load: Array, inward: float
 ) -> tuple[bool, Array, Ints, float]:
@@ -242,7 +281,7 @@ def smallest_forces(
         zones[g] = INSIDE if sign == 0.0 else UPPER if sign > 0.0 else LOWER
         for i in range(size):
             pushed[i] += inward / count * (n * scaled[g, 0, i] + t * scaled[g, 1, i])
-    w, forces, own = np.empty((count, 2)), np.zeros((count, 2)), np.empty(2)
+    w, forces = np.empty((count, 2)), np.zeros((count, 2))
     size_of_load = largest_size(pushed)
     if size_of_load == 0.0:
         return True, forces, zones, 0.0
@@ -250,21 +289,25 @@ def smallest_forces(
     for _ in range(_STEPS):
         stiffness = _stiffness(scaled, zones, cones)
         determined = independent_rows(stiffness)[0] == size
-        if determined and _solve_zones(stiffness, zones, wider, scaled, pushed, w, forces):
-            # Accept if the zones of the displacement give the same forces.
-            error, largest = 0.0, size_of_load
-            for g in range(count):
-                _project_to_zone(_zone_of(w[g], wider[g], sliding[g]), w[g], wider[g], own)
-                for d in range(2):
-                    error = max(error, abs(own[d] - forces[g, d]))
-                    largest = max(largest, abs(w[g, d]))
-            if error <= _FORCE_ROUND_OFF * largest:
-                if not _solve_zones(stiffness, zones, cones, scaled, right, w, forces):
-                    return False, forces, zones, np.inf
-                violation = _violation(zones, w, cones, sliding)
-                if abs(violation) <= _FORCE_ROUND_OFF * largest:
-                    violation = 0.0
-                return True, forces, zones, violation
+        largest, current = 0.0, zones.copy()
+        if determined:
+            largest = _zones_agree(zones, wider, scaled, sliding, pushed, w, forces)
+        first = count if determined else 0
+        while largest == 0.0 and first < count:
+            zones[:] = current
+            if _release_edges(scaled, zones, cones, sliding, first):
+                largest = _zones_agree(zones, wider, scaled, sliding, pushed, w, forces)
+            first += 1
+        if largest > 0.0:
+            if not _solve_zones(
+                _stiffness(scaled, zones, cones), zones, cones, scaled, right, w, forces
+            ):
+                return False, forces, zones, np.inf
+            violation = _violation(zones, w, cones, sliding)
+            if abs(violation) <= _FORCE_ROUND_OFF * largest:
+                violation = 0.0
+            return True, forces, zones, violation
+        zones[:] = current
         residual = _evaluate_displacement(scaled, wider, sliding, pushed, y, w, forces)
         for i in range(size):
             stiffness[i, i] += _DAMPING
