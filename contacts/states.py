@@ -125,3 +125,11 @@ def implied_joints(names: Iterable[str]) -> str:
         f"other joints imply {' and '.join(map(repr, dict.fromkeys(names)))}: the motion is "
         "determined, how they share the forces is not"
     )
+
+
+def implied_couplings(names: Iterable[str]) -> str:
+    """Return the message on couplings that hold what others hold."""
+    return (
+        f"others hold the same rotation as {' and '.join(map(repr, names))}: while they hold, how "
+        "they share the couple is not determined"
+    )

@@ -52,8 +52,8 @@ class PerContact(NamedTuple):
     bias_n: float
     bias_t: float
     jacobian: Array  # (2, n): Rows: normal, tangential
-    # Unit edges (n, t) of the friction cone in slide+ and slide-, at the size of the slip; None: as
-    # at rest
+    # Unit edges (n, t) of the friction cone in slide+ and slide- at the present slip; None: the
+    # edges at rest
     edges: tuple[float, float, float, float] | None = None
 
 
@@ -75,7 +75,7 @@ class Snapshot(NamedTuple):
     # (k, 2): Static and kinetic limits of the couplings, which are the last of the contacts
     limits: Array = np.empty((0, 2))
     pads: int = 0  # Coordinates that are pads of compliant contacts, the last ones
-    # (c, n): Generalised normal forces of compliant contacts; `forces` has those whose gap is 0
+    # (c, n): Generalised normal forces of compliant contacts; `forces` includes those with gap 0
     pushes: Array | None = None
     signs: SignNumbers | None = None  # None where no sign is dry friction
 
@@ -99,17 +99,29 @@ class Snapshot(NamedTuple):
         """
         if self.reduction is None:
             return accelerations[: len(accelerations) - self.pads], np.zeros(0)
-        whole, reduction = self.unreduced, self.reduction
-        full = reduction.basis @ accelerations + reduction.drift
-        residual = (
-            whole.mass @ full - whole.forces - np.einsum("ckn,ck->n", whole.jacobians, forces)
-        )
-        independent = ~reduction.joints.redundant
-        joint_forces = np.zeros(len(independent))
-        joint_forces[independent] = np.linalg.lstsq(
-            reduction.joints.jacobian[independent].T, residual
-        )[0]
+        whole = self.unreduced
+        full = self.reduction.basis @ accelerations + self.reduction.drift
+        joint_forces = self._joint_forces(whole.mass @ full - whole.forces, forces)
         return full[: len(full) - whole.pads], joint_forces
+
+    def joint_impulses(self, before: Array, after: Array, impulses: Array) -> Array:
+        """Return the impulses of joint rows in a jump between states (2 n,) of the scene.
+
+        `impulses` (c, 2) are those of contacts. The impulses of redundant rows are zero.
+        """
+        if self.reduction is None:
+            return np.zeros(0)
+        mass, size = self.unreduced.mass, len(before) // 2
+        return self._joint_forces(mass[:, :size] @ (after - before)[size:], impulses)
+
+    def _joint_forces(self, total: Array, forces: Array) -> Array:
+        """Return the forces of joint rows, which with those of contacts add up to `total` (n,)."""
+        assert self.reduction is not None
+        joints = self.reduction.joints
+        independent, result = ~joints.redundant, np.zeros(len(joints.redundant))
+        rest = total - np.einsum("ckn,ck->n", self.unreduced.jacobians, forces)
+        result[independent] = np.linalg.lstsq(joints.jacobian[independent].T, rest)[0]
+        return result
 
 
 class SignNumbers(NamedTuple):
@@ -160,6 +172,7 @@ class SnapshotTape:
         self._ends = tuple(accumulate(lengths))
         rows = mechanics.joint_rows
         self.joints = len(rows)
+        self.joint_names = [f"{row.joint}.{row.component}" for row in rows]
         self._blocks: tuple[JointGroup, ...] = joint_groups(
             np.pad(
                 np.array([[j != 0 for j in row.jacobian] for row in rows], np.bool_).reshape(

@@ -101,7 +101,7 @@ class _Struck(NamedTuple):
 
 
 class _Entered(NamedTuple):
-    """Mode after an impact: as shown, its roles, and its explanation."""
+    """Mode after an impact, its roles and its explanation."""
 
     target: Key
     roles: Roles
@@ -110,6 +110,7 @@ class _Entered(NamedTuple):
     considered: Mapping[str, str] = MappingProxyType({})
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    tolerances: Mapping[str, float] = MappingProxyType({})
     near_bound: bool = False
 
 
@@ -121,11 +122,13 @@ def flow_in(
     warning: str = "",
     settled: bool = True,
     notes: tuple[str, ...] = (),
+    tolerances: Mapping[str, float] = MappingProxyType({}),
 ) -> Flow:
     """Return the flow in a mode; `bounce_time` is the duration of the bounces summed before it."""
     remaining = math.inf if bounce_time is None else bounce_time
     moving = roles_in(mode) if roles is None else shown_roles(mode, roles)
-    return Flow(mode, moving, remaining, warning, settled, notes, tolerances=setup.bands)
+    bands = {**setup.bands, **tolerances} if tolerances else setup.bands
+    return Flow(mode, moving, remaining, warning, settled, notes, tolerances=bands)
 
 
 def shown_roles(mode: Key, roles: Roles) -> Roles:
@@ -139,11 +142,16 @@ def shown_roles(mode: Key, roles: Roles) -> Roles:
 
 
 def impact_jump(
-    rules: Rules, landing: Landing, event: tuple[str, str], jam: Jam | None = None
+    rules: Rules,
+    landing: Landing,
+    event: tuple[str, str],
+    jam: Jam | None = None,
+    before: Array | None = None,
 ) -> tuple[Jump, Flow, Snapshot]:
     """Return the jump of an impact, the flow after it, and the snapshot after it.
 
-    `event` is the region and the cause of the jump.
+    `event` is the region and the cause of the jump. `before` is the state that a closing joint
+    meets, whose velocity it does not allow.
     """
     at, setup, closed, speed_tolerance = landing.at, landing.setup, landing.closed, landing.slow
     struck = _solve_struck(rules, landing, jam)
@@ -156,15 +164,22 @@ def impact_jump(
     target = listed_mode(entered.target, laws, contacts, 2.0 * speed_tolerance)
     energy = rules.tape.at(setup.values, entered.state, at.clock.high).energy
     bounce_time = max(bounce_times.values(), default=None)
+    impulses = struck.result.impulses
+    of_joints = landing.snapshot.joint_impulses(
+        at.state if before is None else before, entered.state, impulses
+    )
+    joint_impulse = zip(rules.tape.joint_names, of_joints.tolist(), strict=False)
+    couples = [(f"{law.name}.M", impulses.item(i, 1)) for i, law in rolling(laws)]
     jump = at.jump(
         *event,
         target,
         entered.state,
         impulse={
             law.name: (normal, tangential)
-            for law, (normal, tangential) in zip(laws, struck.result.impulses.tolist(), strict=True)
-            if normal != 0.0 or tangential != 0.0
+            for law, (normal, tangential) in zip(laws, impulses.tolist(), strict=True)
+            if law.carrier < 0 and (normal != 0.0 or tangential != 0.0)
         },
+        joint_impulse={name: size for name, size in (*joint_impulse, *couples) if size != 0.0},
         path=struck.result.path,
         considered=LazyMapping(
             partial(
@@ -183,8 +198,9 @@ def impact_jump(
     warnings = ("" if jam is None else str(jam), struck.result.warning, *entered.warnings)
     warning = "; ".join(filter(None, warnings))
     flow = flow_in(
-        setup, target, entered.roles, bounce_time, warning, entered.settled, entered.notes
-    )
+        setup, target, entered.roles, bounce_time, warning, entered.settled, entered.notes,
+        entered.tolerances,
+    )  # fmt: skip
     flow = flow._replace(near_bound=entered.near_bound)
     # After a long flight the round-off of a gap can exceed its tolerance: it opens from there.
     penetrating = {
@@ -266,8 +282,9 @@ def _choose_entered(
     )
     if isinstance(choice, Jam):
         return _Entered(target, roles, state, settled=False)
-    explanation = choice.considered, (choice.warning,), choice.notes, choice.near_bound
-    return _Entered(target, roles, state, settled, *explanation)
+    return _Entered(
+        target, roles, state, settled, choice.considered, (choice.warning,), *choice[3:]
+    )
 
 
 def apply_rolling_resistance(
@@ -280,8 +297,8 @@ def apply_rolling_resistance(
     suffices, kinetic friction where it slipped before; else the slip goes on, and friction is on
     the edge of its cone. One that does not rebound remains closed.
     """
-    for place, law in enumerate(laws):
-        if law.carrier < 0 or not result.impulses[law.carrier, 0] > 0.0:
+    for place, law in rolling(laws):
+        if not result.impulses[law.carrier, 0] > 0.0:
             continue
         limit = float(snapshot.limits[place - len(laws)][1])
         bound = limit * float(result.impulses[law.carrier, 0])
@@ -301,6 +318,7 @@ def apply_rolling_resistance(
             continue
         share = min(1.0, bound / abs(solved[1][0])) if solved[1][0] != 0.0 else 1.0
         impulses = result.impulses.copy()
+        impulses[place, 1] = share * solved[1][0]
         for d, impulse in zip(sticking, solved[1][1:].tolist(), strict=True):
             impulses[law.carrier, d] += share * impulse
         normal, tangential = impulses[law.carrier].tolist()
@@ -311,25 +329,31 @@ def apply_rolling_resistance(
             result = replace(result, velocity=velocity, impulses=impulses)
             continue
         edge = edge[0], math.copysign(edge[1], tangential)
-        result = _continue_slip(snapshot, result, law.carrier, couple, slip, limit, edge)
+        result = _continue_slip(snapshot, result, place, law.carrier, slip, limit, edge)
     return result
+
+
+def rolling(laws: Sequence[ContactLaw]) -> list[tuple[int, ContactLaw]]:
+    """Return the places and laws of rolling resistance."""
+    return [(place, law) for place, law in enumerate(laws) if law.carrier >= 0]
 
 
 def _continue_slip(
     snapshot: Snapshot,
     result: Impacts,
+    couple_place: int,
     place: int,
-    couple: Array,
     slip: float,
     limit: float,
     edge: tuple[float, float],
 ) -> Impacts:
     """Return the impacts of an instant where a contact that rolling resists goes on to slip.
 
-    Its impulse along the `edge` of its cone leaves its gap rate as it is; the angular impulse along
-    `couple` stops the rotation `slip`, or is `limit` times the normal impulse.
+    Its impulse along the `edge` of its cone leaves its gap rate as it is; the angular impulse stops
+    the rotation `slip`, or is `limit` times the normal impulse.
     """
-    jacobian, rates = snapshot.jacobians[place], np.array([-slip, 0.0])
+    couple, jacobian = snapshot.jacobians[couple_place, 1], snapshot.jacobians[place]
+    rates = np.array([-slip, 0.0])
     push, rows = np.array(edge) @ jacobian, np.array([couple, jacobian[0]])
     solve = partial(solve_kkt, snapshot.mass, -jacobian.T @ result.impulses[place])
     solved = solve(rows, np.array([couple, push]), rates)
@@ -342,6 +366,7 @@ def _continue_slip(
         if solved is None:
             return result
         size = float(solved[1][0])
+        stop = math.copysign(limit * edge[0] * size, stop)
     impulses = result.impulses.copy()
-    impulses[place] = size * np.array(edge)
+    impulses[place], impulses[couple_place, 1] = size * np.array(edge), stop
     return replace(result, velocity=result.velocity + solved[0], impulses=impulses)

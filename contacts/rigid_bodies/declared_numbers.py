@@ -34,7 +34,7 @@ from contacts.scene.scene import Scene
 from contacts.scene.shapes import INDEX
 from contacts.solvers.dependence import column_scales, dependent_rows, rank
 from contacts.solvers.step_impulses import drop_round_off_friction
-from contacts.states import CLOSED, implied_joints
+from contacts.states import CLOSED, implied_couplings, implied_joints
 from statechart.arrays import Array, Ints
 from statechart.automaton.margin_derivatives import derivative
 from statechart.documents.fields import FormulaText, value_of
@@ -215,10 +215,7 @@ def closed_joints(
     near, slow : float
         Tolerances of distances and speeds.
 
-    Raises
-    ------
-    DeclarationProblem
-        At the first joint that is open, or whose points move apart.
+    Raises `DeclarationProblem` at the first joint that is open, or whose points move apart.
     """
     (at, rates), own = moved, joints.points.copy()
     sizes = joints.sizes.copy()
@@ -301,9 +298,10 @@ def _check_angles(joints: JointNumbers, owner: int, name: str, at: Array) -> Non
             )
 
 
-def implied_remarks(scene: Scene, joints: JointNumbers, at: Array) -> tuple[str, ...]:
-    """Return a warning of redundant joints for bodies `at` (b, 3)."""
-    rows, names = [], []
+def implied_remarks(scene: Scene, bodies: BodyNumbers, at: Array) -> tuple[str, ...]:
+    """Return warnings of redundant joints and couplings for bodies `at` (b, 3)."""
+    joints, couplings = bodies.joints, bodies.couplings
+    rows, names = list[Array](), list[str]()
     every = [*scene.joints]
     for j, holds in enumerate(joints.kinds.tolist()):
         name = every[joints.owners[j]]
@@ -318,6 +316,16 @@ def implied_remarks(scene: Scene, joints: JointNumbers, at: Array) -> tuple[str,
         constrained = both[_COMPONENTS[int(joints.kinds[j])]]
         rows.append(constrained.reshape(len(constrained), -1))
         names += [name] * len(constrained)
+    for (one, other), holds, name in zip(
+        couplings.bodies.tolist(), couplings.holds.tolist(), scene.couplings, strict=True
+    ):
+        turns = np.zeros((1, *at.shape))
+        for b, sign in ((one, 1.0), (other, -1.0)):
+            if 0 <= b < len(at):
+                turns[0, b, 2] = sign
+        if holds == TURN:
+            rows.append(turns.reshape(1, -1))
+            names.append(name)
     if not rows:
         return ()
     matrix = np.concatenate(rows)
@@ -325,8 +333,14 @@ def implied_remarks(scene: Scene, joints: JointNumbers, at: Array) -> tuple[str,
     _, sizes, _ = np.linalg.svd(matrix * column_scales(matrix), full_matrices=False)
     if rank(sizes) == len(matrix):
         return ()
-    dependent = dependent_rows(matrix)
-    return (implied_joints(n for n, more in zip(names, dependent.tolist(), strict=True) if more),)
+    dependent = zip(names, dependent_rows(matrix).tolist(), strict=True)
+    implied = [name for name, more in dependent if more]
+    held = [name for name in implied if name in scene.couplings]
+    joined = [name for name in implied if name not in held]
+    return (
+        *([implied_joints(joined)] if joined else []),
+        *([implied_couplings(held)] if held else []),
+    )
 
 
 def _arm(angle: float, at: Array) -> Array:
@@ -344,10 +358,7 @@ def body_numbers(
 ) -> BodyNumbers:
     """Evaluate a scene with collisions; `links` are those of `link_numbers`.
 
-    Raises
-    ------
-    DeclarationProblem
-        If a body that collides has no inertia.
+    Raises `DeclarationProblem` if a body that collides has no inertia.
     """
 
     def number(text: FormulaText) -> float:

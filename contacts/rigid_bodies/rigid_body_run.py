@@ -35,14 +35,21 @@ from contacts.time_stepping.chunk import (
     DONE,
     FULL,
     NOT_FINITE,
+    RESIDUAL,
     Chunk,
     SteppedSystem,
 )
 from contacts.time_stepping.stability import UNSTABLE, Held, check_stiffness
-from contacts.time_stepping.step_rejection import depth_left, invalid_limit
+from contacts.time_stepping.step_rejection import HELPLESS, depth_left, invalid_limit
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
-from statechart.errors import NoConsistentMode, NonFinite, SingularMode, StepTooLarge
+from statechart.errors import (
+    NoConsistentMode,
+    NonFinite,
+    SingularMode,
+    StepTooLarge,
+    UnsolvedImpulses,
+)
 from statechart.kernels.tapes import ACOS, ASIN, DIV, LOG, POW, POWI, SQRT, TAN, tape_table
 from statechart.tabular import pluralise
 
@@ -208,7 +215,7 @@ class DetectedContacts(NamedTuple):
     def deepest_of(
         self, body: int, bodies: Ints, names: Sequence[str], known: Sequence[str]
     ) -> str:
-        """Return what a body penetrates most; "" if it touches nothing.
+        """Return the name of the body or surface with the deepest penetration; "" without contact.
 
         `bodies` are those of the pieces, `known` the names of surfaces (indices behind the pieces).
         """
@@ -228,7 +235,7 @@ class DetectedContacts(NamedTuple):
         return bool(self.levels[mine].min(initial=math.inf) > self.gaps[body])
 
     def ways_out(self, body: int, near: float) -> tuple[Array, Array]:
-        """Return directions (k, 2) out of what a body penetrates, and depths (k,) above `near`."""
+        """Return directions (k, 2) out of penetrations deeper than `near`, and depths (k,)."""
         sides, rows = self.normal.bodies == body, self.normal.rows
         deep = sides.any(axis=1) & (self.levels < -near)
         normals = np.where(sides[:, :1], rows[:, :2], rows[:, 3:5])
@@ -255,7 +262,7 @@ class RigidBodyRun(SteppedSystem):
         self.numbers, self._names, self._prescribed = numbers, names, prescribed
         count = self._moving = len(numbers.inverse)
         self._warm = self._saved = WarmStart.allocate(numbers)
-        # As after an impact.
+        # The first step counts as one after an impact.
         self._warm.last_step[2] = start_depth / LANDED
         self._workspace = Workspace.of(self.numbers, self._warm)
         self._min_gaps = np.full(count, np.inf)
@@ -265,7 +272,7 @@ class RigidBodyRun(SteppedSystem):
         # Energy added by joints, and largest kinetic energy so far.
         self._added = self._moved = 0.0
         self._before = (0.0, 0.0)
-        self._gain_error: StepTooLarge | None = None
+        self._gain_error: StepTooLarge | UnsolvedImpulses | None = None
         self._no_ground = MissingGround(names, surfaces, numbers)
         self._penetration = Penetration(names, numbers, start_depth)
         # The rotation of a centred disc is irrelevant.
@@ -300,10 +307,8 @@ class RigidBodyRun(SteppedSystem):
     def _close(self, j: int, joint: str, state: Array, time: float) -> None:
         """Close a joint at the pose that it has captured.
 
-        Raises
-        ------
-        NoConsistentMode
-            If it captures no place, and its points are apart by more than a step moves them.
+        Raises `NoConsistentMode` if it captures no place, and its points are apart by more than a
+        step moves them.
         """
         joints, remembered = self.numbers.joints, state[2 * self.numbers.size :]
         pose = self._prescribed.captured(joint, remembered)
@@ -465,10 +470,7 @@ class RigidBodyRun(SteppedSystem):
     def _with_limits(self, chunk: Chunk, start: float) -> Chunk:
         """Return the steps before a coupling has no valid limit.
 
-        Raises
-        ------
-        NoConsistentMode
-            If the first step has none.
+        Raises `NoConsistentMode` if the first step has none.
         """
         wrong = ~(chunk.gaps[:, self._moving :] >= 0.0)
         if not wrong.any():
@@ -501,6 +503,12 @@ class RigidBodyRun(SteppedSystem):
             f"largest kinetic energy, and should add none; take "
             f"{0.1 * chunk.h / math.sqrt(part):.1g} or less"
         )
+        if chunk.stats[: k + 1, RESIDUAL].max() > HELPLESS:
+            name = self._names[int(np.argmin(chunk.gaps[k, : self._moving]))]
+            self._gain_error = UnsolvedImpulses(
+                f"no impulses keep {name} out of what it touches while joints hold; prescribed "
+                "motions or constraints leave it no room"
+            )
         return chunk.first(k)
 
     def _check_jumps(self, start: float, state: Array) -> None:

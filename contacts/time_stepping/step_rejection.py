@@ -20,8 +20,8 @@ DEEPEST = 0.1
 # Largest energy gain of a step, relative to the contacts' kinetic energy. Steps that follow a
 # surface by a tenth of a radian add a thousandth; those that do not follow it, multiples.
 _MOST_ADDED = 0.1
-# Residual, relative to the fastest approach, from which impulses are of no help.
-_HELPLESS = 0.1
+HELPLESS = 0.1
+"""Residual, relative to the fastest approach, from which impulses are of no help."""
 # Depths of round-off and joint errors, relative to the scene.
 _SHALLOW = 1e-6
 
@@ -99,7 +99,7 @@ class SqueezeCheck:
         grown by a step's present approach since impulses first failed (an earlier fast approach
         says nothing about a later squeeze).
         """
-        helpless = chunk.stats[:, RESIDUAL] > _HELPLESS
+        helpless = chunk.stats[:, RESIDUAL] > HELPLESS
         if not helpless.any():
             return None
         depths: Array = -np.min(_gaps(chunk), axis=1, initial=math.inf)

@@ -238,6 +238,8 @@ class Jump:
         The margins that fell.
     impulse : mapping
         Region -> (normal, tangential) impulse.
+    joint_impulse : mapping
+        Force of a joint or couple of rolling resistance, such as ``pin.X`` -> its impulse.
     path : tuple of str
         Phases of the impact.
     considered : mapping
@@ -262,6 +264,7 @@ class Jump:
     considered: Mapping[str, str] = field(default_factory=dict)
     energy: tuple[float, float] | None = None
     skipped: float = 0.0
+    joint_impulse: Mapping[str, float] = field(default_factory=dict)
 
 
 _UNKNOWN_AMOUNT = "an unknown amount, as an event is met too slowly or errors grow too fast"
@@ -319,6 +322,8 @@ class Trace:
         First and last state.
     start_mode, final_mode : Key
         First and last mode.
+    final_roles : Roles or None
+        The last mode with its load sharing, which a jump at the end enters without an arc.
     t_end : float
         End of the run.
     outcome : Outcome
@@ -381,6 +386,7 @@ class Trace:
     motion: Motion | None = None
     record: Record = Record.MODES
     outputs: Mapping[str, Any] | None = None
+    final_roles: Roles | None = None
 
     @property
     def values(self) -> Array:

@@ -51,6 +51,11 @@ const fitted = (name, room) => {
   const half = (most - 1) / 2;
   return name.length <= most ? name : `${name.slice(0, Math.ceil(half))}\u2026${name.slice(name.length - Math.floor(half))}`;
 };
+// A remark with fewer names and more in "3 more", until it fits.
+const shortened = (remark, room) => {
+  const fewer = remark.replace(/, [^,;]+, (\d+) more/, (_, more) => `, ${+more + 1} more`);
+  return remark.length * 6.6 <= room || fewer === remark ? remark : shortened(fewer, room);
+};
 const [above, high, number] = [20, 138, 70];
 const span = times[last] || 1;
 const cursors = [];
@@ -144,7 +149,7 @@ function drawn(panel, narrow) {
   });
   named(svg, { x: left, y: above - 9, style: "font-weight: 600" }, panel.title, right - left);
   const free = narrow ? right - left : right - left - longest([panel.title]) - 30;
-  if (remarks) named(svg, { x: right, y: above - 9 + lower, "text-anchor": "end", style: "fill: var(--faint)" }, remarks, free);
+  if (remarks) named(svg, { x: right, y: above - 9 + lower, "text-anchor": "end", style: "fill: var(--faint)" }, shortened(remarks, free), free);
   const plot = made(svg, "g", lower ? { transform: `translate(0 ${lower})` } : {});
   const seen = [...panel.curves, ...panel.struck.map((hit) => hit.sizes)];
   const finite = seen.flatMap((v) => Array.from(v)).filter(Number.isFinite);

@@ -259,6 +259,7 @@ def _event(
             region: {"normal": normal, "tangential": tangential}
             for region, (normal, tangential) in jump.impulse.items()
         },
+        "joint_impulse": dict(jump.joint_impulse),
         "fired": list(jump.fired),
         "path": list(jump.path),
         "considered": {} if hurried else dict(jump.considered),
@@ -270,6 +271,7 @@ def _event(
         event["margins"] = explained
     numbers = [*before, *after, *(energy or ()), jump.skipped, condition or 0.0]
     numbers += [size for pair in jump.impulse.values() for size in pair]
+    numbers += jump.joint_impulse.values()
     numbers += (explained or {}).values()
     if all(map(math.isfinite, numbers)):
         return event

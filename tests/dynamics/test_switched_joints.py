@@ -467,3 +467,40 @@ def test_relation_of_several_forces_fires_in_a_conjunction(relation, gate) -> No
     pull, cross = 2 * (9.81 + 2 * k) * math.sin(a), 2 * (9.81 - k) * math.cos(a)
     x, y = cross * math.sin(a) - pull * math.cos(a), pull * math.sin(a) + cross * math.cos(a)
     assert y - x == pytest.approx(30, abs=1e-9)
+
+
+def test_jumps_list_the_impulses_of_joints() -> None:
+    # They are the change of momentum of a: m dv = (X, Y), I dw = r x (X, Y) + M.
+    result = statechart.Runner(read_text(_WELD), engine="taylor").run()
+    (jump,) = (jump for jump in result.trace.jumps if jump.region == "glue")
+    pushes = jump.joint_impulse
+    start, change = jump.before, (jump.after - jump.before)[6:9]
+    x, y = (
+        0.3 * math.cos(start[2]) - 0.1 * math.sin(start[2]),
+        0.3 * math.sin(start[2]) + 0.1 * math.cos(start[2]),
+    )
+    assert [pushes["glue.X"], pushes["glue.Y"]] == pytest.approx(change[:2], abs=1e-12)
+    couple = 0.1 * change[2] - x * pushes["glue.Y"] + y * pushes["glue.X"]
+    assert pushes["glue.M"] == pytest.approx(couple, abs=1e-12)
+    (event,) = (e for e in result.to_dict()["events"] if e["contact"] == "glue")
+    assert event["joint_impulse"] == dict(pushes)
+
+
+def test_impacts_list_the_impulses_of_joints() -> None:
+    # A rod of moment of inertia 1 about its pin stops at its tip, 1 m from the pin: the impulse of
+    # the tip is its spin, and both together stop the centre of mass.
+    text = """
+kind: scene
+name: rod
+gravity: 9.81
+bodies: {rod: {mass: 3, inertia: 0.25, start: {x: 0.5*cos(0.5), y: 0.5*sin(0.5), angle: 0.5}}}
+surfaces: {floor: {height: 0}}
+contacts: {tip: {point: {body: rod, at: [0.5, 0]}, surface: floor, friction: 0, restitution: 0}}
+joints: {pin: {point: {body: rod, at: [-0.5, 0]}, to: [0, 0]}}
+stop: {time: 1}
+"""
+    jump = statechart.Runner(read_text(text), engine="taylor").run().trace.jumps[0]
+    spin = math.sqrt(3 * 9.81 * math.sin(0.5))
+    assert jump.impulse["tip"][0] == pytest.approx(spin, abs=1e-9)
+    assert jump.joint_impulse.get("pin.X", 0) == pytest.approx(0, abs=1e-9)
+    assert jump.joint_impulse["pin.Y"] == pytest.approx(3 * 0.5 * spin - spin, abs=1e-9)

@@ -98,6 +98,17 @@ def test_active_mode_is_visible_on_a_phone(tmp_path):
             assert opened.value(within)
 
 
+@in_browser
+def test_remarks_that_are_too_long_name_fewer_curves(tmp_path):
+    result = statechart.run("arch", until=0.02)
+    remarks = "[...document.querySelectorAll('#curves text')].map((e) => e.textContent)"
+    with Browser(tmp_path / "browser", width=390) as opened:
+        opened.open(result.report(tmp_path / "page.html"))
+        found = [text for text in opened.value(remarks) if text.startswith("not drawn")]
+    assert found
+    assert all(re.fullmatch(r"not drawn: [\w., ]*\d+ more", text) for text in found)
+
+
 ROD = """\
 kind: scene
 name: a_rod_whose_name_has_as_many_as_42_letters

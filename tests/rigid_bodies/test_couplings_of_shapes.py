@@ -64,6 +64,19 @@ def test_a_clutch_locks_when_the_speeds_are_equal():
     assert final["b.dangle"] == pytest.approx(final["a.dangle"], abs=1e-10)
 
 
+@pytest.mark.parametrize(("loop", "named"), [("[b]", True), ("[a]", True), ("[c]", False)])
+def test_couplings_that_hold_the_same_rotation_are_named(loop, named):
+    result = run(
+        "couplings:\n  brake: {bodies: [a], limit: 1}\n  clutch: {bodies: [a, b], limit: 2}\n"
+        f"  more: {{bodies: {loop}, limit: 2}}",
+        {**WHEELS, "c": "mass: 1, inertia: 0.5, start: {x: 6}"},
+        "a, b, c",
+        stop=0.1,
+    )
+    held = [words for words in result.warnings if "hold the same rotation as 'more'" in words]
+    assert len(held) == named
+
+
 JOINTED = {
     "pendulum": (
         "joints: {pin: {point: {body: b, at: [0, 0.5]}, to: [0, 0]}}\n"

@@ -76,8 +76,8 @@ settings: {engine: impulse, step: 1e-3}
 """
 
 
-# Elastic balls become so fast that what is squeezed is no deeper than a step at that speed: a tenth
-# of a millimetre more or less at the start moves the report between 2.1 and 2.53.
+# Elastic balls become so fast that the squeezed one is no deeper than a step at that speed: 0.1 mm
+# more or less at the start moves the report between 2.1 and 2.53.
 @pytest.mark.parametrize(("e", "latest"), [(0, 2.1), (0.5, 2.1), (1, 2.6)])
 def test_a_squeezed_body_is_reported_at_any_earlier_speed(e, latest):
     """Three balls in a row between a wall and one that leaves them no room from t = 2 on."""
@@ -89,3 +89,32 @@ def test_a_squeezed_body_is_reported_at_any_earlier_speed(e, latest):
     assert 2.0 < time < latest
     # Several contacts share the closing of the walls.
     assert deep <= 0.1 * (time - 2.0)
+
+
+SQUARE = "{polygon: [[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]}"
+PINNED = f"""
+kind: scene
+name: pinned
+gravity: 9.81
+bodies:
+  box: {{mass: 1, inertia: 0.002, shape: {SQUARE}, start: {{y: 0.05}}}}
+  ground: {{fixed: true, shape: {SQUARE}, start: {{y: -0.05}}}}
+  slider: {{position: ["-0.2 + 0.3*time", 0.05], shape: {SQUARE}}}
+collisions:
+  all: {{bodies: [box, ground, slider], friction: 0.6, restitution: 0}}
+joints:
+  link:
+    point: {{body: box, at: [0, 0.02]}}
+    to: {{x: 0.3}}
+    rest: captured
+    enabled: time >= 0.2
+stop: {{time: 0.5}}
+settings: {{engine: impulse}}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-3, 1e-4, 3e-5])
+def test_a_led_body_that_pushes_against_a_joint_is_reported_at_every_step_size(step):
+    # Shorter steps do not help; those of 3e-5 were called too long for the joints.
+    with pytest.raises(UnsolvedImpulses, match=r"no impulses keep box|leave it no room"):
+        Runner(interpret(read_text(PINNED)), step=step).run()

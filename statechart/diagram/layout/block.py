@@ -24,8 +24,8 @@ _POINT = re.compile(r"(-?[\d.]+(?:e[+-]?\d+)?),(-?[\d.]+(?:e[+-]?\d+)?)")
 _ENDS = re.compile(r"[es],\S+")
 # Length of an arrowhead (Graphviz: 10 pt times arrowsize).
 _HEAD = 7.0
-# Samples of a curve, and allowed overlap with a box in points.
-_SAMPLES, _TOUCH = 40, 0.6
+# Distance of samples of a curve, and allowed overlap with a box, in points.
+_STEP, _TOUCH = 5.0, 0.6
 # Initial dot: width, distance, and radius of the corner of a state, in points.
 _DOT, _OFF, _ROUND = 9.4, 13.0, 2.5
 
@@ -184,7 +184,10 @@ def samples(course: str) -> Array:
         for curve in [[(float(x), float(y)) for x, y in _POINT.findall(_ENDS.sub("", piece))]]
         for k in range(0, len(curve) - 3, 3)
     ]
-    t = np.linspace(0.0, 1.0, _SAMPLES)
+    points = np.array(curves)
+    # No curve is faster than thrice its longest control leg.
+    legs = 3 * np.hypot(*np.diff(points, axis=1).T).max()
+    t = np.linspace(0.0, 1.0, 2 + int(legs / _STEP))
     weights = np.stack([(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3], axis=1)
-    places: Array = (weights @ np.array(curves)).reshape(-1, 2)
+    places: Array = (weights @ points).reshape(-1, 2)
     return places

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from statechart.diagram.layout.block import (
     Arrow,
     Attributes,
@@ -18,6 +20,7 @@ from statechart.diagram.layout.block import (
     bounding_block,
     count_overlaps,
     polyline,
+    samples,
 )
 from statechart.diagram.layout.graphviz_program import FONT, lay_out, size_of
 from statechart.diagram.layout.markup import (
@@ -42,26 +45,27 @@ if TYPE_CHECKING:
 _SLIDE = (740.0, 430.0)
 # Rank directions, and spacing in inches.
 _WAYS = [(way, gap) for way in ("TB", "LR") for gap in ("0.25", "0.5")]
+# Side of the titles of frames, which lines may cross, and ranks to an arrow's end at a frame: with
+# two, its label is above the frame, and the arrow leads around no corner.
+_TRIES = (("l", "1"), ("r", "1"), ("l", "2"), ("r", "2"))
+# Depth in points from which an arrow is over a frame, whose corners are rounded.
+_INSIDE = 5.0
 # Regions in a state have no frame.
 _REGION = {"shape": "box", "style": "invis", "label": ""}
 _DIVIDER = {"style": "dashed", "arrowhead": "none", "color": FRAME, "tooltip": " "}
 
 
 def flow(chart: Chart, style: Style, prefix: str) -> LayoutBlock:
-    """Return the layout with the fewest lines through text, and the best fit on a slide."""
+    """Return the layout with the fewest lines through text and frames, and the best fit."""
     drawn = _Flow(chart, style, prefix)
-    found = [drawn.block(way, gap, "l") for way, gap in _WAYS]
-    if all(map(count_overlaps, found)):
-        # Titles of frames on the left may overlap lines.
-        found += [drawn.block(way, gap, "r") for way, gap in _WAYS]
-    return min(found, key=_badness)
-
-
-def _badness(block: LayoutBlock) -> tuple[float, ...]:
-    """Return the cost of a block: lines through text, scale to fit, height."""
-    width, height = block.size
-    shrink = max(width / _SLIDE[0], height / _SLIDE[1], 1.0)
-    return count_overlaps(block), round(4 * shrink), height
+    best: LayoutBlock | None = None
+    for side, ranks in _TRIES:
+        found = [drawn.block(way, gap, side, ranks) for way, gap in _WAYS]
+        best = min([best, *found] if best else found, key=drawn.badness)
+        if drawn.badness(best)[:2] == (0, 0):
+            break
+    assert best is not None
+    return best
 
 
 class _Flow:
@@ -97,7 +101,7 @@ class _Flow:
         """Return the identifier of the title of a frame."""
         return f"{self.prefix}in_{self.names[node.name]}"
 
-    def source(self, way: str, gap: str, side: str) -> str:
+    def source(self, way: str, gap: str, side: str, ranks: str) -> str:
         """Return the chart as DOT; labels and initial dots are nodes."""
         import graphviz
 
@@ -111,12 +115,12 @@ class _Flow:
         )  # fmt: skip
         self._fill(graph, None, side)
         for k, (source, target, _) in self.edges.items():
-            tail, head = self._end(source, "tail"), self._end(target, "head")
+            tail, head = self._end(source, "tail"), self._end(target, "head", ranks)
             if (words := f"{self.prefix}{k}") in self.looks:
                 graph.edge(head_name=words, arrowhead="none", id=f"{k} to", **tail)
                 graph.edge(tail_name=words, id=f"{k} on", **head)
             else:
-                graph.edge(id=f"{k} to", **tail, **head)
+                graph.edge(id=f"{k} to", **(tail | head))
         for name, node in self.starts.items():
             first = {"tail_name": name, "weight": "4", "id": f"{name} to"}
             if (words := f"{name}_of") in self.looks:
@@ -144,19 +148,19 @@ class _Flow:
         for name in self.words.get(inside, []):
             part.node(name, **self.looks[name])
 
-    def _end(self, name: str, end: str) -> dict[str, str]:
-        """Return an end of an edge, clipped at a frame."""
+    def _end(self, name: str, end: str, ranks: str = "1") -> dict[str, str]:
+        """Return an end of an edge, clipped at a frame that is some ranks away."""
         leaf = name
         while inner := self.chart.within(leaf):
             leaf = inner[0].name
         found = {f"{end}_name": self.names[leaf]}
         if leaf != name:
-            found[f"l{end}"] = f"cluster_{self.names[name]}"
+            found |= {f"l{end}": f"cluster_{self.names[name]}", "minlen": ranks}
         return found
 
-    def block(self, way: str, gap: str, side: str) -> LayoutBlock:
-        """Return the chart laid out by dot, with titles of frames on a side (l, r)."""
-        laid = lay_out(self.source(way, gap, side))
+    def block(self, way: str, gap: str, side: str, ranks: str) -> LayoutBlock:
+        """Return the chart laid out by dot; see `_WAYS` and `_TRIES`."""
+        laid = lay_out(self.source(way, gap, side, ranks))
         items = {item["name"].removeprefix("cluster_"): item for item in laid["objects"]}
         frames = sorted(
             (self._frame(node, items) for node in self.chart.frames),
@@ -182,11 +186,31 @@ class _Flow:
             )
             for k, (source, target, look) in ends.items()
         ]
-        places = {box.name: box for box in frames}
+        places = {box.name: box for box in (*frames, *boxes)}
         for node in self.chart.frames:
             if node.parallel:
                 arrows += self._dividers(node, places)
         return bounding_block((*frames, *boxes), arrows)
+
+    def badness(self, block: LayoutBlock) -> tuple[float, ...]:
+        """Return the cost of a block: lines through text, over frames, scale to fit, height."""
+        width, height = block.size
+        shrink = max(width / _SLIDE[0], height / _SLIDE[1], 1.0)
+        return count_overlaps(block), self.crossings(block), round(4 * shrink), height
+
+    def crossings(self, block: LayoutBlock) -> int:
+        """Return the number of arrows over frames that hold neither of their ends."""
+        frames = {box.name: box for box in block.boxes if not box.attributes["label"]}
+        found = 0
+        for (source, target, _), one in zip(self.edges.values(), block.arrows, strict=False):
+            places = samples(one.curve)
+            for node in self.chart.frames:
+                if node.name in self.chart.around(source) + self.chart.around(target):
+                    continue
+                frame = frames[self.names[node.name]]
+                off = np.abs(places - frame.centre) - np.array(frame.size) / 2
+                found += bool((off < -_INSIDE).all(axis=1).any())
+        return found
 
     def _frame(self, node: Node, items: dict[str, Any]) -> Box:
         name = self.names[node.name]
@@ -197,21 +221,22 @@ class _Flow:
         return Box(name, ((x0 + x1) / 2, (y0 + y1) / 2), (x1 - x0, y1 - y0), look)
 
     def _dividers(self, node: Node, places: dict[str, Box]) -> list[Arrow]:
-        """Return the dashed lines between the regions of a state, placed in a row by dot."""
+        """Return the dashed lines between the regions of a state, below its title."""
         frame = places[self.names[node.name]]
         names = (self.names[inner.name] for inner in self.chart.within(node.name))
         regions = [places[name] for name in names if name in places]
         # Regions may differ more in height than in place: the axis with space between them.
         axis = max((0, 1), key=lambda k: min(_gaps(regions, k), default=0.0))
         regions.sort(key=lambda box: box.centre[axis])
-        middle, half = frame.centre[1 - axis], frame.size[1 - axis] / 2
+        low, high = (frame.centre[1 - axis] + k * frame.size[1 - axis] / 2 for k in (-1, 1))
+        if axis == 0:
+            title = places[self.title(node)]
+            high = title.centre[1] - title.size[1] / 2
         found = []
         for one, other in pairwise(regions):
             end = one.centre[axis] + one.size[axis] / 2
             at = (end + other.centre[axis] - other.size[axis] / 2) / 2
-            line = [
-                (at, side) if axis == 0 else (side, at) for side in (middle - half, middle + half)
-            ]
+            line = [(at, side) if axis == 0 else (side, at) for side in (low, high)]
             first, second = (f"{self.prefix}in_{box.name}" for box in (one, other))
             found.append(Arrow(first, second, polyline(line, head=False), _DIVIDER))
         return found
