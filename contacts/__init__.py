@@ -1,7 +1,7 @@
 """Rigid bodies in contact, as statecharts: free, slide, pin.
 
 A `Scene` declares bodies, surfaces and contacts with their modes; `statechart.run` and the other
-functions of `statechart` take it as they take any model. What this page does not name is internal.
+functions of `statechart` take it as they take any model. All other names are internal.
 """
 
 from importlib import import_module

@@ -2,8 +2,8 @@
 
 A model is a YAML file, or its pydantic model (`Chart` here, `Scene` in `contacts`). `run` runs it
 once, `Runner` many times, `sweep` over its parameters; `draw` draws its statechart, `graph` makes a
-networkx graph of it, `check` tests what must hold of its runs, `trade` measures what speed costs in
-accuracy. What this page does not name is internal.
+networkx graph of it, `check` tests invariants of its runs, `trade` measures run time against error.
+All other names are internal.
 """
 
 from importlib import import_module

@@ -104,8 +104,8 @@ def end(counts: bool = True) -> None:
             _report(f"compiled {_now.name} in {now - _now.began:.0f} s; {_ONCE}", last=True)
     elif now - _now.reported_at >= _AFTER:
         _now.reported_at, _now.announced = now, True
-        # What was counted on as compiled may be of no use, since another process compiled what it
-        # calls; the outermost function is still to come.
+        # Cached code may be useless since another process compiled its callees; the outermost
+        # function follows.
         total = max(_now.total, _now.done + 1)
         _report(
             f"compiling {_now.name}: {_now.done} of {pluralise(total, 'function')}, "

@@ -15,13 +15,13 @@
         OutOfBudget           the time allowed for a run was over before its end
         Undecided             a guard could be neither found nor excluded within the search's budget
         Zeno                  jumps accumulate, and nothing declared says what follows
-        StepTooLarge          a fixed time step does not see the model
+        StepTooLarge          a fixed time step is too long for the model
         UnsolvedImpulses      the impulses of a time step could not be found
-        TooLong               the rest of a run takes more steps or memory than there is
-        Unsupported           the model has what the engine lacks
+        TooLong               the rest of a run needs more steps or memory than available
+        Unsupported           the engine does not support a part of the model
 
-`DeclarationProblem` stands outside the tree: it is what a validator of a pydantic model raises to
-point at the field concerned; `statechart.documents.validation.validate` turns it into a
+`DeclarationProblem` stands outside the tree: validators of pydantic models raise it to point at a
+field; `statechart.documents.validation.validate` turns it into a
 `DeclarationError`.
 """
 # ruff: noqa: N818 -- the outcomes of a run are named after what happened, as users read them.

@@ -1,9 +1,9 @@
-"""Signals that end the work: soon, and with what was computed kept.
+"""Signals that end a run early and keep its results.
 
-SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt where they arrive. In the middle of a loop that
-makes a trace that would leave it half-written, and inside compiled code it becomes another error;
-there they are `held` back, and the loop looks for them between its steps by `check`. What compiles
-takes long and has nothing to lose: it lets them through again, by `let_through`.
+SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt where they arrive. Inside a loop that writes a
+trace they would leave it half-written, and inside compiled code they raise another error. Such code
+holds them back (`held`), and the loop calls `check` between its steps. Compilation is long and has
+no result to lose: `let_through` lets signals interrupt it.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from types import FrameType
 _SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
-# Where a signal raises KeyboardInterrupt: everywhere, only where it is let through, nowhere.
+# A signal raises KeyboardInterrupt: everywhere, only inside `let_through`, nowhere.
 _OPEN, _HELD, _FIRM = range(3)
 
 
 class _State:
-    """Signals that arrived, those of them that a check has told of, and what is held back."""
+    """Numbers of signals that arrived and that `check` reported, and which are held back."""
 
     count = reported = 0
     # Whether SIGINT comes to this module already; asking the process for that takes long.

@@ -1,7 +1,7 @@
 """Models as test items: ``pytest --statechart models/`` does what `statechart check` does.
 
-Each YAML file that is a scene or a chart is an item. Where a property does not hold, the simplest
-example found is written beside the file as ``NAME_failure.yaml``, and said.
+Each YAML file that is a scene or a chart is an item. If a property does not hold, the item reports
+the simplest failing example and writes it beside the file as ``NAME_failure.yaml``.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ModelFile | None:
-    """Collect a model where that is asked for."""
+    """Collect a model file, with the option ``--statechart``."""
     if not parent.config.getoption("--statechart") or file_path.suffix not in _SUFFIXES:
         return None
     if file_path.stem.endswith(_FAILURE) or not _is_model(file_path):

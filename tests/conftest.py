@@ -1,10 +1,10 @@
 """Profiles of Hypothesis: the same few examples every time, or many new ones.
 
-The suite runs the first, so that what it says does not depend on luck; the second is for developers
+The suite runs the first, for reproducible results; the second is for developers
 (``pytest --hypothesis-profile=explore``).
 
-What is collected stays to the end: Python need not look through it for garbage, which takes a
-fifth of the collection, and half of what it takes later.
+Collected tests live to the end, so they are excluded from garbage collection, which would take a
+fifth of the collection time.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from statechart.cli.main import main
 
 FOLDER = Path(__file__).parent / "recorded"
 ENGINES = {"taylor": (), "scipy": (), "impulse": ("--step", "1e-3")}
-# Number of events of a run that are recorded completely; of the others time and name.
+# Number of events that are recorded completely, and with time and name only.
 _WHOLE, _MANY = 6, 60
 _LINES = 200
 _UNTOLD = ("timings", "counts")

@@ -27,7 +27,7 @@ stop: {time: 50}
 outputs: {t_kick: {value: time, at: first kick}}
 """
 
-# A ball among four discs that overlap: every hit spreads what was close together.
+# A ball among four discs that overlap: every impact amplifies small differences.
 CHAOTIC = """\
 kind: scene
 name: billiard
@@ -61,7 +61,7 @@ def ticking() -> Callable[[], float]:
 
 
 def cold(setting: Setting) -> float:
-    """Return what the first run of a process takes, without one."""
+    """Return a fixed time for the first run of a process, without running one."""
     return 0.25
 
 

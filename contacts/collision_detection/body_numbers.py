@@ -8,6 +8,7 @@ import numpy as np
 
 from contacts.collision_detection.surfaces import SurfaceNumbers
 from statechart.arrays import Array, Bools, Ints, Ints32
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_table
 
 WARM_START_COLUMNS = 10
@@ -185,6 +186,20 @@ class BodyNumbers(NamedTuple):
     def padded(self) -> int:
         """1 if contacts may have pads (see `contacts.rigid_bodies.island_step`), else 0."""
         return int(self.materials[:, STIFFNESS:].any() or len(self.couplings.holds) > 0)
+
+
+@kernel
+def split_key(numbers: BodyNumbers, key: int) -> tuple[int, int]:
+    """Return the two pieces of a contact by its key; surfaces are counted behind the pieces."""
+    others = len(numbers.pieces.sizes) + len(numbers.surfaces.kinds)
+    return key // others, key % others
+
+
+@kernel
+def first_joint_key(numbers: BodyNumbers) -> int:
+    """Return the key of the first joint, above those of all contacts; couplings follow joints."""
+    pieces = len(numbers.pieces.sizes)
+    return pieces * (pieces + len(numbers.surfaces.kinds))
 
 
 class WarmStart(NamedTuple):

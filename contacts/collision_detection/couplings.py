@@ -7,7 +7,13 @@ impulse of the static limit: the friction law of coefficient 1 then bounds the c
 from __future__ import annotations
 
 from contacts.collision_detection.active_contacts import ActiveContacts, restore_impulses, velocity
-from contacts.collision_detection.body_numbers import ALONG_X, TURN, BodyNumbers, WarmStart
+from contacts.collision_detection.body_numbers import (
+    ALONG_X,
+    TURN,
+    BodyNumbers,
+    WarmStart,
+    first_joint_key,
+)
 from contacts.collision_detection.midpoint import LimitProgram, Midpoint
 from contacts.collision_detection.surfaces import to_world
 from statechart.arrays import Array
@@ -36,7 +42,7 @@ def read_limits(numbers: BodyNumbers, program: LimitProgram, values: Array, limi
 
 
 @kernel
-def turn_response(numbers: BodyNumbers, mid: Midpoint, b: int, row: Array) -> float:
+def _response(numbers: BodyNumbers, mid: Midpoint, b: int, row: Array) -> float:
     """Return the velocity along a row (3,) that a unit impulse along it gives to body b."""
     free, response = len(numbers.inverse) - numbers.links.bodies, 0.0
     if b < free:
@@ -76,7 +82,7 @@ def _slip_row(
             # The point's acceleration towards the centre.
             active.bias[m, 1] = -0.5 * h * mid.old_rates[b, 2] ** 2 * (rx * ux + ry * uy)
         if active.bodies[m, side] >= 0:
-            response += turn_response(numbers, mid, b, rows[at : at + 3])
+            response += _response(numbers, mid, b, rows[at : at + 3])
         else:
             # A led body turns as prescribed.
             active.before[m, 1] += sign * mid.old_rates[b, 2]
@@ -96,8 +102,7 @@ def add_couplings(
 
     `limits` (c, 4) are those at its midpoint; see `STATIC`.
     """
-    pieces, at_old, m = len(numbers.pieces.sizes), 0, count
-    first = pieces * (pieces + len(numbers.surfaces.kinds)) + len(numbers.joints.kinds)
+    first, at_old, m = first_joint_key(numbers) + len(numbers.joints.kinds), 0, count
     for c in range(len(limits)):
         on, static = limits[c, ENABLED] > 0.0, limits[c, STATIC]
         for d in range(2):

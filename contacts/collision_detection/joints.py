@@ -23,6 +23,7 @@ from contacts.collision_detection.body_numbers import (
     BodyNumbers,
     JointNumbers,
     WarmStart,
+    first_joint_key,
 )
 from contacts.collision_detection.midpoint import Midpoint
 from contacts.collision_detection.surfaces import to_world
@@ -253,8 +254,7 @@ def add_joints(
     `places` (3, j, 2): world anchors at the previous midpoint, this one and the next; the other
     parameters are those of `contacts.collision_detection.find_contacts`.
     """
-    joints, pieces = numbers.joints, len(numbers.pieces.sizes)
-    first, at_old, m = pieces * (pieces + len(numbers.surfaces.kinds)), 0, count
+    joints, first, at_old, m = numbers.joints, first_joint_key(numbers), 0, count
     past, fall = warm.last_step[0], math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     for j in range(len(joints.kinds)):
         b = joints.bodies[j, 0]

@@ -36,7 +36,6 @@ from contacts.dynamics.gates import (
 )
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.snapshot import PerContact, Snapshot
-from contacts.scene.parts import Contact
 from contacts.states import INACTIVE
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.laws import roles_in
@@ -85,10 +84,8 @@ class Conditions:
         self.present = bool(self._conditions)
         # Index of the first contact of the same point, per contact.
         touching = [mechanics.scene.contacts.get(name) for name in contacts]
-        self.points = tuple(
-            next(k for k, other in enumerate(touching) if k == place or _alike(other, condition))
-            for place, condition in enumerate(touching)
-        )
+        points = [None if c is None else (c.point, c.radius) for c in touching]
+        self.points = tuple(k if p is None else points.index(p) for k, p in enumerate(points))
         # Names of the margins that fall as atoms cease to hold, as they begin to hold, and as the
         # gap of a contact opens that is off ("" without a gate).
         self.names = tuple(condition.atom.name for condition in self._conditions)
@@ -323,14 +320,6 @@ class ConditionsAt:
         return of._derivatives.sign(
             inner, roles, margin, full_state, sizes, self._time, setup.precision
         )
-
-
-def _alike(first: Contact | None, second: Contact | None) -> bool:
-    return (
-        first is not None
-        and second is not None
-        and (first.point, first.radius) == (second.point, second.radius)
-    )
 
 
 def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:

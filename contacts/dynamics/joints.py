@@ -97,7 +97,7 @@ class Motions:
 
     basis: Array  # (n, k): Null space of the joint rows
     left_inverse: Array  # (k, n): ``left_inverse @ basis`` is the identity
-    # `velocity`, `acceleration`: (n,): Particular solutions: of driven points, and centripetal
+    # `velocity`, `acceleration`: (n,): Particular solutions, of driven points and centripetal
     velocity: Array
     acceleration: Array
 
@@ -144,12 +144,12 @@ def motions(numbers: JointNumbers, velocity: Array, groups: Sequence[JointGroup]
 def redundant_rows(jacobian: Array, redundant: Bools) -> Bools:
     """Return which rows (m, n) the others imply: `redundant`, or as many where these decay.
 
-    The rows that are kept may become dependent while the mechanism moves and others would not: of
-    three parallel cranks, the two whose pivots are in line with them. They decay where the smallest
-    singular value of the unit rows kept falls below `DECAYED` of that of all rows.
+    Rows that were independent may become dependent as the mechanism moves while other rows stay
+    independent, such as two of three parallel cranks in line with their pivots. The selection
+    decays where its smallest singular value falls below `DECAYED` of that of all rows.
     """
     count = int(np.count_nonzero(~redundant))
-    # Scales of columns would enlarge what is round-off in all rows, as of cos(pi/2).
+    # Scaling of columns would enlarge entries that are round-off in all rows, such as cos(pi/2).
     noise = CANCELLING * np.abs(jacobian).max(axis=1, keepdims=True, initial=0.0)
     jacobian = np.where(np.abs(jacobian) > noise, jacobian, 0.0)
     scaled = jacobian * column_scales(jacobian)

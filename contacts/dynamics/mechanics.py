@@ -7,7 +7,7 @@ simplified.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partialmethod
 from typing import NamedTuple
 
 import sympy as sp
@@ -86,7 +86,7 @@ class Mechanics(Geometry):
             name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
             for i, name in enumerate(scene.contacts)
         }
-        # Couples M of couplings, whose limits take the role of normal forces.
+        # Moments M of couplings; their limits take the role of normal forces.
         self.couples = {
             name: sp.Symbol(f"M{i}", real=True) for i, name in enumerate(scene.couplings)
         }
@@ -167,15 +167,7 @@ class Mechanics(Geometry):
             definitions=definitions,
         )
 
-    def whole_tape(
-        self,
-        outputs: Sequence[sp.Expr],
-        *,
-        unknowns: Sequence[sp.Symbol] = (),
-        definitions: Sequence[Definition] = (),
-    ) -> Tape:
-        """Compile as `tape` does, for the whole state."""
-        return self.tape(outputs, unknowns=unknowns, definitions=definitions, whole=True)
+    whole_tape = partialmethod(tape, whole=True)
 
     @cached_property
     def mass_matrix(self) -> sp.Matrix:

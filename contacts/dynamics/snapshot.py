@@ -52,8 +52,8 @@ class PerContact(NamedTuple):
     bias_n: float
     bias_t: float
     jacobian: Array  # (2, n): Rows: normal, tangential
-    # Unit edges (n, t) of the friction cone in slide+ and slide-, at the size of the slip; None: as
-    # at rest
+    # Unit edges (n, t) of the friction cone in slide+ and slide- at the present slip; None: the
+    # edges at rest
     edges: tuple[float, float, float, float] | None = None
 
 
@@ -75,7 +75,7 @@ class Snapshot(NamedTuple):
     # (k, 2): Static and kinetic limits of the couplings, which are the last of the contacts
     limits: Array = np.empty((0, 2))
     pads: int = 0  # Coordinates that are pads of compliant contacts, the last ones
-    # (c, n): Generalised normal forces of compliant contacts; `forces` has those whose gap is 0
+    # (c, n): Generalised normal forces of compliant contacts; `forces` includes those with gap 0
     pushes: Array | None = None
     signs: SignNumbers | None = None  # None where no sign is dry friction
 

@@ -114,7 +114,9 @@ def close_immediately(
     roles = choice.taken.roles
     # If all contacts open (a bar that rattles over a crest), there is no time to wait.
     wait = None if roles == roles_in(flow.mode) else remaining
-    following = flow_in(setup, flow.mode, roles, wait, warning, notes=choice.notes)
+    following = flow_in(
+        setup, flow.mode, roles, wait, warning, notes=choice.notes, tolerances=choice.tolerances
+    )
     energy = None if jump.energy is None else (jump.energy[0], snapshot.energy)
     return replace(jump, after=after, energy=energy, skipped=remaining), following
 

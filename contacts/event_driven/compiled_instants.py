@@ -10,7 +10,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.gates import (
@@ -26,10 +25,15 @@ from contacts.dynamics.gates import (
 from contacts.dynamics.snapshot import SCALARS
 from contacts.impacts.impact import ENDED, MEANINGS, RAISES, solve_impact
 from contacts.impacts.impulses import strike_group
-from contacts.modes.compiled_classification import ModeRules, classify, write_edges
+from contacts.modes.compiled_classification import (
+    InstantConstants,
+    classify,
+    violates_constraints,
+    write_edges,
+)
 from contacts.scene.parts import MOREAU
 from contacts.states import FREE, OFF_CODE, PIN
-from statechart.arrays import Array, Bools, Ints
+from statechart.arrays import Array, Ints
 from statechart.automaton.trace_store import EVENTS, JUMP_OBJECT, TraceBuffer
 from statechart.engines.compiled_flow import (
     ADDRESS,
@@ -57,36 +61,6 @@ _PER_CAUSE = len(CAUSES)
 GOES_ON = -1
 
 
-class InstantConstants(NamedTuple):
-    """Constants of a run for compiled instants (see `contacts.modes.classification.classify`)."""
-
-    # (9,): tapes of the snapshot, and of the margins of contacts' conditions.
-    numbers: NDArray[np.int64]
-    conditions: NDArray[np.int64]
-    # (m, 3): trees of the contacts' conditions; see `contacts.dynamics.gates.gate_trees`.
-    nodes: Ints
-    # (2 k + c,): indices in `FlowInputs.bands` of the margins that fall as conditions cease to
-    # hold, as they begin to hold, and as gaps of contacts that are off open; -1 for none.
-    slots: Ints
-    sizes: Array  # (n + 1,): of the state, and of time.
-    relative: float  # Round-off of margins, relative to their terms.
-    allowed: Bools  # shape (c, 5)
-    cones: Array  # (c, 2): unit edges of friction cones at rest.
-    restitution: Array  # shape (c,)
-    meanings: Ints  # (c,): kind of restitution; -1 for impacts that are not computed along a path.
-    offsets: Ints  # (c,): indices of the gaps' offsets among the parameters.
-    gap_drift: float
-    speed_drift: float
-    gap: float
-    speed: float
-    tie: float
-    force_uncertainty: float
-    force: float
-    acceleration: float
-    short: float
-    capture: float  # Rebounds slower than this may be summed with those that follow.
-
-
 class RunState(NamedTuple):
     """State of a run in the loop, which brings it up to date."""
 
@@ -95,15 +69,6 @@ class RunState(NamedTuple):
     state: Array  # shape (n,)
     series: Array  # (7 c, ..): of jumps (see `statechart.kernels.accumulation`).
     states: Ints  # (c,): state of every contact.
-
-
-@kernel
-def rules_of(scene: InstantConstants) -> ModeRules:
-    """Return the constants of the classification of modes."""
-    return ModeRules(
-        scene.allowed, scene.cones, scene.gap_drift, scene.speed_drift, scene.gap, scene.speed,
-        scene.tie, scene.force_uncertainty, scene.force, scene.acceleration,
-    )  # fmt: skip
 
 
 @kernel
@@ -119,9 +84,8 @@ def _closed(
         if states[c] == OFF_CODE:
             continue
         place = scalars + SCALARS * c
-        gap, rate, slip = numbers[place], numbers[place + 1], numbers[place + 2]
-        violated = abs(gap) > scene.gap_drift or abs(rate) > scene.speed_drift
-        if states[c] != FREE and (violated or (states[c] == PIN and abs(slip) > scene.speed_drift)):
+        gap, rate = numbers[place], numbers[place + 1]
+        if violates_constraints(scene, numbers, place, states[c]):
             return count, -1
         if not gap >= -scene.gap or not scene.allowed[c, FREE]:
             return count, -1
@@ -200,16 +164,14 @@ def solve_impact_instant(
     if count == 1:
         path = _single_impact(scene, mass, numbers, jacobians_at, scalars_at, c, after[n:], impulse)
     else:
-        path = strike_group(
-            rules_of(scene), numbers, scene.restitution, group[:count], after[n:], impulse
-        )
+        path = strike_group(scene, numbers, group[:count], after[n:], impulse)
         for k in range(count):
             bits |= 1 << group[k]
     if path == 0:
         return -1, 0, 0
     energy = numbers[jacobians_at - 1]
     evaluate(program, scene.numbers, after, watch.parameters, run.clock[runs.T_HIGH], numbers)
-    lowest, resting, slow_rebound = np.full(contacts, -scene.gap), False, False
+    resting, slow_rebound = False, False
     for k in range(count):
         rate, e = numbers[scalars + SCALARS * group[k] + 1], scene.restitution[group[k]]
         if rate < -scene.speed:
@@ -224,7 +186,7 @@ def solve_impact_instant(
         target[i] = OFF_CODE if source[i] == OFF_CODE else FREE
     if resting:
         flying = target.copy()
-        if not classify(rules_of(scene), numbers, n, False, flying, lowest, target):
+        if not classify(scene, numbers, n, False, flying, -scene.gap, target):
             return -1, 0, 0
     copy_numbers(after, state)
     return c, path, bits
@@ -379,7 +341,7 @@ def jump_instant(
     contacts, n = source.shape[0], state.shape[0] // 2
     high, mode = clock[runs.T_HIGH], place[runs.N_MODE]
     numbers, target = np.empty(scene.numbers[5]), np.empty(contacts, np.int64)
-    impulse, lowest, before = np.zeros((contacts, 2)), np.empty(contacts), state.copy()
+    impulse, before = np.zeros((contacts, 2)), state.copy()
     evaluate(program, scene.numbers, state, watch.parameters, high, numbers)
     energy_at = n * n + n
     energy, struck, path, group = numbers[energy_at], -1, 0, 0
@@ -402,10 +364,7 @@ def jump_instant(
                 return runs.FELL, margin, 0.0
     switches = unambiguous
     if not unambiguous:
-        for c in range(contacts):
-            lasting = source[c] != FREE and source[c] != OFF_CODE
-            lowest[c] = -scene.gap_drift if lasting else 0.0
-        unambiguous = classify(rules_of(scene), numbers, n, True, source, lowest, target)
+        unambiguous = classify(scene, numbers, n, True, source, 0.0, target)
     if not unambiguous:
         if margin >= 0 and program.ints[program.modes[mode, MARGINS_AT] + 2 * margin] == SPEED:
             # Python decides whether the slip has ended within the resolution of time.

@@ -101,7 +101,7 @@ class _Struck(NamedTuple):
 
 
 class _Entered(NamedTuple):
-    """Mode after an impact: as shown, its roles, and its explanation."""
+    """Mode after an impact, its roles and its explanation."""
 
     target: Key
     roles: Roles
@@ -110,6 +110,7 @@ class _Entered(NamedTuple):
     considered: Mapping[str, str] = MappingProxyType({})
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    tolerances: Mapping[str, float] = MappingProxyType({})
     near_bound: bool = False
 
 
@@ -121,11 +122,13 @@ def flow_in(
     warning: str = "",
     settled: bool = True,
     notes: tuple[str, ...] = (),
+    tolerances: Mapping[str, float] = MappingProxyType({}),
 ) -> Flow:
     """Return the flow in a mode; `bounce_time` is the duration of the bounces summed before it."""
     remaining = math.inf if bounce_time is None else bounce_time
     moving = roles_in(mode) if roles is None else shown_roles(mode, roles)
-    return Flow(mode, moving, remaining, warning, settled, notes, tolerances=setup.bands)
+    bands = {**setup.bands, **tolerances} if tolerances else setup.bands
+    return Flow(mode, moving, remaining, warning, settled, notes, tolerances=bands)
 
 
 def shown_roles(mode: Key, roles: Roles) -> Roles:
@@ -195,8 +198,9 @@ def impact_jump(
     warnings = ("" if jam is None else str(jam), struck.result.warning, *entered.warnings)
     warning = "; ".join(filter(None, warnings))
     flow = flow_in(
-        setup, target, entered.roles, bounce_time, warning, entered.settled, entered.notes
-    )
+        setup, target, entered.roles, bounce_time, warning, entered.settled, entered.notes,
+        entered.tolerances,
+    )  # fmt: skip
     flow = flow._replace(near_bound=entered.near_bound)
     # After a long flight the round-off of a gap can exceed its tolerance: it opens from there.
     penetrating = {
@@ -278,8 +282,9 @@ def _choose_entered(
     )
     if isinstance(choice, Jam):
         return _Entered(target, roles, state, settled=False)
-    explanation = choice.considered, (choice.warning,), choice.notes, choice.near_bound
-    return _Entered(target, roles, state, settled, *explanation)
+    return _Entered(
+        target, roles, state, settled, choice.considered, (choice.warning,), *choice[3:]
+    )
 
 
 def apply_rolling_resistance(

@@ -185,7 +185,10 @@ class SceneLaws:
         )
         starts = listed_mode(taken.states, setup.contacts, snapshot.contacts, 2.0 * slow)
         warning = "; ".join(filter(None, (above, choice.warning)))
-        return flow_in(setup, starts, taken.roles, None, warning, settled, choice.notes), state
+        flow = flow_in(
+            setup, starts, taken.roles, None, warning, settled, choice.notes, choice.tolerances
+        )
+        return flow, state
 
     def _hovering(self, setup: SceneSetup, state: Array, mode: Key) -> str:
         """Return warnings about contacts that start just off their surfaces."""
@@ -369,7 +372,10 @@ class SceneLaws:
         if target == moving and not (skipping and fired == ("zeno",)):
             goes_on = shown_roles(flow.mode, choice.taken.roles)
             if goes_on != flow.roles:
+                # Zones that change may leave or come to the boundary of a cone.
+                own = {n: t for n, t in flow.tolerances.items() if not self._of_forces((n,))}
                 flow = flow._replace(warning=choice.warning, notes=choice.notes)
+                flow = flow._replace(tolerances={**own, **choice.tolerances})
                 return None, flow._replace(roles=goes_on, settled=True)
             if not fired or flow.settled:
                 return None
@@ -392,7 +398,9 @@ class SceneLaws:
             energy=(snapshot.energy, snapshot_after.energy),
         )
         roles, warning, notes = choice.taken.roles, choice.warning, choice.notes
-        following = flow_in(setup, target, roles, warning=warning, notes=notes)
+        following = flow_in(
+            setup, target, roles, warning=warning, notes=notes, tolerances=choice.tolerances
+        )
         return jump, following._replace(near_bound=choice.near_bound)
 
     def _of_forces(self, fired: tuple[str, ...]) -> bool:
@@ -410,7 +418,7 @@ class SceneLaws:
         """
         if flow.sizes is None:
             return moving
-        # Of the rates of coordinates, which pads of compliant contacts follow.
+        # Round-off of the rates of coordinates; rates of pads of compliant contacts come after.
         rounding = EPS * flow.sizes[len(flow.sizes) // 2 :]
         n = len(rounding)
         return tuple(
@@ -489,7 +497,7 @@ class SceneLaws:
         return scene_feasibility(regions, setup, self.snapshot(setup, state, time), failing)
 
     def _struck(self, hitting: list[int], jam: Jam | None = None) -> tuple[str, str]:
-        """Return region and cause of an impact; which gap fell first is round-off."""
+        """Return region and cause of an impact; round-off decides between simultaneous ones."""
         return self._names[hitting[0]], "touchdown" if jam is None else "jam"
 
     def _impact(

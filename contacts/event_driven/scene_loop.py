@@ -33,17 +33,15 @@ from contacts.dynamics.starting import starts_hovering
 from contacts.event_driven.compiled_instants import (
     CAUSES,
     GOES_ON,
-    InstantConstants,
     RunState,
     conditions,
     hold_conditions,
     jump_instant,
     mode_row,
     restitution_meaning,
-    rules_of,
     switch_contacts,
 )
-from contacts.modes.compiled_classification import allowed, classify
+from contacts.modes.compiled_classification import InstantConstants, allowed, classify
 from contacts.states import CODES, FREE, OFF, OFF_CODE, PIN, superstates_of
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.laws import Setup
@@ -163,7 +161,7 @@ def _first_mode(
     contacts = states.shape[0]
     numbers = np.empty(instants.numbers[5])
     evaluate(program, instants.numbers, state, watch.parameters, 0.0, numbers)
-    states_at_rest, lowest, n = np.full(contacts, FREE), np.zeros(contacts), state.shape[0] // 2
+    states_at_rest, n = np.full(contacts, FREE), state.shape[0] // 2
     scalars = n * n + n + 1 + (2 * n + 2) * contacts
     if instants.nodes.shape[0] > 0:
         values = conditions(program, watch, instants, state, 0.0)
@@ -174,7 +172,7 @@ def _first_mode(
             == -2
         ):
             return -1
-    if not classify(rules_of(instants), numbers, n, False, states_at_rest, lowest, states):
+    if not classify(instants, numbers, n, False, states_at_rest, 0.0, states):
         return -1
     for c in range(contacts):
         gap, rate = numbers[scalars + SCALARS * c], numbers[scalars + SCALARS * c + 1]

@@ -19,11 +19,17 @@ import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.snapshot import SCALARS, Snapshot
-from contacts.modes.compiled_classification import ModeRules, write_edges
+from contacts.modes.compiled_classification import InstantConstants, write_edges
 from contacts.solvers.contact_rows import STEEPEST
 from contacts.solvers.dependence import independent_rows
 from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
-from contacts.solvers.mode_solver import ModeEquations, ModeSolutions, choose_edges, solve_modes
+from contacts.solvers.mode_solver import (
+    ModeEquations,
+    ModeSolutions,
+    choose_edges,
+    list_combinations,
+    solve_modes,
+)
 from contacts.solvers.redundancy import connected_components, mode_columns, smallest_impulses
 from contacts.solvers.saddle_point import SOLVED
 from contacts.solvers.step_impulses import project_into_cone
@@ -269,18 +275,15 @@ def hold_at_rest(start: Array, cones: Array) -> None:
 
 @kernel
 def strike_group(
-    rules: ModeRules, numbers: Array, restitution: Array, group: Ints, velocity: Array,
-    impulse: Array,
-) -> int:  # fmt: skip
+    scene: InstantConstants, numbers: Array, group: Ints, velocity: Array, impulse: Array
+) -> int:
     """Compute the plastic impact of a coupled group of contacts.
 
     Parameters
     ----------
-    rules : ModeRules
-        Of all contacts.
+    scene : InstantConstants
     numbers : (o,) array
         Snapshot of the scene (`contacts.dynamics.snapshot.SnapshotTape`).
-    restitution : (c,) array
     group : (g,) array of int64
         The closed contacts.
     velocity : (n,) array
@@ -293,7 +296,7 @@ def strike_group(
     int
         Modes in digits of base 8 above 1, the first contact the lowest; 0 in an ambiguous case.
     """
-    n, count, contacts = velocity.shape[0], group.shape[0], rules.allowed.shape[0]
+    n, count, contacts = velocity.shape[0], group.shape[0], scene.allowed.shape[0]
     if count > _MAX_ENUMERATED:
         return 0
     mass = numbers[: n * n].reshape((n, n))
@@ -301,13 +304,13 @@ def strike_group(
     scalars = at + (2 * n + 2) * contacts
     jacobians, start, cones = np.empty((count, 2, n)), np.empty((count, 2)), np.empty((count, 6))
     edges = np.empty((contacts, 6))
-    write_edges(rules.cones, numbers, scalars, edges)
+    write_edges(scene.cones, numbers, scalars, edges)
     modes, counts = np.empty((count, 5), np.int64), np.empty(count, np.int64)
     total, linked = 1, mass != 0.0
     for g in range(count):
         c = group[g]
-        counts[g] = _list_modes(rules.allowed[c], rules.cones[c], modes[g])
-        if restitution[c] != 0.0 or counts[g] > 4:
+        counts[g] = _list_modes(scene.allowed[c], scene.cones[c], modes[g])
+        if scene.restitution[c] != 0.0 or counts[g] > 4:
             return 0
         total *= counts[g]
         jacobians[g] = numbers[at + 2 * n * c : at + 2 * n * (c + 1)].reshape((2, n))
@@ -324,12 +327,7 @@ def strike_group(
         # All coordinates must be coupled by the contacts.
         if labels[i] != labels[0]:
             return 0
-    codes = np.empty((total, count), np.int64)
-    for k in range(total):
-        remainder = k
-        for g in range(count):
-            codes[k, g] = modes[g, remainder % counts[g]]
-            remainder //= counts[g]
+    codes = list_combinations(modes, counts, total)
     changes, forces = np.empty((total, n)), np.empty((total, count, 2))
     violations, boundary_distance = np.empty(total), np.empty(total)
     hold_at_rest(start, cones)

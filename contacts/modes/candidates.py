@@ -82,7 +82,7 @@ class Case(NamedTuple):
 
     snapshot: Snapshot
     laws: Sequence[ContactLaw]  # One per contact
-    # `closed`, `at_rest`: Masks of contacts whose gap is closed, and whose slip is zero
+    # `closed`, `at_rest`: Masks of contacts with closed gap and with zero slip
     closed: Sequence[bool]
     at_rest: Sequence[bool]
     scales: Scales  # For judging inequalities
@@ -134,8 +134,8 @@ def candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     """Solve every combination of `options` (states per contact).
 
     If constraints are dependent, a combination is consistent if some forces in the cones explain
-    its motion; of the combinations with the same motion only the one with most closed, then most
-    pinned contacts is kept.
+    its motion. Among combinations with the same motion the one with most closed, then most pinned
+    contacts is returned.
     """
     return _solved_combinations(
         case, *_combinations(tuple(options), resistance_pairs(tuple(case.laws)))

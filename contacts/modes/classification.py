@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -33,9 +34,10 @@ from contacts.modes.candidates import (
     resistance_pairs,
     same_motion,
 )
-from contacts.modes.load_sharing import Share, bearing_contacts, prestressed_contacts, rank
+from contacts.modes.load_sharing import bearing_contacts, prestressed_contacts, rank
 from contacts.modes.signs_at_rest import laws_of, signs_at_rest, with_signs
-from contacts.scene.modes import OWN
+from contacts.scene.couplings import LIMIT_MARGINS
+from contacts.scene.modes import FORCE_MARGINS, OWN
 from contacts.solvers.mode_solver import (
     choose_edges,
     judge_forces,
@@ -151,6 +153,9 @@ _NEGLIGIBLE_TIE = 0.1
 _CONTINUES = 1e-3
 # Rows of a normal reduced by the joints below this part are round-off.
 _IMPLIED = 1e-10
+# Tolerance of a force that starts on the boundary of its cone, relative: its margin may stay zero,
+# and interval arithmetic cannot prove that.
+_BOUNDARY = 1e-9
 # Rejected modes listed in a message.
 _MAX_LISTED = 6
 _UNCHECKED = (
@@ -209,6 +214,8 @@ class Choice(NamedTuple):
     considered: Mapping[str, str]  # Mode -> why it was taken or not
     warning: str = ""  # "" or a sentence, such as for an indeterminate contact
     notes: tuple[str, ...] = ()  # Remarks on the mode, given once per run
+    # Margins of forces on the boundary of their cones -> their tolerance in the flow
+    tolerances: Mapping[str, float] = MappingProxyType({})
     near_bound: bool = False  # Forces may violate their bounds within the error of the run
 
 
@@ -301,7 +308,8 @@ def choose(
         warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken.states)} taken"
     notes: tuple[str, ...] = (_UNCHECKED,) if by_pivoting else ()
     if taken.share is not None:
-        notes += _indeterminate(laws, taken.share)
+        zones = zip(laws, taken.share.zones, strict=True)
+        notes += (undetermined_warning([law.name for law, zone in zones if zone != OWN]),)
     notes += _note_held_contacts(snapshot, laws, closed, taken.states)
     if uncertainty is not None and uncertain is not None:
         notes += tuple(
@@ -311,9 +319,14 @@ def choose(
             if _comes_to_rest(state, was)
         )
     considered = LazyMapping(partial(_verdicts, case, tried, taken))
+    tolerances = {}
+    for k in () if taken.share is None else taken.share.bounded:
+        upper, lower = LIMIT_MARGINS if laws[k].coupling else FORCE_MARGINS[1:]
+        margin = upper if taken.forces[k, 1] > 0.0 else lower
+        tolerances[f"{laws[k].name}.{margin}"] = _BOUNDARY * scales.force
     if snapshot.signs is not None:
         taken = taken.of_contacts(count, [snapshot.signs.frictions[k] for k in resting])
-    return Choice(taken, considered, warning, notes, uncertain is not None)
+    return Choice(taken, considered, warning, notes, tolerances, uncertain is not None)
 
 
 def _continuing_candidates(
@@ -493,11 +506,6 @@ def _opens_more(taken: Candidate, other: Candidate, closed: Sequence[bool]) -> b
         or (state in SLIPPING and other_state == "locked")
         for state, other_state, is_closed in pairs
     )
-
-
-def _indeterminate(laws: Sequence[ContactLaw], shared: Share) -> tuple[str, ...]:
-    names = [law.name for law, zone in zip(laws, shared.zones, strict=True) if zone != OWN]
-    return (undetermined_warning(names),)
 
 
 def _note_held_contacts(

@@ -10,11 +10,13 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contacts.dynamics.snapshot import EDGES, SCALARS
 from contacts.solvers.mode_solver import (
     ModeEquations,
     ModeSolutions,
+    list_combinations,
     solve_modes,
 )
 from contacts.states import (
@@ -31,11 +33,24 @@ from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel
 
 
-class ModeRules(NamedTuple):
-    """Constants of the classification of contacts."""
+class InstantConstants(NamedTuple):
+    """Constants of a run for the compiled instants of its contacts."""
 
+    # (9,): Tapes of the snapshot, and of the margins of contacts' conditions
+    numbers: NDArray[np.int64]
+    conditions: NDArray[np.int64]
+    # (m, 3): Trees of the contacts' conditions; see `contacts.dynamics.gates.gate_trees`
+    nodes: Ints
+    # (2 k + c,): Indices in `FlowInputs.bands` of the margins that fall as conditions cease to
+    # hold, as they begin to hold, and as gaps of contacts that are off open; -1 for none
+    slots: Ints
+    sizes: Array  # (n + 1,): Of the state, and of time
+    relative: float  # Round-off of margins, relative to their terms
     allowed: Bools  # (c, 5): Mask of the state codes that a contact may take
-    cones: Array  # (c, 2): cone_n, cone_t at rest
+    cones: Array  # (c, 2): Unit edges of friction cones at rest
+    restitution: Array  # (c,)
+    meanings: Ints  # (c,): Kind of restitution; -1 for impacts that are not computed along a path
+    offsets: Ints  # (c,): Indices of the gaps' offsets among the parameters
     # `gap_drift`, `speed_drift`: Errors of a closed contact's gap and velocities that need no
     # projection; `gap`, `speed`: Tolerances
     gap_drift: float
@@ -48,6 +63,8 @@ class ModeRules(NamedTuple):
     # `force`, `acceleration`: The scales
     force: float
     acceleration: float
+    short: float  # Longest flight that may belong to an accumulation of impacts
+    capture: float  # Rebounds slower than this may be summed with those that follow
 
 
 @lru_cache(maxsize=1024)
@@ -96,34 +113,36 @@ def write_edges(cones: Array, numbers: Array, scalars: int, edges: Array) -> Non
 
 
 @kernel
+def violates_constraints(scene: InstantConstants, numbers: Array, place: int, state: int) -> bool:
+    """Return whether a contact, whose scalars begin at `place`, has left its constraints."""
+    if state in (FREE, OFF_CODE):
+        return False
+    drifted = abs(numbers[place]) > scene.gap_drift or abs(numbers[place + 1]) > scene.speed_drift
+    return drifted or (state == PIN and abs(numbers[place + 2]) > scene.speed_drift)
+
+
+@kernel
 def classify(
-    rules: ModeRules,
-    numbers: Array,
-    n: int,
-    after_flow: bool,
-    states_before: Ints,
-    lowest: Array,
-    states: Ints,
-) -> bool:
+    scene: InstantConstants, numbers: Array, n: int, after_flow: bool, states_before: Ints,
+    lowest: float, states: Ints,
+) -> bool:  # fmt: skip
     """Classify every contact; False if the mode is ambiguous.
 
     Parameters
     ----------
-    rules : ModeRules
+    scene : InstantConstants
     numbers : (o,) array
         Snapshot of the scene.
     n : int
         Number of coordinates.
     after_flow, states_before
         Whether a flow ends here, and the states (c,) of the contacts; those that are off stay off.
-    lowest : (c,) array
-        Lower bounds of the gaps.
+    lowest : float
+        Lower bound of the gaps of contacts that are free.
     states : (c,) array
         Filled with the state of every contact.
     """
-    allowed, gap_drift, speed_drift, speed_tolerance, tie = (
-        rules.allowed, rules.gap_drift, rules.speed_drift, rules.speed, rules.tie,
-    )  # fmt: skip
+    allowed, speed_tolerance, tie = scene.allowed, scene.speed, scene.tie
     contacts = states.shape[0]
     at = n * n + n + 1
     biases_at = at + 2 * n * contacts
@@ -138,12 +157,11 @@ def classify(
             continue
         place = scalars + SCALARS * c
         gap, rate, slip = numbers[place], numbers[place + 1], numbers[place + 2]
-        gap_closed = gap <= rules.gap
-        if not gap >= lowest[c] or (gap_closed and rate < -speed_tolerance):
+        gap_closed = gap <= scene.gap
+        least = lowest if states_before[c] == FREE else -scene.gap_drift
+        if not gap >= least or (gap_closed and rate < -speed_tolerance):
             return False
-        lasting = states_before[c] != FREE
-        drifted = gap > gap_drift or abs(rate) > speed_drift
-        if lasting and (drifted or (states_before[c] == PIN and abs(slip) > speed_drift)):
+        if violates_constraints(scene, numbers, place, states_before[c]):
             return False
         closed[c], at_rest[c] = (
             gap_closed and rate <= speed_tolerance,
@@ -151,7 +169,7 @@ def classify(
         )
         if not closed[c] and not allowed[c, FREE]:
             return False
-        if closed[c] and drifted and not after_flow:
+        if closed[c] and not after_flow and violates_constraints(scene, numbers, place, SLIDE):
             return False
         counts[c] = 0
         for s in range(5):
@@ -167,15 +185,10 @@ def classify(
         total *= counts[c]
     if total == 0 or total > _MAX_COMBINATIONS:
         return False
-    codes = np.empty((total, contacts), np.int64)
-    for k in range(total):
-        remainder = k
-        for c in range(contacts):
-            codes[k, c] = options[c, remainder % counts[c]]
-            remainder //= counts[c]
+    codes = list_combinations(options, counts, total)
     verdicts, forces = np.empty((total, 4)), np.empty((total, contacts, 2))
     edges = np.empty((contacts, 6))
-    write_edges(rules.cones, numbers, scalars, edges)
+    write_edges(scene.cones, numbers, scalars, edges)
     equations = ModeEquations(
         numbers[: n * n].reshape((n, n)), numbers[n * n : n * n + n],
         numbers[at:biases_at].reshape((contacts, 2, n)),
@@ -184,21 +197,17 @@ def classify(
     )  # fmt: skip
     solutions = ModeSolutions(np.empty(total, np.int64), np.empty((total, n)), forces, verdicts)
     redundant, agreeing = solve_modes(
-        equations, codes, rules.force, rules.acceleration, tie, solutions
+        equations, codes, scene.force, scene.acceleration, tie, solutions
     )
     if redundant > 0 or agreeing < 0 or not verdicts[agreeing, 0] < -tie:
         return False
-    if _is_near_bound(codes, states_before, closed, at_rest, verdicts, rules.force_uncertainty):
+    if _is_near_bound(codes, states_before, closed, at_rest, verdicts, scene.force_uncertainty):
         return False
     for c in range(contacts):
         for force in forces[agreeing, c]:
-            if abs(force) > ENDLESS * rules.force:
+            if abs(force) > ENDLESS * scene.force:
                 return False
-        place = scalars + SCALARS * c
         states[c] = OFF_CODE if states_before[c] == OFF_CODE else codes[agreeing, c]
-        if states[c] != FREE and states[c] != OFF_CODE:
-            if abs(numbers[place]) > gap_drift or abs(numbers[place + 1]) > speed_drift:
-                return False
-            if states[c] == PIN and abs(numbers[place + 2]) > speed_drift:
-                return False
+        if violates_constraints(scene, numbers, scalars + SCALARS * c, states[c]):
+            return False
     return True

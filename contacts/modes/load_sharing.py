@@ -58,6 +58,8 @@ class Share:
     joints: tuple[int, ...]
     # Largest violation of a zone, in units of force; <= 0: none
     violation: float
+    # Contacts inside their cones or limits whose forces lie on the boundary, to round-off
+    bounded: tuple[int, ...] = ()
     signs: tuple[tuple[SignFriction, str], ...] = ()  # Signs that share, and their zones
 
     def of_contacts(self, count: int, frictions: Sequence[SignFriction]) -> Share | None:
@@ -88,6 +90,8 @@ class Share:
         return tuple(result)
 
 
+# Distances of forces from the boundary below this part of the forces are round-off.
+_ON_BOUNDARY = 1e-12
 # Forces below this part of the sum are round-off.
 _MIN_PRESSURE = 1e-6
 
@@ -154,6 +158,11 @@ def share(
     write_limits(shared_forces, limits, loaded_by, code)
     for k, place in zip(shared.tolist(), places.tolist(), strict=True):
         zones[k] = _ZONES[place]
+    edges, limited = problem[0], np.isfinite(couple_limits)
+    loads = np.abs(least_forces)
+    room = edges[:, 1] * loads[:, 0] - edges[:, 0] * loads[:, 1]
+    room[limited] = (couple_limits - loads[:, 1])[limited]
+    bounded = (places == INSIDE) & (room <= _ON_BOUNDARY * loads.max(initial=0.0))
     determined = ~np.isin(np.arange(len(code)), shared)
     verdict = np.array([violation, 0.0, 0.0, 0.0])
     judge_forces(verdict, forces[determined], cones[determined], code[determined], 1.0)
@@ -183,6 +192,7 @@ def share(
         tuple(coordinates.tolist()),
         tuple(joints.tolist()),
         float(verdict[0]),
+        tuple(shared[bounded].tolist()),
     )
 
 

@@ -14,7 +14,7 @@ from statechart.arrays import Array
 
 
 def signs_at_rest(snapshot: Snapshot, still_below: float) -> list[int]:
-    """Return the signs whose rates are zero, as speeds up to `still_below` are."""
+    """Return the signs at rest: with rates of at most `still_below`."""
     if snapshot.signs is None:
         return []
     slips, _, limits = snapshot.signs.numbers.T

@@ -27,11 +27,11 @@ _NAMED = 5
 class BodyShapes:
     """The shapes of a scene's bodies for values of its parameters.
 
-    A body without a declared shape is drawn from what is known: rims of discs, contact points,
-    joints, edges, and bodies fixed in its frame. Collinear points make a bar; a single known end
-    makes one that extends as far on the other side as a uniform bar of its inertia. Other points
-    make their convex hull, with their images in the centre of mass if they do not enclose it. A
-    point mass is drawn as that, with bars to its points. Bodies fixed to a body with a declared
+    A body without a declared shape is drawn from its known points: rims of discs, contact points,
+    joints, edges, and bodies fixed in its frame. Collinear points make a bar; a bar with a single
+    known end has the length of a uniform bar of its inertia. Other points make their convex hull,
+    with their mirror images in the centre of mass if they do not enclose it. A point mass is a dot
+    with bars to its points. Bodies fixed to a body with a declared
     shape are part of that shape.
 
     The automaton of the scene may have more variables and parameters than the mechanics; `known`
@@ -291,7 +291,10 @@ def _distinct(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]
 
 
 def _line(points: Array) -> tuple[tuple[Array, Array], bool]:
-    """Return direction and places of points on a line through the centre; whether they fit it."""
+    """Return the line through the centre and farthest point, and whether all points are on it.
+
+    The line is its direction and the positions of the points along it.
+    """
     direction = points[np.argmax(np.hypot(*points.T))]
     direction = direction / np.hypot(*direction)
     across = points @ np.array([-direction[1], direction[0]])

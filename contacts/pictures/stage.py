@@ -40,7 +40,7 @@ from statechart.pictures.stage import Moments
 _MOST_TRAILS = 5
 # Distance to which surfaces are searched, in picture sizes.
 _FAR = 4.0
-# Quantile of forces whose arrow is a quarter of the picture.
+# Quantile of the forces that gets an arrow of a quarter of the picture.
 _FEW = 0.9
 
 

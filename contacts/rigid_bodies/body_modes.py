@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from contacts.collision_detection.active_contacts import ActiveContacts, velocity
-from contacts.collision_detection.body_numbers import KINETIC, BodyNumbers, WarmStart
+from contacts.collision_detection.body_numbers import KINETIC, BodyNumbers, WarmStart, split_key
 from contacts.collision_detection.surfaces import LINE, PLATE
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.states import FREE, PIN, SLIDE
@@ -33,7 +33,7 @@ from statechart.kernels.jit import kernel
 _PARALLEL = 1e-9
 
 HOVERS = 2
-"""In place of 1 in `WarmStart.shown`: the body falls within the gap at which it landed."""
+"""In place of 1 in `WarmStart.modes`: the body falls within the gap at which it landed."""
 
 
 @kernel
@@ -49,18 +49,10 @@ def unsettle_bodies(warm: WarmStart, k: int, chunk: Chunk) -> bool:
 
 
 @kernel
-def _piece_on_surface(numbers: BodyNumbers, key: int) -> tuple[int, int]:
-    """Return the piece and the surface of a contact with this key."""
-    count = len(numbers.pieces.sizes)
-    others = count + len(numbers.surfaces.kinds)
-    return key // others, key % others - count
-
-
-@kernel
 def _is_straight(numbers: BodyNumbers, key: int, normal: Array) -> bool:
     """Return whether a contact is on a straight surface at rest."""
-    _, s = _piece_on_surface(numbers, key)
     surfaces = numbers.surfaces
+    s = split_key(numbers, key)[1] - len(numbers.pieces.sizes)
     if s < 0 or surfaces.carriers[s] >= 0 or surfaces.moves[s]:
         return False
     if surfaces.kinds[s] != PLATE:
@@ -106,7 +98,7 @@ def _write_accelerations(
     accelerations: Array, sizes: Array,
 ) -> None:  # fmt: skip
     """Write the accelerations (2,) of contact i without contact forces, and their sizes."""
-    p, _ = _piece_on_surface(numbers, active.keys[i, 0])
+    p, _ = split_key(numbers, active.keys[i, 0])
     rows = active.rows[i]
     for d in range(2):
         arm = numbers.pieces.radii[p] - rows[1, 2] if d == 0 else rows[0, 2]
@@ -126,7 +118,7 @@ def _remember_landing(
     landed = warm.landings[b]
     if not (active.hit[i] and stops and above > landed[0]):
         return
-    p, _ = _piece_on_surface(numbers, active.keys[i, 0])
+    p, _ = split_key(numbers, active.keys[i, 0])
     (nx, ny), x, y = active.rows[i, 0, :2], space.mid.poses[b, 0], space.mid.poses[b, 1]
     along, across = numbers.pieces.radii[p] - active.rows[i, 1, 2], active.rows[i, 0, 2]
     u, v = along * nx + across * ny, along * ny - across * nx

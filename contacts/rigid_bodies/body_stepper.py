@@ -164,10 +164,7 @@ class BodyStepper(Stepper):
     def setup(self, overrides: Mapping[str, float]) -> SceneSetup:
         """Return the setup of a run.
 
-        Raises
-        ------
-        DeclarationProblem
-            If no run can start there.
+        Raises `DeclarationProblem` if no run can start there.
         """
         return self._new_run(overrides, DEFAULT_IMPULSES.tolerance, False)[0]
 

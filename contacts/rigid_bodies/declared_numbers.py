@@ -215,10 +215,7 @@ def closed_joints(
     near, slow : float
         Tolerances of distances and speeds.
 
-    Raises
-    ------
-    DeclarationProblem
-        At the first joint that is open, or whose points move apart.
+    Raises `DeclarationProblem` at the first joint that is open, or whose points move apart.
     """
     (at, rates), own = moved, joints.points.copy()
     sizes = joints.sizes.copy()
@@ -361,10 +358,7 @@ def body_numbers(
 ) -> BodyNumbers:
     """Evaluate a scene with collisions; `links` are those of `link_numbers`.
 
-    Raises
-    ------
-    DeclarationProblem
-        If a body that collides has no inertia.
+    Raises `DeclarationProblem` if a body that collides has no inertia.
     """
 
     def number(text: FormulaText) -> float:

@@ -48,10 +48,7 @@ def check_penetration(
     Bodies are declared by `owners` and start at `initial` (2 n,); a depth up to `near` is contact.
     Returns the largest depth, and a warning if it exceeds `near`.
 
-    Raises
-    ------
-    DeclarationProblem
-        If one is deeper.
+    Raises `DeclarationProblem` if one is deeper.
     """
     _check_places(numbers, names, owners, initial)
     _check_crowd(numbers, names, owners, initial)
@@ -262,10 +259,7 @@ def check_containers(
     The scene has its bodies one by one, declared by `owners`; `paths` are the positions at the
     start.
 
-    Raises
-    ------
-    DeclarationProblem
-        If a body is too large, or starts outside.
+    Raises `DeclarationProblem` if a body is too large, or starts outside.
     """
     names, surfaces = list(scene.bodies), numbers.surfaces
     moving, frames = len(numbers.inverse), paths.frames[0]

@@ -14,7 +14,12 @@ from contacts.collision_detection.active_contacts import (
     has_two_coefficients,
     rolling_share,
 )
-from contacts.collision_detection.body_numbers import KINETIC, BodyNumbers
+from contacts.collision_detection.body_numbers import (
+    KINETIC,
+    BodyNumbers,
+    first_joint_key,
+    split_key,
+)
 from contacts.collision_detection.couplings import COUPLED, KINETIC_LIMIT, STATIC, bound_in
 from contacts.collision_detection.joints import arm_bend
 from contacts.collision_detection.midpoint import Midpoint, apply_link_impulse
@@ -317,14 +322,13 @@ def _pair_number(numbers: BodyNumbers, active: ActiveContacts, i: int) -> int:
     """Return a number of the two objects in contact, whichever of their pieces touch."""
     one, other = active.bodies[i]
     bodies, pieces = len(numbers.sizes), len(numbers.pieces.sizes)
-    surfaces = len(numbers.surfaces.kinds)
-    joint = active.keys[i, 0] - pieces * (pieces + surfaces)
+    joint = active.keys[i, 0] - first_joint_key(numbers)
     if joint >= 0:
         return int(-1 - joint)
     if other < 0:
-        q = active.keys[i, 0] % (pieces + surfaces)
+        _, q = split_key(numbers, active.keys[i, 0])
         other = numbers.pieces.bodies[q] if q < pieces else bodies + q - pieces
-    return int(min(one, other) * (bodies + surfaces) + max(one, other))
+    return int(min(one, other) * (bodies + len(numbers.surfaces.kinds)) + max(one, other))
 
 
 @kernel
@@ -413,21 +417,16 @@ def _follow_arms(
     numbers: BodyNumbers, space: Workspace, contacts: ContactRows, island: Island, h: float,
     with_impacts: bool, turns: Array,
 ) -> tuple[float, float, float, float]:  # fmt: skip
-    """Update the bias of joints for the rotation of their arms; return the remaining error.
+    """Update the bias of joints for the rotation of their arms.
 
     `with_impacts`: bodies also move by sequential impacts; `turns` (2, b): rotation in the step
-    that the bias assumes, and a buffer.
-
-    Returns
-    -------
-    (float, float, float, float)
-        Largest joint speed error; largest arm speed; work of joints on the error; kinetic energy
-        before the step.
+    that the bias assumes, and a buffer. Returns the largest joint speed error, the largest arm
+    speed, the work of joints on the error, and the kinetic energy before the step.
     """
     members, impulses = island.members, island.chosen
     active, mid, joints = space.active, space.mid, numbers.joints
-    pieces, changes = len(numbers.pieces.sizes), contacts.rates[0, : 3 * contacts.moving + 3]
-    first, largest, fastest = pieces * (pieces + len(numbers.surfaces.kinds)), 0.0, 0.0
+    changes, first = contacts.rates[0, : 3 * contacts.moving + 3], first_joint_key(numbers)
+    largest = fastest = 0.0
     work = energy = 0.0
     write_velocity_change(contacts, impulses, changes)
     for a in range(len(members) if with_impacts else 0):

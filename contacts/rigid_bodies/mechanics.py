@@ -131,10 +131,7 @@ class Starts:
     def at(self, values: Array, known: Mapping[str, float]) -> Array:
         """Return the poses of free bodies and the coordinates, then the rates of both.
 
-        Raises
-        ------
-        DeclarationProblem
-            If one has no value, or one out of range.
+        Raises `DeclarationProblem` if one has no value, or one out of range.
         """
         linked = [
             [
@@ -205,7 +202,10 @@ class BodyMechanics(Mechanics):
         """Kinetic and gravitational energy."""
         gx, gy = self.gravity
         copies_of: dict[str, list[str]] = {}
-        terms = [] if self.linked is None else [self.linked.energy.xreplace(self._own_symbols)]
+        terms: list[sp.Expr] = []
+        if self.linked is not None:
+            own = {x: self.known[name] for name, x in self.linked.known.items()}
+            terms.append(self.linked.energy.xreplace(own))
         for name, owner in zip(self.scene.bodies, self.owners, strict=True):
             if self.scene.bodies[name].coordinates:
                 copies_of.setdefault(owner, []).append(name)
@@ -225,12 +225,6 @@ class BodyMechanics(Mechanics):
     def linked(self) -> LinkedMechanics | None:
         """Equations of the linked bodies."""
         return linked_mechanics(self.scene)
-
-    @cached_property
-    def _own_symbols(self) -> dict[sp.Expr, sp.Expr]:
-        """Symbols of the linked bodies' equations -> symbols of these mechanics."""
-        assert self.linked is not None
-        return {x: self.known[name] for name, x in self.linked.known.items()}
 
     @cached_property
     def joint_rows(self) -> tuple[JointRow, ...]:

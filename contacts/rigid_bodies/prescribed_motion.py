@@ -36,9 +36,10 @@ class Positions(NamedTuple):
 
 
 class Paths:
-    """The paths of a scene; `any`: whether there are some; `led`: names of led bodies.
+    """The paths of a scene.
 
-    `leads`: whether surfaces or bodies have one.
+    `led` are the names of led bodies; `any` is true if there are paths, `leads` if surfaces or
+    bodies have some.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -158,8 +159,8 @@ _JUMPED = 1e-9
 class PrescribedMotion:
     """Prescribed motion and `forces` of one run, in the current controller states.
 
-    `known` are the parameters by name; `values` (p,) theirs and those derived from them;
-    `controlled`: whether there are controllers.
+    `known` are the parameters by name, `values` (p,) their values and derived ones; `controlled`
+    is true if there are controllers.
     """
 
     def __init__(
@@ -219,10 +220,7 @@ class PrescribedMotion:
         The number ends where paths have no value. Before the run, after a change of step size and
         beyond the ends of paths, motion is extrapolated.
 
-        Raises
-        ------
-        NonFinite
-            If no step can be taken.
+        Raises `NonFinite` if no step can be taken.
         """
         forces = self.forces.program
         # Counted from the start of the run, so that instants do not depend on chunks.

@@ -215,7 +215,7 @@ class DetectedContacts(NamedTuple):
     def deepest_of(
         self, body: int, bodies: Ints, names: Sequence[str], known: Sequence[str]
     ) -> str:
-        """Return what a body penetrates most; "" if it touches nothing.
+        """Return the name of the body or surface with the deepest penetration; "" without contact.
 
         `bodies` are those of the pieces, `known` the names of surfaces (indices behind the pieces).
         """
@@ -235,7 +235,7 @@ class DetectedContacts(NamedTuple):
         return bool(self.levels[mine].min(initial=math.inf) > self.gaps[body])
 
     def ways_out(self, body: int, near: float) -> tuple[Array, Array]:
-        """Return directions (k, 2) out of what a body penetrates, and depths (k,) above `near`."""
+        """Return directions (k, 2) out of penetrations deeper than `near`, and depths (k,)."""
         sides, rows = self.normal.bodies == body, self.normal.rows
         deep = sides.any(axis=1) & (self.levels < -near)
         normals = np.where(sides[:, :1], rows[:, :2], rows[:, 3:5])
@@ -262,7 +262,7 @@ class RigidBodyRun(SteppedSystem):
         self.numbers, self._names, self._prescribed = numbers, names, prescribed
         count = self._moving = len(numbers.inverse)
         self._warm = self._saved = WarmStart.allocate(numbers)
-        # As after an impact.
+        # The first step counts as one after an impact.
         self._warm.last_step[2] = start_depth / LANDED
         self._workspace = Workspace.of(self.numbers, self._warm)
         self._min_gaps = np.full(count, np.inf)
@@ -307,10 +307,8 @@ class RigidBodyRun(SteppedSystem):
     def _close(self, j: int, joint: str, state: Array, time: float) -> None:
         """Close a joint at the pose that it has captured.
 
-        Raises
-        ------
-        NoConsistentMode
-            If it captures no place, and its points are apart by more than a step moves them.
+        Raises `NoConsistentMode` if it captures no place, and its points are apart by more than a
+        step moves them.
         """
         joints, remembered = self.numbers.joints, state[2 * self.numbers.size :]
         pose = self._prescribed.captured(joint, remembered)
@@ -472,10 +470,7 @@ class RigidBodyRun(SteppedSystem):
     def _with_limits(self, chunk: Chunk, start: float) -> Chunk:
         """Return the steps before a coupling has no valid limit.
 
-        Raises
-        ------
-        NoConsistentMode
-            If the first step has none.
+        Raises `NoConsistentMode` if the first step has none.
         """
         wrong = ~(chunk.gaps[:, self._moving :] >= 0.0)
         if not wrong.any():

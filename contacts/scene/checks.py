@@ -510,8 +510,8 @@ def _force_formulas(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc
 _Corner = tuple[float, float]
 _Corners = Sequence[_Corner]
 
-# A polygon turns at a corner by more than this angle; what is nearer than this part of its size is
-# in one place: what rounding leaves of coordinates that are formulas is a thousandth of it.
+# Least angle at a corner of a polygon, and least distance of corners relative to its size, a
+# thousand times the round-off of coordinates that are formulas.
 _STRAIGHT = 1e-12
 _WHAT = "a polygon is convex, its corners counter-clockwise"
 
@@ -590,7 +590,7 @@ def _check_crossings(corners: _Corners) -> None:
 
 
 def _convex_order(corners: _Corners) -> str:
-    """Return in which order corners make a convex polygon; that there is one, if not which."""
+    """Return advice on the order in which corners make a convex polygon, if one exists."""
     x, y = (sum(values) / len(corners) for values in zip(*corners, strict=True))
     around = sorted(
         range(len(corners)), key=lambda k: math.atan2(corners[k][1] - y, corners[k][0] - x)

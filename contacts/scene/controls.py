@@ -20,7 +20,7 @@ Value = TypeVar("Value")
 
 
 class ControlState(BaseState):
-    """One state of a controller, and what it sets."""
+    """One state of a controller, and the controls that it sets."""
 
     sets: dict[str, FormulaText] = declare(
         "Values of controls while the state is active; inner states may override them.",
@@ -80,7 +80,7 @@ class Controls:
 
     @cached_property
     def flat(self) -> Mapping[str, FlatRegion]:
-        """The controllers as the executor knows them."""
+        """The controllers as flat regions for the executor."""
         return {name: flatten(name, r, "regions", name) for name, r in self.regions.items()}
 
     @cached_property

@@ -67,7 +67,9 @@ class SceneFields(Declaration):
     """Keys of a scene, before it is checked (see `contacts.scene.scene.Scene`)."""
 
     OTHER_WORDS: ClassVar = {
+        **Declaration.OTHER_WORDS,
         "g": "gravity",
+        **dict.fromkeys(("controller", "controllers"), "controls: [u], and regions that set it"),
         **dict.fromkeys(("body", "links", "worldbody", "objects"), "bodies"),
         **dict.fromkeys(("simulation", "option", "solver"), "settings"),
         **dict.fromkeys(("ground", "floor", "plane"), "surfaces: {floor: {height: 0}}"),

@@ -54,7 +54,7 @@ class StaticKinetic(Friction):
 
 
 def _friction_tag(value: Any) -> str:
-    return "law" if isinstance(value, dict | Friction) else "coefficient"
+    return "law" if isinstance(value, dict | list | Friction) else "coefficient"
 
 
 DeclaredFriction = Annotated[

@@ -84,7 +84,7 @@ def _as_path(value: Any) -> Any:
 
 
 def _end(value: Any) -> str:
-    point = "body" in value if isinstance(value, dict) else isinstance(value, Point)
+    point = "body" in value if isinstance(value, dict) else isinstance(value, Point | str)
     return "point" if point else "path"
 
 
@@ -111,7 +111,8 @@ class Joint(Part):
         "type": "what it holds: to: [0, 0], angle: held, rope: L or rod: L",
         **dict.fromkeys(("child", "body"), "point: {body: arm, at: [-L, 0]}"),
         **dict.fromkeys(
-            ("parent", "origin", "anchor"), "to: [0, 0], or to: {body: rod, at: [0, L]}"
+            ("parent", "origin", "anchor", "between", "bodies"),
+            "to: [0, 0], or to: {body: rod, at: [0, L]}",
         ),
         **dict.fromkeys(("breaking_force", "max_force"), "enabled: RELATION"),
         **JOINT_WORDS,
@@ -182,7 +183,7 @@ class Joint(Part):
 
     @property
     def forces(self) -> tuple[str, ...]:
-        """Names of the forces that formulas may use: of components, and the couple of limits."""
+        """Forces that formulas may use: one per component, and the moment M of limits."""
         return (*self.components, *(() if self.limits is None else ("M",)))
 
     @model_validator(mode="after")

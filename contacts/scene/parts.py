@@ -383,6 +383,9 @@ class Contact(Part):
         "d": "damping",
         "spring": "stiffness, and damping",
         "rolling_friction": "rolling_resistance: LENGTH",
+        **dict.fromkeys(
+            ("between", "bodies"), "point: {body: rod}, and surface: NAME; shapes have collisions"
+        ),
     }
 
     point: Point = declare(
@@ -412,6 +415,7 @@ class Contact(Part):
         "Coulomb's friction coefficient, 0 to inf, or a static and a kinetic one; needed with "
         "slide.",
         "mu",
+        {"static": 0.5, "kinetic": 0.3},
         unit="1",
         default=None,
     )

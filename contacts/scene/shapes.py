@@ -28,6 +28,11 @@ class Shape(Part):
         "rectangle": "polygon: [[-a, -b], [a, -b], [a, b], [-a, b]]",
         "circle": "disc",
         "radius": "disc",
+        **dict.fromkeys(
+            ("square", "points", "vertices", "corners"), "polygon: [[-1, -1], [1, -1], [0, 1]]"
+        ),
+        "capsule": "shape: [{polygon: ...}, {disc: r, at: [a, 0]}, {disc: r, at: [-a, 0]}]",
+        "mesh": "polygon: [[x, y], ...], its outline",
     }
 
     polygon: Annotated[tuple[_Pair, ...], Field(min_length=3, max_length=16)] | None = declare(
@@ -102,6 +107,7 @@ class Collision(Part):
         "d": "damping",
         "spring": "stiffness, and damping",
         "rolling_friction": "rolling_resistance: LENGTH",
+        "pairs": "bodies: [die, cup], which collide with each other",
     }
 
     bodies: Annotated[tuple[str, ...], Field(min_length=1)] = declare(

@@ -143,6 +143,18 @@ def _contradicts(row: Array, constant: float, accelerations: Array, scale: float
     return abs(error) > _CONTRADICTED * terms
 
 
+@kernel
+def list_combinations(options: Ints, counts: Ints, total: int) -> Ints:
+    """Return all combinations (total, c) of the first `counts` options (c, 5) of every contact."""
+    codes = np.empty((total, len(counts)), np.int64)
+    for k in range(total):
+        remainder = k
+        for c in range(len(counts)):
+            codes[k, c] = options[c, remainder % counts[c]]
+            remainder //= counts[c]
+    return codes
+
+
 class ModeEquations(NamedTuple):
     """Equations of motion and contacts of a state, the same in every mode.
 

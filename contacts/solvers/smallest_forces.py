@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from contacts.solvers.dependence import independent_rows
+from contacts.solvers.mode_solver import dot
 from contacts.solvers.saddle_point import SOLVED, largest_size, solve_refined
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
@@ -128,14 +129,6 @@ def _evaluate_displacement(
 
 
 @kernel
-def _dual_slope(left: Array, step: Array) -> float:
-    rise = 0.0
-    for i in range(len(step)):
-        rise += left[i] * step[i]
-    return rise
-
-
-@kernel
 def _step_length(
     reach: Array, cones: Array, sliding: Array, load: Array, y: Array, step: Array, w: Array,
     forces: Array,
@@ -146,13 +139,11 @@ def _step_length(
     Where the slope jumps over zero (a kink at the end of a flat zone) the length is just beyond the
     kink, in the zones that follow.
     """
-    initial_slope = _dual_slope(
-        _evaluate_displacement(reach, cones, sliding, load, y, w, forces), step
-    )
+    initial_slope = dot(_evaluate_displacement(reach, cones, sliding, load, y, w, forces), step)
     short, long = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = long if short == 0.0 else 0.5 * (short + long)
-        slope = _dual_slope(
+        slope = dot(
             _evaluate_displacement(reach, cones, sliding, load, y + middle * step, w, forces), step
         )
         if abs(slope) <= _LEVEL * initial_slope:
@@ -163,7 +154,7 @@ def _step_length(
             short = middle
         elif short == 0.0:
             long, half = middle, 0.5 * middle
-            slope = _dual_slope(
+            slope = dot(
                 _evaluate_displacement(reach, cones, sliding, load, y + half * step, w, forces),
                 step,
             )
@@ -200,6 +191,45 @@ def _violation(zones: Ints, w: Array, cones: Array, sliding: Array) -> float:
             if sliding[g] == 0.0:
                 worst = max(worst, t * w[g, 0] - sign * n * w[g, 1])
     return worst
+
+
+@kernel
+def _release_edges(scaled: Array, zones: Ints, cones: Array, sliding: Array, first: int) -> bool:
+    """Move contacts, from `first` on, from edges into cones until the displacement is determined.
+
+    Forces on the edges of all cones, as those of a disc in a groove, leave a range of
+    displacements; at its ends one of them is also inside its cone.
+    """
+    count, size = len(zones), scaled.shape[2]
+    known = independent_rows(_stiffness(scaled, zones, cones))[0]
+    for k in range(count):
+        g = (first + k) % count
+        zone = zones[g]
+        if known < size and sliding[g] == 0.0 and UPPER <= zone <= LOWER:
+            zones[g] = INSIDE
+            more = independent_rows(_stiffness(scaled, zones, cones))[0]
+            if more > known:
+                known = more
+            else:
+                zones[g] = zone
+    return known == size
+
+
+@kernel
+def _zones_agree(
+    zones: Ints, wider: Array, scaled: Array, sliding: Array, pushed: Array, w: Array, forces: Array
+) -> float:
+    """Solve for the forces in zones; return their size if they lie there, 0 if not."""
+    stiffness = _stiffness(scaled, zones, wider)
+    if not _solve_zones(stiffness, zones, wider, scaled, pushed, w, forces):
+        return 0.0
+    own, error, largest = np.empty(2), 0.0, largest_size(pushed)
+    for g in range(len(zones)):
+        _project_to_zone(_zone_of(w[g], wider[g], sliding[g]), w[g], wider[g], own)
+        for d in range(2):
+            error = max(error, abs(own[d] - forces[g, d]))
+            largest = max(largest, abs(w[g, d]))
+    return largest if error <= _FORCE_ROUND_OFF * largest else 0.0
 
 
 @kernel
@@ -251,7 +281,7 @@ def smallest_forces(
         zones[g] = INSIDE if sign == 0.0 else UPPER if sign > 0.0 else LOWER
         for i in range(size):
             pushed[i] += inward / count * (n * scaled[g, 0, i] + t * scaled[g, 1, i])
-    w, forces, own = np.empty((count, 2)), np.zeros((count, 2)), np.empty(2)
+    w, forces = np.empty((count, 2)), np.zeros((count, 2))
     size_of_load = largest_size(pushed)
     if size_of_load == 0.0:
         return True, forces, zones, 0.0
@@ -259,21 +289,25 @@ def smallest_forces(
     for _ in range(_STEPS):
         stiffness = _stiffness(scaled, zones, cones)
         determined = independent_rows(stiffness)[0] == size
-        if determined and _solve_zones(stiffness, zones, wider, scaled, pushed, w, forces):
-            # Accept if the zones of the displacement give the same forces.
-            error, largest = 0.0, size_of_load
-            for g in range(count):
-                _project_to_zone(_zone_of(w[g], wider[g], sliding[g]), w[g], wider[g], own)
-                for d in range(2):
-                    error = max(error, abs(own[d] - forces[g, d]))
-                    largest = max(largest, abs(w[g, d]))
-            if error <= _FORCE_ROUND_OFF * largest:
-                if not _solve_zones(stiffness, zones, cones, scaled, right, w, forces):
-                    return False, forces, zones, np.inf
-                violation = _violation(zones, w, cones, sliding)
-                if abs(violation) <= _FORCE_ROUND_OFF * largest:
-                    violation = 0.0
-                return True, forces, zones, violation
+        largest, current = 0.0, zones.copy()
+        if determined:
+            largest = _zones_agree(zones, wider, scaled, sliding, pushed, w, forces)
+        first = count if determined else 0
+        while largest == 0.0 and first < count:
+            zones[:] = current
+            if _release_edges(scaled, zones, cones, sliding, first):
+                largest = _zones_agree(zones, wider, scaled, sliding, pushed, w, forces)
+            first += 1
+        if largest > 0.0:
+            if not _solve_zones(
+                _stiffness(scaled, zones, cones), zones, cones, scaled, right, w, forces
+            ):
+                return False, forces, zones, np.inf
+            violation = _violation(zones, w, cones, sliding)
+            if abs(violation) <= _FORCE_ROUND_OFF * largest:
+                violation = 0.0
+            return True, forces, zones, violation
+        zones[:] = current
         residual = _evaluate_displacement(scaled, wider, sliding, pushed, y, w, forces)
         for i in range(size):
             stiffness[i, i] += _DAMPING

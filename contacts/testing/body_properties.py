@@ -130,7 +130,7 @@ def _placed(pieces: PieceNumbers, states: Array, p: int) -> Array:
 
 
 def _between(one: Array, radius: float, other: Array, other_radius: float) -> Array:
-    """Return the gaps (m,) of two bodies; of polygons, along the best of their normals."""
+    """Return the gaps (m,) of two bodies; for polygons the largest along their normals."""
     both = radius + other_radius
     if one.shape[1] == 1 and other.shape[1] == 1:
         return np.hypot(*(one - other)[:, 0].T) - both

@@ -91,7 +91,7 @@ def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
     for arc, name, state, times, V, H, slips, used in _sampled_forces(scene, subject, trace):
         if state in OPEN:
             continue
-        # A mode whose steps all have impulses has no force.
+        # In a mode with impulses in all steps the forces are unknown.
         known = ~np.isnan(V) | (trace.step is None)
         V, H, times = V[known], H[known], times[known]
         law = scene.friction_of(name)

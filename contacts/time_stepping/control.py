@@ -69,12 +69,12 @@ class StepControl:
         self._bouncing = {
             law.name: i for i, law in enumerate(setup.contacts) if law.restitution > 0.0
         }
-        # Transition -> the warning that bounces which it waits for are left out.
+        # Transition -> warning of bounces shorter than a step that it waits for.
         self._left_out = dict[str, str]()
         self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
 
     def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
-        """Return the steps up to the first after which a controller may act; whether one may."""
+        """Return the steps until a controller may act, and whether one may."""
         shown = recorder.shown(chunk)
         due = self._due(chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h, shown)
         may_act: Bools = np.any(due, axis=1)
@@ -93,10 +93,7 @@ class StepControl:
 
         The step has these jumps, and unknowns `solved` (u,).
 
-        Raises
-        ------
-        EventLoop
-            If they do not end.
+        Raises `EventLoop` if they do not end.
         """
         pending, self._pending, self._strikes = self._pending, {}, False
         # A contact with restitution closes without an impact in its last bounce.

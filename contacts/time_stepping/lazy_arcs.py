@@ -115,7 +115,7 @@ Numbers = TypeVar("Numbers", bound=NDArray[Any])
 
 
 def _compact(rows: Numbers) -> Numbers:
-    """Return rows whose base is at most twice as large: chunks often end early."""
+    """Return a copy of rows that use less than half of their base: chunks often end early."""
     base = rows.base
     return rows.copy() if base is not None and base.nbytes > 2 * rows.nbytes else rows
 

@@ -246,10 +246,7 @@ class SteppedScene(SteppedSystem):
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
         """Take steps from `state` (2 n + w,).
 
-        Raises
-        ------
-        SingularMode, NonFinite, NoConsistentMode
-            If no step can be taken.
+        Raises `SingularMode`, `NonFinite` or `NoConsistentMode` if no step can be taken.
         """
         source, tape = self._source, self._source.tape
         n, c, r = source.size, len(source.names), source.joint_rows
@@ -386,10 +383,7 @@ class SteppedScene(SteppedSystem):
     def _count_allowed(self, chunk: Chunk, start: float) -> int:
         """Return the number of steps in declared modes; replace a stick that only passes.
 
-        Raises
-        ------
-        NoConsistentMode
-            If the first step is in none.
+        Raises `NoConsistentMode` if the first step is in none.
         """
         codes, shown, h = chunk.codes, chunk.modes, chunk.h
         before = np.vstack([self._step_state.codes, codes[:-1]])

@@ -521,7 +521,7 @@ class Stepper(ABC):
         self, overrides: Mapping[str, float], step: float, until: float, allowed: float,
         forces: bool = True,
     ) -> RunInputs:  # fmt: skip
-        """Return the inputs of a run whose steps are long enough to move anything."""
+        """Return the inputs of a run; raise for a step too short to change the state."""
         read = forces or bool(self.stops.names) or bool(self.controls)
         inputs = self._begin(overrides, step, allowed, read)
         scales = inputs.setup.scales

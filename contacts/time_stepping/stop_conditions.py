@@ -104,7 +104,7 @@ class StopConditions:
         self._sizes = np.concatenate([setup.sizes, setup.scales.solved(unknowns)])
         self._stays, self._counts = self._tapes.counts
         self._rounded = setup.rounded
-        # Of the step in which a condition was met.
+        # States and mode of the step in which a condition was met.
         self._modes: tuple[Ints, Key] = np.zeros((1, 0), int), ()
         # Whether margins were zero at the end of the last step.
         self._near = np.zeros(len(self._stays), dtype=np.bool_)

@@ -348,7 +348,9 @@ def hierarchical_edges(region: Region) -> tuple[HierarchicalEdge, ...]:
     """
     if region.nesting.configurations:
         return region.nesting.edges
-    superstates = _outermost_first(region)
+    superstates = sorted(
+        dict.fromkeys(region.superstates.values()), key=lambda name: len(region.active(name))
+    )
     leaves = {name: region.within(name) for name in (*region.states, *superstates)}
     sources_by_edge: dict[tuple[str, str, str, str, bool], list[str]] = {}
     for e in region.edges:
@@ -370,11 +372,6 @@ def hierarchical_edges(region: Region) -> tuple[HierarchicalEdge, ...]:
         for (cause, source, guard, on_zeno), targets in fans.items()
         for target in _replace_complete_sets(list(targets), superstates, leaves)
     )
-
-
-def _outermost_first(region: Region) -> list[str]:
-    superstates = dict.fromkeys(region.superstates.values())
-    return sorted(superstates, key=lambda name: len(region.active(name)))
 
 
 def _replace_complete_sets(

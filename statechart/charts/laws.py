@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton, Component, Places
 from statechart.automaton.clock import Clock, between
-from statechart.automaton.components import Data, compose_components, split
+from statechart.automaton.components import compose_components, split
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, flow_sizes, moving_mode, roles_in
 from statechart.automaton.margin_derivatives import MarginDerivatives, rounding_scale
@@ -383,17 +383,13 @@ def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Com
     try:
         return compose_components(
             parts,
-            _chart_form,
+            lambda part: {**part, "variables": list(part.get("variables", ()))},
             lambda part: compose(Chart.model_validate(part)),
             lambda _: _restricted,
             joint=False,
         )
     except (StatechartError, ValidationError):
         return ()
-
-
-def _chart_form(part: Data) -> Data:
-    return {**part, "variables": list(part.get("variables", ()))}
 
 
 def _restricted(whole: Setup, places: Places) -> Setup:

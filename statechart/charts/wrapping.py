@@ -21,7 +21,7 @@ from statechart.documents.fields import TIME, value_of
 from statechart.errors import DeclarationProblem, FormulaError, Loc
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.relation import parse_relation
-from statechart.formulas.tree import JUMPS, Call, Node, names_in, nodes
+from statechart.formulas.tree import JUMPS, Call, names_in, nodes
 
 Document = TypeVar("Document", bound=Declaration)
 
@@ -142,13 +142,11 @@ def periodic_calls(text: str) -> Iterator[Wrap]:
             with suppress(FormulaError):
                 formulas = parse_relation(text).formulas
     for call in (node for formula in formulas for node in nodes(formula.root)):
-        if isinstance(call, Call) and call.function in JUMPS and _uses_time(call.arguments[0]):
+        if not (isinstance(call, Call) and call.function in JUMPS):
+            continue
+        if any(name.name == TIME for name in names_in(call.arguments[0])):
             parts = [text[a + 1 : b].strip() for a, b in pairwise(call.marks)]
             yield Wrap(call, *(*parts, "1")[:2])
-
-
-def _uses_time(node: Node) -> bool:
-    return any(name.name == TIME for name in names_in(node))
 
 
 def check_wrapping(

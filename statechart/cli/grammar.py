@@ -194,7 +194,7 @@ def _add_report_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--samples",
         action=argparse.BooleanOptionalAction,
-        help="also write samples.csv, which has what trace.nc has",
+        help="also write samples.csv, with the data of trace.nc",
     )
     _value(parser, "--animate", "FILM", "draw the bodies in motion: .gif, or .mp4 with ffmpeg")
     words = "run time that passes in a second of the film"
@@ -311,6 +311,10 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         message = message.replace("the following arguments are required", "missing")
+        if message.endswith(": expected one argument"):
+            option = message.removesuffix(": expected one argument").rpartition("/")[2].split()[-1]
+            value = self._option_string_actions[option].metavar
+            message = f"{option} lacks its value; write {option} {value}"
         self.exit(2, f"{self.prog}: error: {message}\nfor the options: {self.prog} --help\n")
 
 

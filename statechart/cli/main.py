@@ -19,9 +19,9 @@ _DONE, _FAILED, _WRONG = 0, 1, 2
 # Objects that are made between two looks for garbage; Python's 700 are too few for so many.
 _COLLECTED_AFTER = 200_000
 
-# Of libraries, as long as the user says nothing else. To start threads for matrices as small as
-# ours takes longer than their products, every installed package is looked through for plugins, and
-# whole numbers are too small to gain by a library of their own.
+# Defaults for libraries. Threads take longer to start than products of our small matrices take,
+# pydantic searches every installed package for plugins, and our integers are too small to gain by
+# gmpy2.
 _SETTINGS = {
     "OPENBLAS_NUM_THREADS": "1",
     "PYDANTIC_DISABLE_PLUGINS": "__all__",
@@ -42,8 +42,8 @@ def program() -> int:
         compiling.announce(compiling.StderrLine())
         import gc
 
-        # Imports, and what is composed of a model, make a million objects that stay; to look for
-        # garbage among them is a tenth of a start. `verbs` turns the search on.
+        # Imports and the compilation of a model make a million permanent objects; collecting
+        # garbage among them takes a tenth of a start. `verbs` enables the collector.
         gc.disable()
         gc.set_threshold(_COLLECTED_AFTER)
         return main()

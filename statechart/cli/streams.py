@@ -33,11 +33,22 @@ def be_quiet() -> None:
     logging.disable(logging.CRITICAL)
 
 
-class _Out(io.TextIOBase):
-    """Stdout; an error of writing it is a `StatechartError`, once."""
+class _Stream(io.TextIOBase):
+    """A standard stream that may be closed."""
 
     def __init__(self, stream: TextIO | None) -> None:
         self._stream = stream
+
+    def isatty(self) -> bool:
+        return self._stream is not None and self._stream.isatty()
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return "utf-8" if self._stream is None else self._stream.encoding
+
+
+class _Out(_Stream):
+    """Stdout; an error of writing it is a `StatechartError`, once."""
 
     def write(self, text: str) -> int:
         stream = self._stream
@@ -55,13 +66,6 @@ class _Out(io.TextIOBase):
     def fileno(self) -> int:
         return 1
 
-    def isatty(self) -> bool:
-        return self._stream is not None and self._stream.isatty()
-
-    @property
-    def encoding(self) -> str:  # type: ignore[override]
-        return "utf-8" if self._stream is None else self._stream.encoding
-
     @contextmanager
     def _explained(self) -> Iterator[None]:
         try:
@@ -74,11 +78,8 @@ class _Out(io.TextIOBase):
             raise StatechartError(f"cannot write to stdout: {error.strerror or error}") from None
 
 
-class _Err(io.TextIOBase):
+class _Err(_Stream):
     """Stderr; errors of writing it are ignored."""
-
-    def __init__(self, stream: TextIO | None) -> None:
-        self._stream = stream
 
     def write(self, text: str) -> int:
         with suppress(OSError):
@@ -90,10 +91,3 @@ class _Err(io.TextIOBase):
         with suppress(OSError):
             if self._stream is not None:
                 self._stream.flush()
-
-    def isatty(self) -> bool:
-        return self._stream is not None and self._stream.isatty()
-
-    @property
-    def encoding(self) -> str:  # type: ignore[override]
-        return "utf-8" if self._stream is None else self._stream.encoding

@@ -270,7 +270,7 @@ def modes(arguments: argparse.Namespace) -> int:
     at = _assigned_values("--at", arguments.at)
     check_variables(automaton, at)
     if not at:
-        # Where no mode agrees with the start, modes are listed all the more.
+        # Modes are listed even if none is consistent with the start.
         with suppress(SimulationError):
             runner.start(parameters)
     setup = runner.setup(parameters)

@@ -93,8 +93,7 @@ def _table(name: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> li
 
 
 def _wrap_text(words: str) -> str:
-    lines = (textwrap.wrap(line, _CELL) or [""] for line in words.split("\n"))
-    return "\n".join(line for part in lines for line in part)
+    return "\n".join(textwrap.fill(line, _CELL) for line in words.split("\n"))
 
 
 def _legend_rows(blocks: Iterable[LayoutBlock], wide: float) -> list[LayoutBlock]:

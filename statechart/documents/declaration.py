@@ -41,7 +41,7 @@ from statechart.documents.quantities import (
     unit_of,
     unit_text,
 )
-from statechart.documents.settings import Settings, Stop
+from statechart.documents.settings import LATE_END, Settings, Stop
 from statechart.documents.validation import located
 from statechart.errors import (
     DeclarationError,
@@ -80,6 +80,12 @@ class Declaration(Part):
     """Base of all models; `kind` is the first key of a document."""
 
     METHODS: ClassVar[tuple[str, ...]] = ("check", "diagram", "equations", "modes", "with_")
+
+    OTHER_WORDS: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(("until", "t_end", "duration", "end"), "stop: {time: 10}"),
+        **dict.fromkeys(("dt", "timestep", "time_step"), "settings: {engine: impulse, step: 1e-3}"),
+        **dict.fromkeys(("sensor", "sensors", "output"), "outputs: {NAME: {value: FORMULA}}"),
+    }
 
     kind: str = declare("What is declared.", "scene")
     name: NameText = declare("Name of the model: letters, digits and _.", "toppling_stick")
@@ -136,10 +142,7 @@ class Declaration(Part):
         overrides : mapping of str to float, optional
             Values of some parameters; parameters that depend on them are recomputed.
 
-        Raises
-        ------
-        FormulaError
-            If an override names no parameter, or a formula has no value.
+        Raises `FormulaError` if an override names no parameter, or a formula has no value.
         """
         return self.constants().values(overrides or {})
 
@@ -337,26 +340,22 @@ class Declaration(Part):
     def check_values(self, values: Mapping[str, float]) -> None:
         """Check the values of the parameters; kinds of models extend it.
 
-        Raises
-        ------
-        DeclarationProblem
-            At the first value that is not allowed.
+        Raises `DeclarationProblem` at the first value that is not allowed.
         """
         if self.stop.time is None:
             return
         end = value_of(self.stop.time, values, "stop", "time")
         if not 0.0 <= end < math.inf:
             raise DeclarationProblem(
-                f"must be a finite time from 0 on, not {end:g}", loc=("stop", "time")
+                f"must be a finite time from 0 on, not {end:g}",
+                advice=LATE_END if end == math.inf else "",
+                loc=("stop", "time"),
             )
 
     def check_ranges(self) -> None:
         """Check the model at the ends of every range; the last validator of a kind.
 
-        Raises
-        ------
-        DeclarationProblem
-            At the first end with an invalid model.
+        Raises `DeclarationProblem` at the first end with an invalid model.
         """
         for name, ends in self.ranges.items():
             whole = (math.ceil(ends[0]), math.floor(ends[1])) if name in self.whole else ends

@@ -76,6 +76,10 @@ OTHER_VALUES: Mapping[str, str] = {
     **dict.fromkeys(("omega", "w", "dtheta", "dphi"), "dangle"),
     **dict.fromkeys(("rk4", "rk45", "rk23", "dop853", "radau", "lsoda", "bdf", "ode45"), "scipy"),
     **dict.fromkeys(("euler", "moreau", "timestepping"), "impulse"),
+    "max": "maximum",
+    "min": "minimum",
+    "final": "value",
+    "last": "value",
 }
 """Value of another program, in lower case -> our value."""
 
@@ -98,16 +102,22 @@ def unknown_parameter(name: str, known: Collection[str]) -> str:
     return advice
 
 
-def example(model: type[BaseModel], loc: Sequence[str | int], *, built: bool) -> str:
-    """Return an example of the value at `loc`, or an empty text."""
+def example(
+    model: type[BaseModel], loc: Sequence[str | int], *, built: bool, mapping: bool = False
+) -> str:
+    """Return an example of the value at `loc`, a mapping if there is one, or an empty text."""
     shown: Any = None
+    examples: list[Any] = []
     for part, _, field in _walk(model, loc):
         if field is not None:
-            shown = field.examples[0] if field.examples else None
+            examples = field.examples or []
+            shown = examples[0] if examples else None
         elif isinstance(shown, Mapping) and not isinstance(part, int):
             shown = next(iter(shown.values()), None)
         elif isinstance(shown, list) and isinstance(part, int):
             shown = shown[min(part, len(shown) - 1)]
+    if mapping and not isinstance(shown, Mapping):
+        shown = next((one for one in examples if isinstance(one, Mapping)), shown)
     if shown is None:
         return ""
     return repr(shown) if built else flow(shown)

@@ -27,6 +27,10 @@ Written = Annotated[Real, BeforeValidator(_constant_value, json_schema_input_typ
 """A number, or a formula of numbers."""
 
 
+LATE_END = "write a late one; a condition of stop ends the run earlier"
+"""Advice on an end that is not finite."""
+
+
 class Stop(Part):
     """End of a run: at a time, or when a condition becomes true."""
 
@@ -48,7 +52,12 @@ class Stop(Part):
 class Settings(Part):
     """Computation of a run; everything has a sensible default."""
 
-    OTHER_WORDS: ClassVar = {"dt": "step", "solver": "engine", "rtol": "tolerance"}
+    OTHER_WORDS: ClassVar = {
+        **dict.fromkeys(("dt", "timestep", "time_step"), "step"),
+        "solver": "engine",
+        **dict.fromkeys(("rtol", "atol"), "tolerance"),
+        "max": "max_step, or max_jumps",
+    }
 
     engine: Literal["auto", "taylor", "scipy", "impulse"] = declare(
         "Engine: taylor or scipy locate events, impulse takes fixed steps, auto chooses.",

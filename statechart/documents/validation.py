@@ -185,7 +185,8 @@ def _to_error(
     else:
         names = known_keys(model, loc[:-1])
         built = isinstance(document, Built)
-        shown = example(model, loc, built=built)
+        wanted = _EXPECTED.get(kind) == "a mapping"
+        shown = example(model, loc, built=built, mapping=wanted)
         if built and not _lacks_items(details):  # Python uses field names, not aliases
             details = {**details, "loc": (*loc[:-1], names.get(str(loc[-1]), loc[-1]))}
         known = names.values() if built else names
@@ -198,7 +199,7 @@ def _to_error(
         elif kind == "model_type" and loc[-1] in known_keys(model, loc):
             given = flow(details["input"])
             advice = f"it belongs below a name, such as NAME: {{{loc[-1]}: {given}}}"
-        elif kind in _SHAPES and shown:
+        elif kind in _SHAPES and shown and not advice:
             advice = f"such as {shown}"
     path = ".".join(str(part) for part in document.existing(loc))
     if isinstance(document, Built):
@@ -265,7 +266,8 @@ def _message_and_advice(
     if kind in _EXPECTED:
         return f"must be {_EXPECTED[kind]}, not {shown}", ""
     if kind == "output" and isinstance(given, Mapping) and given:
-        return f"{context.get('message', details['msg'])}, not {next(iter(given))!r}", ""
+        word, message = str(next(iter(given))), context.get("message", details["msg"])
+        return f"{message}, not {word!r}", other_value(word, "'value', 'minimum', 'maximum'")
     if kind == "union_tag_invalid":
         tags = context["expected_tags"]
         return f"must be one of {tags}, not {context['tag']!r}", other_value(context["tag"], tags)
@@ -431,7 +433,7 @@ class Document:
         return value
 
     def existing(self, loc: Loc) -> Loc:
-        """Return the parts of `loc` that lead down the data; of a list of one it may say none."""
+        """Return the parts of `loc` that exist in the data; the index of a list of one may lack."""
         at: Loc = ()
         for part in loc:
             alone = (*at, 0, part)

@@ -24,6 +24,7 @@ from statechart.documents.validation import Document
 from statechart.documents.yaml_text import resolve
 from statechart.errors import DeclarationError, Loc, Position
 from statechart.formulas.hints import character
+from statechart.formulas.syntax import NAME
 
 # The YAML parser takes about 40 us per value and 3 us per character: these bounds keep every file
 # below a second, and are some hundred times the size of a scene.
@@ -182,7 +183,7 @@ class _Builder:
             if not isinstance(key, events.ScalarEvent):
                 self._fail(key, "a key must be a word")
             name = key.value
-            self._check_cut([*mapping.values()][-1:], key)
+            self._check_cut([v for v in mapping.values() if v is not None][-1:], key)
             if name == "<<":
                 self._fail(key, "a merge key (<<)", "write the values out")
             at = (*loc, name)
@@ -199,7 +200,7 @@ class _Builder:
         if not (before and isinstance(before[0], str) and isinstance(event, events.ScalarEvent)):
             return
         first, second = (text.count("(") - text.count(")") for text in (before[0], event.value))
-        if not event.style and first > 0 and second != 0:
+        if not event.style and first > 0 and (second != 0 or not NAME.fullmatch(event.value)):
             self._fail(
                 event,
                 f"a comma in braces or brackets ends a value, here {before[0]!r}",

@@ -153,6 +153,7 @@ class MergedRun:
             final=self._state(finals),
             start_mode=self._key([run.trace.start_mode for run in runs]),
             final_mode=self._key([run.key(len(run.numbers)) for run in runs]),
+            final_roles=self._final_roles(),
             t_end=self.end,
             outcome=outcome,
             message=message,
@@ -199,6 +200,28 @@ class MergedRun:
         for run, key in zip(self._parts, keys, strict=True):
             for place, state in zip(run.places.regions.tolist(), key, strict=True):
                 merged[place] = state
+        return tuple(merged)
+
+    def _final_roles(self) -> Roles | None:
+        roles = [
+            run.trace.final_roles if len(run.numbers) == len(run.times) else None
+            for run in self._parts
+        ]
+        known = [one for one in roles if one is not None]
+        return self._roles(known) if len(known) == len(roles) else None
+
+    def _roles(self, roles: Sequence[Roles]) -> Roles:
+        merged = [roles[0][0]] * len(self._automaton.regions)
+        fixed: list[Any] = []
+        for run, roles_of_run in zip(self._parts, roles, strict=True):
+            own = region_roles(roles_of_run)
+            for region, role in zip(run.places.regions.tolist(), own, strict=True):
+                merged[region] = run.component.shown(role, run.places)
+            for role in roles_of_run[len(own) :]:
+                share: Any = role.share
+                fixed += [(run.places.parameters.item(i), value) for i, value in share]
+        if fixed:
+            merged.append(Role(PARAMETERS, share=tuple(fixed)))
         return tuple(merged)
 
     def _jump(self, number: int) -> Jump:
@@ -291,18 +314,7 @@ class MergedRun:
             begins = times[:-1] + between(arc.start, start)
             cut = _restricted_steps(arc, begins, np.diff(times))
             coefficients[:, run.places.variables, : cut.shape[2]] = cut
-        merged_roles = [roles[0][0]] * len(self._automaton.regions)
-        fixed: list[Any] = []
-        for run, roles_of_run in zip(self._parts, roles, strict=True):
-            own = region_roles(roles_of_run)
-            for region, role in zip(run.places.regions.tolist(), own, strict=True):
-                merged_roles[region] = run.component.shown(role, run.places)
-            for role in roles_of_run[len(own) :]:
-                share: Any = role.share
-                fixed += [(run.places.parameters.item(i), value) for i, value in share]
-        if fixed:
-            merged_roles.append(Role(PARAMETERS, share=tuple(fixed)))
-        return Arc(self._key(keys), tuple(merged_roles), start, number, times, coefficients)
+        return Arc(self._key(keys), self._roles(roles), start, number, times, coefficients)
 
 
 def _duration(start: Clock, end: Clock) -> float:

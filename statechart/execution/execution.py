@@ -613,6 +613,7 @@ class Execution:
             final=self.state,
             start_mode=start,
             final_mode=self.flow.mode if self.started_mode else start,
+            final_roles=self.flow.moving if self.started_mode else None,
             t_end=self.clock.high,
             outcome=self.outcome,
             message=self.message,

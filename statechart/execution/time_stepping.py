@@ -66,7 +66,7 @@ class SteppingSimulator:
                 step=min(self.step, until) or self.step,
                 until=until,
                 max_jumps=max_jumps,
-                show=shown.show if shown else _silent,
+                show=shown.show if shown else lambda time, jumps, steps: None,
                 impulses=self.impulses,
                 policy=RecordingPolicy(self.record, self.new_outputs()),
             )
@@ -94,7 +94,3 @@ class SteppingSimulator:
             max_jumps=max_jumps,
             impulses=self.impulses,
         )
-
-
-def _silent(time: float, jumps: int, steps: int) -> None:
-    """Report nothing."""

@@ -209,7 +209,7 @@ class AtomsAt:
         return bool(condition.truth(lambda k: self._holds_now(first + k), active))
 
     def certificate(self, condition: Condition, first: int, active: Active) -> frozenset[int]:
-        """Return the indices of the certificate of a condition; of all atoms if it is undecided."""
+        """Return the atoms of the certificate of a condition; all atoms if it is undecided."""
         places = range(len(condition.atoms))
         atoms: Collection[int] = places
         if self.truth(condition, first, active) is not None:
@@ -323,7 +323,7 @@ def _split(atom: Atom) -> Any:
     import sympy
 
     expression, strict = atom.expression, atom.strict
-    # Of what is never negative an angle has no branch cut, but its smooth pieces would jump there.
+    # The angle of a nonnegative x has no branch cut, but its smooth pieces would jump there.
     uncut = {
         angle: sympy.pi / 2 - sympy.atan2(x, y)
         for angle in expression.atoms(sympy.atan2)

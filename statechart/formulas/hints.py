@@ -121,6 +121,8 @@ _HYBRID: Mapping[str, str] = {
         ("rand", "random", "randn", "noise", "uniform", "normal"),
         "runs are not random; write a parameter, and sweep it",
     ),
+    **dict.fromkeys(("clip", "clamp", "saturate", "saturation", "limit"), "write sat(x, a, b)"),
+    "integral": "write a variable with flows: {i: x}",
     "log10": "write log(x)/log(10)",
     **dict.fromkeys(("log2", "lb"), "write log(x)/log(2)"),
 }
@@ -147,6 +149,8 @@ def meant(
         return _HYBRID[bare.lower()]
     if name == "e":
         return "its power is exp(...); a number of your own stands in parameters"
+    if name == "g":
+        return "write 9.81, or declare parameters: {g: 9.81} and gravity: g"
     if bare.lower() == "nan":
         return "nothing follows from what is not a number; write one"
     if bare in ("pow", "power"):

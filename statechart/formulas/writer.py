@@ -329,17 +329,13 @@ def join_exponentials(factors: Sequence[sp.Expr]) -> tuple[Sequence[sp.Expr], sp
     remaining factors, and the joined exponent or None.
     """
     exponentials = [factor for factor in factors if isinstance(factor, sp.exp)]
-    numbers = [f for f in factors if exponentials and f.is_Float and f and _is_extreme(f)]
+    floats = [f for f in factors if exponentials and f.is_Float and f]
+    numbers = [f for f in floats if not _MIN_FACTOR < abs(f) < 1 / _MIN_FACTOR]
     if not numbers:
         return factors, None
     number, first = numbers[0], exponentials[0]
     left = [factor for factor in factors if factor is not number and factor is not first]
     return [*left, sp.sign(number)], first.args[0] + sp.log(abs(number))
-
-
-def _is_extreme(number: sp.Float) -> bool:
-    size = abs(number)
-    return not _MIN_FACTOR < size < 1 / _MIN_FACTOR
 
 
 def _negative(term: sp.Expr) -> bool:

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 class Kind:
     """One kind of document, as a package offers it.
 
-    What must hold for its runs, and by how much it does not, it offers under the kind's name in the
-    groups `statechart.properties` and `statechart.violations` (see `load_entry`).
+    The package offers the properties of runs and the sizes of their violations under the name of
+    the kind in the groups `statechart.properties` and `statechart.violations` (see `load_entry`).
     """
 
     name: str  # the value of the document's `kind:`

@@ -1,5 +1,5 @@
 """A run as one HTML file that needs nothing else: its motion, curves, chart and events.
 
-`page` makes of a run what the page shows, as one object, and puts it with `page.html`, `page.css`,
-`scene.js` and `page.js` into the file.
+`page` collects the data of a run in one object and writes it into the file with `page.html`,
+`page.css`, `scene.js` and `page.js`.
 """

@@ -239,8 +239,8 @@ def _impulses_of(trace: Trace, panel: Panel, region: str, end: float) -> dict[st
 def _sample_rows(samples: Samples, end: float) -> NDArray[np.intp]:
     """Return the sampled rows of curves, including both ends of every flow.
 
-    Without these a curve would end short of where it jumps. Of too many flows all rows, of which
-    `Line` draws the least and the greatest of every column.
+    Without both ends a curve would stop before its jump. With too many flows these are all rows;
+    `Line` then draws the minimum and maximum of every column.
     """
     inside = np.flatnonzero(samples.t <= end)
     # One of every column, as far as there are any: a long flow looks as smooth as short ones.
@@ -311,8 +311,8 @@ def _complete_diagram(
 ) -> tuple[Diagram, Callable[[Key], tuple[str, ...]]]:
     """Return a diagram with every mode, and its active nodes in each mode.
 
-    Of a run through many modes a diagram shows the first ones; what it does after that is seen on
-    the charts of its regions.
+    The diagram of a run through many modes shows the first ones; the charts of the regions show
+    the others.
     """
     shown = {node.name for node in diagram.nodes}
 
@@ -339,7 +339,7 @@ def _without_markup(diagram: Diagram) -> Diagram:
 
 
 def _with_units(values: Mapping[str, object], units: Mapping[str, str]) -> dict[str, Any]:
-    """Return values as text with their units; of a long list the numbers, for a sparkline."""
+    """Return values as text with units, and the numbers of long lists for a sparkline."""
 
     def shown(name: str, value: object) -> dict[str, Any]:
         unit = "" if value is None else unit_suffix(units.get(name, ""))

@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 SUFFIXES = (".gif", ".mp4")
 """File formats of `write_animation`."""
 
-# Pictures a second; a GIF counts hundredths of a second, of which this is a whole number.
+# Pictures per second; a GIF needs a whole number of hundredths of a second per picture.
 _RATE = 25
-# Seconds that an animation of a speed chosen here takes, at least and at most.
+# Shortest and longest duration in seconds of an animation whose speed is chosen here.
 _SHORT, _LONG = 3.0, 10.0
-# Pictures of one file: of longer ones every second, third, ... is left out.
+# Largest number of pictures; longer films skip every second, third, ... one.
 _MAX_FRAMES = 600
 # Pixels along a side; a video's are even.
 _NARROWEST, _WIDEST = 120, 1920

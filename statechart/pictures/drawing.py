@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 
 
 FORCE, TRAIL = LINES[1], LINES[0]
-"""Of arrows of forces, and of where bodies have been."""
+"""Colours of force arrows and of trails."""
 
 CLOSED = ("pin", "slide", "slide+", "slide-")
-"""States of a contact in which it has a force."""
+"""States of a contact that has a force."""
 
 _RIM = 37  # points on the rim of a cone
 _TOUCH, _LEAST = 0.014, 3.0
-# The head of an arrow, of its width; a width, at most of its length.
+# Length of an arrowhead in arrow widths; largest width in arrow lengths.
 _HEAD, _SHAFT = 5.0, 0.2
 
 
@@ -85,7 +85,7 @@ class Drawing:
     def moving(self) -> list[Artist]:
         """Return the artists to redraw at another instant, from back to front.
 
-        That is what moves, and what is drawn upon it. What is seen by an eye that moves does, too.
+        These are the moving artists and those in front of them; all, if the window moves.
         """
         drawn = {*self._ax.lines, *self._ax.patches, *self._ax.collections, *self._ax.texts}
         ordered = [artist for artist in self._ax.get_children() if artist in drawn]
@@ -141,22 +141,22 @@ class Drawing:
 
 
 _SIZE = 8  # points
-# Costs of covering other parts by a name, from forbidden to undesirable.
+# Costs of a name that covers other parts, from forbidden to undesirable.
 _OUTSIDE, _TEXT, _MARK, _LINE, _FARTHER = 1000.0, 500.0, 30.0, 4.0, 0.4
-# Around a point a name is tried in so many directions and distances, these in points of the paper.
+# Directions and distances (in points) around a point at which a name is tried.
 _ROUND, _DISTANCES = 12, (3.0, 8.0, 16.0, 28.0)
-# Kept free around it, in points.
+# Free margin around a name, in points.
 _CLEAR = 1.5
-# Bodies with a mode are named if they are at most so many.
+# Largest number of bodies with a mode that are named.
 _MAX_NAMED = 12
-# Between two names, along and across lines of text.
+# Least distance of two names, along and across lines of text.
 _APART = np.array([5.0, 0.0])
 _CORNERS = np.linspace(0.0, 2.0 * np.pi, 25)
 
 
 @dataclass(frozen=True, eq=False)
 class _Name:
-    """A name, how it is written, and where it may stand: middles (m, 2) in pixels, best first."""
+    """A label with its style, size and candidate centres (m, 2) in pixels, best first."""
 
     text: str
     style: dict[str, Any]
@@ -167,7 +167,7 @@ class _Name:
 def write_names(ax: Axes, film: Film, mark: float) -> None:
     """Write names into the first picture of a film.
 
-    Each goes where it is whole and hides least; where there is no such place it is left out.
+    Each name takes the place where it hides least. A name without a free place is not written.
     """
     scale = ax.figure.dpi / 72.0
     inner = np.array(ax.get_window_extent().padded(-_CLEAR * scale).extents)
@@ -331,10 +331,10 @@ def _lines(film: Film) -> Array:
 
 # In inches.
 _WIDTH, _HIGHEST, _STRIP = 7.2, 6.4, 1.9
-# Above a snapshot, for its time.
+# Height of the time above a snapshot.
 _CLOCK = 0.25
 _SIDE_BY_SIDE = 5
-# Of its place an instant takes so much.
+# Fraction of its cell that a snapshot takes.
 _PART = 0.93
 
 
@@ -362,18 +362,18 @@ def strip(figure: Figure, film: Film, top: float) -> None:
 
 
 def strip_height(film: Film, width: float) -> float:
-    """Return how high a strip of so many inches is."""
+    """Return the height of a strip of `width` inches."""
     return _PART * picture_size(film, width / _SIDE_BY_SIDE, _STRIP)[1] + _CLOCK
 
 
 def picture_size(film: Film, width: float, highest: float) -> tuple[float, float]:
-    """Return width and height that fit a film, neither above what is given."""
+    """Return the largest size with the aspect ratio of a film within `width` and `highest`."""
     height = width * film.half[1] / film.half[0]
     return (width, height) if height <= highest else (width * highest / height, highest)
 
 
 def spread(film: Film, count: int) -> list[int]:
-    """Return the first, the last, and instants between which bodies move alike far."""
+    """Return the first and the last instant, and others at equal distances of the motion."""
     displacements = np.abs(np.diff(film.poses[:, :, :2], axis=0)).max(axis=(1, 2)) / film.unit
     turned = np.abs(np.diff(film.poses[:, :, 2], axis=0)).max(axis=1)
     far = np.concatenate([[0.0], np.cumsum(displacements + 0.2 * turned)])

@@ -205,7 +205,7 @@ def catenary(first: Array, last: Array, slack: Array) -> Array:
 def hatching(points: Array, spacing: float) -> Array:
     """Return the strokes (m, 2, 2) of the hatching on the right of a line of points.
 
-    Where the line turns sharply they are as far apart as along it.
+    Strokes have the same distance at sharp turns of the line.
     """
     ends = np.diff(points, axis=0)
     tangential = np.concatenate([[0.0], np.cumsum(np.hypot(*ends.T))])

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.path import Path
 
 BODY, SOLID = "#C5D3E2", "#EEF1F4"
-"""Of bodies and of what surfaces bound."""
+"""Fill colours of bodies and of the solid below surfaces."""
 
-# Sizes on the paper, in parts of the width of a picture.
+# Sizes relative to the width of the picture.
 _BAR, _MASS, _MARK = 0.012, 0.02, 0.011
 _WINDINGS = 7
 # Lines of springs and dampers: how far along and, in half widths of a spring, across. A damper is a
@@ -32,15 +32,16 @@ _PISTON = [(0.0, 0.0), (0.55, 0.0), (0.55, 0.3), (0.55, -0.3), (np.nan, np.nan)]
 _CYLINDER = [(0.4, 0.45), (0.7, 0.45), (0.7, -0.45), (0.4, -0.45)]
 _DASHPOT = np.array([*_PISTON, *_CYLINDER, (np.nan, np.nan), (0.7, 0.0), (1.0, 0.0)])
 _PROFILES = {"spring": _ZIGZAG, "damper": _DASHPOT}
-# Half width of a spring in parts of the picture; where one beside its line turns off that.
+# Half width of a spring relative to the picture; fraction of its length at which a spring beside
+# its line leaves the line.
 _HALF_WIDTH, _TURNS = 0.018, 0.12
-# Shapes beyond which edges are thinner; so are they in a picture narrower than so many points.
+# Number of shapes, and width of the picture in points, from which edges are thinner.
 _MANY, _NARROW, _THINNEST = 24, 260.0, 0.4
 _FILLED = ("outline", "disc")
 
 
 def points_of(unit: float, ax: Axes) -> float:
-    """Return how many points of the paper the width of a picture is."""
+    """Return the width of a picture in points."""
     box = ax.get_window_extent()
     width, height = np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim())
     scale = min(box.width / width, box.height / height)
@@ -48,12 +49,12 @@ def points_of(unit: float, ax: Axes) -> float:
 
 
 def thinner(paper: float) -> float:
-    """Return of which part of their width lines are in a picture so wide in points."""
+    """Return the factor on line widths for a picture of this width in points."""
     return min(max(paper / _NARROW, _THINNEST), 1.0)
 
 
 def bar_width(paper: float) -> float:
-    """Return how wide a bar is with its edges, in points, for a picture so wide in points."""
+    """Return the width of a bar with its edges for a picture of this width, both in points."""
     return max(_BAR * paper, 2.5 * thinner(paper)) + 1.6 * thinner(paper)
 
 
@@ -80,7 +81,7 @@ class Scenery:
                 yield from artists
 
     def show(self, instant: int) -> None:
-        """Move everything to where it is at an instant."""
+        """Move all artists to their positions at an instant."""
         from matplotlib.transforms import Affine2D
 
         for bodies in self._bodies:
@@ -178,7 +179,7 @@ class Scenery:
 
 
 class _Bodies:
-    """Outlines and discs, back to front, as one artist: a thousand are drawn as fast as some."""
+    """Outlines and discs, back to front, as one artist, which draws a thousand fast."""
 
     def __init__(self, ax: Axes, film: Film, shapes: list[Shape]) -> None:
         from matplotlib.collections import LineCollection, PathCollection
@@ -187,13 +188,13 @@ class _Bodies:
         self._edges = [_edge(shape) for shape in shapes]
         self._frames = np.array([shape.frame for shape in shapes])
         self._regions = [shape.region for shape in shapes]
-        # By a radius one sees a disc turn.
+        # Discs that turn show a radius.
         self._turning = [
             k for k, shape in enumerate(shapes) if shape.kind == "disc" and shape.turns
         ]
         turning = [shapes[k] for k in self._turning]
         radii = [one.points[0] + np.array([[0.0, 0.0], [one.radius, 0.0]]) for one in turning]
-        # All points, which are placed at once, and whose they are.
+        # All points, and the shape that each belongs to.
         points = [*(edge.vertices for edge in self._edges), *radii]
         counts = [np.shape(part)[0] for part in points]
         owners = [*range(len(shapes)), *self._turning]

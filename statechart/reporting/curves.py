@@ -85,7 +85,8 @@ def remarks(names: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
 
 def curves(observer: Observer, trace: Trace) -> tuple[Samples, list[Panel]]:
     """Return the samples of a run, and the panels that show them."""
-    samples = observer.sample(trace, per_step=_per_step(trace))
+    steps = sum(len(arc.coefficients) for arc in trace.arcs)
+    samples = observer.sample(trace, per_step=min(max(4000 // max(steps, 1), 4), 64))
     samples = without_round_off(observer.automaton, trace, samples)
     states = _variable_panels(observer.automaton, samples)
     forces = _force_panels(observer.automaton, trace, samples)
@@ -130,11 +131,6 @@ def impulses_of(trace: Trace, region: str) -> tuple[Array, Array]:
 def impulse_label(panel: Panel, impulses: Array) -> str:
     """Return the legend of impulses on a force axis, with their maximum."""
     return f"impulse, up to {largest(impulses):.3g} {unit_suffix(panel.impulse_unit)}".rstrip()
-
-
-def _per_step(trace: Trace) -> int:
-    steps = sum(len(arc.coefficients) for arc in trace.arcs)
-    return int(np.clip(4000 // max(steps, 1), 4, 64))
 
 
 def without_round_off(automaton: Automaton, trace: Trace, samples: Samples) -> Samples:
@@ -325,7 +321,7 @@ class DrawnCurve:
 
     @classmethod
     def of(cls, samples: Samples) -> DrawnCurve:
-        """Return the polyline; of many samples the minimum and maximum of each column."""
+        """Return the polyline; for many samples, the minimum and maximum of each column."""
         t, jumped = samples.t, np.flatnonzero(np.diff(samples.j)) + 1
         if len(t) <= _DENSE * COLUMNS:
             return cls(np.insert(t, jumped, np.nan), None, jumped)

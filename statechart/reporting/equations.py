@@ -270,7 +270,8 @@ def _force_equations(rows: _Equations, automaton: Automaton) -> tuple[Equation, 
     for row in list(unsolved):
         # The only force of its equation, or one proportional to others, as by a law of friction.
         inside = [force for force in forces if row.has(force)]
-        share = not row.has(*automaton.coordinates.accelerations) and _vanishes(row, inside)
+        rest = sp.expand(row.xreplace(dict.fromkeys(inside, sp.S.Zero)))
+        share = rest == 0 and not row.has(*automaton.coordinates.accelerations)
         if inside and (len(inside) == 1 or share) and inside[-1] not in dict(found):
             last = inside[-1]
             slope = sp.diff(row, last)
@@ -285,10 +286,6 @@ def _force_equations(rows: _Equations, automaton: Automaton) -> tuple[Equation, 
     else:
         found += [(_short(row), sp.S.Zero) for row in unsolved]
     return tuple(found)
-
-
-def _vanishes(row: sp.Expr, forces: Sequence[sp.Symbol]) -> bool:
-    return bool(sp.expand(row.xreplace(dict.fromkeys(forces, sp.S.Zero))) == 0)
 
 
 def _exact(expression: sp.Expr) -> sp.Expr:

@@ -72,8 +72,9 @@ def computation_lines(report: Mapping[str, Any]) -> list[str]:
     """Return lines on engine, cost and accuracy of a run."""
     counts = report["counts"]
     certified = _CERTIFIED[report["certified"]]
+    kind = "tolerance" if report["step"] is None else "step"
     lines = [
-        f"engine {report['engine']}, {_how(report)}; {certified}",
+        f"engine {report['engine']}, {kind} {report[kind]:.3g}; {certified}",
         f"{pluralise(counts['steps'], 'step')}, {pluralise(counts['jumps'], 'jump')}",
     ]
     if report["step"] is None:  # time steps build no modes
@@ -88,7 +89,7 @@ def computation_lines(report: Mapping[str, Any]) -> list[str]:
         lines.append(
             f"it took {pluralise(cost['runs'], 'run')}, {pluralise(cost['steps'], 'step')}, "
             f"{cost['seconds']:.2g} s; first "
-            f"{'tolerance' if report['step'] is None else 'step'} {report['asked']['basis']}"
+            f"{kind} {report['asked']['basis']}"
         )
         if report["asked"]["not_judged"]:
             names = ", ".join(report["asked"]["not_judged"])
@@ -114,12 +115,6 @@ def _cut(names: Sequence[str]) -> str:
     if len(names) <= _NAMES:
         return ", ".join(names)
     return f"{', '.join(names[: _NAMES - 1])}, {len(names) - _NAMES + 1} more"
-
-
-def _how(report: Mapping[str, Any]) -> str:
-    if report["step"] is not None:
-        return f"step {report['step']:.3g}"
-    return f"tolerance {report['tolerance']:.3g}"
 
 
 def _event_blocks(report: Mapping[str, Any], digits: int) -> list[TextBlock]:
@@ -188,7 +183,7 @@ def _alternatives(rows: Sequence[Mapping[str, Any]], digits: int) -> list[TextBl
 
 
 def _least(values: Mapping[str, Any]) -> list[tuple[str, Any] | int]:
-    """Return margins by name; of many the smallest, and the number of the others."""
+    """Return margins by name; if there are many, the smallest and the number of the others."""
     left_out = len(values) - 2 * FEW
     if left_out <= 0:
         return list(values.items())

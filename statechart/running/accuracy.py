@@ -64,9 +64,8 @@ _ROUNDED = 32.0 * float(np.finfo(float).eps)
 _NEARLY = 1.0 + 1e-9
 
 # Richardson extrapolation of time stepping: order 1, x(h) = x + c h, so that the error of the finer
-# of two runs is c h = (x(r h) - x(h)) / (r - 1). The place of an event between two steps is random,
-# and so is c: a run is compared with four, whose steps are powers of sqrt(1/2) and place no event
-# alike.
+# of two runs is c h = (x(r h) - x(h)) / (r - 1). The place of an event between two steps is random
+# and makes c random: a run is compared with four others, with steps longer by powers of sqrt(2).
 SHORTER = math.sqrt(0.5)
 """Ratio of successive step sizes."""
 FIRST_SHARE = 1e-3
@@ -307,7 +306,9 @@ class _Tightened(_Series):
             observer, trace = self.make(now.trace.tolerance, True)
         except DeclarationError:
             return None  # no valid initial state
-        if _identical(trace, now.trace) or trace.outcome in _CUT_SHORT:
+        times, known = ([jump.t for jump in one.jumps] for one in (trace, now.trace))
+        identical = times == known and np.array_equal(trace.final, now.trace.final)
+        if identical or trace.outcome in _CUT_SHORT:
             return None
         words = "with gaps and from starts that differ by the tolerance"
         return self._difference(EvaluatedRun.of(observer, trace), now, words)
@@ -468,11 +469,6 @@ def replay(once: Once, chosen: Chosen) -> RunEstimate | None:
         return None
     endless = tuple(sorted(outputs_of(observer).endless(trace)))
     return RunEstimate(observer, trace, chosen.error, cost, (), endless, chosen.decides)
-
-
-def _identical(one: Trace, other: Trace) -> bool:
-    times = [[jump.t for jump in trace.jumps] for trace in (one, other)]
-    return times[0] == times[1] and np.array_equal(one.final, other.final)
 
 
 class _Refined(_Series):

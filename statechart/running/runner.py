@@ -17,6 +17,7 @@ from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.hints import check_arguments, unknown_parameter
 from statechart.documents.setting import Record, Setting, SettingWords
+from statechart.documents.settings import LATE_END
 from statechart.documents.validation import Document, located
 from statechart.engines.engine import Allowance
 from statechart.engines.request import Measured, plan_request
@@ -453,7 +454,10 @@ class RunInputs:
         if until is not None:
             if not is_real(until) or not 0.0 <= until < math.inf:
                 value = f"{until:g}" if is_real(until) else repr(until)
-                raise DeclarationError(f"the end must be a finite time from 0 on, not {value}")
+                raise DeclarationError(
+                    f"the end must be a finite time from 0 on, not {value}",
+                    advice=LATE_END if until == math.inf else "",
+                )
             return until
         with located(self.document, {} if self._end is None else overrides, ("stop", "time")):
             if self._end is None:

@@ -236,7 +236,9 @@ def _ended(work: _Work, executor: Executor | None) -> str:
     """Run the cells; return why the sweep is incomplete, or an empty text."""
     try:
         if executor is None:
-            _run_here(work)
+            while (job := work.next()) is not None:
+                interrupts.check()
+                work.take(job, run_block(work.task, job.parameters))
         else:
             _hand_out(work, executor)
     except KeyboardInterrupt:
@@ -336,12 +338,6 @@ class _Work:
                 chunk.written = True
         self._open = [chunk for chunk in self._open if chunk.left]
         self._written_at = time.monotonic()
-
-
-def _run_here(work: _Work) -> None:
-    while (job := work.next()) is not None:
-        interrupts.check()
-        work.take(job, run_block(work.task, job.parameters))
 
 
 def _hand_out(work: _Work, executor: Executor) -> None:

@@ -1,7 +1,7 @@
-"""The tests of the W3C for SCXML that a chart can say, as plain data.
+"""W3C tests of SCXML that a chart can express, as plain data.
 
-Source: SCXML 1.0 Implementation Report (w3.org/Voice/2013/scxml-irp), numbers as there. What
-`<raise>` and `<send>` do is done by regions beside the region `main`, which hears their events;
+Source: SCXML 1.0 Implementation Report (w3.org/Voice/2013/scxml-irp), numbers as there. Regions
+beside the region `main` take the place of `<raise>` and `<send>`: `main` hears their events;
 invoked sessions are regions, or regions in the state that invokes; `<if>` and `<foreach>` are
 guards of transitions.
 """
@@ -98,7 +98,7 @@ def child(*transitions: Data, **states: Data) -> Data:
 
 
 def clauses(first: str, second: str, third: str | None) -> tuple[Data, ...]:
-    """Return `<if>`, `<elseif>` and `<else>`, which count in v1 what they do."""
+    """Return `<if>`, `<elseif>` and `<else>`, which count their executions in v1."""
     last = [] if third is None else [t("s0", "baz", updates=up("v1"))]
     return (t("s0", "foo", guard=first, updates=up("v1")),
             t("s0", "bar", guard=second, updates=up("v1")), *last)  # fmt: skip
@@ -148,7 +148,7 @@ CHARTS: dict[str, Data] = {
         t("s1", "pass", on="of_event2.event2"), t("s1", "fail", on="of_event1.event1"),
         before=TWO,
     ),
-    # Which event is sent is decided by the value at hand, not by the first.
+    # The present value, not the first, decides which event is sent.
     "172": chart(
         "s0", {"s0": {"entry": {"v1": 2}}},
         t("s0", "pass", on="of_event2.event2"), t("s0", "fail", on="of_event1.event1"),
@@ -276,7 +276,7 @@ CHARTS: dict[str, Data] = {
         "s0", {"s0": {}}, t("s0", "pass", on="child.done"), t("s0", "fail", after=2),
         after=child(t("sub0", "end", after=1)),
     ),
-    # That it is done is the last that a session says.
+    # `done` is the last event of a session.
     "236": chart(
         "s0", {"s0": {}, "s1": {}, "s2": {}},
         t("s0", "s1", on="child.child_to_parent"), t("s0", "fail", on="child.done"),

@@ -262,6 +262,7 @@ def test_every_option_and_argument_has_a_help_text(action: argparse.Action) -> N
         ("run toppling_stick --set mu 0.3", "'mu' is not of the form NAME=VALUE, such as mu=0.3"),
         ("trade toppling_stick --step 0.1", "no option --step; known: --json, --output, --quiet"),
         ("run toppling_stick --page a.html", "no option --page; write --report\n"),
+        ("run toppling_stick -o", "run: error: --output lacks its value; write --output DIR\n"),
         ("run toppling_stick --t-end 3", "no option --t-end; write --until\n"),
         ("animate toppling_stick", "write statechart run FILE --animate FILM.gif"),
         ("rnu toppling_stick", "no verb 'rnu'; did you mean 'run'? known: "),

@@ -53,7 +53,7 @@ def test_a_rod_that_passes_at_two_percent_distance_has_no_impact(runner, angle, 
 @pytest.mark.parametrize("x", [0.5, 0.9])
 @pytest.mark.parametrize("angle", _PHASES)
 def test_a_turning_rod_strikes_an_obstacle_at_any_time_of_a_step(runner, angle, x):
-    """Both fly apart as fast as they met; the lever is known to what the rod turns in half a step.
+    """Both separate at their approach velocity, up to the rotation of the lever in half a step.
 
     The impulse is 2 v / (1 / m + 1 / M + x^2 / I).
     """
@@ -68,7 +68,7 @@ def test_a_turning_rod_strikes_an_obstacle_at_any_time_of_a_step(runner, angle, 
 @pytest.mark.parametrize("offset", [-0.02, 0.02])
 @pytest.mark.parametrize("phase", [0.0, 0.1, 0.2])
 def test_passing_ball_is_struck_only_within_reach_of_the_rod(runner, phase, offset):
-    """Along y at 0.02 inside and outside of what the end can reach, as the end comes by."""
+    """The ball passes along y, 0.02 inside or outside the circle of the rod's end."""
     x = _REACH + _RADIUS + offset
     _, final = run(runner, angle=-0.45 - phase, x=x, y=0.04, dy=-20)
     assert (final["ball.dy"] == -20.0) == (offset > 0.0)

@@ -35,7 +35,7 @@ NAMES = {
 
 
 def thinner(command: str) -> str:
-    """The same sweep of a few cells; by processes of its own the first that says so alone."""
+    """Return a sweep with fewer cells; only the first one with `--workers` keeps them."""
     fewer = re.sub(r"((?:lin|log):[^:\s]+:[^:\s]+):\d+", r"\1:3", command)
     if "figure_10" not in command:
         fewer = fewer.replace(" --workers 2", "")
@@ -50,10 +50,7 @@ def at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def here(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run a verb in this process, where all is imported that a start takes a second for.
-
-    What takes more than words is left to a shell.
-    """
+    """Run a verb in this process, which has imported the program; a shell runs other commands."""
     said = re.sub(r"\s#.*", "", command)
     if not said.startswith("statechart ") or re.search(r"[;|&<>$`~*?{}]", said):
         return shell(command, folder)
@@ -213,7 +210,7 @@ def test_each_outcome_has_an_entry_with_an_example() -> None:
         for entry in re.split(r"^## ", page.read_text(encoding="utf-8"), flags=re.M)[1:]
     ]
     assert [entry.splitlines()[0] for entry in entries] == [o.name for o in Outcome]
-    # A reader sees these end in every run, or does it with a key.
+    # Every run shows the first two; the third is the reader's Ctrl-C.
     unshown = {"HORIZON", "STOPPED", "INTERRUPTED"}
     for entry in entries:
         name, _, text = entry.partition("\n")

@@ -27,6 +27,13 @@ outputs:
 """
 
 MISTAKES = {
+    "three arguments in braces": ("mu: 0.5", "mu: sat(1, 0, 2)", "here 'sat(1'; put the whole"),
+    "names as arguments": ("mu: 0.5", "mu: sat(m, top, h)", "here 'sat(m'; put the whole formula"),
+    "bounded by clip": ("height: 0", "height: 'clip(x, 0, 1)'", "write sat(x, a, b)"),
+    "end of a run": ("stop: {", "until: {", "unknown key 'until'; write stop: {time: 10}"),
+    "end at infinity": ("time: 1,", "time: inf,", "a finite time from 0 on, not inf; write a late"),
+    "step of a scene": ("stop: {", "dt: 0.1\nstop: {", "'dt'; write settings: {engine: impul"),
+    "bound of a setting": ("stop: {", "settings: {max: 1}\nstop: {", "write max_step, or"),
     "end of a stop": ("{time: 1, ", "{t_end: 1, ", "unknown key 't_end'; write time"),
     "no colon in braces": ("{mass: m, ", "{mass 1, ", "7:9: unknown key 'mass 1'; write mass: 1"),
     "angle of a surface": ("{height: 0}", "{angle: 0.1}", "unknown key 'angle'; write incline"),
@@ -90,7 +97,7 @@ MISTAKES = {
                 "engine impulse needs a step, or an accuracy; add --step 1e-3, or"),
     "force as a number": ("outputs:", "forces: {push: {body: rod, force: 3}}\noutputs:", "such as"),
     "pivot as a name": ("outputs:", "joints: {p: {point: {body: rod}, to: wall}}\noutputs:", "such "
-                        "as [0, 0]"),
+                        "as {body: rod, at: [0, L]}"),
     "coordinate as a number": ("outputs:", "coordinates: {q: 1}\noutputs:", "such as {start: 0.2}"),
     "mode at the start": ("outputs:", "modes: {tip: pin}\noutputs:", "its gap is open or opening"),
     "tab": ("  ground", "\tground", "9:1: not YAML: found character '\\t' that cannot start any "
@@ -106,7 +113,7 @@ MISTAKES = {
     "one component": ("[0, -L]", "[0]", "contacts.tip.point.at: must have 2 items, not 1; such as"),
     "blank for a comma": ("gravity: g", "gravity: [0 -g]", "gravity: must have 2 items, not 1"),
     "components by name": ("gravity: g", "gravity: {y: -g}", "a formula, not a mapping; such as 9"),
-    "two frictions": ("friction: mu", "friction: [0.3, 0.2]", "a formula, not a list; such as mu"),
+    "two frictions": ("friction: mu", "friction: [1, 2]", "such as {static: 0.5, kinetic: 0.3}"),
     "yes": ("name: thrown", "name: true", "2:7: name: must be text, not true; such as toppling"),
     "truth for a number": ("friction: mu", "friction: true", "a number or a formula, not true"),
     "key of another part": ("{height: 0}", "{height: 0, friction: mu}", "9:23: unknown key 'frict"
@@ -225,7 +232,7 @@ MISTAKES = {
                                "unknown name 'rod.vx'; write rod.dx"),
     "rate of an angle": ("value: time", "value: rod.omega", "'rod.omega'; write rod.dangle"),
     "greatest value in short": ("{value: time, at: first tip.slip}", "{max: rod.y}",
-                                "count, minimum, maximum, not 'max'; such as {value: time, at: "),
+                                "count, minimum, maximum, not 'max'; write maximum"),
     "or equal turned": ("<= -pi/2", "=> 0",
                         "12:46: stop.conditions.flat: formula 'rod.angle => 0': un"
                         "expected '='; compare with <=, <, >= or >"),
@@ -400,7 +407,7 @@ def test_disabled_contact_may_start_behind_its_line() -> None:
         # Parameters.
         ((("m: 1", "m: k"), ("h: 1", "h: 2*w")), ("3:17", "3:48")),
         ((("mu: [0, 2]", "nu: [0, 2], e: [1, 0]"),), ("4:10", "4:25")),
-        # What is empty, and what is wrong beside it; what may follow from it is not told.
+        # Empty keys and independent mistakes are reported; possible consequences are not.
         (
             (("gravity: g", "gravity:"), ("inertia: m*L**2/3", "inertia:"), ("hei", "hi"),
              ("time: 1", "time: one")),

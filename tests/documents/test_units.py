@@ -156,7 +156,7 @@ def test_parameters_have_the_units_of_their_uses() -> None:
     }  # fmt: skip
     turned = load("raibert_hopper")
     assert [turned.unit(n) for n in ("J", "c", "Kp", "gain")] == ["kg m\u00b2", "kg/s", "N m", "s"]
-    # What converts degrees is no angle, nor is what is told of nowhere anything.
+    # A conversion factor of degrees is no angle; a parameter without use has no unit.
     bar = load("double_contact_bar").model_copy(update={"units": SI})
     assert [bar.unit(n) for n in ("tilt_deg", "tilt", "L")] == ["", "rad", "m"]
 

@@ -159,7 +159,7 @@ def test_motion_does_not_depend_on_the_origin(text: str, shift: float) -> None:
     # friction stops a slip amid them.
     close = 1e-7 * abs(shift) if text == ROD else 1e-9
     assert there.final - moved == pytest.approx(here.final, rel=close, abs=close)
-    # What is summed of bounces is fewer or more of them, and ends when they do.
+    # The number of summed bounces may differ, but not the end of the sequence.
     ends = [[jump.t for jump in trace.jumps if jump.cause == "zeno"] for trace in (here, there)]
     assert ends[1] == pytest.approx(ends[0], rel=close)
 

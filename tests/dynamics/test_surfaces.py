@@ -67,7 +67,7 @@ def over_a_bump(width: float, speed: float) -> Scene:
 
 @pytest.mark.parametrize("width", [0.05, 2e-3])
 def test_a_slow_ball_slides_up_a_narrow_bump_and_back(name: str, width: float) -> None:
-    # Where it comes from the bump is below any rounding: no derivative there tells of it.
+    # Derivatives at the start vanish below round-off and do not show the bump.
     trace = run(over_a_bump(width, 1.0), name, 3.0)
     assert [jump.cause for jump in trace.jumps] == ["reverse"]
     assert trace.jumps[0].after[1] == pytest.approx(1 / (2 * 9.81), rel=1e-9)
@@ -212,8 +212,8 @@ contacts:
 def test_a_ball_slides_into_a_groove_of_two_pieces_and_rests(name: str) -> None:
     trace = run(validate(read_text(GROOVE), Scene), name, 12.0)
     assert trace.final_mode == ("slide", "slide")
-    # Down a slope of length hypot(1, s); what is left of the speed at the bottom is the part cos of
-    # the angle between the slopes, and it goes up and down again in so much of the time.
+    # Down a slope of length hypot(1, s). At the bottom the speed is multiplied by the cosine of the
+    # angle between the slopes, and so is the time to go up and down again.
     first, ratio = math.sqrt(2 * 1.25 / 0.5), 0.6
     assert trace.jumps[0].t == pytest.approx(first, abs=1e-9)
     last = trace.jumps[-1]

@@ -57,7 +57,7 @@ def test_grouping_parameters_keeps_the_formula(folds):
     values = {P: 0.7, Q: 1.9, X: 0.3, Y: -0.4, T: 0.5}
     numbers = [value.subs(D, P * Q - 1).subs(values) for value in convert.constants]
     compiled = hy.cfunc([found], vars=[hy.expression("v0"), hy.expression("v1")])
-    # Of heyoka's own parameters the first is when the flow began.
+    # The first of heyoka's own parameters is the start time of the flow.
     pars = np.array([0.5, *numbers], dtype=float)
     (value,) = compiled([0.3, -0.4], pars=pars, time=0.0)
     expected = float(formula.subs(D, P * Q - 1).subs(values))

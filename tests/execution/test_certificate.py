@@ -135,7 +135,7 @@ def test_time_steps_cannot_be_certified():
 
 def test_estimate_grows_with_sensitivity():
     # A stick that is balanced falls the later the less it leans, and errors grow as it does, until
-    # it slips: from there on what it is late by, a tolerance of forces, is more.
+    # it slips: from there on the delay, a tolerance of forces, is larger.
     wholes = [
         run("toppling_stick", parameters={"theta0": lean}, until=until, certify=True)
         .trace.motion.whole
@@ -213,7 +213,7 @@ _LOWEST = (
 
 @pytest.mark.parametrize("until", [10, 100, 1000])
 def test_round_off_of_steps_is_part_of_the_global_error(until: float) -> None:
-    # Of each step no more is known than its bound; a sum of them is off by one of them at least.
+    # Each step has only a bound; the sum of bounds is at least one of them.
     motion = run(read_text(_SWING), engine="taylor", until=until, certify=True).trace.motion
     assert motion.local <= motion.whole <= 100.0 * motion.local
 
@@ -229,8 +229,8 @@ def test_round_off_delays_an_event_by_its_inverse_slope() -> None:
 
 @pytest.mark.parametrize(("part", "proved"), [(6.0, True), (9.0, False), (50.0, False)])
 def test_a_step_is_proved_up_to_sixteen_times_the_allowed_defect(part: float, proved: bool) -> None:
-    # x' = 0, and a step that rises by so many times what is allowed: the integral of its defect,
-    # which the enclosure bounds by a little more than twice that.
+    # x' = 0, and a step whose defect integral is a multiple of the allowed error. The enclosure
+    # bounds it by a little more than twice its value.
     chart = interpret(read_text(_SWING.replace("{x: v, v: -x}", "{x: 0}")))
     simulator = Simulator(automaton(chart), Taylor(2.2e-16))
     trace = simulator.run(until=1.0)

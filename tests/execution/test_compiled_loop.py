@@ -91,7 +91,7 @@ def assert_same(one: Trace, other: Trace) -> None:
 
 def test_low_bounces_are_made_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     ball = traced("bouncing_ball", {"k": 0.5}, -1, monkeypatch)
-    # The last two bounces are looked at closely, what they come to, and the end of the run.
+    # In Python: the last two bounces, their accumulation, and the end of the run.
     assert len(ball.jumps) > 20
     assert ball.counts["python_instants"] <= 4
 

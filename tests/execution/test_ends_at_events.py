@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from runs import ENGINES
 
 import statechart
 from statechart import Runner
@@ -63,3 +64,36 @@ def test_runs_to_each_event_match_the_full_run(engine: str) -> None:
         assert [one.cause for one in part.jumps] == causes[: place + 1]
         assert part.final_mode == jump.target
         assert part.final == pytest.approx(jump.after, abs=1e-12)
+
+
+# The decelerating far block leans on its front foot: V = 10 -+ mu m g 0.1/0.4.
+_BLOCKS = """
+kind: scene
+name: blocks
+gravity: 10
+parameters: {mu: 0.5, v: 3}
+bodies:
+  near: {mass: 1, inertia: 0.1, start: {y: 0.1, dx: v}}
+  far: {mass: 2, inertia: 0.1, start: {x: 5, y: 0.1, dx: 2*v}}
+surfaces: {floor: {height: 0}}
+contacts:
+  l: {point: {body: near, at: [-0.2, -0.1]}, surface: floor, friction: mu, restitution: 0}
+  r: {point: {body: near, at: [0.2, -0.1]}, surface: floor, friction: mu, restitution: 0}
+  far_l: {point: {body: far, at: [-0.2, -0.1]}, surface: floor, friction: mu, restitution: 0}
+  far_r: {point: {body: far, at: [0.2, -0.1]}, surface: floor, friction: mu, restitution: 0}
+stop: {time: v/(mu*10), conditions: {slow: far.dx <= 0}}
+outputs:
+  l: {value: l.V}
+  far_l: {value: far_l.V}
+"""
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("longer", [1, 2, 3])
+def test_a_run_that_ends_as_two_feet_stick_shows_how_they_share_the_load(
+    engine: str, longer: int
+) -> None:
+    # At its end the near block sticks, then the far one; the last run stops by its condition.
+    ending = statechart.run(read_text(_BLOCKS), until=longer * 0.6, engine=engine)
+    assert ending.outputs["l"] == pytest.approx(5.0, rel=1e-12)
+    assert ending.outputs["far_l"] == pytest.approx(10.0 if longer > 1 else 7.5, rel=1e-12)

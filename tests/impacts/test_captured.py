@@ -1,4 +1,4 @@
-"""Bounces that are summed: until they end, nobody sees the force that stands for them."""
+"""Summed bounces: outputs and guards do not see their mean force before they end."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_weight_acts_after_the_bounces_at_any_origin(
     h: float, base: float, e: float, g: float, part: float, mu: float
 ) -> None:
     end = rest(h, g, e)
-    # Still fast when it comes to rest on the floor: friction has taken mu times what it weighed.
+    # Still fast when the bounces end: friction has taken mu times the impulse of the weight.
     speed = 3.0 * mu * g * end
     given_ = {"h": h, "base": base, "e": e, "g": g, "part": part, "mu": mu, "v": speed}
     for name in ENGINES:

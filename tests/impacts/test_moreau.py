@@ -1,8 +1,8 @@
 """Moreau's law of impact on both engines, against an enumeration written for these tests.
 
-Of several contacts at once: ``v_n+ + e v_n-`` and ``P_n`` are complementary, friction lies in its
-cone and opposes what slip remains (Moreau 1988); where the energy would rise, the impulse goes from
-the plastic one only as far as it does not.
+With several contacts ``v_n+ + e v_n-`` and ``P_n`` are complementary, friction lies in its cone and
+opposes the remaining slip (Moreau 1988). If the energy would rise, the impulse is the point on the
+line from the plastic one at which it does not.
 """
 
 from __future__ import annotations
@@ -202,7 +202,7 @@ def test_both_engines_give_the_velocities_of_the_law(throw, simultaneous):
             # At once, before forces have turned the body any further.
             found = [jump for jump in result.trace.jumps if jump.t == 0.0][-1].after
         assert found[3:] == pytest.approx(expected, abs=error), engine
-        # Steps say where impacts one after another would have another outcome.
+        # Time stepping warns where sequential impacts would have another outcome.
         lively = simultaneous == "capped" and sum(value >= 0.5 for value in e) > 1
         told = [w for w in result.warnings if "law" in w]
         if engine == "impulse" and lively:

@@ -24,7 +24,7 @@ CHOICES = ("plastic", "capped", "sequential")
 
 
 def scene(mass: Any, jacobians: Any, velocity: Any, moving: Any = None) -> Snapshot:
-    """Return a snapshot of contacts (c, 2, n); `moving` (c, 2) is what the surfaces recede by."""
+    """Return a snapshot of contacts (c, 2, n); `moving` (c, 2): velocities of surfaces."""
     jacobians = np.array(jacobians, dtype=float)
     velocity = np.array(velocity, dtype=float)
     rates = jacobians @ velocity + (0.0 if moving is None else np.array(moving))
@@ -340,7 +340,7 @@ def test_a_body_without_inertia() -> None:
     feet = [(-0.6, -0.8), (0.6, -0.8)]
     snapshot = body(feet, [0.8, -0.6, -1.0], inertia=0.0)
     result = impacts(snapshot, [law(2.0), law(2.0, name="B")], [True, True], "plastic")
-    # The mass keeps what is across the new leg: cos of twice the half angle.
+    # The mass keeps the velocity across the new leg: cos of twice the half angle.
     assert result.velocity[2] == pytest.approx(-(0.8**2 - 0.6**2), rel=1e-14)
 
 
@@ -469,8 +469,8 @@ def check(snapshot: Snapshot, laws: list[ContactLaw], result: Impacts) -> None:
 
 
 def test_impulses_balance_the_momentum_of_a_body_with_nearly_no_inertia() -> None:
-    # Once slip has stopped, an impulse at the tip turns the body and hardly moves it; what rounding
-    # leaves of the tip's rate is not to be mended by what would move it.
+    # Once slip has stopped, an impulse at the tip turns the body and hardly moves it. An
+    # impulse on the body must not correct the round-off of the tip's velocity.
     jacobian = [
         [-0.902309209890228, 0.43108942198489686, 0.49009272679920657],
         [0.43108942198489686, 0.902309209890228, 0.8741196488297863],

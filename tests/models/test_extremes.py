@@ -214,7 +214,7 @@ stop: {time: 5}
 
 def test_undefined_values_end_the_run_with_time_and_mode(engine: str) -> None:
     trace = _run(SOURCE, engine).trace
-    # A root has no series where it is zero: whether it goes on there, the other engine may tell.
+    # A root has no series where it is zero: only the other engine may continue there.
     ends = ("UNSUPPORTED",) if engine == "taylor" else ("NON_FINITE", "STEP_FAILURE")
     assert trace.outcome.name in ends
     assert trace.t_end == pytest.approx(1.0, abs=1e-6)

@@ -12,7 +12,7 @@ import models
 
 ROUNDING = 1e-13
 # The compiler chooses instructions by the machine: on another one sums are rounded otherwise, and
-# what is told of ties is another word. What happens is the same, at instants that impacts blur.
+# warnings on ties may differ. Events are the same, at times that impacts perturb.
 ELSEWHERE = 1e-7
 
 

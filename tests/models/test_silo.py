@@ -16,7 +16,7 @@ def silo():
 
 
 def flow(runner, opening):
-    """Return how many discs leave from time to time, in five runs: of one a tenth is chance."""
+    """Return the discs that leave per interval in five runs; a single run scatters by a tenth."""
     frictions = (0.46, 0.48, 0.5, 0.52, 0.54)
     return np.diff(sum(discs_out(runner, {"D": opening, "mu": mu}) for mu in frictions))
 

@@ -10,8 +10,8 @@ from contacts.solvers.smallest_forces import APEX, INSIDE, LOWER, UPPER, smalles
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
 
-# A box that just fits under a lid is pushed along the floor and lifted ever more. How hard floor
-# and lid press on it is open: friction always might hold it, but by forces without cause.
+# A box that just fits under a lid is pushed along the floor and lifted ever more. The forces
+# of floor and lid are undetermined: friction could always hold it by unphysical preload.
 _BOX = """
 kind: scene
 name: box_under_a_lid
@@ -72,8 +72,8 @@ def test_load_sharing_finds_zones_on_both_sides(past: float, inward: float) -> N
         assert np.einsum("gdi,gd->i", _REACH, forces) == pytest.approx(load, abs=1e-12)
 
 
-# A body wedged between three surfaces. From the time that c1 comes to its edge another mode would
-# agree, too, in which only c2 bears; that is no reason to leave the one that holds.
+# A body wedged between three surfaces. From the time that c1 comes to its edge another mode, in
+# which only c2 bears, is consistent, too. The run must stay in its mode.
 _WEDGED = """
 kind: scene
 name: wedged

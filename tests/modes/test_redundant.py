@@ -296,7 +296,7 @@ def test_two_points_share_an_undetermined_load_evenly() -> None:
     trace = run(standing([-1.0, 1.0], push=0.2), until=1.0)
     simulator = Simulator(automaton(standing([-1.0, 1.0], push=0.2)), engine("taylor"))
     found = Observer(simulator).final(trace, ["p0.V", "p0.H", "p1.V", "p1.H"])
-    # V is determined by the moments; of H only the sum is.
+    # The moments determine V, but only the sum of H.
     assert found == pytest.approx([0.4, -0.1, 0.6, -0.1], abs=1e-15)
 
 

@@ -126,7 +126,7 @@ def test_integrated_motion_satisfies_the_printed_equations(model: str, named: st
     setup = built.setup({}, 1e-12)
     mode = build_mode(built, roles_in(key), frozenset())
     made = blocks(built, key, frozenset(built.parameters[i] for i in setup.zeros))
-    # States are drawn off what is held besides.
+    # Random states need not satisfy the other constraints.
     shown = [block for block in made if block.title != "held"]
     rows = [left - right for block in shown for left, right in block.equations]
     assert rows

@@ -227,7 +227,7 @@ def test_one_failing_file_does_not_stop_the_others(
 
     monkeypatch.setattr("statechart.reporting.report.margins", failing(MemoryError()))
     monkeypatch.setattr("statechart.reporting.tables._data_set", failing(ValueError("a bug")))
-    # The user is told by the signal's own words, and everything after it is left out, too.
+    # The message is that of the signal; later parts are left out, too.
     monkeypatch.setattr("statechart.reporting.figure.figure", failing(KeyboardInterrupt()))
     pieces = PartialReport()
     names = write_run(

@@ -23,7 +23,7 @@ G = 9.81
 
 
 def scene(bodies, surfaces, *, mu=0.0, e=0.0, step=1e-3, time=1.0, more=""):
-    """Return a scene as text; `bodies`: name -> (what it is, its start)."""
+    """Return a scene as text; `bodies`: name -> (its keys, its start)."""
     inside = "\n".join(f"  {n}: {{{what}, start: {{{s}}}}}" for n, (what, s) in bodies.items())
     grounds = "\n".join(f"  {name}: {{{text}}}" for name, text in surfaces.items())
     return f"""kind: scene
@@ -358,7 +358,7 @@ def test_a_compound_that_starts_inside_a_body_is_reported_with_its_name(start, w
 
 
 def test_a_point_on_the_seam_of_two_pieces_counts_as_inside():
-    # Of two boxes side by side it is nearest to the sides that they cover of each other.
+    # It is nearest to the covered sides of two boxes side by side.
     boxes = shaped(box(-1, 0, -0.5, 0.5), box(0, 1, -0.5, 0.5))
     small = "mass: 1, inertia: 1, shape: {polygon: [[-0.05, -0.05], [0.05, -0.05], [0, 0.1]]}"
     bodies = {"boxes": (boxes, "y: 0.5"), "small": (small, "x: 0.02, y: 0.6")}

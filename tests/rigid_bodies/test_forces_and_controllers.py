@@ -186,7 +186,7 @@ regions:
 
 @pytest.mark.parametrize("mass", [1.0, 1e-6, 1e-12])
 def test_a_guard_on_the_force_of_a_joint_is_met_whatever_the_masses(mass):
-    """Forces had the size of a newton: of a nanogram all of them were rounding."""
+    """With forces scaled by a newton, all forces of a nanogram were round-off."""
     runner = Runner(
         interpret(
             read_text(

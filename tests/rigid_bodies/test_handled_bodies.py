@@ -232,7 +232,7 @@ settings: {engine: impulse, step: 1e-3}
 
 def test_a_ball_between_walls_that_near_each_other_is_as_fast_as_their_distance_allows():
     outputs = run(WALLS).outputs
-    # Faster by 2 V at every second bounce; where the wall is then, (v + V) L is what it was.
+    # The speed grows by 2 V at every second bounce; (v + V) L is invariant, L at that bounce.
     speed, width, instant = 1.0, 1.0, 0.0
     for k, (time, found) in enumerate(zip(outputs["times"], outputs["speeds"], strict=True)):
         if k % 2 == 0:
@@ -252,5 +252,5 @@ def test_closing_walls_around_a_ball_end_the_run():
     trace = Runner(interpret(read_text(WALLS))).run({"V": 0.1875, "e": 0}, throw=False).trace
     assert trace.outcome is Outcome.UNSOLVED_IMPULSES
     assert "ball cannot get out" in trace.message
-    # They are as near as the ball is wide then; a step at its first impact is what it may sink.
+    # The gap equals the diameter then; the ball may sink by its first approach in a step.
     assert 1 / 0.1875 < trace.t_end < 1 / 0.1875 + 0.02

@@ -352,7 +352,7 @@ settings: {{engine: impulse, step: 1e-3}}
 @pytest.mark.parametrize("friction", [0.3, 1, 5])
 @pytest.mark.parametrize("arm", [0.7, 0.85, 1.0])
 def test_a_jointed_bar_that_falls_on_rough_ground_stays_there(arm, friction):
-    """It slips while it comes; where it then sticks nothing can move, whatever the steps left."""
+    """It slips while it falls; once it sticks, nothing moves in spite of errors of the steps."""
     start = -0.3
     trace = run(
         f"""
@@ -373,8 +373,8 @@ settings: {{engine: impulse, step: 1e-3}}
     ).trace
     assert trace.counts["inexact_steps"] == 0
     x, y, angle = trace.final[:3].tolist()
-    # Its lower corner is on the ground, but for what it went in a step; its pin is off by what the
-    # arm bent in that at most.
+    # Its lower corner is on the ground up to its motion in a step; its pin is off by at most the
+    # bending of the arm in that step.
     far = math.hypot(arm + 0.5, 0.05)
     lies = -math.asin(0.9 / far) + math.atan2(0.05, arm + 0.5)
     turn = 1e-3 * math.sqrt(2 * G * 0.9 * arm / (0.0833 + arm**2))

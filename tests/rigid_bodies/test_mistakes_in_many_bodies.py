@@ -77,7 +77,7 @@ def test_a_formula_that_loses_its_value_ends_the_run_there(old, new, told):
     with pytest.raises(NonFinite, match=told) as caught:
         runner.run()
     assert caught.value.trace.t_end == 0.02
-    # As long as it has one it is not asked for later.
+    # A value at the start is enough.
     assert runner.run(until=0.02).trace.outcome.succeeded
 
 

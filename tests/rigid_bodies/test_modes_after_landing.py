@@ -50,7 +50,7 @@ settings: {{{f"engine: impulse, step: {STEP}" if shapes else "engine: taylor"}}}
 
 
 def events(name: str, shapes: bool) -> list[tuple[float, str]]:
-    """Return when the mode of a body changes, and the modes; of points, that of them together."""
+    """Return times and modes of a body at its changes; points have their joint mode."""
     trace = Runner(interpret(read_text(text(name, shapes)))).run({}).trace
     found: list[tuple[float, str]] = []
     for arc in trace.arcs:

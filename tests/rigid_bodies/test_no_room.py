@@ -76,8 +76,8 @@ settings: {engine: impulse, step: 1e-3}
 """
 
 
-# Elastic balls become so fast that what is squeezed is no deeper than a step at that speed: a tenth
-# of a millimetre more or less at the start moves the report between 2.1 and 2.53.
+# Elastic balls become so fast that the squeezed one is no deeper than a step at that speed: 0.1 mm
+# more or less at the start moves the report between 2.1 and 2.53.
 @pytest.mark.parametrize(("e", "latest"), [(0, 2.1), (0.5, 2.1), (1, 2.6)])
 def test_a_squeezed_body_is_reported_at_any_earlier_speed(e, latest):
     """Three balls in a row between a wall and one that leaves them no room from t = 2 on."""

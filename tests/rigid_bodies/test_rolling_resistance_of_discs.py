@@ -84,7 +84,7 @@ def test_without_friction_the_couple_alone_stops_the_rotation():
 
 
 def test_a_disc_between_discs_resists_their_relative_rotation():
-    """One disc lies on another, spinning, in a slot without friction: what it loses that gains."""
+    """One disc lies on another, spinning, in a frictionless slot: the other gains its lost spin."""
     text = """
 kind: scene
 name: stack

@@ -151,7 +151,7 @@ def test_a_box_stays_on_a_plate_that_is_shaken_below_gravity():
         trace = run(scene({"box": at(0.1, 0.1)}, {"plate": f"{ground}, {path}"}, time=0.8))
         assert trace.final_mode == ("slide",)
         assert not any(jump.cause == "liftoff" for jump in trace.jumps)
-        # It begins at rest, and is held at what the plate rises by in half a step.
+        # It starts at rest, at the rise of the plate in half a step.
         rise = 0.01 * (1 - math.cos(25 * 5e-4))
         assert trace.margins["box.gap"] == pytest.approx(-rise, rel=1e-6)
         expected = 0.1 + 0.01 * (1 - math.cos(20))

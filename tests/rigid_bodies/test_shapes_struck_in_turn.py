@@ -17,7 +17,7 @@ NEWS = "struck in several places at once"
 
 
 def run(text, step=1e-3, law="sequential", until=2.0):
-    """Return a run of a scene, of which nothing moves at its end but what it says."""
+    """Return a run of a scene with a law of simultaneous impacts."""
     rest = f"\nsimultaneous: {law}\nstop: {{time: {until}}}\n"
     return Runner(interpret(read_text(text + rest)), engine="impulse", step=step).run()
 
@@ -54,7 +54,7 @@ def in_turn(masses, restitution, speeds):
 
 
 def event_by_event(masses, restitution, places, speeds, until):
-    """Return places and speeds of discs in a row, whose impacts are told apart by gaps."""
+    """Return positions and velocities of discs in a row with gaps, impact by impact."""
     x, v, t = list(places), list(speeds), 0.0
     while True:
         times = [
@@ -139,7 +139,7 @@ def test_friction_of_impacts_in_turn_is_coulombs(mu):
     while (u[:-1] - u[1:]).max() > 1e-14:
         k = int(np.argmax(u[:-1] - u[1:]))
         normal = (1 + e) * (u[k] - u[k + 1]) / (1 / m[k] + 1 / m[k + 1])
-        # Of the left rim against the right one; a disc is a third as stiff to a push at its rim.
+        # Slip of the left rim against the right one; a disc has a third of its mass at its rim.
         slip = (y[k] + R * w[k]) - (y[k + 1] - R * w[k + 1])
         push = np.clip(-slip / (3 / m[k] + 3 / m[k + 1]), -mu * normal, mu * normal)
         u[k], u[k + 1] = u[k] - normal / m[k], u[k + 1] + normal / m[k + 1]

@@ -26,9 +26,9 @@ settings: {{engine: impulse, step: 1e-3, impulse_tolerance: {tolerance}}}
 
 
 def struck(places, x0, e, y0=0.0, tolerance=1e-10, law="capped"):
-    """Return the velocities (n + 1, 2) of discs, of which the last strikes, and what is told.
+    """Return the velocities (n + 1, 2) of discs, the last of which strikes, and the warnings.
 
-    Of the law, which every one of these scenes shows, a word is no news.
+    The warning of the law, which all these scenes cause, is left out.
     """
     starts = [f"x: {x!r}, y: {y!r}" for x, y in places] + [f"x: {x0!r}, y: {y0!r}, dx: {SPEED}"]
     bodies = "\n".join(

@@ -115,8 +115,8 @@ def test_tightening_starts_at_the_first_tolerance_and_ends_when_two_runs_agree()
     assert answer.cost.runs == len(tolerances) > 2
     *tightened, before, last = tolerances
     assert tightened == pytest.approx([1e-3 / 20**k for k in range(len(tightened))], rel=1e-12)
-    # Before the answer is accepted, a start that is off is tried at the tolerance before; these
-    # runs do not start off, so that nothing is told by it, and it is tried at the last one.
+    # Before acceptance a perturbed start is tried at the previous tolerance. It changes nothing in
+    # these runs, so it is also tried at the last one.
     assert (before, last) == (tightened[-2], tightened[-1])
     assert nudges == [False] * len(tightened) + [True, True]
 
@@ -223,7 +223,7 @@ def test_short_mode_differences_are_ignored() -> None:
     assert pair_jumps(trace, extra)[1] == later.t
     pairs, diverged = pair_jumps(trace, extra, brief=1e-6)
     assert diverged is None
-    # What is beside it is still paired with itself.
+    # Its neighbours are still paired with themselves.
     assert all(one.t == other.t for one, other in pairs)
     assert len(pairs) == len(jumps)
     elsewhere = replace(jumps[3], t=jumps[3].t + 1e-3, region="another")

@@ -22,7 +22,7 @@ SCENE, CHART = "toppling_stick", "bouncing_ball_chart"
 
 @pytest.fixture(scope="module")
 def pool() -> Iterator[ProcessPoolExecutor]:
-    # A process that knows nothing of this one, as where there is no fork.
+    # A process without the memory of this one, as on systems without fork.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=context) as made:
         yield made

@@ -1,4 +1,4 @@
-"""Recording policies by steps: outputs equal to the bit, and refusals name what is missing."""
+"""Recording policies: outputs with identical bits, and errors that name the missing data."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def runs(built, step, until, tolerance=None):
 def assert_alike(found):
     (_, whole, outputs), *others = found
     for _, trace, others_outputs in others:
-        # Not a number where nothing is known: as texts that is the same.
+        # Compared as text, since unknown values are NaN.
         assert repr(others_outputs) == repr(outputs)
         assert trace.final.tolist() == whole.final.tolist()
         assert (trace.t_end, trace.outcome, trace.counts) == (
@@ -162,7 +162,7 @@ def test_outputs_at_the_ends_build_no_intermediate_arcs(asked, monkeypatch):
     Observers(thrown).at(Setting("impulse", step=1e-3, record="nothing")).simulator.run(
         {}, until=3.0
     )
-    # Of each chunk of 512 steps the last alone, in which the run may be stopped.
+    # Only the last step of each chunk of 512, in which the run may stop.
     assert sum(len(values[4]) - 1 for values in made) <= 2 * 3
 
 

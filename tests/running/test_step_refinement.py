@@ -97,7 +97,7 @@ def test_a_ball_lands_and_rests_when_the_closed_form_says(e: float) -> None:
     assert abs(float(result.outputs["t_hit"]) - fall) <= 2e-3  # type: ignore[arg-type]
     if bouncing < 2.0:
         assert off(result, "t_rest", bouncing) <= 1e-3
-        # How often it bounces has no answer, but where it does not at all.
+        # The number of bounces is not judged, except without bounces.
         expected = ("bounces",) if e > 0.0 else ()
         assert result.asked is not None
         assert result.asked.not_judged == expected

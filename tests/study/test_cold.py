@@ -79,7 +79,7 @@ def test_cheapest_setting_differs_for_cold_and_warm_runs() -> None:
     asked = Setting(accuracy=1e-5)
     assert setting(found.choose(asked, once=False)) == quick.setting
     assert setting(found.choose(asked, once=True)) == ready.setting
-    # In a time the best is taken: of a budget half is for a coarser run.
+    # The best setting within a time; half of a budget is for a coarser run.
     assert found.choose(Setting(budget=0.3), once=True) is None
     assert setting(found.choose(Setting(budget=0.3), once=False)) == ready.setting
     assert setting(found.choose(Setting(budget=0.5), once=True)) == ready.setting

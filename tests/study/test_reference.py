@@ -16,7 +16,7 @@ from statechart.study.study import Study
 from statechart.study.text import format_text, to_dict
 from statechart.study.trade import Bench
 
-# Free flight; the thrust sets in where a step from the start sees nothing of it.
+# Free flight; the thrust begins where a step from the start cannot detect it.
 THRUST = """\
 kind: scene
 name: thrust
@@ -125,7 +125,7 @@ def test_three_diverging_runs_are_chaotic() -> None:
 
 
 def test_two_of_three_runs_do_not_decide_an_unstable_start() -> None:
-    # Of three runs two always take the same of two possible motions.
+    # With two possible motions, two of three runs always agree.
     found = referred(Runner(read_text(EDGE.replace("TOP", str(1 - 1e-15)))))
     third = found.third
     assert third is not None

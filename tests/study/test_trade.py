@@ -74,7 +74,7 @@ def test_many_body_trade_varies_step_and_impulse_tolerance(tmp_path: Path) -> No
         Setting(engine="impulse", step=1e-3, impulse_tolerance=tolerance)
         for tolerance in (0.5, 1e-8)
     ]
-    # Impulses of up to eight contacts are exact to rounding, whatever is asked.
+    # Impulses of up to eight contacts are exact to round-off at any tolerance.
     column = Runner("granular_column")
     found = traded(column, settings=settings, until=0.1, folder=tmp_path)
     assert found.reference.startswith("impulse to 1e-10 step ")

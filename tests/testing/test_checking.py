@@ -124,7 +124,7 @@ def failure(subject, name, **options):
 
 
 class Altered:
-    """Laws of which one thing was changed."""
+    """Laws with one changed part."""
 
     def __init__(self, laws, **changes):
         self._laws = laws
@@ -437,7 +437,7 @@ def test_a_start_that_is_not_the_declared_one_is_caught():
 
 
 def test_an_asymmetric_law_breaks_the_mirror():
-    # Friction that pushes to the right only: the declared scene cannot say so, its laws can.
+    # Friction that pushes to the right only, which laws can express but no declared scene.
     def drifting(name, state):
         if name != "free":
             return state

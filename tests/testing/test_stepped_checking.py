@@ -212,7 +212,7 @@ def test_residuals_of_impulses_count_in_comparison_of_runs(heap):
         assert_same(left, dataclasses.replace(left, jumps=(parted, *left.jumps[1:])), sensitivity)
 
 
-# Two plates close on a disc; what impulses miss turns the plates, which nothing else turns.
+# Two plates close on a disc. Only errors of the impulses turn the plates.
 JAWS = """
 kind: scene
 name: jaws

@@ -20,7 +20,7 @@ from statechart.running.runner import Runner
 H = 2.5e-4
 
 # A corner that turns as it lands on a ramp: the turning takes it off the ramp in the next step.
-# A controller counts what it hears.
+# A controller counts the events.
 TURNING = """
 kind: scene
 name: turning

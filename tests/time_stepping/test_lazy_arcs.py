@@ -43,7 +43,7 @@ def test_arcs_meet_each_other_and_the_jumps_between_them(
 
 
 def test_large_arcs_are_recomputed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run that is kept and one that is not are the same; only the first makes an arc once."""
+    """Runs with and without stored arcs are equal; stored arcs are computed once."""
     kept = run(n=12)
     assert kept.arcs[3] is kept.arcs[3]
     # Polynomials of the recorded steps would exceed the largest trace.
@@ -63,7 +63,7 @@ def test_large_arcs_are_recomputed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_steps_of_a_chunk_that_ends_early_hold_their_own_memory() -> None:
-    """A buffer for 500 steps of which 3 were taken keeps only these."""
+    """Steps taken from a buffer for 500 do not keep the whole buffer alive."""
     chunk = Chunk.allocate(1e-3, np.zeros(12), 6, 2, 500).first(3)
     steps = Steps.of(chunk, np.zeros(3, np.bool_), 6, Clock())
     for rows in (steps.states, steps.solved, steps.impulses, steps.struck):

@@ -147,7 +147,7 @@ def landing(engine, step=None):
 )
 @examples(15)
 def test_largest_force_excludes_the_landing_impulse(values, step):
-    # At whatever step: what an impact bears over a step is not a force.
+    # At any step: an impulse divided by the step is not a force.
     outputs = landing("impulse", step).run(values).outputs
     weight = values["m"] * 9.81 * math.cos(values["a"])
     assert outputs["V_max"] == pytest.approx(weight, rel=1e-6) or outputs["V_max"] == 0.0
@@ -165,8 +165,8 @@ def test_the_largest_forces_of_a_bar_are_those_of_the_run_with_events(values, st
     found = cornered("capped", "impulse", step).run(values, throw=False)
     assume(found.trace.modes == exact.trace.modes)
     for name, force in (("V_max", "left.V"), ("H_max", "right.H")):
-        # What they change by in the steps after an event, which have none; and what a landing at
-        # another place in its step makes of the motion within a second.
+        # The change of forces in the steps after an event, which have none, and the effect of a
+        # landing's place in its step on the motion of a second.
         error = 5.0 * step * (steepest(exact, force) + MASS * 9.81)
         assert found.outputs[name] == pytest.approx(exact.outputs[name], abs=error), name
 
