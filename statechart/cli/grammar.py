@@ -194,7 +194,7 @@ def _add_report_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--samples",
         action=argparse.BooleanOptionalAction,
-        help="also write samples.csv, which has what trace.nc has",
+        help="also write samples.csv, with the data of trace.nc",
     )
     _value(parser, "--animate", "FILM", "draw the bodies in motion: .gif, or .mp4 with ffmpeg")
     words = "run time that passes in a second of the film"

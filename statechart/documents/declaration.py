@@ -348,7 +348,7 @@ class Declaration(Part):
         if not 0.0 <= end < math.inf:
             raise DeclarationProblem(
                 f"must be a finite time from 0 on, not {end:g}",
-                advice=LATE_END,
+                advice=LATE_END if end == math.inf else "",
                 loc=("stop", "time"),
             )
 

@@ -455,7 +455,8 @@ class RunInputs:
             if not is_real(until) or not 0.0 <= until < math.inf:
                 value = f"{until:g}" if is_real(until) else repr(until)
                 raise DeclarationError(
-                    f"the end must be a finite time from 0 on, not {value}", advice=LATE_END
+                    f"the end must be a finite time from 0 on, not {value}",
+                    advice=LATE_END if until == math.inf else "",
                 )
             return until
         with located(self.document, {} if self._end is None else overrides, ("stop", "time")):
@@ -468,7 +469,7 @@ class RunInputs:
             end = self._end.value(self.values(overrides) if self._end.names else {})
             if not 0.0 <= end < math.inf:
                 raise DeclarationProblem(
-                    f"must be a finite time, not {end:g}", advice=LATE_END, loc=("stop", "time")
+                    f"must be a finite time, not {end:g}", loc=("stop", "time")
                 )
         return end
 

@@ -71,7 +71,7 @@ def test_flattening_the_drawn_edges_gives_those_of_the_executor(model: str) -> N
     for region in Runner(model).automaton.regions:
         drawn = hierarchical_edges(region)
         if region.nesting.configurations:
-            # As declared; what states do on entry and exit stands at the states.
+            # As declared; states show their entry and exit actions themselves.
             leaving = {(e.cause, source) for e in drawn for source in region.within(e.source)}
             assert leaving == {(e.cause, e.source) for e in region.edges}
             continue

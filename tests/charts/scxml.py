@@ -1,7 +1,6 @@
 """A plain interpreter of nested states: SCXML's appendix D over names, and charts drawn at random.
 
-Written apart from the package, and from it nothing is used: what flattening gives is compared
-with it.
+It uses nothing of the package; tests compare flattened charts with it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A transition that is taken before its guard is true, as it is near: a warning says so."""
+"""Warnings of transitions that are taken before their guard is true, within the tolerance."""
 
 from __future__ import annotations
 

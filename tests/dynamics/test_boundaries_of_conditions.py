@@ -41,7 +41,7 @@ stop: {{time: 0.4}}
 """
 
 
-# Each is zero at the start: whether it holds from there on, without gravity and with it.
+# Relations on their boundary at the start -> whether they hold after it, without and with gravity.
 GATES = {
     "time <= 0": (False, False),
     "time < 0": (False, False),

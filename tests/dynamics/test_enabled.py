@@ -1,4 +1,4 @@
-"""Contacts with conditions, and on edges that end: when they go off and come back."""
+"""Times at which contacts with conditions, or on edges that end, switch off and on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bounces that slide on in their flights, or whose slip ends amid them: the origin is no matter."""
+"""Bounces with slip in flight, or with slip that ends among them, independent of the origin."""
 
 from __future__ import annotations
 

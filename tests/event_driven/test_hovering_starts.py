@@ -1,4 +1,4 @@
-"""Starts off a surface by next to nothing: they fall on it and bounce, and a warning says so."""
+"""Starts with a tiny gap: the body falls and bounces, and a warning reports it."""
 
 from __future__ import annotations
 

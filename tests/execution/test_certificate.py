@@ -229,8 +229,8 @@ def test_round_off_delays_an_event_by_its_inverse_slope() -> None:
 
 @pytest.mark.parametrize(("part", "proved"), [(6.0, True), (9.0, False), (50.0, False)])
 def test_a_step_is_proved_up_to_sixteen_times_the_allowed_defect(part: float, proved: bool) -> None:
-    # x' = 0, and a step that rises by so many times what is allowed: the integral of its defect,
-    # which the enclosure bounds by a little more than twice that.
+    # x' = 0, and a step whose defect integral is a multiple of the allowed error. The enclosure
+    # bounds it by a little more than twice its value.
     chart = interpret(read_text(_SWING.replace("{x: v, v: -x}", "{x: 0}")))
     simulator = Simulator(automaton(chart), Taylor(2.2e-16))
     trace = simulator.run(until=1.0)

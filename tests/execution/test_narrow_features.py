@@ -135,7 +135,7 @@ def test_rate_leaving_its_domain_ends_the_run_with_a_message() -> None:
     text = FALL.format(push="forces: {f: {body: b, force: [-5*sqrt(b.x), 0]}}")
     found = run(read_text(text), engine="scipy", throw=False).trace
     assert found.outcome is Outcome.STEP_FAILURE
-    # When it is back at x = 0, by quadrature of dx / sqrt(9 - 20/3 x**1.5); no root is behind.
+    # Time of return to x = 0, by quadrature of dx / sqrt(9 - 20/3 x**1.5); beyond it is no root.
     assert found.t_end == pytest.approx(1.4044991527, rel=1e-9)
     assert found.final[0] == pytest.approx(0.0, abs=1e-12)
 

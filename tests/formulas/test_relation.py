@@ -1,4 +1,4 @@
-"""Relations: how they are read, and that their smooth atoms say the same as their text."""
+"""Parsing of relations, and equivalence of their smooth atoms with their text."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ CHOICES = ("plastic", "capped", "sequential")
 
 
 def scene(mass: Any, jacobians: Any, velocity: Any, moving: Any = None) -> Snapshot:
-    """Return a snapshot of contacts (c, 2, n); `moving` (c, 2) is what the surfaces recede by."""
+    """Return a snapshot of contacts (c, 2, n); `moving` (c, 2): velocities of surfaces."""
     jacobians = np.array(jacobians, dtype=float)
     velocity = np.array(velocity, dtype=float)
     rates = jacobians @ velocity + (0.0 if moving is None else np.array(moving))

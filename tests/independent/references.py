@@ -555,7 +555,7 @@ def stoppie() -> dict[str, Any]:
     least = (b + f) * J / (mu * r**2)
     slips = -weight / (slowed + J / r + least) / rolling
     lifts = -(total * r + J / r) * a / rate
-    # Of the frame and the rear wheel as seen from the front axle, on which it rolls and pitches.
+    # Mass and position of frame and rear wheel relative to the front axle.
     masses = ((M, -f, h), (m, -b - f, 0.0))
     whole = inertia + sum(p * (u**2 + w**2) for p, u, w in masses)
 

@@ -1,7 +1,7 @@
 """Guided bodies: friction is limited by the pressing load, without self-equilibrated forces.
 
-A point that touches both sides of a slot could be held against any load, were it wedged between
-them. Nothing wedges it: a slot whose sides are elastic, however stiff, presses with one of them.
+A point wedged between both sides of a slot could carry any load. Without preload only one side of
+a slot with elastic sides, however stiff, is loaded.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Bounces whose acceleration changes as they go on: each is followed in 30 digits, to their end."""
+"""Bounces under changing acceleration, against a computation bounce by bounce in 30 digits."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Mechanisms on moving, turning and carried surfaces, against a code that tries every mode.
 
-The answers were made by a program of its own that shares nothing with the packages: Lagrange's
+A separate program that shares nothing with the packages made the reference values: Lagrange's
 equations of the document by SymPy; at every event each combination of modes is solved as a linear
 system and followed for 1e-6, and the one whose inequalities hold there is taken; impacts are
 solved likewise, a single one along Routh's path; SciPy's DOP853 at 1e-13, events by bisection of

@@ -207,7 +207,7 @@ def test_a_plank_leans_on_the_edge_of_a_step_as_far_as_friction_holds_both_its_e
     reach = 0.8 / math.sin(lean)
 
     def missing(mu):
-        # Both at their bounds: how far the weight's line misses where these two lines meet.
+        # Both forces at their bounds: distance of the line of the weight from their intersection.
         floor, edge = np.array([mu, 1.0]), up + mu * along
         foot, top = -reach * along + [0, 0.8], np.array([0, 0.8])
         on, _ = np.linalg.solve(np.column_stack([floor, -edge]), top - foot)

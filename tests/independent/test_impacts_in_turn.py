@@ -1,4 +1,4 @@
-"""Impacts in turn on bodies that carry each other: each accumulates, and its statechart says so."""
+"""Alternating impacts of bodies that carry each other accumulate, and end in `zeno` events."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ _SCENES = Path(__file__).parent / "scenes"
 NAMES = sorted(path.stem for path in _SCENES.glob("*.yaml"))
 # No steps can follow: controllers that remember, contacts that may not slide.
 _EVENTS_ALONE = ("gripper", "step")
-# Sequences whose number a step cannot tell, or whose errors grow along the run.
+# Outputs that depend on the number of bounces, or with errors that grow along the run.
 _TOO_FINE = {"hammer": ("v_after", "u_after", "t"), "squeeze": ("n", "t", "v"), "bang": ("n", "q")}
 _STEP = 1e-3
 

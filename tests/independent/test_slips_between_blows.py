@@ -118,7 +118,7 @@ def test_a_hexagon_that_rolls_down_slips_before_each_blow(engine: str) -> None:
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
 def test_masses_on_a_rope_end_in_mutual_rotation(engine: str) -> None:
     # Beside their centre they move straight, and along chords of the circle that the rope lets.
-    # Each blow leaves 0.3 of the speed apart, whose sequence ends; the speed across stays.
+    # Each impact leaves 0.3 of the normal velocity, so that the sequence ends; the other stays.
     reach, place, speed = 0.5, np.array([0.2, 0.0]), np.array([-2.0, -2.0])
     a, b, c = speed @ speed, place @ speed, place @ place - reach**2
     times = [(-b + math.sqrt(b * b - a * c)) / a]

@@ -142,7 +142,7 @@ def test_a_hand_acts_at_the_instant_of_a_contacts_event(engine: str) -> None:
     found = outputs(_HANDS_ON, engine)
     assert [found["x"], found["dx"]] == pytest.approx([0.5 + 1.0, 2.0], abs=1e-12)
     assert found["slips"] == pytest.approx([0.5], abs=1e-12)
-    # A force of 8 t leaves the cone of 4 at 0.5, where friction becomes 10: that holds to 1.25.
+    # The force 8 t exceeds the limit 4 at 0.5, where the limit becomes 10; it holds to 1.25.
     found = outputs(_HANDS_ON, engine, v0=0.0, ramp=8.0)
     assert found["slips"] == pytest.approx([1.25], abs=1e-9)
     assert found["dx"] == pytest.approx(4.0 * 0.25**2, abs=1e-9)

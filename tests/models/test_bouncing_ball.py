@@ -99,8 +99,8 @@ def test_thrown_up_from_near_the_ground_it_bounces(
 
 @pytest.mark.parametrize("push", [1e3, 1e4])
 def test_launched_far_beyond_where_it_began_it_bounces(engine: str, push: float) -> None:
-    # Its flight is 1e5 to 1e7 times as high as all lengths of the start: what rounding leaves of
-    # the gap at an impact is more than the gap's tolerance.
+    # Its flight is 1e5 to 1e7 times as high as all lengths of the start: the round-off of the gap
+    # at an impact exceeds its tolerance.
     scene = Scene(
         name="launched",
         gravity=1,

@@ -59,5 +59,5 @@ def test_perturbation_decays(engine: str) -> None:
     found = outputs(MODEL, engine, run(MODEL, engine, until=12 * PERIOD, **pushed))
     off = np.abs(np.array(found["dtheta_s_plus"]) - START["dtheta_s"])
     assert len(off) >= 11
-    # Eigenvalues below 0.58 in size: of the order of 0.58^11 after as many steps.
+    # Eigenvalues below 0.58 in size: the deviation decays as 0.58^11 in eleven steps.
     assert off[10] < 10.0 * 1e-3 * float(GAIT["max_abs_eig"]) ** 11

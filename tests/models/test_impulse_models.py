@@ -12,9 +12,9 @@ import models
 from statechart.cli.main import main
 from statechart.running.runner import Runner
 
-# Model, parameters, end; step, and the largest error that a step so long may make, over the step.
-# Impacts are those of Newton's law: where another law is declared, the scene is run without
-# restitution. The hills magnify the time of an impact into where it goes, the walker its steps.
+# Model, parameters, end; step, and the largest allowed error relative to the step. Impacts obey
+# Newton's law: scenes with another law run without restitution. Hills amplify the error of an
+# impact time, the walker amplifies errors of its steps.
 SCENES = [
     ("ball_in_a_bowl", {}, 2.0, 1e-3, 5.0),
     ("block_on_incline", {}, None, 1e-3, 0.01),

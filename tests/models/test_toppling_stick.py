@@ -249,7 +249,7 @@ def test_slip_outlasting_the_fall_ends_with_unbounded_force(engine: str, inertia
     assert jam.before[2] == pytest.approx(-math.pi / 2, abs=1e-8)
     *_, angle, speed, _, spin = jam.after
     assert speed + math.cos(angle) * spin == pytest.approx(0.0, abs=1e-9)
-    # How much slip is left at the end depends, by the logarithm, on how near rounding lets it come.
+    # The remaining slip depends logarithmically on round-off.
     assert speed < jam.before[3] - 1e-3
     # V = 0 from the slip on: the centre falls freely, the tip stays on the ground.
     expected = math.sqrt(down**2 + 2.0 * math.cos(start))

@@ -10,8 +10,8 @@ from contacts.solvers.smallest_forces import APEX, INSIDE, LOWER, UPPER, smalles
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
 
-# A box that just fits under a lid is pushed along the floor and lifted ever more. How hard floor
-# and lid press on it is open: friction always might hold it, but by forces without cause.
+# A box that just fits under a lid is pushed along the floor and lifted ever more. The forces
+# of floor and lid are undetermined: friction could always hold it by unphysical preload.
 _BOX = """
 kind: scene
 name: box_under_a_lid

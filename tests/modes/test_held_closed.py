@@ -1,4 +1,4 @@
-"""Contacts that joints hold closed: any part of the load may be theirs, and the run says so."""
+"""Contacts that joints hold closed: their share of the load is undetermined, with a warning."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bodies on axes: where they are and in which colour, and as few artists for many as for some."""
+"""Positions and colours of bodies on axes, with a number of artists independent of theirs."""
 
 import numpy as np
 import pytest

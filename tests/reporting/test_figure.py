@@ -77,7 +77,7 @@ def test_variables_of_a_chart_are_apart_by_their_units() -> None:
     assert ("x" in labels(x), "v" in labels(v)) == (True, True)
     assert {"flight", "rest"} <= set(texts(band))
     height = next(line for line in x.get_lines() if line.get_label() == "x")
-    # The ball rests from 8.6 on; the picture ends a little later, and says so.
+    # The ball rests from 8.6 on; the axis ends a little later, with a remark.
     assert 8.6 < band.get_xlim()[1] < 10.0
     assert band.get_xlabel() == "time in s; until the end at 20 nothing happens any more"
     # Broken at every bounce, and nowhere else.

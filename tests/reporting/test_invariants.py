@@ -76,7 +76,7 @@ stop: {time: 2.5}
 outputs: {x: {value: ball.x, at: end}}
 """
 STEPS = "settings: {engine: impulse, step: 0.01}\n"
-# A drop of a height of 1 takes sqrt(2); what then goes off at 0.5 - mu*sqrt(2).
+# A drop from the height 1 takes sqrt(2); the slide then starts at 0.5 - mu*sqrt(2).
 IN_SCENES = {
     "in(c.free) or ball.y <= 0.5": 0.5,
     "in(c.free) or ball.dx <= 0.2": 0.2 - (0.5 - 0.1 * 2**0.5),

@@ -23,7 +23,7 @@ G = 9.81
 
 
 def scene(bodies, surfaces, *, mu=0.0, e=0.0, step=1e-3, time=1.0, more=""):
-    """Return a scene as text; `bodies`: name -> (what it is, its start)."""
+    """Return a scene as text; `bodies`: name -> (its keys, its start)."""
     inside = "\n".join(f"  {n}: {{{what}, start: {{{s}}}}}" for n, (what, s) in bodies.items())
     grounds = "\n".join(f"  {name}: {{{text}}}" for name, text in surfaces.items())
     return f"""kind: scene

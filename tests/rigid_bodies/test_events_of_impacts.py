@@ -1,4 +1,4 @@
-"""Event names of impacts: bodies that are struck, and others whose contacts change."""
+"""Event names of impacts, for struck bodies and others whose contacts change."""
 
 from __future__ import annotations
 

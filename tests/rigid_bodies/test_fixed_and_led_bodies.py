@@ -441,7 +441,7 @@ stop: {time: 0.11}
     ],
 )
 def test_bodies_set_in_motion_strike_before_guards_fire(lift, partners):
-    """As of points: the disc has 1.2 m/s when the guard is evaluated, which holds for slower."""
+    """The disc has 1.2 m/s when the guard is evaluated, which is true for less; as with points."""
     text = STARTING.replace("LIFT", lift).replace("PARTNERS", partners)
     trace = Runner(interpret(read_text(text)), engine="impulse", step=1e-3).run().trace
     assert [jump.cause for jump in trace.jumps if jump.region in ("pad", "look")] == ["go"]

@@ -132,7 +132,7 @@ def test_bodies_that_overlap_at_the_start_are_refused():
 
 
 def test_a_body_that_starts_inside_pieces_is_reported_by_name():
-    """The end of a plate where pieces cover each other, whose faces touch nothing there."""
+    """It starts at the end of a plate in overlapping pieces, where no face has a contact."""
     shape = "{polygon: [[-1, -1], [1, -1], [1, 1], [-1, 1]]}"
     halves = ", ".join(f"{{polygon: [[{x}, -1], [{x} + 1, -1], [{x} + 1, 1], [{x}, 1]]}}"
                        for x in (-1, 0))  # fmt: skip
@@ -280,7 +280,7 @@ def test_a_hundred_grains_collapse_without_sinking_into_each_other():
     runner = Runner("granular_column")
     trace = runner.run({"n": 100}, until=0.3).trace
     assert trace.outcome is Outcome.HORIZON
-    # As deep as a step at the fastest approach, not a tenth of a grain.
+    # The penetration is a step at the fastest approach, not a tenth of a grain.
     assert min(trace.margins.values()) >= -trace.tolerances["gap"]
 
 

@@ -1,4 +1,4 @@
-"""Random heaps, and scenes whose impulses were once not found: none ends for want of them."""
+"""Impulses converge in random heaps and in scenes where they once did not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A small box on a large one: how large, and which is declared first, changes nothing."""
+"""A small box on a large one: neither its size nor the order of declaration matters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bodies on bodies: where nothing strikes, half the step leaves a quarter of the error."""
+"""Time stepping of bodies without impacts is of second order."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def in_turn(masses, restitution, speeds):
 
 
 def event_by_event(masses, restitution, places, speeds, until):
-    """Return places and speeds of discs in a row, whose impacts are told apart by gaps."""
+    """Return positions and velocities of discs in a row with gaps, impact by impact."""
     x, v, t = list(places), list(speeds), 0.0
     while True:
         times = [

@@ -46,7 +46,7 @@ stop: {time: 0.5}
 outputs: {most: {maximum: energy}}
 settings: {engine: impulse, step: 1e-3}
 """.replace("SHAPE", "[[-0.09, -0.01], [0.09, -0.01], [0.09, 0.01], [-0.09, 0.01]]")
-# Of the mass matrix of the two angles, hanging straight: 1/3 + 1 squares of lengths, and 1/2.
+# Largest eigenvalue of the inverse mass matrix of the two angles, hanging straight.
 QUICKEST = 1.0 / (0.5 * (0.05337 + 0.01337) - (0.25 * 0.04**2 + 0.02**2) ** 0.5)
 
 

@@ -1,4 +1,4 @@
-"""Recording policies by steps: outputs equal to the bit, and refusals name what is missing."""
+"""Recording policies: outputs with identical bits, and errors that name the missing data."""
 
 from __future__ import annotations
 

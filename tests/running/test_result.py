@@ -53,7 +53,7 @@ def test_an_instant_outside_the_run_is_refused(result, t):
 
 
 def test_a_notebook_shows_the_moving_page(result):
-    """One frame, whose page cannot break out of it."""
+    """The page is in one frame and cannot break out of it."""
     tags: list[str] = []
     parser = HTMLParser()
     parser.handle_starttag = lambda tag, attrs: tags.append(tag)  # type: ignore[method-assign]

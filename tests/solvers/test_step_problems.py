@@ -23,8 +23,8 @@ def random_problem(generator, contacts, bodies, friction):
     inverse = 10.0 ** generator.uniform(-2, 2, 3 * bodies)
     mu = 10.0 ** generator.uniform(-2, 1, contacts) if friction else np.zeros(contacts)
     cones = np.column_stack([1 / np.hypot(1, mu), mu / np.hypot(1, mu)])
-    # What bodies can do: with restitution at contacts that oppose each other there need be no
-    # solution, without it there always is one.
+    # Velocities that bodies can have. With restitution, opposed contacts may have no solution;
+    # without it one always exists.
     free = (rows @ generator.normal(size=3 * bodies)).reshape(-1, 2)
     return (rows * inverse) @ rows.T, free, cones
 

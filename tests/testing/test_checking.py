@@ -124,7 +124,7 @@ def failure(subject, name, **options):
 
 
 class Altered:
-    """Laws of which one thing was changed."""
+    """Laws with one changed part."""
 
     def __init__(self, laws, **changes):
         self._laws = laws

@@ -141,7 +141,7 @@ def test_check_detects_a_contact_that_stays_off() -> None:
 
 
 def test_check_detects_a_guard_passed_with_its_margin_at_zero() -> None:
-    # As a margin max(x, n) stays at zero once it is there; with its tolerance it never falls.
+    # The margin max(x, n) stays at zero once it is there; with a tolerance it never falls.
     text = FALLS.replace("x <= n", "max(x, n) <= 0").replace("{invariants: {high: x >= 0}}", "{}")
     subject = changed(text, "e.hit", lambda margin: sp.Max(margin, 0) + sp.Float(1e-9))
     assert failure(subject).startswith("taylor: e.hit holds at t = 1")

@@ -183,7 +183,7 @@ def test_bodies_that_fall_side_by_side_have_no_events():
 
 
 def cradle(gap):
-    """Return three equal balls, of which the first runs into the others."""
+    """Return three equal balls, the first of which runs into the others."""
     return f"""
 kind: scene
 name: cradle

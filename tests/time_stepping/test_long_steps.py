@@ -285,7 +285,7 @@ def test_phase_error_of_a_long_swing_is_reported() -> None:
     values = {"k": 150.0**2}
     (warning,) = words(runner(SPRING, 3e-3).run(values), "too long for the springs")
     assert not runner(SPRING, named(warning)).run(values).warnings
-    # As fast, and at rest where its weight lets it hang.
+    # The same stiffness, at rest in equilibrium.
     still = SPRING.replace("y: 1.1, x: 0.1", "y: 1-9.81/k")
     assert not runner(still, 3e-3).run(values).warnings
 
