@@ -479,3 +479,23 @@ stop: {time: 0.5}
     assert not fine.warnings
     plastic = by_steps(interpret(read_text(text.replace("E", "0"))), 1e-3)
     assert not plastic.warnings
+
+
+PRESSED = """
+kind: scene
+name: pressed
+gravity: 0
+bodies: {b: {mass: 1, inertia: 1}, c: {mass: 1, inertia: 1, start: {x: 2, dangle: 1}}}
+joints: {pin: {point: {body: b}, to: [0, 0], limits: [0, 1], restitution: 0}}
+forces: {press: {body: b, moment: -5}, drive: {body: c, moment: -1.05}}
+couplings: {rub: {bodies: [b, c], limit: 1}}
+stop: {time: 1}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-3, 1e-4, 1e-5])
+def test_a_slip_that_passes_zero_slowly_beside_a_loaded_stop_does_not_lock(step) -> None:
+    # The moment of 1.05 stops the slip after 1/2.05 and turns it against the limit of 1.
+    jumps = Runner(interpret(read_text(PRESSED)), engine="impulse", step=step).run().trace.jumps
+    assert [(j.region, j.cause) for j in jumps] == [("rub", "reverse")]
+    assert jumps[0].t == pytest.approx(1 / 2.05, abs=2.0 * step)
