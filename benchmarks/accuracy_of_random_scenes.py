@@ -154,8 +154,8 @@ class Judges:
         runner, one, other = self._of(scene)
         try:
             result = runner.run(parameters, throw=False)
-        except StatechartError as error:
-            return Judgement(scene, parameters, "refused", math.nan, math.nan, str(error))
+        except StatechartError as problem:
+            return Judgement(scene, parameters, "refused", math.nan, math.nan, str(problem))
         estimate = math.nan if result.error_estimate is None else result.error_estimate
         if not estimate <= ACCURACY:
             reason = result.warnings[-1] if result.warnings else "no estimate"

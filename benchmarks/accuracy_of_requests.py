@@ -107,8 +107,8 @@ def judged(
     """Verdict, error, estimate and reason of one request."""
     try:
         result = runner(scene, engine, accuracy=accuracy).run(parameters, throw=False)
-    except StatechartError as error:
-        return "refused", math.nan, math.nan, str(error)
+    except StatechartError as problem:
+        return "refused", math.nan, math.nan, str(problem)
     estimate = result.error_estimate
     if estimate is None or not estimate <= accuracy or not result.trace.outcome.succeeded:
         reason = result.warnings[-1] if result.warnings else result.trace.message

@@ -36,7 +36,8 @@ def main() -> None:
             sn.fc2d_driver(problem, impulses, velocities, options)
             taken += time.process_time() - began
             result[f"p{k}"] = impulses.reshape(m, 2)
-    np.savez(answered, taken=taken, **result)
+    result["taken"] = np.array(taken)
+    np.savez(answered, allow_pickle=False, **result)
 
 
 if __name__ == "__main__":

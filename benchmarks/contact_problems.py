@@ -10,6 +10,7 @@ python benchmarks/contact_problems.py [--keep 200] [--tolerance 1e-6]
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Iterator, Mapping
@@ -31,8 +32,10 @@ from contacts.solvers.contact_rows import (
 )
 from contacts.solvers.contact_solver import _by_lemke, solve_rows
 from contacts.solvers.proximal_points import solve_by_proximal_points
+from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.scene_stepper import SteppedScene
 from contacts.time_stepping.scene_tape import SteppedTape
+from contacts.time_stepping.stepper import Stepper
 from statechart.arrays import Array, Ints
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import SimulationError
@@ -82,12 +85,20 @@ class Problem(NamedTuple):
     start: Array  # (m, 2): impulses of the step before.
 
 
-def steps_of(runner: Runner, values: Mapping[str, float], h: float) -> Iterator[object]:
+def steps_of(
+    runner: Runner, values: Mapping[str, float], h: float
+) -> Iterator[tuple[SteppedSystem, Array, Chunk, float]]:
     """Take the steps of a run one by one, and yield what has just taken one."""
-    begun = runner.automaton.stepper()._begin(values, h, 1e-6, False)
+    assert runner.automaton.stepper is not None
+    stepper = runner.automaton.stepper()
+    assert isinstance(stepper, Stepper)
+    begun = stepper._begin(values, h, 1e-6, False)
     if begun.failure is not None:
         return
     stepped, state, k = begun.system, begun.setup.initial, 0
+    if isinstance(stepped, RigidBodyRun):
+        # The detection after a step, which may reject it, would overwrite its contacts.
+        stepped._options = stepped._options._replace(deepest=math.inf)
     end = min(runner.end(values, until=None), 3.0)
     while k * h < end:
         try:
@@ -103,7 +114,8 @@ def steps_of(runner: Runner, values: Mapping[str, float], h: float) -> Iterator[
 def of_shapes(name: str, runner: Runner, values: Mapping[str, float]) -> Iterator[Problem]:
     """Yield the problems of islands of bodies with shapes."""
     known: dict[tuple[int, ...], Array] = {}
-    h = runner.model.settings.step or runner.automaton.own_step()
+    assert runner.automaton.own_step is not None
+    h = float(runner.model.settings.step or runner.automaton.own_step())
     for stepped, *_ in steps_of(runner, values, h):
         assert isinstance(stepped, RigidBodyRun)
         touches, inverse = stepped._workspace.active, stepped.numbers.inverse
@@ -156,7 +168,7 @@ def of_island(
     for side in range(2):
         rows[places[:, side] == len(numbers), :, 3 * side : 3 * side + 3] = 0.0
     felt = np.vstack([inverse[list(numbers)], np.zeros(3)])[places].reshape(-1, 1, 6)
-    least = touches.free[members] + touches.wanted[members]
+    least = touches.free[members] + touches.bias[members]
     start = np.array([known.get(keys[i], np.zeros(2)) for i in members])
     return Problem(
         name,

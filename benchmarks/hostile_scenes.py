@@ -329,7 +329,9 @@ def examined(name: str, draws: range, seed: int) -> Counter[str]:
     """Test draws of one scene; return how they went."""
     found: Counter[str] = Counter()
     one = subject(name)
-    items = [p for p in (*generic(one), *properties(one.model)) if not p.skipped]
+    scene = one.model
+    assert isinstance(scene, Scene)
+    items = [p for p in (*generic(one), *properties(scene)) if not p.skipped]
     for k in draws:
         drawn = numbers(one, np.random.default_rng([seed, list(SCENES).index(name), k]))
         case = one.case(drawn)

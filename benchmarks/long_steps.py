@@ -208,7 +208,7 @@ _GAIN = 0.05
 
 
 def _numbers(result: Result) -> np.ndarray:
-    return np.array([float(v) for v in result.outputs.values()])  # type: ignore[arg-type]
+    return np.array([float(v) for v in result.outputs.values()])
 
 
 def _sizes(result: Result) -> np.ndarray:

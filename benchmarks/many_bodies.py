@@ -20,11 +20,13 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.spatial
 
 from contacts.rigid_bodies.declared_numbers import body_numbers
+from contacts.scene.scene import Scene
 from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
 from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
@@ -54,12 +56,12 @@ def ours(name: str, count: int, tolerance: float, repeats: int, text: str = "") 
     runner = Runner(interpret(read_text(text)) if text else name, impulse_tolerance=tolerance)
     trace = runner.run({"n": count}, throw=False).trace
     taken = median(lambda: runner.run({"n": count}, throw=False), repeats)
-    counts = trace.counts
+    counts, deepest = trace.counts, -min((trace.margins or {}).values())
     per = taken / max(counts["contacts"], 1)
     print(
         f"{name:16}{count:6}{tolerance:10.0e}{taken:10.3f} s{1e6 * per:10.2f} us"
         f"{counts['iterations'] / counts['steps']:10.1f}{counts['inexact_steps']:9}"
-        f"{-min(trace.margins.values()) / trace.tolerances['gap']:10.2f}  {trace.outcome.name}",
+        f"{deepest / trace.tolerances['gap']:10.2f}  {trace.outcome.name}",
         flush=True,
     )
 
@@ -120,7 +122,7 @@ def by_box2d(places: list[tuple[float, float]]) -> Callable[[], list[tuple[float
 
 def pymunk_world(
     places: list[tuple[float, float]], iterations: int = 30, restitution: float = RESTITUTION
-) -> tuple[object, list[object]]:
+) -> tuple[Any, list[Any]]:
     """Return pymunk's space, and the bodies of its discs."""
     pymunk = importlib.import_module("pymunk")
     space = pymunk.Space()
@@ -153,7 +155,7 @@ def by_pymunk(places: list[tuple[float, float]]) -> Callable[[], list[tuple[floa
     return run
 
 
-def mujoco_model(places: list[tuple[float, float]], options: str = "") -> object:
+def mujoco_model(places: list[tuple[float, float]], options: str = "") -> Any:
     """Return MuJoCo's model, with further options of its solver."""
     mujoco = importlib.import_module("mujoco")
     inertia = MASS * RADIUS**2 / 2
@@ -214,6 +216,7 @@ def heaps(count: int) -> None:
         trace = subject.case({}).trace
         ends[trace.outcome.name] = ends.get(trace.outcome.name, 0) + 1
         scene = subject.model
+        assert isinstance(scene, Scene)
         numbers = body_numbers(scene, scene.values())
         try:
             assert_depths(numbers, trace)

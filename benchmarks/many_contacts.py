@@ -23,6 +23,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 GROUNDS = {"floor": ("0", 0.33), "hills": ("0.1*sin(3*x)", 0.33)}
 
@@ -110,7 +111,7 @@ def imports(modules: list[str]) -> dict[str, object]:
     return {"peak": peak()}
 
 
-def child(*arguments: str, stdin: str | None = None) -> tuple[dict[str, object], float]:
+def child(*arguments: str, stdin: str | None = None) -> tuple[dict[str, Any], float]:
     """Return what this script says in a process of its own, and the time that took."""
     with tempfile.TemporaryDirectory() as cache:
         began = time.perf_counter()

@@ -211,7 +211,7 @@ def judge(found: Case, choice: dict[str, object]) -> tuple[str, float]:
     except SimulationError as error:
         return f"ended: {error}", math.inf
     off = max(
-        abs(float(result.outputs[name]) - value) / found.sizes[name]  # type: ignore[arg-type]
+        abs(float(result.outputs[name]) - value) / found.sizes[name]
         for name, value in found.outputs.items()
     )
     asked = choice.get("accuracy")

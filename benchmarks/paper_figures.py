@@ -53,6 +53,7 @@ def figure_4() -> Figure:
     """Forces on the dragged stick against friction."""
     run = Runs("dragged_stick")
     frictions = np.geomspace(0.05, 100.0, 60)
+    figure: Figure
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), sharex=True, layout="constrained")
     for colour, degrees in enumerate((30, 45, 60, 75)):
         theta = math.radians(degrees)
@@ -95,6 +96,7 @@ def figure_10(run: Runs) -> Figure:
     """Direction of the stick's first slip, over friction and moment of inertia."""
     frictions, inertias = GRID
     found = np.array([[run(mu=mu, I_G=i)["first"] for mu in frictions] for i in inertias])
+    figure: Figure
     figure, ax = plt.subplots(figsize=(7, 4.4), layout="constrained")
     colours = dict(enumerate(state_colours(("pin", "slide-", "slide+")).values()))
     ax.pcolormesh(frictions, inertias, found, cmap=ListedColormap(list(colours.values())))

@@ -92,8 +92,8 @@ def problems(count: int, seed: int) -> Counter[str]:
         masses, decades = ((0, 1), (3, 1), (0, 12))[k % 3]
         delassus, free, edges = stack(random, masses, decades)
         nothing, none = np.zeros_like(free), np.zeros(len(edges), np.bool_)
-        problem = impact_problem(delassus, free, free, nothing, edges, none)
-        solved = coordinate_impulses(*problem, 1e-9)[0] <= 1e-9
+        rows, island = impact_problem(delassus, free, free, nothing, edges, none)
+        solved = coordinate_impulses(rows, island, 1e-9)[0] <= 1e-9
         found["solved" if solved else f"unsolved, masses 1e+-{masses}, mu 1e+-{decades}"] += 1
     return found
 

@@ -19,8 +19,9 @@ import statistics
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from many_bodies import (
@@ -35,7 +36,8 @@ from many_bodies import (
     starts,
 )
 
-from contacts.rigid_bodies.body_stepper import RigidBodyRun
+from contacts.rigid_bodies.rigid_body_run import RigidBodyRun
+from contacts.time_stepping.stepper import Stepper
 from statechart.arrays import Array
 from statechart.running.runner import Runner
 
@@ -101,16 +103,20 @@ def of_discs(
 
 
 def by_us(count: int, tolerance: float) -> tuple[float, Iterator[Step]]:
-    runner = Runner("granular_column", impulse_tolerance=tolerance, record="nothing")
     values = {"n": count, "e": 0.0}
+    runner = Runner("granular_column", impulse_tolerance=tolerance, record="nothing")
+    runner = runner._fitting(values)
     taken = median(lambda: runner.run(values, throw=False), 5)
 
     def steps() -> Iterator[Step]:
-        begun = runner.automaton.stepper()._begin(values, STEP, tolerance, forces=False)
+        assert runner.automaton.stepper is not None
+        stepper = runner.automaton.stepper()
+        assert isinstance(stepper, Stepper)
+        begun = stepper._begin(values, STEP, tolerance, forces=False)
         heap = begun.system
         assert isinstance(heap, RigidBodyRun)
-        # What is in the way after a step is not looked at: contacts are those of the step.
-        heap._deepest = math.inf
+        # The detection after a step, which may reject it, would overwrite its contacts.
+        heap._options = heap._options._replace(deepest=math.inf)
         state = begun.setup.initial
         for k in range(STEPS):
             state = heap.steps(k * STEP, STEP, state, 1).states[-1]
@@ -128,7 +134,7 @@ def ours(heap: RigidBodyRun, count: int) -> Step:
         if other >= 0:
             rows[i, :, 3 * other : 3 * other + 3] = touches.rows[i, :, 3:]
     felt = np.tile(FELT, count)
-    least = touches.free[:m] + touches.wanted[:m]
+    least = touches.free[:m] + touches.bias[:m]
     added = np.einsum("idk,k,jek,je->id", rows, felt, rows, impulses, optimize=True)
     return Step(rows, felt, least, least + added, impulses)
 
@@ -136,7 +142,7 @@ def ours(heap: RigidBodyRun, count: int) -> Step:
 def by_pymunk(count: int, iterations: int) -> tuple[float, Iterator[Step]]:
     places = starts(count)
 
-    def world() -> tuple[object, list[object]]:
+    def world() -> tuple[Any, list[Any]]:
         return pymunk_world(places, iterations, 0.0)
 
     def run() -> None:
@@ -151,9 +157,9 @@ def by_pymunk(count: int, iterations: int) -> tuple[float, Iterator[Step]]:
         def rates() -> Array:
             return np.array([[*body.velocity, body.angular_velocity] for body in bodies])
 
-        found: list[tuple[int, int, float, float, object]] = []
+        found: list[tuple[int, int, float, float, Any]] = []
 
-        def see(arbiter: object, body: object) -> None:
+        def see(arbiter: Any, body: Any) -> None:
             one, other = (shape.body for shape in arbiter.shapes)
             if one is body:
                 normal = arbiter.contact_point_set.normal
@@ -267,15 +273,13 @@ def main() -> None:
         problems = list(steps)
         told("statechart", f"tolerance {tolerance:.0e}", taken, problems)
     for iterations in (10, 30, 100, 1000):
-        tried("pymunk", f"iterations {iterations}", lambda k=iterations: by_pymunk(n, k))
+        tried("pymunk", f"iterations {iterations}", partial(by_pymunk, n, iterations))
     for tolerance in (1e-4, 1e-8, 1e-12):
-        tried("MuJoCo", f"tolerance {tolerance:.0e}", lambda r=tolerance: by_mujoco(n, r))
+        tried("MuJoCo", f"tolerance {tolerance:.0e}", partial(by_mujoco, n, tolerance))
     struck = [step for step in problems if math.fsum(step.impulses[:, 0]) > 0.0]
     for solver, tolerance in (("NSGS", 1e-2), ("NSGS", 1e-4), ("NSGS", 1e-6), ("LEMKE", 1e-8)):
-        tried(
-            "Siconos", f"{solver} {tolerance:.0e}",
-            lambda s=solver, r=tolerance: by_siconos(chosen.python, s, r, struck),
-        )  # fmt: skip
+        run = partial(by_siconos, chosen.python, solver, tolerance, struck)
+        tried("Siconos", f"{solver} {tolerance:.0e}", run)
 
 
 if __name__ == "__main__":

@@ -79,7 +79,7 @@ def compared(model: Declaration, table: Array) -> tuple[int, float, float, list[
     plan = Plan(model, Setting(), dict(zip(model.ranges, table.T, strict=True)), grid=False)
     run_block(plan.task, table)  # modes are made known
     found = run_block(plan.task, table)
-    through = sum(one.batches.through for one in sweep_cells._cells(plan.task)._structures.values())
+    through = sum(one.through for one in sweep_cells._cells(plan.task)._structures.values())
     kept, sweep_cells._MAX_BATCH = sweep_cells._MAX_BATCH, 1
     alone = run_block(plan.task, table)
     sweep_cells._MAX_BATCH = kept

@@ -151,7 +151,11 @@ def hand_written_scipy(
     fallen = event(lambda y: math.pi / 2 - y[0])
     back = event(lambda y: mu * forces(y)[1] - forces(y)[0])
     ahead = event(lambda y: mu * forces(y)[1] + forces(y)[0])
-    stops = {sign: event(lambda y, sign=sign: sign * y[3] + 1e-13) for sign in (1.0, -1.0)}
+
+    def stop(sign: float) -> Callable[[float, np.ndarray], float]:
+        return event(lambda y: sign * y[3] + 1e-13)
+
+    stops = {sign: stop(sign) for sign in (1.0, -1.0)}
 
     def run(theta0: float) -> Found:
         y = np.array([theta0, 2.0 * math.sin(theta0 / 2) / math.sqrt(1.0 + inertia), 0.0, 0.0])
@@ -251,6 +255,7 @@ def main() -> None:
     # What takes milliseconds needs fewer rounds; the trace takes part in both.
     hand, traced, full = turns([f for _, f in rows[:3]], ROUNDS)
     beside, *slow = turns([f for _, f in [rows[1], *rows[3:]]], SLOW)
+    lines: list[tuple[list[float], list[float] | None, list[float]]]
     lines = [(hand, hand, traced), (traced, hand, traced), (full, hand, traced)]
     lines += [(times, None, beside) for times in slow]
     print(f"{'program':42} {'us':>10} {'to heyoka':>10} {'to trace':>10} {'error':>9}")

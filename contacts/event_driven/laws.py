@@ -339,7 +339,12 @@ class SceneLaws:
             state = in_contact(rested, snapshot, brought := state, slow)
             if state is not brought:
                 snapshot = hidden(self.tape.at(setup.values, state, at.clock.high), flow.mode)
-        closed = [c.gap <= close for c in snapshot.contacts]
+        # Snapshots are at the rounded time, the fall of a gap beside it.
+        rounding = math.ulp(at.clock.high)
+        closed = [
+            c.gap <= (close - rounding * c.gap_rate if f"{name}.gap" in at.fired else close)
+            for name, c in zip(self._names, snapshot.contacts, strict=True)
+        ]
         snapshot = close_compliant(snapshot, closed)
         return Landing(at._replace(state=state), setup, snapshot, moving, closed)
 

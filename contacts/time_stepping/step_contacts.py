@@ -543,18 +543,23 @@ def coupling_mode(scene: StepConstants, i: int, slip: float, modes: Ints) -> int
     return SLIP_PLUS if slip > 0.0 else SLIP_MINUS
 
 
+# Round-off of gaps, relative to their tolerance. Slips that pass zero slowly are larger.
+_GAP_ROUNDING = 1e-4
+
+
 @kernel
 def clear_round_off(scene: StepConstants, island: Island, contacts: ContactRows, h: float) -> None:
     """Clear coupling slips that are round-off of the gaps of loaded contacts."""
     for a in range(len(island.members)):
-        most = 0.0
+        slip, widest = 0.0, scene.gap_tolerance / h
         for b in range(len(island.members) if is_coupling(scene, island.members[a]) else 0):
             if island.chosen[b, 0] > 0.0 and not _is_finite(scene, island.members[b]):
                 turned = 0.0
                 for k in range(contacts.rows.shape[2]):
                     turned += contacts.rows[a, 1, k] * contacts.columns[b, 0, k]
-                most = max(most, abs(turned) / contacts.own[b, 0])
-        if abs(island.after[a, 1]) <= most * scene.gap_tolerance / h:
+                blurred = min(abs(island.after[b, 0]) + _GAP_ROUNDING * widest, widest)
+                slip += abs(turned) / contacts.own[b, 0] * blurred
+        if abs(island.after[a, 1]) <= slip:
             island.after[a, 1] = 0.0
 
 

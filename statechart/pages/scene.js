@@ -45,12 +45,13 @@ function placed(point, frame, k) {
 }
 const path = (points, closed = false) =>
   points.map((p, i) => `${i ? "L" : "M"}${p[0]} ${-p[1]}`).join("") + (closed ? "Z" : "");
-function shaped(scene, shape) {
-  const group = made(scene, "g", { "data-name": shape.name, "data-kind": shape.kind });
+function shaped(scene, shape, behind) {
+  const linked = ["link", "rope", "spring", "damper", "reaction"].includes(shape.kind);
+  const group = made(linked ? behind : scene, "g", { "data-name": shape.name, "data-kind": shape.kind });
   const unit = film.unit;
   if (shape.kind === "coupling") {
     const region = data.regions[shape.region];
-    const line = made(group, "path", { class: "link reaction" });
+    const line = made(behind, "path", { class: "link reaction" });
     const mark = made(group, "path", { class: "mark", "data-coupling": shape.name });
     const r = 0.01 * unit;
     moving.push((k) => {
@@ -63,7 +64,7 @@ function shaped(scene, shape) {
     });
     return;
   }
-  if (["link", "rope", "spring", "damper", "reaction"].includes(shape.kind)) {
+  if (linked) {
     const slack = shape.slack && float(shape.slack);
     const line = made(group, "path", { class: `link ${shape.kind}` });
     moving.push((k) => {
@@ -196,7 +197,8 @@ if (film) {
     const points = Array.from(times, (_, k) => placed([0, 0], frame, k));
     moving.push((k) => trail.setAttribute("d", path(points.slice(0, k + 1))));
   }
-  for (const shape of film.shapes) if (shape.kind !== "ground") shaped(scene, shape);
+  const behind = made(scene, "g", {});
+  for (const shape of film.shapes) if (shape.kind !== "ground") shaped(scene, shape, behind);
   for (const touch of film.touches) touching(scene, touch);
   // A bar of a round length, in the lower left corner.
   const real = film.length / film.unit;

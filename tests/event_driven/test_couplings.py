@@ -10,7 +10,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import statechart
+from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
+from statechart.errors import EventLoop
 from statechart.loading.load import interpret
 
 ENGINES = pytest.mark.parametrize("engine", ["taylor", "scipy"])
@@ -865,3 +867,35 @@ def test_an_infinite_limit_is_refused_with_advice() -> None:
     assert text != ROTOR
     with pytest.raises(statechart.DeclarationError, match="a joint with angle: held"):
         run(text)
+
+
+_WHEELS = """
+kind: scene
+name: wheels
+coordinates:
+  p0: {rate: 1.463}
+  p1: {rate: -1.257}
+bodies:
+  w0: {mass: 1, inertia: 1.241, position: [0, 0], angle: p0}
+  w1: {mass: 1, inertia: 1.245, position: [1, 0], angle: p1}
+couplings:
+  c0: {bodies: [w1, w0], limit: 0.956}
+  c1: {bodies: [w1, w0], limit: 2.399, enabled: 'mod(time, 0.686) <= 0.297'}
+  BRAKES
+forces:
+  f0: {body: w0, moment: 1.296*sin(3.469*time) SIGN0}
+  f1: {body: w1, moment: 1.765*sin(5.426*time) SIGN1}
+stop: {time: 2}
+"""
+
+
+def test_brakes_written_as_signs_beside_a_locked_clutch_are_better_couplings() -> None:
+    signs = _WHEELS.replace("BRAKES", "").replace("SIGN0", "- 0.591*sign(dp0)")
+    with pytest.raises(EventLoop, match="write dry friction as a contact or a coupling"):
+        statechart.run(read_text(signs.replace("SIGN1", "- 0.531*sign(dp1)")))
+    brakes = (
+        _WHEELS.replace("SIGN0", "")
+        .replace("SIGN1", "")
+        .replace("BRAKES", "d0: {bodies: [w0], limit: 0.591}\n  d1: {bodies: [w1], limit: 0.531}")
+    )
+    assert statechart.run(read_text(brakes)).trace.outcome is Outcome.HORIZON

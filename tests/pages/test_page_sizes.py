@@ -109,6 +109,32 @@ def test_remarks_that_are_too_long_name_fewer_curves(tmp_path):
     assert all(re.fullmatch(r"not drawn: [\w., ]*\d+ more", text) for text in found)
 
 
+WHEELS = """\
+kind: scene
+name: wheels
+coordinates: {a: {rate: 3}, b: {}}
+bodies:
+  motor: {mass: 1, inertia: 1, position: [0, 0], angle: a, shape: {disc: 0.3}}
+  load: {mass: 1, inertia: 1, position: [1, 0], angle: b, shape: {disc: 0.3}}
+couplings: {clutch: {bodies: [motor, load], limit: 1}}
+stop: {time: 1}
+"""
+
+
+@in_browser
+def test_lines_of_couplings_are_behind_bodies(tmp_path):
+    (tmp_path / "wheels.yaml").write_text(WHEELS)
+    shown = statechart.run(tmp_path / "wheels.yaml").report(tmp_path / "page.html")
+    follows = (
+        "[...document.querySelectorAll('#scene .filled')].map((body) => Boolean(document"
+        ".querySelector('#scene .reaction').compareDocumentPosition(body)"
+        " & Node.DOCUMENT_POSITION_FOLLOWING))"
+    )
+    with Browser(tmp_path / "browser") as opened:
+        opened.open(shown)
+        assert opened.value(follows) == [True, True]
+
+
 ROD = """\
 kind: scene
 name: a_rod_whose_name_has_as_many_as_42_letters

@@ -534,3 +534,23 @@ def test_a_joint_that_closes_at_a_rebound_stops_it(h: float) -> None:
     assert exact.trace.final[3] == pytest.approx(0.0, abs=1e-9)
     assert len(found.trace.jumps) == len(exact.trace.jumps)
     np.testing.assert_allclose(found.trace.final, exact.trace.final, rtol=0, atol=4 * h)
+
+
+PRESSED = """
+kind: scene
+name: pressed
+gravity: 0
+bodies: {b: {mass: 1, inertia: 1}, c: {mass: 1, inertia: 1, start: {x: 2, dangle: 1}}}
+joints: {pin: {point: {body: b}, to: [0, 0], limits: [0, 1], restitution: 0}}
+forces: {press: {body: b, moment: -5}, drive: {body: c, moment: -1.05}}
+couplings: {rub: {bodies: [b, c], limit: 1}}
+stop: {time: 1}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-3, 1e-4, 1e-5])
+def test_a_slip_that_passes_zero_slowly_beside_a_loaded_stop_does_not_lock(step) -> None:
+    # The moment of 1.05 stops the slip after 1/2.05 and turns it against the limit of 1.
+    jumps = Runner(interpret(read_text(PRESSED)), engine="impulse", step=step).run().trace.jumps
+    assert [(j.region, j.cause) for j in jumps] == [("rub", "reverse")]
+    assert jumps[0].t == pytest.approx(1 / 2.05, abs=2.0 * step)
