@@ -297,7 +297,9 @@ def settle(
                 write_cone(scene, tape, which[a], int(slides[a]), cones[a])
         for a in range(m):
             i = which[a]
-            idle = forces[a, 0] == 0.0 and chunk.codes[k, i] == FREE
+            # An impact elsewhere may leave a lasting contact without load, but does not open it.
+            kept = memory.landing_steps[i] == HOLDING and memory.modes[i] not in (FREE, OFF_CODE)
+            idle = forces[a, 0] == 0.0 and chunk.codes[k, i] == FREE and not kept
             if solved and near[i] and not idle:
                 still, directed = slides[a] == 0.0, scene.slips[i] == 2
                 modes[i] = mode_of_acceleration(forced[a], slips[a], still, cones[a], directed)

@@ -554,3 +554,30 @@ def test_a_slip_that_passes_zero_slowly_beside_a_loaded_stop_does_not_lock(step)
     jumps = Runner(interpret(read_text(PRESSED)), engine="impulse", step=step).run().trace.jumps
     assert [(j.region, j.cause) for j in jumps] == [("rub", "reverse")]
     assert jumps[0].t == pytest.approx(1 / 2.05, abs=2.0 * step)
+
+
+CORNER = """
+kind: scene
+name: corner
+gravity: 9.81
+bodies: {b: {mass: 1, start: {dx: 1}}}
+surfaces: {floor: {height: 0}, wall: {line: [[0.1, -1], [0.1, 1]]}}
+contacts:
+  foot: {point: {body: b}, surface: floor, friction: 0.1, restitution: 0}
+  side: {point: {body: b}, surface: wall, friction: 0.5, restitution: 0}
+forces: {press: {body: b, force: [30, 0]}}
+stop: {time: 0.3}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-3, 1e-4])
+def test_a_contact_that_an_impact_at_a_wall_leaves_without_load_stays_closed(step) -> None:
+    # Friction of 15 at the wall could carry the weight of 9.81 alone.
+    model = interpret(read_text(CORNER))
+    for run, late in (by_events(model), 0.0), (by_steps(model, step), step):
+        first, *others = run.trace.jumps
+        assert (first.region, first.cause) == ("side", "touchdown")
+        assert not [j for j in run.trace.jumps if "free" in j.target]
+        assert [j.cause for j in others] in ([], ["stick"])
+        assert all(j.t <= first.t + late for j in others)
+        assert run.trace.final_mode == ("pin", "pin")
