@@ -322,8 +322,8 @@ class Trace:
         First and last state.
     start_mode, final_mode : Key
         First and last mode.
-    final_roles : Roles or None
-        The last mode with its load sharing, which a jump at the end enters without an arc.
+    passed_roles : mapping
+        Number of jumps before -> load sharing of a mode that lasted no time.
     t_end : float
         End of the run.
     outcome : Outcome
@@ -386,7 +386,7 @@ class Trace:
     motion: Motion | None = None
     record: Record = Record.MODES
     outputs: Mapping[str, Any] | None = None
-    final_roles: Roles | None = None
+    passed_roles: Mapping[int, Roles] = field(default_factory=dict)
 
     @property
     def values(self) -> Array:

@@ -8,7 +8,7 @@ states are assembled lazily on the common refinement of the steps.
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
@@ -19,7 +19,7 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton, Component, Places
 from statechart.automaton.clock import Clock, between
-from statechart.automaton.laws import PARAMETERS, Setup, region_roles
+from statechart.automaton.laws import PARAMETERS, Setup, region_roles, roles_in
 from statechart.automaton.lazy import LazyMapping, LazySequence
 from statechart.automaton.trace import Arc, Jump, Key, Outcome, Role, Roles, Trace
 from statechart.automaton.trace_store import jump_times
@@ -54,6 +54,13 @@ class _ComponentRun:
     def key(self, count: int) -> Key:
         """Return its mode after `count` of its jumps."""
         return self.trace.jumps[count - 1].target if count else self.trace.start_mode
+
+    def roles(self, count: int) -> Roles:
+        """Return its roles after `count` of its jumps."""
+        place = bisect_left(self.arcs, count, key=lambda arc: arc.j)
+        if place < len(self.arcs) and self.arcs[place].j == count:
+            return self.arcs[place].roles
+        return self.trace.passed_roles.get(count) or roles_in(self.key(count))
 
     def arc(self, time: Clock) -> Arc:
         """Return the arc at a time."""
@@ -153,7 +160,7 @@ class MergedRun:
             final=self._state(finals),
             start_mode=self._key([run.trace.start_mode for run in runs]),
             final_mode=self._key([run.key(len(run.numbers)) for run in runs]),
-            final_roles=self._final_roles(),
+            passed_roles=self._passed_roles(),
             t_end=self.end,
             outcome=outcome,
             message=message,
@@ -202,13 +209,17 @@ class MergedRun:
                 merged[place] = state
         return tuple(merged)
 
-    def _final_roles(self) -> Roles | None:
-        roles = [
-            run.trace.final_roles if len(run.numbers) == len(run.times) else None
-            for run in self._parts
-        ]
-        known = [one for one in roles if one is not None]
-        return self._roles(known) if len(known) == len(roles) else None
+    def _passed_roles(self) -> dict[int, Roles]:
+        numbers = set[int]()
+        for run in self._parts:
+            starts = [0, *(number + 1 for number in run.numbers), len(self._groups) + 1]
+            for count in run.trace.passed_roles:
+                if count <= len(run.numbers):
+                    numbers.update(range(starts[count], starts[count + 1]))
+        counts = {n: [bisect_right(run.numbers, n - 1) for run in self._parts] for n in numbers}
+        return {
+            n: self._roles(list(map(_ComponentRun.roles, self._parts, counts[n]))) for n in numbers
+        }
 
     def _roles(self, roles: Sequence[Roles]) -> Roles:
         merged = [roles[0][0]] * len(self._automaton.regions)

@@ -13,7 +13,15 @@ import numpy as np
 
 from statechart import interrupts
 from statechart.automaton.clock import Clock, between
-from statechart.automaton.laws import OTHER_PARAMETERS, UNBOUNDED, Flow, Instant, Setup, flow_sizes
+from statechart.automaton.laws import (
+    OTHER_PARAMETERS,
+    UNBOUNDED,
+    Flow,
+    Instant,
+    Setup,
+    flow_sizes,
+    roles_in,
+)
 from statechart.automaton.switches import is_of_switch
 from statechart.automaton.time_stepper import Sample, Sampling, in_order
 from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace, check_size
@@ -92,6 +100,7 @@ class Execution:
             self.accumulation.series = self.batch_start.series.copy()
         self._livelock = Livelock(min(self.horizon, self.until))
         self._filippov = Filippov(self.modes) if self.automaton.switching else None
+        self.passed_roles: dict[int, Roles] = {}  # see `Trace`
         self._switched: tuple[Any, ...] = ()  # key of the current flow, see `_switch`
         self._switch_tolerances: dict[str, float] = {}  # in the current flow
 
@@ -497,6 +506,7 @@ class Execution:
             projected = True
             if self.certificate is not None:
                 self.certificate.jump(self._instant(*fired), jump)
+            self._pass()
             self.flow = following
             self._warn()
             self.record.add_jump(jump)
@@ -534,7 +544,14 @@ class Execution:
                 self._stop(met)
         return self.outcome is Outcome.STOPPED
 
+    def _pass(self) -> None:
+        """Keep how a mode that ends without an arc shares its load."""
+        arcs, jumps, roles = self.record.arcs, len(self.record.jumps), self.flow.moving
+        if roles != roles_in(self.flow.mode) and not (len(arcs) and arcs[-1].j == jumps):
+            self.passed_roles[jumps] = roles
+
     def _stop(self, condition: str) -> None:
+        self._pass()
         self.record.add_jump(self._instant(condition).jump("", "stop", self.flow.mode))
         self._end(Outcome.STOPPED, f"{condition} at t = {self.clock.high:.6g}")
 
@@ -604,6 +621,8 @@ class Execution:
         proved = motion is not None and motion.proved
         doubtful = self.evidence.keys() - ({"motion"} if proved else set())
         decided = not doubtful and self.outcome not in (Outcome.UNDECIDED, Outcome.NON_FINITE)
+        if self.started_mode:
+            self._pass()
         arcs, jumps = self.record.close()
         remarks = automaton.laws_of_events.remarks(self.setup, arcs)
         start = self.started_mode or tuple(r.states[0] for r in automaton.regions)
@@ -615,7 +634,7 @@ class Execution:
             final=self.state,
             start_mode=start,
             final_mode=self.flow.mode if self.started_mode else start,
-            final_roles=self.flow.moving if self.started_mode else None,
+            passed_roles=self.passed_roles,
             t_end=self.clock.high,
             outcome=self.outcome,
             message=self.message,

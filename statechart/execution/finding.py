@@ -142,8 +142,8 @@ def from_here(compiled: CompiledMode, flow: Flow, setup: Setup, state: Array, ti
     tolerances = {**flow.tolerances}
     margins = compiled.guards.values(state, setup.values, time).tolist()
     for (name, kind), margin in zip(compiled.watched, margins, strict=True):
-        if kind in ("force", "hold") and margin < 0.0 and name not in tolerances:
-            tolerances[name] = setup.tolerances[kind] - margin
+        if kind in ("force", "hold") and margin < 0.0:
+            tolerances[name] = max(tolerances.get(name, 0.0), setup.tolerances[kind] - margin)
     return flow._replace(tolerances=tolerances)
 
 

@@ -171,8 +171,8 @@ def roles_at(trace: Trace, j: int, mode: Key, *, ends: bool) -> Roles:
     arcs, place = trace.arcs, _arc_index(trace.arcs, j, ends)
     if 0 <= place < len(arcs) and arcs[place].j == j and arcs[place].mode == mode:
         return arcs[place].roles
-    if j == len(trace.jumps) and mode == trace.final_mode and trace.final_roles is not None:
-        return trace.final_roles
+    if j in trace.passed_roles:
+        return trace.passed_roles[j]
     # A jump that changes no mode, such as a stop, has the roles of the arc before.
     if j > 0 and trace.jumps[j - 1].source == trace.jumps[j - 1].target == mode:
         return roles_at(trace, j - 1, mode, ends=True)

@@ -414,3 +414,51 @@ def test_controllers_take_guarded_events_and_reach_final_states(
     assert found["n"] == 1
     assert found["begin"] == pytest.approx(begin, abs=near)
     assert found["end"] == [pytest.approx(begin + 0.3 / (speed / 2), abs=2 * near)]
+
+
+LANDING = """\
+kind: scene
+name: landing
+gravity: 10
+bodies: {block: {mass: 1}, ball: {mass: 1, start: {x: 3, y: 0.2}}}
+surfaces: {floor: {height: 0}}
+contacts:
+  base: {point: {body: block}, surface: floor, friction: 0.5, restitution: 0}
+  hit: {point: {body: ball}, surface: floor, friction: 0.5, restitution: 0}
+controls: {pull: 0, push: 0}
+forces: {hand: {body: block, force: [pull + push, 0]}}
+stop: {time: 0.5}
+regions: REGIONS
+"""
+_HANDS = (
+    "left: {initial: a, states: {a: {}, b: {sets: {pull: 8}}}, "
+    "transitions: [{name: haul, from: a, to: b, on: hit.touchdown}]}, "
+    "right: {initial: c, states: {c: {}, d: {sets: {push: -6}}}, "
+    "transitions: [{name: brace, from: c, to: d, on: hit.touchdown}]}"
+)
+_STEPS = {"engine": "impulse", "step": 1e-3}
+
+
+@pytest.mark.parametrize("setting", [{"engine": "taylor"}, {"engine": "scipy"}, _STEPS])
+def test_contacts_are_classified_once_after_all_regions_of_a_state_answer_an_event(
+    setting: dict[str, object],
+) -> None:
+    # Friction of 5 N holds the block against 8 - 6 N, but not against 8 N.
+    regions = f"{{hands: {{initial: on, states: {{on: {{regions: {{{_HANDS}}}}}}}}}}}"
+    text = LANDING.replace("REGIONS", regions)
+    trace = Runner(interpret(read_text(text, "f.yaml")), **setting).run().trace  # type: ignore[arg-type]
+    assert jumps(trace) == [("hit", "touchdown"), ("hands", "haul+brace")]
+    assert trace.final_mode == ("pin", "pin", "b|d")
+
+
+@pytest.mark.parametrize("setting", [{"engine": "taylor"}, {"engine": "scipy"}, _STEPS])
+def test_regions_of_a_scene_answer_an_event_in_turn(setting: dict[str, object]) -> None:
+    text = LANDING.replace("REGIONS", f"{{{_HANDS}}}")
+    trace = Runner(interpret(read_text(text, "f.yaml")), **setting).run().trace  # type: ignore[arg-type]
+    # With events contacts are classified after each region; by steps once, in the next step.
+    between = [] if setting is _STEPS else [("base", "slip")]
+    after = [] if setting is _STEPS else [("base", "stick")]
+    answers = [("left", "haul"), *between, ("right", "brace"), *after]
+    assert jumps(trace) == [("hit", "touchdown"), *answers]
+    assert trace.final_mode == ("pin", "pin", "b", "d")
+    assert trace.final[0] == 0.0

@@ -97,3 +97,44 @@ def test_a_run_that_ends_as_two_feet_stick_shows_how_they_share_the_load(
     ending = statechart.run(read_text(_BLOCKS), until=longer * 0.6, engine=engine)
     assert ending.outputs["l"] == pytest.approx(5.0, rel=1e-12)
     assert ending.outputs["far_l"] == pytest.approx(10.0 if longer > 1 else 7.5, rel=1e-12)
+
+
+# A controller listens to the stick of the first of two sleds, so that its mode lasts no time.
+_SLEDS = """
+kind: scene
+name: sleds
+gravity: 10
+bodies:
+  near: {mass: 2, inertia: 0.1, start: {y: 0.1, dx: 1}}
+  far: {mass: 2, inertia: 0.1, start: {x: 9, y: 0.1, dx: SPEED}}
+surfaces: {floor: {height: 0}}
+contacts:
+  l: {point: {body: near, at: [-0.3, -0.1]}, surface: floor, friction: 0.2, restitution: 0}
+  r: {point: {body: near, at: [0.3, -0.1]}, surface: floor, friction: 0.2, restitution: 0}
+  far_l: {point: {body: far, at: [-0.3, -0.1]}, surface: floor, friction: 0.2, restitution: 0}
+  far_r: {point: {body: far, at: [0.3, -0.1]}, surface: floor, friction: 0.2, restitution: 0}
+controls: {push: 0}
+forces: {hand: {body: near, force: [push, 0]}}
+regions:
+  hold:
+    initial: off
+    states: {off: {}, on: {sets: {push: 1.5}}}
+    transitions: [{name: start, from: off, to: on, on: l.stick}]
+stop: {time: 1}
+outputs:
+  stuck: {value: l.V, at: first l.stick}
+  beside: {value: far_l.V, at: first l.stick}
+  held: {value: l.V, at: first hold.start}
+"""
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("speed", [0.4, 1.6])
+def test_a_mode_that_lasts_no_time_shares_its_load(engine: str, speed: float) -> None:
+    text = _SLEDS.replace("SPEED", str(speed))
+    result = statechart.run(read_text(text), engine=engine)
+    # The far sled still slides at 1.6 m/s: friction of 4 N at a height of 0.1 loads its front.
+    beside = 10.0 if speed < 1.0 else 10.0 - 4 * 0.1 / 0.6
+    # The near one is pushed by 1.5 N at that height.
+    want = {"stuck": 10.0, "beside": beside, "held": 10.0 - 1.5 * 0.1 / 0.6}
+    assert dict(result.outputs) == pytest.approx(want, rel=1e-12)
