@@ -72,7 +72,9 @@ def _linker() -> Any:
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     machine = llvm.Target.from_default_triple().create_target_machine()
-    return llvm.create_lljit_compiler(machine)
+    # JITLink places the sections of an object side by side. Without it they may lie more than 2 GB
+    # apart, which 32-bit relative addresses do not reach, and LLVM ends the process.
+    return llvm.create_lljit_compiler(machine, use_jit_link=True)
 
 
 _FUNCTION = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 5)
