@@ -398,7 +398,7 @@ def approach(
         errors.append(distance(exact, result))
         kind = "warned" if result.warnings else "wrong"
         other_law = any("Moreau's law instead" in warning for warning in result.warnings)
-        if other_law or errors[-1] <= max(NEAR, min(0.4, 0.5 * min(errors[:-1], default=0.0))):
+        if other_law or errors[-1] <= max(NEAR, min(0.3, 0.5 * min(errors[:-1], default=0.0))):
             return "right", ""
     return kind, f"steps: off by {', '.join(f'{error:.2g}' for error in errors)}"
 

@@ -21,8 +21,7 @@
         Unsupported           the engine does not support a part of the model
 
 `DeclarationProblem` stands outside the tree: validators of pydantic models raise it to point at a
-field; `statechart.documents.validation.validate` turns it into a
-`DeclarationError`.
+field; `statechart.documents.validation.validate` turns it into a `DeclarationError`.
 """
 # ruff: noqa: N818 -- the outcomes of a run are named after what happened, as users read them.
 

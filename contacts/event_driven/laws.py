@@ -339,7 +339,7 @@ class SceneLaws:
             state = in_contact(rested, snapshot, brought := state, slow)
             if state is not brought:
                 snapshot = hidden(self.tape.at(setup.values, state, at.clock.high), flow.mode)
-        # Snapshots are at the rounded time, the fall of a gap beside it.
+        # A gap that falls between two floats of time is still above its tolerance at one of them.
         rounding = math.ulp(at.clock.high)
         closed = [
             c.gap <= (close - rounding * c.gap_rate if f"{name}.gap" in at.fired else close)

@@ -31,8 +31,7 @@ class BodyShapes:
     joints, edges, and bodies fixed in its frame. Collinear points make a bar; a bar with a single
     known end has the length of a uniform bar of its inertia. Other points make their convex hull,
     with their mirror images in the centre of mass if they do not enclose it. A point mass is a dot
-    with bars to its points. Bodies fixed to a body with a declared
-    shape are part of that shape.
+    with bars to its points. Bodies fixed to a body with a declared shape are part of that shape.
 
     The automaton of the scene may have more variables and parameters than the mechanics; `known`
     are the values of its parameters, in order.

@@ -215,7 +215,10 @@ def closed_joints(
     near, slow : float
         Tolerances of distances and speeds.
 
-    Raises `DeclarationProblem` at the first joint that is open, or whose points move apart.
+    Raises
+    ------
+    DeclarationProblem
+        At the first joint that is open, or whose points move apart.
     """
     (at, rates), own = moved, joints.points.copy()
     sizes = joints.sizes.copy()

@@ -142,7 +142,10 @@ class Declaration(Part):
         overrides : mapping of str to float, optional
             Values of some parameters; parameters that depend on them are recomputed.
 
-        Raises `FormulaError` if an override names no parameter, or a formula has no value.
+        Raises
+        ------
+        FormulaError
+            If an override names no parameter, or a formula has no value.
         """
         return self.constants().values(overrides or {})
 
