@@ -13,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 from statechart.documents.hints import (
     example,
     known_keys,
+    one_value,
     other_value,
     other_word,
     sections_with_key,
@@ -93,6 +94,10 @@ def _is_implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
         # pydantic does not count wrong items.
         at = details["loc"]
         return any(len(one["loc"]) > len(at) and one["loc"][: len(at)] == at for one in errors)
+    if details["type"] == "model_type" and isinstance(details["input"], str):
+        # The formula of a union with a mapping is wrong, and is reported.
+        at = details["loc"][:-1]
+        return any("error" in one.get("ctx", {}) and one["loc"][:-1] == at for one in errors)
     if details["type"] == "missing":
         # A misspelt key is also missing.
         *above, name = details["loc"]
@@ -200,7 +205,7 @@ def _to_error(
             given = flow(details["input"])
             advice = f"it belongs below a name, such as NAME: {{{loc[-1]}: {given}}}"
         elif kind in _SHAPES and shown and not advice:
-            advice = f"such as {shown}"
+            advice = one_value(loc, details["input"]) or f"such as {shown}"
     path = ".".join(str(part) for part in document.existing(loc))
     if isinstance(document, Built):
         # Missing and unknown keys have the path of their part.
