@@ -98,10 +98,13 @@ class Recorder:
             if shared:
                 self._note_shared(chunk.shared[first:k])
             first = k + int(hit[k])
-            enabled = _enabled_contacts(self.row, shown[k], chunk.struck[k])
+            # A disabled contact that closes at once is free first, as with events.
+            was, now = self.row, shown[k]
+            enabled = (was == OFF_CODE) & (now != OFF_CODE) & (chunk.struck[k] | (now != FREE))
             if enabled.any():
                 done = self._flow(steps, done, k, 0)
-                self._change(_opened_modes(self.row, shown[k], enabled), chunk.states[k])
+                opened = np.where(enabled, FREE, np.where(now == OFF_CODE, OFF_CODE, was))
+                self._change(opened, chunk.states[k])
             done = self._flow(steps, done, k, first - k)
             if hit[k]:
                 self._strike(steps, k, shown[k])
@@ -278,17 +281,6 @@ class Recorder:
         cause = cause_of(STATES[before], STATES[after])
         is_lasting = cause in ("liftoff", "stick", "slip", "reverse")
         return self.again if struck and is_lasting else cause
-
-
-def _enabled_contacts(before: Ints, after: Ints, struck: Bools) -> Bools:
-    """Return which disabled contacts close at once: they are free first, as with events."""
-    enabled: Bools = (before == OFF_CODE) & (after != OFF_CODE) & (struck | (after != FREE))
-    return enabled
-
-
-def _opened_modes(before: Ints, after: Ints, enabled: Bools) -> Ints:
-    """Return the modes after conditions have changed, before these contacts close."""
-    return np.where(enabled, FREE, np.where(after == OFF_CODE, OFF_CODE, before))
 
 
 # Bytes of a block, which is one arc of several times that size.
