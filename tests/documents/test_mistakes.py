@@ -296,7 +296,7 @@ stop: {time: 10}
 """
 OF_CHARTS = {
     "set": ("updates:", "set:", "unknown key 'set'; write updates: {VARIABLE: FORMULA}"),
-    "signal from outside": ("guard: T >= 20", "on: STOP", "no cause or state 'STOP'; known: zeno; "),
+    "signal from outside": ("guard: T >= 20", "on: STOP", "no cause or state 'STOP'; known: zeno;"),
     "source": ("from: on", "source: on", "9:21: unknown key 'source'; write from"),
     "target": ("to: off", "target: off", "9:31: unknown key 'target'; write to"),
     "condition": ("guard: T", "when: T", "9:40: unknown key 'when'; write guard"),
@@ -495,3 +495,10 @@ def test_keys_of_other_programs_have_hints(mistake: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         Runner(interpret(read_text(LINKED.replace(old, new, 1), "f.yaml")))
     assert words in str(caught.value)
+
+
+def test_a_key_of_another_program_is_not_missing_too() -> None:
+    text = SCENE.replace("point: {body: rod, at: [0, -L]}", "body: rod")
+    with pytest.raises(DeclarationError, match="write point: ") as caught:
+        interpret(read_text(text, "f.yaml"))
+    assert not caught.value.others
