@@ -535,10 +535,11 @@ class RigidBodyRun(SteppedSystem):
         met = self.detect(state, start, _INSTANT * h)
         parts = met.normal.only(met.lasts), met.tangential.only(met.lasts & met.rough), met.joints
         held = Held(*(np.concatenate(three) for three in zip(*parts, strict=True)))
+        rows = self._by_coordinates(held, state)
         if self.numbers.links.bodies:
-            rows = self._by_coordinates(held, state) @ energy_root(self.numbers, state)
+            rows = rows @ energy_root(self.numbers, state)
         else:
-            rows = held.scaled(self.numbers.inverse)
+            rows = rows * np.sqrt(self.numbers.inverse).ravel()
         check_stiffness(stiff, rows, h)
 
     def _taken(

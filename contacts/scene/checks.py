@@ -50,6 +50,7 @@ _SWITCHED = (
 )
 _PULLED = "write a force on the body, or give the ground a displacement"
 _CONSTANT = "write a formula of parameters"
+_LED = "a joint leads a point of a body, to: [v*time, 0]; bodies that collide have paths"
 # Quantities of a contact that forces cannot use: reason, and alternative.
 _PUSH = (
     "a force follows from places and velocities",
@@ -218,7 +219,9 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
     if TIME not in known and name in _changing_names(scene):
         switched = _is_coefficient(loc)
         advice = {"surfaces": _MOVED, "gravity": _PULLED}.get(str(loc[0]), _CONSTANT)
-        return "it changes along a run, and this does not", _SWITCHED if switched else advice
+        why = "it changes during a run, and this value is constant"
+        placed = loc[2:3] in (("position",), ("angle",))
+        return why, _SWITCHED if switched else _LED if placed else advice
     return "", ""
 
 

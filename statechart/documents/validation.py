@@ -67,7 +67,8 @@ def declaration_error(
     found = [
         one
         for details in errors
-        if not _is_implied(details, errors) and not _follows_from_empty(details, empty, document)
+        if not _is_implied(details, errors, model)
+        and not _follows_from_empty(details, empty, document)
         for one in _errors_of(details, document, model)
     ]
     if isinstance(document, Document):
@@ -82,7 +83,9 @@ def _combine(found: list[DeclarationError]) -> DeclarationError:
     return found[0]
 
 
-def _is_implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
+def _is_implied(
+    details: ErrorDetails, errors: Sequence[ErrorDetails], model: type[BaseModel]
+) -> bool:
     """Return whether an error follows from the others."""
     if _lacks_items(details):
         # One error for a list that lacks two items.
@@ -99,12 +102,15 @@ def _is_implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
         at = details["loc"][:-1]
         return any("error" in one.get("ctx", {}) and one["loc"][:-1] == at for one in errors)
     if details["type"] == "missing":
-        # A misspelt key is also missing.
+        # A misspelt key, or one of another program, is also missing.
         *above, name = details["loc"]
         return any(
             other["type"] == "extra_forbidden"
             and list(other["loc"][:-1]) == above
-            and difflib.get_close_matches(str(other["loc"][-1]), [str(name)])
+            and (
+                difflib.get_close_matches(str(other["loc"][-1]), [str(name)])
+                or other_word(model, other["loc"]).partition(":")[0] == name
+            )
             for other in errors
         )
     return False

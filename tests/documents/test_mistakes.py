@@ -42,7 +42,7 @@ MISTAKES = {
     "no name": ("name: thrown\n", "", "'name' is missing; such as name: toppling_stick"),
     "name of two words": ("name: thrown", "name: my scene", "is not a name; write my_scene"),
     "an equals sign": ("gravity: g", "gravity = 9.81", "5:9: a key has a colon; write gravity: 9."),
-    "a range as a value": ("m: 1, ", "m: [1, 2], ", "a list; write m: 1; a range for checks is ra"),
+    "a range as a value": ("m: 1, ", "m: [1, 2], ", "write m: 1; for checks ranges: {m: [1, 2]};"),
     "a limit": ("stop: {", "couplings: {c: {bodies: [rod], limit: step(m)}}\nstop: {",
                                "couplings.c.limit: formula 'step(m)': unknown function 'step'; w"),
     "a couple against the world": (
@@ -54,6 +54,14 @@ MISTAKES = {
     "a flange": ("stop: {", "couplings: {c: {flange_a: rod, limit: m}}\nstop: {", "write bodies: "),
     "profile of a surface": ("{height: 0}", "{profile: [[0, 1]]}", "write height: FORMULA of x, o"),
     "body of a contact": ("point: {body: rod, at: [0, -L]}", "body: rod", "write point: {body: ro"),
+    "a force in enabled": ("restitution: e", "restitution: e, enabled: tip.V > 0",
+                           "cannot ask for the force tip.V; write enabled: in(REGION.STATE), and"),
+    "two surfaces": ("surface: ground", "surface: [ground, wall]", "write a contact for each surf"),
+    "a place in time": ("inertia: m*L**2/3, start: {y: h, angle: 0.3}", "position: [time, 0]",
+                        "this value is constant; a joint leads a point of a body"),
+    "a wall": ("{height: 0}", "{x: 1}", "unknown key 'x'; write line: [[1, -1], [1, 1]], a wall"),
+    "a formula of a control": ("stop: {", "controls: {u: rod.y}\nstop: {", "else write its form"),
+    "a state as a relation": ("rod.angle <= -pi/2", "rod.up", "write it as x <= 0, or in(rod.up)"),
     "moment of inertia": ("inertia: m", "J: m", "unknown key 'J'; write inertia"),
     "controllers": ("stop: {", "controllers: {}\nstop: {", "write controls: {u: 0}, and regions: "),
     "fixed steps": ("stop: {", "settings: {step: 1}\nstop: {", "write engine: impulse beside the "),
@@ -296,7 +304,7 @@ stop: {time: 10}
 """
 OF_CHARTS = {
     "set": ("updates:", "set:", "unknown key 'set'; write updates: {VARIABLE: FORMULA}"),
-    "signal from outside": ("guard: T >= 20", "on: STOP", "no cause or state 'STOP'; known: zeno; "),
+    "signal from outside": ("guard: T >= 20", "on: STOP", "no cause or state 'STOP'; known: zeno;"),
     "source": ("from: on", "source: on", "9:21: unknown key 'source'; write from"),
     "target": ("to: off", "target: off", "9:31: unknown key 'target'; write to"),
     "condition": ("guard: T", "when: T", "9:40: unknown key 'when'; write guard"),
@@ -495,3 +503,10 @@ def test_keys_of_other_programs_have_hints(mistake: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         Runner(interpret(read_text(LINKED.replace(old, new, 1), "f.yaml")))
     assert words in str(caught.value)
+
+
+def test_a_key_of_another_program_is_not_missing_too() -> None:
+    text = SCENE.replace("point: {body: rod, at: [0, -L]}", "body: rod")
+    with pytest.raises(DeclarationError, match="write point: ") as caught:
+        interpret(read_text(text, "f.yaml"))
+    assert not caught.value.others

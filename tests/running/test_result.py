@@ -100,5 +100,5 @@ def test_result_is_one_json_object(result):
 
 
 def test_a_wrong_name_of_an_output_lists_the_names(result):
-    with pytest.raises(KeyError, match="no output .slip.; known: critical_angle, omega"):
+    with pytest.raises(KeyError, match=r"no output .slip.; known: critical_angle, omega"):
         result.outputs["slip"]
