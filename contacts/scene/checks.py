@@ -470,7 +470,7 @@ def check_kinks(scene: SceneFields) -> None:
 
 
 def has_switches(scene: SceneFields) -> bool:
-    """Return whether forces or flows have abs, sign, min, max or sat of a changing value."""
+    """Return whether forces, flows or controls have abs, sign, min, max or sat of what changes."""
     changing, texts = _force_formulas(scene)
     controls = scene.controlled
     changing = {*changing, TIME, *controls.controller_state}
@@ -481,7 +481,7 @@ def has_switches(scene: SceneFields) -> bool:
         for text in state.flows.values()
     ]
     values = [text for _, _, _, text, _ in controls.sets()]
-    formulas = [*(text for _, text in texts), *flows, *(values if flows else ())]
+    formulas = [*(text for _, text in texts), *flows, *values]
     return any(has_switch(text, changing) for text in formulas)
 
 
