@@ -407,7 +407,7 @@ def check_finite(scene: SceneFields, values: Mapping[str, float]) -> None:
                 one, two = ([parse(text).value(values) for text in end] for end in ends)
                 if one == two:
                     raise DeclarationProblem(
-                        "its two points are one",
+                        "its two points coincide",
                         advice="give two points of the line that are apart",
                         loc=("surfaces", name, form),
                     )

@@ -88,7 +88,7 @@ def check_compliant(law: Any, rigid: tuple[str, ...]) -> None:
     """Check that compliant contacts have no impacts, and rigid ones no damping."""
     if law.stiffness is None and law.damping is not None:
         raise DeclarationProblem(
-            "damping is that of a compliant contact",
+            "damping belongs to a compliant contact",
             advice="give a stiffness, too",
             loc=("damping",),
             key=True,

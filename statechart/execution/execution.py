@@ -539,7 +539,9 @@ class Execution:
                     raise self.failure
                 return self.outcome is Outcome.STOPPED or self.settle((*last, UNBOUNDED))
             if self._livelock.stalled(self.clock, fired) and not self._widen(*fired):
-                advice = "; write dry friction as a contact or a coupling, without sign"
+                advice = (
+                    "; instead of sign write couplings: {f: {bodies: [a], limit: F}}, or a contact"
+                )
                 self.failure = EventLoop(
                     f"{', '.join(fired)} falls at t = {self.clock.high:.6g}, but no jump follows"
                     + (advice if self.flow.signs else "")

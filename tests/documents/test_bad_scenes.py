@@ -219,7 +219,7 @@ def test_base_scene_is_valid() -> None:
         ("y: h, angle", "y: @inf, angle", "must be finite"),
         ("y: h, angle", "y: @h*big, angle", "must be finite, not inf"),
         ("height: 0", "height: @inf*x", "must be finite"),
-        ("height: 0", "line: @[[0, 0], [0, m - 1]]", "its two points are one"),
+        ("height: 0", "line: @[[0, 0], [0, m - 1]]", "its two points coincide"),
         ("height: 0", "line: @[[0, 0]]", "must have 2 items"),
         ("height: 0", "circle: [0, 0], radius: @m - 1", "must be positive, not 0"),
         ("height: 0", "circle: [0, 0], radius: @-1", "must be positive, not -1"),

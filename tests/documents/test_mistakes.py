@@ -305,6 +305,7 @@ stop: {time: 10}
 OF_CHARTS = {
     "set": ("updates:", "set:", "unknown key 'set'; write updates: {VARIABLE: FORMULA}"),
     "signal from outside": ("guard: T >= 20", "on: STOP", "no cause or state 'STOP'; known: zeno;"),
+    "event of its own": ("guard: T >= 20", "on: cut", "write guard: in(switch.STATE) for a state"),
     "source": ("from: on", "source: on", "9:21: unknown key 'source'; write from"),
     "target": ("to: off", "target: off", "9:31: unknown key 'target'; write to"),
     "condition": ("guard: T", "when: T", "9:40: unknown key 'when'; write guard"),
