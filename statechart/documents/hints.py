@@ -340,6 +340,8 @@ def _argument(word: str, value: object, known: list[str]) -> str:
             f"known: {listed}"
         )
     advice = close_matches(word, known)
+    if "over" in known and hasattr(value, "__len__") and not advice.startswith("did"):
+        return f"to sweep a parameter, write over={{{word!r}: [...]}}; {advice}"
     if "parameters" in known and isinstance(value, Real) and not advice.startswith("did"):
         return f"for a parameter of the model, write parameters={{{word!r}: {value}}}; {advice}"
     return advice
