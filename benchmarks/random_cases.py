@@ -48,6 +48,7 @@ FAMILIES: dict[str, Family] = {
     "beads by steps": steps.beads,
     "flush planks by steps": steps.planks,
     "planks that nearly meet": steps.next_plank,
+    "ratchets": steps.ratchets,
     "settings": steps.formulas,
     "drawings": steps.drawings,
     "layouts": pictures.layouts,
@@ -55,6 +56,7 @@ FAMILIES: dict[str, Family] = {
 
 # Each of their siblings has a structure of its own.
 _DRAWN = ("drawings", "layouts", "settings")
+_CHOSEN = "chosen by the size and speeds of the scene"  # a note on the step, no warning
 
 
 def main(count: int = 1000, seed: int = 0, *names: str) -> int:
@@ -74,16 +76,17 @@ def main(count: int = 1000, seed: int = 0, *names: str) -> int:
             try:
                 result = runner.run(values, throw=False)
                 error = check(result)
-                said = [*result.warnings, result.trace.message][0]
-                told = result.warnings or not result.trace.outcome.succeeded
+                said = [w for w in result.warnings if _CHOSEN not in w]
+                if not result.trace.outcome.succeeded:
+                    said.append(result.trace.message)
             except StatechartError as problem:
                 found["refused"] += 1
                 sentences[str(problem)[:100]] += 1
                 continue
-            kind = "right" if error <= 1.0 else "warned" if told else "wrong"
+            kind = "right" if error <= 1.0 else "warned" if said else "wrong"
             found[kind] += 1
             if kind == "warned":
-                sentences[said[:100]] += 1
+                sentences[said[0][:100]] += 1
             if kind == "wrong":
                 print(f"  {name} {index}: {error:.3g} of what is allowed, {values}")
         wrong += found["wrong"]

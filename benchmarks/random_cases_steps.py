@@ -265,6 +265,64 @@ def next_plank(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:
     return runner, draw
 
 
+def ratchets(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:
+    """A pawl on a wheel driven forth and back: the step that a run chooses, against a quarter."""
+    # Among 11 teeth the pawl swings through or jams by a tenth of a millimetre.
+    n, s = r.choice([5, 6, 7, 8, 9, 12, 14]), power(r, -0.5, 0.5)
+    pitch = 2 * pi / n
+
+    def tooth(k: int) -> str:
+        corners = (0.095, 0.0), (0.12, 0.0), (0.1, 0.9 * pitch)
+        turned = [(s * a, b + k * pitch) for a, b in corners]
+        return f"{{polygon: {[[a * cos(b), a * sin(b)] for a, b in turned]}}}"
+
+    a, b = 0.04 * s, 0.004 * s
+    text = f"""parameters: {{T: 0.3, k: 0.2, J: 0.005, mu: 0.2, s: {s}}}
+bodies:
+  wheel:
+    {{mass: 1, inertia: J, shape: [{{disc: 0.1*s}}, {", ".join(map(tooth, range(n)))}]}}
+  pawl:
+    mass: 0.05
+    inertia: 1e-4*s**2
+    shape: {{polygon: [[{-a}, {-b}], [{a}, {-b}], [{a}, {b}], [{-a}, {b}]]}}
+    start: {{x: s*(0.17 - 0.04*cos(0.2)), y: s*(0.06 + 0.04*sin(0.2)), angle: -0.2}}
+joints:
+  axle: {{point: {{body: wheel}}, to: [0, 0]}}
+  pin: {{point: {{body: pawl, at: [0.04*s, 0]}}, to: [0.17*s, 0.06*s]}}
+collisions: {{all: {{bodies: [wheel, pawl], friction: mu, restitution: 0}}}}
+controls: {{drive: 0}}
+forces:
+  motor: {{body: wheel, moment: drive - 2*J*wheel.dangle}}
+  spring: {{body: pawl, moment: -k*(pawl.angle - 0.5) - 0.005*k*pawl.dangle}}
+regions:
+  hand:
+    initial: forth
+    states: {{forth: {{sets: {{drive: T}}}}, back: {{sets: {{drive: -T}}}}}}
+    transitions: [{{name: turn, from: forth, to: back, after: 0.4}}]
+outputs: {{most: {{maximum: wheel.angle}}, end: {{value: wheel.angle}}}}
+"""
+    runner, finer = scene(text, 0.8), scene(text, 0.8, engine="impulse", step=2.5e-5)
+
+    def draw() -> Sibling:
+        J = 0.005 * s * s
+        k = 0.2 * s * s * power(r, -0.3, 0.3)
+        q = {"T": J * r.uniform(20, 80), "J": J, "k": k, "mu": r.uniform(0, 0.3)}
+
+        def check(result: Result) -> float:
+            # The pawl may just reach or miss a tooth: a spring 2 % stiffer or softer tells.
+            for share in (1.0, 0.98, 1.02):
+                wanted = finer.run({**q, "k": share * k}).outputs
+                errors = [abs(result.outputs[name] - wanted[name]) for name in ("most", "end")]
+                error = max(errors) / (0.02 * pitch + 0.01 * abs(wanted["most"]))
+                if error <= 1.0:
+                    break
+            return error
+
+        return q, check
+
+    return runner, draw
+
+
 def formulas(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:
     """Numbers of settings as formulas: the run of the number itself, or a message."""
 
