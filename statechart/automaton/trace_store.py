@@ -181,12 +181,9 @@ def _empty(capacity: tuple[int, int, int, int], variables: int) -> TraceBuffer:
 def copy_buffer(buffer: TraceBuffer) -> TraceBuffer:
     """Return a copy of the written part of a buffer."""
     arcs, times, terms, events = buffer.used.tolist()
-    return TraceBuffer(
-        buffer.arcs[:arcs].copy(), buffer.places[:arcs].copy(), buffer.starts[:arcs].copy(),
-        buffer.times[:times].copy(), buffer.coefficients[:terms].copy(),
-        buffer.events[:events].copy(), buffer.numbers[:events].copy(),
-        buffer.states[:events].copy(), buffer.used.copy(),
-    )  # fmt: skip
+    arrays: tuple[Any, ...] = buffer
+    counts = arcs, arcs, arcs, times, terms, events, events, events, len(buffer.used)
+    return TraceBuffer(*(a[:n].copy() for a, n in zip(arrays, counts, strict=True)))
 
 
 class TraceStore:

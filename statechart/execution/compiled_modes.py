@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -73,13 +73,9 @@ class SolvedModes:
         self._modes: dict[tuple[Roles, frozenset[int]], Mode] = {}
         self._taped: dict[Mode, TapedMode] = {}
         self._switches: dict[Mode, Switches | None] = {}
-        self._parts: dict[Automaton, SolvedModes] = {}
-        self._mentioned: dict[tuple[int, Role], frozenset[int]] = {}
+        self.part = cache(SolvedModes)  # modes of a component
+        self._mentioned = cache(self._in_state)
         self._place = {symbol: i for i, symbol in enumerate(automaton.parameters)}
-
-    def part(self, automaton: Automaton) -> SolvedModes:
-        """Return the modes of a component."""
-        return self._parts.setdefault(automaton, SolvedModes(automaton))
 
     def taped(self, roles: Roles, zeros: frozenset[int]) -> TapedMode:
         """Return the tapes of the mode of `roles`, for parameters `zeros` that are zero."""
@@ -137,7 +133,7 @@ class SolvedModes:
 
     def _used(self, roles: Roles) -> frozenset[int]:
         """Return the indices of the parameters in the equations of `roles`."""
-        return self._always.union(*(self._in_state(*symbols) for symbols in enumerate(roles)))
+        return self._always.union(*(self._mentioned(*symbols) for symbols in enumerate(roles)))
 
     @cached_property
     def _always(self) -> frozenset[int]:
@@ -148,12 +144,8 @@ class SolvedModes:
 
     def _in_state(self, region: int, role: Role) -> frozenset[int]:
         """Return the indices of the parameters in the equations of a region."""
-        state_of_mode = self._mentioned.get((region, role))
-        if state_of_mode is None:
-            state = self.automaton.regions[region].build(role)
-            state_of_mode = self._places((*state.equations, *state.values.values()))
-            self._mentioned[region, role] = state_of_mode
-        return state_of_mode
+        state = self.automaton.regions[region].build(role)
+        return self._places((*state.equations, *state.values.values()))
 
     def _places(self, expressions: Iterable[sp.Expr]) -> frozenset[int]:
         used: set[sp.Symbol] = set().union(*(e.free_symbols for e in expressions))

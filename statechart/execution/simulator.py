@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,19 +47,6 @@ from statechart.kernels.polynomials import term_sizes
 _MAX_ROWS = 256  # of one call: tens of milliseconds between checks for signals
 
 
-class _Once:
-    """Lazy setup of a run; `functools.cache` would take 9 us to create."""
-
-    def __init__(self, make: Callable[[], Setup]) -> None:
-        self._make = make
-        self._value: Setup | None = None
-
-    def __call__(self) -> Setup:
-        if self._value is None:
-            self._value = self._make()
-        return self._value
-
-
 class Simulator:
     """An automaton on an engine, with cached compiled modes."""
 
@@ -78,7 +65,7 @@ class Simulator:
         # Reused by all flows and runs.
         self.path, self.buffer = Path(), trace_buffer(len(automaton.variables))
         self._loops: dict[frozenset[int], LoopModes] = {}
-        self._rows: dict[tuple[str, ...], BatchRunner] = {}
+        self._rows = cache(partial(BatchRunner, self))
         self._of_components: dict[Automaton, Simulator] = {}
         self._places: list[Places] | None = None
 
@@ -87,7 +74,6 @@ class Simulator:
         parameters: Mapping[str, float] | None = None,
         *,
         until: float,
-        max_jumps: int = 100_000,
         throw: bool = True,
     ) -> Trace:
         """Run from the declared initial state.
@@ -95,33 +81,29 @@ class Simulator:
         Raises `DeclarationError` for an inconsistent start, `SimulationError` with the partial
         trace.
         """
-        trace = self._by_components(parameters or {}, until, max_jumps)
+        trace = self._by_components(parameters or {}, until)
         if trace is None:
-            trace = self._run(parameters or {}, until, max_jumps)
+            trace = self._run(parameters or {}, until)
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
         return trace
 
-    def _run(self, parameters: Mapping[str, float], until: float, max_jumps: int) -> Trace:
+    def _run(self, parameters: Mapping[str, float], until: float) -> Trace:
         """Run by the compiled loop as far as possible, and by an `Execution` from there."""
         names = tuple(parameters)
-        rows = self._rows.get(names)
-        if rows is None:
-            rows = self._rows[names] = BatchRunner(self, names)
         values = np.fromiter(parameters.values(), float, len(names))
-        batch = rows.run_single(values, until, max_jumps)
-        return self._finish(batch, _Once(partial(self._setup, dict(parameters))), until, max_jumps)
+        batch = self._rows(names).run_single(values, until)
+        return self._finish(batch, cache(partial(self._setup, dict(parameters))), until)
 
     def _finish(
         self,
         batch: Batch | None,
         setup: Callable[[], Setup],
         until: float,
-        max_jumps: int,
         warnings: Sequence[str] | None = None,
     ) -> Trace:
         if batch is None or batch.result.ends.item(runs.HOW) == runs.HANDED:
-            return self._execution(setup(), until, max_jumps, batch).run()
+            return self._execution(setup(), until, batch).run()
         return self._trace_of(batch, setup, warnings)
 
     def _trace_of(
@@ -145,7 +127,7 @@ class Simulator:
         outcome, stop = batch.outcome(0), None
         if outcome is Outcome.STOPPED:
             margin = automaton.stop_of[
-                modes.compiled(final_kind).names[result.ends.item(runs.MARGIN)]
+                modes.compiled[final_kind].names[result.ends.item(runs.MARGIN)]
             ].name
             message = f"{margin} at t = {t_end:.6g}"
             key, count = final_kind[0], place[runs.N_JUMPS]
@@ -192,12 +174,11 @@ class Simulator:
         parameters: Mapping[str, float] | None = None,
         *,
         until: float,
-        max_jumps: int = 100_000,
     ) -> Trace:
         """Repeat a run with proved bounds of the local error of every step."""
         from statechart.execution.certificate import Certificate
 
-        execution = self._execution(self._setup(parameters or {}), until, max_jumps)
+        execution = self._execution(self._setup(parameters or {}), until)
         laws = self.automaton.laws_of_events
         execution.loop = None
         execution.certificate = Certificate(trace, execution.setup, laws, self.engine)
@@ -209,19 +190,16 @@ class Simulator:
         sampling: Sampling,
         *,
         until: float,
-        max_jumps: int = 100_000,
     ) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps of a run as they are computed; see `Execution.stream`.
 
         No other run may be computed meanwhile.
         """
-        execution = self._execution(self._setup(parameters), until, max_jumps)
+        execution = self._execution(self._setup(parameters), until)
         execution.loop = None
         return execution.stream(parameters, sampling)
 
-    def _by_components(
-        self, parameters: Mapping[str, float], until: float, max_jumps: int
-    ) -> Trace | None:
+    def _by_components(self, parameters: Mapping[str, float], until: float) -> Trace | None:
         """Run the components of the automaton one by one; None without components."""
         components = self.automaton.components()
         if not components:
@@ -242,9 +220,7 @@ class Simulator:
             trace = traces.get(cache_key)
             if trace is None or trace.t_end > end:
                 try:
-                    trace = self._of_component(component.automaton)._from(
-                        component_setup, end, max_jumps
-                    )
+                    trace = self._of_component(component.automaton)._from(component_setup, end)
                 except DeclarationProblem:
                     # A run of the whole reports the error in declared names.
                     return None
@@ -252,7 +228,7 @@ class Simulator:
             component_runs.append((component, places, trace))
             if trace.outcome is not Outcome.HORIZON:
                 end = trace.t_end
-        merged = MergedRun(self.automaton, setup, component_runs, max_jumps)
+        merged = MergedRun(self.automaton, setup, component_runs)
         built = sum(simulator.modes_built for simulator in self._of_components.values())
         return merged.trace(self.engine.title, self.engine.tolerance, built)
 
@@ -263,19 +239,17 @@ class Simulator:
             self._of_components[automaton] = simulator
         return simulator
 
-    def _from(self, setup: Setup, until: float, max_jumps: int) -> Trace:
+    def _from(self, setup: Setup, until: float) -> Trace:
         setup = replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
         loop = self._loop(setup.zeros)
-        batch = None if loop is None else loop.begin(setup, until, max_jumps, self.buffer)
-        return self._finish(batch, lambda: setup, until, max_jumps, setup.warnings)
+        batch = None if loop is None else loop.begin(setup, until, self.buffer)
+        return self._finish(batch, lambda: setup, until, setup.warnings)
 
     def _setup(self, parameters: Mapping[str, float]) -> Setup:
         setup = self.automaton.setup(parameters, self.engine.tolerance)
         return replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
 
-    def _execution(
-        self, setup: Setup, until: float, max_jumps: int, batch: Batch | None = None
-    ) -> Execution:
+    def _execution(self, setup: Setup, until: float, batch: Batch | None = None) -> Execution:
         zeros = setup.zeros
         self.engine.sizes = setup.sizes
         kinds: list[Kind] = []
@@ -285,7 +259,7 @@ class Simulator:
         variables = len(self.automaton.variables)
         record = TraceRecorder(variables, kinds, self.buffer, jump, is_started=batch is not None)
         return Execution(
-            self.modes, self.path, record, setup, zeros, until, max_jumps, self.progress, loop,
+            self.modes, self.path, record, setup, zeros, until, self.progress, loop,
             batch_start=batch,
         )  # fmt: skip
 
@@ -318,13 +292,12 @@ class BatchRunner:
 
     def __init__(self, simulator: Simulator, names: Sequence[str]) -> None:
         self.simulator, self._names = simulator, tuple(names)
-        self._gone: dict[frozenset[int], Bools] = {}
 
     def ready(self, count: int) -> bool:
         """Return whether `count` rows can be run: their call is compiled, or pays compiling."""
         return any(modes.batch(count) for _, modes in self.simulator.known())
 
-    def run(self, table: Array, until: Array, max_jumps: int) -> Iterator[Batch]:
+    def run(self, table: Array, until: Array) -> Iterator[Batch]:
         """Run rows of a table; yield complete ones in batches."""
         pending = np.arange(len(table))
         for zeros, modes in self.simulator.known():
@@ -335,9 +308,7 @@ class BatchRunner:
             while started < pending.size:
                 interrupts.check()
                 chunk = pending[started : started + _MAX_ROWS]
-                batch = self._called(
-                    modes, zeros, chunk, table[chunk], until[chunk], max_jumps, alone=False
-                )
+                batch = self._called(modes, zeros, chunk, table[chunk], until[chunk], alone=False)
                 if batch is None:
                     postponed.append(pending[started:])
                     break
@@ -350,12 +321,12 @@ class BatchRunner:
                     yield batch._replace(rows=batch.rows[complete], result=result)
             pending = np.concatenate(postponed)
 
-    def run_single(self, values: Array, until: float, max_jumps: int) -> Batch | None:
+    def run_single(self, values: Array, until: float) -> Batch | None:
         """Compute one run as far as the loop can."""
         row = np.zeros(1, np.intp)
         for zeros, modes in self.simulator.known():
             batch = self._called(
-                modes, zeros, row, values[None], np.array([until], float), max_jumps, alone=True
+                modes, zeros, row, values[None], np.array([until], float), alone=True
             )
             outcome = runs.OTHER if batch is None else batch.result.ends.item(runs.HOW)
             if outcome != runs.OTHER:
@@ -369,7 +340,6 @@ class BatchRunner:
         rows: NDArray[np.intp],
         table: Array,
         until: Array,
-        max_jumps: int,
         *,
         alone: bool,
     ) -> Batch | None:
@@ -381,14 +351,12 @@ class BatchRunner:
             return None
         m, kinds, p = len(rows), call.loop.kinds, len(automaton.parameters)
         result = BatchResult.empty(m, p, len(automaton.variables), len(kinds))
-        zero_mask = self._gone.get(zeros)
-        if zero_mask is None:
-            zero_mask = self._gone[zeros] = np.zeros(p, np.bool_)
-            zero_mask[list(zeros)] = True
+        zero_mask = np.zeros(p, np.bool_)
+        zero_mask[list(zeros)] = True
         code, constants, outputs, inputs = call.inputs(self._names, table)
         inputs_of_call = BatchInputs(
-            code, constants, outputs, inputs, until, zero_mask, max_jumps, engine.floor, alone,
-            resumed=False, has_numbers=False,
+            code, constants, outputs, inputs, until, zero_mask, automaton.max_jumps, engine.floor,
+            alone, resumed=False, has_numbers=False,
         )  # fmt: skip
         block = simulator.buffer
         block.used[:] = 0
@@ -417,7 +385,7 @@ class BatchRunner:
             terms = term_sizes(*arc_polynomials(block, arc, size))
         final, time = result.final[row], float(result.clock[row, runs.T_HIGH])
         flow = batch.modes.flow(setup, kind, final, time, terms)
-        compiled = batch.modes.compiled(kind)
+        compiled = batch.modes.compiled[kind]
         happens, _ = closing(simulator.engine, compiled, flow, setup, final, time)
         return happens
 
