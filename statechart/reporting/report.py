@@ -11,17 +11,23 @@ from itertools import zip_longest
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD, moving_mode
 from statechart.automaton.regions import Invariant, whole_margins
-from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace, lowest
+from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
+from statechart.formulas.tape import Tape
 from statechart.observation.grazes import graze_warnings, grazes
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import extremes, outputs
 from statechart.reporting.partial_report import PartialReport
 from statechart.tabular import pluralise, readable_count
+
+_MAX_ARCS = 1024  # sampled at once
 
 
 class Computation(NamedTuple):
@@ -170,12 +176,29 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
         flows.setdefault((arc.roles, arc.coefficients.shape[2]), []).append(arc)
     for (roles, _), arcs in flows.items():
         compiled = simulator.compiled(roles, trace.zeros)
-        found = lowest(compiled.wholes, [arc.flow for arc in arcs], trace.values)
+        found = lowest(compiled.wholes, arcs, trace.values)
         for margin, value in zip(whole_margins(compiled.mode.margins), found.tolist(), strict=True):
             before = least.get(margin.name, math.inf)
             # NaN compares false and persists.
             least[margin.name] = before if before <= value or before != before else value
     return dict(sorted(least.items()))
+
+
+def lowest(tape: Tape, arcs: Sequence[Arc], parameters: Array, per_step: int = 16) -> Array:
+    """Return the least value (n_out,) of every output of a tape on a grid along arcs."""
+    s, result = np.arange(per_step + 1) / per_step, np.full(len(tape.outputs), np.inf)
+    for first in range(0, len(arcs), _MAX_ARCS):
+        batch = arcs[first : first + _MAX_ARCS]
+        begin = np.concatenate([arc.times[:-1] for arc in batch])[:, None]
+        end = np.concatenate([arc.times[1:] for arc in batch])[:, None]
+        start = np.repeat([arc.start.high for arc in batch], [len(arc.times) - 1 for arc in batch])
+        terms = np.concatenate([arc.coefficients for arc in batch])
+        local = np.where(s < 1.0, begin + s * (end - begin), end)
+        states = np.swapaxes(terms @ s ** np.arange(terms.shape[2])[:, None], 1, 2)
+        times = (start[:, None] + local).ravel()
+        values = tape.table(states.reshape(-1, terms.shape[1]), parameters, times)
+        result = np.minimum(result, values.min(axis=0, initial=np.inf))
+    return result
 
 
 def invariants(observer: Observer, trace: Trace) -> dict[str, float]:

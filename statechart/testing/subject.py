@@ -298,8 +298,7 @@ class Case:
         until: float,
     ) -> Trace:
         """Return a run; an interruption ends the check."""
-        limit = self.subject.model.settings.max_jumps
-        trace = simulator.run(parameters, until=until, max_jumps=limit, throw=False)
+        trace = simulator.run(parameters, until=until, throw=False)
         if trace.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
         return trace
