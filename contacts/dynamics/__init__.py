@@ -5,7 +5,7 @@ equations in the `parameters`, `joints` the rows of joints, `minimal` the equati
 coordinates that a mode leaves. `gates` are the relations that keep contacts on, and `conditions`
 judges them; `controllers` has regions of controllers, their guards and variables.
 Numbers: `setup_evaluation` makes the `setup` of a run, with its `scales` and each `contact_law`;
-`sign_friction` finds signs that are dry friction, `held_forces` are those of others, `snapshot`
-evaluates the equations at a state, `projection` brings a state onto the constraints, `starting`
-checks the start. `components` are uncoupled bodies.
+`snapshot` evaluates the equations at a state, with signs that are dry friction, `held_forces` are
+those of other signs, `projection` brings a state onto the constraints, `starting` checks the start.
+`components` are uncoupled bodies.
 """

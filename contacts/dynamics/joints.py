@@ -127,7 +127,7 @@ def motions(numbers: JointNumbers, velocity: Array, groups: Sequence[JointGroup]
             left.append(np.eye(size)[columns])
             continue
         jacobian = numbers.jacobian[np.ix_(rows, columns)]
-        scale = column_scales(jacobian)
+        scale = column_scales(without_noise(jacobian))
         outer, sizes, right = np.linalg.svd(jacobian * scale)
         row_space, null_space = right[: len(rows)], right[len(rows) :]
         # At a singular configuration the motion is not unique: the least-norm one is taken.
@@ -141,6 +141,15 @@ def motions(numbers: JointNumbers, velocity: Array, groups: Sequence[JointGroup]
     return Motions(np.hstack(basis), np.vstack(left), particular[0], particular[1])
 
 
+def without_noise(jacobian: Array) -> Array:
+    """Return the rows (m, n) without entries that may be round-off, such as cos(pi/2).
+
+    Scaling of columns would enlarge them.
+    """
+    noise = CANCELLING * np.abs(jacobian).max(axis=1, keepdims=True, initial=0.0)
+    return np.where(np.abs(jacobian) > noise, jacobian, 0.0)
+
+
 def redundant_rows(jacobian: Array, redundant: Bools) -> Bools:
     """Return which rows (m, n) the others imply: `redundant`, or as many where these decay.
 
@@ -149,9 +158,7 @@ def redundant_rows(jacobian: Array, redundant: Bools) -> Bools:
     decays where its smallest singular value falls below `DECAYED` of that of all rows.
     """
     count = int(np.count_nonzero(~redundant))
-    # Scaling of columns would enlarge entries that are round-off in all rows, such as cos(pi/2).
-    noise = CANCELLING * np.abs(jacobian).max(axis=1, keepdims=True, initial=0.0)
-    jacobian = np.where(np.abs(jacobian) > noise, jacobian, 0.0)
+    jacobian = without_noise(jacobian)
     scaled = jacobian * column_scales(jacobian)
     scaled /= np.maximum(np.linalg.norm(scaled, axis=1, keepdims=True), SMALLEST)
     independent, every = (

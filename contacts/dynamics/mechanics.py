@@ -38,6 +38,8 @@ from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 
+_Row = tuple[sp.Expr, ...]
+
 HAULED = "length"
 """Margin of a rope that is hauled in."""
 # Part of its length at the start at which a rope that is hauled in ends the run.
@@ -637,18 +639,18 @@ class Mechanics(Geometry):
         soft = (name for name, contact in contacts if contact.stiffness is not None)
         return {name: k for k, name in enumerate(soft)}
 
-    @property
-    def _no_pads(self) -> tuple[sp.Expr, ...]:
-        return (sp.S.Zero,) * len(self.pads)
-
     def _padded(
         self, name: str, normal: Sequence[sp.Expr], tangential: Sequence[sp.Expr]
-    ) -> tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]:
-        pads = [*self._no_pads]
+    ) -> tuple[tuple[_Row, _Row], tuple[_Row, ...], tuple[sp.Symbol, ...]]:
+        """Return the rows of a contact and of joints on coordinates and pads; forces of joints."""
+        none = (sp.S.Zero,) * len(self.pads)
+        pads = [*none]
         if name in self.pads:
             normal = (sp.S.Zero,) * len(normal)
             pads[self.pads[name]] = sp.S.One
-        return (*normal, *pads), (*tangential, *self._no_pads)
+        rows = tuple((*row.jacobian, *none) for row in self.joint_rows)
+        forces = tuple(row.force for row in self.joint_rows)
+        return ((*normal, *pads), (*tangential, *none)), rows, forces
 
     def _compliance(self, contact: Contact, local: _SurfaceGeometry) -> sp.Expr | None:
         if contact.stiffness is None:
@@ -677,9 +679,7 @@ class Mechanics(Geometry):
         symbols = ContactSymbols(
             name, zero, zero, zero, slip, zero, acceleration, zero, couple,
             friction_cones(self.scene, name, None, self.known, slip),
-            self._padded(name, no_rates, jacobian),
-            tuple((*row.jacobian, *self._no_pads) for row in self.joint_rows),
-            tuple(row.force for row in self.joint_rows), Hold((), (), ()),
+            *self._padded(name, no_rates, jacobian), Hold((), (), ()),
             Hold((turn - anchor,), (acceleration,), (couple,), {anchor: turn}),
         )  # fmt: skip
         place, tangent = (turn, zero), (sp.S.One, zero)
@@ -717,9 +717,7 @@ class Mechanics(Geometry):
         symbols = ContactSymbols(
             name, gap, offset, rate, sp.S.Zero, bearing, sp.S.Zero, V, H,
             friction_cones(self.scene, name, None, self.known, sp.S.Zero),
-            self._padded(name, jacobian, zeros),
-            tuple((*row.jacobian, *self._no_pads) for row in self.joint_rows),
-            tuple(row.force for row in self.joint_rows), hold, hold,
+            *self._padded(name, jacobian, zeros), hold, hold,
         )  # fmt: skip
         x, y = self.point(contact.point)
         return ContactGeometry(
@@ -763,9 +761,7 @@ class Mechanics(Geometry):
         symbols = ContactSymbols(
             name, local.gap, offset, local.gap_rate, slip, normal_a, tangential_a, V, H,
             friction_cones(self.scene, name, self._coefficients.get(name), self.known, slip),
-            self._padded(name, jacobian_n, jacobian_t),
-            tuple((*row.jacobian, *self._no_pads) for row in self.joint_rows),
-            tuple(row.force for row in self.joint_rows),
+            *self._padded(name, jacobian_n, jacobian_t),
             # The implicit function, not the distance: it is linear in y for a height.
             Hold((local.function,), (normal_a,), (V,), steep=self.curved(name)),
             Hold(stuck, (normal_a, tangential_a), (V, H), anchors),

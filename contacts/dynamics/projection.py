@@ -218,14 +218,9 @@ class Projection:
         )
 
 
-def landing(tolerances: Mapping[str, float]) -> tuple[float, float]:
-    """Return the errors of gaps and velocities above which a mode's start is projected."""
-    return DRIFT * tolerances["gap"], CREEP * tolerances["speed"]
-
-
 def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, float]) -> Array:
     """Project `state` onto the constraints of the mode entered, if it violates them."""
-    gap_tolerance, speed_tolerance = landing(tolerances)
+    gap_tolerance, speed_tolerance = DRIFT * tolerances["gap"], CREEP * tolerances["speed"]
     if snapshot.reduction is not None:
         joints = snapshot.reduction.joints
         gaps, rates = np.abs(joints.gaps[joints.on]), np.abs(joints.rates[joints.on])

@@ -49,8 +49,8 @@ class Handovers:
         if not self._gated:
             return ()
         arcs, gap_tolerance = list(arcs), setup.tolerances["gap"]
-        early = self._let_through(setup, arcs, gap_tolerance)
         tables, inside = self._tables(setup, arcs, gap_tolerance)
+        early = self._let_through(arcs, tables, gap_tolerance)
         missed_ends = self._past_ends(setup, arcs, tables, gap_tolerance)
         shallow = NEARLY_MEETING * setup.scales.length
         missed: dict[str, float] = {}
@@ -114,23 +114,16 @@ class Handovers:
                     yield passed_end_warning(name)
 
     def _let_through(
-        self, setup: SceneSetup, arcs: Sequence[Arc], gap_tolerance: float
+        self, arcs: Sequence[Arc], tables: Mapping[int, Array], gap_tolerance: float
     ) -> list[str]:
         """Return a warning for each contact that goes off at the instant at which it touches."""
         warnings: dict[str, str] = {}
-        for before, after in pairwise(arcs):
+        for k, (before, after) in enumerate(pairwise(arcs), 1):
             for place, (contact, name) in enumerate(self._gated.items()):
-                if (before.mode[contact], after.mode[contact]) != ("free", OFF):
-                    continue
-                tape = self._tape(after.mode[len(self._mechanics.scene.frictional) :])
-                gap, later = (
-                    tape.values(
-                        after.states(np.array([t]))[0], setup.values, after.start.high + t
-                    ).item(2 * place + 1)
-                    for t in after.times[:2].tolist()
-                )
-                if abs(gap) <= gap_tolerance and later < -gap_tolerance:
-                    warnings.setdefault(name, goes_off_warning(name, after.start.high))
+                if (before.mode[contact], after.mode[contact]) == ("free", OFF):
+                    gap, later = tables[k][[0, _SAMPLES], 2 * place + 1]
+                    if abs(gap) <= gap_tolerance and later < -gap_tolerance:
+                        warnings.setdefault(name, goes_off_warning(name, after.start.high))
         return [*warnings.values()]
 
     def _tables(

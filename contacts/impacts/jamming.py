@@ -214,7 +214,6 @@ def impact_without_collision(
     Raises `NoConsistentMode` if the path does not end, or there are no such impulses.
     """
     impulses = np.zeros((len(laws), 2))
-    unknown = (False,) * len(laws)
     if len(places) == 1:
         place = places[0]
         law, contact = laws[place], snapshot.contacts[place]._replace(gap_rate=0.0)
@@ -226,10 +225,9 @@ def impact_without_collision(
         if impulse is None:
             names = ", ".join(laws[i].name for i in places)
             raise NoConsistentMode(f"no impulse ends the jam of {names} (Painleve's paradox)")
-        impulses, unknown = impulse.impulses, impulse.indeterminate
-        velocity = snapshot.velocity + impulse.change
+        impulses, velocity = impulse.impulses, snapshot.velocity + impulse.change
         path = "plastic " + ", ".join(f"{laws[i].name}:{impulse.states[i]}" for i in places)
-    return Impacts(velocity, impulses, (path,), 1.0, unknown)
+    return Impacts(velocity, impulses, (path,))
 
 
 def strike_jammed(laws: Sequence[ContactLaw], closed: Sequence[bool]) -> list[bool]:

@@ -43,9 +43,6 @@ class Impacts:
     velocity: Array  # (n,): Rates of the coordinates after the impacts
     impulses: Array  # (c, 2): V and H on the body
     path: tuple[str, ...]  # Impacts in order
-    # Share of the impulse with restitution in the combination; the smallest of all groups
-    share: float
-    indeterminate: tuple[bool, ...]  # See `contacts.impacts.impulses.Impulses`
     warning: str = ""  # "" or sentences
 
 
@@ -56,8 +53,6 @@ class _GroupImpacts(NamedTuple):
     impulses: Array
     path: list[str]
     warning: str
-    share: float
-    indeterminate: Sequence[bool]
 
 
 def impacts(
@@ -70,13 +65,9 @@ def impacts(
 
     Raises `NoConsistentMode` if no impulse agrees with the laws.
     """
-    count = len(laws)
-    change = np.zeros(len(snapshot.velocity))
-    impulses = np.zeros((count, 2))
-    indeterminate = [False] * count
+    change, impulses = np.zeros(len(snapshot.velocity)), np.zeros((len(laws), 2))
     path: list[str] = []
     warnings: list[str] = []
-    share = 1.0
     for group in groups(snapshot, closed):
         if min(snapshot.contacts[i].gap_rate for i in group) >= 0.0:
             continue
@@ -86,16 +77,11 @@ def impacts(
             result = _solve_sequentially(snapshot, laws, group)
         else:
             result = _solve_simultaneously(snapshot, laws, group, choice == "capped")
-        share = min(share, result.share)
-        for i in group:
-            indeterminate[i] = result.indeterminate[i]
         change += result.change
         impulses += result.impulses
         path += result.path
         warnings += [result.warning] if result.warning else []
-    velocity = snapshot.velocity + change
-    warning = "; ".join(warnings)
-    return Impacts(velocity, impulses, tuple(path), share, tuple(indeterminate), warning)
+    return Impacts(snapshot.velocity + change, impulses, tuple(path), "; ".join(warnings))
 
 
 def groups(snapshot: Snapshot, closed: Sequence[bool]) -> list[list[int]]:
@@ -124,7 +110,7 @@ def _single_impact(snapshot: Snapshot, laws: Sequence[ContactLaw], place: int) -
     raised = _raises_energy(contact, result, change)
     warning = f"{law.name}: the impact law {law.impact!r} raised the energy" if raised else ""
     path = [f"{law.name} {' '.join(result.path)}"]
-    return _GroupImpacts(change, impulses, path, warning, 1.0, [False] * len(laws))
+    return _GroupImpacts(change, impulses, path, warning)
 
 
 def _raises_energy(contact: PerContact, result: Impact, change: Array) -> bool:
@@ -176,8 +162,7 @@ def _solve_simultaneously(
     if share > 0.0:
         modes = ", ".join(f"{laws[i].name}:{target.states[i]}" for i in group)
         path.append(f"to {share:.6g} moreau {modes}")
-    unknown = tuple(a or b for a, b in zip(base.indeterminate, target.indeterminate, strict=True))
-    return _GroupImpacts(change, impulses, path, "; ".join(warnings), share, unknown)
+    return _GroupImpacts(change, impulses, path, "; ".join(warnings))
 
 
 def _work_free_shares(
@@ -252,7 +237,7 @@ def _solve_sequentially(
             break
         terms = np.maximum(terms, np.abs(current.velocity))
     change, warning = current.velocity - snapshot.velocity, "; ".join(dict.fromkeys(warnings))
-    return _GroupImpacts(change, impulses, path, warning, 1.0, [False] * len(laws))
+    return _GroupImpacts(change, impulses, path, warning)
 
 
 def _with_velocity(snapshot: Snapshot, velocity: Array) -> Snapshot:

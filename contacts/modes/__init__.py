@@ -2,6 +2,6 @@
 
 `candidates` solves the modes and checks their inequalities; `classification` selects the consistent
 one, and `compiled_classification` does so in unambiguous instants. `load_sharing` computes the
-smallest forces if the motion does not determine them, together with `signs_at_rest`. `feasibility`
-proves which modes are kinematically possible.
+smallest forces if the motion does not determine them. `feasibility` proves which modes are
+kinematically possible.
 """

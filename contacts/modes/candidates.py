@@ -87,7 +87,7 @@ class Case(NamedTuple):
     at_rest: Sequence[bool]
     scales: Scales  # For judging inequalities
     tie: float = 0.0  # Relative violations up to this are boundary cases
-    signs: int = 0  # How many of the laws, the last, are signs (`contacts.modes.signs_at_rest`)
+    signs: int = 0  # How many of the laws, the last, are signs (`contacts.modes.classification`)
 
 
 class Candidate(NamedTuple):

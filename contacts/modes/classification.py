@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import NamedTuple
@@ -35,7 +36,6 @@ from contacts.modes.candidates import (
     same_motion,
 )
 from contacts.modes.load_sharing import bearing_contacts, prestressed_contacts, rank
-from contacts.modes.signs_at_rest import laws_of, signs_at_rest, with_signs
 from contacts.scene.couplings import LIMIT_MARGINS
 from contacts.scene.modes import FORCE_MARGINS, OWN
 from contacts.solvers.mode_solver import (
@@ -44,6 +44,7 @@ from contacts.solvers.mode_solver import (
 )
 from contacts.states import (
     CODES,
+    COUPLING_STATES,
     DISENGAGED,
     INACTIVE,
     OFF,
@@ -75,7 +76,7 @@ class ForceUncertainty(NamedTuple):
         """Return the uncertainty of contacts and signs."""
 
         def at(state: Array, later: float) -> Snapshot:
-            return with_signs(self.at(state, later), which)
+            return _with_signs(self.at(state, later), which)
 
         return self._replace(at=at, certain_modes=(*self.certain_modes, *(["locked"] * len(which))))
 
@@ -257,10 +258,10 @@ def choose(
     Raises `NoConsistentMode` or `AmbiguousMode` with every candidate and its reason, and
     `NonFinite` if the state has no finite forces.
     """
-    count, resting = len(laws), signs_at_rest(snapshot, slip_tolerance)
+    count, resting = len(laws), _signs_at_rest(snapshot, slip_tolerance)
     before = before or Before(bearing=frozenset(range(count)))
     if resting:
-        snapshot, laws = with_signs(snapshot, resting), (*laws, *laws_of(snapshot, resting))
+        snapshot, laws = _with_signs(snapshot, resting), (*laws, *_laws_of(snapshot, resting))
         closed, signs = [*closed, *([True] * len(resting))], range(count, len(laws))
         before = before._replace(bearing=before.bearing.union(signs))
         uncertainty = None if uncertainty is None else uncertainty.with_signs(resting)
@@ -564,3 +565,51 @@ def _verdict(candidate: Candidate, tie: float) -> str:
     if candidate.violation <= tie:
         return f"consistent within the tie band: {candidate.reason}"
     return candidate.reason
+
+
+def _signs_at_rest(snapshot: Snapshot, still_below: float) -> list[int]:
+    """Return the signs at rest: with rates of at most `still_below`."""
+    if snapshot.signs is None:
+        return []
+    slips, _, limits = snapshot.signs.numbers.T
+    slow = np.abs(slips) <= still_below * np.abs(snapshot.signs.rows).max(axis=1, initial=0.0)
+    found: list[int] = np.flatnonzero(slow & (limits > 0.0)).tolist()
+    return found
+
+
+def _laws_of(snapshot: Snapshot, which: Sequence[int]) -> tuple[ContactLaw, ...]:
+    """Return signs as laws of couplings."""
+    assert snapshot.signs is not None
+    names = [snapshot.signs.frictions[k].name for k in which]
+    return tuple(ContactLaw(n, COUPLING_STATES, 0.0, 1.0, 0.0, "newton", True) for n in names)
+
+
+def _with_signs(snapshot: Snapshot, which: Sequence[int]) -> Snapshot:
+    """Return the snapshot with signs as its last couplings, and without their forces."""
+    assert snapshot.signs is not None
+    slips, biases, limits = snapshot.signs.numbers[which].T
+    rows, reduction = snapshot.signs.rows[which], snapshot.reduction
+    effect = np.sign(slips) * limits
+    if reduction is None:
+        return _add_couplings(snapshot, rows, biases, limits, effect)
+    whole = _add_couplings(snapshot.unreduced, rows, biases, limits, effect)
+    biases, rows = biases + rows @ reduction.drift, rows @ reduction.basis
+    extended = _add_couplings(snapshot, rows, biases, limits, effect)
+    return extended._replace(reduction=replace(reduction, unreduced=whole))
+
+
+def _add_couplings(
+    snapshot: Snapshot, rows: Array, biases: Array, limits: Array, effect: Array
+) -> Snapshot:
+    jacobians = np.stack([np.zeros_like(rows), rows], axis=1)
+    contacts = [
+        PerContact(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, bias, jacobian)
+        for bias, jacobian in zip(biases.tolist(), jacobians, strict=True)
+    ]
+    return snapshot._replace(
+        forces=snapshot.forces + effect @ rows,
+        contacts=(*snapshot.contacts, *contacts),
+        jacobians=np.concatenate([snapshot.jacobians, jacobians]),
+        biases=np.concatenate([snapshot.biases, np.stack([0.0 * biases, biases], axis=1)]),
+        limits=np.concatenate([snapshot.limits, np.stack([limits, limits], axis=1)]),
+    )

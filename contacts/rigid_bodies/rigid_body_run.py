@@ -413,7 +413,7 @@ class RigidBodyRun(SteppedSystem):
         if self._turned > _TURNED:
             warnings += (
                 f"bodies that are hit turn by up to {self._turned:.2g} radians in one step of "
-                f"{self._length:g}, too much to follow how they touch; take "
+                f"{self._length:.6g}, too much to follow how they touch; take "
                 f"{_FOLLOWED * self._length / self._turned:.1g} or less",
             )
         warnings += mass_ratio_warnings(self._workspace.worst, self._names, self._options.allowed)
@@ -421,12 +421,11 @@ class RigidBodyRun(SteppedSystem):
         warnings += self._penetration.remarks(self._deepest_at)
         if self._parted:
             joints = ", or joints would not close" if len(self.numbers.joints.kinds) else ""
+            needed = f"; take {self._length / self._most_parts:.1g} or less"
             warnings += (
-                f"in {pluralise(self._parted, 'step')} of {self._length:g} bodies would pass "
-                f"through each other, or turn by more than half a turn{joints}: these were taken "
-                f"in up to "
-                f"{self._most_parts} parts; a step of {self._length / self._most_parts:.1g} needs "
-                "none",
+                f"{pluralise(self._parted, 'step')} of {self._length:.6g} had to be split into up "
+                f"to {self._most_parts} parts: bodies would pass through each other, or turn by "
+                f"more than half a turn{joints}{needed if self._most_parts < _PARTS[-1] else ''}",
             )
         return warnings
 
@@ -536,10 +535,11 @@ class RigidBodyRun(SteppedSystem):
         met = self.detect(state, start, _INSTANT * h)
         parts = met.normal.only(met.lasts), met.tangential.only(met.lasts & met.rough), met.joints
         held = Held(*(np.concatenate(three) for three in zip(*parts, strict=True)))
+        rows = self._by_coordinates(held, state)
         if self.numbers.links.bodies:
-            rows = self._by_coordinates(held, state) @ energy_root(self.numbers, state)
+            rows = rows @ energy_root(self.numbers, state)
         else:
-            rows = held.scaled(self.numbers.inverse)
+            rows = rows * np.sqrt(self.numbers.inverse).ravel()
         check_stiffness(stiff, rows, h)
 
     def _taken(

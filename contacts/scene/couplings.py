@@ -39,8 +39,12 @@ class Coupling(Part):
     OTHER_WORDS: ClassVar = {
         **dict.fromkeys(("torque", "moment", "friction", "capacity"), "limit"),
         "body": "bodies: [arm]",
+        **dict.fromkeys(("flange_a", "flange_b"), "bodies: [a, b]"),
         "engaged": "enabled",
-        **dict.fromkeys(("static", "kinetic"), "limit: {static: s, kinetic: k}"),
+        **dict.fromkeys(
+            ("static", "kinetic", "peak", "mu", "mue_pos", "fn_max"),
+            "limit: {static: s, kinetic: k}, couples such as mu*N*r",
+        ),
     }
 
     bodies: Annotated[tuple[str, ...], Field(min_length=1, max_length=2)] | None = declare(

@@ -69,10 +69,13 @@ class SceneFields(Declaration):
     OTHER_WORDS: ClassVar = {
         **Declaration.OTHER_WORDS,
         "g": "gravity",
-        **dict.fromkeys(("controller", "controllers"), "controls: [u], and regions that set it"),
+        **dict.fromkeys(
+            ("controller", "controllers"),
+            "controls: {u: 0}, and regions: {NAME: {initial: ..., states: ...}} that set it",
+        ),
         **dict.fromkeys(("body", "links", "worldbody", "objects"), "bodies"),
         **dict.fromkeys(("simulation", "option", "solver"), "settings"),
-        **dict.fromkeys(("ground", "floor", "plane"), "surfaces: {floor: {height: 0}}"),
+        **dict.fromkeys(("ground", "floor", "plane", "walls"), "surfaces: {floor: {height: 0}}"),
         **dict.fromkeys(("actuator", "actuators"), "forces: {motor: {body: arm, moment: M}}"),
         **dict.fromkeys(
             ("spring", "springs"), "forces: {spring: {body: rod, force: [-k*rod.x, 0]}}"

@@ -31,7 +31,11 @@ class Force(Part):
         "torque": "moment",
         **dict.fromkeys(("stiffness", "spring", "k"), "force: [-k*rod.x, 0]"),
         **dict.fromkeys(("damping", "c"), "force: [-c*rod.dx, 0]"),
-        "rest_length": "it into the force: [-k*(rod.x - L), 0]",
+        **dict.fromkeys(("rest_length", "length", "l0"), "it into the force: [-k*(rod.x - L), 0]"),
+        **dict.fromkeys(
+            ("between", "bodies", "from", "to", "type"),
+            "one force for each body: {body: a, force: [0, F]}, {body: b, force: [0, -F]}",
+        ),
         **dict.fromkeys(("fx", "fy", "x", "y"), "force: [fx, fy]"),
     }
 

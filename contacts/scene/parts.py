@@ -69,11 +69,12 @@ class Body(Part):
 
     OTHER_WORDS: ClassVar = {
         "m": "mass",
-        "I": "inertia",
+        **dict.fromkeys(("I", "J"), "inertia"),
+        **dict.fromkeys(("count", "number", "n"), "copies"),
         "velocity": "start: {dx: ..., dy: ...}",
         **dict.fromkeys(("pos", "origin"), "start: {x: ..., y: ...}"),
         **dict.fromkeys(
-            ("geom", "geometry", "collision", "visual", "collider", "fixtures"),
+            ("geom", "geometry", "collision", "visual", "collider", "fixtures", "size"),
             "shape: [{disc: r}], or a polygon, and collisions for how it rebounds",
         ),
         "inertial": "mass, and inertia",
@@ -268,6 +269,10 @@ class Surface(Part):
     OTHER_WORDS: ClassVar = {
         **dict.fromkeys(("slope", "angle"), "incline"),
         "plane": "line: [[0, 0], [1, 0]]",
+        **dict.fromkeys(
+            ("profile", "polyline", "points", "vertices", "mesh", "polygon"),
+            "height: FORMULA of x, or several surfaces, such as edge: [[0, 0], [1, 2]]",
+        ),
         "velocity": "displacement: [v*time, 0]",
     }
 
@@ -384,8 +389,10 @@ class Contact(Part):
         "spring": "stiffness, and damping",
         "rolling_friction": "rolling_resistance: LENGTH",
         **dict.fromkeys(
-            ("between", "bodies"), "point: {body: rod}, and surface: NAME; shapes have collisions"
+            ("between", "bodies", "body1", "body2", "body_a", "body_b"),
+            "point: {body: rod}, and surface: NAME; shapes have collisions",
         ),
+        **dict.fromkeys(("body", "at"), "point: {body: rod, at: [0, -L]}"),
     }
 
     point: Point = declare(

@@ -197,7 +197,12 @@ class Scene(SceneFields):
             if coupling.joint is not None:
                 self._member(findings, "joint", coupling.joint, self.joints, *at, "joint")
             for place, body in enumerate(coupling.bodies or ()):
-                self._member(findings, "body", body, single, *at, "bodies", place)
+                with findings:
+                    if body in ("world", "ground") and body not in single:
+                        advice = f"against the world write bodies: [{self.coupled(name)[0]}]"
+                        loc = (*at, "bodies", place)
+                        raise DeclarationProblem(f"no body {body!r}", advice=advice, loc=loc)
+                    check_member("body", body, single, *at, "bodies", place)
         for name, mode in self.initial_modes.items():
             self._member(findings, "contact", name, self.contacts, "modes", name)
             if name not in self.contacts or not self._on_a_surface(name):

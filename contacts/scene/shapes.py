@@ -24,8 +24,9 @@ class Shape(Part):
     """The outline of a body, or a part of it, in its own frame: a convex polygon, or a disc."""
 
     OTHER_WORDS: ClassVar = {
-        "box": "polygon: [[-a, -b], [a, -b], [a, b], [-a, b]]",
-        "rectangle": "polygon: [[-a, -b], [a, -b], [a, b], [-a, b]]",
+        **dict.fromkeys(
+            ("box", "rectangle", "rect", "size"), "polygon: [[-a, -b], [a, -b], [a, b], [-a, b]]"
+        ),
         "circle": "disc",
         "radius": "disc",
         **dict.fromkeys(
@@ -107,7 +108,11 @@ class Collision(Part):
         "d": "damping",
         "spring": "stiffness, and damping",
         "rolling_friction": "rolling_resistance: LENGTH",
-        "pairs": "bodies: [die, cup], which collide with each other",
+        **dict.fromkeys(
+            ("pairs", "layer", "layers", "mask", "category", "group"),
+            "bodies: [die, cup], which collide with each other; one list for each group",
+        ),
+        "sensor": "a relation among conditions, guards or outputs, such as die.y < 0",
     }
 
     bodies: Annotated[tuple[str, ...], Field(min_length=1)] = declare(

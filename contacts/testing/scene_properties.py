@@ -275,20 +275,12 @@ def _work_of_catches(
 
 
 def _work_of_joints(mechanics: Mechanics, subject: Subject, trace: Trace, jump: Jump) -> float:
-    """Return the work of led joints in an impact.
-
-    Their impulses follow from the change of momentum that contacts do not explain; the velocities
-    of their ends are prescribed.
-    """
-    n, names = len(mechanics.q), list(jump.impulse)
-    contacts = [mechanics.contact(name) for name in names]
-    rows = [row for contact in contacts for row in (contact.jacobian_n, contact.jacobian_t)]
-    expressions = [*mechanics.mass_matrix, *(entry for row in rows for entry in row)]
-    values = subject.values(trace, expressions, jump.after[None], np.array([jump.t]))[0]
-    mass, jacobian = values[: n * n].reshape(n, n), values[n * n :].reshape(-1, n)
-    pushes = np.concatenate([jump.impulse[name] for name in names]) @ jacobian
-    change = mass @ (jump.after - jump.before)[n : 2 * n]
-    return float((change - pushes) @ jump.after[n : 2 * n])
+    """Return the work of led joints in an impact."""
+    rates = [row.path_rate for row in mechanics.joint_rows]
+    names = [f"{row.joint}.{row.component}" for row in mechanics.joint_rows]
+    impulses = [jump.joint_impulse.get(name, 0.0) for name in names]
+    values = subject.values(trace, rates, jump.after[None], np.array([jump.t]))[0]
+    return float(np.dot(impulses, values))
 
 
 def _step_growth(mechanics: Mechanics, subject: Subject, trace: Trace) -> float:

@@ -8,6 +8,7 @@ length of each coordinate.
 from __future__ import annotations
 
 import math
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -92,9 +93,7 @@ class DiscretisationError:
 
     def copy(self) -> DiscretisationError:
         """Return a copy."""
-        result = DiscretisationError.__new__(DiscretisationError)
-        result.__dict__.update(self.__dict__)  # no array is changed in place
-        return result
+        return copy(self)  # no array is changed in place
 
     def add(
         self, now: Equations, chunk: Chunk, start: float, codes: Ints, swings: Swings | None
@@ -129,34 +128,23 @@ class DiscretisationError:
         n = len(self._way)
         fastest = np.maximum(self._fastest, _LITTLE * self._sizes[n:])
         way = np.maximum(self._way, _LITTLE * self._sizes[:n])
-        warnings: list[str] = []
-        forces = float(((self._drifted + self._unknown) / fastest).max(initial=0.0))
-        if forces > _FORCES:
-            warnings.append(
-                f"step {h:g} is too long for the forces: velocity error up to {forces:.2g} of "
-                f"the largest; take {0.5 * h * math.sqrt(_FORCES / forces):.1g} or less"
-            )
-        late = float((self._velocity / fastest).max(initial=0.0))
-        if late > _IMPACTS:
-            warnings.append(
-                f"step {h:g} is too long for contacts that are switched on: impacts are off "
-                f"by up to {late:.2g} of the largest velocity; take "
-                f"{0.5 * h * _IMPACTS / late:.1g} or less"
-            )
-        ahead = float((self._phase / fastest).max(initial=0.0))
-        if ahead > _PHASE:
-            warnings.append(
-                f"step {h:g} is too long for the springs: velocity error up to {ahead:.2g} of "
-                f"the largest; take {0.5 * h * math.sqrt(_PHASE / ahead):.1g} or less"
-            )
-        stopped = float((np.abs(self._stopped) / way).max(initial=0.0))
-        if stopped > _WAY:
-            warnings.append(
-                f"step {h:g} is too long for the ends of slips: position error up to "
-                f"{stopped:.2g} of the way; take {0.5 * h * math.sqrt(_WAY / stopped):.1g} or "
-                "less"
-            )
-        return tuple(warnings)
+        errors = (
+            ((self._drifted + self._unknown) / fastest, _FORCES, 0.5,
+             "the forces: velocity error up to {:.2g} of the largest"),
+            (self._velocity / fastest, _IMPACTS, 1.0,
+             "contacts that are switched on: impacts are off by up to {:.2g} of the largest "
+             "velocity"),
+            (self._phase / fastest, _PHASE, 0.5,
+             "the springs: velocity error up to {:.2g} of the largest"),
+            (np.abs(self._stopped) / way, _WAY, 0.5,
+             "the ends of slips: position error up to {:.2g} of the way"),
+        )  # fmt: skip
+        return tuple(
+            f"step {h:g} is too long for {error_text.format(error)}; take "
+            f"{0.5 * h * (limit / error) ** power:.1g} or less"
+            for relative, limit, power, error_text in errors
+            if (error := float(relative.max(initial=0.0))) > limit
+        )
 
     def _slips(self, now: Equations, chunk: Chunk, start: float, codes: Ints) -> Array:
         """Return the rate errors (k, n) where slips reverse; note where they end.

@@ -25,7 +25,7 @@ TERMS = 3
 """Terms of the polynomial of a step."""
 
 
-def smooth(left: Array, right: Array, h: Array | float, n: int) -> Array:
+def smooth(left: Array, right: Array, h: Array, n: int) -> Array:
     """Return the coefficients (k, w, TERMS) of steps without impacts."""
     coefficients = np.zeros((*left.shape, TERMS))
     coefficients[:, :, 0] = left
@@ -65,32 +65,23 @@ def struck(
     return parts[0], parts[1]
 
 
-class StepPolynomials(NamedTuple):
-    """Polynomials of consecutive steps: one per step, two per step with impacts."""
+def step_polynomials(
+    states: Array, acceleration: Array, h: Array, late: Array, hit: Bools, n: int
+) -> Array:
+    """Return the coefficients (p, w, TERMS) of steps of sizes `h` (k, 1) between states (k + 1, w).
 
-    terms: Array  # (p, w, TERMS): coefficients.
-    places: Ints  # (k + 1,): first polynomial of each step.
-
-    @classmethod
-    def of(
-        cls, states: Array, acceleration: Array, h: Array | float, late: Array, hit: Bools, n: int
-    ) -> StepPolynomials:
-        """Return the polynomials of steps of size `h` between states (k + 1, w).
-
-        Steps `hit` (k,) have an impact, `late` (k,) after their middle; acceleration, `n`: see
-        `struck`.
-        """
-        left, right = states[:-1], states[1:]
-        if not hit.any():
-            return cls(smooth(left, right, h, n), np.arange(len(hit) + 1))
-        places = np.concatenate([[0], np.cumsum(1 + hit)])
-        at, lengths = places[:-1], np.broadcast_to(h, (len(hit), 1))
-        before = 0.5 * lengths[hit] + late[hit, None]
-        parts = struck(left[hit], right[hit], acceleration[hit], (before, lengths[hit] - before), n)
-        pieces = np.concatenate([smooth(left[~hit], right[~hit], lengths[~hit], n), *parts])
-        # Gathering rows is ten times as fast as scattering them.
-        order = np.concatenate([at[~hit], at[hit], at[hit] + 1])
-        return cls(pieces[np.argsort(order)], places)
+    One polynomial per step, two per step `hit` (k,), whose impact is `late` (k,) after its middle;
+    acceleration, `n`: see `struck`.
+    """
+    left, right = states[:-1], states[1:]
+    if not hit.any():
+        return smooth(left, right, h, n)
+    before = 0.5 * h[hit] + late[hit, None]
+    parts = struck(left[hit], right[hit], acceleration[hit], (before, h[hit] - before), n)
+    pieces = np.concatenate([smooth(left[~hit], right[~hit], h[~hit], n), *parts])
+    # Gathering rows is ten times as fast as scattering them.
+    at = _places(hit)[:-1]
+    return pieces[np.argsort(np.concatenate([at[~hit], at[hit], at[hit] + 1]))]
 
 
 def fill_undefined(rows: Array) -> Array:
@@ -246,9 +237,7 @@ class _Polynomials:
     def __init__(self, steps: Steps, energy: Callable[[Array, Array], Array] | None) -> None:
         n, hit, h = steps.coordinates, np.asarray(steps.hit), steps.lengths
         late, halves = np.asarray(steps.impact_delay), steps.halves
-        self.terms, _ = StepPolynomials.of(
-            steps.states, steps.solved[:, :n], h[:, None], late, hit, n
-        )
+        self.terms = step_polynomials(steps.states, steps.solved[:, :n], h[:, None], late, hit, n)
         self.ends = steps.ends(h)
         self.unknowns = np.repeat(steps.solved, 1 + hit, axis=0) if halves is None else halves
         self.steps, self._energy = steps, energy

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -39,16 +38,6 @@ from statechart.automaton.trace_store import Blocks
 _LONGEST = 2**23
 
 
-class _Tail(NamedTuple):
-    """A step, and the recorder before it: recorded and raw modes, jumps, and start time."""
-
-    step: Chunk
-    row: Ints
-    raw: Ints
-    jumps: int
-    clock: Clock
-
-
 @dataclass(eq=False)
 class Recorder:
     """Collects steps as arcs and jumps, which are computed on access.
@@ -57,8 +46,7 @@ class Recorder:
     `sticks` (r,): regions with pin and slide, and couplings. An impact on a region that is not free
     has the cause `again`. `forces` (r, 2): places of V and H among the further unknowns, or twice
     that of a torque; None: no forces. Controller variables follow the `coordinates` and their
-    rates. Without `modes`, jumps of regions are only counted, and arcs end where they would;
-    without `arcs_too`, only the last step becomes an arc, in which a stop condition may be met.
+    rates. Without `modes`, jumps of regions are only counted, and arcs end where they would.
     `control_jumps` are those of controllers and the stop.
     """
 
@@ -71,7 +59,6 @@ class Recorder:
     energy: Callable[[Array, Array], Array]
     coordinates: int
     modes: bool = True
-    arcs_too: bool = True
     clock: Clock = field(default_factory=Clock)
     control_jumps: list[Jump] = field(default_factory=list)
     count: int = 0
@@ -86,7 +73,6 @@ class Recorder:
         self._began = self.clock
         self._open: list[StepRange] = []
         self._size = 0
-        self._tail: _Tail | None = None
         self._maker = ArcMaker(self.regions, self.energy)
         self._arcs: list[LazyArc | Arc] = []
         self._jumps: list[LazyJump | Jump] = []
@@ -102,12 +88,6 @@ class Recorder:
 
     def add(self, chunk: Chunk) -> None:
         """Append steps."""
-        if self.arcs_too:
-            self._append(chunk)
-        else:
-            self._tail = self._counted(chunk)
-
-    def _append(self, chunk: Chunk) -> None:
         shown = self.shown(chunk)
         hit: Bools = np.any(chunk.struck, axis=1)
         steps = Steps.of(chunk, hit, self.coordinates, self.clock)
@@ -118,10 +98,13 @@ class Recorder:
             if shared:
                 self._note_shared(chunk.shared[first:k])
             first = k + int(hit[k])
-            enabled = _enabled_contacts(self.row, shown[k], chunk.struck[k])
+            # A disabled contact that closes at once is free first, as with events.
+            was, now = self.row, shown[k]
+            enabled = (was == OFF_CODE) & (now != OFF_CODE) & (chunk.struck[k] | (now != FREE))
             if enabled.any():
                 done = self._flow(steps, done, k, 0)
-                self._change(_opened_modes(self.row, shown[k], enabled), chunk.states[k])
+                opened = np.where(enabled, FREE, np.where(now == OFF_CODE, OFF_CODE, was))
+                self._change(opened, chunk.states[k])
             done = self._flow(steps, done, k, first - k)
             if hit[k]:
                 self._strike(steps, k, shown[k])
@@ -133,38 +116,6 @@ class Recorder:
         self._raw = chunk.modes[-1]
         if self._size > _LONGEST:
             self.close()
-
-    def _counted(self, chunk: Chunk) -> _Tail:
-        """Count the jumps of steps; return the last step for appending."""
-        last, half = len(chunk.codes) - 1, 0.5 * chunk.h
-        shown, hit = self.shown(chunk), np.any(chunk.struck, axis=1).tolist()
-        jumps = np.where(hit, 1, np.count_nonzero(self._differs(shown), axis=1))
-        before = self._before(shown)
-        enabled = _enabled_contacts(before, shown, chunk.struck)
-        for k in np.flatnonzero(enabled.any(axis=1)).tolist():
-            opened = _opened_modes(before[k], shown[k], enabled[k])
-            jumps[k] = np.count_nonzero(opened != before[k])
-            jumps[k] += 1 if hit[k] else np.count_nonzero(opened != shown[k])
-        begin = self.clock.later(last * chunk.h).short
-        tail = _Tail(
-            chunk.after(last),
-            shown[last - 1] if last else self.row,
-            chunk.modes[last - 1] if last else self._raw,
-            self.count + int(jumps[:last].sum()),
-            begin,
-        )
-        self.row, self._raw = shown[last], chunk.modes[last]
-        self.count, self.clock = tail.jumps + int(jumps[last]), begin
-        # The same sum as when appended.
-        for part in (half, half) if hit[last] else (chunk.h,):
-            self.clock = self.clock.later(part).short
-        return tail
-
-    def _append_tail(self, tail: _Tail) -> None:
-        """Append the last of the counted steps."""
-        self.row, self._raw, self.count, self.clock = tail[1:]
-        self._began, self._tail = self.clock, None
-        self._append(tail.step)
 
     def changes(self, chunk: Chunk) -> Bools:
         """Return the steps (k,) in which `add` will record jumps."""
@@ -260,15 +211,9 @@ class Recorder:
         return np.vstack([self.row, shown[:-1]])
 
     def _changed(self, shown: Ints) -> Bools:
-        changed: Bools = np.any(self._differs(shown), axis=1)
+        """Return the steps (k,) in which a region changes its mode."""
+        changed: Bools = np.any(shown != self._before(shown), axis=1)
         return changed
-
-    def _differs(self, shown: Ints) -> Bools:
-        """Return which regions (k, r) change their mode."""
-        differs = np.empty(shown.shape, np.bool_)
-        np.not_equal(shown[:1], self.row, out=differs[:1])
-        np.not_equal(shown[1:], shown[:-1], out=differs[1:])
-        return differs
 
     def _note_shared(self, shared: Bools) -> None:
         if shared.any():
@@ -303,8 +248,6 @@ class Recorder:
 
     def close(self) -> None:
         """Finish the current arc."""
-        if self._tail is not None:
-            self._append_tail(self._tail)
         if not self._open:
             return
         self._arcs.append(LazyArc(self.key, self._began, self.count, tuple(self._open)))
@@ -338,17 +281,6 @@ class Recorder:
         cause = cause_of(STATES[before], STATES[after])
         is_lasting = cause in ("liftoff", "stick", "slip", "reverse")
         return self.again if struck and is_lasting else cause
-
-
-def _enabled_contacts(before: Ints, after: Ints, struck: Bools) -> Bools:
-    """Return which disabled contacts close at once: they are free first, as with events."""
-    enabled: Bools = (before == OFF_CODE) & (after != OFF_CODE) & (struck | (after != FREE))
-    return enabled
-
-
-def _opened_modes(before: Ints, after: Ints, enabled: Bools) -> Ints:
-    """Return the modes after conditions have changed, before these contacts close."""
-    return np.where(enabled, FREE, np.where(after == OFF_CODE, OFF_CODE, before))
 
 
 # Bytes of a block, which is one arc of several times that size.

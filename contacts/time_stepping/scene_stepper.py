@@ -44,7 +44,6 @@ from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, Ste
 from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
 from contacts.time_stepping.equations import ContactHistory, StepConstants
-from contacts.time_stepping.passing import find_passage
 from contacts.time_stepping.scene_step import step_scene
 from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.solver_residual import INDETERMINATE
@@ -57,7 +56,10 @@ from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Region, StopCondition
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, NonFinite, SimulationError, SingularMode
-from statechart.kernels.boxes import Steps
+from statechart.kernels.boxes import Steps, bind_tape, bound_third_derivatives, enclose
+from statechart.kernels.jit import kernel
+from statechart.kernels.resolution import jet_registers
+from statechart.kernels.tapes import TapeCode
 
 # Depth between midpoints, relative to a step at the scene's speed, up to which a point only grazes.
 _GRAZED = 0.1
@@ -67,20 +69,74 @@ _SLOWEST = 0.1
 _NEGLIGIBLE = 1e-6
 # Landing depth, in approach steps.
 _LANDED = 2.0
+# Limits of bisection: boxes per line, and width relative to the line. The rest touches at most.
+_BOXES, _NARROW = 256, 2.0**-32
 _CODES = {state: code for code, state in STATES.items()}
+
+
+@kernel
+def find_passage(tape: TapeCode, lines: Steps, seen: Bools, near: float) -> tuple[int, int, float]:
+    """Return (line, contact, part) of the first line on which a contact passes a surface.
+
+    Steps evaluate gaps at midpoints, between which coordinates move in straight lines. A contact
+    that is open at both ends of a line and closed in between passed its surface; one that is deeper
+    in between than at the end landed elsewhere. An interval enclosure of the gap along the line
+    decides, however short the overlap.
+
+    The tape has the gaps (c,), `lines` are m steps; contacts `seen` (m, c) are active at the start
+    of a line; a depth up to `near` only touches. `part` is a lower bound of the closed part of the
+    line; line and contact are -1 if there is none.
+    """
+    outputs, reads, coeffs = tape.outputs, tape.reads, lines.coeffs
+    step_tape, regs = bind_tape(tape, lines, 1)
+    jets = jet_registers(step_tape, regs)
+    bounds, count = np.zeros(coeffs.shape[1]), outputs.shape[0]
+    is_open, depths = np.empty(count, np.bool_), np.empty(count)
+    lefts, rights = np.empty(64), np.empty(64)
+    for line in range(coeffs.shape[0]):
+        bound_third_derivatives(coeffs, line, reads, bounds)
+        enclose(step_tape, line, bounds, 0.0, 0.0, 0, jets)
+        for i in range(count):
+            is_open[i] = not seen[line, i] and jets[outputs[i], 0] > 0.0
+        enclose(step_tape, line, bounds, 1.0, 0.0, 0, jets)
+        for i in range(count):
+            depths[i] = min(jets[outputs[i], 0], 0.0) - near
+        top, boxes = 1, 0
+        lefts[0], rights[0] = 0.0, 1.0
+        while top > 0 and boxes < _BOXES:
+            top -= 1
+            boxes += 1
+            a, b = lefts[top], rights[top]
+            m = 0.5 * (a + b)
+            enclose(step_tape, line, bounds, m, 0.5 * (b - a), 0, jets)
+            clear = True
+            for i in range(count):
+                clear = clear and not (is_open[i] and jets[outputs[i], 0] <= depths[i])
+            if clear or b - a <= _NARROW:
+                continue
+            enclose(step_tape, line, bounds, m, 0.0, 0, jets)
+            for i in range(count):
+                if is_open[i] and jets[outputs[i], 1] < depths[i]:
+                    return line, i, b - a
+            lefts[top], rights[top] = m, b
+            lefts[top + 1], rights[top + 1] = a, m
+            top += 2
+    return -1, -1, 0.0
 
 
 @dataclass(eq=False)
 class _StepState:
-    """State between steps: contact history, last modes, least values."""
+    """State between steps: contact history, last modes, least values, errors, warnings."""
 
     contacts: ContactHistory
     codes: Ints
     least_gap: Array
     least: Array
+    errors: DiscretisationError
+    loads: dict[bytes, str]  # Modes -> warnings about their load sharing.
 
     def copy(self) -> _StepState:
-        return _StepState(**{name: array.copy() for name, array in vars(self).items()})
+        return _StepState(**{name: part.copy() for name, part in vars(self).items()})
 
 
 class SteppedTapes(Controllers):
@@ -124,14 +180,11 @@ class SteppedScene(SteppedSystem):
             np.full(count, FREE),
             np.full(count, np.inf),
             np.full((count, 2), np.inf),
+            DiscretisationError(setup.scales),
+            {},
         )
         self._saved = self._step_state.copy()
         self._swing = self._length = 0.0
-        self._errors = DiscretisationError(setup.scales)
-        self._saved_errors = self._errors.copy()
-        # Modes -> warnings about their load sharing.
-        self._loads: dict[bytes, str] = {}
-        self._saved_loads = self._loads.copy()
 
     def change(self, values: Mapping[str, float]) -> SceneSetup:
         """Change the values of parameters; return the setup."""
@@ -215,32 +268,29 @@ class SteppedScene(SteppedSystem):
 
     def forget(self) -> None:
         """Revert the last steps."""
-        self._step_state, self._errors = self._saved.copy(), self._saved_errors.copy()
-        self._loads = self._saved_loads.copy()
+        self._step_state = self._saved.copy()
 
     @property
     def margins(self) -> dict[str, float]:
         """The smallest margins, at the midpoints of steps."""
-        result: dict[str, float] = {}
         rigid = len(self._source.names) - self._source.couplings
-        for i, name in enumerate(self._source.names):
-            if i >= rigid and np.isfinite(self._step_state.least_gap[i]):
-                result[f"{name}.limit"] = float(self._step_state.least_gap[i])
-            if i >= rigid:
-                continue
-            values = (self._step_state.least_gap[i], *self._step_state.least[i])
-            for kind, value in zip(("gap", "V", "mu V - |H|"), values, strict=True):
-                if np.isfinite(value):
-                    result[f"{name}.{kind}"] = float(value)
-        return result
+        values = np.column_stack([self._step_state.least_gap, self._step_state.least]).tolist()
+        return {
+            f"{name}.{kind}": value
+            for i, name in enumerate(self._source.names)
+            for kind, value in zip(
+                ("gap", "V", "mu V - |H|") if i < rigid else ("limit",), values[i], strict=False
+            )
+            if math.isfinite(value)
+        }
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """Warnings of the run."""
         return (
             *remarks(self._swing, self._length),
-            *self._errors.remarks(self._length),
-            *filter(None, self._loads.values()),
+            *self._step_state.errors.remarks(self._length),
+            *filter(None, self._step_state.loads.values()),
             *self._stays_off(),
         )
 
@@ -263,8 +313,7 @@ class SteppedScene(SteppedSystem):
         source, tape = self._source, self._source.tape
         n, c, r = source.size, len(source.names), source.joint_rows
         chunk = Chunk.allocate(h, state, n + r + 2 * c + source.given, c, count)
-        self._saved, self._saved_errors = self._step_state.copy(), self._errors.copy()
-        self._saved_loads = self._loads.copy()
+        self._saved = self._step_state.copy()
         memory = self._step_state.contacts
         scene = StepConstants(
             tape.program, source.flows.program, n, source.damped, self._values, self._cones,
@@ -291,7 +340,7 @@ class SteppedScene(SteppedSystem):
         self._note_loads(chunk, start)
         if len(chunk.codes):
             now = Equations(source, self._values, self._cones, self._restitution)
-            self._errors.add(now, chunk, start, self._saved.codes, swings)
+            self._step_state.errors.add(now, chunk, start, self._saved.codes, swings)
         # Loads of couplings are no unknowns.
         loads = n + r + 2 * np.arange(c - source.couplings, c)
         return chunk._replace(solved=np.delete(chunk.solved, loads, axis=1))
@@ -372,22 +421,23 @@ class SteppedScene(SteppedSystem):
         Forces of dependent constraints are not unique, and with sliding friction their effects
         differ.
         """
-        n, modes, source = self._source.size, chunk.modes, self._source
+        modes, source, loads = chunk.modes, self._source, self._step_state.loads
+        n = source.size
         changed = np.any(modes != np.vstack([modes[:1] - 1, modes[:-1]]), axis=1)
         for k in np.flatnonzero(changed).tolist():
             key, bears = modes[k].tobytes(), ~np.isin(modes[k], (FREE, OFF_CODE, OPEN_CODE))
-            if key in self._loads or bears.sum() < 2 or any(self._loads.values()):
+            if key in loads or bears.sum() < 2 or any(loads.values()):
                 continue
             time = start + (k + 1) * chunk.h
             _, rows, joints = source.equations(self._values, chunk.states[k + 1], time)
             jacobians = rows[bears, : 2 * n].reshape(-1, 2, n)
             acts = partial(_spare_rows, modes[k, bears], jacobians, joints[:, :n])
-            smooth, self._loads[key] = self._cones[bears] * (1.0, 0.0), ""
+            smooth, loads[key] = self._cones[bears] * (1.0, 0.0), ""
             spare = acts(smooth)
             if spare > acts(self._cones[bears]):
                 names = np.array(source.names)[bears]
                 shared = [i for i in range(len(names)) if acts(smooth, i) < spare]
-                self._loads[key] = (
+                loads[key] = (
                     f"from t = {time:.6g} how {', '.join(names[shared])} share the load changes "
                     "the motion, and nothing determines it: another engine or step may differ"
                 )
@@ -405,7 +455,9 @@ class SteppedScene(SteppedSystem):
         codes[turning] = np.where(slid, before, SLIDE_PLUS)[turning]
         self._step_state.codes = codes[-1] if len(codes) else self._step_state.codes
         places = np.arange(codes.shape[1])
-        wrong = self._undeclared[places, codes] | self._negative(chunk)
+        # Limits of couplings, the last contacts, must not be negative.
+        coupled = places >= len(places) - self._source.couplings
+        wrong = self._undeclared[places, codes] | (coupled & (chunk.gaps < 0.0))
         np.copyto(shown, codes, where=self._undeclared[places, shown])
         if len(self._source.hauled):
             times = start + h * np.arange(1, len(codes) + 1)
@@ -422,12 +474,6 @@ class SteppedScene(SteppedSystem):
         if k == 0:
             raise self._refusal(i, int(codes[0, i]), start + h)
         return k
-
-    def _negative(self, chunk: Chunk) -> Bools:
-        """Return which limits (k, c) of couplings are negative."""
-        negative: Bools = chunk.gaps < 0.0
-        negative[:, : negative.shape[1] - self._source.couplings] = False
-        return negative
 
     def _refusal(self, contact: int, code: int, end: float) -> NoConsistentMode:
         """Return the error of a contact that does not declare a mode of a step."""

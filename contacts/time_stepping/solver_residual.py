@@ -11,6 +11,7 @@ from contacts.time_stepping.chunk import (
     CHOSEN,
     CONTACTS,
     ITERATIONS,
+    JAMMED,
     LIVELY,
     RESIDUAL,
     UNENDED,
@@ -35,9 +36,12 @@ class SolverResidual:
 
     def __init__(self, limits: Impulses) -> None:
         self._tolerance, self._bound = limits
-        self._iterations = self._contacts = self._most = self._missed = self._softened = 0
-        self._ambiguous = self._unended = self._several = 0
-        self.residual = self._when = self._first = self._left = self._choice = 0.0
+        self._inexact = self._unended = 0
+        # Of the columns of `Chunk.stats`: sums and largest values over all steps, and time of the
+        # first step with a value.
+        self._sums, self._largest = np.zeros(JAMMED + 1), np.zeros(JAMMED + 1)
+        self._first: dict[int, float] = {}
+        self.residual = self._when = 0.0
 
     def beyond(self, chunk: Chunk) -> tuple[int, SimulationError] | None:
         """Return the first step whose residual exceeds the bound, and the error."""
@@ -52,76 +56,62 @@ class SolverResidual:
 
     def add(self, chunk: Chunk, start: float) -> None:
         """Accumulate the steps of a chunk that begins at `start`."""
-        efforts, h = chunk.stats, chunk.h
-        total, most = efforts.sum(axis=0), efforts.max(axis=0)
-        self._iterations += int(total[ITERATIONS])
-        self._contacts += int(total[CONTACTS])
-        self._most = max(self._most, int(most[CONTACTS]))
-        if most[RESIDUAL] > self._tolerance:
-            self._missed += int((efforts[:, RESIDUAL] > self._tolerance).sum())
-        self._softened += int(total[CALMED])
-        if total[AMBIGUOUS] and not self._ambiguous:
-            self._first = start + (int(np.argmax(efforts[:, AMBIGUOUS])) + 0.5) * h
-        self._ambiguous += int(total[AMBIGUOUS])
-        if total[CHOSEN] and not self._several:
-            self._choice = start + int(np.argmax(efforts[:, CHOSEN])) * h
-        self._several += int(total[CHOSEN])
-        if most[UNENDED] > 0.0:
-            self._unended += int((efforts[:, UNENDED] > 0.0).sum())
-        self._left = max(self._left, float(most[UNENDED]))
+        stats, h, most = chunk.stats, chunk.h, chunk.stats.max(axis=0)
+        self._inexact += int((stats[:, RESIDUAL] > self._tolerance).sum())
+        self._unended += int((stats[:, UNENDED] > 0.0).sum())
+        for column, part in ((AMBIGUOUS, 0.5), (CHOSEN, 0.0)):
+            if most[column] > 0.0:
+                first = start + (int(np.argmax(stats[:, column])) + part) * h
+                self._first.setdefault(column, first)
         if most[RESIDUAL] > self.residual:
             self.residual = float(most[RESIDUAL])
-            self._when = start + int(np.argmax(efforts[:, RESIDUAL])) * h
+            self._when = start + int(np.argmax(stats[:, RESIDUAL])) * h
+        self._sums += stats.sum(axis=0)
+        self._largest = np.maximum(self._largest, most)
 
     @property
     def counts(self) -> dict[str, int]:
         """Iterations; active contacts in all steps and at most in one; inexact steps."""
         return {
-            "iterations": self._iterations,
-            "contacts": self._contacts,
-            "most_contacts": self._most,
-            "inexact_steps": self._missed,
+            "iterations": int(self._sums[ITERATIONS]),
+            "contacts": int(self._sums[CONTACTS]),
+            "most_contacts": int(self._largest[CONTACTS]),
+            "inexact_steps": self._inexact,
         }
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """Warnings of inexact or non-unique impulses."""
-        warnings: tuple[str, ...] = ()
-        if self._softened:
-            warnings += (
-                (
-                    f"in {pluralise(self._softened, 'step')} no impulses satisfy Moreau's impact "
-                    "law at all contacts: impacts there have no rebound"
-                ),
+
+        def steps(count: float, first: float | None = None) -> str:
+            since = "" if first is None else f", the first at t = {first:.6g},"
+            return f"in {pluralise(int(count), 'step')}{since}"
+
+        warnings = list[str]()
+        if softened := self._sums[CALMED]:
+            warnings.append(
+                f"{steps(softened)} no impulses satisfy Moreau's impact law at all contacts: "
+                "impacts there have no rebound"
             )
-        if self._ambiguous:
-            warnings += (
-                f"in {pluralise(self._ambiguous, 'step')}, the first at t = {self._first:.6g}, "
-                f"bodies with a restitution of {LIVELY:g} or more are struck in several places at "
-                "once, and Moreau's law lets a body that passes the blow on not rebound. "
-                "simultaneous: sequential resolves impacts one after another (points on surfaces, "
-                "with events)",
+        if ambiguous := self._sums[AMBIGUOUS]:
+            warnings.append(
+                f"{steps(ambiguous, self._first[AMBIGUOUS])} bodies with a restitution of "
+                f"{LIVELY:g} or more are struck in several places at once, and Moreau's law lets a "
+                "body that passes the blow on not rebound. simultaneous: sequential resolves "
+                "impacts one after another (points on surfaces, with events)"
             )
-        if self._several:
-            warnings += (
-                f"in {pluralise(self._several, 'step')}, the first at t = {self._choice:.6g}, "
-                + INDETERMINATE,
-            )
+        if chosen := self._sums[CHOSEN]:
+            warnings.append(f"{steps(chosen, self._first[CHOSEN])} {INDETERMINATE}")
         if self._unended:
-            warnings += (
-                (
-                    f"in {pluralise(self._unended, 'step')} a sequence of impacts did not end "
-                    f"(light bodies between heavy ones): Moreau's law resolved the approach left "
-                    f"after "
-                    f"{LONGEST_SEQUENCE} impacts, up to {self._left:.3g}"
-                ),
+            warnings.append(
+                f"{steps(self._unended)} a sequence of impacts did not end (light bodies between "
+                "heavy ones): Moreau's law resolved the approach left after "
+                f"{LONGEST_SEQUENCE} impacts, up to {self._largest[UNENDED]:.3g}"
             )
-        if self._missed:
-            warnings += (
-                (
-                    f"in {pluralise(self._missed, 'step')} the residual of the contact impulses "
-                    f"exceeds the tolerance of {self._tolerance:g}: up to {self.residual:.2g} of "
-                    f"the fastest approach, at t = {self._when:.6g}"
-                ),
+        if self._inexact:
+            warnings.append(
+                f"{steps(self._inexact)} the residual of the contact impulses exceeds the "
+                f"tolerance of {self._tolerance:g}: up to {self.residual:.2g} of the fastest "
+                f"approach, at t = {self._when:.6g}"
             )
-        return warnings
+        return tuple(warnings)

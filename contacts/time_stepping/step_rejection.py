@@ -35,12 +35,12 @@ class Rejection(NamedTuple):
 
 
 def too_large(
-    chunk: Chunk, angles: slice | Ints, regions: Sequence[str], size: float, step: float
+    chunk: Chunk, angles: Ints, regions: Sequence[str], size: float, step: float
 ) -> Rejection | None:
     """Return the first step that is too long for its motion.
 
-    `angles` are the places of angular rates in a state (see `as_slice`), `size` the scale of the
-    scene; the chunk may have parts of the declared `step`.
+    `angles` are the places of angular rates in a state, `size` the scale of the scene; the chunk
+    may have parts of the declared `step`.
     """
     h = chunk.h
     turn: Array = h * np.max(np.abs(chunk.states[1:, angles]), axis=1, initial=0.0)
@@ -72,14 +72,6 @@ def too_large(
         f"scene of size {size:.3g}; take {0.1 * h * DEEPEST * size / chunk.closing[k]:.1g} "
         "or less"
     ), regions[int(np.argmin(_gaps(chunk)[k]))])  # fmt: skip
-
-
-def as_slice(places: Ints) -> slice | Ints:
-    """Return equidistant indices as a slice, which copies nothing."""
-    steps = np.diff(places)
-    if len(steps) and np.all(steps == steps[0]):
-        return slice(int(places[0]), int(places[-1]) + 1, int(steps[0]))
-    return places
 
 
 class SqueezeCheck:

@@ -49,7 +49,6 @@ from contacts.time_stepping.solver_residual import SolverResidual
 from contacts.time_stepping.step_rejection import (
     Rejection,
     SqueezeCheck,
-    as_slice,
     squeezed,
     too_large,
 )
@@ -142,7 +141,6 @@ class SteppedRun:
             lambda states, times: stepper.energy.table(states, values, times)[:, 0],
             len(stepper.angles),
             records or (watch is not None and watch.events),
-            records or (watch is not None and watch.motion),
         )
         self.stops = StopConditions(stepper.stops, self.setup)
         self.state = self.setup.initial
@@ -152,7 +150,7 @@ class SteppedRun:
         self._squeeze = SqueezeCheck(stepper.regions, span.step, inputs.setup.start_depth)
         poses = record is Record.POSES
         self._poses = PoseRecorder(len(stepper.angles)) if poses else None
-        self._turning = as_slice(len(stepper.angles) + np.flatnonzero(stepper.angles))
+        self._turning = len(stepper.angles) + np.flatnonzero(stepper.angles)
 
     def end(self, outcome: Outcome, message: str) -> None:
         """Set outcome and message."""
@@ -291,11 +289,12 @@ class SteppedRun:
         self._check_pace()
         return False
 
-    def _hand_on(self) -> None:
+    def _hand_on(self, *, ended: bool = False) -> None:
         """Pass finished arcs and jumps to the watcher, and drop them if they are not recorded."""
         record, watch = self.span.policy
         if record is not Record.MODES:
-            arcs, jumps = self.recorder.taken(looked_at=watch is not None)
+            looked_at = watch is not None and (ended or watch.motion)
+            arcs, jumps = self.recorder.taken(looked_at=looked_at)
             if watch is not None and (arcs or jumps):
                 watch.add(replace(self._piece, arcs=arcs, jumps=jumps))
 
@@ -342,7 +341,7 @@ class SteppedRun:
         """Return the trace."""
         recorder, (record, watch) = self.recorder, self.span.policy
         recorder.close()
-        self._hand_on()
+        self._hand_on(ended=True)
         if record is Record.MODES:
             # Arcs of a long run are recomputed on access: they take several times the memory.
             return self._trace(record, *recorder.sequences(kept=TERMS * self.size <= LARGEST))

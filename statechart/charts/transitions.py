@@ -323,4 +323,11 @@ def check_listening(
                 )
             # A value of `alone` belongs to no region; no region has the name "".
             single = event.region is None and len(transition.events) == 1
-            check_event(event, {**others, "": alone} if single else others, states, *loc)
+            try:
+                check_event(event, {**others, "": alone} if single else others, states, *loc)
+            except DeclarationProblem as problem:
+                problem.advice += (
+                    "; a signal from outside is a transition of another region, "
+                    "{name: go, from: STATE, after: 1}, heard as REGION.go"
+                )
+                raise

@@ -84,7 +84,10 @@ def parser() -> argparse.ArgumentParser:
 
 _OPTIONS = {
     **dict.fromkeys(("--page", "--html"), "--report"),
-    **dict.fromkeys(("--t-end", "--tmax", "--t-max", "--end", "--time", "--duration"), "--until"),
+    **dict.fromkeys(
+        ("--t-end", "--tend", "--stop-time", "--tmax", "--t-max", "--end", "--time", "--duration"),
+        "--until",
+    ),
     **dict.fromkeys(("--dt", "--timestep", "--time-step"), "--step"),
     **dict.fromkeys(("--tol", "--rtol", "--atol"), "--tolerance"),
     **dict.fromkeys(("--solver", "--integrator"), "--engine"),
@@ -100,7 +103,7 @@ _VERBS = {
     "plot": "run FILE -o DIR",
     "report": "run FILE --report PAGE.html",
     **dict.fromkeys(("test", "verify"), "check"),
-    **dict.fromkeys(("show", "open"), "view"),
+    **dict.fromkeys(("show", "open", "page"), "view"),
     **dict.fromkeys(("diagram", "chart", "graph"), "draw"),
     **dict.fromkeys(("init", "create"), "new"),
     "lint": "validate",

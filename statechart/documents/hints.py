@@ -49,7 +49,7 @@ _KINDS: Mapping[str, tuple[tuple[type, ...], str]] = {
 
 YAML_HINTS: Mapping[str, str] = {
     r"'\t'": "indent by spaces, not by tabs",
-    "mapping values are not allowed": "write key: value, and keys of one mapping below each other; "
+    "mapping values are not allowed": "write key: value, and indent the keys of one mapping alike; "
     "text with a colon stands in quotes",
     "found character '|' that cannot start": "write abs(...)",
     "found character '%' that cannot start": "write a comment after #",
@@ -123,6 +123,16 @@ def example(
     return repr(shown) if built else flow(shown)
 
 
+def one_value(loc: Sequence[str | int], given: object) -> str:
+    """Return advice on several values of a parameter, or an empty text."""
+    if not (len(loc) == 2 and loc[0] == "parameters" and isinstance(given, list | tuple) and given):
+        return ""
+    return (
+        f"write {loc[1]}: {given[0]}; a range for checks is ranges: {{{loc[1]}: {flow(given)}}}, "
+        f"and --over {loc[1]}=... sweeps it"
+    )
+
+
 def known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> dict[str, str]:
     """Return key -> field name in Python of the mapping at `loc`."""
     return {
@@ -151,12 +161,12 @@ def sections_with_key(
         return ""
     here = tuple(part for part, _, field in _walk(model, loc[:-1]) if field is not None)
     places = sorted(
-        {place for place in _places_of_key(model, key) if place and place != here},
+        {place for place in _places_of_key(model, key) if place != here},
         key=lambda place: (-sum(part in loc for part in place), len(place), place),
     )
     if not places:
         return ""
-    shown = " and of ".join(".".join(place) for place in places[:2])
+    shown = " and of ".join(".".join(place) or "the document itself" for place in places[:2])
     return f"{key!r} is a key of {shown}; known keys here: {', '.join(sorted(known))}"
 
 

@@ -68,10 +68,10 @@ def _parse_moment(text: str) -> Moment:
                 return Moment(when, parse_events(events))
             if when != "each" and int(most[1]) > 0:
                 return Moment(when, parse_events(events[most.end() :]), int(most[1]))
+    event = text if re.fullmatch(r"[\w.]+", text) else "CAUSE"
     raise DeclarationProblem(
         f"{text!r} is not a moment",
-        advice="write start, end, first CAUSE, last CAUSE, each CAUSE, first 10 CAUSE or "
-        "last 10 CAUSE; CAUSE or CAUSE also",
+        advice=f"write first {event}, last {event}, each {event}, first 10 {event}, start or end",
     )
 
 

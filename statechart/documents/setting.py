@@ -127,7 +127,7 @@ class Setting:
             self._refuse(
                 ("step",),
                 f"the engine {engine} chooses its own steps",
-                "leave the step out, or take the engine impulse",
+                "write engine: impulse beside the step, or leave it out",
             )
             self._refuse(
                 ("impulse_tolerance", "impulse_bound"),

@@ -55,6 +55,8 @@ class Settings(Part):
     OTHER_WORDS: ClassVar = {
         **dict.fromkeys(("dt", "timestep", "time_step"), "step"),
         "solver": "engine",
+        "iterations": "impulse_tolerance",
+        "fps": "step; a film takes --speed",
         **dict.fromkeys(("rtol", "atol"), "tolerance"),
         "max": "max_step, or max_jumps",
     }

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 from statechart.documents.hints import (
     example,
     known_keys,
+    one_value,
     other_value,
     other_word,
     sections_with_key,
@@ -66,7 +67,8 @@ def declaration_error(
     found = [
         one
         for details in errors
-        if not _is_implied(details, errors) and not _follows_from_empty(details, empty, document)
+        if not _is_implied(details, errors, model)
+        and not _follows_from_empty(details, empty, document)
         for one in _errors_of(details, document, model)
     ]
     if isinstance(document, Document):
@@ -81,7 +83,9 @@ def _combine(found: list[DeclarationError]) -> DeclarationError:
     return found[0]
 
 
-def _is_implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
+def _is_implied(
+    details: ErrorDetails, errors: Sequence[ErrorDetails], model: type[BaseModel]
+) -> bool:
     """Return whether an error follows from the others."""
     if _lacks_items(details):
         # One error for a list that lacks two items.
@@ -93,13 +97,20 @@ def _is_implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
         # pydantic does not count wrong items.
         at = details["loc"]
         return any(len(one["loc"]) > len(at) and one["loc"][: len(at)] == at for one in errors)
+    if details["type"] == "model_type" and isinstance(details["input"], str):
+        # The formula of a union with a mapping is wrong, and is reported.
+        at = details["loc"][:-1]
+        return any("error" in one.get("ctx", {}) and one["loc"][:-1] == at for one in errors)
     if details["type"] == "missing":
-        # A misspelt key is also missing.
+        # A misspelt key, or one of another program, is also missing.
         *above, name = details["loc"]
         return any(
             other["type"] == "extra_forbidden"
             and list(other["loc"][:-1]) == above
-            and difflib.get_close_matches(str(other["loc"][-1]), [str(name)])
+            and (
+                difflib.get_close_matches(str(other["loc"][-1]), [str(name)])
+                or other_word(model, other["loc"]).partition(":")[0] == name
+            )
             for other in errors
         )
     return False
@@ -200,7 +211,7 @@ def _to_error(
             given = flow(details["input"])
             advice = f"it belongs below a name, such as NAME: {{{loc[-1]}: {given}}}"
         elif kind in _SHAPES and shown and not advice:
-            advice = f"such as {shown}"
+            advice = one_value(loc, details["input"]) or f"such as {shown}"
     path = ".".join(str(part) for part in document.existing(loc))
     if isinstance(document, Built):
         # Missing and unknown keys have the path of their part.

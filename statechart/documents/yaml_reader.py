@@ -23,7 +23,7 @@ from statechart.documents.hints import YAML_HINTS
 from statechart.documents.validation import Document
 from statechart.documents.yaml_text import resolve
 from statechart.errors import DeclarationError, Loc, Position
-from statechart.formulas.hints import character
+from statechart.formulas.hints import character, no_name
 from statechart.formulas.syntax import NAME
 
 # The YAML parser takes about 40 us per value and 3 us per character: these bounds keep every file
@@ -86,9 +86,12 @@ class _Builder:
     def build(self, text: str) -> Document:
         try:
             parsed = self._wanted(YAML(typ="safe", pure=True).parse(io.StringIO(text)))
-            data = self._document(parsed)
+            data = self._document(parsed, text)
         except MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
+            if "expected ':'" in str(error.problem):  # the line without a colon, not the next
+                mark = error.context_mark or mark
+                self._check_equals(text, mark.line)
             self._check_blanks(text, mark.line if mark else 0)
             message = " ".join(str(error.problem or error.context).split())
             place = self._at(mark.line, mark.column) if mark else self._at(0, 0)
@@ -115,14 +118,23 @@ class _Builder:
                         f"not YAML: the blank U+{ord(one):04X}", character(one)
                     ) from None
 
-    def _document(self, parsed: Iterator[events.Event]) -> dict[str, Any]:
+    def _check_equals(self, text: str, line: int) -> None:
+        """Refuse `name = value`."""
+        written = text.split("\n")[line]
+        if "=" in written:
+            raise self._at(line, written.index("=")).error(
+                "a key has a colon", no_name(written.strip())
+            ) from None
+
+    def _document(self, parsed: Iterator[events.Event], text: str) -> dict[str, Any]:
         first = next(parsed, None)
         if first is None:
             raise self._at(0, 0).error(
                 "the file is empty", "`statechart new NAME` writes one to start from"
             )
         if not isinstance(first, events.MappingStartEvent):
-            self._fail(first, "a model is a mapping", "begin with a line such as kind: chart")
+            self._check_equals(text, self._position(first).line - 1)
+            self._fail(first, "a model is a mapping", "begin with a line such as kind: scene")
         data: dict[str, Any] = self._value(first, parsed, ())
         for _ in parsed:
             pass  # the rest is checked too: it may be a second document

@@ -53,6 +53,8 @@ def no_name(text: str) -> str:
     """Return advice on an invalid name."""
     if text.isdecimal():
         return f"decimals have a point: 0.5; a name has {_LETTERS}"
+    if re.fullmatch(r"[A-Za-z]\w*( \w+)+", text, re.ASCII):
+        return f"write {text.replace(' ', '_')}"
     name, equals, value = text.partition("=")
     if equals:
         return f"write {name.strip()}: {value.strip() or '...'}"
@@ -63,7 +65,8 @@ def no_name(text: str) -> str:
 _CHOICE = "write min and max, or a state or transition for each case"
 TOKENS: Mapping[str, str] = {
     "^": "write a power as **",
-    "=": "a formula is a value, not an assignment; compare with <=, <, >= or >",
+    "=": "a formula is a value, not an assignment; compare with <=, <, >= or >, counts with ==",
+    "mod": "write mod(a, b)",
     "=>": "compare with <=, <, >= or >",
     "<": "a comparison stands only where a condition is expected",
     ",": "decimals have a point: 9.81; a list stands in brackets",
@@ -142,7 +145,7 @@ def meant(
     if bare.lower() in _DELAYED:
         return DELAY
     if bare.lower() in _PIECEWISE:
-        return "where it switches, a state of a region ends: write a state for each piece"
+        return "write a state of a region for each piece, which sets a control or has its own flows"
     if bare.lower() in _WHOLE:
         return f"write {_WHOLE[bare.lower()]}"
     if bare.lower() in _HYBRID:

@@ -28,7 +28,7 @@ def interpret(document: Document) -> Declaration:
     if given:
         raise at.error(f"unknown kind {name!r}", known)
     wrong = "kind: nothing is written" if "kind" in document.data else "'kind' is missing"
-    raise at.error(wrong, f"begin with kind: scene; {known}")
+    raise at.error(wrong, f"begin with kind: scene (bodies) or kind: chart (states alone); {known}")
 
 
 def load(path_or_name: str | Path) -> Declaration:

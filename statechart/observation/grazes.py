@@ -8,7 +8,7 @@ overshoot below the tolerance at the start of the flow is a missed event, and is
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from typing import NamedTuple
 
 import numpy as np
@@ -94,9 +94,10 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
         id(last_arcs[jump.j]): jump for jump in trace.jumps if jump.fired and jump.j in last_arcs
     }
     times = [jump.t for jump in trace.jumps]
+    stops = {stop.name for stop in simulator.automaton.stops}
     approaches: list[Graze] = []
     for (roles, _), arcs in groups.items():
-        scan = _GuardScan(trace, simulator.compiled(roles, trace.zeros))
+        scan = _GuardScan(trace, simulator.compiled(roles, trace.zeros), stops)
         for first in range(0, len(arcs), _MAX_ARCS):
             batch = arcs[first : first + _MAX_ARCS]
             approaches += scan.between(batch)
@@ -106,7 +107,7 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
                 tolerance = _SAME_INSTANT * max(graze.t, 1.0)
                 begin = bisect_left(times, graze.t - tolerance)
                 simultaneous = trace.jumps[begin : bisect_right(times, graze.t + tolerance)]
-                if graze.guard.split(".")[0] not in {jump.region for jump in simultaneous}:
+                if graze.guard.split(".")[0] not in {j.region or graze.guard for j in simultaneous}:
                     approaches.append(graze)
     return tuple(sorted(approaches, key=lambda one: one.t))
 
@@ -114,10 +115,11 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
 class _GuardScan:
     """Scans the guards of one mode."""
 
-    def __init__(self, trace: Trace, compiled: CompiledMode) -> None:
+    def __init__(self, trace: Trace, compiled: CompiledMode, stops: Set[str]) -> None:
         self._guards = compiled.wholes
         wholes = whole_margins(compiled.mode.margins)
         self._watched = tuple((margin.name, margin.kind) for margin in wholes)
+        self._stops = stops
         # Atom -> its relation.
         self._named = {margin.name: margin.name for margin in wholes}
         self._named |= {m.name: m.relation for m in compiled.mode.margins if m.whole is not None}
@@ -213,14 +215,14 @@ class _GuardScan:
                     yield graze
 
     def turned_back(self, ends: Sequence[tuple[Arc, Jump]]) -> Iterator[Graze]:
-        """Yield guards within their error of zero at the event of another region.
+        """Yield guards and stop conditions within their error of zero at another event.
 
         The state after that event decides whether they fire.
         """
         places = [
             k
             for k, (name, kind) in enumerate(self._watched)
-            if kind == "plain" and "." in name and ": " not in name
+            if kind == "plain" and (name in self._stops or ("." in name and ": " not in name))
         ]
         if not (ends and places):
             return
@@ -231,7 +233,8 @@ class _GuardScan:
         for i, place in np.argwhere(falling & near).tolist():
             (arc, jump), k = ends[i], places[place]
             graze = self._open(arc, k, arc.times.item(-1), 0.0, fired=False)
-            if graze and self._named.get(jump.fired[0]) != graze.guard:
+            fired = graze and self._named.get(jump.fired[0]) == graze.guard not in self._stops
+            if graze and not fired:
                 yield graze._replace(turned=True)
 
     def _last(self, arcs: Sequence[Arc]) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -24,7 +25,8 @@ from statechart.tabular import (
 
 _SHOWN = 20  # events listed from the start and from the end
 # Names per line; characters of the name of a margin, and of a candidate in a table.
-_NAMES, _CHARACTERS, _CANDIDATE = 8, 60, 80
+_NAMES, _CHARACTERS, _CANDIDATE, _CANDIDATES = 8, 60, 80, 12
+_NUMBER = re.compile(r"(?<= )-?\d[\w.+-]*")
 # Regions with the same change that are named in a list of events.
 ALIKE = 4
 _ALL = "--json or --output has all"
@@ -270,12 +272,23 @@ def _with_head(head: str, lines: list[tuple[str, ...]]) -> list[tuple[str, str]]
 
 
 def _candidates(event: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return candidates and verdicts, without states common to all candidates."""
+    """Return candidates and verdicts, without states common to all candidates.
+
+    Of many candidates, one stands for all that have its reason with other numbers.
+    """
     labels = {label: label.split() for label in event["considered"]}
     common = set.intersection(*map(set, labels.values())) if len(labels) > 1 else set()
     found: list[tuple[str, ...]] = [
         (" ".join(part for part in labels[label] if part not in common) or label, verdict)
         for label, verdict in event["considered"].items()
     ]
+    if len(found) > _CANDIDATES:
+        groups: dict[str, list[tuple[str, ...]]] = {}
+        for label, verdict in found:
+            groups.setdefault(_NUMBER.sub("", verdict), []).append((label, verdict))
+        found = [
+            (label, verdict + (f"; {len(more)} more alike" if more else ""))
+            for (label, verdict), *more in groups.values()
+        ]
     short = all(len(label) <= _CANDIDATE for label, *_ in found)
     return found if short else [(": ".join(parts),) for parts in found]

@@ -16,7 +16,7 @@ from statechart.automaton.trace import Trace
 from statechart.documents.hints import check_arguments
 from statechart.documents.setting import Record
 from statechart.engines.request import Measured
-from statechart.errors import StatechartError
+from statechart.errors import StatechartError, close_matches
 from statechart.observation.grazes import graze_warnings, grazes
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
@@ -51,6 +51,13 @@ class Reading:
     jumps: int
     mode: Mapping[str, str]
     values: Mapping[str, float]
+
+
+class _Outputs(dict[str, Any]):
+    """Values of outputs by name; a wrong name raises a `KeyError` that lists them."""
+
+    def __missing__(self, name: str) -> None:
+        raise KeyError(f"no output {name!r}; {close_matches(name, self)}")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -106,7 +113,7 @@ class Result:
 
         Numbers, lists for `each` or several events, and None if an event never happened.
         """
-        return self.source().of(self.trace)
+        return _Outputs(self.source().of(self.trace))
 
     @property
     def endless(self) -> frozenset[str]:

@@ -75,7 +75,8 @@ def _head(study: Measurements) -> list[str]:
     if study.parted is not None:
         return [
             *lines,
-            f"{_divergence_lines(study)}; for every setting, when it leaves the reference",
+            _divergence_lines(study),
+            "no error can be measured: the table shows when each setting leaves the reference",
         ]
     third, shift = study.third, study.shift.largest or 0.0
     if third is not None and third.odd:
@@ -128,9 +129,9 @@ def _divergence_lines(study: Measurements) -> str:
     )
     if own:
         why = f"{study.check} warns: " + "; ".join(own)
-    two = f"the two leave each other at t = {study.parted:.6g}"
+    two = f"the two differ from t = {study.parted:.6g} on"
     if third is None:
-        return f"{two}, and no run of another kind can judge: {why}"
+        return f"{two}, and no run of another method shows which is right: {why}"
     if third.edge is None:
         return f"{two}, and {third.setting} the nearer of them at t = {third.parted:.6g}: {why}"
     return (

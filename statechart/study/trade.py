@@ -297,7 +297,7 @@ class _Trade:
         found = self._study.error(point)
         self._say(
             point.setting,
-            ("no error to tell" if found is None else f"error {found:.2g}")
+            ("no error measured" if found is None else f"error {found:.2g}")
             + ("" if point.same_modes else ", other modes")
             + f", {point.seconds:.3g} s",
         )

@@ -40,7 +40,23 @@ MISTAKES = {
     "no kind": ("kind: scene\n", "", "1:1: 'kind' is missing; begin with kind: scene"),
     "wrong kind": ("kind: scene", "kind: scenes", "1:7: unknown kind 'scenes'; did you mean 's"),
     "no name": ("name: thrown\n", "", "'name' is missing; such as name: toppling_stick"),
-    "name of two words": ("name: thrown", "name: my scene", "letters, digits and _"),
+    "name of two words": ("name: thrown", "name: my scene", "is not a name; write my_scene"),
+    "an equals sign": ("gravity: g", "gravity = 9.81", "5:9: a key has a colon; write gravity: 9."),
+    "a range as a value": ("m: 1, ", "m: [1, 2], ", "a list; write m: 1; a range for checks is ra"),
+    "a limit": ("stop: {", "couplings: {c: {bodies: [rod], limit: step(m)}}\nstop: {",
+                               "couplings.c.limit: formula 'step(m)': unknown function 'step'; w"),
+    "a couple against the world": (
+        "stop: {", "couplings: {c: {bodies: [rod, world], limit: m}}\nstop: {",
+        "12:31: couplings.c.bodies.1: no body 'world'; against the world write bodies: [rod]"),
+    "a remainder": ("gravity: g", "gravity: g mod 2", "unexpected 'mod'; write mod(a, b)"),
+    "a section in another": ("mass: m,", "mass: m, gravity: 1,", "is a key of the document itself"),
+    "a force between bodies": ("stop: {", "forces: {f: {between: [a, b]}}\nstop: {", "write one f"),
+    "a flange": ("stop: {", "couplings: {c: {flange_a: rod, limit: m}}\nstop: {", "write bodies: "),
+    "profile of a surface": ("{height: 0}", "{profile: [[0, 1]]}", "write height: FORMULA of x, o"),
+    "body of a contact": ("point: {body: rod, at: [0, -L]}", "body: rod", "write point: {body: ro"),
+    "moment of inertia": ("inertia: m", "J: m", "unknown key 'J'; write inertia"),
+    "controllers": ("stop: {", "controllers: {}\nstop: {", "write controls: {u: 0}, and regions: "),
+    "fixed steps": ("stop: {", "settings: {step: 1}\nstop: {", "write engine: impulse beside the "),
     "decimal comma": ("gravity: g", "gravity: 9,81", "5:11: gravity: formula '9,81': unexpected "
                       "','; decimals have a point: 9.81"),
     "decimal comma in braces": ("mu: 0.5", "mu: 0,5", "'5' is not a name; decimals have a point"),
@@ -83,7 +99,7 @@ MISTAKES = {
     "equality": ("<= -pi/2", "= -pi/2", "unexpected '='; a formula is a value, not an assignment"),
     "coordinate without body": ("rod.angle", "angle", "unknown name 'angle'; did you mean 'rod"),
     "end before the start": ("time: 1", "time: -1", "must be a finite time from 0 on, not -1"),
-    "moment without first": ("first tip.slip", "tip.slip", "write start, end, first CAUSE, last"),
+    "moment without first": ("first tip.slip", "tip.slip", "write first tip.slip, last tip.slip"),
     "event misspelt": ("first tip.slip", "first tip.slips", "did you mean 'slip' or 'slide'?"),
     "force of another name": ("value: time", "value: tip.F", "did you mean 'tip.V' or 'tip.H'"),
     "output in short": ("{value: time, at: first tip.slip}", "rod.x", "such as {value: time, at: "),
@@ -118,8 +134,6 @@ MISTAKES = {
     "truth for a number": ("friction: mu", "friction: true", "a number or a formula, not true"),
     "key of another part": ("{height: 0}", "{height: 0, friction: mu}", "9:23: unknown key 'frict"
                             "ion'; 'friction' is a key of collisions and of contacts"),
-    "key of a part of it": ("point: {body: rod, at: [0, -L]}", "body: rod", "unknown key 'body'; "
-                            "'body' is a key of contacts.point and of forces; known keys here: da"),
     "start beside start": ("start: {y: h, angle: 0.3}", "y: h", "'y' is a key of bodies.start and"),
     "setting outside": ("outputs:", "step: 0.001\noutputs:", "'step' is a key of settings; known"),
     "colon without a blank": ("mass: m", "mass:m", "unknown key 'mass:m'; a colon has a"),
@@ -167,7 +181,7 @@ MISTAKES = {
     ),
     "mass beyond floats": ("mass: m", "mass: 1e-320", "7:15: bodies.rod.mass: must be between 1e-"),
     "mass above floats": ("mass: m", "mass: 1e301", "7:15: bodies.rod.mass: must be between 1e-"),
-    "step function": ("angle: 0.3", "angle: heaviside(1)", "'heaviside'; where it switches, a st"),
+    "step function": ("angle: 0.3", "angle: heaviside(1)", "'heaviside'; write a state of a reg"),
     "letter of the field": ("friction: mu", "friction: \u03bc",
                             "unexpected character '\u03bc'; write"
                             " mu: names have the letters a to z"),
@@ -282,6 +296,7 @@ stop: {time: 10}
 """
 OF_CHARTS = {
     "set": ("updates:", "set:", "unknown key 'set'; write updates: {VARIABLE: FORMULA}"),
+    "signal from outside": ("guard: T >= 20", "on: STOP", "no cause or state 'STOP'; known: zeno;"),
     "source": ("from: on", "source: on", "9:21: unknown key 'source'; write from"),
     "target": ("to: off", "target: off", "9:31: unknown key 'target'; write to"),
     "condition": ("guard: T", "when: T", "9:40: unknown key 'when'; write guard"),
@@ -480,3 +495,10 @@ def test_keys_of_other_programs_have_hints(mistake: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         Runner(interpret(read_text(LINKED.replace(old, new, 1), "f.yaml")))
     assert words in str(caught.value)
+
+
+def test_a_key_of_another_program_is_not_missing_too() -> None:
+    text = SCENE.replace("point: {body: rod, at: [0, -L]}", "body: rod")
+    with pytest.raises(DeclarationError, match="write point: ") as caught:
+        interpret(read_text(text, "f.yaml"))
+    assert not caught.value.others

@@ -180,6 +180,40 @@ def test_a_guard_that_another_event_turns_back_on_its_boundary_gives_a_warning(
 
 
 @pytest.mark.parametrize("back", _BACK)
+@pytest.mark.parametrize("condition", ["x >= 1", "x >= 1 and time <= 2"])
+def test_a_stop_condition_that_an_event_turns_back_gives_a_warning(
+    engine: str, back: str, condition: str
+) -> None:
+    text = _TURNED.format(back=back, guard="x >= 2")
+    text = text.replace("time: 1.5", f"time: 1.5, conditions: {{full: {condition}}}")
+    result = statechart.run(read_text(text), engine=engine)
+    assert result.trace.t_end == 1.5
+    (warning,) = result.warnings
+    assert warning.startswith("full comes to its boundary at t = 1, where another event turns it")
+
+
+_LANDED = """
+kind: scene
+name: landed
+parameters: {e: 0}
+gravity: 9.81
+bodies: {ball: {mass: 1, start: {y: 1}}}
+surfaces: {floor: {height: 0}}
+contacts: {c: {point: {body: ball}, surface: floor, friction: 0, restitution: e}}
+stop: {time: 2, conditions: {down: ball.y <= 0}}
+"""
+
+
+def test_a_stop_condition_met_in_an_impact_without_rebound_gives_no_warning(engine: str) -> None:
+    result = statechart.run(read_text(_LANDED), engine=engine)
+    assert result.trace.outcome.name == "STOPPED"
+    assert not result.warnings
+    again = statechart.run(read_text(_LANDED), parameters={"e": 0.5}, engine=engine, until=0.9)
+    (warning,) = again.warnings
+    assert warning.startswith("down comes to its boundary at t = 0.451524, where another event")
+
+
+@pytest.mark.parametrize("back", _BACK)
 @pytest.mark.parametrize(("guard", "hits"), [("x >= 0.9999", 1), ("x >= 1.0001", 0)])
 def test_clear_guard_before_an_event_gives_no_warning(
     engine: str, back: str, guard: str, hits: int

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from runs import SOUND, run
 
+import statechart
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.reporting.text import explanation
@@ -149,3 +150,14 @@ def test_a_body_without_inertia_that_lifts_off_is_advised_to_have_one(
     fast = ["--set", "gamma=0.2", "--set", "omega0=2.5"]
     assert main(["run", "rimless_wheel", *fast]) == 1
     assert "that no contact holds has no mass or no inertia: add it" in capsys.readouterr().out
+
+
+def test_candidates_with_the_same_reason_are_one_line() -> None:
+    report = statechart.run("double_contact_bar").to_dict()
+    *_, landing = report["events"]
+    assert len(landing["considered"]) == 16
+    lines = explanation({**report, "events": [landing]}).splitlines()
+    of_candidates = lines[next(k for k, line in enumerate(lines) if "considered" in line) :]
+    assert len(of_candidates) == 6
+    assert "A: it would accelerate at -1 into the surface; 3 more alike" in of_candidates[0]
+    assert of_candidates[-1].split() == ["A:pin", "B:pin", "taken"]

@@ -434,7 +434,7 @@ def test_a_step_in_which_a_body_would_turn_by_more_than_half_a_turn_is_taken_in_
     # Struck off its centre it would turn by some six radians in the step.
     trace = Runner(read_text(BOARD, "board.yaml")).run().trace
     assert trace.outcome is Outcome.HORIZON
-    assert any("were taken in up to" in warning for warning in trace.warnings)
+    assert any("had to be split into up to" in warning for warning in trace.warnings)
     assert trace.counts["steps"] > 2
     energy, momentum = (trace.final[[6, 9]] ** 2).sum(), trace.final[[6, 9]].sum()
     spin = trace.final[8] ** 2 + 1e3 * trace.final[11] ** 2

@@ -314,7 +314,7 @@ def test_a_fast_body_meets_a_plate_within_a_step():
     trace = Runner(interpret(read_text(text))).run().trace
     assert trace.outcome is Outcome.HORIZON
     assert trace.final[1] > 0.0
-    assert any("were taken in up to" in warning for warning in trace.warnings)
+    assert any("had to be split into up to" in warning for warning in trace.warnings)
 
 
 EVERY = {

@@ -97,3 +97,8 @@ def test_a_diagram_shows_the_run_of_these_parameters(tmp_path):
 def test_result_is_one_json_object(result):
     assert json.dumps(result.to_dict(), allow_nan=False)
     assert result.to_dict()["outcome"] == "STOPPED"
+
+
+def test_a_wrong_name_of_an_output_lists_the_names(result):
+    with pytest.raises(KeyError, match=r"no output .slip.; known: critical_angle, omega"):
+        result.outputs["slip"]

@@ -162,5 +162,5 @@ def test_a_check_that_warns_of_another_law_is_not_called_chaotic() -> None:
 
 def test_a_missing_third_engine_is_reported() -> None:
     said = str(study(parted=0.5, check="impulse step 3e-4", step=3e-4))
-    assert "t = 0.5, and no run of another kind can judge: chaotic, or at a bifurcation" in said
+    assert "t = 0.5 on, and no run of another method shows which is right: chaotic, or" in said
     assert "or their steps are too long" in said
