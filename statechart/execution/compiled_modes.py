@@ -161,30 +161,23 @@ class CompiledModes:
         self.stops = solved.stops
         self.engine = engine
         self.solved = solved
-        self._compiled: dict[tuple[Roles, frozenset[int]], CompiledMode] = {}
+        self._compiled: dict[Mode, CompiledMode] = {}
         self._built: set[Key] = set()
 
     def compiled(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
         """Return the mode of `roles`, compiled for zero parameters at the places `zeros`."""
-        compiled_mode = self._compiled.get((roles, zeros))
+        mode = self.mode(roles, zeros)
+        compiled_mode = self._compiled.get(mode)
         if compiled_mode is None:
-            taped = self.solved.taped(roles, zeros)
-            mode = taped.mode
-            compiled_mode = next(
-                (other_mode for other_mode in self._compiled.values() if other_mode.mode is mode),
-                None,
-            )
-            if compiled_mode is None:
-                compiled_mode = self._compile(taped, roles, zeros)
-                key = moving_mode(roles)
-                if HELD not in key:
-                    self._built.add(key)
-            self._compiled[roles, zeros] = compiled_mode
+            compiled_mode = self._compiled[mode] = self._compile(roles, zeros)
+            key = moving_mode(roles)
+            if HELD not in key:
+                self._built.add(key)
         return compiled_mode
 
-    def _compile(self, taped: TapedMode, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
+    def _compile(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
         """Compile the rates, unless another mode has the same."""
-        plain_roles = uncaptured(roles)
+        taped, plain_roles = self.taped(roles, zeros), uncaptured(roles)
         if plain_roles == roles:
             stepper = self.engine.compile(self.automaton, taped.mode, taped.rates)
         else:

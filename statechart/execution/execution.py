@@ -25,7 +25,7 @@ from statechart.automaton.laws import (
 from statechart.automaton.switches import is_of_switch
 from statechart.automaton.time_stepper import Sample, Sampling, in_order
 from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace, check_size
-from statechart.automaton.trace_store import TraceRecorder
+from statechart.automaton.trace_store import TraceStore
 from statechart.engines.engine import FlowWatch, Path
 from statechart.execution import compiled_loop as runs
 from statechart.execution.compiled_loop import LOOK_AHEAD, Batch, LoopModes
@@ -58,7 +58,7 @@ class Execution:
 
     modes: CompiledModes  # Automaton and engine, with the modes entered in this run or before.
     path: Path  # Buffer of the steps of the current flow.
-    record: TraceRecorder  # Arcs and jumps so far.
+    record: TraceStore  # Arcs and jumps so far.
     setup: Setup
     zeros: frozenset[int]  # Indices of the parameters that are exactly zero.
     until: float  # End of the run.

@@ -15,10 +15,9 @@ from statechart.automaton.automaton import Automaton, Places
 from statechart.automaton.laws import Setup
 from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.time_stepper import Sampling
-from statechart.automaton.trace import Arc, Jump, Outcome, Roles, Trace
+from statechart.automaton.trace import Arc, Jump, Outcome, Trace
 from statechart.automaton.trace_store import (
     Kind,
-    TraceRecorder,
     TraceStore,
     arc_polynomials,
     copy_buffer,
@@ -37,7 +36,7 @@ from statechart.execution.compiled_loop import (
     BatchResult,
     LoopModes,
 )
-from statechart.execution.compiled_modes import CompiledMode, CompiledModes, SolvedModes
+from statechart.execution.compiled_modes import CompiledModes, SolvedModes
 from statechart.execution.components import MergedRun
 from statechart.execution.execution import Execution, evidence_of
 from statechart.execution.finding import closing
@@ -93,7 +92,14 @@ class Simulator:
         names = tuple(parameters)
         values = np.fromiter(parameters.values(), float, len(names))
         batch = self._rows(names).run_single(values, until)
-        return self._finish(batch, cache(partial(self._setup, dict(parameters))), until)
+        overrides, made = dict(parameters), list[Setup]()
+
+        def setup() -> Setup:  # once; `functools.cache` would take 7 us to create
+            if not made:
+                made.append(self._setup(overrides))
+            return made[0]
+
+        return self._finish(batch, setup, until)
 
     def _finish(
         self,
@@ -135,8 +141,10 @@ class Simulator:
         else:
             message = f"reached t = {t_end:.6g}"
         block = copy_buffer(batch.block)
-        store = TraceStore.of(block, modes.kinds, partial(modes.jump, setup), stop)
-        arcs, jumps = store.sequences()
+        jump = partial(modes.jump, setup)
+        store = TraceStore(len(automaton.variables), modes.kinds, None, jump, stop)
+        store.add(block)
+        arcs, jumps = store.close()
         arcs.source = batch._replace(block=block)
         remarks: tuple[str, ...] = ()
         if modes.laws.has_remarks:
@@ -163,7 +171,7 @@ class Simulator:
                 "evaluations": 0,
                 "boxes": place[runs.N_BOXES],
                 "jumps": len(jumps),
-                "modes_built": self.modes_built,
+                "modes_built": self.modes.built,
                 "python_instants": 0,
             },
         )
@@ -229,7 +237,7 @@ class Simulator:
             if trace.outcome is not Outcome.HORIZON:
                 end = trace.t_end
         merged = MergedRun(self.automaton, setup, component_runs)
-        built = sum(simulator.modes_built for simulator in self._of_components.values())
+        built = sum(simulator.modes.built for simulator in self._of_components.values())
         return merged.trace(self.engine.title, self.engine.tolerance, built)
 
     def _of_component(self, automaton: Automaton) -> Simulator:
@@ -256,8 +264,9 @@ class Simulator:
         loop, jump = self._loop(zeros), None
         if loop is not None:
             kinds, jump = loop.kinds, partial(loop.jump, lambda: setup)
-        variables = len(self.automaton.variables)
-        record = TraceRecorder(variables, kinds, self.buffer, jump, is_started=batch is not None)
+        if batch is None:
+            self.buffer.used[:] = 0
+        record = TraceStore(len(self.automaton.variables), kinds, self.buffer, jump)
         return Execution(
             self.modes, self.path, record, setup, zeros, until, self.progress, loop,
             batch_start=batch,
@@ -277,21 +286,13 @@ class Simulator:
             self._loops[zeros] = LoopModes(laws, self.engine, self.automaton)
         return self._loops.get(zeros)
 
-    def compiled(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
-        """Return the compiled mode of `roles`, for parameters `zeros` that are zero."""
-        return self.modes.compiled(roles, zeros)
-
-    @property
-    def modes_built(self) -> int:
-        """Number of modes built so far."""
-        return self.modes.built
-
 
 class BatchRunner:
     """Runs rows of values of some parameters."""
 
     def __init__(self, simulator: Simulator, names: Sequence[str]) -> None:
         self.simulator, self._names = simulator, tuple(names)
+        self._masks: dict[frozenset[int], Bools] = {}  # of the zero parameters
 
     def ready(self, count: int) -> bool:
         """Return whether `count` rows can be run: their call is compiled, or pays compiling."""
@@ -351,8 +352,9 @@ class BatchRunner:
             return None
         m, kinds, p = len(rows), call.loop.kinds, len(automaton.parameters)
         result = BatchResult.empty(m, p, len(automaton.variables), len(kinds))
-        zero_mask = np.zeros(p, np.bool_)
-        zero_mask[list(zeros)] = True
+        zero_mask = self._masks.get(zeros)
+        if zero_mask is None:
+            zero_mask = self._masks[zeros] = np.isin(np.arange(p), list(zeros))
         code, constants, outputs, inputs = call.inputs(self._names, table)
         inputs_of_call = BatchInputs(
             code, constants, outputs, inputs, until, zero_mask, automaton.max_jumps, engine.floor,

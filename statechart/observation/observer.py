@@ -229,9 +229,7 @@ class Programs:
         self._given: frozenset[sp.Basic] = frozenset(given_symbols)
         self._parsed = cache(lambda text: parse(text).to_sympy(automaton.observables))
         self._tape, self.needed = cache(self._compiled), cache(self._needed)
-        self._actives: dict[
-            tuple[Key, tuple[sampling.Where, ...], tuple[sp.Expr, ...]], Active
-        ] = {}
+        self.active = cache(self._active)
 
     def expression(self, formula: FormulaLike) -> sp.Expr:
         """Return a formula in the symbols of the automaton; raise `FormulaError`."""
@@ -241,18 +239,13 @@ class Programs:
         """Return formulas in the symbols of the automaton."""
         return tuple([self.expression(formula) for formula in formulas])
 
-    def active(
+    def _active(
         self, key: Key, where: tuple[sampling.Where, ...], expressions: tuple[sp.Expr, ...]
     ) -> Active:
         """Return the integrands of the mode `key`."""
-        known = self._actives.get((key, where, expressions))
-        if known is not None:
-            return known
         places = sampling.places_in(self._automaton.recorded_regions(key), key, where)
         chosen = tuple([expressions[i] for i in places])
-        found = Active(places, chosen, self.needed(chosen))
-        self._actives[key, where, expressions] = found
-        return found
+        return Active(places, chosen, self.needed(chosen))
 
     def _needed(self, expressions: tuple[sp.Expr, ...]) -> bool:
         """Return whether the expressions use unknowns or controls."""

@@ -149,7 +149,7 @@ class Outputs:
 
         def mode(kind: Kind) -> Mode | None:
             known = kind in batch.modes.compiled
-            return simulator.compiled(kind[1], batch.zeros).mode if known else None
+            return simulator.modes.compiled(kind[1], batch.zeros).mode if known else None
 
         key = True, batch.zeros, len(batch.kinds)
         if key not in self._tapes:
@@ -555,11 +555,6 @@ def outputs_of(observer: Observer) -> Outputs:
         observer.outputs = Outputs(observer)
     result: Outputs = observer.outputs
     return result
-
-
-def outputs(observer: Observer, trace: Trace) -> dict[str, OutputValue]:
-    """Return the declared outputs of one run; see `Outputs.of`."""
-    return outputs_of(observer).of(trace)
 
 
 def extremes(observer: Observer, trace: Trace, formula: Formula) -> tuple[float, float]:

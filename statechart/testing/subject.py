@@ -136,7 +136,7 @@ class Subject:
         """Return the solved mode of an arc."""
         simulator = self.observers[trace.engine.split()[0]].simulator
         assert isinstance(simulator, Simulator)  # time stepping solves no modes
-        return simulator.compiled(arc.roles, trace.zeros).mode
+        return simulator.modes.compiled(arc.roles, trace.zeros).mode
 
     def solved(
         self,

@@ -225,7 +225,7 @@ def test_a_step_is_proved_up_to_sixteen_times_the_allowed_defect(part: float, pr
     coefficients[0, :, 0] = trace.initial
     coefficients[0, 0, 1] = part * simulator.engine.allowed
     certificate.flow(
-        replace(arc, coefficients=coefficients), simulator.compiled(arc.roles, trace.zeros)
+        replace(arc, coefficients=coefficients), simulator.modes.compiled(arc.roles, trace.zeros)
     )
     motion = certificate.motion()
     assert part <= motion.local / simulator.engine.allowed <= 2.2 * part
