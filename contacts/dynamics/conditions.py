@@ -100,11 +100,10 @@ class Conditions:
         sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in mechanics.variables}
         outputs: list[sp.Expr] = []
         for condition in self._conditions:
-            # The derivatives of rates depend on the mode.
-            of_rates = bool(condition.margin.free_symbols.intersection(mechanics.v))
-            rate = (
-                sp.S.Zero if of_rates else time_derivative(condition.margin, rates, mechanics.time)
-            )
+            rate = time_derivative(condition.margin, rates, mechanics.time)
+            # The derivatives of rates depend on the mode; those of controls may jump.
+            if condition.margin.free_symbols.intersection(mechanics.v) or rate.has(sp.sign):
+                rate = sp.S.Zero
             outputs += [
                 condition.margin,
                 rate,

@@ -15,7 +15,6 @@ import numpy as np
 
 from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.controllers import Controllers, ControllerState, opening_first
-from contacts.dynamics.held_forces import HeldForces
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot, SnapshotTape
@@ -52,7 +51,6 @@ class ControlledLaws:
         self._under: dict[Key, SceneLaws] = {}
         self._states = Controllers(mechanics)
         self._memory = ControllerState(mechanics)
-        self._held = HeldForces(mechanics)
         variables = (*mechanics.variables, *mechanics.controller_state.values())
         self._derivatives = MarginDerivatives(
             variables, mechanics.parameters.ordered, mechanics.time
@@ -91,7 +89,7 @@ class ControlledLaws:
         assert isinstance(setup, SceneSetup)
         controllers = flow.mode[self._count :]
         laws = self._at(controllers)
-        setup = self._held.within(setup, flow, state, clock.high, laws.tape)
+        setup = laws.held.within(setup, flow, state, clock.high, laws.tape)
         at = at._replace(setup=setup)
         inner = self._within(setup, controllers, state)
         motion = self._memory.parted(state)

@@ -74,7 +74,7 @@ class SceneLaws:
         self.numbers = numbers
         self.conditions = self.numbers.conditions
         self._switching = Switching(self._names, self.conditions, self._paradox)
-        self._held = HeldForces(mechanics)
+        self.held = HeldForces(mechanics)
         self.compliance = Compliance(mechanics, None) if mechanics.pads else None
         self.remarks = Handovers(mechanics).remarks
 
@@ -205,7 +205,7 @@ class SceneLaws:
         """Classify every contact; see `contacts.modes.classification`."""
         if at.flow.signs and not self._mechanics.scene.regions:
             assert isinstance(at.setup, SceneSetup)
-            within = self._held.within(at.setup, at.flow, at.state, at.clock.high, self.tape)
+            within = self.held.within(at.setup, at.flow, at.state, at.clock.high, self.tape)
             at = at._replace(setup=within)
         result = self._with_gap_offsets(at, self._jump(at))
         if self.conditions.present:

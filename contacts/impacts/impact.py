@@ -266,7 +266,8 @@ def impact(
         )
     if status == POWERLESS:
         raise NoConsistentMode(
-            "an impulse along the friction cone changes no velocity of the contact"
+            "no impulse changes the velocity of the contact: joints or prescribed motions hold its "
+            "body; let a spring or a rope give way"
         )
     if status == UNSOLVED:
         raise SingularMode(numbers.INEXACT_SYSTEM)

@@ -26,7 +26,6 @@ from statechart.pictures.film import (
     WORLD,
     Film,
     Shape,
-    ShapeKind,
     Touch,
     arrows,
     catenary,
@@ -376,7 +375,9 @@ def grounds(
     for name, surface in scene.surfaces.items():
         frame = frames[name]
         if surface.body is not None:
-            shapes += _carried_surfaces(scene, name, surface, frame, unit, number)
+            # A body with a declared shape shows its surfaces itself.
+            if not scene.bodies[surface.body].shape:
+                shapes.append(_carried(name, surface, frame, unit, known))
             continue
         lift = _rim_offset(scene, name, number)
         if surface.edge is not None:
@@ -404,33 +405,28 @@ def _ground(name: str, points: Array, frame: int) -> Shape:
     return Shape("ground", points, frame, frame, name=name)
 
 
-def _carried_surfaces(
-    scene: Scene,
-    name: str,
-    surface: Surface,
-    frame: int,
-    unit: float,
-    number: Callable[[str | int | float], float],
-) -> list[Shape]:
-    """Return the surfaces that a body carries, as lines or discs, unless it declares a shape."""
-    assert surface.body is not None
-    if scene.bodies[surface.body].shape:
-        return []
-    kind: ShapeKind = "link"
-    radius = 0.0
+def _carried(
+    name: str, surface: Surface, frame: int, unit: float, known: Mapping[str, float]
+) -> Shape:
+    """Return a surface that a body carries: a disc, a line, or a graph as wide as the picture."""
+
+    def number(text: str | int | float) -> float:
+        return parse(text).value(known)
+
     if surface.circle is not None:
-        kind, radius = "disc", number(surface.radius or 0)
-        points = np.array([[number(text) for text in surface.circle]])
-    elif surface.edge is not None:
+        centre = np.array([[number(text) for text in surface.circle]])
+        return Shape("disc", centre, frame, frame, number(surface.radius or 0), name=name)
+    if surface.edge is not None:
         points = np.array([[number(x), number(y)] for x, y in surface.edge])
-    else:
+    elif is_straight(surface):
         start, direction = line_of(surface, number)
         # Beside the body's centre.
         start = start - (start @ direction) * direction
-        points = np.array(
-            [start - _CARRIED * unit * direction, start + _CARRIED * unit * direction]
-        )
-    return [Shape(kind, points, frame, frame, radius, name=name)]
+        points = start + _CARRIED * unit * np.outer([-1.0, 1.0], direction)
+    else:
+        half = np.full(2, unit / 2.0)
+        return _ground(name, _graph(surface.height or 0, known, (-half, half), unit), frame)
+    return Shape("link", points, frame, frame, name=name)
 
 
 def _rim_offset(scene: Scene, name: str, number: Callable[[str | int | float], float]) -> float:
@@ -449,18 +445,12 @@ def is_straight(surface: Surface) -> bool:
 def line_of(surface: Surface, number: Callable[[str | int | float], float]) -> tuple[Array, Array]:
     """Return a point of a straight surface and its direction, the solid on the right."""
     if surface.height is not None:
-        slope = parse(surface.height)
-        low = slope.value(dict.fromkeys(slope.names & {"x"}, 0.0)) if "x" in slope.names else 0
-        return np.array([0.0, number(surface.height) if "x" not in slope.names else low]), np.array(
-            [1.0, 0.0]
-        )
+        return np.array([0.0, number(surface.height)]), np.array([1.0, 0.0])
     if surface.line is not None:
         one, two = (np.array([number(x), number(y)]) for x, y in surface.line)
         return one, (two - one) / np.hypot(*(two - one))
-    angle = number(surface.incline or 0)
-    return np.array([number(text) for text in surface.through]), np.array(
-        [np.cos(angle), np.sin(angle)]
-    )
+    angle, through = number(surface.incline or 0), [number(text) for text in surface.through]
+    return np.array(through), np.array([np.cos(angle), np.sin(angle)])
 
 
 def _line_through(start: Array, direction: Array, box: tuple[Array, Array]) -> Array:

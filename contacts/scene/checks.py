@@ -50,6 +50,7 @@ _SWITCHED = (
 )
 _PULLED = "write a force on the body, or give the ground a displacement"
 _CONSTANT = "write a formula of parameters"
+_LED = "a joint leads a point of a body, to: [v*time, 0]; bodies that collide have paths"
 # Quantities of a contact that forces cannot use: reason, and alternative.
 _PUSH = (
     "a force follows from places and velocities",
@@ -218,7 +219,9 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
     if TIME not in known and name in _changing_names(scene):
         switched = _is_coefficient(loc)
         advice = {"surfaces": _MOVED, "gravity": _PULLED}.get(str(loc[0]), _CONSTANT)
-        return "it changes along a run, and this does not", _SWITCHED if switched else advice
+        why = "it changes during a run, and this value is constant"
+        placed = loc[2:3] in (("position",), ("angle",))
+        return why, _SWITCHED if switched else _LED if placed else advice
     return "", ""
 
 
@@ -404,7 +407,7 @@ def check_finite(scene: SceneFields, values: Mapping[str, float]) -> None:
                 one, two = ([parse(text).value(values) for text in end] for end in ends)
                 if one == two:
                     raise DeclarationProblem(
-                        "its two points are one",
+                        "its two points coincide",
                         advice="give two points of the line that are apart",
                         loc=("surfaces", name, form),
                     )
@@ -467,7 +470,7 @@ def check_kinks(scene: SceneFields) -> None:
 
 
 def has_switches(scene: SceneFields) -> bool:
-    """Return whether forces or flows have abs, sign, min, max or sat of a changing value."""
+    """Return whether forces, flows or controls have abs, sign, min, max or sat of what changes."""
     changing, texts = _force_formulas(scene)
     controls = scene.controlled
     changing = {*changing, TIME, *controls.controller_state}
@@ -478,7 +481,7 @@ def has_switches(scene: SceneFields) -> bool:
         for text in state.flows.values()
     ]
     values = [text for _, _, _, text, _ in controls.sets()]
-    formulas = [*(text for _, text in texts), *flows, *(values if flows else ())]
+    formulas = [*(text for _, text in texts), *flows, *values]
     return any(has_switch(text, changing) for text in formulas)
 
 

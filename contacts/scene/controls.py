@@ -226,7 +226,7 @@ class Controls:
             if control not in owners:
                 raise DeclarationProblem(
                     f"no state sets {control!r}",
-                    advice="set it in a state of a region, or declare it as a parameter",
+                    advice="set it in a state of a region; else write its formula where it is used",
                     loc=("controls", control),
                     key=True,
                 )

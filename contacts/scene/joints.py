@@ -229,7 +229,7 @@ class Joint(Part):
             )
         if self.rest is not None and not self.enabled:
             raise DeclarationProblem(
-                "a joint that never closes captures nothing",
+                "a joint without enabled is closed from the start, and captures nothing",
                 advice="write enabled: RELATION, or remove rest",
                 loc=("rest",),
                 key=True,

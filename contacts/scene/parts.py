@@ -72,6 +72,11 @@ class Body(Part):
         **dict.fromkeys(("I", "J"), "inertia"),
         **dict.fromkeys(("count", "number", "n"), "copies"),
         "velocity": "start: {dx: ..., dy: ...}",
+        "radius": "shape: {disc: r}, and radius: r of its contacts",
+        **dict.fromkeys(
+            ("damping", "linearDamping", "drag"),
+            "forces: {drag: {body: rod, force: [-c*rod.dx, -c*rod.dy]}}",
+        ),
         **dict.fromkeys(("pos", "origin"), "start: {x: ..., y: ...}"),
         **dict.fromkeys(
             ("geom", "geometry", "collision", "visual", "collider", "fixtures", "size"),
@@ -270,10 +275,12 @@ class Surface(Part):
         **dict.fromkeys(("slope", "angle"), "incline"),
         "plane": "line: [[0, 0], [1, 0]]",
         **dict.fromkeys(
-            ("profile", "polyline", "points", "vertices", "mesh", "polygon"),
+            ("profile", "polyline", "points", "vertices", "mesh", "polygon", "heightfield"),
             "height: FORMULA of x, or several surfaces, such as edge: [[0, 0], [1, 2]]",
         ),
         "velocity": "displacement: [v*time, 0]",
+        "x": "line: [[1, -1], [1, 1]], a wall; the solid is on the right of its direction",
+        "one_way": "enabled: ball.dy <= 0 of the contact",
     }
 
     height: FiniteText | None = declare(
@@ -384,10 +391,6 @@ class Contact(Part):
     OTHER_WORDS: ClassVar = {
         **LAW_WORDS,
         "r": "radius",
-        "k": "stiffness",
-        "d": "damping",
-        "spring": "stiffness, and damping",
-        "rolling_friction": "rolling_resistance: LENGTH",
         **dict.fromkeys(
             ("between", "bodies", "body1", "body2", "body_a", "body_b"),
             "point: {body: rod}, and surface: NAME; shapes have collisions",

@@ -291,6 +291,13 @@ class Scene(SceneFields):
                             ", or ask for a state of a controller",
                             loc=here,
                         )
+                for name in sorted(parse_relation(text).names - known - parameters):
+                    if name.endswith((".V", ".H", ".M")):
+                        raise DeclarationProblem(
+                            f"`enabled` cannot ask for the force {name}",
+                            advice=f"write enabled: in(REGION.STATE), and a guard on {name} there",
+                            loc=here,
+                        )
                 named = {name: {*region.named} for name, region in self.controlled.flat.items()}
                 check_relation(text, known, named, known - {*parameters}, *here)
 

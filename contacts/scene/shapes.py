@@ -69,6 +69,10 @@ Shapes = Annotated[
 
 
 LAW_WORDS = {
+    "k": "stiffness",
+    "d": "damping",
+    **dict.fromkeys(("spring", "solref", "solimp"), "stiffness, and damping"),
+    "rolling_friction": "rolling_resistance: LENGTH",
     "mu": "friction",
     **dict.fromkeys(
         ("mu_s", "mu_k", "static_friction", "kinetic_friction", "friction_coefficient"),
@@ -84,7 +88,7 @@ def check_compliant(law: Any, rigid: tuple[str, ...]) -> None:
     """Check that compliant contacts have no impacts, and rigid ones no damping."""
     if law.stiffness is None and law.damping is not None:
         raise DeclarationProblem(
-            "damping is that of a compliant contact",
+            "damping belongs to a compliant contact",
             advice="give a stiffness, too",
             loc=("damping",),
             key=True,
@@ -104,10 +108,6 @@ class Collision(Part):
 
     OTHER_WORDS: ClassVar = {
         **LAW_WORDS,
-        "k": "stiffness",
-        "d": "damping",
-        "spring": "stiffness, and damping",
-        "rolling_friction": "rolling_resistance: LENGTH",
         **dict.fromkeys(
             ("pairs", "layer", "layers", "mask", "category", "group"),
             "bodies: [die, cup], which collide with each other; one list for each group",

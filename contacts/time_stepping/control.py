@@ -29,7 +29,7 @@ from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.stop_conditions import ActiveStates, first_undefined
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.regions import Raised, Region
-from statechart.automaton.trace import Jump
+from statechart.automaton.trace import Jump, Key
 from statechart.charts.guard_watch import EventQueues
 from statechart.errors import EventLoop, UnsolvedImpulses
 
@@ -62,6 +62,9 @@ class StepControl:
         self._order = [*range(n), *range(n + r, n + r + c), *range(n, n + r)]
         self.states = controllers.initial
         self._begun = False
+        # States of the controllers, and the atoms of their guards that were zero at the ends of the
+        # last step but one and of the last step.
+        self._zero: tuple[Key, Bools | None, Bools | None] = (), None, None
         # A moved surface strikes in the next step, before any other event.
         self._strikes, self._pending = False, dict[str, tuple[Raised, ...]]()
         self._mechanics = mechanics
@@ -76,16 +79,25 @@ class StepControl:
 
     def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
         """Return the steps until a controller may act, and whether one may."""
+        if not len(chunk.codes):
+            return chunk, False
         shown = recorder.shown(chunk)
-        due = self._due(chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h, shown)
+        known, _, last = self._zero
+        before = last if known == self.states else None
+        due, zero = self._due(
+            chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h, shown, before
+        )
         may_act: Bools = np.any(due, axis=1)
         if self._queues.waits(self._controllers, self.states):
             may_act |= recorder.changes(chunk)
         may_act[:1] |= self._strikes
-        if not may_act[:-1].any():
-            return chunk, bool(may_act.any())
+        acts = bool(may_act.any())
+        end = int(np.argmax(may_act)) if acts else len(may_act) - 1
+        self._zero = self.states, zero[end - 1] if end else before, zero[end]
+        if end == len(may_act) - 1:
+            return chunk, acts
         self._scene.forget()
-        return self._scene.steps(start, chunk.h, chunk.states[0], 1 + int(np.argmax(may_act))), True
+        return self._scene.steps(start, chunk.h, chunk.states[0], 1 + end), True
 
     def turn(
         self, recorder: Recorder, jumps: Sequence[Jump], state: Array, solved: Array, h: float
@@ -120,7 +132,9 @@ class StepControl:
         for _ in range(_MOST_TURNS):
             watched = self._states.guards(self.states).watch.guards
             at_end = time, state[None], solved[None]
-            due = self._due(*at_end, h, recorder.row[None])[0]
+            known, before, _ = self._zero
+            before = before if known == self.states else None
+            due = self._due(*at_end, h, recorder.row[None], before)[0][0]
             true = {(g.place, g.trigger) for g, now in zip(watched, due, strict=True) if now}
             firing = self._queues.first(
                 self._controllers,
@@ -239,8 +253,15 @@ class StepControl:
         found = first_undefined(margins, np.hstack([chunk.states[1:], solved]))
         return None if found is None else (found[0], guards.watch.margins[singles[found[1]]])
 
-    def _due(self, times: Array, states: Array, solved: Array, h: float, codes: Ints) -> Bools:
-        """Return the guards (m, g) that are due; `codes` (m, r) are modes of contacts."""
+    def _due(
+        self, times: Array, states: Array, solved: Array, h: float, codes: Ints,
+        before: Bools | None,
+    ) -> tuple[Bools, Bools]:  # fmt: skip
+        """Return the guards (m, g) that are due, and the atoms (m, a) that are zero.
+
+        `codes` (m, r) are modes of contacts; `before` (a,) are the atoms that were zero one step
+        earlier, where known.
+        """
         guards = self._states.guards(self.states)
         points = self._setup, times, states, solved[:, self._order]
         margin, size = np.moveaxis(guards.table(*points), -1, 0)
@@ -253,8 +274,11 @@ class StepControl:
         zero = self._setup.rounded * size
         near = ~guards.watch.timed & (np.abs(margin) <= zero)
         rises = (h * rate > zero) | ((h * rate >= -zero) & (h * h * second > zero))
-        atoms: Bools = np.where(near, guards.watch.closed & np.isfinite(rate) & ~rises, true)
-        return guards.watch.truths(atoms, self._active.at(codes, self.states))
+        # The rates of forces are unknown: they stay if they were zero a step ago.
+        first = np.zeros(near.shape[1], np.bool_) if before is None else before
+        stays = np.isfinite(rate) | np.vstack([first, near[:-1]])
+        atoms: Bools = np.where(near, guards.watch.closed & stays & ~rises, true)
+        return guards.watch.truths(atoms, self._active.at(codes, self.states)), near
 
     def _holding(
         self, times: Array, states: Array, solved: Array, codes: Ints

@@ -219,7 +219,7 @@ def remarks(swing: float, h: float) -> tuple[str, ...]:
         return ()
     return (
         (
-            f"springs oscillate by up to {swing * h:.2g} radians in one step of {h:g}: their "
+            f"springs oscillate by up to {swing * h:.2g} rad in one step of {h:g}: their "
             f"periods are off by {(swing * h) ** 2 / 24:.1%}; take {_FINE / swing:.1g} or less"
         ),
     )

@@ -68,9 +68,9 @@ def too_large(
             f"{0.1 * h * part:.1g} or less"
         ))  # fmt: skip
     return Rejection(k, StepTooLarge(
-        f"a contact closes {chunk.closing[k]:.3g} off its surface in one step of {h:g}, in a "
-        f"scene of size {size:.3g}; take {0.1 * h * DEEPEST * size / chunk.closing[k]:.1g} "
-        "or less"
+        f"a contact closes at a distance of {chunk.closing[k]:.3g} from its surface in one step "
+        f"of {h:g}, in a scene of size {size:.3g}; take "
+        f"{0.1 * h * DEEPEST * size / chunk.closing[k]:.1g} or less"
     ), regions[int(np.argmin(_gaps(chunk)[k]))])  # fmt: skip
 
 

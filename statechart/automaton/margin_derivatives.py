@@ -23,8 +23,8 @@ UNDERFLOW = 1e-290
 """Round-off of zero terms: with tolerance zero, a margin that starts at zero with slope zero would
 be undecided."""
 _MAX_ORDER = 12  # of derivatives; if all vanish, the margin is constant
-# If derivatives are undefined, as of sqrt(time) at 0, the sign is that of the margin at both these
-# times after the instant, relative to the horizon.
+# If derivatives are undefined, as of sqrt(time) at 0, or jump at a kink, the sign is that of the
+# margin at both these times after the instant, relative to the horizon.
 _LATER = (2.0**-20, 2.0**-40)
 
 
@@ -35,7 +35,9 @@ class MarginDerivatives:
         self, variables: Sequence[sp.Symbol], parameters: Sequence[sp.Symbol], time: sp.Symbol
     ) -> None:
         self._variables, self._parameters, self._time = variables, parameters, time
-        self._tapes: WeakKeyDictionary[Mode, dict[str | sp.Expr, tuple[list[int], bool, Tape]]]
+        self._tapes: WeakKeyDictionary[
+            Mode, dict[str | sp.Expr, tuple[list[int], bool, bool, Tape]]
+        ]
         self._tapes = WeakKeyDictionary()
 
     def sign(
@@ -60,12 +62,12 @@ class MarginDerivatives:
             mode = setup.modes(roles)
         except Singular:
             return math.nan
-        moving, timed, tape = self._tape(mode, margin)
+        moving, timed, smooth, tape = self._tape(mode, margin)
         series = [
             Series([x], [max(abs(x), size)])
             for x, size in zip(state.tolist(), sizes.tolist(), strict=True)
         ]
-        parameters, smooth = setup.values.tolist(), True
+        parameters = setup.values.tolist()
         for order in range(_MAX_ORDER + 1):
             *rates, derivative = expand(tape, series, parameters, time)
             value, size = derivative.values[order], derivative.sizes[order]
@@ -97,8 +99,8 @@ class MarginDerivatives:
         signs = {float(np.sign(value)) for value in later}
         return signs.pop() if len(signs) == 1 else math.nan
 
-    def _tape(self, mode: Mode, margin: str | sp.Expr) -> tuple[list[int], bool, Tape]:
-        """Return the variables of a margin, whether it depends on time, and the tape of rates."""
+    def _tape(self, mode: Mode, margin: str | sp.Expr) -> tuple[list[int], bool, bool, Tape]:
+        """Return the variables of a margin, whether it is timed and smooth, and the rates' tape."""
         tapes = self._tapes.setdefault(mode, {})
         if margin not in tapes:
             expression: sp.Expr = margin
@@ -116,6 +118,7 @@ class MarginDerivatives:
             tapes[margin] = (
                 moving,
                 self._time in used,
+                not expression.has(sp.Abs, sp.sign, sp.Min, sp.Max),
                 compile_tape(
                     [*(mode.rates[i] for i in moving), expression],
                     variables=self._variables,

@@ -42,6 +42,7 @@ class Switches:
     functions: tuple[sp.Expr, ...]  # in signs of earlier ones
     definitions: tuple[Definition, ...]  # of the mode, in the signs
     rates: tuple[sp.Expr, ...]
+    margins: tuple[Margin, ...]
     derivatives: tuple[tuple[sp.Expr, ...], ...]  # of each function, up to the relative degree
     acts: tuple[bool, ...]  # whether signs act on the last derivative
     tape: Tape  # functions, time derivatives, gradients; of variables and signs
@@ -60,6 +61,7 @@ class Switches:
         }
         definitions, sliding_shares = self._sliding(sliding, known)
         known |= {self.signs[i]: share for i, share in zip(sliding, sliding_shares, strict=True)}
+        own = [replace(m, expression=m.expression.xreplace(known)) for m in self.margins]
         names = set[str]()
         margins = []
         for i, (function, sign) in enumerate(zip(self.functions, signs, strict=True)):
@@ -75,7 +77,7 @@ class Switches:
             self.mode,
             definitions=tuple(definitions),
             rates=tuple(rate.xreplace(known) for rate in self.rates),
-            margins=(*self.mode.margins[:count], *margins, *self.mode.margins[count:]),
+            margins=(*own[:count], *margins, *own[count:]),
         )
 
     def _moves(self, function: sp.Expr) -> bool:
@@ -184,15 +186,21 @@ def is_of_switch(margin: str) -> bool:
 def switches_of(automaton: Automaton, mode: Mode) -> Switches | None:
     """Return the switches of a mode, or None."""
     reader = _Reader(automaton, mode)
-    needed: set[sp.Symbol] = set().union(*(rate.free_symbols for rate in mode.rates))
+    # Guards end smooth pieces, too: one that stays on its boundary is judged where that begins.
+    guards = [margin.expression for margin in mode.margins if margin.kind == "plain"]
+    needed = set[sp.Symbol]().union(*(e.free_symbols for e in (*mode.rates, *guards)))
     for symbol, e in reversed(mode.definitions):
         if symbol in needed:
             needed |= e.free_symbols
     read = {symbol: reader.read(e) for symbol, e in mode.definitions if symbol in needed}
     rates = tuple(reader.read(rate) for rate in mode.rates)
+    margins = tuple(
+        replace(m, expression=reader.read(m.expression)) if m.kind == "plain" else m
+        for m in mode.margins
+    )
     if not reader.signs:
         return None
-    # Definitions that do not affect the motion, as contact forces, add no switches.
+    # Definitions that affect neither motion nor guards, as contact forces, add no switches.
     reader.adds = False
     definitions = tuple((s, read[s] if s in read else reader.read(e)) for s, e in mode.definitions)
     chains, acts = reader.chains(dict(definitions), rates)
@@ -212,8 +220,8 @@ def switches_of(automaton: Automaton, mode: Mode) -> Switches | None:
     )
     texts = tuple(reader.text(function) for function in functions)
     return Switches(
-        mode, texts, tuple(reader.signs), functions, definitions, rates, chains, acts, tape,
-        tuple(places), gradients, automaton,
+        mode, texts, tuple(reader.signs), functions, definitions, rates, margins, chains, acts,
+        tape, tuple(places), gradients, automaton,
     )  # fmt: skip
 
 

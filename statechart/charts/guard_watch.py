@@ -220,6 +220,11 @@ class _AtomTapes:
         return bool(self._first == 0)
 
     @cached_property
+    def kinked(self) -> bool:
+        """Whether the rate may jump here: controls with abs, sign, min, max or sat."""
+        return bool(self._first.has(sp.sign))
+
+    @cached_property
     def _first(self) -> sp.Expr:
         return time_derivative(self.expression, dict(self.flow), self.time)
 
@@ -263,6 +268,8 @@ class GuardTruths:
             own = [one if one < math.inf else new for one, new in zip(own, fresh, strict=True)]
 
         def direction(k: int) -> float:
+            if watch.atoms[k].kinked:
+                return later(watch.margins[k])
             for order in (1, 2):
                 value, size = rate(k, order).tolist()
                 if math.isnan(value):

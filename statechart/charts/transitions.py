@@ -315,10 +315,13 @@ def check_listening(
         if transition.on_zeno and "zeno" in alone:
             continue
         for event in parse_events(transition.on) if transition.on is not None else ():
-            if event.region == region:
+            heard = {*alone}.union(*others.values())
+            own = event.cause in {*causes.get(region, ())} - heard and event.region is None
+            if event.region == region or own:
                 raise DeclarationProblem(
                     f"{region!r} waits for an event of its own",
-                    advice="a transition fires on events of other regions, or on STATE.done",
+                    advice=f"write guard: in({region}.STATE) for a state of it; `on` takes events "
+                    "of other regions, and STATE.done",
                     loc=loc,
                 )
             # A value of `alone` belongs to no region; no region has the name "".

@@ -93,7 +93,8 @@ _OPTIONS = {
     **dict.fromkeys(("--solver", "--integrator"), "--engine"),
     **dict.fromkeys(("--param", "--parameter", "-p"), "--set"),
     **dict.fromkeys(("--gif", "--film", "--video", "--movie"), "--animate"),
-    **dict.fromkeys(("--out", "--plot", "--figure"), "--output"),
+    **dict.fromkeys(("--out", "--plot", "--figure", "--format"), "--output"),
+    "--fps": "--speed",
 }
 """Option of another program -> option of ours."""
 

@@ -293,7 +293,7 @@ def check_derived(
     nested = _nesting_depth(root)
     if nested > MAX_NESTED:
         raise DeclarationProblem(
-            f"{nested} functions in each other are too many to be differentiated",
+            f"{nested} nested functions are too many to differentiate",
             advice=f"at most {MAX_NESTED}; nest fewer functions",
             loc=loc,
         )

@@ -124,13 +124,13 @@ def example(
 
 
 def one_value(loc: Sequence[str | int], given: object) -> str:
-    """Return advice on several values of a parameter, or an empty text."""
-    if not (len(loc) == 2 and loc[0] == "parameters" and isinstance(given, list | tuple) and given):
+    """Return advice on a list in the place of one value, or an empty text."""
+    if not (isinstance(given, list | tuple) and given):
         return ""
-    return (
-        f"write {loc[1]}: {given[0]}; a range for checks is ranges: {{{loc[1]}: {flow(given)}}}, "
-        f"and --over {loc[1]}=... sweeps it"
-    )
+    if len(loc) == 2 and loc[0] == "parameters":
+        shown = f"ranges: {{{loc[1]}: {flow(given)}}}"
+        return f"write {loc[1]}: {given[0]}; for checks {shown}; for a sweep --over {loc[1]}=..."
+    return "write a contact for each surface" if loc[-1] == "surface" else ""
 
 
 def known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> dict[str, str]:
@@ -340,6 +340,8 @@ def _argument(word: str, value: object, known: list[str]) -> str:
             f"known: {listed}"
         )
     advice = close_matches(word, known)
+    if "over" in known and hasattr(value, "__len__") and not advice.startswith("did"):
+        return f"to sweep a parameter, write over={{{word!r}: [...]}}; {advice}"
     if "parameters" in known and isinstance(value, Real) and not advice.startswith("did"):
         return f"for a parameter of the model, write parameters={{{word!r}: {value}}}; {advice}"
     return advice

@@ -22,6 +22,7 @@ from statechart.automaton.laws import (
     flow_sizes,
     roles_in,
 )
+from statechart.automaton.regions import Margin
 from statechart.automaton.switches import is_of_switch
 from statechart.automaton.time_stepper import Sample, Sampling, in_order
 from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace, check_size
@@ -392,8 +393,9 @@ class Execution:
     def fell(self, compiled: CompiledMode, guard: int, *, graze: bool = False) -> tuple[str, ...]:
         """Return the margins that fired; a stop ends the run if no other event coincides."""
         margin, self.grazed = compiled.mode.margins[guard], graze
-        if is_of_switch(margin.name):
-            return (margin.name,)
+        # A guard that falls where a smooth piece ends is judged in the next piece.
+        if switch := self._piece_ends(compiled, margin):
+            return (switch,)
         # Stop margins are the last ones.
         count = len(self.automaton.stop_margins)
         stops = guard >= len(compiled.mode.margins) - count
@@ -413,6 +415,17 @@ class Execution:
                 if result is None or result[0] is None:
                     self._stop(met)
         return (margin.name,)
+
+    def _piece_ends(self, compiled: CompiledMode, margin: Margin) -> str | None:
+        """Return the margin of a switch that falls with `margin`, or None."""
+        if is_of_switch(margin.name):
+            return margin.name
+        tolerances = self._switch_tolerances if margin.kind == "plain" else {}
+        if not tolerances:
+            return None
+        values = compiled.guards.values(self.state, self.setup.values, self.clock.high).tolist()
+        rows = zip(compiled.watched, values, strict=True)
+        return next((name for (name, _), v in rows if abs(v) <= tolerances.get(name, -1.0)), None)
 
     def _fell_at_last(self) -> tuple[str, ...]:
         """Return the guard on whose boundary the rates end, as h <= 0 for h' = -sqrt(h).
@@ -516,7 +529,9 @@ class Execution:
                     raise self.failure
                 return self.outcome is Outcome.STOPPED or self.settle((*last, UNBOUNDED))
             if self._livelock.stalled(self.clock, fired) and not self._widen(*fired):
-                advice = "; write dry friction as a contact or a coupling, without sign"
+                advice = (
+                    "; instead of sign write couplings: {f: {bodies: [a], limit: F}}, or a contact"
+                )
                 self.failure = errors.EventLoop(
                     f"{', '.join(fired)} falls at t = {self.clock.high:.6g}, but no jump follows"
                     + (advice if self.flow.signs else "")

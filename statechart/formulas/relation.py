@@ -298,7 +298,11 @@ class _RelationReader(Reader):
         term = self.disjunction()
         self.close(token)
         if self.token.text in (*_COMPARISONS, "+", "-", "*", "/", "**"):
-            self.source.fail("a relation is no value", self.token.offset, "it is true or false")
+            self.source.fail(
+                "a relation is not a number",
+                self.token.offset,
+                "it is true or false",
+            )
         return term
 
     def _member(self) -> Term:
@@ -318,7 +322,9 @@ class _RelationReader(Reader):
         left = self.sum()
         sign = self.token
         if sign.kind == "end" or sign.text in ("and", "or", ")"):
-            advice = "write it as x <= 0, or in(REGION.STATE)"
+            written = self.source.text[begin : sign.offset].strip()
+            state = written if re.fullmatch(r"\w+\.\w+", written) else "REGION.STATE"
+            advice = f"write it as x <= 0, or in({state})"
             self.source.fail("a comparison is missing", sign.offset, advice)
         if sign.text not in _COMPARISONS:
             self.expect_end()

@@ -107,9 +107,18 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
                 tolerance = _SAME_INSTANT * max(graze.t, 1.0)
                 begin = bisect_left(times, graze.t - tolerance)
                 simultaneous = trace.jumps[begin : bisect_right(times, graze.t + tolerance)]
-                if graze.guard.split(".")[0] not in {j.region or graze.guard for j in simultaneous}:
+                if graze.guard.split(".")[0] not in _changed(trace, simultaneous, graze.guard):
                     approaches.append(graze)
     return tuple(sorted(approaches, key=lambda one: one.t))
+
+
+def _changed(trace: Trace, jumps: Sequence[Jump], stop: str) -> set[str]:
+    """Return the regions that jumps change; `stop` for the end of the run."""
+    found = {jump.region or stop for jump in jumps}
+    for jump in jumps:
+        states = zip(trace.regions, jump.source, jump.target, strict=True)
+        found |= {region for region, before, after in states if before != after}
+    return found
 
 
 class _GuardScan:

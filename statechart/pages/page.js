@@ -271,7 +271,7 @@ for (const name of ["outputs", "parameters"])
     const points = many.map((v, i) => (Number.isFinite(v) ? spot(v, i) : "")).filter(Boolean);
     made(made(box, "svg", { class: "spark", width: 120, height: 20 }), "path", { d: `M${points.join("L")}` });
   }
-for (const [name, part] of [["happened", data.events], ["measured", Object.keys(data.outputs)]])
+for (const [name, part] of [["happened", data.events], ["measured", Object.keys(data.outputs)], ["chosen", Object.keys(data.parameters)]])
   byId(name).hidden = part.length === 0;
 const lines = data.events.map((event) => {
   const row = made(byId("events").tBodies[0], "tr", { tabindex: 0 });

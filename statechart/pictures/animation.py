@@ -83,7 +83,7 @@ def check(path: Path, size: int, speed: float | None = None, trail: float | None
         )
     if not _NARROWEST <= size <= _WIDEST:
         raise DeclarationError(
-            f"the size must be {_NARROWEST} to {_WIDEST} pixels, not {size}", advice="say 720"
+            f"the size must be {_NARROWEST} to {_WIDEST} pixels, not {size}", advice="write 720"
         )
     if speed is not None:
         _check_speed(speed)

@@ -91,6 +91,7 @@ def curves(observer: Observer, trace: Trace) -> tuple[Samples, list[Panel]]:
     states = _variable_panels(observer.automaton, samples)
     forces = _force_panels(observer.automaton, trace, samples)
     panels = [*states, *_gaps(observer.automaton, trace, samples), *forces]
+    panels += _couples(observer.automaton, trace, samples)
     panels += _impulses(observer.automaton, trace, forces)
     return samples, [*panels, *_controls(observer.automaton, samples)]
 
@@ -279,6 +280,16 @@ def _force_panels(automaton: Automaton, trace: Trace, samples: Samples) -> list[
         left_out = tuple(name for panel in others for name in panel.names)
         first[-1] = replace(first[-1], left_out=left_out)
     return first
+
+
+def _couples(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
+    """Return panels of the couples, and the forces along guides, of couplings."""
+    model, groups = automaton.declaration, dict[tuple[str, str], list[str]]()
+    for name in (f"{region}.M" for region in trace.regions):
+        if name in samples.columns and largest(samples.columns[name]) > 0.0:
+            key = model.quantity(name).dimension, model.unit(name)
+            groups.setdefault(key, []).append(name)
+    return [_choose_panel(title, group, unit, samples) for (title, unit), group in groups.items()]
 
 
 def _impulses(automaton: Automaton, trace: Trace, forces: Sequence[Panel]) -> list[Panel]:

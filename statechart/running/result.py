@@ -31,6 +31,13 @@ if TYPE_CHECKING:  # slow imports
     from statechart.diagram.model import Diagram
 
 
+class _Named(dict[str, Any]):
+    """Values by name; a wrong name raises a `KeyError` that lists the names."""
+
+    def __missing__(self, name: str) -> None:
+        raise KeyError(f"no value is called {name!r}; {close_matches(name, self)}")
+
+
 @dataclass(frozen=True)
 class Reading:
     """State of a run at an instant.
@@ -51,13 +58,6 @@ class Reading:
     jumps: int
     mode: Mapping[str, str]
     values: Mapping[str, float]
-
-
-class _Outputs(dict[str, Any]):
-    """Values of outputs by name; a wrong name raises a `KeyError` that lists them."""
-
-    def __missing__(self, name: str) -> None:
-        raise KeyError(f"no output {name!r}; {close_matches(name, self)}")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -113,7 +113,7 @@ class Result:
 
         Numbers, lists for `each` or several events, and None if an event never happened.
         """
-        return _Outputs(self.source().of(self.trace))
+        return _Named(self.source().of(self.trace))
 
     @property
     def endless(self) -> frozenset[str]:
@@ -207,7 +207,7 @@ class Result:
         found = self.observer.sample(self.trace, times=[t])
         states = dict(zip(self.trace.regions, found.modes[found.mode[0]], strict=True))
         values = {name: float(column[0]) for name, column in found.columns.items()}
-        return Reading(t, int(found.j[0]), states, values)
+        return Reading(t, int(found.j[0]), states, _Named(values))
 
     @check_arguments
     def plot(self, path: Path | str | None = None) -> Figure:

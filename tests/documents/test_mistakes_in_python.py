@@ -56,6 +56,7 @@ def scene(**changes: object) -> Scene:
             lambda: setattr(Body(mass=1), "mass", 2),
             "Body: mass does not change once it is built; build another one: model_copy(",
         ),
+        (lambda: sweep("toppling_stick", mu=[0.1]), "write over={'mu': [...]}; known: accuracy"),
         (lambda: run(scene(), parameters={"gravity": 1}), "get a name by parameters: {g: 9.81}"),
         (lambda: run(scene(), parameters={"dt": 1}), "no parameter 'dt'; write --step, in Python"),
         (lambda: run(scene(), engine="RK45"), "no engine 'RK45'; write scipy"),

@@ -134,7 +134,7 @@ def test_coefficients_of_contacts_are_constant_in_a_state_of_one_region() -> Non
             (
                 "friction: 2*grip",
                 f"friction: 0.3*exp(-{name})",
-                f"'{name}': it changes along a run",
+                f"'{name}': it changes during a run",
             )
             for name in ("base.V", "block.dx", "time")
         ),
@@ -143,7 +143,7 @@ def test_coefficients_of_contacts_are_constant_in_a_state_of_one_region() -> Non
         error = refused(ICE.replace(old, new))
         assert words in error, error
     curve = refused(ICE.replace("friction: 2*grip", "friction: 2/(1 + abs(base.V))"))
-    assert "friction: 'base.V': it changes along a run" in curve, curve
+    assert "friction: 'base.V': it changes during a run" in curve, curve
     assert "write a control, which the states of a region set, and transitions where it" in curve
     two = TWO.replace("    friction: 0\n", "    friction: gain*push\n")
     assert "regions 'motor' and 'gear' both set what it depends on" in refused(two)

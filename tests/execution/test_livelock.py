@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 
+from contacts import Scene
+from statechart import run
 from statechart.automaton.clock import Clock
 from statechart.errors import EventLoop
 from statechart.execution.livelock import JUMPS_AT_ONCE, JUMPS_NEAR, Livelock
@@ -59,3 +61,19 @@ def test_margins_that_fall_in_turn_while_time_creeps_are_a_loop() -> None:
         found = found or livelock.stalled(clock, ("a" if k % 2 else "b",))
         clock = clock.later(1e-20)
     assert found
+
+
+def test_signs_of_rates_beside_a_locked_clutch_end_with_the_coupling_to_write() -> None:
+    wheel = {"mass": 1, "inertia": 1}
+    scene = Scene(
+        name="shafts",
+        bodies={"a": wheel, "b": wheel},
+        couplings={"clutch": {"bodies": ["a", "b"], "limit": 1}},
+        forces={
+            "motor": {"body": "a", "moment": "8*sin(time) - 3*sign(a.dangle)"},
+            "drag": {"body": "b", "moment": "-2*sign(b.dangle)"},
+        },
+        stop={"time": 1},
+    )
+    with pytest.raises(EventLoop, match=r"instead of sign write couplings: \{f: \{bodies: \[a\]"):
+        run(scene)

@@ -152,7 +152,7 @@ def test_the_margin_of_a_tree_falls_as_it_begins_to_hold():
         ("x <= 0 and y", "a comparison is missing; write it as x <= 0, or in(REGION.STATE)", 12),
         ("x <= 0 and", "the formula ends early", 10),
         ("x + (y <= 0) > 1", "unexpected '<='", 7),
-        ("(x <= 0) + 1 > 0", "a relation is no value; it is true or false", 9),
+        ("(x <= 0) + 1 > 0", "a relation is not a number; it is true or false", 9),
         ("in(gate)", "`in` asks for a state of a region; write in(REGION.STATE)", 0),
         ("(x <= 0 and y <= 0", "this parenthesis is never closed", 0),
         ("x <= and", "unexpected 'and'; comparisons stand on both sides", 5),

@@ -192,6 +192,26 @@ def test_a_stop_condition_that_an_event_turns_back_gives_a_warning(
     assert warning.startswith("full comes to its boundary at t = 1, where another event turns it")
 
 
+def test_two_feet_that_touch_at_one_instant_give_no_warning(engine: str) -> None:
+    text = """
+kind: scene
+name: feet
+gravity: 9.81
+bodies: {b: {mass: 1, inertia: 5e-3, start: {y: 0.06, dx: 0.1}}}
+surfaces: {floor: {height: 0}}
+contacts:
+  l:
+    {point: {body: b, at: [-0.05, -0.05]}, surface: floor, friction: 0.3, stiffness: 4e4, damping: 50}
+  r:
+    {point: {body: b, at: [0.05, -0.05]}, surface: floor, friction: 0.3, stiffness: 4e4, damping: 50}
+stop: {time: 0.06}
+outputs: {y: {value: b.y}}
+"""
+    result = statechart.run(read_text(text), engine=engine)
+    assert result.trace.jumps[0].target == ("slide+", "slide+")
+    assert not result.warnings
+
+
 _LANDED = """
 kind: scene
 name: landed

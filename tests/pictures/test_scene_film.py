@@ -483,6 +483,20 @@ def test_bodies_without_a_shape_are_drawn_together_with_shapes():
     np.testing.assert_allclose(palm.points.mean(axis=0), [0.0, 0.0], atol=1e-12)
 
 
+def test_a_bowl_that_a_body_carries_is_its_graph():
+    text = (
+        "kind: scene\nname: bowl\nparameters: {a: 0.5}\nbodies:\n  cart: {mass: 2, inertia: 1}\n"
+        "  ball: {mass: 1, start: {y: 1}}\nsurfaces: {bowl: {body: cart, height: a*x**2}}\n"
+        "contacts:\n  c: {point: {body: ball}, surface: bowl, friction: 0.2, restitution: 0}\n"
+        "stop: {time: 0.1}\n"
+    )
+    film = film_of(read_text(text), [0.0])
+    (bowl,) = shapes(film, "ground")
+    x, y = bowl.points.T
+    np.testing.assert_allclose(y, 0.5 * x**2, atol=1e-12)
+    assert np.ptp(x) > film.half[0]
+
+
 def test_a_leg_whose_foot_is_off_reaches_to_that_foot():
     text = "kind: scene\nname: rod\nbodies: {rod: {mass: 1, inertia: 1/3, start: {y: 2}}}\n" + (
         "surfaces: {ground: {height: 0}}\nstop: {time: 1}\ncontacts:\n  tip: {point: {body: rod, "

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import statechart
 from contacts.kind import automaton
 from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton
@@ -393,3 +394,19 @@ def test_unknown_suffix_or_folder_is_an_error(
         figure(observer, trace, tmp_path / "a.docx")
     with pytest.raises(StatechartError, match="cannot write"):
         figure(observer, trace, tmp_path / "missing" / "a.svg")
+
+
+def test_couples_of_couplings_are_drawn_by_their_dimension() -> None:
+    wheel = {"mass": 1, "inertia": 1, "start": {"dangle": 3}}
+    scene = Scene(
+        name="brakes",
+        bodies={"a": wheel, "b": {"mass": 1, "start": {"dx": 2}}},
+        joints={"rail": {"point": {"body": "b"}, "to": {"y": 0}}},
+        couplings={"brake": {"bodies": ["a"], "limit": 2}, "shoe": {"joint": "rail", "limit": 4}},
+        stop={"time": 2},
+    )
+    result = statechart.run(scene)
+    samples, panels = curves(result.observer, result.trace)
+    drawn = {panel.title: panel.names for panel in panels}
+    assert (drawn["moment"], drawn["force"]) == (("brake.M",), ("shoe.M",))
+    assert samples.columns["brake.M"][0] == -2.0

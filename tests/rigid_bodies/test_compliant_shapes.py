@@ -162,7 +162,7 @@ outputs:
 @pytest.mark.parametrize(
     ("law", "message"),
     [
-        ("damping: 3, restitution: 0", "damping is that of a compliant contact"),
+        ("damping: 3, restitution: 0", "damping belongs to a compliant contact"),
         ("stiffness: 3, restitution: 0", "no impacts, and no restitution"),
         ("rolling_resistance: 0.1", "need a coefficient of restitution"),
         ("stiffness: 0", "must be"),

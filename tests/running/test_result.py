@@ -100,5 +100,7 @@ def test_result_is_one_json_object(result):
 
 
 def test_a_wrong_name_of_an_output_lists_the_names(result):
-    with pytest.raises(KeyError, match=r"no output .slip.; known: critical_angle, omega"):
+    with pytest.raises(KeyError, match=r"no value is called .slip.; known: critical_angle, omega"):
         result.outputs["slip"]
+    with pytest.raises(KeyError, match=r"no value is called .tip.F.; did you mean"):
+        result.at(1.0).values["tip.F"]

@@ -1,0 +1,61 @@
+"""Guards on forces that come to their bound and stay there, by steps and with events."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from statechart import Runner
+from statechart.documents.yaml_reader import read_text
+
+_CONTACT = """\
+bodies: {b: {mass: 1}}
+surfaces: {floor: {height: 0}}
+contacts: {c: {point: {body: b}, surface: floor, friction: 0.5, restitution: 0}}
+"""
+_ROPE = (
+    "bodies: {b: {mass: 1, start: {y: -1}}}\njoints: {c: {point: {body: b}, to: [0, 0], rope: 1}}"
+)
+_BRAKE = """\
+bodies: {b: {mass: 1, inertia: 1, start: {dangle: 9}}}
+joints: {p: {point: {body: b}, to: [0, 0]}}
+couplings: {c: {bodies: [b], limit: 1, enabled: time <= 1.25}}
+"""
+_WATCH = """\
+kind: scene
+name: watch
+gravity: 10
+forces: {{lift: {{body: b, force: [0, "{force}"]}}}}
+regions:
+  r:
+    initial: waits
+    states: {{waits: {{}}, done: {{}}}}
+    transitions: [{{name: go, from: waits, to: done, guard: "{guard}"}}]
+stop: {{time: 2}}
+outputs: {{t: {{value: time, at: first r.go}}}}
+"""
+
+
+@pytest.mark.parametrize("step", [None, 1e-3, 1e-4])
+@pytest.mark.parametrize(
+    ("scene", "force", "guard", "fires"),
+    [
+        # The contact and the rope bear 10 - 8 t, or 10 - min(8 t, 6).
+        (_CONTACT, "8*time", "c.V <= 0", 1.25),
+        (_CONTACT, "min(8*time, 6)", "c.V <= 4", 0.75),
+        (_CONTACT, "min(8*time, 6)", "c.V < 4", None),
+        (_CONTACT, "min(8*time, 6)", "c.V <= 4 and in(c.pin)", 0.75),
+        (_ROPE, "8*time", "c.V <= 0", 1.25),
+        (_ROPE, "min(8*time, 6)", "not c.V > 4", 0.75),
+        (_BRAKE, "0", "abs(c.M) <= 0", 1.25),
+    ],
+)
+def test_a_guard_on_a_force_that_stays_on_its_bound_fires(
+    scene: str, force: str, guard: str, fires: float | None, step: float | None
+) -> None:
+    setting: Any = {} if step is None else {"engine": "impulse", "step": step}
+    text = _WATCH.format(force=force, guard=guard) + scene
+    result = Runner(read_text(text), **setting).run()
+    near = pytest.approx(fires, abs=2.5 * step if step else 1e-12)
+    assert result.outputs["t"] == (None if fires is None else near)
