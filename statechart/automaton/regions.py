@@ -304,6 +304,12 @@ class Region:
         unreached = self.nesting.unreached.difference(holding, self.states)
         return tuple(name for name in self.nesting.names if name in unreached)
 
+    @property
+    def frames(self) -> list[str]:
+        """The superstates, outer first."""
+        names = dict.fromkeys(self.superstates.values())
+        return sorted(names, key=lambda name: len(self.active(name)))
+
     def within(self, name: str) -> tuple[str, ...]:
         """Return the states in which `name` is active."""
         return tuple(state for state in self.states if name in self.active(state))
@@ -343,17 +349,13 @@ def hierarchical_edges(region: Region) -> tuple[HierarchicalEdge, ...]:
     """
     if region.nesting.configurations:
         return region.nesting.edges
-    superstates = sorted(
-        dict.fromkeys(region.superstates.values()), key=lambda name: len(region.active(name))
-    )
-    leaves = {name: region.within(name) for name in (*region.states, *superstates)}
     sources_by_edge: dict[tuple[str, str, str, str, bool], list[str]] = {}
     for e in region.edges:
         key = (e.cause, e.target, e.guard, e.reset, e.on_zeno)
         sources_by_edge.setdefault(key, []).append(e.source)
     fans: dict[tuple[str, str, str, bool], dict[str, str]] = {}
     for (cause, target, guard, reset, on_zeno), sources in sources_by_edge.items():
-        for source in _replace_complete_sets(sources, superstates, leaves):
+        for source in replace_complete_sets(region, sources):
             fans.setdefault((cause, source, guard, on_zeno), {})[target] = reset
     return tuple(
         HierarchicalEdge(
@@ -361,21 +363,19 @@ def hierarchical_edges(region: Region) -> tuple[HierarchicalEdge, ...]:
             source,
             target,
             guard,
-            tuple(Choice(leaf, targets[leaf]) for leaf in leaves[target]),
+            tuple(Choice(leaf, targets[leaf]) for leaf in region.within(target)),
             on_zeno,
         )
         for (cause, source, guard, on_zeno), targets in fans.items()
-        for target in _replace_complete_sets(list(targets), superstates, leaves)
+        for target in replace_complete_sets(region, list(targets))
     )
 
 
-def _replace_complete_sets(
-    states: Sequence[str], superstates: Sequence[str], leaves: Mapping[str, tuple[str, ...]]
-) -> list[str]:
+def replace_complete_sets(region: Region, states: Sequence[str]) -> list[str]:
     """Return states with complete sets replaced by their superstate."""
     remaining, covered = dict.fromkeys(states), dict[str, None]()
-    for name in superstates:
-        members = leaves[name]
+    for name in region.frames:
+        members = region.within(name)
         if len(members) > 1 and remaining.keys() >= set(members):
             covered[name] = None
             remaining = dict.fromkeys(state for state in remaining if state not in members)
