@@ -44,7 +44,7 @@ def stepping(built: Automaton, states: tuple[str, ...]) -> tuple[Callable[[], fl
     """Return what measures the microseconds of a step in a mode, and the length of its program."""
     simulator = Simulator(built, Taylor(2.2e-16))
     setup = built.setup({}, 2.2e-16)
-    stepper = simulator.compiled(tuple(map(Role, states)), setup.zeros).stepper
+    stepper = simulator.modes.compiled(tuple(map(Role, states)), setup.zeros).stepper
     integrator, fixed = stepper.integrator, stepper.fixed  # type: ignore[attr-defined]
 
     def measure() -> float:

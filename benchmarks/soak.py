@@ -32,12 +32,14 @@ import numpy as np
 from contacts.kind import automaton
 from contacts.scene.parts import Body, Contact, Coordinate, Point, Surface
 from contacts.scene.scene import Scene
-from statechart.automaton.trace import Outcome, Trace, lowest
+from statechart.automaton.trace import Outcome, Trace
 from statechart.documents.setting import Setting
+from statechart.documents.settings import Settings
 from statechart.engines.request import choose
 from statechart.execution.simulator import Simulator
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
+from statechart.reporting.report import lowest
 
 Numbers = Mapping[str, float]
 Draw = Callable[[np.random.Generator], dict[str, float]]
@@ -61,6 +63,7 @@ def scene(
         name=name,
         coordinates=dict(coordinates or {}),
         gravity="g",
+        settings=Settings(max_jumps=_LONGEST),
         parameters={"g": 1, "mu": 0.5, "e": 0.5, **parameters},
         bodies=dict(bodies),
         surfaces=dict(surfaces),
@@ -275,11 +278,11 @@ class Running:
     def run(self, seed: list[int]) -> tuple[Trace, float]:
         """Return the run of a seed, and its deepest gap on a grid in every step, in tolerances."""
         numbers = self.family.draw(np.random.default_rng(seed))
-        trace = self.simulator.run(numbers, until=20.0, max_jumps=_LONGEST, throw=False)
+        trace = self.simulator.run(numbers, until=20.0, throw=False)
         values = np.array(list(trace.parameters.values()))
         least = 0.0
         for arc in trace.arcs:
-            found = lowest(self.gaps, [arc.flow], values)
+            found = lowest(self.gaps, [arc], values)
             least = min(least, float(found.min()))
         return trace, -least / trace.tolerances["gap"]
 

@@ -24,6 +24,7 @@ from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.automaton.trace import Trace
 from statechart.documents.setting import Setting
+from statechart.documents.settings import Settings
 from statechart.engines.request import choose
 from statechart.execution import compiled_loop
 from statechart.execution.simulator import Simulator
@@ -44,6 +45,7 @@ def scene(name: str, height: str, numbers: dict[str, float]) -> Scene:
     return Scene(
         name=name,
         gravity=_G,
+        settings=Settings(max_jumps=1000),
         parameters={f"{key}0" if key != "e" else key: value for key, value in start.items()}
         | numbers,
         bodies={"ball": Body(mass=1, start={"x": "x0", "y": "y0", "dx": "u0", "dy": "v0"})},
@@ -168,9 +170,7 @@ def soak(count: int, engine: str, seed: int) -> tuple[Counter[str], float, list[
     worst, spent = 0.0, []
     for index in range(count):
         terrain, start = draw(random, index)
-        trace = simulators[index % 2].run(
-            start | terrain.numbers, until=_UNTIL, max_jumps=1000, throw=False
-        )
+        trace = simulators[index % 2].run(start | terrain.numbers, until=_UNTIL, throw=False)
         found["runs"] += 1
         found["without impact"] += not trace.jumps
         found["not certified"] += not trace.certified

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from statechart.automaton.trace import checked_arc
 from statechart.engines.engine import Path
 from statechart.engines.event_location import BOXES, Search, search
 from statechart.formulas.tape import Tape, contiguous
@@ -21,7 +20,7 @@ def first_crossing(
     budget: int = BOXES,
 ) -> Search:
     """Return the result of `search` in all steps, for arrays of any kind."""
-    times, coeffs, parameters = checked_arc(tape, times, coeffs, parameters)
+    times, coeffs, parameters = contiguous(times), contiguous(coeffs), contiguous(parameters)
     tolerances = contiguous(tolerances)
     if tolerances.shape != tape.outputs.shape:
         raise ValueError(f"the tolerances have shape {tolerances.shape}, not {tape.outputs.shape}")

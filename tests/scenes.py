@@ -18,7 +18,10 @@ from statechart.loading.load import interpret
 
 
 def compose(
-    variables: dict[str, Any], regions: dict[str, Any], parameters: dict[str, Any] | None = None
+    variables: dict[str, Any],
+    regions: dict[str, Any],
+    parameters: dict[str, Any] | None = None,
+    **settings: Any,
 ) -> Automaton:
     return chart_automaton(
         Chart.model_validate(
@@ -27,6 +30,7 @@ def compose(
                 "variables": variables,
                 "regions": regions,
                 "parameters": parameters or {},
+                "settings": settings,
             }
         )
     )

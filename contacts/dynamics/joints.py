@@ -133,7 +133,8 @@ def motions(numbers: JointNumbers, velocity: Array, groups: Sequence[JointGroup]
         # At a singular configuration the motion is not unique: the least-norm one is taken.
         inverse = np.where(sizes > CANCELLING * sizes[0], 1.0 / np.maximum(sizes, 1e-300), 0.0)
         right_sides = np.array([driven[rows], numbers.biases[rows]])
-        particular[:, columns] = -((right_sides @ outer) * inverse @ row_space) * scale
+        right_sides = right_sides @ outer[:, : len(sizes)]
+        particular[:, columns] = -(right_sides * inverse @ row_space) * scale
         basis.append(np.zeros((size, len(null_space))))
         basis[-1][columns] = (null_space * scale).T
         left.append(np.zeros((len(null_space), size)))

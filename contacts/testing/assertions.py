@@ -121,7 +121,7 @@ def missed_by_slopes(
     steps = np.repeat(np.arange(len(spans)), len(tau) // len(spans))
     h = spans[steps][:, None]
     powers = ((tau - arc.times[steps])[:, None] / h) ** (orders - 1)
-    rates = simulator.compiled(arc.roles, trace.zeros).rates
+    rates = simulator.modes.compiled(arc.roles, trace.zeros).rates
     rates_there = rates.table(states, trace.values, times)
     off = (
         np.einsum("mvk,mk->mv", arc.coefficients[steps][:, :, 1:] * orders, powers)

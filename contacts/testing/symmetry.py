@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -56,12 +56,16 @@ def mirrored(scene: Scene) -> tuple[Scene, Reading]:
     Raises
     ------
     DeclarationError
-        If a formula is too long to be wrapped.
+        If a formula is too long to be wrapped, or controllers may listen to limits of joints.
     """
     change = _Change(scene, x=-1.0)
-    return change.scene(), change.reading(
-        {"slide+": "slide-", "slide-": "slide+", "slip+": "slip-", "slip-": "slip+"}
-    )
+    states = {"slide+": "slide-", "slide-": "slide+", "slip+": "slip-", "slip-": "slip+"}
+    # The least angle of a joint is the greatest one of the image.
+    ends = [(f"{n}_min", f"{n}_max") for n, joint in scene.joints.items() if joint.limits]
+    if ends and scene.regions:
+        raise DeclarationError("its controllers may listen to limits, which change their places")
+    regions = dict(ends) | {greatest: least for least, greatest in ends}
+    return change.scene(), replace(change.reading(states), regions=regions)
 
 
 def rescaled(scene: Scene) -> tuple[Scene, Reading]:

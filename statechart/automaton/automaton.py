@@ -81,6 +81,11 @@ class Automaton:
         return self.laws
 
     @property
+    def max_jumps(self) -> int:
+        """Number of jumps after which a run ends."""
+        return self.declaration.settings.max_jumps
+
+    @property
     def modes_total(self) -> int:
         """Number of product modes, with directions of sliding."""
         return prod(len(region.states) for region in self.regions)
@@ -149,14 +154,19 @@ class Automaton:
         parameters = dict(zip(self.parameter_names, values.tolist(), strict=True))
         return Trace(self.name, self.region_names, self.names, parameters, **found)
 
-    def tape(self, expressions: Sequence[sp.Expr], mode: Mode | None = None) -> Tape:
-        """Return the tape of expressions in the variables, and in the unknowns of a mode."""
+    def tape(
+        self,
+        expressions: Sequence[sp.Expr],
+        mode: Mode | None = None,
+        further: Sequence[sp.Symbol] = (),
+    ) -> Tape:
+        """Return the tape of expressions in variables, `further` ones, and unknowns of a mode."""
         # Imported here, since its kernels take long to load.
         from statechart.formulas.writer import compile_tape
 
         return compile_tape(
             expressions,
-            variables=self.variables,
+            variables=(*self.variables, *further),
             parameters=self.parameters,
             time=self.time,
             definitions=mode.definitions if mode else (),

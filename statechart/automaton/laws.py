@@ -270,10 +270,6 @@ class CompiledLaws(Protocol):
         """
         ...
 
-    def about(self, event: RecordedEvent) -> tuple[str, str]:
-        """Return region and cause of an event, as in its jump."""
-        ...
-
     def jump(self, setup: Callable[[], Setup], event: RecordedEvent, fired: str) -> Jump:
         """Return the jump of a recorded event; `setup` returns the setup of its run."""
         ...

@@ -18,7 +18,6 @@ from statechart.automaton.regions import Loads, Margin, Mode, State
 from statechart.automaton.trace import Roles
 from statechart.formulas.linear import Definition, solve_linear
 from statechart.formulas.tape import Tape, contiguous
-from statechart.formulas.writer import compile_tape
 from statechart.kernels.reconstruction import (
     ReconstructionProgram,
     reconstruct,
@@ -262,17 +261,8 @@ class ModeReconstruction:
 
 def mode_reconstruction(automaton: Automaton, mode: Mode) -> ModeReconstruction:
     """Compile the reconstruction of a mode."""
-
-    def tape(outputs: Sequence[sp.Expr], further: Sequence[sp.Symbol] = ()) -> Tape:
-        return compile_tape(
-            outputs,
-            variables=(*automaton.variables, *further),
-            parameters=automaton.parameters,
-            time=automaton.time,
-        )
-
     return ModeReconstruction(
-        tape([*mode.eliminated.values()], [*mode.anchors]),
+        automaton.tape([*mode.eliminated.values()], further=[*mode.anchors]),
         np.array([*mode.eliminated], dtype=np.int32),
-        tape([*mode.anchors.values()]),
+        automaton.tape([*mode.anchors.values()]),
     )

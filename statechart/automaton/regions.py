@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from statechart.formulas.relation import Relation, parse_relation
@@ -106,25 +106,22 @@ class Invariant:
         """The parsed relation."""
         return parse_relation(self.text)
 
-    @cached_property
-    def _margins(self) -> dict[tuple[bool, ...], Margin]:
-        return {}
-
     def margin(self, active: Active) -> Margin:
         """Return the margin in a mode, >= 0 if it holds; infinite where `in` alone decides."""
-        members = self.relation.members
-        key = tuple(active(member.region, member.state) for member in members)
-        cached = self._margins.get(key)
-        if cached is None:
-            import sympy
+        return self._margins(tuple(active(m.region, m.state) for m in self.relation.members))
 
+    @cached_property
+    def _margins(self) -> Callable[[tuple[bool, ...]], Margin]:
+        import sympy
+
+        def margin(known: tuple[bool, ...]) -> Margin:
             states = {
                 (member.region, member.state): sympy.oo if one else -sympy.oo
-                for member, one in zip(members, key, strict=True)
+                for member, one in zip(self.relation.members, known, strict=True)
             }
-            expression = -self.relation.margin(self.known, states)
-            cached = self._margins[key] = Margin(self.name, expression)
-        return cached
+            return Margin(self.name, -self.relation.margin(self.known, states))
+
+        return cache(margin)
 
 
 DONE = "done"
@@ -287,13 +284,11 @@ class Region:
 
     def active(self, state: str) -> tuple[str, ...]:
         """Return the active states of a configuration, each followed by its superstates."""
-        if state not in self._actives:
-            self._actives[state] = self.nesting.active(state, self.superstates)
-        return self._actives[state]
+        return self._actives(state)
 
     @cached_property
-    def _actives(self) -> dict[str, tuple[str, ...]]:
-        return {}
+    def _actives(self) -> Callable[[str], tuple[str, ...]]:
+        return cache(partial(self.nesting.active, superstates=self.superstates))
 
     @property
     def innermost(self) -> tuple[str, ...]:
@@ -308,6 +303,12 @@ class Region:
         holding = {*self.superstates.values()}
         unreached = self.nesting.unreached.difference(holding, self.states)
         return tuple(name for name in self.nesting.names if name in unreached)
+
+    @property
+    def frames(self) -> list[str]:
+        """The superstates, outer first."""
+        names = dict.fromkeys(self.superstates.values())
+        return sorted(names, key=lambda name: len(self.active(name)))
 
     def within(self, name: str) -> tuple[str, ...]:
         """Return the states in which `name` is active."""
@@ -348,17 +349,13 @@ def hierarchical_edges(region: Region) -> tuple[HierarchicalEdge, ...]:
     """
     if region.nesting.configurations:
         return region.nesting.edges
-    superstates = sorted(
-        dict.fromkeys(region.superstates.values()), key=lambda name: len(region.active(name))
-    )
-    leaves = {name: region.within(name) for name in (*region.states, *superstates)}
     sources_by_edge: dict[tuple[str, str, str, str, bool], list[str]] = {}
     for e in region.edges:
         key = (e.cause, e.target, e.guard, e.reset, e.on_zeno)
         sources_by_edge.setdefault(key, []).append(e.source)
     fans: dict[tuple[str, str, str, bool], dict[str, str]] = {}
     for (cause, target, guard, reset, on_zeno), sources in sources_by_edge.items():
-        for source in _replace_complete_sets(sources, superstates, leaves):
+        for source in replace_complete_sets(region, sources):
             fans.setdefault((cause, source, guard, on_zeno), {})[target] = reset
     return tuple(
         HierarchicalEdge(
@@ -366,21 +363,19 @@ def hierarchical_edges(region: Region) -> tuple[HierarchicalEdge, ...]:
             source,
             target,
             guard,
-            tuple(Choice(leaf, targets[leaf]) for leaf in leaves[target]),
+            tuple(Choice(leaf, targets[leaf]) for leaf in region.within(target)),
             on_zeno,
         )
         for (cause, source, guard, on_zeno), targets in fans.items()
-        for target in _replace_complete_sets(list(targets), superstates, leaves)
+        for target in replace_complete_sets(region, list(targets))
     )
 
 
-def _replace_complete_sets(
-    states: Sequence[str], superstates: Sequence[str], leaves: Mapping[str, tuple[str, ...]]
-) -> list[str]:
+def replace_complete_sets(region: Region, states: Sequence[str]) -> list[str]:
     """Return states with complete sets replaced by their superstate."""
     remaining, covered = dict.fromkeys(states), dict[str, None]()
-    for name in superstates:
-        members = leaves[name]
+    for name in region.frames:
+        members = region.within(name)
         if len(members) > 1 and remaining.keys() >= set(members):
             covered[name] = None
             remaining = dict.fromkeys(state for state in remaining if state not in members)
@@ -393,19 +388,13 @@ def has_happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
     A jump may change several regions (an impact acts on all closed contacts); their causes are
     those of their edges. A region with an `impact_cause` raises it besides that of its change.
     """
-    if event.region is None and jump.cause == event.cause:
-        return True
-    owner = event.region
-    for region, before, after in zip(regions, jump.source, jump.target, strict=True):
-        if event.cause == DONE and owner in _done(region, before, after):
-            return True
-        if owner is not None and region.name != owner:
-            continue
-        if event.cause in _causes(region, jump, before, after):
-            return True
-        if owner is not None and event.cause in _entered_states(region, before, after):
-            return True
-    return False
+    if event.region is None:
+        changes = zip(regions, jump.source, jump.target, strict=True)
+        return jump.cause == event.cause or any(
+            event.cause in _causes(region, jump, before, after) for region, before, after in changes
+        )
+    wanted = event.region, event.cause
+    return any(wanted == (one.owner, one.cause) for one in raised_events(regions, jump))
 
 
 class Raised(NamedTuple):

@@ -9,90 +9,14 @@ from enum import Enum
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.lazy import LazySequence
 from statechart.documents.setting import Record
 from statechart.errors import StatechartError, TooLong
-from statechart.formulas.tape import Tape, contiguous
-from statechart.kernels.boxes import Steps
+from statechart.formulas.tape import contiguous
 from statechart.kernels.polynomials import sample_states
-from statechart.kernels.quadrature import integrate_outputs
-
-Flow = tuple[float, ArrayLike, ArrayLike]
-"""Start, local times (k + 1,) of the steps' ends and coefficients (k, n, d + 1) of a flow."""
-
-_MAX_FLOWS = 1024  # of one batch
-
-
-def lowest(tape: Tape, flows: Sequence[Flow], parameters: ArrayLike, per_step: int = 16) -> Array:
-    """Return the least value of every output on a grid along flows."""
-    s = np.arange(per_step + 1) / per_step
-    parameters, result = contiguous(parameters), np.full(len(tape.outputs), np.inf)
-    for first in range(0, len(flows), _MAX_FLOWS):
-        flow_batch = flows[first : first + _MAX_FLOWS]
-        checked = [checked_arc(tape, *flow[1:], parameters)[:2] for flow in flow_batch]
-        begin = np.concatenate([times[:-1] for times, _ in checked])[:, None]
-        end = np.concatenate([times[1:] for times, _ in checked])[:, None]
-        start = np.repeat(
-            [flow[0] for flow in flow_batch], [len(times) - 1 for times, _ in checked]
-        )
-        coeffs = np.concatenate([coeffs for _, coeffs in checked])
-        local = np.where(s < 1.0, begin + s * (end - begin), end)
-        states = np.swapaxes(coeffs @ s ** np.arange(coeffs.shape[2])[:, None], 1, 2)
-        times = (start[:, None] + local).ravel()
-        values = tape.table(states.reshape(-1, coeffs.shape[1]), parameters, times)
-        result = np.minimum(result, values.min(axis=0, initial=np.inf))
-    return result
-
-
-def integrals(
-    tape: Tape,
-    times: ArrayLike,
-    coeffs: ArrayLike,
-    parameters: ArrayLike,
-    start: float,
-    t_from: float,
-    t_to: float,
-) -> tuple[Array, Array]:
-    """Integrate every output over local time by adaptive Gauss-Legendre quadrature with 16 nodes.
-
-    Steps are halved until every output is resolved: enclosures find narrow features, and a kink
-    ends in a piece as wide as round-off. The limits are local times, clipped to the steps. Returns
-    the integrals (n_out,), and the ends of the pieces. Raises `ValueError` for a wrong shape.
-    """
-    times, coeffs, parameters = checked_arc(tape, times, coeffs, parameters)
-    return integrate_outputs(
-        tape.parts, Steps(times, coeffs, parameters, float(start)), float(t_from), float(t_to)
-    )
-
-
-def sample(coeffs: ArrayLike, times: ArrayLike, tau: ArrayLike) -> Array:
-    """Evaluate the polynomials at local times `tau`; raise `ValueError` for a wrong shape."""
-    coeffs, times, tau = contiguous(coeffs), contiguous(times), contiguous(tau)
-    if coeffs.ndim != 3 or len(coeffs) == 0 or times.shape != (len(coeffs) + 1,) or tau.ndim != 1:
-        raise ValueError(
-            f"coeffs, times and tau have shapes {coeffs.shape}, {times.shape} and {tau.shape}, "
-            "not (n_steps, n, degree + 1), (n_steps + 1,) and (m,) with a step at least"
-        )
-    return sample_states(coeffs, times, tau)
-
-
-def checked_arc(
-    tape: Tape, times: ArrayLike, coeffs: ArrayLike, parameters: ArrayLike
-) -> tuple[Array, Array, Array]:
-    """Return the arrays of an arc and the parameters for kernels, with checked shapes."""
-    times, coeffs, parameters = contiguous(times), contiguous(coeffs), contiguous(parameters)
-    tape.require(parameters)
-    if coeffs.ndim != 3 or times.shape != (len(coeffs) + 1,) or coeffs.shape[1] != tape.n_variables:
-        raise ValueError(
-            f"times and coeffs have shapes {times.shape} and {coeffs.shape}, "
-            f"not (n_steps + 1,) and (n_steps, {tape.n_variables}, degree + 1)"
-        )
-    return times, coeffs, parameters
-
 
 LARGEST = 2**28
 """Limit of a trace in bytes; with results computed from it, well below a gigabyte."""
@@ -199,14 +123,9 @@ class Arc:
         """End of the arc."""
         return self.start.later(self.duration)
 
-    @property
-    def flow(self) -> Flow:
-        """Start, times and coefficients."""
-        return self.start.high, self.times, self.coefficients
-
     def states(self, local: Array) -> Array:
         """Return the states (m, n) at local times `local` (m,), 0 <= local <= duration."""
-        return sample(self.coefficients, self.times, np.ascontiguousarray(local, dtype=float))
+        return sample_states(self.coefficients, self.times, contiguous(local))
 
     def unknowns(self, local: Array) -> Array | None:
         """Return the stored unknowns (m, u) at local times, if any."""
@@ -412,13 +331,6 @@ class Trace:
     def zeros(self) -> frozenset[int]:
         """Indices of the parameters that are exactly zero."""
         return frozenset(np.flatnonzero(self.values == 0.0).tolist())
-
-    def changes(self, jump: Jump) -> tuple[dict[str, str], dict[str, str]]:
-        """Return region -> state before and after `jump`."""
-        return (
-            dict(zip(self.regions, jump.source, strict=True)),
-            dict(zip(self.regions, jump.target, strict=True)),
-        )
 
     @property
     def indeterminate(self) -> dict[Key, tuple[str, ...]]:

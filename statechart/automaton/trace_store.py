@@ -181,56 +181,39 @@ def _empty(capacity: tuple[int, int, int, int], variables: int) -> TraceBuffer:
 def copy_buffer(buffer: TraceBuffer) -> TraceBuffer:
     """Return a copy of the written part of a buffer."""
     arcs, times, terms, events = buffer.used.tolist()
-    return TraceBuffer(
-        buffer.arcs[:arcs].copy(), buffer.places[:arcs].copy(), buffer.starts[:arcs].copy(),
-        buffer.times[:times].copy(), buffer.coefficients[:terms].copy(),
-        buffer.events[:events].copy(), buffer.numbers[:events].copy(),
-        buffer.states[:events].copy(), buffer.used.copy(),
-    )  # fmt: skip
+    arrays: tuple[Any, ...] = buffer
+    counts = arcs, arcs, arcs, times, terms, events, events, events, len(buffer.used)
+    return TraceBuffer._make([a[:n].copy() for a, n in zip(arrays, counts, strict=True)])
 
 
 class TraceStore:
     """Arcs and jumps of a run in blocks, created when read.
 
-    `made` has jumps stored as objects, by the number of jumps before each; `last`, if set, creates
-    the jump after all events.
+    A run is recorded in `buffer`, copied to a block when full and at the end; without a buffer,
+    whole blocks are added. `arcs` and `jumps` grow with the run. `made` has jumps stored as
+    objects, by the number of jumps before each; `last`, if set, creates the jump after all events.
     """
 
     def __init__(
         self,
         variables: int,
         kinds: list[Kind],
-        buffer: TraceBuffer,
-        jump: Callable[[RecordedEvent], Jump] | None = None,
+        buffer: TraceBuffer | None,
+        jump: Callable[[RecordedEvent], Jump] | None,
+        last: Callable[[], Jump] | None = None,
     ) -> None:
-        self.buffer, self.variables = buffer, variables
+        self.buffer = _no_buffer(variables) if buffer is None else buffer
+        self.variables = variables
         self._kinds, self._jump = kinds, jump
         self.made: dict[int, Jump] = {}
-        self.last: Callable[[], Jump] | None = None
+        self.last = last
         self._blocks = Blocks[TraceBuffer]()
         # Numbers of arcs and events before each block.
         self._arcs, self._events = [0], [0]
-
-    @classmethod
-    def of(
-        cls,
-        block: TraceBuffer,
-        kinds: list[Kind],
-        jump: Callable[[RecordedEvent], Jump],
-        last: Callable[[], Jump] | None,
-    ) -> TraceStore:
-        """Return the store of a whole run in one block."""
-        variables = block.states.shape[2]
-        store = cls(variables, kinds, _no_buffer(variables), jump)
-        store.add(block)
-        store.last = last
-        return store
-
-    def sequences(self) -> tuple[LazySequence[Arc], LazySequence[Jump]]:
-        """Return the arcs and the jumps so far; they grow with the run."""
-        jumps = LazySequence(self._event, self._count)
-        jumps.source = self
-        return LazySequence(self._arc, self._arc_count), jumps
+        self._places: dict[Kind, int] = {}
+        self.arcs = LazySequence(self._arc, self._arc_count)
+        self.jumps = LazySequence(self._event, self._count)
+        self.jumps.source = self
 
     def times(self) -> list[float]:
         """Return the times of the recorded jumps."""
@@ -274,34 +257,6 @@ class TraceStore:
         block = bisect_right(begins, place) - 1
         row = place - begins[block]
         return (self.buffer if block == len(self._blocks) else self._blocks[block]), row
-
-
-def jump_times(jumps: Sequence[Jump]) -> list[float]:
-    """Return the times of jumps, without creating stored ones."""
-    store = jumps.source if isinstance(jumps, LazySequence) else None
-    return store.times() if isinstance(store, TraceStore) else [jump.t for jump in jumps]
-
-
-class TraceRecorder(TraceStore):
-    """Records a run in a buffer, copied to a block when full and at the end.
-
-    `is_started`: the buffer already contains the beginning of the run.
-    """
-
-    def __init__(
-        self,
-        variables: int,
-        kinds: list[Kind],
-        buffer: TraceBuffer,
-        jump: Callable[[RecordedEvent], Jump] | None = None,
-        *,
-        is_started: bool = False,
-    ) -> None:
-        super().__init__(variables, kinds, buffer, jump)
-        self._places: dict[Kind, int] = {}
-        if not is_started:
-            buffer.used[:] = 0
-        self.arcs, self.jumps = self.sequences()
 
     def close(self) -> tuple[LazySequence[Arc], LazySequence[Jump]]:
         """Release the buffer; return arcs and jumps of the complete run."""
@@ -373,6 +328,12 @@ class TraceRecorder(TraceStore):
             return True
         self.seal()
         return all(w <= c for w, c in zip(required, capacity, strict=True))
+
+
+def jump_times(jumps: Sequence[Jump]) -> list[float]:
+    """Return the times of jumps, without creating stored ones."""
+    store = jumps.source if isinstance(jumps, LazySequence) else None
+    return store.times() if isinstance(store, TraceStore) else [jump.t for jump in jumps]
 
 
 def _width(terms: Array) -> int:

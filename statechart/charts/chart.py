@@ -8,65 +8,47 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import model_validator
 
+from statechart.charts import transitions
 from statechart.charts.flatten import FlatRegion, causes_of, flatten, timer_dimension
-from statechart.charts.transitions import (
-    BaseRegion,
-    BaseState,
-    check_changes,
-    check_listening,
-    check_periods,
-    declared_transitions,
-    nested,
-)
 from statechart.charts.wrapping import STATE, check_wrapping, count_periods
+from statechart.documents import fields
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.documented import declare
-from statechart.documents.fields import (
-    FiniteText,
-    Label,
-    NameText,
-    RelationText,
-    ValueName,
-    check_derived,
-    check_relation,
-    has_switch,
-    value_of,
-)
 from statechart.documents.quantities import Quantity
 from statechart.errors import DeclarationProblem, Loc
 from statechart.formulas.formula import parse
 
 
-class State(BaseState):
+class State(transitions.BaseState):
     """A state of a region, with its flows and invariants."""
 
     OTHER_WORDS: ClassVar = {
-        **BaseState.OTHER_WORDS,
+        **transitions.BaseState.OTHER_WORDS,
         "sets": "entry: {u: 1}, with u among the variables; controls are of scenes",
         "invariant": "invariants: {NAME: RELATION}",
     }
 
-    invariants: dict[Label, RelationText] = declare(
+    invariants: dict[fields.Label, fields.RelationText] = declare(
         "Named relations that hold as long as the state is active.",
         {"above ground": "x >= 0"},
         default={},
     )
-    states: dict[NameText, State] = declare(
+    states: dict[fields.NameText, State] = declare(
         "States in it, of which one is active with it.",
         {"up": {"flows": {"x": "v"}}, "down": {}},
         default={},
     )
-    regions: dict[NameText, Region] = declare(
+    regions: dict[fields.NameText, Region] = declare(
         "Regions in it, of each of which one state is active with it.",
         {"lamp": {"initial": "dark", "states": {"dark": {}, "lit": {}}}},
         default={},
     )
 
 
-class Region(BaseRegion):
+class Region(transitions.BaseRegion):
     """States of which exactly one is active, and the transitions between them."""
 
-    states: dict[NameText, State] = declare(
+    states: dict[fields.NameText, State] = declare(
         "Name to state.", {"flight": {"flows": {"x": "v", "v": "-g"}}, "rest": {}}, min_length=1
     )
 
@@ -94,10 +76,10 @@ class Chart(Declaration):
     }
 
     kind: Literal["chart"] = declare("What is declared.", "chart", default="chart")
-    variables: dict[ValueName, FiniteText] = declare(
+    variables: dict[fields.ValueName, fields.FiniteText] = declare(
         "Variable to its initial value.", {"x": "height", "v": 0}, unit="that of each", min_length=1
     )
-    regions: dict[NameText, Region] = declare(
+    regions: dict[fields.NameText, Region] = declare(
         "Name to region: all are active at once.",
         {"ball": {"initial": "flight", "states": {"flight": {}, "rest": {}}}},
         min_length=1,
@@ -127,7 +109,7 @@ class Chart(Declaration):
     def switching(self) -> bool:
         """True if flows are nonsmooth: abs, sign, min, max or sat of a variable."""
         changing = {TIME, *self.variables}
-        return any(has_switch(flow, changing) for _, flow, _ in self._flows())
+        return any(fields.has_switch(flow, changing) for _, flow, _ in self._flows())
 
     @property
     def timers(self) -> frozenset[str]:
@@ -143,9 +125,9 @@ class Chart(Declaration):
         """Check parameters, initial values and periods of transitions."""
         super().check_values(values)
         check_wrapping(self, values)
-        check_periods(self.regions, values, self.parameters)
+        transitions.check_periods(self.regions, values, self.parameters)
         for name, text in self.variables.items():
-            value = value_of(text, values, "variables", name)
+            value = fields.value_of(text, values, "variables", name)
             if abs(value) == float("inf"):
                 raise DeclarationProblem("must be finite", loc=("variables", name))
 
@@ -168,24 +150,26 @@ class Chart(Declaration):
     def _formulas_use_declared_names(self) -> Self:
         names = {TIME, *self.parameters, *self.variables}
         for region, declared in self.regions.items():
-            check_changes(declared, "regions", region, variables=self.variables, known=names)
+            transitions.check_changes(
+                declared, "regions", region, variables=self.variables, known=names
+            )
         for _, flow, loc in self._flows():
             changing = {TIME, *self.variables}
-            check_derived(parse(flow).root, changing, loc, order=1)
+            fields.check_derived(parse(flow).root, changing, loc, order=1)
         whole = self.expanded
         states = {name: region.named for name, region in whole.flat.items()}
         changing = {TIME, *(name for name, _, _ in self._flows())}
         for state, at in self._states():
             for label, relation in state.invariants.items():
-                check_relation(relation, names, states, changing, *at, "invariants", label)
+                fields.check_relation(relation, names, states, changing, *at, "invariants", label)
         for region, declared in self.regions.items():
-            for transition, at in declared_transitions(declared, "regions", region):
+            for transition, at in transitions.declared_transitions(declared, "regions", region):
                 if transition.guard is not None:
-                    check_relation(transition.guard, names, states, changing, *at, "guard")
+                    fields.check_relation(transition.guard, names, states, changing, *at, "guard")
         causes = causes_of(whole.flat)
         for name, declared in self.regions.items():
-            own = list(declared_transitions(declared, "regions", name))
-            check_listening(name, own, causes, states, alone=("zeno",))
+            own = list(transitions.declared_transitions(declared, "regions", name))
+            transitions.check_listening(name, own, causes, states, alone=("zeno",))
         further = self.timers | whole.variables.keys()
         self.check_uses(names | further, states, causes, changing)
         return self
@@ -224,11 +208,11 @@ class Chart(Declaration):
 
     def _states(self) -> Iterator[tuple[State, Loc]]:
         for name, region in self.regions.items():
-            for _, state, at in nested(region, "regions", name):
+            for _, state, at in transitions.nested(region, "regions", name):
                 if isinstance(state, State):
                     yield state, at
 
-    def _flows(self) -> Iterator[tuple[str, FiniteText, Loc]]:
+    def _flows(self) -> Iterator[tuple[str, fields.FiniteText, Loc]]:
         for state, at in self._states():
             for name, flow in state.flows.items():
                 yield name, flow, (*at, "flows", name)

@@ -332,11 +332,6 @@ class FlatTransition:
         return self.members[0].on_zeno
 
     @property
-    def events(self) -> tuple[Event, ...]:
-        """The events of other regions that fire it."""
-        return tuple(dict.fromkeys(event for member in self.members for event in member.events))
-
-    @property
     def trigger(self) -> str:
         """The trigger as text."""
         return " and ".join(dict.fromkeys(member.trigger for member in self.members))
@@ -448,17 +443,10 @@ class FlatRegion:
 
     def answer(self, state: str, enabled: Collection[int]) -> FlatTransition:
         """Return the transition that enabled arrows take together (`select_transitions`)."""
-        request = state, frozenset(enabled)
-        if request not in self._selected:
-            key = state, select_transitions(self._tree, *self._configurations[state], enabled)
-            if key not in self._taken:
-                self._taken[key] = self._flattening.take(*key)
-            self._selected[request] = self._taken[key]
-        return self._selected[request]
-
-    @cached_property
-    def _selected(self) -> dict[tuple[str, Nodes], FlatTransition]:
-        return {}
+        key = state, select_transitions(self._tree, *self._configurations[state], enabled)
+        if key not in self._taken:
+            self._taken[key] = self._flattening.take(*key)
+        return self._taken[key]
 
 
 def causes_of(regions: Mapping[str, FlatRegion]) -> dict[str, tuple[str, ...]]:

@@ -65,8 +65,8 @@ class GuardWatch:
     `known` in the mode.
 
     `margins` names the atoms of all guards, `firsts` is the place of the first atom of each guard.
-    `timed` atoms depend on time alone, `closed` atoms include their boundary. `single` is true if
-    every guard has one atom.
+    `timed` atoms depend smoothly on time alone, `closed` atoms include their boundary. `single` is
+    true if every guard has one atom.
     """
 
     def __init__(
@@ -99,7 +99,8 @@ class GuardWatch:
                 moving = tuple((v, rates[v]) for v in rates if v in near)
                 found = _atom_tapes(margin, moving, tuple(inputs), tuple(parameters), time)
                 self.atoms.append(found)
-                timed.append(margin.free_symbols <= {time, *timers, *parameters})
+                alone = margin.free_symbols <= {time, *timers, *parameters}
+                timed.append(alone and not found.kinked)
                 closed.append(not atom.strict)
         self.margins, self.firsts = tuple(names), tuple(firsts)
         self.timed, self.closed = np.array(timed, np.bool_), np.array(closed, np.bool_)

@@ -7,16 +7,8 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import StrictBool, model_validator
 
+from statechart.documents import fields
 from statechart.documents.documented import declare
-from statechart.documents.fields import (
-    FiniteText,
-    FormulaText,
-    NameText,
-    Part,
-    RelationText,
-    check_names,
-    value_of,
-)
 from statechart.documents.outputs import Event, EventText, check_event, parse_events
 from statechart.errors import DeclarationProblem, Loc, undeclared
 from statechart.formulas.formula import parse
@@ -25,7 +17,7 @@ SEVERAL_SOURCES = "write one transition for each, or one from a state that holds
 _OUTSIDE = "transitions: [{name: go, from: STATE, to: STATE, on: EVENT}] beside `states`"
 
 
-class Transition(Part):
+class Transition(fields.Part):
     """A transition between states of a region, with its trigger and updates."""
 
     OTHER_WORDS: ClassVar = {
@@ -40,7 +32,9 @@ class Transition(Part):
         "target": "to",
     }
 
-    name: NameText = declare("Name of the event; outputs and triggers refer to it.", "thrust")
+    name: fields.NameText = declare(
+        "Name of the event; outputs and triggers refer to it.", "thrust"
+    )
     source: str = declare("State that the transition leaves.", "compression", alias="from")
     target: str | None = declare(
         "State that it enters; without one, no state is left and only the updates are made.",
@@ -48,7 +42,7 @@ class Transition(Part):
         default=None,
         alias="to",
     )
-    guard: RelationText | None = declare(
+    guard: fields.RelationText | None = declare(
         "Relation; the transition fires when it becomes true. Beside `on` it must hold at the "
         "event, beside `after` the transition fires once the time is over and it holds.",
         "leg.dlength >= 0",
@@ -60,13 +54,13 @@ class Transition(Part):
         "foot.touchdown",
         default=None,
     )
-    after: FormulaText | None = declare(
+    after: fields.FormulaText | None = declare(
         "Time after entering the source at which the transition fires.",
         0.2,
         unit="time",
         default=None,
     )
-    every: FormulaText | None = declare(
+    every: fields.FormulaText | None = declare(
         "Period after entering the source with which the transition fires.",
         "T",
         unit="time",
@@ -77,7 +71,7 @@ class Transition(Part):
         True,
         default=False,
     )
-    updates: dict[str, FiniteText] = declare(
+    updates: dict[str, fields.FiniteText] = declare(
         "New values of variables, as formulas of the values before.",
         {"v": "-k*v"},
         unit="that of the variable",
@@ -95,7 +89,7 @@ class Transition(Part):
         return self.on == "zeno"
 
     @property
-    def period(self) -> FormulaText | None:
+    def period(self) -> fields.FormulaText | None:
         """The delay or period of a timed transition, or None."""
         return self.after if self.after is not None else self.every
 
@@ -142,7 +136,7 @@ class Transition(Part):
         return self
 
 
-class BaseState(Part):
+class BaseState(fields.Part):
     """A state with its substates: one of `states` is active with it, or one of each region.
 
     With `history` it is a pseudostate: a transition to it enters the siblings last active.
@@ -184,19 +178,19 @@ class BaseState(Part):
         True,
         default=False,
     )
-    entry: dict[str, FiniteText] = declare(
+    entry: dict[str, fields.FiniteText] = declare(
         "Values of variables when the state is entered.",
         {"count": "count + 1"},
         unit="that of the variable",
         default={},
     )
-    exit: dict[str, FiniteText] = declare(
+    exit: dict[str, fields.FiniteText] = declare(
         "Values of variables when the state is left.",
         {"count": 0},
         unit="that of the variable",
         default={},
     )
-    flows: dict[str, FiniteText] = declare(
+    flows: dict[str, fields.FiniteText] = declare(
         "Time derivatives of variables; without one a variable is constant. An "
         "inner state may override them.",
         {"x": "v", "v": "-g"},
@@ -205,7 +199,7 @@ class BaseState(Part):
     )
 
 
-class BaseRegion(Part):
+class BaseRegion(fields.Part):
     """States, exactly one of them active, and the transitions between them."""
 
     OTHER_WORDS: ClassVar = {"history": "states: {NAME: {history: deep}} beside regions"}
@@ -259,7 +253,7 @@ def check_changes(
     Flows may use `further` names; `of` names the owner of the variables in messages. Raises
     `DeclarationProblem`.
     """
-    changes: list[tuple[Mapping[str, FiniteText], Loc]] = []
+    changes: list[tuple[Mapping[str, fields.FiniteText], Loc]] = []
     for _, state, at in nested(holder, *loc):
         if isinstance(state, BaseState):
             changes += [(getattr(state, key), (*at, key)) for key in ("flows", "entry", "exit")]
@@ -275,7 +269,7 @@ def check_changes(
                     key=True,
                 )
             names = {*known, *further} if at[-1] == "flows" else known
-            check_names(parse(text), names, *at, variable)
+            fields.check_names(parse(text), names, *at, variable)
 
 
 def check_periods(
@@ -290,10 +284,10 @@ def check_periods(
             if transition.period is None:
                 continue
             loc = (*at, "after" if transition.every is None else "every")
-            check_names(parse(transition.period), known, *loc)
+            fields.check_names(parse(transition.period), known, *loc)
             if values is None:
                 continue
-            found = value_of(transition.period, values, *loc)
+            found = fields.value_of(transition.period, values, *loc)
             if not 0.0 < found < float("inf"):
                 raise DeclarationProblem(
                     f"must be a finite time above 0, not {found:g}",

@@ -25,11 +25,10 @@ _RUNS: tuple[tuple[str, dict[str, Any]], ...] = (
 )
 """Models and settings; together they enter points, rims, shapes, joints, controllers and charts."""
 
-_SWEPT = "toppling_stick"
-
 
 def compile_kernels(*, quiet: bool) -> None:
     """Compile all kernels; say on stderr how far that is, and at the end how long it took."""
+    from statechart import Runner, sweep
     from statechart.kernels.jit import ahead_of_time
 
     start_time, total = time.perf_counter(), len(_RUNS) + 1
@@ -41,25 +40,14 @@ def compile_kernels(*, quiet: bool) -> None:
             if show is not None:
                 line = f"compiling {compiling.KERNELS}: part {done + 1} of {total}"
                 show(compiling.KERNELS, line, False)
-            if done < len(_RUNS):
-                _run(*_RUNS[done])
-            else:
-                _sweep()
+            if done == len(_RUNS):
+                sweep("toppling_stick", {"mu": [0.2, 0.3]})
+                break
+            model, options = _RUNS[done]
+            certify = options.get("certify", False)
+            setting = {name: value for name, value in options.items() if name != "certify"}
+            Runner(model, **setting).run({}, certify=certify, throw=False)
     if show is not None:
         show(compiling.KERNELS, "", True)
         seconds = time.perf_counter() - start_time
         print(f"compiled {compiling.KERNELS} in {seconds:.0f} s", file=sys.stderr)
-
-
-def _run(model: str, settings: dict[str, Any]) -> None:
-    from statechart.running.runner import Runner
-
-    certify = settings.get("certify", False)
-    options = {name: value for name, value in settings.items() if name != "certify"}
-    Runner(model, **options).run({}, certify=certify, throw=False)
-
-
-def _sweep() -> None:
-    from statechart import sweep
-
-    sweep(_SWEPT, {"mu": [0.2, 0.3]})

@@ -50,16 +50,23 @@ def parser() -> argparse.ArgumentParser:
     _settable(run)
     _add_run_options(run)
     _add_report_options(run)
-    _add_view_options(
-        verb("view", "run a model, write the run as a page and open it in the browser")
-    )
-    _add_trade_options(verb("trade", "measure what speed costs in accuracy"))
+    view = verb("view", "run a model, write the run as a page and open it in the browser")
+    _settable(view)
+    _value(view, "--until", "T", "end of the run", type=_number_argument)
+    _value(view, "-o --output", "PAGE", "file of the page; a temporary one by default")
+    trade = verb("trade", "measure what speed costs in accuracy")
+    _json(trade)
+    words = "folder for table, data and figure; an interrupted study goes on from there"
+    _value(trade, "-o --output", "DIR", words)
     _add_sweep_options(verb("sweep", "run a model over its parameters: grids, tables, samples"))
     _add_list_options(
         verb("modes", "list a model's modes, which are possible, and their transitions")
     )
     _add_draw_options(verb("draw", "draw the statechart of a model, or its scene"))
-    _add_check_options(verb("check", "test a model's invariants over its ranges of parameters"))
+    check = verb("check", "test a model's invariants over its ranges of parameters")
+    _value(check, "--examples", "N", "examples per property; 50", type=_positive, default=50)
+    _value(check, "--seed", "S", "repeats a check exactly", type=_count)
+    _json(check)
     ahead = verb("compile", "compile all numerical kernels, once per machine", file=False)
     ahead.add_argument("-q", "--quiet", action="store_true", help="show no progress")
     schema = verb("schema", "print the JSON Schema of the documents", file=False)
@@ -217,18 +224,6 @@ def _json(parser: argparse.ArgumentParser, *, digits: bool = False) -> None:
         _value(parser, "--digits", "N", words, type=_positive, default=DIGITS)
 
 
-def _add_view_options(parser: argparse.ArgumentParser) -> None:
-    _settable(parser)
-    _value(parser, "--until", "T", "end of the run", type=_number_argument)
-    _value(parser, "-o --output", "PAGE", "file of the page; a temporary one by default")
-
-
-def _add_trade_options(parser: argparse.ArgumentParser) -> None:
-    _json(parser)
-    words = "folder for table, data and figure; an interrupted study goes on from there"
-    _value(parser, "-o --output", "DIR", words)
-
-
 def _add_list_options(parser: argparse.ArgumentParser) -> None:
     _settable(parser)
     where = parser.add_mutually_exclusive_group()
@@ -257,12 +252,6 @@ def _add_draw_options(parser: argparse.ArgumentParser) -> None:
         default="legend",
         help="guards and resets once below, or at every arrow; legend",
     )
-
-
-def _add_check_options(parser: argparse.ArgumentParser) -> None:
-    _value(parser, "--examples", "N", "examples per property; 50", type=_positive, default=50)
-    _value(parser, "--seed", "S", "repeats a check exactly", type=_count)
-    _json(parser)
 
 
 def _engine(parser: argparse.ArgumentParser) -> None:

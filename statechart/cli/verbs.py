@@ -17,19 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from statechart import interrupts
-from statechart.cli.places import (
-    PAGES,
-    PATIENCE,
-    check_animation,
-    check_file,
-    check_folder,
-    check_sweep,
-    film_options,
-    is_store,
-    shown_study,
-    stored_study,
-    write_sweep,
-)
+from statechart.cli import places
 from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.reporting.partial_report import PartialReport
 from statechart.tabular import Table, TextBlock, table, write_plain
@@ -81,23 +69,25 @@ def run(arguments: argparse.Namespace) -> int:
     runner = _runner(
         arguments.file,
         **{part.name: getattr(arguments, part.name) for part in fields(Setting)},
-        study=stored_study(arguments),
+        study=places.stored_study(arguments),
         once=True,
         progress=not arguments.quiet,
     )
-    check_folder(arguments.output)
-    if arguments.samples is not None and (arguments.output is None or is_store(arguments.output)):
+    places.check_folder(arguments.output)
+    if arguments.samples is not None and (
+        arguments.output is None or places.is_store(arguments.output)
+    ):
         raise DeclarationError(
             "--samples and --no-samples need --output DIR",
             advice="add --output DIR, or remove them",
         )
-    check_animation(runner, arguments)
-    check_file("--report", arguments.report, PAGES)
+    places.check_animation(runner, arguments)
+    places.check_file("--report", arguments.report, places.PAGES)
     if arguments.output is not None:
         import xarray  # noqa: F401, it takes a second that a signal does not leave
     result = runner.run(parameters, until=arguments.until, certify=arguments.certify, throw=False)
     # From here on nothing is lost: a part that fails is left out, with a message.
-    with interrupts.held(), interrupts.limit_time(PATIENCE):
+    with interrupts.held(), interrupts.limit_time(places.PATIENCE):
         complete = _deliver(runner, result, parameters, arguments)
     request = result.asked
     met = (
@@ -148,11 +138,11 @@ def _deliver(
     if arguments.animate is not None:
         shown = not arguments.quiet
         draw = functools.partial(
-            result.animate, arguments.animate, progress=shown, **film_options(arguments)
+            result.animate, arguments.animate, progress=shown, **places.film_options(arguments)
         )
         pieces.attempt(arguments.animate, draw, None)
     if arguments.report is not None:
-        study, warnings = shown_study(runner.model, arguments.report, arguments.output)
+        study, warnings = places.shown_study(runner.model, arguments.report, arguments.output)
         warn(warnings)
         page = functools.partial(result.report, arguments.report, study=study)
         pieces.attempt(arguments.report, page, None)
@@ -173,7 +163,7 @@ def _save(
     from statechart.reporting.run_store import write_store
     from statechart.reporting.tables import write_run
 
-    if is_store(output):
+    if places.is_store(output):
         write_store(output, result.observer, result.trace, report_of())
         return
     if samples is None and result.trace.record is Record.MODES:
@@ -184,7 +174,7 @@ def _save(
 
 def view(arguments: argparse.Namespace) -> int:
     """Run a model, write the run as a page, and open that."""
-    check_file("-o", arguments.output, PAGES)
+    places.check_file("-o", arguments.output, places.PAGES)
     runner = _runner(arguments.file, once=True, progress=not arguments.quiet)
     parameters = _assigned_values("--set", arguments.parameters)
     result = runner.run(parameters, until=arguments.until, throw=False)
@@ -192,7 +182,7 @@ def view(arguments: argparse.Namespace) -> int:
     place = arguments.output or Path(
         tempfile.mkdtemp(prefix="statechart-"), f"{runner.model.name}.html"
     )
-    study, warnings = shown_study(runner.model, arguments.output)
+    study, warnings = places.shown_study(runner.model, arguments.output)
     warn(warnings)
     page = result.report(place, study=study).resolve()
     print(page)
@@ -302,7 +292,7 @@ def draw(arguments: argparse.Namespace) -> int:
     from statechart.reporting.figure import SUFFIXES as FIGURES
     from statechart.running.drawing import draw_scene, drawn
 
-    check_file("-o", arguments.output, FIGURES if arguments.scene else SUFFIXES)
+    places.check_file("-o", arguments.output, FIGURES if arguments.scene else SUFFIXES)
     runner = _runner(arguments.file, progress=not arguments.quiet)
     with _target(arguments.output, f"{runner.model.name}.svg") as path:
         if arguments.scene:
@@ -350,7 +340,7 @@ def trade(arguments: argparse.Namespace) -> int:
     from statechart.study.text import describe_study, to_dict
     from statechart.study.trade import trade as study_of
 
-    check_folder(arguments.output)
+    places.check_folder(arguments.output)
     runner = _runner(arguments.file)
     study = study_of(runner, folder=arguments.output, progress=_printer(arguments))
     pieces = PartialReport()
@@ -389,16 +379,16 @@ def sweep(arguments: argparse.Namespace) -> int:
     plan = make_plan(
         arguments.file, over, samples, setting, until=arguments.until, outputs=arguments.outputs
     )
-    check_sweep(arguments, plan)
-    store = arguments.output if is_store(arguments.output) else None
+    places.check_sweep(arguments, plan)
+    store = arguments.output if places.is_store(arguments.output) else None
     shown = not arguments.quiet
     workers = arguments.workers and min(arguments.workers, plan.size)
     with crew(workers, arguments.scheduler) as executor:
         made = run_plan(plan, executor, store=store, resume=arguments.resume, progress=shown)
     pieces = PartialReport()
-    with interrupts.held(), interrupts.limit_time(PATIENCE):
+    with interrupts.held(), interrupts.limit_time(places.PATIENCE):
         data = made.dataset(loaded=True)
-        write_sweep(arguments, plan, data, pieces)
+        places.write_sweep(arguments, plan, data, pieces)
         report = results.to_dict(plan, data, where=arguments.output)
         if arguments.json:
             print_json(report)
@@ -489,7 +479,7 @@ def new(arguments: argparse.Namespace) -> int:
     path = Path(f"{name}.yaml")
     if path.exists() or path.is_symlink():
         raise DeclarationError(f"{path} exists already", advice="choose another name")
-    check_file("new", str(path))
+    places.check_file("new", str(path))
     text = line("scene") + kind("scene").starter.read_text(encoding="utf-8").replace("NAME", name)
     interpret(read_text(text, str(path)))
     write_atomic(path, text.encode())

@@ -18,6 +18,7 @@ from statechart.automaton.regions import (
     Margin,
     Region,
     hierarchical_edges,
+    replace_complete_sets,
 )
 from statechart.automaton.trace import Key, Role, Trace
 from statechart.diagram.layout.ring import MAX_STEPS
@@ -337,7 +338,7 @@ def region_chart(
     leaves = region.innermost
     edges = hierarchical_edges(region)
     linked = {end for edge in edges for end in (edge.source, edge.target)}
-    inner = {n: [s for s in leaves if n in _around(region, s)] for n in _superstates(region)}
+    inner = {n: [s for s in leaves if n in _around(region, s)] for n in region.frames}
     # No frame around a single direction of sliding.
     frames = {
         name
@@ -450,11 +451,6 @@ def abbreviate(names: list[str]) -> list[str]:
     return [*names[:3], f"... {names[-1]} ({len(names)} in all)"]
 
 
-def _superstates(region: Region) -> Iterator[str]:
-    found = dict.fromkeys(region.superstates.values())
-    return iter(sorted(found, key=lambda name: len(region.active(name))))
-
-
 def _reset(region: Region, edge: HierarchicalEdge) -> str:
     """Return the reset of an edge, one line per choice if they differ."""
     by_reset: dict[str, list[str]] = {}
@@ -463,18 +459,9 @@ def _reset(region: Region, edge: HierarchicalEdge) -> str:
     if len(by_reset) == 1:
         return edge.reset
     return "\n".join(
-        f"to {' or '.join(_state_lines(region, targets))}: {reset or 'nothing'}"
+        f"to {' or '.join(replace_complete_sets(region, targets))}: {reset or 'nothing'}"
         for reset, targets in by_reset.items()
     )
-
-
-def _state_lines(region: Region, states: list[str]) -> list[str]:
-    """Return states with complete sets replaced by their superstate."""
-    for name in _superstates(region):
-        members = region.within(name)
-        if len(members) > 1 and set(members) <= set(states):
-            return [name, *_state_lines(region, [s for s in states if s not in members])]
-    return states
 
 
 def _actions(region: Region, state: str) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from statechart.diagram.legend import Guards
 from statechart.diagram.mermaid import mermaid
 from statechart.diagram.model import Diagram, printable
 from statechart.diagram.scxml import scxml
-from statechart.documents.files import write_atomic
+from statechart.documents.files import write_atomic, writing
 from statechart.errors import StatechartError
 
 SUFFIXES = (".svg", ".png", ".pdf", ".dot", ".mmd", ".scxml", ".graphml")
@@ -27,10 +27,8 @@ def write(diagram: Diagram, path: Path, guards: Guards = "legend") -> None:
         )
     if not path.parent.is_dir():
         raise StatechartError(f"cannot write {str(path)!r}: there is no folder {path.parent}")
-    try:
+    with writing(repr(str(path))):
         write_atomic(path, _data(diagram, suffix, guards))
-    except OSError as error:
-        raise StatechartError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
 
 
 def _data(diagram: Diagram, suffix: str, guards: Guards) -> bytes:

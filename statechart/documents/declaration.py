@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, model_validator
 
+from statechart.documents import quantities
 from statechart.documents.documented import declare
 from statechart.documents.fields import TIME as TIME
 from statechart.documents.fields import (
@@ -28,19 +29,6 @@ from statechart.documents.fields import (
     value_of,
 )
 from statechart.documents.outputs import Integral, Output, check_output, formula_of
-from statechart.documents.quantities import (
-    BASES,
-    POWERS,
-    SYSTEMS,
-    Fact,
-    Powers,
-    Quantity,
-    dimension_name,
-    fields_of,
-    infer_dimensions,
-    unit_of,
-    unit_text,
-)
 from statechart.documents.settings import LATE_END, Settings, Stop
 from statechart.documents.validation import located
 from statechart.errors import (
@@ -57,13 +45,13 @@ from statechart.formulas.tree import Binary, Name, names_in
 def _units(value: Any) -> Any:
     """Return the base units of a named system of units."""
     if isinstance(value, str):
-        if value not in SYSTEMS:
+        if value not in quantities.SYSTEMS:
             raise DeclarationProblem(
                 f"no units are called {value!r}",
-                advice=close_matches(value, SYSTEMS) + ", or each by itself as in "
+                advice=close_matches(value, quantities.SYSTEMS) + ", or each by itself as in "
                 "{length: mm, time: s, mass: g}",
             )
-        return dict(SYSTEMS[value])
+        return dict(quantities.SYSTEMS[value])
     return value
 
 
@@ -172,42 +160,44 @@ class Declaration(Part):
         """Return the model for `overrides`, another one if they change its structure."""
         return self
 
-    def stated(self, name: str) -> Quantity:
+    def stated(self, name: str) -> quantities.Quantity:
         """Return the quantity of a variable or observable by its name."""
-        return Quantity(name, "time" if name == TIME else "")
+        return quantities.Quantity(name, "time" if name == TIME else "")
 
-    def facts(self) -> Iterator[Fact]:
+    def facts(self) -> Iterator[quantities.Fact]:
         """Yield formulas with their dimensions, and pairs of formulas of equal dimension."""
-        yield from fields_of(self)
+        yield from quantities.fields_of(self)
         for name, output in self.outputs.items():
             formula = formula_of(output)
             if formula is None:
-                yield Name(_free_output_name(name)), POWERS["1"]
+                yield Name(_free_output_name(name)), quantities.POWERS["1"]
                 continue
             root = parse(formula).root
             timed = Binary("*", root, Name(TIME)) if isinstance(output, Integral) else root
             yield Name(_free_output_name(name)), timed
 
     @cached_property
-    def dimensions(self) -> Mapping[str, Powers]:
+    def dimensions(self) -> Mapping[str, quantities.Powers]:
         """The dimensions of names, inferred from formulas."""
         facts = list(self.facts())
-        trees = [part for fact in facts for part in fact if not isinstance(part, Powers)]
+        trees = [part for fact in facts for part in fact if not isinstance(part, quantities.Powers)]
         names = {name.name for tree in trees for name in names_in(tree)}
         stated = {name: self.stated(name).dimension for name in names}
-        known = {name: POWERS[dimension] for name, dimension in stated.items() if dimension}
+        known = {
+            name: quantities.POWERS[dimension] for name, dimension in stated.items() if dimension
+        }
         for name in names.intersection(self.units):
-            for powers in POWERS.values():
-                if unit_text(powers, self.units) == self.units[name]:
+            for powers in quantities.POWERS.values():
+                if quantities.unit_text(powers, self.units) == self.units[name]:
                     known.setdefault(name, powers)
-        return infer_dimensions(facts, known)
+        return quantities.infer_dimensions(facts, known)
 
-    def quantity(self, name: str) -> Quantity:
+    def quantity(self, name: str) -> quantities.Quantity:
         """Return the quantity of a variable, observable or parameter."""
         stated = self.stated(name)
         if stated.dimension:
             return stated
-        return stated._replace(dimension=dimension_name(self.dimensions.get(name)))
+        return stated._replace(dimension=quantities.dimension_name(self.dimensions.get(name)))
 
     def unit(self, name: str) -> str:
         """Return the unit of a variable, an observable or an output; empty if unknown.
@@ -230,10 +220,10 @@ class Declaration(Part):
             if same != name and same and same in parse(same).names:
                 return self.unit(same)
         if name in self.outputs:
-            return unit_text(self.dimensions.get(_free_output_name(name)), self.units)
+            return quantities.unit_text(self.dimensions.get(_free_output_name(name)), self.units)
         if dimension := self.stated(name).dimension:
-            return unit_of(dimension, self.units)
-        return unit_text(self.dimensions.get(name), self.units)
+            return quantities.unit_of(dimension, self.units)
+        return quantities.unit_text(self.dimensions.get(name), self.units)
 
     def __str__(self) -> str:
         """Return the model as YAML."""
@@ -320,7 +310,7 @@ class Declaration(Part):
         the states and events of every region (without `stop`). Raises `DeclarationProblem`.
         """
         found = Findings()
-        named = {*BASES, *names, *self.parameters, *self.outputs}
+        named = {*quantities.BASES, *names, *self.parameters, *self.outputs}
         for name in self.units:
             with found:
                 if name not in named:

@@ -11,23 +11,11 @@ from pydantic_core import PydanticCustomError
 
 from statechart.documents.documented import Documented, own_words
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
+from statechart.formulas import tree
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.hints import no_name
 from statechart.formulas.relation import Relation, conjunction, parse_relation
 from statechart.formulas.syntax import NAME
-from statechart.formulas.tree import (
-    JUMPS,
-    RESERVED,
-    WORDS,
-    Binary,
-    Call,
-    Name,
-    Node,
-    Unary,
-    children,
-    names_in,
-    nodes,
-)
 
 
 def problem(error: FormulaError, *loc: str | int) -> DeclarationProblem:
@@ -66,9 +54,9 @@ def _check_jumps(*formulas: Formula) -> None:
     `statechart.charts.wrapping` replaces those by counting regions.
     """
     for formula in formulas:
-        for node in nodes(formula.root):
-            if isinstance(node, Call) and node.function in JUMPS:
-                if any(name.name == TIME for name in names_in(node.arguments[0])):
+        for node in tree.nodes(formula.root):
+            if isinstance(node, tree.Call) and node.function in tree.JUMPS:
+                if any(name.name == TIME for name in tree.names_in(node.arguments[0])):
                     continue
                 raise DeclarationProblem(
                     f"formula {formula.text!r}: {node.function} jumps, and may stand only in "
@@ -105,7 +93,7 @@ def _relation(value: str) -> str:
     _check_jumps(*relation.formulas)
     for one in relation.comparisons:
         # On its boundary the derivatives of a margin decide.
-        check_derived(Binary("-", one.left.root, one.right.root), relation.names)
+        check_derived(tree.Binary("-", one.left.root, one.right.root), relation.names)
     if any(formula.names_infinity for formula in relation.formulas):
         raise DeclarationProblem(
             f"formula {value!r}: nothing is compared with infinity", advice="write a finite number"
@@ -133,7 +121,7 @@ def _all_of(value: Any) -> Any:
 def _name(value: str) -> str:
     if not NAME.fullmatch(value):
         raise DeclarationProblem(f"{value!r} is not a name", advice=no_name(value))
-    if value in RESERVED:
+    if value in tree.RESERVED:
         raise DeclarationProblem(
             f"{value!r} already has a meaning in formulas", advice="choose another name"
         )
@@ -141,7 +129,7 @@ def _name(value: str) -> str:
 
 
 def _value_name(value: str) -> str:
-    if value in WORDS:
+    if value in tree.WORDS:
         raise DeclarationProblem(f"{value!r} is a word of relations", advice="choose another name")
     return value
 
@@ -243,9 +231,9 @@ def has_switch(
     text: str | int | float, variables: Collection[str], functions: Collection[str] = KINKED
 ) -> bool:
     """Return whether a formula contains one of `functions` of any of `variables`."""
-    calls = (node for node in nodes(parse(text).root) if isinstance(node, Call))
+    calls = (node for node in tree.nodes(parse(text).root) if isinstance(node, tree.Call))
     return any(
-        call.function in functions and any(name.name in variables for name in names_in(call))
+        call.function in functions and any(name.name in variables for name in tree.names_in(call))
         for call in calls
     )
 
@@ -264,8 +252,8 @@ def check_smooth(
     `lacks` and `advice` complete the message. With `roots` the root of a square counts as a kink.
     Raises `DeclarationProblem` at the first kink.
     """
-    for call in (node for node in nodes(parse(text).root) if isinstance(node, Call)):
-        switched = {name.name for name in names_in(call)}.intersection(variables)
+    for call in (node for node in tree.nodes(parse(text).root) if isinstance(node, tree.Call)):
+        switched = {name.name for name in tree.names_in(call)}.intersection(variables)
         if call.function in KINKED and switched:
             raise DeclarationProblem(
                 f"{call.function} of {', '.join(sorted(switched))} has no {lacks} where it "
@@ -299,7 +287,7 @@ MAX_NESTED = 10
 
 
 def check_derived(
-    root: Node, variables: Collection[str], loc: tuple[str | int, ...] = (), order: int = 2
+    root: tree.Node, variables: Collection[str], loc: tuple[str | int, ...] = (), order: int = 2
 ) -> None:
     """Raise `DeclarationProblem` if the derivatives of a formula are too large to be built."""
     nested = _nesting_depth(root)
@@ -319,24 +307,24 @@ def check_derived(
         )
 
 
-def _nesting_depth(node: Node) -> int:
+def _nesting_depth(node: tree.Node) -> int:
     """Return the depth of nested functions."""
-    within = max(map(_nesting_depth, children(node)), default=0)
-    return within + isinstance(node, Call)
+    within = max(map(_nesting_depth, tree.children(node)), default=0)
+    return within + isinstance(node, tree.Call)
 
 
-def _formula_sizes(node: Node, variables: Collection[str]) -> tuple[int, int, int]:
+def _formula_sizes(node: tree.Node, variables: Collection[str]) -> tuple[int, int, int]:
     """Return the estimated operations of a formula and its first two derivatives."""
     match node:
-        case Name():
+        case tree.Name():
             return 1, int(node.name in variables), 0
-        case Unary():
+        case tree.Unary():
             size, first, second = _formula_sizes(node.operand, variables)
             return size + 1, first + 1 if first else 0, second + 1 if first else 0
-    parts = [_formula_sizes(child, variables) for child in children(node)]
+    parts = [_formula_sizes(child, variables) for child in tree.children(node)]
     size = 1 + sum(part[0] for part in parts)
     moving = [part for part in parts if part[1]]
-    if isinstance(node, Binary) and node.operator in "+-":
+    if isinstance(node, tree.Binary) and node.operator in "+-":
         return size, 1 + sum(p[1] for p in moving), 1 + sum(p[2] for p in moving)
     # Chain rule f_u u' + f_v v'; partial derivatives are about as large as f.
     first = sum(p[1] + size for p in moving)

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from statechart.errors import DeclarationError
+from statechart.errors import DeclarationError, StatechartError
 
 
 def read_bounded(path: Path, most: int, advice: str) -> bytes:
@@ -57,6 +57,16 @@ def write_atomic(path: Path, data: bytes) -> None:
         with suppress(FileNotFoundError):
             os.unlink(temporary)
         raise
+
+
+@contextmanager
+def writing(path: Path | str, advice: str = "") -> Iterator[None]:
+    """Raise `StatechartError` with `advice` for an `OSError` while a file is written."""
+    try:
+        yield
+    except OSError as error:
+        reason = f"{error.strerror or error}{advice and '; '}{advice}"
+        raise StatechartError(f"cannot write {path}: {reason}") from error
 
 
 def obstacle(path: Path) -> str:

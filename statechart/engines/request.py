@@ -89,7 +89,7 @@ class Chosen:
 
 
 class Measured(Protocol):
-    """Measurements of a model at many settings, as `statechart.study.study.Study`."""
+    """Measurements of a model at many settings, as `statechart.study.measurements.Study`."""
 
     until: float
 

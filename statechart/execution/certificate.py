@@ -32,8 +32,6 @@ _MAX_DISPLACEMENT = 1e3 * _STEP
 _MAX_RATE_CHANGE = 0.25
 # Relative distance of the begin of a step from the end of the last one that is round-off.
 _CONTINUITY_ROUND_OFF = 8.0 * float(np.finfo(float).eps)
-# Terms of the exponential of a matrix of norm up to 1/2: the remainder is below 1e-18.
-_TERMS = 15
 # Changes of equations by the laws before a jump.
 _MAX_REARRANGEMENTS = 8
 
@@ -86,6 +84,8 @@ class Certificate:
     def flow(self, arc: Arc, compiled: CompiledMode) -> None:
         """Process the steps of a flow."""
         scale, rates = self._scale, compiled.rates
+        from scipy.linalg import expm  # slow import
+
         with np.errstate(all="ignore"):
             if self._states:
                 self._begin(arc, rates)
@@ -117,7 +117,7 @@ class Certificate:
                 for order in range(MOMENTS):
                     added += power @ (moment[:, order] / scale)
                     power = power @ slope / (order + 1)
-                self._carry(_exponential(slope) if np.isfinite(slope).all() else slope)
+                self._carry(expm(slope) if np.isfinite(slope).all() else slope)
                 self._error += added
                 self._unknown += np.diag((round_off / scale) ** 2)
                 if shifts[step].any():
@@ -238,14 +238,11 @@ class Certificate:
         """Return gradient of a guard and rates in scaled variables, and the guard's rate."""
         rates = compiled.rates.values(state, self._setup.values, time) / self._scale
         slope = self._gradients(compiled.guards, state[None], np.array([time]))[0, guard]
-        guard_rate = float(slope @ rates) + self._rate(compiled.guards, guard, state, time)
-        return slope, rates, guard_rate
-
-    def _rate(self, guards: Tape, guard: int, state: Array, time: float) -> float:
+        # The partial derivative with respect to time, by central differences.
         step = _STEP * self._end
         times, states = np.array([time - step, time + step]), np.array([state, state])
-        below, above = guards.table(states, self._setup.values, times)[:, guard]
-        return float(above - below) / (2.0 * step)
+        below, above = compiled.guards.table(states, self._setup.values, times)[:, guard]
+        return slope, rates, float(slope @ rates) + float(above - below) / (2.0 * step)
 
 
 def _jump_target(laws: Laws, instant: Instant, jump: Jump) -> Array | None:
@@ -263,21 +260,3 @@ def _jump_target(laws: Laws, instant: Instant, jump: Jump) -> Array | None:
             return next_jump.after if is_same else None
         instant = instant._replace(flow=following)
     return None
-
-
-def _exponential(matrix: Array) -> Array:
-    """Return the exponential of a matrix: Taylor's series, by scaling and squaring.
-
-    Method 3 of C. Moler and C. Van Loan, SIAM Review 45, 2003.
-    """
-    # SciPy's takes 0.15 s to import, and its BLAS starts threads for small matrices.
-    _, doublings = math.frexp(float(np.abs(matrix).sum(axis=1).max(initial=0.0)))
-    squarings = max(doublings + 1, 0)  # Row sums are at most 1/2
-    scaled, term = matrix * 0.5**squarings, np.eye(len(matrix))
-    total = term
-    for order in range(1, _TERMS + 1):
-        term = term @ scaled / order
-        total = total + term
-    for _ in range(squarings):
-        total = total @ total
-    return total

@@ -122,7 +122,7 @@ class Batch(NamedTuple):
     def entered(self) -> list[tuple[Kind, CompiledMode]]:
         """Return the modes that the single run has entered."""
         kinds = zip(self.kinds, self.result.entered[0].tolist(), strict=True)
-        return [(kind, self.modes.compiled(kind)) for kind, entered in kinds if entered]
+        return [(kind, self.modes.compiled[kind]) for kind, entered in kinds if entered]
 
 
 # Flows after which a loop is compiled: about two seconds of interpreted runs.
@@ -138,21 +138,22 @@ class _CompilationPolicy:
     """
 
     def __init__(self, compiled: Callable[[], bool]) -> None:
-        self._compiled, self._requests, self._on_disk = compiled, 0, False
+        self.compiled, self._requests, self._on_disk = compiled, 0, False
 
     def pays(self, count: int = 1) -> bool:
         """Return whether compiled code pays for `count` more flows."""
         before = self._requests.bit_length()
         self._requests += count
         if not self._on_disk and self._requests.bit_length() > before:
-            self._on_disk = self._compiled()
+            self._on_disk = self.compiled()
         return self._on_disk or self._requests > _WORTH_COMPILING
 
 
 class LoopModes:
     """Modes of a simulator for one set of zero parameters, as a growing `ModeTable`.
 
-    `kinds` are the modes and roles of its rows, `jumps` the regions and causes of its jumps.
+    `kinds` are the modes and roles of its rows, `compiled` those that were added, `jumps` the
+    regions and causes of its jumps.
     """
 
     def __init__(self, laws: CompiledLaws, engine: Engine, automaton: Automaton) -> None:
@@ -160,7 +161,7 @@ class LoopModes:
         self.jumps = laws.series
         self.laws, self._engine, self._automaton = laws, engine, automaton
         self._watched: dict[Kind, Tape] = {}
-        self._compiled: dict[Kind, CompiledMode] = {}
+        self.compiled: dict[Kind, CompiledMode] = {}
         self._entries: dict[Kind, Entry] = {}
         self._bands: dict[str, int] = {}
         self._call: Any = None  # as `CompiledLaws.call` returns it
@@ -169,37 +170,25 @@ class LoopModes:
             _CompilationPolicy(laws.compiled),
         )
 
-    def compiled(self, kind: Kind) -> CompiledMode:
-        """Return a mode that was added."""
-        return self._compiled[kind]
-
-    def knows(self, kind: Kind) -> bool:
-        """Return whether loops can go through a mode."""
-        return kind in self._compiled
-
-    def about(self, event: RecordedEvent) -> tuple[str, str]:
-        """Return region and cause of an event of the loop."""
-        return self.laws.about(event)
-
     def jump(self, setup: Callable[[], Setup], event: RecordedEvent) -> Jump:
         """Return the jump of an event of the loop; `setup` returns the run's setup."""
-        names = self._compiled[event.source, roles_in(event.source)].names
+        names = self.compiled[event.source, roles_in(event.source)].names
         fired = names[event.fired] if event.fired >= 0 else ""
         return self.laws.jump(setup, event, fired)
 
     def add(self, mode: Key, roles: Roles, compiled: CompiledMode) -> None:
         """Add a mode, if it can be compiled."""
         kind = mode, roles
-        if kind in self._compiled or self.laws.listed(*kind, compiled.names) is None:
+        if kind in self.compiled or self.laws.listed(*kind, compiled.names) is None:
             return
         entry = self._engine.entry(compiled.stepper)
         if entry is not None and self._engine.allowance is None:
-            self._compiled[kind], self._entries[kind] = compiled, entry
+            self.compiled[kind], self._entries[kind] = compiled, entry
             self._call = None
 
     def batch(self, count: int) -> Any:
         """Return the calls that start `count` runs; None if they cannot, or do not pay."""
-        if not self._batch_worth.pays(count) or not self._compiled:
+        if not self._batch_worth.pays(count) or not self.compiled:
             return None
         call = self._calls()
         return call if call.starts else None
@@ -216,9 +205,7 @@ class LoopModes:
         tolerances = self.laws.tolerances(setup, state, time)
         return Flow(mode, roles, settled=True, tolerances=tolerances, terms=terms)
 
-    def begin(
-        self, setup: Setup, until: float, max_jumps: int, buffer: TraceBuffer
-    ) -> Batch | None:
+    def begin(self, setup: Setup, until: float, buffer: TraceBuffer) -> Batch | None:
         """Start a run with this setup; None if the loop cannot."""
         call, floor = self.batch(1), self._engine.floor
         if call is None or not isinstance(floor, float):
@@ -226,7 +213,7 @@ class LoopModes:
         kinds = call.loop.kinds
         result = BatchResult.empty(1, len(setup.values), len(setup.initial), len(kinds))
         buffer.used[:] = 0
-        call.begin(setup, until, max_jumps, floor, buffer, result)
+        call.begin(setup, until, self._automaton.max_jumps, floor, buffer, result)
         if result.ends.item(HOW) == UNUSUAL:
             return None
         rows = np.zeros(1, np.intp)
@@ -244,7 +231,7 @@ class LoopModes:
         kind, floor = (flow.mode, flow.roles), self._engine.floor
         if not self.laws.takes(setup, flow, state, clock.item(T_HIGH)):
             return None
-        if kind not in self._compiled or not self._worth.pays():
+        if kind not in self.compiled or not self._worth.pays():
             return None
         assert isinstance(floor, float)
         call = self._calls()
@@ -264,10 +251,10 @@ class LoopModes:
     def _loop(self) -> Loop:
         packed = Packed()
         known = set(self.kinds)
-        self.kinds += [kind for kind in self._compiled if kind not in known]
+        self.kinds += [kind for kind in self.compiled if kind not in known]
         rows = np.zeros((len(self.kinds), COLUMNS), np.int64)
         rows[:, LAWS_AT] = -1
-        for kind, compiled in self._compiled.items():
+        for kind, compiled in self.compiled.items():
             entry = self._entries[kind]
             margins = [
                 (KINDS.index(kind_of_margin), self._bands.setdefault(name, len(self._bands)))
@@ -306,7 +293,7 @@ class LoopModes:
         """Return margins and rates of a mode as one tape with shared operations."""
         tape = self._watched.get(kind)
         if tape is None:
-            mode = self._compiled[kind].mode
+            mode = self.compiled[kind].mode
             margins = [margin.expression for margin in mode.margins]
             tape = self._watched[kind] = self._automaton.tape([*margins, *mode.rates], mode)
         return tape

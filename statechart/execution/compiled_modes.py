@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -73,13 +73,9 @@ class SolvedModes:
         self._modes: dict[tuple[Roles, frozenset[int]], Mode] = {}
         self._taped: dict[Mode, TapedMode] = {}
         self._switches: dict[Mode, Switches | None] = {}
-        self._parts: dict[Automaton, SolvedModes] = {}
-        self._mentioned: dict[tuple[int, Role], frozenset[int]] = {}
+        self.part = cache(SolvedModes)  # modes of a component
+        self._mentioned = cache(self._in_state)
         self._place = {symbol: i for i, symbol in enumerate(automaton.parameters)}
-
-    def part(self, automaton: Automaton) -> SolvedModes:
-        """Return the modes of a component."""
-        return self._parts.setdefault(automaton, SolvedModes(automaton))
 
     def taped(self, roles: Roles, zeros: frozenset[int]) -> TapedMode:
         """Return the tapes of the mode of `roles`, for parameters `zeros` that are zero."""
@@ -137,7 +133,7 @@ class SolvedModes:
 
     def _used(self, roles: Roles) -> frozenset[int]:
         """Return the indices of the parameters in the equations of `roles`."""
-        return self._always.union(*(self._in_state(*symbols) for symbols in enumerate(roles)))
+        return self._always.union(*(self._mentioned(*symbols) for symbols in enumerate(roles)))
 
     @cached_property
     def _always(self) -> frozenset[int]:
@@ -148,12 +144,8 @@ class SolvedModes:
 
     def _in_state(self, region: int, role: Role) -> frozenset[int]:
         """Return the indices of the parameters in the equations of a region."""
-        state_of_mode = self._mentioned.get((region, role))
-        if state_of_mode is None:
-            state = self.automaton.regions[region].build(role)
-            state_of_mode = self._places((*state.equations, *state.values.values()))
-            self._mentioned[region, role] = state_of_mode
-        return state_of_mode
+        state = self.automaton.regions[region].build(role)
+        return self._places((*state.equations, *state.values.values()))
 
     def _places(self, expressions: Iterable[sp.Expr]) -> frozenset[int]:
         used: set[sp.Symbol] = set().union(*(e.free_symbols for e in expressions))
@@ -169,30 +161,23 @@ class CompiledModes:
         self.stops = solved.stops
         self.engine = engine
         self.solved = solved
-        self._compiled: dict[tuple[Roles, frozenset[int]], CompiledMode] = {}
+        self._compiled: dict[Mode, CompiledMode] = {}
         self._built: set[Key] = set()
 
     def compiled(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
         """Return the mode of `roles`, compiled for zero parameters at the places `zeros`."""
-        compiled_mode = self._compiled.get((roles, zeros))
+        mode = self.mode(roles, zeros)
+        compiled_mode = self._compiled.get(mode)
         if compiled_mode is None:
-            taped = self.solved.taped(roles, zeros)
-            mode = taped.mode
-            compiled_mode = next(
-                (other_mode for other_mode in self._compiled.values() if other_mode.mode is mode),
-                None,
-            )
-            if compiled_mode is None:
-                compiled_mode = self._compile(taped, roles, zeros)
-                key = moving_mode(roles)
-                if HELD not in key:
-                    self._built.add(key)
-            self._compiled[roles, zeros] = compiled_mode
+            compiled_mode = self._compiled[mode] = self._compile(roles, zeros)
+            key = moving_mode(roles)
+            if HELD not in key:
+                self._built.add(key)
         return compiled_mode
 
-    def _compile(self, taped: TapedMode, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
+    def _compile(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
         """Compile the rates, unless another mode has the same."""
-        plain_roles = uncaptured(roles)
+        taped, plain_roles = self.taped(roles, zeros), uncaptured(roles)
         if plain_roles == roles:
             stepper = self.engine.compile(self.automaton, taped.mode, taped.rates)
         else:

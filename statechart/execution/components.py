@@ -97,7 +97,6 @@ class MergedRun:
         automaton: Automaton,
         setup: Setup,
         runs: Sequence[tuple[Component, Places, Trace]],
-        max_jumps: int,
     ) -> None:
         self._automaton, self._setup = automaton, setup
         self._parts = [_ComponentRun(*run) for run in runs]
@@ -120,9 +119,9 @@ class MergedRun:
         if stops:
             # Other events of this instant precede the stop.
             groups.append((self.end, {self._last: len(ended.times) - 1}))
-        self.many = len(groups) >= max_jumps
+        self.many = len(groups) >= automaton.max_jumps
         if self.many:
-            groups = groups[:max_jumps]
+            groups = groups[: automaton.max_jumps]
             self.end = groups[-1][0]
         self._groups = groups
         self._times = [time for time, _ in groups]
@@ -343,28 +342,19 @@ def _instants(
     Simultaneous jumps of components become one `joint` jump (the first jumps of all of them before
     the second ones), or follow one another in the order of the components.
     """
-    if not joint:
-        order: list[tuple[float, int, int]] = []
-        instant = previous = -math.inf
-        for time, place, j in jumps:
-            if time - previous > _ONE_INSTANT * _ULP * time:
-                instant = time
-            previous = time
-            order.append((instant, place, j))
-        return [(time, {place: j}) for time, place, j in sorted(order)]
     instants: list[tuple[float, dict[int, int]]] = []
     first, instant, previous = 0, -math.inf, -math.inf
     for time, place, j in jumps:
         if time - previous > _ONE_INSTANT * _ULP * time:
             first, instant = len(instants), time
         previous = time
-        rank = next(
-            (k for k in range(first, len(instants)) if place not in instants[k][1]), len(instants)
-        )
+        rank = first if joint else len(instants)
+        while rank < len(instants) and place in instants[rank][1]:
+            rank += 1
         if rank == len(instants):
             instants.append((instant, {}))
         instants[rank][1][place] = j
-    return instants
+    return instants if joint else sorted(instants, key=lambda one: (one[0], [*one[1].items()]))
 
 
 @lru_cache(maxsize=64)

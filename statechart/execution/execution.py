@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from statechart import interrupts
+from statechart import errors, interrupts
 from statechart.automaton.clock import Clock, between
 from statechart.automaton.laws import (
     OTHER_PARAMETERS,
@@ -26,16 +26,8 @@ from statechart.automaton.regions import Margin
 from statechart.automaton.switches import is_of_switch
 from statechart.automaton.time_stepper import Sample, Sampling, in_order
 from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace, check_size
-from statechart.automaton.trace_store import TraceRecorder
+from statechart.automaton.trace_store import TraceStore
 from statechart.engines.engine import FlowWatch, Path
-from statechart.errors import (
-    EventLoop,
-    NonFinite,
-    SimulationError,
-    SingularMode,
-    StepFailure,
-    TooLong,
-)
 from statechart.execution import compiled_loop as runs
 from statechart.execution.compiled_loop import LOOK_AHEAD, Batch, LoopModes
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
@@ -44,7 +36,7 @@ from statechart.execution.finding import closing, from_here, only_stops
 from statechart.execution.flow import FOLLOWED, UNFOLLOWED, Advance
 from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, loop_error
 from statechart.execution.outcome import Progress, error_of
-from statechart.execution.zeno import Accumulation
+from statechart.execution.zeno import Accumulation, summed
 from statechart.formulas.series import sizes_at
 from statechart.kernels.polynomials import term_sizes
 from statechart.tabular import pluralise
@@ -67,11 +59,10 @@ class Execution:
 
     modes: CompiledModes  # Automaton and engine, with the modes entered in this run or before.
     path: Path  # Buffer of the steps of the current flow.
-    record: TraceRecorder  # Arcs and jumps so far.
+    record: TraceStore  # Arcs and jumps so far.
     setup: Setup
     zeros: frozenset[int]  # Indices of the parameters that are exactly zero.
     until: float  # End of the run.
-    max_jumps: int
     progress: bool  # Report to stderr.
     loop: LoopModes | None = None  # Compiled event loop, if the automaton has one.
     certificate: Certificate | None = None  # Collects error bounds, if they are to be proved.
@@ -86,7 +77,7 @@ class Execution:
     instants: int = 0
     entered: dict[Roles, CompiledMode] = field(default_factory=dict)
     grazed: bool = False
-    failure: SimulationError | None = None
+    failure: errors.SimulationError | None = None
 
     def __post_init__(self) -> None:
         self.automaton, self.engine = self.modes.automaton, self.modes.engine
@@ -121,7 +112,7 @@ class Execution:
                 yield
         except KeyboardInterrupt:
             self._end(Outcome.INTERRUPTED, "interrupted by the user")
-        except SimulationError as error:
+        except errors.SimulationError as error:
             started = self.started_mode is not None
             location = self.automaton.label(self.flow.mode) if started else "at the start"
             self._end(
@@ -217,7 +208,7 @@ class Execution:
                 since = self.record.jumps[-1].t if self.record.jumps else 0.0
                 clock = np.array([*self.clock, self.until, self.horizon, since, 0.0])
                 batch = loop.resume(
-                    self.setup, self.flow, clock, (jumps, self.max_jumps), self.state,
+                    self.setup, self.flow, clock, (jumps, self.automaton.max_jumps), self.state,
                     self.record.buffer, self.accumulation.series, self.zeros,
                 )  # fmt: skip
                 if batch is None:
@@ -231,11 +222,10 @@ class Execution:
             if reason == runs.FLOW:
                 return None
             if reason == runs.FELL and margin >= 0:
-                return self.fell(loop.compiled((self.flow.mode, self.flow.roles)), margin)
+                return self.fell(loop.compiled[self.flow.mode, self.flow.roles], margin)
             if reason == runs.ACCUMULATES:
-                self._skip_by(
-                    self.accumulation.sum_from(margin, batch.result.clock.item(0, runs.T_REST))
-                )
+                row, rest = self.accumulation.series[margin], batch.result.clock[0, runs.T_REST]
+                self._skip_by(summed(row, float(rest)))
             if reason in (runs.ACCUMULATES, runs.COUNTED) and self.counted():
                 return ()
             if not self.flow.settled and self.settle():
@@ -302,7 +292,7 @@ class Execution:
             flow.fixed,
         ).run()  # fmt: skip
         self._keep(flow, reached)
-        if isinstance(reached.failure, StepFailure | NonFinite | TooLong):
+        if isinstance(reached.failure, errors.StepFailure | errors.NonFinite | errors.TooLong):
             self.failure = reached.failure
             return (UNBOUNDED,)
         if reached.failure is not None:
@@ -328,7 +318,7 @@ class Execution:
         self.flow = flow._replace(signs=())
         try:
             found = self._filippov.resolved(self._instant(*fired), self.zeros, before)
-        except SingularMode:
+        except errors.SingularMode:
             # Constraints that have just closed may share loads, which the laws decide next.
             if flow.settled:
                 raise
@@ -442,7 +432,7 @@ class Execution:
 
         The end is recognised by steps that become too short, not by an unbounded state.
         """
-        if not isinstance(self.failure, StepFailure):
+        if not isinstance(self.failure, errors.StepFailure):
             return ()
         compiled, setup, state = self._enter(self.flow.moving), self.setup, self.state
         guards, time = compiled.guards, self.clock.high
@@ -542,7 +532,7 @@ class Execution:
                 advice = (
                     "; instead of sign write couplings: {f: {bodies: [a], limit: F}}, or a contact"
                 )
-                self.failure = EventLoop(
+                self.failure = errors.EventLoop(
                     f"{', '.join(fired)} falls at t = {self.clock.high:.6g}, but no jump follows"
                     + (advice if self.flow.signs else "")
                 )
@@ -577,10 +567,11 @@ class Execution:
         take no time.
         """
         self._livelock.check(self.record.jumps, self.clock, self.automaton)
+        most = self.automaton.max_jumps
         if not self.automaton.stops:
-            check_pace(self.record.jumps, self.clock, self.until, self.max_jumps)
-        if too_many := len(self.record.jumps) >= self.max_jumps:
-            self._end(Outcome.TOO_MANY_JUMPS, pluralise(self.max_jumps, "jump"))
+            check_pace(self.record.jumps, self.clock, self.until, most)
+        if too_many := len(self.record.jumps) >= most:
+            self._end(Outcome.TOO_MANY_JUMPS, pluralise(most, "jump"))
         return too_many
 
     def _skip(self, jump: Jump) -> None:

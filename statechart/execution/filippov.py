@@ -157,9 +157,12 @@ def _round_off(
     sizes = flow_sizes(at.setup, at.flow, at.state)
     if signs is not None:
         state, sizes = np.concatenate([state, signs]), np.concatenate([sizes, np.abs(signs)])
-    values = at.setup.values if at.flow.values is None else at.flow.values
-    (size,) = sizes_at(tape, (place,), state, sizes, values, at.clock.high)
+    (size,) = sizes_at(tape, (place,), state, sizes, _values(at), at.clock.high)
     return max(at.setup.precision * size, UNDERFLOW) if math.isfinite(size) else UNDERFLOW
+
+
+def _values(at: Instant) -> Array:
+    return at.setup.values if at.flow.values is None else at.flow.values
 
 
 class _Surface:
@@ -203,19 +206,17 @@ class _Surface:
 
     def _output(self, place: int, signs: Sequence[int] | None = None) -> tuple[float, float]:
         at, sign_values = self._at, np.array(self.signs if signs is None else signs, float)
-        values = at.setup.values if at.flow.values is None else at.flow.values
-        value = self.switches.tape.values(
-            np.concatenate([at.state, sign_values]), values, at.clock.high
-        ).item(place)
+        value = self._outputs(at.state, sign_values).item(place)
         return value, _round_off(at, self.switches.tape, place, at.state, sign_values)
+
+    def _outputs(self, state: Array, signs: Array) -> Array:
+        at, inputs = self._at, np.concatenate([state, signs])
+        return self.switches.tape.values(inputs, _values(at), at.clock.high)
 
     def onto(self, i: int, state: Array) -> Array:
         """Return a state (n,) projected onto a surface, in the metric of the sizes."""
         at, count = self._at, len(state)
-        values = at.setup.values if at.flow.values is None else at.flow.values
-        outputs = self.switches.tape.values(
-            np.concatenate([state, np.array(self.signs, float)]), values, at.clock.high
-        )
+        outputs = self._outputs(state, np.array(self.signs, float))
         first = self.switches.gradients + i * count
         slope = outputs[first : first + count]
         scale = flow_sizes(at.setup, at.flow, state) ** 2

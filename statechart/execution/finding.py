@@ -72,9 +72,7 @@ def resolve_search(found: Search, compiled: CompiledMode, watch: FlowWatch, path
     location = found.crossing or found.undecided
     assert location is not None
     time = watch.start + location.time
-    if found.verdict is Verdict.CROSSING:
-        return location
-    if found.verdict is Verdict.GRAZE:
+    if found.verdict in _LOCATED:
         return location
     names = compiled.names
     if found.verdict is Verdict.BUDGET:

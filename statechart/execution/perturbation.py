@@ -79,12 +79,8 @@ def _perturb(setup: Setup, parts: Array, gap: float = 1.0) -> Setup:
     for kind, factor in (("force", 2.0), ("hold", 2.0), ("gap", gap)):
         if kind in tolerances:
             tolerances[kind] *= factor
-    return replace(
-        setup, initial=setup.initial + parts * _variable_sizes(setup), tolerances=tolerances
-    )
-
-
-def _variable_sizes(setup: Setup) -> Array:
-    """Return the sizes that perturbations of initial values are relative to."""
+    # Changes are relative to the values, or to the sizes of the variables.
     sizes = np.abs(setup.initial)
-    return sizes if setup.sizes is None else np.maximum(sizes, _MIN_RELATIVE_SIZE * setup.sizes)
+    if setup.sizes is not None:
+        sizes = np.maximum(sizes, _MIN_RELATIVE_SIZE * setup.sizes)
+    return replace(setup, initial=setup.initial + parts * sizes, tolerances=tolerances)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,9 @@ from statechart.automaton.automaton import Automaton, Places
 from statechart.automaton.laws import Setup
 from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.time_stepper import Sampling
-from statechart.automaton.trace import Arc, Jump, Outcome, Roles, Trace
+from statechart.automaton.trace import Arc, Jump, Outcome, Trace
 from statechart.automaton.trace_store import (
     Kind,
-    TraceRecorder,
     TraceStore,
     arc_polynomials,
     copy_buffer,
@@ -37,7 +36,7 @@ from statechart.execution.compiled_loop import (
     BatchResult,
     LoopModes,
 )
-from statechart.execution.compiled_modes import CompiledMode, CompiledModes, SolvedModes
+from statechart.execution.compiled_modes import CompiledModes, SolvedModes
 from statechart.execution.components import MergedRun
 from statechart.execution.execution import Execution, evidence_of
 from statechart.execution.finding import closing
@@ -45,19 +44,6 @@ from statechart.execution.outcome import error_of
 from statechart.kernels.polynomials import term_sizes
 
 _MAX_ROWS = 256  # of one call: tens of milliseconds between checks for signals
-
-
-class _Once:
-    """Lazy setup of a run; `functools.cache` would take 9 us to create."""
-
-    def __init__(self, make: Callable[[], Setup]) -> None:
-        self._make = make
-        self._value: Setup | None = None
-
-    def __call__(self) -> Setup:
-        if self._value is None:
-            self._value = self._make()
-        return self._value
 
 
 class Simulator:
@@ -78,7 +64,7 @@ class Simulator:
         # Reused by all flows and runs.
         self.path, self.buffer = Path(), trace_buffer(len(automaton.variables))
         self._loops: dict[frozenset[int], LoopModes] = {}
-        self._rows: dict[tuple[str, ...], BatchRunner] = {}
+        self._rows = cache(partial(BatchRunner, self))
         self._of_components: dict[Automaton, Simulator] = {}
         self._places: list[Places] | None = None
 
@@ -87,7 +73,6 @@ class Simulator:
         parameters: Mapping[str, float] | None = None,
         *,
         until: float,
-        max_jumps: int = 100_000,
         throw: bool = True,
     ) -> Trace:
         """Run from the declared initial state.
@@ -95,33 +80,36 @@ class Simulator:
         Raises `DeclarationError` for an inconsistent start, `SimulationError` with the partial
         trace.
         """
-        trace = self._by_components(parameters or {}, until, max_jumps)
+        trace = self._by_components(parameters or {}, until)
         if trace is None:
-            trace = self._run(parameters or {}, until, max_jumps)
+            trace = self._run(parameters or {}, until)
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
         return trace
 
-    def _run(self, parameters: Mapping[str, float], until: float, max_jumps: int) -> Trace:
+    def _run(self, parameters: Mapping[str, float], until: float) -> Trace:
         """Run by the compiled loop as far as possible, and by an `Execution` from there."""
         names = tuple(parameters)
-        rows = self._rows.get(names)
-        if rows is None:
-            rows = self._rows[names] = BatchRunner(self, names)
         values = np.fromiter(parameters.values(), float, len(names))
-        batch = rows.run_single(values, until, max_jumps)
-        return self._finish(batch, _Once(partial(self._setup, dict(parameters))), until, max_jumps)
+        batch = self._rows(names).run_single(values, until)
+        overrides, made = dict(parameters), list[Setup]()
+
+        def setup() -> Setup:  # once; `functools.cache` would take 7 us to create
+            if not made:
+                made.append(self._setup(overrides))
+            return made[0]
+
+        return self._finish(batch, setup, until)
 
     def _finish(
         self,
         batch: Batch | None,
         setup: Callable[[], Setup],
         until: float,
-        max_jumps: int,
         warnings: Sequence[str] | None = None,
     ) -> Trace:
         if batch is None or batch.result.ends.item(runs.HOW) == runs.HANDED:
-            return self._execution(setup(), until, max_jumps, batch).run()
+            return self._execution(setup(), until, batch).run()
         return self._trace_of(batch, setup, warnings)
 
     def _trace_of(
@@ -145,7 +133,7 @@ class Simulator:
         outcome, stop = batch.outcome(0), None
         if outcome is Outcome.STOPPED:
             margin = automaton.stop_of[
-                modes.compiled(final_kind).names[result.ends.item(runs.MARGIN)]
+                modes.compiled[final_kind].names[result.ends.item(runs.MARGIN)]
             ].name
             message = f"{margin} at t = {t_end:.6g}"
             key, count = final_kind[0], place[runs.N_JUMPS]
@@ -153,8 +141,10 @@ class Simulator:
         else:
             message = f"reached t = {t_end:.6g}"
         block = copy_buffer(batch.block)
-        store = TraceStore.of(block, modes.kinds, partial(modes.jump, setup), stop)
-        arcs, jumps = store.sequences()
+        jump = partial(modes.jump, setup)
+        store = TraceStore(len(automaton.variables), modes.kinds, None, jump, stop)
+        store.add(block)
+        arcs, jumps = store.close()
         arcs.source = batch._replace(block=block)
         remarks: tuple[str, ...] = ()
         if modes.laws.has_remarks:
@@ -181,7 +171,7 @@ class Simulator:
                 "evaluations": 0,
                 "boxes": place[runs.N_BOXES],
                 "jumps": len(jumps),
-                "modes_built": self.modes_built,
+                "modes_built": self.modes.built,
                 "python_instants": 0,
             },
         )
@@ -192,12 +182,11 @@ class Simulator:
         parameters: Mapping[str, float] | None = None,
         *,
         until: float,
-        max_jumps: int = 100_000,
     ) -> Trace:
         """Repeat a run with proved bounds of the local error of every step."""
         from statechart.execution.certificate import Certificate
 
-        execution = self._execution(self._setup(parameters or {}), until, max_jumps)
+        execution = self._execution(self._setup(parameters or {}), until)
         laws = self.automaton.laws_of_events
         execution.loop = None
         execution.certificate = Certificate(trace, execution.setup, laws, self.engine)
@@ -209,19 +198,16 @@ class Simulator:
         sampling: Sampling,
         *,
         until: float,
-        max_jumps: int = 100_000,
     ) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps of a run as they are computed; see `Execution.stream`.
 
         No other run may be computed meanwhile.
         """
-        execution = self._execution(self._setup(parameters), until, max_jumps)
+        execution = self._execution(self._setup(parameters), until)
         execution.loop = None
         return execution.stream(parameters, sampling)
 
-    def _by_components(
-        self, parameters: Mapping[str, float], until: float, max_jumps: int
-    ) -> Trace | None:
+    def _by_components(self, parameters: Mapping[str, float], until: float) -> Trace | None:
         """Run the components of the automaton one by one; None without components."""
         components = self.automaton.components()
         if not components:
@@ -242,9 +228,7 @@ class Simulator:
             trace = traces.get(cache_key)
             if trace is None or trace.t_end > end:
                 try:
-                    trace = self._of_component(component.automaton)._from(
-                        component_setup, end, max_jumps
-                    )
+                    trace = self._of_component(component.automaton)._from(component_setup, end)
                 except DeclarationProblem:
                     # A run of the whole reports the error in declared names.
                     return None
@@ -252,8 +236,8 @@ class Simulator:
             component_runs.append((component, places, trace))
             if trace.outcome is not Outcome.HORIZON:
                 end = trace.t_end
-        merged = MergedRun(self.automaton, setup, component_runs, max_jumps)
-        built = sum(simulator.modes_built for simulator in self._of_components.values())
+        merged = MergedRun(self.automaton, setup, component_runs)
+        built = sum(simulator.modes.built for simulator in self._of_components.values())
         return merged.trace(self.engine.title, self.engine.tolerance, built)
 
     def _of_component(self, automaton: Automaton) -> Simulator:
@@ -263,29 +247,28 @@ class Simulator:
             self._of_components[automaton] = simulator
         return simulator
 
-    def _from(self, setup: Setup, until: float, max_jumps: int) -> Trace:
+    def _from(self, setup: Setup, until: float) -> Trace:
         setup = replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
         loop = self._loop(setup.zeros)
-        batch = None if loop is None else loop.begin(setup, until, max_jumps, self.buffer)
-        return self._finish(batch, lambda: setup, until, max_jumps, setup.warnings)
+        batch = None if loop is None else loop.begin(setup, until, self.buffer)
+        return self._finish(batch, lambda: setup, until, setup.warnings)
 
     def _setup(self, parameters: Mapping[str, float]) -> Setup:
         setup = self.automaton.setup(parameters, self.engine.tolerance)
         return replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
 
-    def _execution(
-        self, setup: Setup, until: float, max_jumps: int, batch: Batch | None = None
-    ) -> Execution:
+    def _execution(self, setup: Setup, until: float, batch: Batch | None = None) -> Execution:
         zeros = setup.zeros
         self.engine.sizes = setup.sizes
         kinds: list[Kind] = []
         loop, jump = self._loop(zeros), None
         if loop is not None:
             kinds, jump = loop.kinds, partial(loop.jump, lambda: setup)
-        variables = len(self.automaton.variables)
-        record = TraceRecorder(variables, kinds, self.buffer, jump, is_started=batch is not None)
+        if batch is None:
+            self.buffer.used[:] = 0
+        record = TraceStore(len(self.automaton.variables), kinds, self.buffer, jump)
         return Execution(
-            self.modes, self.path, record, setup, zeros, until, max_jumps, self.progress, loop,
+            self.modes, self.path, record, setup, zeros, until, self.progress, loop,
             batch_start=batch,
         )  # fmt: skip
 
@@ -303,28 +286,19 @@ class Simulator:
             self._loops[zeros] = LoopModes(laws, self.engine, self.automaton)
         return self._loops.get(zeros)
 
-    def compiled(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
-        """Return the compiled mode of `roles`, for parameters `zeros` that are zero."""
-        return self.modes.compiled(roles, zeros)
-
-    @property
-    def modes_built(self) -> int:
-        """Number of modes built so far."""
-        return self.modes.built
-
 
 class BatchRunner:
     """Runs rows of values of some parameters."""
 
     def __init__(self, simulator: Simulator, names: Sequence[str]) -> None:
         self.simulator, self._names = simulator, tuple(names)
-        self._gone: dict[frozenset[int], Bools] = {}
+        self._masks: dict[frozenset[int], Bools] = {}  # of the zero parameters
 
     def ready(self, count: int) -> bool:
         """Return whether `count` rows can be run: their call is compiled, or pays compiling."""
         return any(modes.batch(count) for _, modes in self.simulator.known())
 
-    def run(self, table: Array, until: Array, max_jumps: int) -> Iterator[Batch]:
+    def run(self, table: Array, until: Array) -> Iterator[Batch]:
         """Run rows of a table; yield complete ones in batches."""
         pending = np.arange(len(table))
         for zeros, modes in self.simulator.known():
@@ -335,9 +309,7 @@ class BatchRunner:
             while started < pending.size:
                 interrupts.check()
                 chunk = pending[started : started + _MAX_ROWS]
-                batch = self._called(
-                    modes, zeros, chunk, table[chunk], until[chunk], max_jumps, alone=False
-                )
+                batch = self._called(modes, zeros, chunk, table[chunk], until[chunk], alone=False)
                 if batch is None:
                     postponed.append(pending[started:])
                     break
@@ -350,12 +322,12 @@ class BatchRunner:
                     yield batch._replace(rows=batch.rows[complete], result=result)
             pending = np.concatenate(postponed)
 
-    def run_single(self, values: Array, until: float, max_jumps: int) -> Batch | None:
+    def run_single(self, values: Array, until: float) -> Batch | None:
         """Compute one run as far as the loop can."""
         row = np.zeros(1, np.intp)
         for zeros, modes in self.simulator.known():
             batch = self._called(
-                modes, zeros, row, values[None], np.array([until], float), max_jumps, alone=True
+                modes, zeros, row, values[None], np.array([until], float), alone=True
             )
             outcome = runs.OTHER if batch is None else batch.result.ends.item(runs.HOW)
             if outcome != runs.OTHER:
@@ -369,7 +341,6 @@ class BatchRunner:
         rows: NDArray[np.intp],
         table: Array,
         until: Array,
-        max_jumps: int,
         *,
         alone: bool,
     ) -> Batch | None:
@@ -381,14 +352,13 @@ class BatchRunner:
             return None
         m, kinds, p = len(rows), call.loop.kinds, len(automaton.parameters)
         result = BatchResult.empty(m, p, len(automaton.variables), len(kinds))
-        zero_mask = self._gone.get(zeros)
+        zero_mask = self._masks.get(zeros)
         if zero_mask is None:
-            zero_mask = self._gone[zeros] = np.zeros(p, np.bool_)
-            zero_mask[list(zeros)] = True
+            zero_mask = self._masks[zeros] = np.isin(np.arange(p), list(zeros))
         code, constants, outputs, inputs = call.inputs(self._names, table)
         inputs_of_call = BatchInputs(
-            code, constants, outputs, inputs, until, zero_mask, max_jumps, engine.floor, alone,
-            resumed=False, has_numbers=False,
+            code, constants, outputs, inputs, until, zero_mask, automaton.max_jumps, engine.floor,
+            alone, resumed=False, has_numbers=False,
         )  # fmt: skip
         block = simulator.buffer
         block.used[:] = 0
@@ -417,7 +387,7 @@ class BatchRunner:
             terms = term_sizes(*arc_polynomials(block, arc, size))
         final, time = result.final[row], float(result.clock[row, runs.T_HIGH])
         flow = batch.modes.flow(setup, kind, final, time, terms)
-        compiled = batch.modes.compiled(kind)
+        compiled = batch.modes.compiled[kind]
         happens, _ = closing(simulator.engine, compiled, flow, setup, final, time)
         return happens
 

@@ -3,22 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING
 
-from statechart.automaton.time_stepper import (
-    DEFAULT_IMPULSES,
-    Impulses,
-    OutputStream,
-    RecordingPolicy,
-    TimeStepper,
-)
+from statechart.automaton import time_stepper
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.trace import Arc, Jump, Outcome, Trace
 from statechart.documents.setting import Record
 from statechart.errors import SimulationError
-
-if TYPE_CHECKING:
-    from statechart.automaton.automaton import Automaton
-    from statechart.automaton.time_stepper import Sampling
-    from statechart.automaton.trace import Arc, Jump, Trace
+from statechart.execution.outcome import Progress, error_of
 
 
 class SteppingSimulator:
@@ -31,7 +22,7 @@ class SteppingSimulator:
         self,
         automaton: Automaton,
         step: float,
-        impulses: Impulses = DEFAULT_IMPULSES,
+        impulses: time_stepper.Impulses = time_stepper.DEFAULT_IMPULSES,
         record: Record = Record.MODES,
         *,
         progress: bool = False,
@@ -43,8 +34,8 @@ class SteppingSimulator:
             )
         self.automaton = automaton
         self.step, self.impulses, self.record = step, impulses, record
-        self.new_outputs: Callable[[], OutputStream | None] = lambda: None
-        self.stepper: TimeStepper = automaton.stepper()
+        self.new_outputs: Callable[[], time_stepper.OutputStream | None] = lambda: None
+        self.stepper = automaton.stepper()
         self.progress = progress
 
     def run(
@@ -52,23 +43,19 @@ class SteppingSimulator:
         parameters: Mapping[str, float] | None = None,
         *,
         until: float,
-        max_jumps: int = 100_000,
         throw: bool = True,
     ) -> Trace:
         """Run from the declared initial state, as `Simulator.run` does."""
-        from statechart.automaton.trace import Outcome
-        from statechart.execution.outcome import Progress, error_of
-
         shown = Progress(until) if self.progress else None
         try:
             trace = self.stepper.run(
                 parameters or {},
                 step=min(self.step, until) or self.step,
                 until=until,
-                max_jumps=max_jumps,
+                max_jumps=self.automaton.max_jumps,
                 show=shown.show if shown else lambda time, jumps, steps: None,
                 impulses=self.impulses,
-                policy=RecordingPolicy(self.record, self.new_outputs()),
+                policy=time_stepper.RecordingPolicy(self.record, self.new_outputs()),
             )
         finally:
             if shown:
@@ -80,10 +67,9 @@ class SteppingSimulator:
     def stream(
         self,
         parameters: Mapping[str, float],
-        sampling: Sampling,
+        sampling: time_stepper.Sampling,
         *,
         until: float,
-        max_jumps: int = 100_000,
     ) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps of a run as they are computed, as `Simulator.stream` does."""
         return self.stepper.stream(
@@ -91,6 +77,6 @@ class SteppingSimulator:
             sampling,
             step=min(self.step, until) or self.step,
             until=until,
-            max_jumps=max_jumps,
+            max_jumps=self.automaton.max_jumps,
             impulses=self.impulses,
         )

@@ -72,13 +72,10 @@ class Accumulation:
             self.series = np.concatenate([self.series, enlargement])
         row = self.series[place]
         remaining = add_jump(row, clock.high, clock.low, flowed, short)
-        return None if remaining < 0.0 else _summed(row, remaining)
-
-    def sum_from(self, place: int, remaining: float) -> float:
-        """Return the time to the accumulation, given the geometric sum `remaining`."""
-        return _summed(self.series[place], remaining)
+        return None if remaining < 0.0 else summed(row, remaining)
 
 
-def _summed(row: Array, remaining: float) -> float:
+def summed(row: Array, remaining: float) -> float:
+    """Return the time to the accumulation of a series, given the geometric sum `remaining`."""
     intervals: list[float] = row[FIRST : FIRST + int(row[COUNT])].tolist()
     return 0.0 if remaining == 0.0 else _remaining(intervals, remaining)

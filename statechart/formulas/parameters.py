@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 
 import numpy as np
 import sympy as sp
@@ -44,7 +45,7 @@ class Parameters:
         self._declared = tuple(declared)
         self._derived = tuple(extra.values())
         self._further = tuple(further(self.symbols))
-        self._tapes: dict[frozenset[str], tuple[Tape, tuple[str, ...]]] = {}
+        self._tapes = cache(self._tape)
         self.literals = {
             name: formula.value({}) for name, formula in self._formulas.items() if not formula.names
         }
@@ -74,10 +75,7 @@ class Parameters:
 
     def program(self, overridden: frozenset[str]) -> tuple[Tape, tuple[str, ...]]:
         """Return the tape of `values` for these overrides, and its inputs, followed by infinity."""
-        overridden_symbols = overridden.difference(self.literals)
-        if overridden_symbols not in self._tapes:
-            self._tapes[overridden_symbols] = self._tape(overridden_symbols)
-        return self._tapes[overridden_symbols]
+        return self._tapes(overridden.difference(self.literals))
 
     def _tape(self, given: frozenset[str]) -> tuple[Tape, tuple[str, ...]]:
         inputs = tuple(n for n in self._declared if n in self.literals or n in given)

@@ -12,23 +12,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NoReturn
 
+from statechart.formulas import tree
 from statechart.formulas.hints import DELAY, TOKENS, character, meant, program
-from statechart.formulas.tree import (
-    CONSTANTS,
-    FUNCTIONS,
-    RESERVED,
-    WORDS,
-    Binary,
-    Call,
-    Constant,
-    Name,
-    Node,
-    Number,
-    Source,
-    Unary,
-    evaluate,
-    is_constant,
-)
 
 MAX_LENGTH = 2000
 MAX_NODES = 500
@@ -63,7 +48,7 @@ class _Token:
     offset: int
 
 
-def _tokens(source: Source) -> Iterator[_Token]:
+def _tokens(source: tree.Source) -> Iterator[_Token]:
     text, at = source.text, 0
     while True:
         match = _TOKEN.match(text, at)
@@ -94,7 +79,7 @@ def _tokens(source: Source) -> Iterator[_Token]:
 class Reader:
     """Recursive descent over the tokens of one formula or relation."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: tree.Source) -> None:
         if len(source.text) > MAX_LENGTH:
             source.fail(
                 f"{len(source.text)} characters are too many",
@@ -121,28 +106,28 @@ class Reader:
         if self.token.kind != "end":
             self._unexpected()
 
-    def sum(self) -> Node:
+    def sum(self) -> tree.Node:
         """Parse a formula as far as possible."""
         left = self._product()
         while self.token.text in ("+", "-"):
             left = self._binary(left, self._product)
         return left
 
-    def _product(self) -> Node:
+    def _product(self) -> tree.Node:
         left = self._signed()
         while self.token.text in ("*", "/"):
             left = self._binary(left, self._signed)
         return left
 
-    def _signed(self) -> Node:
+    def _signed(self) -> tree.Node:
         # All nesting passes here, where its depth is counted; sums and products are loops.
         self._depth += 1
         if self._depth > MAX_DEPTH:
             self.source.fail("nested too deeply", self.token.offset, f"at most {MAX_DEPTH} levels")
-        node: Node
+        node: tree.Node
         if self.token.text in ("+", "-"):
             token = self.advance()
-            node = self._checked(Unary(token.text, self._signed(), token.offset))
+            node = self._checked(tree.Unary(token.text, self._signed(), token.offset))
         else:
             node = self._atom()
             if self.token.text == "**":
@@ -150,10 +135,10 @@ class Reader:
         self._depth -= 1
         return node
 
-    def _binary(self, left: Node, right: Callable[[], Node]) -> Node:
+    def _binary(self, left: tree.Node, right: Callable[[], tree.Node]) -> tree.Node:
         token = self.advance()
-        node = Binary(token.text, left, right(), token.offset)
-        if node.operator == "**" and is_constant(node.right):
+        node = tree.Binary(token.text, left, right(), token.offset)
+        if node.operator == "**" and tree.is_constant(node.right):
             exponent = self._constant(node.right)
             if abs(exponent) > MAX_EXPONENT:
                 self.source.fail(
@@ -163,7 +148,7 @@ class Reader:
                 )
         return self._checked(node)
 
-    def _atom(self) -> Node:
+    def _atom(self) -> tree.Node:
         token = self.advance()
         if token.kind == "number":
             value = _literal(token.text)
@@ -173,20 +158,20 @@ class Reader:
                     token.offset,
                     "write inf where infinity is meant",
                 )
-            return self._checked(Number(value, token.offset))
+            return self._checked(tree.Number(value, token.offset))
         if token.kind == "name":
             if self.token.text == "(":
                 return self._call(token)
-            if token.text in CONSTANTS:
-                return self._checked(Constant(token.text, token.offset))
-            if token.text in WORDS:
+            if token.text in tree.CONSTANTS:
+                return self._checked(tree.Constant(token.text, token.offset))
+            if token.text in tree.WORDS:
                 self.token = token
                 self._unexpected()
-            if token.text in RESERVED:
+            if token.text in tree.RESERVED:
                 self.source.fail(
                     f"{token.text!r} is a function", token.offset, f"write {token.text}(...)"
                 )
-            return self._checked(Name(token.text, token.offset))
+            return self._checked(tree.Name(token.text, token.offset))
         if token.text == "(":
             node = self.sum()
             self.close(token)
@@ -194,9 +179,9 @@ class Reader:
         self.token = token
         return self._unexpected()
 
-    def _call(self, name: _Token) -> Node:
-        if name.text not in FUNCTIONS:
-            advice = meant(name.text, FUNCTIONS, FUNCTIONS)
+    def _call(self, name: _Token) -> tree.Node:
+        if name.text not in tree.FUNCTIONS:
+            advice = meant(name.text, tree.FUNCTIONS, tree.FUNCTIONS)
             if advice.startswith("known"):
                 past = _TIME.match(self.source.text, self.token.offset)
                 advice = DELAY if past else f"write a product as {name.text}*(...); {advice}"
@@ -207,7 +192,7 @@ class Reader:
             marks.append(self.advance().offset)
             arguments.append(self.sum())
         marks.append(self.token.offset)
-        function = FUNCTIONS[name.text]
+        function = tree.FUNCTIONS[name.text]
         most = function.most
         # In a flow mapping YAML ends a value at its first comma.
         cut = self.token.kind == "end" and len(arguments) < function.least
@@ -215,7 +200,7 @@ class Reader:
         if len(arguments) < function.least or (most is not None and len(arguments) > most):
             wanted = f"{function.least}" if most is not None else f"at least {function.least}"
             self.source.fail(f"{name.text} takes {wanted}, not {len(arguments)}", name.offset)
-        return self._checked(Call(name.text, tuple(arguments), name.offset, tuple(marks)))
+        return self._checked(tree.Call(name.text, tuple(arguments), name.offset, tuple(marks)))
 
     def close(self, opening: _Token, advice: str = _CLOSE) -> None:
         """Parse the parenthesis that closes `opening`."""
@@ -225,7 +210,7 @@ class Reader:
             self._unexpected()
         self.advance()
 
-    def _checked(self, node: Node) -> Node:
+    def _checked(self, node: tree.Node) -> tree.Node:
         """Count `node`, and evaluate it if constant.
 
         A constant without a value is refused here and not during a run; a tower such as
@@ -236,12 +221,12 @@ class Reader:
             self.source.fail(
                 "too many terms", node.offset, f"at most {MAX_NODES}; name parts as parameters"
             )
-        if not isinstance(node, Number | Constant | Name) and is_constant(node):
+        if not isinstance(node, tree.Number | tree.Constant | tree.Name) and tree.is_constant(node):
             self._constant(node)
         return node
 
-    def _constant(self, node: Node) -> float:
-        return evaluate(node, {}, self.source)
+    def _constant(self, node: tree.Node) -> float:
+        return tree.evaluate(node, {}, self.source)
 
     def _unexpected(self) -> NoReturn:
         token = self.token

@@ -57,7 +57,7 @@ def _fired(observer: Observer, trace: Trace, arc: Arc | None, jump: Jump) -> Mar
     simulator = observer.simulator
     if arc is None or not jump.fired or not isinstance(simulator, Simulator):
         return None
-    margins = simulator.compiled(arc.roles, trace.zeros).mode.margins
+    margins = simulator.modes.compiled(arc.roles, trace.zeros).mode.margins
     # A stop names the condition, not its atom.
     named = (*margins, *whole_margins(margins))
     return next((margin for margin in named if margin.name == jump.fired[0]), None)

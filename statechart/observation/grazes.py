@@ -97,7 +97,7 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
     stops = {stop.name for stop in simulator.automaton.stops}
     approaches: list[Graze] = []
     for (roles, _), arcs in groups.items():
-        scan = _GuardScan(trace, simulator.compiled(roles, trace.zeros), stops)
+        scan = _GuardScan(trace, simulator.modes.compiled(roles, trace.zeros), stops)
         for first in range(0, len(arcs), _MAX_ARCS):
             batch = arcs[first : first + _MAX_ARCS]
             approaches += scan.between(batch)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -25,23 +25,7 @@ from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
 from statechart.formulas.linear import Singular
 from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
-from statechart.observation.sampling import (
-    Endpoint,
-    Points,
-    Samples,
-    Where,
-    at_endpoints,
-    at_times,
-    end_of,
-    places_in,
-    roles_at,
-    sample_arcs,
-    side_of,
-    start_of,
-    subdivide,
-    visible_expressions,
-)
+from statechart.observation import sampling
 
 
 class Observer:
@@ -79,7 +63,7 @@ class Observer:
         *,
         per_step: float = 8,
         times: ArrayLike | None = None,
-    ) -> Samples:
+    ) -> sampling.Samples:
         """Evaluate along a run, at sorted `times` or at `per_step` points of every step.
 
         Raises `FormulaError` if a formula cannot be evaluated, `ValueError` for wrong times.
@@ -89,16 +73,16 @@ class Observer:
         expressions = tuple(self.programs.expression(formula) for formula in formulas)
         if times is None:
             arcs = list(trace.arcs)
-            local = subdivide(arcs, per_step)
+            local = sampling.subdivide(arcs, per_step)
         else:
-            arcs, local = at_times(trace, np.asarray(times, dtype=float))
+            arcs, local = sampling.at_times(trace, np.asarray(times, dtype=float))
         if arcs:
-            points = sample_arcs(arcs, local)
+            points = sampling.sample_arcs(arcs, local)
             counts = [len(tau) for tau in local]
             modes_shown, jumped = [arc.mode for arc in arcs], [arc.j for arc in arcs]
         else:  # a run without flows is its last state
             rows = 1 if times is None else np.size(times)
-            points = self._instants(trace, [end_of(trace)] * rows)
+            points = self._instants(trace, [sampling.end_of(trace)] * rows)
             counts, modes_shown, jumped = [rows], [trace.final_mode], [len(trace.jumps)]
         modes = tuple(dict.fromkeys(modes_shown))
         places = {key: place for place, key in enumerate(modes)}
@@ -106,7 +90,7 @@ class Observer:
         shown = points.times
         if times is None and trace.step is not None:
             shown = decimals(shown)
-        return Samples(
+        return sampling.Samples(
             shown,
             np.repeat(np.array(jumped, dtype=np.int64), counts),
             np.repeat(np.array([places[key] for key in modes_shown], dtype=np.intp), counts),
@@ -116,11 +100,11 @@ class Observer:
 
     def initial(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the start, before any jump."""
-        return self._values(trace, formulas, [start_of(trace)])[0]
+        return self._values(trace, formulas, [sampling.start_of(trace)])[0]
 
     def final(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the end, after all jumps."""
-        return self._values(trace, formulas, [end_of(trace)])[0]
+        return self._values(trace, formulas, [sampling.end_of(trace)])[0]
 
     def at(
         self,
@@ -131,16 +115,16 @@ class Observer:
         before: bool = False,
     ) -> Array:
         """Return the values (m, f) of formulas at jumps."""
-        return self._values(trace, formulas, [side_of(jump, before) for jump in jumps])
+        return self._values(trace, formulas, [sampling.side_of(jump, before) for jump in jumps])
 
     def _values(
-        self, trace: Trace, formulas: Sequence[FormulaLike], instants: Sequence[Endpoint]
+        self, trace: Trace, formulas: Sequence[FormulaLike], instants: Sequence[sampling.Endpoint]
     ) -> Array:
         expressions = self.programs.expressions(formulas)
         return self._table(trace, expressions, self._instants(trace, instants))
 
-    def _instants(self, trace: Trace, instants: Sequence[Endpoint]) -> Points:
-        return at_endpoints(trace, instants, len(self.programs.solved))
+    def _instants(self, trace: Trace, instants: Sequence[sampling.Endpoint]) -> sampling.Points:
+        return sampling.at_endpoints(trace, instants, len(self.programs.solved))
 
     def margins(self, trace: Trace, jumps: Sequence[Jump]) -> list[dict[str, float]]:
         """Return the margins of the source mode just before each jump.
@@ -151,7 +135,7 @@ class Observer:
         remaining: dict[tuple[Key, Roles], list[int]] = {}
         for place, jump in enumerate(jumps):
             stepped = trace.step is not None
-            roles = () if stepped else roles_at(trace, jump.j, jump.source, ends=True)
+            roles = () if stepped else sampling.roles_at(trace, jump.j, jump.source, ends=True)
             remaining.setdefault((jump.source, roles), []).append(place)
         for flow, places in remaining.items():
             margins, rows = self._margins_left(trace, *flow, [jumps[place] for place in places])
@@ -169,11 +153,13 @@ class Observer:
             return margins, self.at(trace, [m.expression for m in margins], jumps, before=True)
         mode = self.modes_of(trace)(roles)
         margins = () if mode is None else whole_margins(mode.margins)
-        points = self._instants(trace, [side_of(jump, True) for jump in jumps])
+        points = self._instants(trace, [sampling.side_of(jump, True) for jump in jumps])
         tape = self.programs.tape(tuple(m.expression for m in margins), mode)
         return margins, tape.table(points.states, trace.values, points.times)
 
-    def _table(self, trace: Trace, expressions: tuple[sp.Expr, ...], points: Points) -> Array:
+    def _table(
+        self, trace: Trace, expressions: tuple[sp.Expr, ...], points: sampling.Points
+    ) -> Array:
         """Return the values (m, f) of expressions, with one kernel call per flow."""
         values = trace.values
         if not self.programs.needed(expressions):
@@ -200,7 +186,7 @@ class Observer:
             if columns:
                 index = np.concatenate(blocks)
                 tape = self.programs.tape(
-                    visible_expressions([expressions[i] for i in columns], mode), mode
+                    sampling.visible_expressions([expressions[i] for i in columns], mode), mode
                 )
                 found = tape.table(points.states[index], values, points.times[index])
                 result[np.ix_(index, np.array(columns))] = found
@@ -238,46 +224,32 @@ class Programs:
 
     def __init__(self, automaton: Automaton) -> None:
         self._automaton = automaton
-        self._expressions: dict[str | int | float, sp.Expr] = {}
         self.solved = (*automaton.unknowns, *automaton.controls)
         given_symbols = (*automaton.variables, *automaton.parameters, automaton.time)
         self._given: frozenset[sp.Basic] = frozenset(given_symbols)
-        self._needs: dict[tuple[sp.Expr, ...], bool] = {}
-        self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None, bool], Tape] = {}
-        self._actives: dict[tuple[Key, tuple[Where, ...], tuple[sp.Expr, ...]], Active] = {}
+        self._parsed = cache(lambda text: parse(text).to_sympy(automaton.observables))
+        self._tape, self.needed = cache(self._compiled), cache(self._needed)
+        self.active = cache(self._active)
 
     def expression(self, formula: FormulaLike) -> sp.Expr:
         """Return a formula in the symbols of the automaton; raise `FormulaError`."""
-        if isinstance(formula, sp.Expr):
-            return formula
-        if formula not in self._expressions:
-            self._expressions[formula] = parse(formula).to_sympy(self._automaton.observables)
-        return self._expressions[formula]
+        return formula if isinstance(formula, sp.Expr) else self._parsed(formula)
 
     def expressions(self, formulas: Iterable[FormulaLike]) -> tuple[sp.Expr, ...]:
         """Return formulas in the symbols of the automaton."""
         return tuple([self.expression(formula) for formula in formulas])
 
-    def active(
-        self, key: Key, where: tuple[Where, ...], expressions: tuple[sp.Expr, ...]
+    def _active(
+        self, key: Key, where: tuple[sampling.Where, ...], expressions: tuple[sp.Expr, ...]
     ) -> Active:
         """Return the integrands of the mode `key`."""
-        known = self._actives.get((key, where, expressions))
-        if known is not None:
-            return known
-        places = places_in(self._automaton.recorded_regions(key), key, where)
+        places = sampling.places_in(self._automaton.recorded_regions(key), key, where)
         chosen = tuple([expressions[i] for i in places])
-        found = Active(places, chosen, self.needed(chosen))
-        self._actives[key, where, expressions] = found
-        return found
+        return Active(places, chosen, self.needed(chosen))
 
-    def needed(self, expressions: tuple[sp.Expr, ...]) -> bool:
+    def _needed(self, expressions: tuple[sp.Expr, ...]) -> bool:
         """Return whether the expressions use unknowns or controls."""
-        needed = self._needs.get(expressions)
-        if needed is None:
-            needed = any(e.free_symbols - self._given for e in expressions)
-            self._needs[expressions] = needed
-        return needed
+        return any(e.free_symbols - self._given for e in expressions)
 
     def tape(
         self, expressions: tuple[sp.Expr, ...], mode: Mode | None, *, known: bool = False
@@ -286,15 +258,7 @@ class Programs:
 
         `known`: over states with unknowns and controls appended.
         """
-        key = (expressions, mode, known)
-        tape = self._tapes.get(key)
-        if tape is None:
-            automaton = self._automaton
-            tape = self._tapes[key] = compile_tape(
-                expressions,
-                variables=(*automaton.variables, *(self.solved if known else ())),
-                parameters=automaton.parameters,
-                time=automaton.time,
-                definitions=mode.definitions if mode else (),
-            )
-        return tape
+        return self._tape(expressions, mode, known)
+
+    def _compiled(self, expressions: tuple[sp.Expr, ...], mode: Mode | None, known: bool) -> Tape:
+        return self._automaton.tape(expressions, mode, self.solved if known else ())

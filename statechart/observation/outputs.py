@@ -43,7 +43,6 @@ from statechart.observation.sampling import (
     at_endpoints,
     end_of,
     passed_modes,
-    requested_states,
     side_of,
     start_of,
     visible_expressions,
@@ -96,6 +95,10 @@ class Outputs:
         self._watched = (*dict.fromkeys(formula for _, formula, _ in self.extremes), *watched)
         waits = [moment.events for _, _, moment in self.at]
         self._waits = tuple(dict.fromkeys([*waits, *(events for _, events in self.counts)]))
+        # The sets of events of values and of counts, and the column of modes of zero duration.
+        self.value_waits = {self._waits.index(events) for events in waits}
+        self.count_waits = [self._waits.index(events) for _, events in self.counts]
+        self.passed = len(self._waits)
         # Data of a jump that determine its marks -> marks.
         self._marked: dict[tuple[Any, ...], tuple[int, ...]] = {}
         # By zero parameters: kinds of modes, and tapes (also by number of kinds).
@@ -103,21 +106,6 @@ class Outputs:
         self._verdicts: dict[frozenset[int], dict[tuple[Any, ...], tuple[int, ...]]] = {}
         self._tapes: dict[tuple[bool, frozenset[int], int], OutputTapes] = {}
         self._entry: Callable[..., None] | None = None
-
-    @property
-    def waits(self) -> int:
-        """Number of sets of events."""
-        return len(self._waits)
-
-    @cached_property
-    def value_waits(self) -> tuple[int, ...]:
-        """The sets of events of values."""
-        return tuple({self._waits.index(moment.events) for _, _, moment in self.at})
-
-    @cached_property
-    def count_waits(self) -> tuple[int, ...]:
-        """The sets of events of counts."""
-        return tuple([self._waits.index(events) for _, events in self.counts])
 
     @cached_property
     def needs_modes(self) -> bool:
@@ -160,8 +148,8 @@ class Outputs:
         assert isinstance(simulator, Simulator)
 
         def mode(kind: Kind) -> Mode | None:
-            known = batch.modes.knows(kind)
-            return simulator.compiled(kind[1], batch.zeros).mode if known else None
+            known = kind in batch.modes.compiled
+            return simulator.modes.compiled(kind[1], batch.zeros).mode if known else None
 
         key = True, batch.zeros, len(batch.kinds)
         if key not in self._tapes:
@@ -327,9 +315,8 @@ class Outputs:
             separate_tapes(self._watched),
         )
         integrals = [output.integral for output in self.integrals.values()]
-        over = tapes(
-            integrals, requested_states([output.during for output in self.integrals.values()])
-        )
+        during = [tuple(output.during.items()) for output in self.integrals.values()]
+        over = tapes(integrals, tuple(during))
         waits = [(self._waits.index(moment.events), output.before) for _, output, moment in self.at]
         return OutputTapes(
             *packed.arrays(), at, *points, *over, np.array(waits, np.int64).reshape(len(waits), 2)
@@ -474,11 +461,11 @@ class OutputAccumulator:
         every = [(*outputs.marks_of(jump), jump.j in left) for jump in jumps]
         for place, wait in enumerate(outputs.count_waits):
             self._counted[place] += sum([own[wait] for own in every])
-        needed = (*outputs.value_waits, outputs.waits)
+        needed = (*outputs.value_waits, outputs.passed)
         # Jumps at which values are needed.
         chosen = [k for k, own in enumerate(every) if any(own[wait] for wait in needed)]
         marks = np.array([every[k] for k in chosen], np.uint8)
-        marks = marks.reshape(len(chosen), outputs.waits + 1)
+        marks = marks.reshape(len(chosen), outputs.passed + 1)
         if not (outputs.integrals or len(before.extremes)):
             arcs = ()
         values = outputs.empty_values(1, len(marks))
@@ -568,11 +555,6 @@ def outputs_of(observer: Observer) -> Outputs:
         observer.outputs = Outputs(observer)
     result: Outputs = observer.outputs
     return result
-
-
-def outputs(observer: Observer, trace: Trace) -> dict[str, OutputValue]:
-    """Return the declared outputs of one run; see `Outputs.of`."""
-    return outputs_of(observer).of(trace)
 
 
 def extremes(observer: Observer, trace: Trace, formula: Formula) -> tuple[float, float]:

@@ -138,11 +138,6 @@ Where = tuple[tuple[str, str], ...]
 """Regions with required states or superstates."""
 
 
-def requested_states(during: Sequence[Mapping[str, str]]) -> tuple[Where, ...]:
-    """Return declared regions and states in the form of `places_in`."""
-    return tuple([tuple(states.items()) for states in during])
-
-
 def places_in(regions: Sequence[Region], key: Key, where: Sequence[Where]) -> list[int]:
     """Return the indices of `where` that are satisfied in the mode `key`."""
     states = {region.name: region.active(state) for region, state in zip(regions, key, strict=True)}

@@ -69,7 +69,7 @@ class RunScales:
             automaton.time: trace.t_end,
             **dict(zip(automaton.parameters, np.abs(trace.values).tolist(), strict=True)),
         }
-        self._fixed = frozenset(automaton.parameters)
+        self._parameters = dict(zip(automaton.parameters, trace.values.tolist(), strict=True))
         scales = np.array([self._kinds[kind] for kind in kinds])
         self._leaves |= zip(automaton.variables, np.maximum(scales, largest).tolist(), strict=True)
         self.variables: Array = np.maximum(_NEARLY_ZERO * scales, largest)
@@ -99,8 +99,8 @@ class RunScales:
 
     def _size(self, node: sp.Expr) -> float | None:
         """Return the size of an expression from those of its terms, or None."""
-        if node.free_symbols <= self._fixed:
-            size = abs(float(node.xreplace(self._leaves_fixed)))
+        if node.free_symbols <= self._parameters.keys():
+            size = abs(float(node.xreplace(self._parameters)))
             return size if np.isfinite(size) else None
         if node.is_Symbol:
             return self._leaves.get(node) if node in self._leaves else self._unknown(node)
@@ -121,11 +121,6 @@ class RunScales:
         if isinstance(node, sp.sin | sp.tan | sp.atan):
             return min(known[0], 1.0)
         return 1.0 if isinstance(node, sp.cos | sp.sign) else None
-
-    @property
-    def _leaves_fixed(self) -> dict[sp.Symbol, float]:
-        automaton = self._observer.automaton
-        return dict(zip(automaton.parameters, self._trace.values.tolist(), strict=True))
 
     def _unknown(self, symbol: sp.Symbol) -> float | None:
         """Return the scale of an unknown: the largest force for a force."""

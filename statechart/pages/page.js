@@ -10,6 +10,9 @@ for (const name of data.chart.states) for (const node of nodes.get(name) ?? []) 
 for (const title of byId("diagram").querySelectorAll("title")) title.remove();
 // Beside the scene its letters stay legible; else it stands below, and scrolls away but on wide screens.
 const chart = byId("diagram").firstElementChild;
+// Graphviz shrinks large diagrams, and their letters; here they scroll.
+const shrunk = chart ? Math.min(chart.querySelector("g").transform.baseVal.consolidate().matrix.a, 1) : 1;
+for (const side of shrunk < 1 ? ["width", "height"] : []) chart.setAttribute(side, chart[side].baseVal.value / shrunk);
 const least = chart ? 0.77 * chart.width.baseVal.value : 0;
 byId("diagram").style.setProperty("--least", `${least}px`);
 byId("diagram").style.setProperty("--lowest", `${chart ? 0.6 * chart.height.baseVal.value : 0}px`);

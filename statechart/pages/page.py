@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import tempfile
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -21,11 +20,11 @@ from statechart.automaton.trace import Key, Trace
 from statechart.diagram.build import active_states
 from statechart.diagram.layout.ring import MAX_STEPS, find_rounds
 from statechart.diagram.model import Chart, Diagram, identifiers
-from statechart.diagram.write import write as write_diagram
+from statechart.diagram.write import svg
 from statechart.documents.declaration import TIME
-from statechart.documents.files import write_atomic
+from statechart.documents.files import write_atomic, writing
 from statechart.documents.quantities import unit_of, unit_suffix
-from statechart.errors import DeclarationError, StatechartError
+from statechart.errors import DeclarationError
 from statechart.loading.kind import kind
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
@@ -272,10 +271,7 @@ def _chart(
         diagram, active = _complete_diagram(automaton, diagram, samples.modes)
     if diagram is None or not 0 < len(diagram.nodes) <= _NODES:
         return {**none, "place": _pack(place, np.uint8)}
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "chart.svg"
-        write_diagram(_without_markup(diagram), path)
-        svg = path.read_text(encoding="utf-8")
+    drawn = svg(_without_markup(diagram))
     names = identifiers(diagram)
     nodes = [[names[name] for name in active(key) if name in names] for key in samples.modes]
     states = [names[node.name] for piece in diagram.pieces for node in piece.leaves]
@@ -283,7 +279,7 @@ def _chart(
         visits = _visits(diagram.charts[0].path, [active(jump.target) for jump in trace.jumps])
         place = visits[samples.j]
     return {
-        "svg": svg[svg.index("<svg") :],
+        "svg": drawn[drawn.index("<svg") :],
         "nodes": nodes,
         "states": states,
         "place": _pack(place, np.uint8),
@@ -388,7 +384,5 @@ def write_page(shown: Mapping[str, Any], path: Path) -> None:
     """Write the page, whole or not at all."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise DeclarationError(f"a page is .html, not {path.suffix or path.name!r}")
-    try:
+    with writing(path):
         write_atomic(path, html(shown).encode())
-    except OSError as error:
-        raise StatechartError(f"cannot write {path}: {error.strerror or error}") from error

@@ -336,7 +336,8 @@ class DrawnCurve:
         t, jumped = samples.t, np.flatnonzero(np.diff(samples.j)) + 1
         if len(t) <= _DENSE * COLUMNS:
             return cls(np.insert(t, jumped, np.nan), None, jumped)
-        begins = _first_rows(t)
+        edges = np.linspace(t[0], t[-1], COLUMNS + 1)[:-1]
+        begins = np.unique(np.searchsorted(t, edges))
         if len(jumped) <= COLUMNS:
             begins = np.union1d(begins, jumped)
         # Two points per column. More jumps than columns are not drawn as breaks.
@@ -359,9 +360,3 @@ def largest_impulses(times: Array, sizes: Array, end: float) -> tuple[Array, Arr
     order = np.lexsort((-np.abs(sizes), column))
     chosen = order[np.flatnonzero(np.diff(column[order], prepend=-1))]
     return times[chosen], sizes[chosen]
-
-
-def _first_rows(t: Array) -> NDArray[np.intp]:
-    edges = np.linspace(t[0], t[-1], COLUMNS + 1)[:-1]
-    begins: NDArray[np.intp] = np.unique(np.searchsorted(t, edges))
-    return begins

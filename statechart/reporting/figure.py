@@ -16,7 +16,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Jump, Trace
 from statechart.documents.declaration import TIME
-from statechart.documents.files import write_atomic
+from statechart.documents.files import write_atomic, writing
 from statechart.documents.quantities import axis_label
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
@@ -124,10 +124,8 @@ def write_figure(drawing: Figure, path: Path | str) -> None:
     kind = path.suffix.lower().lstrip(".")
     if f".{kind}" not in SUFFIXES:
         raise StatechartError(f"a figure is svg, png or pdf, not {path.suffix or path.name!r}")
-    try:
+    with writing(path):
         write_atomic(path, render(drawing, kind))
-    except OSError as error:
-        raise StatechartError(f"cannot write {path}: {error.strerror or error}") from error
 
 
 def render(drawing: Figure, kind: str) -> bytes:

@@ -19,7 +19,6 @@ from statechart.tabular import (
     number,
     pluralise,
     readable_count,
-    write_plain,
 )
 
 
@@ -58,13 +57,8 @@ def check_variables(automaton: Automaton, names: Iterable[str]) -> None:
             )
 
 
-def text(listed: Mapping[str, Any]) -> str:
-    """Return a listing as text, without directions of sliding."""
-    return write_plain(format_listing(listed))
-
-
 def format_listing(listed: Mapping[str, Any], digits: int = DIGITS) -> list[TextBlock]:
-    """Return the lines and tables of `text`."""
+    """Return a listing as lines and tables, without directions of sliding."""
     count = format_count(listed["modes_declared"], listed["modes_total"])
     built = listed["modes_built"]
     head = f"{listed['model']}: {count}; {built or 'none'} built, each when a run enters it\n"

@@ -11,17 +11,24 @@ from itertools import zip_longest
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import numpy as np
+import sympy as sp
+
+from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD, moving_mode
 from statechart.automaton.regions import Invariant, whole_margins
-from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace, lowest
+from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
+from statechart.formulas.tape import Tape
 from statechart.observation.grazes import graze_warnings, grazes
 from statechart.observation.observer import Observer
-from statechart.observation.outputs import extremes, outputs
+from statechart.observation.outputs import extremes, outputs_of
 from statechart.reporting.partial_report import PartialReport
 from statechart.tabular import pluralise, readable_count
+
+_MAX_ARCS = 1024  # sampled at once
 
 
 class Computation(NamedTuple):
@@ -63,7 +70,9 @@ def report(
     """
     automaton, conditions = observer.automaton, computation.conditions
     done = PartialReport(strict=True) if pieces is None else pieces
-    found_outputs: dict[str, Any] = done.attempt("outputs", lambda: outputs(observer, trace), {})
+    found_outputs: dict[str, Any] = done.attempt(
+        "outputs", lambda: outputs_of(observer).of(trace), {}
+    )
     found_margins: dict[str, float] = {}
     left_open: tuple[str, ...] = ()
     if done.hurried:
@@ -169,13 +178,30 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
     for arc in trace.arcs:
         flows.setdefault((arc.roles, arc.coefficients.shape[2]), []).append(arc)
     for (roles, _), arcs in flows.items():
-        compiled = simulator.compiled(roles, trace.zeros)
-        found = lowest(compiled.wholes, [arc.flow for arc in arcs], trace.values)
+        compiled = simulator.modes.compiled(roles, trace.zeros)
+        found = lowest(compiled.wholes, arcs, trace.values)
         for margin, value in zip(whole_margins(compiled.mode.margins), found.tolist(), strict=True):
             before = least.get(margin.name, math.inf)
             # NaN compares false and persists.
             least[margin.name] = before if before <= value or before != before else value
     return dict(sorted(least.items()))
+
+
+def lowest(tape: Tape, arcs: Sequence[Arc], parameters: Array, per_step: int = 16) -> Array:
+    """Return the least value (n_out,) of every output of a tape on a grid along arcs."""
+    s, result = np.arange(per_step + 1) / per_step, np.full(len(tape.outputs), np.inf)
+    for first in range(0, len(arcs), _MAX_ARCS):
+        batch = arcs[first : first + _MAX_ARCS]
+        begin = np.concatenate([arc.times[:-1] for arc in batch])[:, None]
+        end = np.concatenate([arc.times[1:] for arc in batch])[:, None]
+        start = np.repeat([arc.start.high for arc in batch], [len(arc.times) - 1 for arc in batch])
+        terms = np.concatenate([arc.coefficients for arc in batch])
+        local = np.where(s < 1.0, begin + s * (end - begin), end)
+        states = np.swapaxes(terms @ s ** np.arange(terms.shape[2])[:, None], 1, 2)
+        times = (start[:, None] + local).ravel()
+        values = tape.table(states.reshape(-1, terms.shape[1]), parameters, times)
+        result = np.minimum(result, values.min(axis=0, initial=np.inf))
+    return result
 
 
 def invariants(observer: Observer, trace: Trace) -> dict[str, float]:
@@ -188,11 +214,11 @@ def invariants(observer: Observer, trace: Trace) -> dict[str, float]:
     automaton = observer.automaton
 
     def least(one: Invariant) -> float:
-        if not one.relation.members:  # independent of modes, which `record: poses` does not store
-            return extremes(observer, trace, one.margin(automaton.active(())).expression)[0]
-        return extremes(observer, trace, lambda key: one.margin(automaton.active(key)).expression)[
-            0
-        ]
+        def margin(key: Key) -> sp.Expr:
+            return one.margin(automaton.active(key)).expression
+
+        # `record: poses` stores no modes; an invariant without members does not depend on them.
+        return extremes(observer, trace, margin if one.relation.members else margin(()))[0]
 
     lost = unkept_invariants(automaton, trace)
     return {one.name: least(one) for one in automaton.invariants if one not in lost}
@@ -301,7 +327,7 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
         key = moving_mode(arc.roles)
         if HELD in key or key in modes:
             continue
-        mode = simulator.compiled(arc.roles, trace.zeros).mode
+        mode = simulator.modes.compiled(arc.roles, trace.zeros).mode
         # Forces of open contacts are zero and no unknowns.
         known = {s for s, e in mode.definitions if e == 0}
         known |= {mode.rates[place] for place in mode.eliminated}
@@ -332,39 +358,24 @@ def unkept_invariants(automaton: Automaton, trace: Trace) -> list[Invariant]:
 
 def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
     """Return the unused parts of the model (`what`), with reasons (`why`)."""
-    found = []
+    found: dict[str, str] = {}
     total, n_built = automaton.modes_total, trace.counts.get("modes_built", 0)
+    modes, record = pluralise(total, "mode"), trace.record.value
     if trace.step is not None:
-        found.append(
-            {
-                "what": f"the equations of {'all ' * (total > 1)}{pluralise(total, 'mode')}",
-                "why": ("a step solves all contacts together, and modes follow from the solution"),
-            }
+        found[f"the equations of {'all ' * (total > 1)}{modes}"] = (
+            "a step solves all contacts together, and modes follow from the solution"
         )
-        found.append(
-            {"what": "guards and the location of events", "why": "events are at steps, or half-way"}
-        )
+        found["guards and the location of events"] = "events are at steps, or half-way"
         if trace.record is not Record.MODES:
-            found.append(
-                {
-                    "what": "modes of contacts and their events",
-                    "why": f"record: {trace.record.value} stores none; use record: modes",
-                }
+            found["modes of contacts and their events"] = (
+                f"record: {record} stores none; use record: modes"
             )
     elif n_built < total:
-        found.append(
-            {
-                "what": f"the equations of {readable_count(total - n_built)} of "
-                f"{pluralise(total, 'mode')}",
-                "why": "the run did not enter them",
-            }
+        unbuilt = readable_count(total - n_built)
+        found[f"the equations of {unbuilt} of {modes}"] = "the run did not enter them"
+    for one in unkept_invariants(automaton, trace):
+        found[f"the invariant {one.name!r}"] = (
+            f"record: {record} stores no states; use record: modes"
         )
-    found += [
-        {
-            "what": f"the invariant {one.name!r}",
-            "why": f"record: {trace.record.value} stores no states; use record: modes",
-        }
-        for one in unkept_invariants(automaton, trace)
-    ]
-    omitted = automaton.declaration.omitted(trace.parameters, stepped=trace.step is not None)
-    return found + [{"what": what, "why": why} for what, why in omitted.items()]
+    found |= automaton.declaration.omitted(trace.parameters, stepped=trace.step is not None)
+    return [{"what": what, "why": why} for what, why in found.items()]

@@ -14,6 +14,7 @@ from statechart.arrays import Array
 from statechart.automaton.clock import decimals
 from statechart.automaton.trace import Trace
 from statechart.documents.declaration import TIME
+from statechart.documents.files import writing
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 
@@ -68,17 +69,12 @@ def write_store(
     )
     if bodies:
         first = first.assign_coords(body=_text(bodies))
-    try:
-        with warnings.catch_warnings():
-            # Consolidated metadata are not part of Zarr format 3 yet, but all readers know them.
-            warnings.simplefilter("ignore")
-            first.to_zarr(path, mode="w-")
-            for piece in pieces:
-                data(*piece).drop_encoding().to_zarr(path, append_dim="t")
-    except OSError as error:
-        raise StatechartError(
-            f"cannot write {path}: {error.strerror or error}; name a place that is writable"
-        ) from error
+    with writing(path, "name a place that is writable"), warnings.catch_warnings():
+        # Consolidated metadata are not part of Zarr format 3 yet, but all readers know them.
+        warnings.simplefilter("ignore")
+        first.to_zarr(path, mode="w-")
+        for piece in pieces:
+            data(*piece).drop_encoding().to_zarr(path, append_dim="t")
 
 
 def _text(values: list[str]) -> np.ndarray[Any, Any]:

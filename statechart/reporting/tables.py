@@ -5,8 +5,7 @@ from __future__ import annotations
 import errno
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 
 from statechart.automaton.trace import Trace
 from statechart.documents.declaration import TIME
-from statechart.documents.files import staging_folder, write_atomic
+from statechart.documents.files import staging_folder, write_atomic, writing
 from statechart.documents.quantities import unit_of
 from statechart.documents.setting import Record
 from statechart.errors import StatechartError
@@ -199,7 +198,7 @@ def write_run(
     def events(short: bool) -> bytes:
         return _csv(events_table(observer, _shape(trace, done, short)[0]))
 
-    with _explain_errors(folder):
+    with writing(folder, _ADVICE):
         if folder.exists() and not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "there is a file of this name")
         with staging_folder(folder, _FILES) as place:
@@ -284,13 +283,3 @@ def _unit(unit: str) -> dict[str, str]:
 
 def _without_empty(units: Mapping[str, str]) -> dict[str, str]:
     return {name: unit for name, unit in units.items() if unit}
-
-
-@contextmanager
-def _explain_errors(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise StatechartError(
-            f"cannot write {path}: {error.strerror or error}; {_ADVICE}"
-        ) from error

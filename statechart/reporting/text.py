@@ -105,12 +105,10 @@ def computation_lines(report: Mapping[str, Any]) -> list[str]:
         alike: dict[str, list[str]] = {}
         for name, how in report["evidence"].items():
             alike.setdefault(how, []).append(name)
-        lines += [f"{_accuracy_lines(names)}: {how}" for how, names in alike.items()]
+        for how, those in alike.items():
+            what = "motion" if those == ["motion"] else f"events of {_cut(those)}"
+            lines.append(f"{what}: {how}")
     return lines
-
-
-def _accuracy_lines(names: Sequence[str]) -> str:
-    return "motion" if names == ["motion"] else f"events of {_cut(names)}"
 
 
 def _cut(names: Sequence[str]) -> str:

@@ -11,13 +11,12 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, astuple, dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from statechart.automaton.trace import Outcome, Trace
 from statechart.compiling import working_time
-from statechart.documents.declaration import Declaration
 from statechart.documents.setting import Setting
 from statechart.engines.engine import Allowance
 from statechart.engines.request import TIGHTER, Chosen, Plan, choose
@@ -172,10 +171,10 @@ class EvaluatedRun:
     endless: frozenset[str]
 
     @classmethod
-    def of(cls, observer: Observer, trace: Trace) -> EvaluatedRun:
-        """Evaluate the outputs of a run."""
+    def of(cls, observer: Observer, trace: Trace, *more: Any) -> Self:
+        """Evaluate the outputs of a run; `more` are further fields of a subclass."""
         made = outputs_of(observer)
-        return cls(observer, trace, made.of(trace), made.scales(trace), made.endless(trace))
+        return cls(observer, trace, made.of(trace), made.scales(trace), made.endless(trace), *more)
 
     def difference(self, other: EvaluatedRun, scales: Scales, **options: Any) -> Difference:
         """Return the difference of another run; see `compare` for the options."""
@@ -577,10 +576,7 @@ class RunPlanner:
     the first choice failed for `reason`. `searching` is true for an accuracy or a budget.
     """
 
-    def __init__(
-        self, model: Declaration, observers: Observers, plan: Plan, allowance: Allowance | None
-    ) -> None:
-        self._max_jumps = model.settings.max_jumps
+    def __init__(self, observers: Observers, plan: Plan, allowance: Allowance | None) -> None:
         self._observers, self._plan, self._allowance = observers, plan, allowance
         self.first = self.setting = plan.setting
         self.reason = plan.reason if plan.setting.stepped else choose(plan.setting)[1]
@@ -615,15 +611,13 @@ class RunPlanner:
             return trace
         if self._allowance is not None:
             self._allowance.remove_limit()
-        return simulator.certified(trace, overrides, until=end, max_jumps=self._max_jumps)
+        return simulator.certified(trace, overrides, until=end)
 
     def _once(
         self, setting: Setting, overrides: Mapping[str, float], end: float, *, off: bool = False
     ) -> tuple[Observer, Trace]:
         observer = self._observers.at(setting, off=off)
-        return observer, observer.simulator.run(
-            overrides, until=end, max_jumps=self._max_jumps, throw=False
-        )
+        return observer, observer.simulator.run(overrides, until=end, throw=False)
 
     def _change_engine(self, trace: Trace) -> bool:
         """Fall back from taylor to scipy if it cannot run the model; return whether it did.

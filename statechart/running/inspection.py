@@ -13,6 +13,7 @@ from statechart.documents.declaration import Declaration
 from statechart.documents.hints import check_arguments
 from statechart.errors import SimulationError
 from statechart.running.runner import Runner
+from statechart.tabular import write_plain
 
 
 @dataclass(frozen=True, repr=False)
@@ -28,9 +29,9 @@ class Modes:
     listed: Mapping[str, Any]
 
     def __str__(self) -> str:
-        from statechart.reporting.modes import text
+        from statechart.reporting.modes import format_listing
 
-        return text(self.listed)
+        return write_plain(format_listing(self.listed))
 
     __repr__ = __str__
 

@@ -112,7 +112,7 @@ class Runner:
         budget = self._plan.setting.budget
         allowance = None if budget is None else Allowance(budget)
         self.observers = Observers(self.automaton, allowance=allowance, progress=progress)
-        self._planner = RunPlanner(model, self.observers, self._plan, allowance)
+        self._planner = RunPlanner(self.observers, self._plan, allowance)
 
     @property
     def document(self) -> Document | None:
@@ -265,11 +265,8 @@ class Runner:
                     "a stream is a single run; an accuracy or a budget needs several",
                     advice="give a tolerance or a step instead",
                 )
-            simulator = self.observers.fresh(setting)
             sampling = self._inputs.sampling(every, end, control)
-            pieces = simulator.stream(
-                overrides, sampling, until=end, max_jumps=self.model.settings.max_jumps
-            )
+            pieces = self.observers.fresh(setting).stream(overrides, sampling, until=end)
 
         def located_items() -> Iterator[Arc | Jump]:
             with located(self.document, overrides):  # includes errors of a control

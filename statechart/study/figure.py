@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from statechart.documents.files import write_atomic
-from statechart.errors import StatechartError
+from statechart.documents.files import write_atomic, writing
 from statechart.palette import GRID, INK, LINES
 from statechart.reporting.figure import STYLE, frame, render, set_title
 from statechart.study.measurements import Measurements, Point
@@ -110,20 +109,13 @@ def write_study_figure(folder: Path | str, study: Measurements) -> None:
 
     folder = Path(folder)
     drawing = figure(study)
-    try:
+    with writing(f"to {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
         for kind in ("svg", "png"):
             # Text not as paths: half the file size.
             with rc_context({"svg.fonttype": "none"}):
                 write_atomic(folder / f"trade.{kind}", render(drawing, kind))
         write_atomic(folder / "trade.csv", _csv(study).encode())
-    except OSError as error:
-        raise StatechartError(f"cannot write to {folder}: {error.strerror or error}") from error
-
-
-def picture_url(study: Measurements) -> str:
-    """Return the figure as a data URL."""
-    return f"data:image/svg+xml;base64,{b64encode(_svg(study)).decode()}"
 
 
 def page_content(study: Measurements, label: str) -> dict[str, Any]:
@@ -132,7 +124,7 @@ def page_content(study: Measurements, label: str) -> dict[str, Any]:
     assert isinstance(table, Table)
     own = [place for place, point in enumerate(study.points, 1) if point.setting.label == label]
     return {
-        "figure": b64encode(_svg(study)).decode(),
+        "figure": b64encode(svg(study)).decode(),
         "above": str(above).strip().splitlines(),
         "rows": [list(row) for row in table.rows],
         "own": own,
@@ -140,7 +132,8 @@ def page_content(study: Measurements, label: str) -> dict[str, Any]:
     }
 
 
-def _svg(study: Measurements) -> bytes:
+def svg(study: Measurements) -> bytes:
+    """Return the figure as SVG."""
     from matplotlib import rc_context
 
     # Text not as paths: half the file size.

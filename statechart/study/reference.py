@@ -43,21 +43,10 @@ _REACH = 30.0
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Run(EvaluatedRun):
     """A run at a setting, with its outputs."""
 
     setting: Setting
-    evaluated: EvaluatedRun
-
-    @property
-    def observer(self) -> Observer:
-        """The observer of the run."""
-        return self.evaluated.observer
-
-    @property
-    def trace(self) -> Trace:
-        """The trace of the run."""
-        return self.evaluated.trace
 
     def brief(self, other: Run) -> float:
         """Return the fraction of the run for which modes may differ: two time steps at least."""
@@ -187,7 +176,7 @@ class References:
             raise KeyboardInterrupt
         if not trace.outcome.succeeded:
             raise error_of(trace)
-        return Run(setting, EvaluatedRun.of(observer, trace))
+        return Run.of(observer, trace, setting)
 
     def _pair(self, reference: Run, check: Run) -> _Pair:
         errors, _ = errors_of(self.model, reference, check)
@@ -255,8 +244,7 @@ def _tolerance(run: Run) -> float:
 
 def errors_of(model: Declaration, reference: Run, run: Run) -> tuple[Errors, float | None]:
     """Return the errors of a run, and the time of its first mode other than the reference's."""
-    one, other = reference.evaluated, run.evaluated
-    found = one.difference(other, one.scales, brief=reference.brief(run))
+    found = reference.difference(run, reference.scales, brief=reference.brief(run))
     pairs, _ = pair_jumps(reference.trace, run.trace, brief=reference.brief(run))
     ours = run.energies([other for _, other in pairs])
     theirs = reference.energies([one for one, _ in pairs])

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+from base64 import b64encode
 from html import escape
 from pathlib import Path
 from typing import Any, ClassVar
 
 from pydantic import ValidationError
 
-from statechart.documents.files import new_folder, write_atomic
+from statechart.documents.files import new_folder, write_atomic, writing
 from statechart.errors import DeclarationError, StatechartError
 from statechart.study.measurements import Measurements
-from statechart.study.text import format_text
+from statechart.study.text import describe_study
+from statechart.tabular import write_plain
 
 NAME = "trade.json"
 
@@ -52,15 +54,16 @@ class Study(Measurements):
     METHODS: ClassVar[tuple[str, ...]] = ("choose", "error", "front", "kept", "missed")
 
     def __str__(self) -> str:
-        return format_text(self)
+        return write_plain(describe_study(self))
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
         """Return the figure and the text for notebooks."""
-        from statechart.study.figure import picture_url
+        from statechart.study.figure import svg
 
-        return f'<img src="{picture_url(self)}" alt="{self.model}"><pre>{escape(str(self))}</pre>'
+        picture = f"data:image/svg+xml;base64,{b64encode(svg(self)).decode()}"
+        return f'<img src="{picture}" alt="{self.model}"><pre>{escape(str(self))}</pre>'
 
     def shown(self, label: str) -> dict[str, Any]:
         """Return the data for a page; `label` marks the setting of the run."""
@@ -94,8 +97,5 @@ def save(folder: Path | str, study: Study) -> None:
     path = Path(folder) / NAME
     # Strict JSON, with non-finite numbers as text.
     text = json.dumps(json.loads(study.model_dump_json()), indent=1, allow_nan=False) + "\n"
-    try:
-        with new_folder(path.parent):
-            write_atomic(path, text.encode())
-    except OSError as error:
-        raise StatechartError(f"cannot write {path}: {error.strerror or error}") from error
+    with writing(path), new_folder(path.parent):
+        write_atomic(path, text.encode())

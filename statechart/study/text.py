@@ -1,4 +1,4 @@
-"""Study as text, and as the object that `--json` prints."""
+"""Measurements as text, and as the object that `--json` prints."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from statechart.study.slopes import (
     reasons_without_slope,
     slopes,
 )
-from statechart.tabular import Table, TextBlock, align_numbers, pluralise, write_plain
+from statechart.tabular import Table, TextBlock, align_numbers, pluralise
 
 # Least listed error of an odd run, relative to its largest.
 _MUCH = 0.5
@@ -34,13 +34,8 @@ _OPTIONS = ("engine", "method", "tolerance", "step", "accuracy")
 _MAX_NOTES = 8  # warnings listed in full
 
 
-def format_text(study: Measurements) -> str:
-    """Return a study as text: table and conclusions."""
-    return write_plain(describe_study(study))
-
-
 def describe_study(study: Measurements) -> list[TextBlock]:
-    """Return the blocks of `format_text`: head, table, conclusions."""
+    """Return a study as blocks of text: head, table, conclusions."""
     kinds = list(dict.fromkeys(name for p in study.points for name in p.errors.violations))
     front, cold = study.front(), study.front(once=True)
     head = ["error", "state", "events", "outputs", "path", "energy"]

@@ -20,7 +20,7 @@ from statechart.errors import DeclarationError, StatechartError
 from statechart.execution.outcome import error_of
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
-from statechart.running.accuracy import EvaluatedRun, RunEstimate, RunPlanner
+from statechart.running.accuracy import RunEstimate, RunPlanner
 from statechart.running.runner import Runner
 from statechart.study.measurements import Errors, Point, fingerprint
 from statechart.study.reference import References, Run, errors_of
@@ -86,13 +86,11 @@ class Bench:
 
     def once(self, observer: Observer) -> Trace:
         """Run the model once."""
-        return observer.simulator.run(
-            until=self.until, max_jumps=self.model.settings.max_jumps, throw=False
-        )
+        return observer.simulator.run(until=self.until, throw=False)
 
     def runner(self, setting: Setting) -> Callable[[], RunEstimate]:
         """Return a function that runs a setting, with cached programs."""
-        planner = RunPlanner(self.model, Observers(self.automaton), Plan(setting), None)
+        planner = RunPlanner(Observers(self.automaton), Plan(setting), None)
         return lambda: planner.run({}, self.until)[0]
 
     def measure(self, setting: Setting, reference: Run) -> Point:
@@ -144,7 +142,7 @@ class Bench:
         self, reference: Run, setting: Setting, found: Sequence[RunEstimate]
     ) -> tuple[Errors, float | None, float | None]:
         """Return the largest errors, and the earliest times of other modes and of separation."""
-        runs = [Run(setting, EvaluatedRun.of(one.observer, one.trace)) for one in found]
+        runs = [Run.of(one.observer, one.trace, setting) for one in found]
         pairs = [errors_of(self.model, reference, run) for run in runs]
         left = [reference.left(run) for run in runs]
         return (

@@ -63,8 +63,8 @@ class CellBlock:
     outcome: NDArray[np.object_]
     message: NDArray[np.object_]  # empty for a declared end
     certified: Bools
-    modes: Ints32  # places among `sequences`, -1 for cells that did not run
-    sequences: tuple[str, ...]
+    modes: Ints32  # codes of sequences, -1 for cells that did not run
+    sequences: dict[str, int]  # sequence -> its code
     t_end: Array
     seconds: Array  # computing time
     error_estimate: Array  # if an accuracy was requested
@@ -88,6 +88,10 @@ class CellBlock:
         else:
             self.numbers[name][cells] = [math.nan if v is None else v for v in values]
 
+    def code(self, sequence: str) -> int:
+        """Return the code of a sequence of modes."""
+        return self.sequences.setdefault(sequence, len(self.sequences))
+
     def end(self, k: int, outcome: str, message: str) -> None:
         """Set the outcome of a cell."""
         self.outcome[k], self.message[k] = outcome, message
@@ -102,7 +106,7 @@ class CellBlock:
             np.full(size, "", dtype=object),
             np.zeros(size, dtype=bool),
             np.full(size, -1, dtype=np.int32),
-            (),
+            {},
             np.full(size, math.nan),
             np.full(size, math.nan),
             np.full(size, math.nan),
@@ -111,7 +115,7 @@ class CellBlock:
 
 def run_block(task: Task, rows: Array) -> CellBlock:
     """Run cells in this process."""
-    here = _version()
+    here = version("contact-statecharts")
     if task.version != here:
         raise DeclarationError(
             f"a worker has version {here} of contact-statecharts, not {task.version}",
@@ -119,11 +123,6 @@ def run_block(task: Task, rows: Array) -> CellBlock:
         )
     with _ONE_AT_A_TIME:
         return _cells(task).block(rows)
-
-
-@cache
-def _version() -> str:
-    return version("contact-statecharts")
 
 
 @lru_cache(maxsize=2)
@@ -150,24 +149,16 @@ class _Cells:
         groups: dict[tuple[float, ...], list[int]] = {}
         for k, key in enumerate(structures):
             groups.setdefault(key, []).append(k)
-        codes: dict[str, int] = {}
         for key in sorted(groups):
             places = np.array(groups[key])
             while places.size:
-                single = self._run_batch(key, places, rows, found, codes)
-                for k in single.tolist():
-                    self._run_single(key, rows[k].tolist(), found, k, codes)
+                for k in self._run_batch(key, places, rows, found).tolist():
+                    self._run_single(key, rows[k].tolist(), found, k)
                 places = places[np.flatnonzero(found.outcome[places] == "")]
-        found.sequences = tuple(codes)
         return found
 
     def _run_batch(
-        self,
-        key: tuple[float, ...],
-        places: NDArray[np.intp],
-        rows: Array,
-        found: CellBlock,
-        codes: dict[str, int],
+        self, key: tuple[float, ...], places: NDArray[np.intp], rows: Array, found: CellBlock
     ) -> NDArray[np.intp]:
         """Run the next rows in one compiled call; return the places that did not complete."""
         structure = self._structures.get(key)
@@ -187,20 +178,14 @@ class _Cells:
             found.message[here] = ""
             found.certified[here] = True
             found.t_end[here] = batch.result.clock[:, T_HIGH]
-            texts = map(structure.sequence, _modes_of(batch))
-            found.modes[here] = [codes.setdefault(text, len(codes)) for text in texts]
+            found.modes[here] = [found.code(structure.sequence(m)) for m in _modes_of(batch)]
         if done:
             through = np.concatenate(done)
             found.seconds[through] = (working_time() - began) / len(through)
         return places[found.outcome[places] == ""]
 
     def _run_single(
-        self,
-        key: tuple[float, ...],
-        row: list[float],
-        found: CellBlock,
-        k: int,
-        codes: dict[str, int],
+        self, key: tuple[float, ...], row: list[float], found: CellBlock, k: int
     ) -> None:
         """Run one cell; errors become its outcome."""
         began = working_time()
@@ -208,7 +193,7 @@ class _Cells:
             structure = self._structure(key)
             values = dict(zip(self._task.names, row, strict=True))
             result = structure.runner.run(values, until=self._task.until, throw=False)
-            self._take(structure, result, found, k, codes)
+            self._take(structure, result, found, k)
         except SimulationError as error:
             found.end(k, error.outcome or FAULTY, error.message)
         except DeclarationError as error:
@@ -235,16 +220,14 @@ class _Cells:
             del self._structures[next(iter(self._structures))]
         return found
 
-    def _take(
-        self, structure: _Structure, result: Result, block: CellBlock, k: int, codes: dict[str, int]
-    ) -> None:
+    def _take(self, structure: _Structure, result: Result, block: CellBlock, k: int) -> None:
         trace = result.trace
         if trace.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
         block.end(k, trace.outcome.name, "" if trace.outcome.succeeded else trace.message)
         block.certified[k] = trace.certified is not False
         block.t_end[k] = trace.t_end
-        block.modes[k] = codes.setdefault(structure.sequence(trace.modes), len(codes))
+        block.modes[k] = block.code(structure.sequence(trace.modes))
         if result.error_estimate is not None:
             block.error_estimate[k] = result.error_estimate
         if not self._task.outputs:
@@ -260,15 +243,9 @@ class _Structure:
     def __init__(self, runner: Runner, task: Task) -> None:
         self.runner, self._task = runner, task
         self._trials, self.through = 0, 0
-        self._outputs: dict[Observer, Outputs] = {}
-        self._texts: dict[tuple[Key, ...], str] = {}
-
-    def outputs(self, observer: Observer) -> Outputs:
-        """Return the evaluation of the outputs of the sweep."""
-        found = self._outputs.get(observer)
-        if found is None:
-            found = self._outputs[observer] = Outputs(observer, self._task.outputs)
-        return found
+        # Evaluation of the outputs of the sweep, and sequences of modes as texts.
+        self.outputs = cache(partial(Outputs, names=task.outputs))
+        self.sequence = lru_cache(_MAX_TEXTS)(self._text)
 
     @cached_property
     def _batches(self) -> tuple[Observer, BatchRunner] | None:
@@ -289,18 +266,9 @@ class _Structure:
         observer, rows = self._batches
         outputs, until = self.outputs(observer), self._ends(table)
         self._trials += len(table)
-        for batch in rows.run(table, until, self.runner.model.settings.max_jumps):
+        for batch in rows.run(table, until):
             self.through += len(batch.rows)
             yield batch, outputs.of_batch(batch, partial(rows.jump, batch, table[batch.rows]))
-
-    def sequence(self, modes: tuple[Key, ...]) -> str:
-        """Return the sequence of modes of a run as text."""
-        found = self._texts.get(modes)
-        if found is None:
-            if len(self._texts) >= _MAX_TEXTS:
-                self._texts.clear()
-            found = self._texts[modes] = self._text(modes)
-        return found
 
     def _text(self, modes: Sequence[Key]) -> str:
         words = [self._word(key) for key in modes]

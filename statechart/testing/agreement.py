@@ -291,11 +291,14 @@ class Reading:
         Original time per transformed one.
     states : mapping
         Transformed -> original state of regions, if different.
+    regions : mapping
+        Transformed -> original name of regions, if different.
     """
 
     factors: Array | float = 1.0
     time: float = 1.0
     states: Mapping[str, str] = field(default_factory=dict)
+    regions: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,16 +342,21 @@ class EventSequence:
     def of(cls, trace: Trace, reading: Reading) -> EventSequence:
         """Return the sequence of a trace."""
 
+        def region(name: str) -> str:
+            return reading.regions.get(name, name)
+
+        order = [trace.regions.index(region(name)) for name in trace.regions]
+
         def key(mode: Key) -> Key:
-            return tuple(reading.states.get(state, state) for state in mode)
+            return tuple(reading.states.get(mode[i], mode[i]) for i in order)
 
         def event(jump: Jump) -> Event:
             states = [jump.before * reading.factors, jump.after * reading.factors]
             return Event(
-                (jump.region, jump.cause, key(jump.source), key(jump.target)),
+                (region(jump.region), jump.cause, key(jump.source), key(jump.target)),
                 np.concatenate([[jump.t * reading.time], *states]),
                 jump.skipped * reading.time,
-                hit=tuple(piece.split()[0] for piece in jump.path),
+                hit=tuple(region(piece.split()[0]) for piece in jump.path),
             )
 
         ends = [arc.coefficients[:, :, 0] for arc in trace.arcs]

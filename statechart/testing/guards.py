@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import sympy as sp
@@ -304,7 +305,7 @@ class _ClaimChecker:
     def __init__(self, subject: Subject, trace: Trace) -> None:
         self._subject, self._trace = subject, trace
         self._errors, self._late = _state_errors(trace), _TIME_ERROR * trace.t_end
-        self._sides: dict[Claim, tuple[Term, list[sp.Expr], bool]] = {}
+        self._compiled = cache(self._sides)
 
     def unexplained(self, claim: Claim, arc: Arc, tau: Array) -> Array:
         """Return the local times at which a claim is wrong beyond errors."""
@@ -336,13 +337,10 @@ class _ClaimChecker:
                 near |= np.abs(left - right) <= off + _SOLVED * (np.abs(left) + np.abs(right))
         return (held != claim.holds) & ~near
 
-    def _compiled(self, claim: Claim) -> tuple[Term, list[sp.Expr], bool]:
+    def _sides(self, claim: Claim) -> tuple[Term, list[sp.Expr], bool]:
         """Return the relation of a claim, its sides, and whether these need unknowns."""
-        found = self._sides.get(claim)
-        if found is None:
-            automaton = self._subject.automaton
-            relation = parse_relation(conjunction(claim.relations))
-            sides = [side.to_sympy(automaton.observables) for side in relation.formulas]
-            solved = any(side.free_symbols & {*automaton.unknowns} for side in sides)
-            found = self._sides[claim] = relation.root, sides, solved
-        return found
+        automaton = self._subject.automaton
+        relation = parse_relation(conjunction(claim.relations))
+        sides = [side.to_sympy(automaton.observables) for side in relation.formulas]
+        solved = any(side.free_symbols & {*automaton.unknowns} for side in sides)
+        return relation.root, sides, solved

@@ -136,7 +136,7 @@ class Subject:
         """Return the solved mode of an arc."""
         simulator = self.observers[trace.engine.split()[0]].simulator
         assert isinstance(simulator, Simulator)  # time stepping solves no modes
-        return simulator.compiled(arc.roles, trace.zeros).mode
+        return simulator.modes.compiled(arc.roles, trace.zeros).mode
 
     def solved(
         self,
@@ -298,8 +298,7 @@ class Case:
         until: float,
     ) -> Trace:
         """Return a run; an interruption ends the check."""
-        limit = self.subject.model.settings.max_jumps
-        trace = simulator.run(parameters, until=until, max_jumps=limit, throw=False)
+        trace = simulator.run(parameters, until=until, throw=False)
         if trace.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
         return trace

@@ -327,7 +327,7 @@ regions:
     ("old", "new", "words"),
     [
         ("b2: {final: true}", "b2: {}", "no region 'b'"),
-        ("on: b.done", "on: r.done", "on events of other regions, or on STATE.done"),
+        ("on: b.done", "on: r.done", "takes events of other regions, and STATE.done"),
         ("on: b.done", "on: p.done", "no region 'p'"),
         ("from: b, to: a, on: b.done", "from: b2, to: a, after: 1", "'b2' is final, and nothing"),
         ("{final: true}", "{final: true, states: {c: {}}}", "it has no 'states'; leave final out"),

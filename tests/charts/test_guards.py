@@ -301,9 +301,11 @@ def test_intervals_that_do_not_tend_to_a_geometric_sequence_are_not_summed(
     ticks = go("a", "a", "x >= d", "tick", x=0, n="n + 1", d=following)
     settle = {"name": "settle", "from": "a", "to": "b", "on": "zeno"}
     chart = compose(
-        {"x": 0, "d": 1, "n": 1}, {"r": region({"a": {"x": "1"}, "b": {}}, ticks, settle)}
+        {"x": 0, "d": 1, "n": 1},
+        {"r": region({"a": {"x": "1"}, "b": {}}, ticks, settle)},
+        max_jumps=400,
     )
-    trace = Simulator(chart, engine(name)).run(until=9.0, max_jumps=400, throw=False)
+    trace = Simulator(chart, engine(name)).run(until=9.0, throw=False)
     if end is None:
         assert trace.outcome is Outcome.TOO_MANY_JUMPS
         assert not times(trace, "settle")

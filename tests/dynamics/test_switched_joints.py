@@ -504,3 +504,26 @@ stop: {time: 1}
     assert jump.impulse["tip"][0] == pytest.approx(spin, abs=1e-9)
     assert jump.joint_impulse.get("pin.X", 0) == pytest.approx(0, abs=1e-9)
     assert jump.joint_impulse["pin.Y"] == pytest.approx(3 * 0.5 * spin - spin, abs=1e-9)
+
+
+@pytest.mark.parametrize("setting", [{}, {"engine": "scipy"}, {"engine": "impulse", "step": 1e-3}])
+def test_a_latch_at_the_far_end_of_a_hinged_door_names_what_to_write(
+    setting: dict[str, Any],
+) -> None:
+    """Hinge and latch hold four components of a body with three coordinates."""
+    text = """
+kind: scene
+name: door
+bodies: {d: {mass: 2, inertia: 0.2, start: {x: 0.5, dy: 1, dangle: 2}}}
+joints:
+  hinge: {point: {body: d, at: [-0.5, 0]}, to: [0, 0]}
+  latch: {point: {body: d, at: [0.5, 0]}, to: [0, 1], enabled: d.angle >= 1, rest: captured}
+stop: {time: 1}
+outputs: {a: {value: d.angle}}
+"""
+    result = statechart.run(read_text(text), throw=False, **setting)
+    assert result.trace.outcome.name == "NO_CONSISTENT_MODE"
+    assert "joint 'latch' closes, and closed joints imply a component" in result.trace.message
+    held = text.replace("to: [0, 1]", "to: {x: 0}")
+    outputs = statechart.run(read_text(held), **setting).outputs
+    assert outputs["a"] == pytest.approx(1, abs=1e-9 if not setting.get("step") else 3e-3)

@@ -36,7 +36,7 @@ def test_no_operation_of_a_step_depends_on_parameters_alone(model):
     simulator = Simulator(automaton(model), Taylor(2.2e-16))
     setup, trace = simulator.automaton.setup({}, 2.2e-16), simulator.run(until=2.0)
     for mode in {arc.mode for arc in trace.arcs}:
-        integrator = simulator.compiled(roles_in(mode), setup.zeros).stepper.integrator
+        integrator = simulator.modes.compiled(roles_in(mode), setup.zeros).stepper.integrator
         assert still(integrator.decomposition, integrator.dim) == []
 
 
@@ -44,7 +44,9 @@ def test_a_mode_of_many_operations_steps_in_compiled_loops():
     engine = Taylor(2.2e-16)
     simulator = Simulator(automaton("raibert_hopper"), engine)
     setup, trace = simulator.automaton.setup({}, 2.2e-16), simulator.run(until=0.5)
-    modes = {arc.mode: simulator.compiled(roles_in(arc.mode), setup.zeros) for arc in trace.arcs}
+    modes = {
+        arc.mode: simulator.modes.compiled(roles_in(arc.mode), setup.zeros) for arc in trace.arcs
+    }
     assert max(len(mode.rates.code) for mode in modes.values()) > 150
     assert all(engine.entry(mode.stepper) for mode in modes.values())
 

@@ -53,7 +53,7 @@ def test_a_smooth_ladder_leaves_the_wall_at_two_thirds_of_its_height(
     assert (left.region, left.cause) == ("top", "liftoff")
     assert left.before[1] == pytest.approx(2 / 3 * math.cos(lean), abs=1e-9)
     # Only the modes entered were built.
-    assert simulator.modes_built == 2
+    assert simulator.modes.built == 2
 
 
 @pytest.mark.parametrize("name", ENGINES)

@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from runs import EVENT_BASED
-from scipy.linalg import expm
 
 from statechart import DeclarationError, Runner, run
 from statechart.charts.laws import automaton
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.taylor import Taylor
 from statechart.execution import flow
-from statechart.execution.certificate import Certificate, _exponential
+from statechart.execution.certificate import Certificate
 from statechart.execution.simulator import Simulator
 from statechart.kernels.tapes import tape_values
 from statechart.loading.load import interpret
@@ -145,21 +144,6 @@ def test_estimate_grows_with_sensitivity():
     assert math.isfinite(wholes[-1])
 
 
-def test_the_exponential_of_a_matrix_is_a_rotation_a_growth_and_a_series_that_ends() -> None:
-    for angle in (0.0, 1e-9, 0.3, 40.0):
-        turned = _exponential(np.array([[0.0, -angle], [angle, 0.0]]))
-        cos, sin = math.cos(angle), math.sin(angle)
-        assert turned == pytest.approx(np.array([[cos, -sin], [sin, cos]]), abs=1e-13)
-    assert np.diag(_exponential(np.diag([-700.0, 0.0, 3.0]))) == pytest.approx(
-        [math.exp(-700.0), 1.0, math.exp(3.0)], rel=1e-12, abs=0.0
-    )
-    shift = np.diag([2.0, 3.0], k=1)
-    assert np.array_equal(_exponential(shift), np.eye(3) + shift + shift @ shift / 2)
-    whole = np.random.default_rng(3).normal(size=(7, 7))
-    assert _exponential(whole) == pytest.approx(expm(whole), rel=1e-12, abs=1e-12)
-    assert _exponential(np.zeros((0, 0))).shape == (0, 0)
-
-
 _LOW = """
 kind: chart
 name: low
@@ -241,7 +225,7 @@ def test_a_step_is_proved_up_to_sixteen_times_the_allowed_defect(part: float, pr
     coefficients[0, :, 0] = trace.initial
     coefficients[0, 0, 1] = part * simulator.engine.allowed
     certificate.flow(
-        replace(arc, coefficients=coefficients), simulator.compiled(arc.roles, trace.zeros)
+        replace(arc, coefficients=coefficients), simulator.modes.compiled(arc.roles, trace.zeros)
     )
     motion = certificate.motion()
     assert part <= motion.local / simulator.engine.allowed <= 2.2 * part

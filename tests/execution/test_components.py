@@ -149,8 +149,8 @@ def test_end_of_one_component_ends_the_run(tmp_path: Path) -> None:
 
 
 def test_max_jumps_ends_a_componentwise_run(tmp_path: Path) -> None:
-    automaton = composed(BODIES, tmp_path)
-    trace = Simulator(automaton, Taylor(1e-12)).run(until=1.5, max_jumps=4, throw=False)
+    automaton = composed(f"{BODIES}settings: {{max_jumps: 4}}\n", tmp_path)
+    trace = Simulator(automaton, Taylor(1e-12)).run(until=1.5, throw=False)
     assert (trace.outcome, len(trace.jumps)) == (Outcome.TOO_MANY_JUMPS, 4)
     near(trace.final, trace.jumps[-1].after)
 

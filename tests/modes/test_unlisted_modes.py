@@ -89,7 +89,7 @@ def scene(left: tuple[str, ...], right: tuple[str, ...] | None, surface: str) ->
     )
     turns = ("inertia: 0.1, ", ", angle: a, dangle: w") if right else ("", "")
     text += f"bodies: {{b: {{mass: 1, {turns[0]}start: {{y: h, dx: v, dy: u{turns[1]}}}}}}}\n"
-    text += f"surfaces: {{s: {{{surface}}}}}\ncontacts:\n"
+    text += f"settings: {{max_jumps: 500}}\nsurfaces: {{s: {{{surface}}}}}\ncontacts:\n"
     text += contact("p", -0.3 if right else 0.0, left)
     return validate(read_text(text + (contact("q", 0.3, right) if right else "")), Scene)
 
@@ -119,7 +119,7 @@ def test_no_run_takes_a_mode_that_is_not_listed(
 ) -> None:
     built = simulator(left, right, "incline: a")
     try:
-        trace = built.run(start, until=0.3, max_jumps=500, throw=False)
+        trace = built.run(start, until=0.3, throw=False)
     except DeclarationProblem:
         with pytest.raises(DeclarationError):
             Runner(scene(left, right, "incline: a")).start(start)

@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from statechart import Runner
-from statechart.automaton.trace import integrals
 from statechart.documents.yaml_reader import read_text
+from statechart.kernels.boxes import Steps
+from statechart.kernels.quadrature import integrate_outputs
 
 FLIGHT = """\
 kind: scene
@@ -87,5 +88,6 @@ def test_round_off_outputs_leave_other_outputs_exact(
     observer, trace = result.observer, result.trace
     tape = observer.programs.tape(observer.programs.expressions((NOISE,)), None)
     for arc in trace.arcs:
-        _, ends = integrals(tape, arc.times, arc.coefficients, trace.values, 0.0, 0.0, 20.0)
+        steps = Steps(arc.times, arc.coefficients, trace.values, 0.0)
+        _, ends = integrate_outputs(tape.parts, steps, 0.0, 20.0)
         assert len(ends) < 4000 * (len(arc.times) - 1)

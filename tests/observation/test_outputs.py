@@ -14,7 +14,7 @@ from statechart.errors import FormulaError
 from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
 from statechart.observation.observer import Observer
-from statechart.observation.outputs import Outputs, extremes, outputs
+from statechart.observation.outputs import Outputs, extremes, outputs_of
 from statechart.reporting.report import Computation, report
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -43,7 +43,7 @@ def declaring(observer: Observer, declared: dict[str, dict[str, object]]) -> Out
 @pytest.mark.parametrize("cell", GOLDEN["cells"], ids=lambda c: f"mu={c['mu']}-I={c['I_G_str']}")
 def test_declared_outputs_match_golden(stick: Observer, cell: dict[str, float]) -> None:
     trace = run(stick, mu=cell["mu"], I_G=cell["I_G"], theta0=cell["theta0"])
-    found = outputs(stick, trace)
+    found = outputs_of(stick).of(trace)
     critical = cell["critical_angle_rad"]
     assert found["critical_angle"] == (
         None if critical is None else pytest.approx(critical, abs=1e-10)
@@ -175,7 +175,7 @@ def test_samples_at_the_time_of_a_jump_are_those_after_it(stick: Observer) -> No
 
 def test_empty_run_has_its_initial_state(stick: Observer) -> None:
     trace = run(stick, until=0.0)
-    found = outputs(stick, trace)
+    found = outputs_of(stick).of(trace)
     assert found["critical_angle"] is None
     assert (found["slip_backward"], found["t_impact"]) == (0.0, 0.0)
     samples = stick.sample(trace)
@@ -187,11 +187,11 @@ def test_empty_run_has_its_initial_state(stick: Observer) -> None:
 
 def test_a_mode_of_no_duration_has_its_forces_without_being_compiled(stick: Observer) -> None:
     trace = run(stick)
-    built = stick.simulator.modes_built
+    built = stick.simulator.modes.built
     passed = replace(trace.jumps[0], target=("free",))
     changed = replace(trace, jumps=(passed, *trace.jumps[1:]))
     assert stick.at(changed, ["tip.V", "stick.y"], [passed])[0].tolist() == [0.0, passed.after[1]]
-    assert stick.simulator.modes_built == built
+    assert stick.simulator.modes.built == built
 
 
 def test_an_unknown_name_is_an_error_that_suggests(stick: Observer) -> None:

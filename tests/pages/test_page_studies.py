@@ -18,7 +18,6 @@ from statechart.cli.main import main
 from statechart.documents.setting import Setting
 from statechart.running.runner import Runner
 from statechart.study.study import Study, save
-from statechart.study.text import format_text
 
 in_browser = pytest.mark.skipif(FOUND is None, reason="no Chromium is installed here")
 
@@ -39,7 +38,7 @@ def test_a_page_shows_the_study_and_marks_its_setting(study: Study, tmp_path: Pa
     result = statechart.run("toppling_stick", method="RK45", tolerance=1e-4)
     told = shown(result.report(tmp_path / "page.html", study=study))
     assert base64.b64decode(told["figure"]).startswith(b"<?xml")
-    words = " ".join(format_text(study).split())
+    words = " ".join(str(study).split())
     for line in (*told["above"], *told["below"], *(" ".join(row) for row in told["rows"])):
         assert " ".join(line.split()) in words
     assert [told["rows"][k][0].split(" *")[0] for k in told["own"]] == ["scipy RK45 0.0001"]

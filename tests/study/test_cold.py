@@ -16,7 +16,7 @@ from statechart.engines.request import Chosen
 from statechart.running.runner import Runner
 from statechart.study.figure import figure
 from statechart.study.startup_cost import FreshProcess
-from statechart.study.text import format_text, to_dict
+from statechart.study.text import to_dict
 
 RK45 = Setting(engine="scipy", method="RK45", tolerance=1e-6)
 
@@ -60,7 +60,7 @@ def test_without_a_process_there_is_no_time(monkeypatch: pytest.MonkeyPatch) -> 
     assert FreshProcess(model, 5.0).seconds(RK45) is None
     unknown = point(1e-6, 1e-7, 0.5, cold=None)
     assert unknown.cost(once=True) == 0.5
-    assert "  500 ms\n" in format_text(study(unknown))
+    assert "  500 ms\n" in str(study(unknown))
 
 
 def test_a_study_has_both_costs() -> None:
@@ -68,7 +68,7 @@ def test_a_study_has_both_costs() -> None:
     (one,) = found.points
     assert one.cold == 0.25
     assert one.seconds == pytest.approx(1e-3)
-    assert re.search(r" 1 ms +250 ms *\n", format_text(found))
+    assert re.search(r" 1 ms +250 ms *\n", str(found))
     assert to_dict(found)["points"][0]["cold"] == 0.25
 
 
@@ -91,7 +91,7 @@ def test_warm_and_cold_fronts_are_printed() -> None:
     found = study(quick, ready)
     assert found.front() == (quick,)
     assert found.front(once=True) == (ready, quick)
-    said = format_text(found)
+    said = str(found)
     assert "scipy RK45 1e-05 *+ " in said
     assert "scipy RK45 1e-06 + " in said
     assert "* warm" in said

@@ -9,7 +9,7 @@ from statechart.documents.setting import Setting
 from statechart.running.runner import Runner
 from statechart.study.measurements import Errors, Point
 from statechart.study.slopes import notes, reasons
-from statechart.study.text import format_text, to_dict
+from statechart.study.text import to_dict
 
 LAW = "time stepping applies another law"
 
@@ -28,7 +28,7 @@ def test_another_law_is_the_reason_why_steps_do_not_converge() -> None:
     assert note.settings == tuple(setting.label for setting in steps)
     assert all(note.text in p.warnings for p in found.points)
     assert reasons(found) == {"impulse": (note.text,)}
-    said = format_text(found)
+    said = str(found)
     assert "not converge" not in said
     assert "outputs that stay off by that" in said
     assert said.count("impulse step 0.02 to 0.002: simultaneous: sequential") == 1
@@ -51,7 +51,7 @@ def test_a_family_that_ends_with_the_modes_of_the_reference_needs_no_reason() ->
     coarse = stepped(1e-2, same_modes=False, diverged=0.5, warnings=(LAW,))
     found = study(coarse, *(stepped(10.0**-k, warnings=(LAW,)) for k in (3, 4, 5)))
     assert reasons(found) == {}
-    assert f"impulse step 0.01 to 1e-05: {LAW}" in format_text(found)
+    assert f"impulse step 0.01 to 1e-05: {LAW}" in str(found)
 
 
 def test_an_error_that_does_not_fall_with_the_step_has_its_reason() -> None:
@@ -67,7 +67,7 @@ def test_warnings_that_differ_in_numbers_are_one_note() -> None:
         point(1e-3, 1e-3, 1.0, warnings=("forces are indeterminate",)),
     )
     assert [note.differs for note in notes(found)] == [True, False]
-    said = format_text(found)
+    said = str(found)
     assert "impulse step 0.01 to 0.0001: springs swing by 2.5 radians (numbers of impulse" in said
     assert "scipy RK45 0.001: forces are indeterminate" in said
 
@@ -81,7 +81,7 @@ def test_runs_of_one_setting_that_differ_in_numbers_warn_once() -> None:
 def test_the_first_of_many_notes_are_printed() -> None:
     names = "abcdefghijk"
     found = study(point(1e-3, 1e-3, 1.0, warnings=tuple(f"at {c}" for c in names)))
-    said = format_text(found)
+    said = str(found)
     assert said.count("scipy RK45 0.001: at ") == 8
     assert "3 further warnings are in trade.json" in said
 

@@ -13,7 +13,7 @@ from statechart.observation.observers import Observers
 from statechart.running.runner import Runner
 from statechart.study.measurements import Errors, Third
 from statechart.study.study import Study
-from statechart.study.text import format_text, to_dict
+from statechart.study.text import to_dict
 from statechart.study.trade import Bench
 
 # Free flight; the thrust begins where a step from the start cannot detect it.
@@ -86,7 +86,7 @@ def test_outlier_of_three_runs_is_ignored(
     assert third.setting.startswith(odd)
     assert third.parted == pytest.approx(2.0, abs=0.2)
     assert third.errors.named["vy"] > 0.1 > third.errors.named["x_end"]
-    said = format_text(found)
+    said = str(found)
     assert f"{third.setting} is the odd one out" in said
     assert "vy by 0.51" in said
     assert "x_end" not in said
@@ -109,7 +109,7 @@ def test_of_three_runs_the_two_that_agree_are_the_reference(
 def test_two_references_that_agree_need_no_third() -> None:
     found = referred(Runner(read_text(OSCILLATOR)))
     assert found.third is None
-    assert "odd one" not in format_text(found)
+    assert "odd one" not in str(found)
 
 
 def test_three_diverging_runs_are_chaotic() -> None:
@@ -119,7 +119,7 @@ def test_three_diverging_runs_are_chaotic() -> None:
     assert found.parted is not None
     assert found.third.parted is not None
     assert 1.0 < found.third.parted <= found.parted < 40.0
-    said = format_text(found)
+    said = str(found)
     assert f"and {found.third.setting} the nearer of them at t = " in said
     assert "chaotic, or at a bifurcation" in said
 
@@ -132,7 +132,7 @@ def test_two_of_three_runs_do_not_decide_an_unstable_start() -> None:
     assert not third.odd
     assert third.edge == pytest.approx(1.57, abs=0.01)
     assert found.parted == third.parted is not None
-    said = format_text(found)
+    said = str(found)
     assert "leaves itself at t = 1.57" in said
     assert "where its start is off by 3e-12: chaotic, or at a bifurcation" in said
     # A little below the edge every run reaches the top at once.
@@ -145,7 +145,7 @@ def test_three_different_runs_limit_the_resolution() -> None:
         shift=3e-12, edge=None,
     )  # fmt: skip
     found = study(resolution=Errors(state=2e-7), third=third)
-    assert "differ by 2e-07, as scipy LSODA 1e-13 from them" in format_text(found)
+    assert "differ by 2e-07, as scipy LSODA 1e-13 from them" in str(found)
 
 
 def test_a_check_that_warns_of_another_law_is_not_called_chaotic() -> None:
@@ -155,12 +155,12 @@ def test_a_check_that_warns_of_another_law_is_not_called_chaotic() -> None:
         step=1e-4,
         warnings={"taylor 2.2e-16": ("a",), "impulse step 1e-4": ("a", "another law applies")},
     )
-    said = format_text(found)
+    said = str(found)
     assert "impulse step 1e-4 warns: another law applies" in said
     assert "chaotic" not in said
 
 
 def test_a_missing_third_engine_is_reported() -> None:
-    said = format_text(study(parted=0.5, check="impulse step 3e-4", step=3e-4))
+    said = str(study(parted=0.5, check="impulse step 3e-4", step=3e-4))
     assert "t = 0.5 on, and no run of another method shows which is right: chaotic, or" in said
     assert "or their steps are too long" in said

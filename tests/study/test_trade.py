@@ -22,7 +22,7 @@ from statechart.study.figure import figure, write_study_figure
 from statechart.study.measurements import Errors, Point, fingerprint
 from statechart.study.slopes import slopes
 from statechart.study.study import Study, load, save
-from statechart.study.text import format_text, to_dict
+from statechart.study.text import to_dict
 from statechart.study.trade import plan, trade
 
 
@@ -37,7 +37,7 @@ def test_slopes_are_those_of_theory(model: str) -> None:
     for slope in fits.values():
         assert slope.points >= (5 if slope.of == "error" else 3)
         assert slope.slope == pytest.approx(slope.theory, rel=0.15)
-    assert "steps of RK45: the tolerance to the power -0." in format_text(found)
+    assert "steps of RK45: the tolerance to the power -0." in str(found)
     # The figure lists them apart from its marks, which a number beside a line would hide.
     _, _, promises, steps = (drawn := figure(found)).axes
     drawn.canvas.draw()
@@ -83,8 +83,8 @@ def test_many_body_trade_varies_step_and_impulse_tolerance(tmp_path: Path) -> No
     assert found.check.split("step ")[1] != found.reference.split("step ")[1]
     assert [point.setting for point in found.points] == settings
     assert found.points == load(tmp_path).points
-    assert "impulse to 1e-08 step 0.001" in format_text(found)
-    assert repr(found) == format_text(found)
+    assert "impulse to 1e-08 step 0.001" in str(found)
+    assert repr(found) == str(found)
     shown = found._repr_html_()
     assert b"<svg" in b64decode(re.search(r"base64,([^\"]*)", shown)[1])
     assert "impulse to 1e-08 step 0.001" in shown
@@ -155,15 +155,15 @@ def test_a_study_ends_with_the_cheapest_setting_for_an_accuracy() -> None:
     fine = point(1e-8, 1e-7, 2.0)
     other = fine.model_copy(update={"setting": Setting(engine="taylor", tolerance=1e-6)})
     cheap = other.model_copy(update={"seconds": 0.5})
-    last = format_text(study(fine, cheap)).splitlines()[-1]
+    last = str(study(fine, cheap)).splitlines()[-1]
     assert last == (
         "for an accuracy of 1e-06 use --engine taylor --tolerance 1e-06: 500 ms a run, "
         "4 times cheaper than scipy RK45 1e-08"
     )
     assert "for an accuracy of 0.001 use --engine scipy --method RK45 --tolerance 0.001" in (
-        format_text(study(point(1e-3, 5e-4, 1.0)))
+        str(study(point(1e-3, 5e-4, 1.0)))
     )
-    assert "for an accuracy" not in format_text(study(point(1e-3, 0.5, 1.0)))
+    assert "for an accuracy" not in str(study(point(1e-3, 0.5, 1.0)))
 
 
 def test_missed_accuracies_and_other_modes_are_counted() -> None:
@@ -224,7 +224,7 @@ def test_a_chaotic_motion_has_no_errors_but_a_time_at_which_runs_part(tmp_path: 
         assert p.parted is not None
         assert 1.0 < p.parted < 40.0
     assert "starts that differ by the tolerance" in refused.refused
-    assert "leaves it at" in format_text(found)
+    assert "leaves it at" in str(found)
     assert found.front() == ()
     write_study_figure(tmp_path, found)
     shown = to_dict(found)
@@ -328,7 +328,7 @@ def test_the_plan_has_every_engine_and_time_stepping_for_scenes_only() -> None:
 
 def test_different_modes_are_marked(tmp_path: Path) -> None:
     found = study(point(1e-3, 1e-2, 1.0, same_modes=False, diverged=0.25), point(1e-6, 1e-6, 2.0))
-    assert "others from t = 0.25" in format_text(found)
+    assert "others from t = 0.25" in str(found)
     labels = [t.get_text() for t in figure(found).legends[0].get_texts()]
     assert "RK45, other modes" in labels
     write_study_figure(tmp_path, found)
@@ -399,7 +399,7 @@ def test_no_slope_is_fitted_where_the_tolerance_does_not_decide_the_steps() -> N
     smooth = [point(10.0**-p, 10.0**-p, 1.0, steps=round(5 * 1.6**p)) for p in range(3, 10)]
     found = study(*flights)
     assert slopes(found) == ()
-    assert "hardly decides" in format_text(found)
+    assert "hardly decides" in str(found)
     assert {slope.of for slope in slopes(study(*smooth))} == {"error", "steps"}
 
 
@@ -419,8 +419,8 @@ def test_non_converging_outputs_are_named_and_excluded() -> None:
     found = study(*(stepped(h, h, V_max=0.02 + 0.1 * h, x=0.5 * h) for h in steps))
     assert found.unsettled() == {"V_max": pytest.approx(0.020001)}
     assert [found.error(p) for p in found.points] == pytest.approx(steps)
-    assert "do not converge with the step, no part of the errors above" in format_text(found)
-    assert "(at the shortest step): V_max (0.02)" in format_text(found)
+    assert "do not converge with the step, no part of the errors above" in str(found)
+    assert "(at the shortest step): V_max (0.02)" in str(found)
     assert list(to_dict(found)["unsettled"]) == ["V_max"]
     (slope,) = slopes(found)
     assert slope.slope == pytest.approx(1.0)

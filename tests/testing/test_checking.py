@@ -11,7 +11,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.kind import automaton as scene_automaton
 from contacts.testing.scene_properties import assert_energy, assert_gaps
 from contacts.testing.scene_properties import properties as contact_properties
-from contacts.testing.symmetry import LENGTH, TIMES, mirrored, rescaled
+from contacts.testing.symmetry import LENGTH, TIMES, image_property, mirrored, rescaled
 from statechart.automaton.regions import State
 from statechart.charts.chart import Chart
 from statechart.documents.yaml_reader import read_text
@@ -611,3 +611,23 @@ def test_the_work_of_a_shaken_floor_is_no_gain_of_energy() -> None:
     gains = [jump.energy[1] - jump.energy[0] for jump in trace.jumps if jump.energy is not None]
     assert max(gains) > 1e-3
     energy.holds(case)
+
+
+def test_limits_of_a_joint_change_places_in_the_mirror() -> None:
+    """A door with dry friction strikes its greater angle; its image strikes the lesser one."""
+    scene = interpret(
+        read_text(
+            """
+kind: scene
+name: door
+bodies: {d: {mass: 4, inertia: 0.8, start: {x: 0.4, dangle: 3, dy: 1.2}}}
+joints:
+  h: {point: {body: d, at: [-0.4, 0]}, to: [0, 0], limits: [-1, 1.2], restitution: 0.3}
+couplings: {f: {joint: h, limit: 0.9}}
+stop: {time: 3}
+"""
+        )
+    )
+    (trace,) = Subject(scene).case({}).sound[:1]
+    assert [jump.region for jump in trace.jumps] == ["h_max", "f"]
+    image_property("mirror", scene, mirrored).holds(Subject(scene).case({}))

@@ -59,3 +59,23 @@ def test_a_guard_on_a_force_that_stays_on_its_bound_fires(
     result = Runner(read_text(text), **setting).run()
     near = pytest.approx(fires, abs=2.5 * step if step else 1e-12)
     assert result.outputs["t"] == (None if fires is None else near)
+
+
+@pytest.mark.parametrize("step", [None, 1e-3, 1e-4])
+@pytest.mark.parametrize("law", ["3*min(time/T, 1)", "3 - 3*max(1 - time/T, 0)"])
+@pytest.mark.parametrize(
+    ("guard", "part"), [("u >= 3", 1), ("abs(u) >= 3", 1), ("u > 3", None), ("u > 1.5", 0.5)]
+)
+def test_a_guard_on_a_control_that_saturates_between_steps(
+    guard: str, part: float | None, law: str, step: float | None
+) -> None:
+    reach = 0.975312
+    setting: Any = {} if step is None else {"engine": "impulse", "step": step}
+    text = _WATCH.format(force="u", guard=guard).replace(
+        "regions:",
+        f"controls: {{u: 0}}\nparameters: {{T: {reach}}}\nregions:\n"
+        f'  motor: {{initial: on, states: {{on: {{sets: {{u: "{law}"}}}}}}}}',
+    )
+    result = Runner(read_text(text + _CONTACT), **setting).run()
+    near = None if part is None else pytest.approx(part * reach, abs=2.5 * step if step else 1e-12)
+    assert result.outputs["t"] == near
