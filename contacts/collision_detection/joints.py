@@ -1,8 +1,8 @@
 """Joints of bodies with shapes, to each other and to the world, as rows of a step.
 
-A joint holds at the ends of steps: the velocities after a step leave the joint open at the next
-detection by as much as half a step in a line opens it, rotation included. No stabilisation follows,
-so nothing drifts: Verlet's scheme with constraints, SHAKE (Ryckaert, Ciccotti and Berendsen 1977).
+A joint holds at the midpoints of steps: the velocities after a step close the joint at the next
+detection, rotation included. No stabilisation follows, so nothing drifts: Verlet's scheme with
+constraints, SHAKE (Ryckaert, Ciccotti and Berendsen 1977).
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ from contacts.collision_detection.midpoint import Midpoint
 from contacts.collision_detection.surfaces import to_world
 from contacts.solvers.contact_rows import GUIDED, HELD
 from contacts.time_stepping.chunk import HIT, LASTING, SLOW, TIME_MARGIN, contact_role
-from contacts.time_stepping.equations import PART_AT_MIDDLE
 from statechart.arrays import Array
 from statechart.kernels.jit import kernel
 
@@ -98,8 +97,7 @@ def _joint_rows(
                 now = paths[1, joints.owners[j], axis]
                 before[d] -= (now - paths[0, joints.owners[j], axis]) / h
                 free[d] -= (paths[2, joints.owners[j], axis] - now) / h
-                apart -= _path_in_line(paths, joints.owners[j], axis)
-                size += abs(now)
+                apart, size = apart - now, size + abs(now)
                 continue
             x, y = to_world(places[b], joints.points[j, side, 0], joints.points[j, side, 1])
             rx, ry = x - places[b, 0], y - places[b, 1]
@@ -109,9 +107,7 @@ def _joint_rows(
             for k in range(3):
                 before[d] += rows[d, at + k] * old[b, k]
                 free[d] += rows[d, at + k] * loose[b, k]
-            bend = sign * _nonlinear_displacement(rx, ry, across, h * old[b, 2])
-            wanted[d] += bend / h
-            apart -= PART_AT_MIDDLE * bend
+            wanted[d] += sign * _nonlinear_displacement(rx, ry, across, h * old[b, 2]) / h
             apart += sign * (ux * x + uy * y)
             size += abs(ux * x + uy * y) + abs(rx) + abs(ry)
         # Redundant joints cannot close round-off.
@@ -121,13 +117,6 @@ def _joint_rows(
         _write_remaining_error(apart, d, h, past, closing)
         wanted[d] += (apart - closing[0, d]) / h
     return _path_bend(paths, joints.owners[j]) / h
-
-
-@kernel
-def _path_in_line(paths: Array, j: int, axis: int) -> float:
-    """Return where the anchor of joint j is at mid-step if it moves on from the start in a line."""
-    before, now, after = paths[0, j, axis], paths[1, j, axis], paths[2, j, axis]
-    return now - 0.5 * PART_AT_MIDDLE * (after - 2.0 * now + before)
 
 
 @kernel
@@ -153,7 +142,7 @@ def _distance_row(
         b, sign = joints.bodies[j, side], 1.0 - 2.0 * side
         if b < 0:
             for d in range(2):
-                now, ends[side, d] = paths[1, owner, d], _path_in_line(paths, owner, d)
+                now = ends[side, d] = paths[1, owner, d]
                 rates[0, d] -= (now - paths[0, owner, d]) / h
                 rates[1, d] -= (paths[2, owner, d] - now) / h
             continue
@@ -244,7 +233,6 @@ def _write_scalar_row(
         _write_remaining_error(gap, 0, h, past, closing)
     gap -= closing[0, 0]
     if holds in (ROD, TURN):
-        gap += PART_AT_MIDDLE * h * bend
         if place < 0 and past > 0.0:
             # A closing joint keeps its remaining error.
             closing[0, 0], gap = gap, 0.0

@@ -238,11 +238,9 @@ class PrescribedMotion:
             )
         now = self._paths.at(self._known, times[:1], memories[:1], self._states)
         midpoints = self._paths.at(self._known, times[1::2], memories[1::2], self._states)
-        anchors, middle, second = now.places, midpoints.places[:1], midpoints.places[1:2]
-        parabola = (8.0 * anchors - 6.0 * middle + second) / 3.0  # at -h/2 through 0, h/2, 3h/2
         before = Positions(
             _previous_frames(now.frames[0], midpoints.frames[0])[None],
-            np.where(np.isfinite(second), parabola, 2.0 * anchors - middle),
+            2.0 * now.places - midpoints.places[:1],
             _previous_frames(now.poses[0], midpoints.poses[0])[None],
         )
         if self._last is not None and self._last[1] == h and not self.jumped(start, remembered):

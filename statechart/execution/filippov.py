@@ -73,7 +73,8 @@ class Filippov:
                     )
         state = at.state
         for i in surface.on:
-            if SLIDES in (signs[i], 1 if before is None else before[i]):
+            # At rest too: a flow such as sqrt(max(h, 0)) would grow from round-off.
+            if signs[i] == RESTS or SLIDES in (signs[i], 1 if before is None else before[i]):
                 state = surface.onto(i, state)
         at = at._replace(state=state)
         roles = (Role(SWITCHES, share=tuple(signs)),)

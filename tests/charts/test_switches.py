@@ -163,3 +163,14 @@ def test_products_of_signs_at_intersecting_surfaces_are_reported(engine: Engine)
     trace = Simulator(chart, engine).run({}, until=2.0, throw=False)
     assert trace.outcome is Outcome.AMBIGUOUS_MODE
     assert "in several switches at once" in trace.message
+
+
+def test_a_tank_that_has_drained_stays_empty_until_water_flows_in() -> None:
+    # sqrt(h) falls at the constant rate 0.05: the tank is empty at t = 20. It has no Taylor series.
+    drained = run(flow({"h": 1}, h="-0.1*sqrt(max(h, 0))"), SCIPY, 100.0)
+    assert drained.outcome is Outcome.HORIZON
+    assert drained.final == pytest.approx([0.0], abs=1e-9)
+    rate = "-0.1*sqrt(max(h, 0)) + 0.02*max(0, time - 30)"
+    filled = run(flow({"h": 1}, h=rate), SCIPY, 40.0)
+    # An explicit Runge-Kutta method, with a tolerance of 1e-10.
+    assert filled.final == pytest.approx([0.6096118], rel=1e-6)

@@ -190,7 +190,7 @@ def test_conditions_round_trip() -> None:
     ("fields", "message"),
     [
         ({"enabled": "time"}, "comparison"),
-        ({"enabled": "c.V > 0"}, "'c.V'"),
+        ({"enabled": "c.V > 0"}, "c.V"),
         ({"enabled": ["time > 0", "q > 0"]}, "'q'"),
         ({"enabled": "time > 0", "modes": (Slide(), Pin()), "restitution": None}, "list free"),
     ],

@@ -201,9 +201,17 @@ bodies: {b: {mass: 1, inertia: 5e-3, start: {y: 0.06, dx: 0.1}}}
 surfaces: {floor: {height: 0}}
 contacts:
   l:
-    {point: {body: b, at: [-0.05, -0.05]}, surface: floor, friction: 0.3, stiffness: 4e4, damping: 50}
+    point: {body: b, at: [-0.05, -0.05]}
+    surface: floor
+    friction: 0.3
+    stiffness: 4e4
+    damping: 50
   r:
-    {point: {body: b, at: [0.05, -0.05]}, surface: floor, friction: 0.3, stiffness: 4e4, damping: 50}
+    point: {body: b, at: [0.05, -0.05]}
+    surface: floor
+    friction: 0.3
+    stiffness: 4e4
+    damping: 50
 stop: {time: 0.06}
 outputs: {y: {value: b.y}}
 """

@@ -206,3 +206,22 @@ stop: {time: 0.03}
 """
     result = Runner(read_text(text), engine="impulse", step=step).run()
     assert [jump.cause for jump in result.trace.jumps] == ["touchdown"]
+
+
+@pytest.mark.parametrize("part", [1.0, 0.5, 0.01])
+@pytest.mark.parametrize("step", [1e-2, 1e-3])
+def test_the_first_step_and_a_shorter_last_one_have_the_tension_of_a_rod(step, part):
+    """Two particles of 1 kg circle 1 m apart at 1 m/s: the tension is m v^2/r = 2 N."""
+    text = """
+kind: scene
+name: pair
+gravity: 0
+bodies: {a: {mass: 1, start: {dy: -1}}, b: {mass: 1, start: {x: 1, dy: 1}}}
+joints: {r: {point: {body: a}, to: {body: b}, rod: 1}}
+stop: {time: 1.5}
+outputs: {end: {value: r.T}, most: {maximum: r.T}}
+"""
+    runner = Runner(read_text(text), engine="impulse", step=step)
+    outputs = runner.run(until=1.5 + part * step).outputs
+    assert outputs["end"] == pytest.approx(2.0, abs=3.0 * step**2 + 1e-7)
+    assert outputs["most"] == pytest.approx(2.0, abs=3.0 * step**2 + 1e-7)
