@@ -310,13 +310,15 @@ outputs: {{most: {{maximum: wheel.angle}}, end: {{value: wheel.angle}}}}
 
         def check(result: Result) -> float:
             # The pawl may just reach or miss a tooth: a spring 2 % stiffer or softer tells.
+            error = inf
             for share in (1.0, 0.98, 1.02):
                 wanted = finer.run({**q, "k": share * k}).outputs
                 errors = [abs(result.outputs[name] - wanted[name]) for name in ("most", "end")]
-                error = max(errors) / (0.02 * pitch + 0.01 * abs(wanted["most"]))
+                allowed = 0.02 * pitch + 0.01 * abs(wanted["most"])
+                error = min(error, max(errors) / allowed)
                 if error <= 1.0:
                     break
-            return error
+            return float(error)
 
         return q, check
 

@@ -71,7 +71,8 @@ def differing(one: CellBlock, other: CellBlock) -> list[str]:
 
 
 def sequences(found: CellBlock) -> list[str]:
-    return [found.sequences[code] if code >= 0 else "" for code in found.modes.tolist()]
+    names = list(found.sequences)
+    return [names[code] if code >= 0 else "" for code in found.modes.tolist()]
 
 
 def compared(model: Declaration, table: Array) -> tuple[int, float, float, list[str]]:

@@ -118,6 +118,13 @@ class SciPy(Engine):
             self.evaluations += 1
             return values(y, parameters, start + local)
 
+        with np.errstate(divide="ignore"):
+            if not np.isfinite(values(state, parameters, start)).all():
+                # SciPy would search a first step without end.
+                raise NonFinite(
+                    f"the rates are not finite at t = {start:.6g}; write a state for each side of "
+                    "what changes there"
+                )
         magnitude = np.abs(state)
         sizes = self.sizes
         if sizes is None:

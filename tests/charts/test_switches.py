@@ -174,3 +174,13 @@ def test_a_tank_that_has_drained_stays_empty_until_water_flows_in() -> None:
     filled = run(flow({"h": 1}, h=rate), SCIPY, 40.0)
     # An explicit Runge-Kutta method, with a tolerance of 1e-10.
     assert filled.final == pytest.approx([0.6096118], rel=1e-6)
+
+
+def test_rates_without_a_value_end_the_run() -> None:
+    # One tank drains into another, which its empty state leaves without a rate.
+    chart = flow(
+        {"a": 1, "b": 0}, a="-0.1*sqrt(max(a, 0))", b="0.1*sqrt(max(a, 0)) - 0.05*sqrt(max(b, 0))"
+    )
+    trace = Simulator(chart, SCIPY).run(until=100.0, throw=False)
+    assert trace.outcome is Outcome.NON_FINITE
+    assert "write a state for each side" in trace.message
