@@ -11,7 +11,8 @@ with impulses P in the friction cones. A closed, approaching contact obeys Morea
 ``0 <= P_n``, ``v_n+ + e v_n >= 0``. A lasting contact, or one that approaches no faster than two
 steps of free fall, keeps its landing gap: ``v_n+ + gap/h + h/2 b >= 0``, where b is the bias of the
 gap acceleration, so that it neither sinks nor chatters as its body turns. Friction opposes the slip
-at the end of the step and never moves a contact at rest.
+at the end of the step and never moves a contact at rest. Joints of coordinates, and contacts that
+never open, close at the ends of steps, where their gap at mid-step is ``h^2/8 b``.
 
 The energy grows by at most ``h^2/8 f^T M^-1 f`` in a step: if impulses P add no energy to the
 velocities they act on, ``P (U+ + U-)/2 <= -P (h J M^-1 f)/2 - P W P/2``, whose maximum that is.
