@@ -891,7 +891,7 @@ stop: {time: 2}
 
 def test_brakes_written_as_signs_beside_a_locked_clutch_are_better_couplings() -> None:
     signs = _WHEELS.replace("BRAKES", "").replace("SIGN0", "- 0.591*sign(dp0)")
-    with pytest.raises(EventLoop, match="write dry friction as a contact or a coupling"):
+    with pytest.raises(EventLoop, match="instead of sign write couplings"):
         statechart.run(read_text(signs.replace("SIGN1", "- 0.531*sign(dp1)")))
     brakes = (
         _WHEELS.replace("SIGN0", "")

@@ -169,6 +169,6 @@ def test_short_verbs_import_no_compiler_and_use_one_thread(verb, model, tmp_path
     expected = ["heyoka"] if name == "run" else []
     found, threads = done.stderr.splitlines()[-2:]
     if options == ["--certify"]:
-        expected = ["numba", "scipy", "heyoka"]
+        expected = ["numba", "scipy", "heyoka", "scipy.linalg"]
     assert found == str(expected)
     assert threads == "1"
