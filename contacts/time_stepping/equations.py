@@ -18,9 +18,9 @@ off its target gap; and the one after, which stops that correction."""
 LANDED = 2
 """The contact settles after an impact, not after a mode change."""
 
-PART_AT_MIDDLE = 0.25
-"""Gap of a held row at mid-step that closes it at the ends of steps, in h^2/2 of its acceleration
-by curvature. A consistent start, and a change of the step size, then need no correction."""
+# Gap of a held row at mid-step that closes it at the ends of steps, in h^2/2 of its acceleration by
+# curvature. A consistent start, and a change of the step size, then need no correction.
+_PART_AT_MIDDLE = 0.25
 
 
 class StepConstants(NamedTuple):
@@ -228,7 +228,7 @@ def factor_equations(
             bias = 0.5 * h * numbers[row + 2 * n + d]
             offset = numbers[row + 2 * n + 3 + d] + bias
             if d == 0:
-                offset += numbers[row + 2 * n + 2] / h - PART_AT_MIDDLE * bias
+                offset += numbers[row + 2 * n + 2] / h - _PART_AT_MIDDLE * bias
             for j in range(n):
                 matrix[at, j] = numbers[row + d * n + j]
                 matrix[j, at] = -numbers[row + d * n + j]
@@ -244,7 +244,7 @@ def factor_equations(
                 matrix[j, at] = -numbers[row + j]
             bias = 0.5 * h * numbers[row + n + 2]
             right[at] = -numbers[row + n] / h - numbers[row + n + 1]
-            right[at] -= (1.0 - PART_AT_MIDDLE) * bias
+            right[at] -= (1.0 - _PART_AT_MIDDLE) * bias
         at += 1
     order = np.arange(size)
     return factorise(matrix, order, np.empty((size, size))), matrix, order, right

@@ -222,7 +222,7 @@ class _AtomTapes:
 
     @cached_property
     def kinked(self) -> bool:
-        """Whether the rate may jump here: controls with abs, sign, min, max or sat."""
+        """True if the rate may jump: a control has abs, sign, min, max or sat."""
         return bool(self._first.has(sp.sign))
 
     @cached_property
