@@ -228,7 +228,7 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
 def _changing_names(scene: SceneFields) -> Collection[str]:
     names = {f"{contact}.{quantity}" for contact in scene.contacts for quantity in _OF_CONTACTS}
     names |= {f"{name}.{force}" for name, joint in scene.joints.items() for force in joint.forces}
-    names |= {f"{name}.{quantity}" for name in scene.couplings for quantity in ("M", "slip")}
+    names |= {f"{name}.{quantity}" for name in scene.coupled_names for quantity in ("M", "slip")}
     return {*(scene.kinematic_names - {*scene.parameters}), *names, *scene.controls, "energy"}
 
 

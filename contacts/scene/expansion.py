@@ -115,11 +115,7 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
             ):
                 stop = Stop.model_construct(limit=limit, side=side, other=other)
                 add_contact(contact_name, joint, stop, gate)
-    resisted = {
-        f"{name}_rolling": _resistance(scene, name, contact)
-        for name, contact in scene.contacts.items()
-        if contact.rolling_resistance is not None
-    }
+    resisted = {name: _resistance(scene, contact) for name, contact in scene.rolling.items()}
     if not contacts and not controllers and not resisted:
         return {}
     _check_names(scene, {*contacts, *controllers, *resisted}.difference(scene.joints))
@@ -135,7 +131,8 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
     }
 
 
-def _resistance(scene: SceneFields, name: str, contact: Contact) -> Rolling:
+def _resistance(scene: SceneFields, name: str) -> Rolling:
+    contact = scene.contacts[name]
     carrier = scene.surface_of(name).body
     bodies = (contact.point.body,) if carrier is None else (contact.point.body, carrier)
     return Rolling.model_construct(limit=contact.rolling_resistance, bodies=bodies, contact=name)

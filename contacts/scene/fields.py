@@ -272,7 +272,7 @@ class SceneFields(Declaration):
         description = f"{quantity} of {owner}"
         if owner in self.contacts and quantity in _OF_CONTACTS:
             return Quantity(description, _OF_CONTACTS[quantity])
-        if owner in self.couplings and quantity in _OF_COUPLINGS:
+        if owner in self.coupled_names and quantity in _OF_COUPLINGS:
             dimensions = _OF_GUIDES if self.along_guide(owner) else _OF_COUPLINGS
             return Quantity(description, dimensions[quantity])
         if owner in self.joints and quantity in self.joints[owner].forces:
@@ -380,13 +380,25 @@ class SceneFields(Declaration):
         return friction_law(declared, contact, {*self.parameters, *self.controls})
 
     @property
+    def rolling(self) -> dict[str, str]:
+        """Couplings of rolling resistance, and their contacts."""
+        declared = self.contacts.items()
+        return {f"{c}_rolling": c for c, x in declared if x.rolling_resistance is not None}
+
+    @property
+    def coupled_names(self) -> tuple[str, ...]:
+        """Declared couplings, then those of rolling resistance."""
+        return (*self.couplings, *self.rolling)
+
+    @property
     def frictional(self) -> tuple[str, ...]:
         """Contacts, then couplings: the regions whose states are selected by their friction."""
         return (*self.contacts, *self.couplings)
 
     def along_guide(self, coupling: str) -> str:
         """Return the free direction, "X" or "Y", of the guide that a coupling is in; "" else."""
-        joint = self.joints.get(self.couplings[coupling].joint or "")
+        declared = self.couplings.get(coupling)
+        joint = self.joints.get((declared and declared.joint) or "")
         held = [c for c in ("X", "Y") if joint is not None and c in joint.components]
         return {"X": "Y", "Y": "X"}[held[0]] if len(held) == 1 else ""
 

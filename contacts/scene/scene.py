@@ -331,7 +331,7 @@ class Scene(SceneFields):
         touching = [*self.contacts, *(n for n, x in self.joints.items() if x.rope is not None)]
         names = self.kinematic_names | {f"{c}.{q}" for c in touching for q in quantities}
         names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.forces}
-        names |= {f"{name}.{quantity}" for name in self.couplings for quantity in ("M", "slip")}
+        names |= {f"{name}.{quantity}" for name in self.coupled_names for quantity in ("M", "slip")}
         names |= {"energy", *self.controls} | self.placed_names
         variables = {v for region in self.regions.values() for v in region.variables}
         changing = names - {*self.parameters, *(variables - {*self.controlled.flowing})}

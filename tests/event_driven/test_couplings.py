@@ -514,6 +514,29 @@ def test_slip_sustained_by_rolling_resistance_survives_an_impact(
     assert "rim_rolling" not in landing.impulse
 
 
+@ENGINES
+def test_outputs_guards_and_units_know_the_couple_of_rolling_resistance(engine: str) -> None:
+    text = ROLLING.replace(
+        "outputs: {way: {value: ball.x}}",
+        """units: SI
+regions:
+  watch:
+    initial: rolls
+    states: {rolls: {}, rests: {}}
+    transitions: [{name: rest, from: rolls, to: rests, guard: rim_rolling.M < 1e-3}]
+outputs:
+  couple: {maximum: rim_rolling.M}
+  slip: {value: rim_rolling.slip, at: start}
+  rests: {value: time, at: first watch.rest}
+""",
+    )
+    result = run(text, engine)
+    assert result.outputs["couple"] == pytest.approx(0.002 * 9.81, abs=EXACT)
+    assert result.outputs["slip"] == pytest.approx(-20.0, abs=EXACT)
+    assert result.outputs["rests"] == pytest.approx(result.trace.jumps[0].t, abs=1e-9)
+    assert result.observer.automaton.declaration.unit("couple") == "N m"
+
+
 def test_rolling_resistance_requires_a_disc() -> None:
     with pytest.raises(statechart.DeclarationError, match="rolling resistance is of a disc"):
         run(ROLLING.replace("    radius: r\n", "").replace("y: r", "y: 0"))
