@@ -47,10 +47,10 @@ def label_coordinates(mass: Array, rows: Array, width: int) -> Ints:
     Mass (n, n), and the first `width` entries, k n, of rows (m, k n or more), couple them.
     """
     parents = np.arange(len(mass))
-    for one in mass:
-        _unite_row(parents, one, len(mass))
-    for one in rows:
-        _unite_row(parents, one, width)
+    for i in range(len(mass)):
+        _unite_row(parents, mass[i], len(mass))
+    for i in range(len(rows)):
+        _unite_row(parents, rows[i], width)
     for j in range(len(mass)):
         parents[j] = root(parents, j)
     return parents

@@ -274,7 +274,7 @@ def follow_point(
     point's; with the velocities `shift` (m, 2) the centre solves the contact laws. `rates` is
     workspace.
     """
-    count, own, shifted = len(now), contacts.own, np.empty_like(q)
+    count, own = len(now), contacts.own
     changes, change_rates = np.empty((count, 2)), np.empty_like(rates)
     fraction, way, turns, entered, begins = 1.0, -1.0, 0, -1, _ONE
     for change in range(_CHANGES):
@@ -282,10 +282,13 @@ def follow_point(
             return False, change
         write_velocity_change(contacts, now, rates)
         for i in range(count):
-            for d in range(2):
-                shifted[i, d] = q[i, d] + fraction * shift[i, d]
+            normal, slip = contact_velocity(contacts, i, q, rates)
+            away, aside = now[i, 0] - centre[i, 0], now[i, 1] - centre[i, 1]
+            equations.right[i, 0] = -normal - fraction * shift[i, 0] - compliance * own[i, 0] * away
+            equations.right[i, 1] = -slip - fraction * shift[i, 1] - compliance * own[i, 1] * aside
         # Correct round-off.
-        _take_step(contacts, equations, shifted, now, centre, compliance, rates, status, edges)
+        add_newton_step(contacts, equations, compliance, status, edges, now)
+        write_velocity_change(contacts, now, rates)
         for i in range(count):
             changes[i, 0] = changes[i, 1] = 0.0
             equations.right[i, 0], equations.right[i, 1] = -shift[i, 0], -shift[i, 1]
@@ -305,9 +308,9 @@ def follow_point(
             mu = friction_coefficient(contacts.cones[i])
             if mu < 0.0:
                 continue
-            normal, slip = contact_velocity(contacts, i, shifted, rates)
-            normal += compliance * own[i, 0] * (now[i, 0] - centre[i, 0])
-            slip += compliance * own[i, 1] * (now[i, 1] - centre[i, 1])
+            normal, slip = contact_velocity(contacts, i, q, rates)
+            normal += fraction * shift[i, 0] + compliance * own[i, 0] * (now[i, 0] - centre[i, 0])
+            slip += fraction * shift[i, 1] + compliance * own[i, 1] * (now[i, 1] - centre[i, 1])
             to_normal, to_slip = contact_velocity(contacts, i, shift, change_rates)
             to_normal += compliance * own[i, 0] * changes[i, 0]
             to_slip += compliance * own[i, 1] * changes[i, 1]
