@@ -19,8 +19,7 @@ import numpy as np
 
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import StatechartError
-from statechart.observation.difference import compare
-from statechart.observation.outputs import Outputs
+from statechart.running.accuracy import EvaluatedRun
 from statechart.running.result import Result
 from statechart.running.runner import Runner
 
@@ -189,16 +188,8 @@ class Judges:
 
 
 def _apart(one: Result, other: Result) -> float:
-    scales = Outputs(one.observer).scales(one.trace)
-    return compare(
-        one.trace,
-        other.trace,
-        one.outputs,
-        other.outputs,
-        scales=scales,
-        endless=one.endless | other.endless,
-        brief=ACCURACY,
-    ).largest
+    first, second = (EvaluatedRun.of(run.observer, run.trace) for run in (one, other))
+    return first.difference(second, first.scales, brief=ACCURACY).largest
 
 
 def requests(count: int, seed: int) -> dict[str, list[Judgement]]:

@@ -25,8 +25,7 @@ from statechart.documents.outputs import Count, Integral, Maximum, Value
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import StatechartError
 from statechart.loading.load import interpret, load
-from statechart.observation.difference import compare
-from statechart.observation.outputs import Outputs
+from statechart.running.accuracy import EvaluatedRun
 from statechart.running.result import Result
 from statechart.running.runner import Runner
 
@@ -87,11 +86,8 @@ def references(scene: str) -> tuple[Runner, Runner]:
 
 
 def apart(one: Result, other: Result, accuracy: float) -> float:
-    scales = Outputs(one.observer).scales(one.trace)
-    return compare(
-        one.trace, other.trace, one.outputs, other.outputs, scales=scales,
-        endless=one.endless | other.endless, brief=accuracy,
-    ).largest  # fmt: skip
+    first, second = (EvaluatedRun.of(run.observer, run.trace) for run in (one, other))
+    return first.difference(second, first.scales, brief=accuracy).largest
 
 
 def timed(call: Callable[[], Result]) -> tuple[Result, float]:

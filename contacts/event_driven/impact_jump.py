@@ -17,7 +17,7 @@ from contacts.dynamics.projection import landed
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape, answer, solve_kkt
 from contacts.event_driven.decision import check_listed, choose_mode, explain_choice
-from contacts.impacts.bounces import correct_durations, remaining_durations, stands_for_bounces
+from contacts.impacts.bounces import correct_durations, remaining_bounces, stands_for_bounces
 from contacts.impacts.jamming import Jam, impact_without_collision, listed_mode, strike_jammed
 from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.modes.classification import Before, ForceUncertainty
@@ -217,37 +217,46 @@ def _solve_struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
     """Compute an impact, and sum the bounces that follow it if that is possible."""
     (_, clock, _, flow, state, _), setup, snapshot, _, closed = landing
 
-    def under(laws: Sequence[ContactLaw], bounce_times: Mapping[int, float]) -> _Struck:
+    def seen(state: Array, later: float = 0.0) -> Snapshot:
+        return hidden(rules.tape.at(setup.values, state, clock.high + later), flow.mode)
+
+    def apply(
+        laws: Sequence[ContactLaw], snapshot: Snapshot, state: Array, result: Impacts
+    ) -> _Struck:
+        result = apply_rolling_resistance(snapshot, laws, result, 2.0 * landing.slow)
+        after = snapshot.moved(state, result.velocity)
+        return _Struck(laws, result, after, seen(after), {})
+
+    def under(laws: Sequence[ContactLaw]) -> _Struck:
         if jam is not None:
             result = impact_without_collision(snapshot, laws, jam.places)
         else:
             result = impacts(snapshot, laws, strike_jammed(laws, closed), rules.simultaneous)
-        result = apply_rolling_resistance(snapshot, laws, result, 2.0 * landing.slow)
-        after = snapshot.moved(state, result.velocity)
-        snapshot_after = hidden(rules.tape.at(setup.values, after, clock.high), flow.mode)
-        return _Struck(laws, result, after, snapshot_after, bounce_times)
+        return apply(laws, snapshot, state, result)
 
-    elastic = under(setup.contacts, {})
-    bounce_times = remaining_durations(setup, elastic.snapshot, closed)
-    if not bounce_times:
+    def strike_again(state: Array, later: float, hit: Sequence[bool]) -> tuple[Snapshot, Snapshot]:
+        laws, again = setup.contacts, seen(state, later)
+        result = impacts(again, laws, strike_jammed(laws, hit), rules.simultaneous)
+        return again, apply(laws, again, state, result).snapshot
+
+    elastic = under(setup.contacts)
+    bounces = remaining_bounces(setup, strike_again, elastic.snapshot, elastic.state, closed)
+    if not bounces:
         return elastic
     plastic = tuple(
-        law._replace(restitution=0.0) if i in bounce_times else law
-        for i, law in enumerate(elastic.laws)
+        law._replace(restitution=0.0) if i in bounces else law for i, law in enumerate(elastic.laws)
     )
     try:
-        captured = under(plastic, bounce_times)
+        captured = under(plastic)
     except NoConsistentMode:
         # Friction jams the plastic impact: the bounces are simulated.
         return elastic
-    if not stands_for_bounces(bounce_times, elastic.snapshot, captured.snapshot, closed):
+    if not stands_for_bounces(bounces, elastic.snapshot, captured.snapshot, closed):
         return elastic
     lasting = correct_durations(
-        bounce_times,
+        bounces,
         setup,
-        lambda state, later: hidden(
-            rules.tape.at(setup.values, state, clock.high + later), flow.mode
-        ),
+        seen,
         elastic.snapshot,
         captured.snapshot,
         captured.state,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,36 +16,63 @@ from statechart.errors import SimulationError
 
 # Allowed relative first-order correction of the sum; terms of its square are neglected.
 _MAX_CORRECTION = 1e-4
+# Round-off of the ratio of two rebounds.
+_SAME_RATIO = 1e-9
 # Allowed velocity changes by removing the rebounds, relative to the fastest of them.
 _MAX_CHANGE = 10.0
 
 
-def remaining_durations(
-    setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]
-) -> dict[int, float]:
-    """Return the duration of the further bounces, for the contacts whose bounces are skipped.
+class Bounces(NamedTuple):
+    """The further bounces of a contact."""
 
-    It is ``2 v / (g_n (1 - e))`` (equation 5). The impulse of a plastic impact plus that of the
-    weight over this time equals the sum of the impulses exactly. The criterion uses velocities
-    only, so that the number of resolved bounces does not depend on the origin.
+    ratio: float  # of the rebounds of two successive bounces
+    duration: float  # of all
+
+
+def remaining_bounces(
+    setup: SceneSetup,
+    strike: Callable[[Array, float, Sequence[bool]], tuple[Snapshot, Snapshot]],
+    snapshot: Snapshot,
+    state: Array,
+    closed: Sequence[bool],
+) -> dict[int, Bounces]:
+    """Return the further bounces of the contacts whose bounces are skipped.
+
+    They last ``2 v / (g_n (1 - r))`` (equation 5, where r = e). The impulse of a plastic impact
+    plus that of the weight over this time equals the sum of the impulses exactly. The criterion
+    uses velocities only, so that the number of resolved bounces does not depend on the origin.
+
+    `snapshot` is that of `state`, after an impact; `strike` returns the snapshots before and after
+    an impact of contacts at a state after a time.
     """
-    durations: dict[int, float] = {}
-    accelerations: Array | None = None
+    found: dict[int, Bounces] = {}
     speed_tolerance = setup.tolerances["speed"]
     lying = _resting_contacts(setup, snapshot, closed)
     for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True)):
         rebound, e = contact.gap_rate, law.restitution
         if not closed[i] or not 0.0 < e < 1.0 or not speed_tolerance < rebound <= setup.capture:
             continue
-        if accelerations is None:
-            accelerations = _closing_accelerations(setup, snapshot, lying)
-        if accelerations[i] > 0.0:
-            durations[i] = 2.0 * rebound / (float(accelerations[i]) * (1.0 - e))
-    return durations
+        try:
+            accelerations = _choose_resting(setup, snapshot, lying)
+            fall = float(_closing(snapshot, accelerations)[i])
+            if not fall > 0.0:
+                continue
+            flight = 2.0 * rebound / fall
+            end = _moved(snapshot, state, accelerations, flight)
+            hit = [rests or k == i for k, rests in enumerate(lying)]
+            before, after = strike(end, flight, hit)
+            ratio = -after.contacts[i].gap_rate / before.contacts[i].gap_rate
+        except SimulationError:
+            continue
+        if abs(ratio - e) <= _SAME_RATIO:
+            ratio = e
+        if 0.0 <= ratio < 1.0:
+            found[i] = Bounces(ratio, flight / (1.0 - ratio))
+    return found
 
 
 def correct_durations(
-    durations: Mapping[int, float],
+    bounces: Mapping[int, Bounces],
     setup: SceneSetup,
     at: Callable[[Array, float], Snapshot],
     resolved: Snapshot,
@@ -60,7 +88,7 @@ def correct_durations(
     ``v - 2 (j / a^2 + c / a) v^2 / 3``, so that the sum R of equation 5 is multiplied by
     ``1 + j R / (3 a) - c R / 6``.
 
-    `durations` are the uncorrected sums, `at` is the snapshot at a state after a time. `resolved`
+    `bounces` have the uncorrected sums, `at` is the snapshot at a state after a time. `resolved`
     and `plastic` are the snapshots after the impact with and without rebounds; the plastic impact
     leads to `state`.
     """
@@ -68,24 +96,17 @@ def correct_durations(
     try:
         accelerations = _choose_resting(setup, plastic, _resting_contacts(setup, plastic, closed))
     except SimulationError:
-        return dict(durations)
-    if plastic.reduction is not None:
-        accelerations = plastic.reduction.basis @ accelerations + plastic.reduction.drift
-    n = len(state) // 2
-    # Without the pads of compliant contacts, which are no coordinates of the scene.
-    accelerations = accelerations[:n]
+        return {i: one.duration for i, one in bounces.items()}
     resolved_fall, resting_fall = (
         _closing_accelerations(setup, snapshot, lying) for snapshot in (resolved, plastic)
     )
     corrected_durations: dict[int, float] = {}
-    for i in durations:
+    for i, (ratio, _) in bounces.items():
         if not resting_fall[i] > 0.0:
             return None
-        loss = 1.0 - setup.contacts[i].restitution
+        loss = 1.0 - ratio
         duration = 2.0 * resolved.contacts[i].gap_rate / (float(resting_fall[i]) * loss)
-        state_after = state.copy()
-        state_after[:n] += duration * (state[n:] + 0.5 * duration * accelerations)
-        state_after[n:] += duration * accelerations
+        state_after = _moved(plastic, state, accelerations, duration)
         final_fall = _closing_accelerations(setup, at(state_after, duration), lying)
         change = (resting_fall[i] - final_fall[i] - (resolved_fall[i] - resting_fall[i]) / loss) / (
             3.0 * resting_fall[i]
@@ -94,6 +115,18 @@ def correct_durations(
             return None
         corrected_durations[i] = float(duration * (1.0 + change))
     return corrected_durations
+
+
+def _moved(snapshot: Snapshot, state: Array, accelerations: Array, duration: float) -> Array:
+    """Return a state after a time under the accelerations of its snapshot."""
+    if snapshot.reduction is not None:
+        accelerations = snapshot.reduction.basis @ accelerations + snapshot.reduction.drift
+    n, later = len(state) // 2, state.copy()
+    # Without the pads of compliant contacts, which are no coordinates of the scene.
+    accelerations = accelerations[:n]
+    later[:n] += duration * (state[n:] + 0.5 * duration * accelerations)
+    later[n:] += duration * accelerations
+    return later
 
 
 def reopens_immediately(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> bool:
@@ -179,9 +212,12 @@ def _choose_resting(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]
 def _closing_accelerations(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Array:
     """Return the closing accelerations of the gaps with these contacts closed; nan if undefined."""
     try:
-        accelerations = _choose_resting(setup, snapshot, lying)
+        return _closing(snapshot, _choose_resting(setup, snapshot, lying))
     except SimulationError:
         return np.full(len(snapshot.contacts), np.nan)
+
+
+def _closing(snapshot: Snapshot, accelerations: Array) -> Array:
     return np.array([-float(c.jacobian[0] @ accelerations) - c.bias_n for c in snapshot.contacts])
 
 

@@ -88,19 +88,17 @@ class Penetration:
         middle[:n] += 0.5 * chunk.h * middle[n : 2 * n]
         self._found = _Deepest(b, float(depths[k, b]), middle, start + (k + 0.5) * chunk.h, chunk.h)
 
-    def remarks(self, deepest_at: Callable[[int, Array, float], str]) -> tuple[str, ...]:
-        """Return a warning of the deepest penetration."""
+    def remarks(self, deepest_at: Callable[[int, Array, float], str]) -> list[tuple[str, float]]:
+        """Return a warning of the deepest penetration, with a step that avoids it."""
         if self._found is None:
-            return ()
+            return []
         body, depth, state, time, h = self._found
         other = deepest_at(body, state, time) or "what it touches"
-        step = _DEEP * h / self._part
-        digits = 10.0 ** math.floor(math.log10(step))
-        return (
+        warning = (
             f"body {self._names[body]!r}, of inner radius {self._radii[body]:.3g}, is {depth:.3g} "
-            f"deep in {other} at t = {time:.6g} and may pass through it; take steps of "
-            f"{math.floor(step / digits) * digits:.1g} or less",
+            f"deep in {other} at t = {time:.6g} and may pass through it"
         )
+        return [(warning, _DEEP * h / self._part)]
 
 
 # Operations that are not finite everywhere.
@@ -409,25 +407,32 @@ class RigidBodyRun(SteppedSystem):
     @property
     def remarks(self) -> tuple[str, ...]:
         """Warnings of the run."""
-        warnings: tuple[str, ...] = ()
+        too_long = self._penetration.remarks(self._deepest_at)
         if self._turned > _TURNED:
-            warnings += (
+            turned = (
                 f"bodies that are hit turn by up to {self._turned:.2g} radians in one step of "
-                f"{self._length:.6g}, too much to follow how they touch; take "
-                f"{_FOLLOWED * self._length / self._turned:.1g} or less",
+                f"{self._length:.6g}, too much to follow how they touch"
             )
-        warnings += mass_ratio_warnings(self._workspace.worst, self._names, self._options.allowed)
-        warnings += self._no_ground.remarks
-        warnings += self._penetration.remarks(self._deepest_at)
+            too_long.append((turned, _FOLLOWED * self._length / self._turned))
         if self._parted:
             joints = ", or joints would not close" if len(self.numbers.joints.kinds) else ""
-            needed = f"; take {self._length / self._most_parts:.1g} or less"
-            warnings += (
+            parted = (
                 f"{pluralise(self._parted, 'step')} of {self._length:.6g} had to be split into up "
                 f"to {self._most_parts} parts: bodies would pass through each other, or turn by "
-                f"more than half a turn{joints}{needed if self._most_parts < _PARTS[-1] else ''}",
+                f"more than half a turn{joints}"
             )
-        return warnings
+            helps = self._most_parts < _PARTS[-1]
+            too_long.append((parted, self._length / self._most_parts if helps else math.inf))
+        finest = min((step for _, step in too_long), default=math.inf)
+        advice = ""
+        if finest < math.inf:
+            digit = 10.0 ** math.floor(math.log10(finest))
+            advice = f"; take steps of {math.floor(finest / digit) * digit:.1g} or less"
+        return (
+            *mass_ratio_warnings(self._workspace.worst, self._names, self._options.allowed),
+            *self._no_ground.remarks,
+            *(text + advice for text, _ in too_long),
+        )
 
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
         """Take steps; see `SteppedSystem.steps`. A rejected step is split."""

@@ -201,21 +201,13 @@ def _alternatives(
     runner: Runner, result: Result, parameters: Mapping[str, float], arguments: argparse.Namespace
 ) -> list[dict[str, Any]]:
     """Return where runs under the other choices of the model differ from a run."""
-    from statechart.observation.difference import compare
-    from statechart.observation.outputs import outputs_of
     from statechart.reporting.report import json_safe
+    from statechart.running.accuracy import EvaluatedRun
 
-    rows = []
+    rows, own = [], EvaluatedRun.of(result.observer, result.trace)
     for choice, other_runner in runner.alternatives().items():
         other = other_runner.run(parameters, until=arguments.until, throw=False)
-        found = compare(
-            result.trace,
-            other.trace,
-            result.outputs,
-            other.outputs,
-            scales=outputs_of(result.observer).scales(result.trace),
-            endless=result.endless | other.endless,
-        )
+        found = own.difference(EvaluatedRun.of(other.observer, other.trace), own.scales)
         report = other.to_dict()
         rows.append(
             {

@@ -71,9 +71,13 @@ class SciPy(Engine):
         start = watch.start + reached
         # Trial steps may overflow, and are rejected.
         with np.errstate(over="ignore", invalid="ignore"):
-            message, solver = self._step(stepper, watch, start, state, until - reached, begin)
+            solver = self._step(stepper, watch, start, state, until - reached, begin)
         if solver.status == "failed":
-            raise StepFailure(f"{self.method} at t = {start:.6g}: {message}")
+            raise StepFailure(
+                f"{self.method} at t = {start:.6g} needs steps shorter than the resolution of "
+                "time. End motion that goes to infinity by a stop condition; write "
+                "sqrt(max(x, 0)) for the root of an x that ends at 0"
+            )
         if not np.all(np.isfinite(solver.y)):
             raise NonFinite(f"the state is not finite after t = {start:.6g}")
         stepper.suggested = getattr(solver, "h_abs", None)
@@ -98,7 +102,7 @@ class SciPy(Engine):
         state: Array,
         duration: float,
         begin: Begin,
-    ) -> tuple[str | None, Any]:
+    ) -> Any:
         solver = stepper.solver
         if begin is Begin.MOVED and self.method == "LSODA" and solver.status == "running":
             _move(solver, state)
@@ -107,7 +111,8 @@ class SciPy(Engine):
                 stepper.suggested = None
             solver = self._solver(stepper, watch.parameters, start, state, duration)
             stepper.solver = solver
-        return solver.step(), solver
+        solver.step()
+        return solver
 
     def _solver(
         self, stepper: _Stepper, parameters: Array, start: float, state: Array, duration: float

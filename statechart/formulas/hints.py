@@ -85,6 +85,13 @@ _PROGRAMS: Mapping[str, str] = {
 }
 
 
+TOO_FEW: Mapping[str, str] = {
+    "max": "the largest value of a run is an output {maximum: x}",
+    "min": "the least value of a run is an output {minimum: x}",
+}
+"""Function with one argument too few -> advice."""
+
+
 def program(text: str) -> str:
     """Return advice on a conditional or assignment of a programming language."""
     return next((advice for form, advice in _PROGRAMS.items() if re.match(form, text)), "")
@@ -125,6 +132,9 @@ _HYBRID: Mapping[str, str] = {
         "runs are not random; write a parameter, and sweep it",
     ),
     **dict.fromkeys(("clip", "clamp", "saturate", "saturation", "limit"), "write sat(x, a, b)"),
+    **dict.fromkeys(
+        ("after", "every"), "a transition has the key after: T or every: T, beside its guard"
+    ),
     "integral": "write a variable with flows: {i: x}",
     "log10": "write log(x)/log(10)",
     **dict.fromkeys(("log2", "lb"), "write log(x)/log(2)"),

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 from statechart.formulas import tree
-from statechart.formulas.hints import DELAY, TOKENS, character, meant, program
+from statechart.formulas.hints import DELAY, TOKENS, TOO_FEW, character, meant, program
 
 MAX_LENGTH = 2000
 MAX_NODES = 500
@@ -199,7 +199,8 @@ class Reader:
         self.close(opening, "put a formula with a comma in quotes" if cut else _CLOSE)
         if len(arguments) < function.least or (most is not None and len(arguments) > most):
             wanted = f"{function.least}" if most is not None else f"at least {function.least}"
-            self.source.fail(f"{name.text} takes {wanted}, not {len(arguments)}", name.offset)
+            problem = f"{name.text} takes {wanted}, not {len(arguments)}"
+            self.source.fail(problem, name.offset, TOO_FEW.get(name.text, ""))
         return self._checked(tree.Call(name.text, tuple(arguments), name.offset, tuple(marks)))
 
     def close(self, opening: _Token, advice: str = _CLOSE) -> None:

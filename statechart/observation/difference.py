@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
 from operator import attrgetter
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -43,6 +43,8 @@ class Compared(NamedTuple):
 
 
 _NONE = Compared("", 0.0, 0.0, 0.0)
+Truncated: TypeAlias = Mapping[str, Sequence[int]]
+"""Cuts of the outputs of a run with Zeno sequences; see `Outputs.truncated`."""
 
 
 @dataclass(frozen=True)
@@ -74,14 +76,16 @@ def compare(
     *,
     scales: Scales = NO_SCALES,
     endless: Collection[str] = (),
+    truncated: tuple[Truncated, Truncated] = ({}, {}),
     brief: float = 0.0,
     nothing: float = 0.0,
 ) -> Difference:
     """Compare two runs of one model from one start, and their outputs.
 
     Non-finite values must be equal. A value without a scale (from `Outputs.scales`) is relative to
-    itself. For `endless` outputs (Zeno sequences) only common events are compared. `brief`: as in
-    `pair_jumps`. Values up to `nothing` are round-off of zero.
+    itself. For `endless` outputs (Zeno sequences) only common events are compared: `truncated` has
+    their cuts in the two runs (see `Outputs.truncated`). `brief`: as in `pair_jumps`. Values up to
+    `nothing` are round-off of zero.
     """
     pairs, diverged = pair_jumps(coarse, fine, brief=brief)
     same_end = coarse.outcome is fine.outcome
@@ -113,7 +117,12 @@ def compare(
         zero = max(nothing, scales.zero_outputs.get(name, 0.0))
         outputs[name] = _worst(
             Compared(f"output {name}", a, b, _relative(a, b, max(abs(a), abs(b), size), zero))
-            for a, b, size in _differences(one, fine_outputs[name], size, name in endless)
+            for a, b, size in _differences(
+                one,
+                fine_outputs[name],
+                size,
+                [cuts.get(name, ()) for cuts in truncated] if name in endless else None,
+            )
         )
     return Difference(
         state.off if same_end else math.inf,
@@ -300,18 +309,26 @@ def _repeats(jump: Jump, end: Jump) -> bool:
 
 
 def _differences(
-    one: Output, other: Output, size: Output, endless: bool
+    one: Output, other: Output, size: Output, cuts: Sequence[Sequence[int]] | None
 ) -> Iterable[tuple[float, float, float]]:
-    """Yield the values of an output in both runs, and their size."""
+    """Yield the values of an output in both runs, and their size; `cuts`: of an endless output."""
     if isinstance(one, list) and isinstance(other, list):
-        sizes = size if isinstance(size, list) else [0.0] * len(one)
-        if not endless:
+        if cuts is None:
             yield float(len(one)), float(len(other)), 1.0
-        # The last event of the run with fewer ones precedes the skipped rest.
-        count = len(one) if len(one) == len(other) else min(len(one), len(other)) - 1
-        yield from islice(zip(one, other, sizes, strict=False), max(count, 0))
+        runs = [
+            list(pairwise((0, *own, len(values))))
+            for own, values in zip(cuts or ((), ()), (one, other), strict=True)
+        ]
+        sizes = size if isinstance(size, list) else []
+        # The sequences of one run are those of the other, resolved up to another event.
+        for (a, a_end), (b, b_end) in zip(*runs, strict=False):
+            same_length = a_end - a == b_end - b
+            # The last event of the run with fewer ones precedes the skipped rest.
+            count = a_end - a if same_length else min(a_end - a, b_end - b) - 1
+            own_sizes = [*sizes[b : b + count], *[0.0] * count]
+            yield from islice(zip(one[a:], other[b:], own_sizes, strict=False), max(count, 0))
     elif isinstance(one, int) and isinstance(other, int):
-        if not endless:
+        if cuts is None:
             yield float(one), float(other), 1.0
     elif isinstance(one, float) and isinstance(other, float):
         yield one, other, size if isinstance(size, float) else 0.0

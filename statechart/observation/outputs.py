@@ -322,19 +322,23 @@ class Outputs:
             *packed.arrays(), at, *points, *over, np.array(waits, np.int64).reshape(len(waits), 2)
         )
 
-    def endless(self, trace: Trace) -> frozenset[str]:
-        """Return the outputs that count or list events of a Zeno sequence.
+    def truncated(self, trace: Trace) -> dict[str, tuple[int, ...]]:
+        """Return the outputs that count or list events of Zeno sequences, with their cuts.
 
-        The number of resolved events depends on tolerance or step.
+        The number of resolved events of a sequence depends on tolerance or step. Cuts are the
+        numbers of listed values up to the last resolved event of each sequence.
         """
-        summed = last_resolved(trace)
-        regions = self.observer.automaton.regions
-        several = [(name, moment.events) for name, _, moment in self.at if moment.several]
-        return frozenset(
-            name
-            for name, events in (*several, *self.counts)
-            if any(has_happened(regions, jump, event) for jump in summed for event in events)
-        )
+        last = sorted(jump.j for jump in last_resolved(trace))
+        moments = [(name, moment) for name, _, moment in self.at if moment.several]
+        moments += [(name, Moment("each", events)) for name, events in self.counts]
+        found = dict[str, tuple[int, ...]]()
+        for name, moment in moments if last else ():
+            happened = [jump.j for jump in self._happened(trace, moment.events)]
+            if not set(last).isdisjoint(happened):
+                listed = happened[_selected_events(moment)]
+                # A sequence of bounces in turn may end at an event that is not listed.
+                found[name] = tuple(np.searchsorted(listed, last, side="right").tolist())
+        return found
 
     def scales(self, trace: Trace) -> Scales:
         """Return the scales of variables and outputs (see `RunScales`).
@@ -345,7 +349,8 @@ class Outputs:
         run, found = RunScales(self.observer, trace), dict[str, OutputValue]()
         for name, output, moment in self.at:
             largest = self._largest(trace, output.value)
-            chosen = {jump.j for jump in self._chosen(trace, moment)}
+            jumps = self._happened(trace, moment.events)
+            chosen = {jump.j for jump in jumps[_selected_events(moment)]}
             sizes = [
                 run.of(output.value, size)
                 for jump, size in zip(trace.jumps, largest[1:-1].tolist(), strict=True)
@@ -384,15 +389,14 @@ class Outputs:
         magnitudes[~np.isfinite(magnitudes)] = 0.0
         return np.maximum.accumulate(magnitudes)
 
-    def _chosen(self, trace: Trace, moment: Moment) -> list[Jump]:
-        """Return the jumps of a moment."""
+    def _happened(self, trace: Trace, events: Sequence[Event]) -> list[Jump]:
+        """Return the jumps at which one of these events happened."""
         regions = self.observer.automaton.regions
-        jumps = [
+        return [
             jump
             for jump in trace.jumps
-            if any(has_happened(regions, jump, event) for event in moment.events)
+            if any(has_happened(regions, jump, event) for event in events)
         ]
-        return jumps[_selected_events(moment)]
 
 
 class OutputAccumulator:

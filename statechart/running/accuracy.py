@@ -25,6 +25,7 @@ from statechart.execution.flow import STIFF
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.difference import (
     Difference,
+    Truncated,
     compare,
     distance,
     mode_disagreement,
@@ -162,23 +163,30 @@ class RunEstimate:
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedRun:
-    """A run with outputs and scales; `endless` outputs count events of Zeno sequences."""
+    """A run with outputs and scales."""
 
     observer: Observer
     trace: Trace
     outputs: Mapping[str, OutputValue]
     scales: Scales
-    endless: frozenset[str]
+    truncated: Truncated
 
     @classmethod
     def of(cls, observer: Observer, trace: Trace, *more: Any) -> Self:
         """Evaluate the outputs of a run; `more` are further fields of a subclass."""
         made = outputs_of(observer)
-        return cls(observer, trace, made.of(trace), made.scales(trace), made.endless(trace), *more)
+        cuts = made.truncated(trace)
+        return cls(observer, trace, made.of(trace), made.scales(trace), cuts, *more)
+
+    @property
+    def endless(self) -> frozenset[str]:
+        """The outputs that count or list events of Zeno sequences."""
+        return frozenset(self.truncated)
 
     def difference(self, other: EvaluatedRun, scales: Scales, **options: Any) -> Difference:
         """Return the difference of another run; see `compare` for the options."""
         options.setdefault("endless", self.endless | other.endless)
+        options["truncated"] = self.truncated, other.truncated
         return compare(
             self.trace, other.trace, self.outputs, other.outputs, scales=scales, **options
         )
@@ -466,7 +474,7 @@ def replay(once: Once, chosen: Chosen) -> RunEstimate | None:
     made = (trace.outcome.name, len(trace.arcs), cost.steps, cost.evaluations)
     if made != (chosen.outcome, chosen.flows, chosen.steps, chosen.evaluations):
         return None
-    endless = tuple(sorted(outputs_of(observer).endless(trace)))
+    endless = tuple(sorted(outputs_of(observer).truncated(trace)))
     return RunEstimate(observer, trace, chosen.error, cost, (), endless, chosen.decides)
 
 

@@ -118,7 +118,7 @@ class Result:
     @property
     def endless(self) -> frozenset[str]:
         """The outputs that count or list events of a Zeno sequence."""
-        return self.source().endless(self.trace)
+        return frozenset(self.source().truncated(self.trace))
 
     @cached_property
     def conditions(self) -> tuple[float | None, ...]:

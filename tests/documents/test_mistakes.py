@@ -29,6 +29,9 @@ outputs:
 MISTAKES = {
     "three arguments in braces": ("mu: 0.5", "mu: sat(1, 0, 2)", "here 'sat(1'; put the whole"),
     "names as arguments": ("mu: 0.5", "mu: sat(m, top, h)", "here 'sat(m'; put the whole formula"),
+    "height in space": ("{y: h, angle", "{z: h, angle", "not 'z'; write y"),
+    "largest value of a run": ("value: time", "value: max(rod.y)", "not 1; the largest v"),
+    "a timed guard": ("rod.angle <= -pi/2", "'after(3, s)'", "has the key after: T or"),
     "bounded by clip": ("height: 0", "height: 'clip(x, 0, 1)'", "write sat(x, a, b)"),
     "end of a run": ("stop: {", "until: {", "unknown key 'until'; write stop: {time: 10}"),
     "end at infinity": ("time: 1,", "time: inf,", "a finite time from 0 on, not inf; write a late"),

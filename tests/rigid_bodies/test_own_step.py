@@ -119,6 +119,34 @@ def test_a_pawl_holds_at_the_step_of_the_run_and_sinks_with_a_warning_at_long_on
     assert "of inner radius 0.004" in said
 
 
+DICE = """\
+kind: scene
+name: dice
+gravity: 9.81
+bodies:
+  die:
+    mass: 0.01
+    inertia: 4e-7
+    shape: {polygon: [[-8e-3, -8e-3], [8e-3, -8e-3], [8e-3, 8e-3], [-8e-3, 8e-3]]}
+    copies: 5
+    start: {y: 0.1 + 0.1*index, angle: index, dangle: 30}
+surfaces: {floor: {height: 0}}
+collisions: {dice: {bodies: [die], surfaces: [floor], friction: 0.3, restitution: 0.4}}
+settings: {engine: impulse, step: 1/60}
+stop: {time: 1}
+"""
+
+
+def test_all_warnings_of_long_steps_name_one_step():
+    warnings = Runner(read_text(DICE)).run().warnings
+    too_long = [warning for warning in warnings if "; take steps of" in warning]
+    assert len(too_long) >= 2
+    (advice,) = {warning.rsplit("; ", 1)[1] for warning in too_long}
+    shorter = float(advice.split()[3])
+    found = Runner(read_text(DICE), step=shorter).run()
+    assert not any("; take steps of" in warning for warning in found.warnings)
+
+
 THRUST = """\
 kind: scene
 name: thrust

@@ -25,7 +25,7 @@ from statechart.engines.engine import Allowance
 from statechart.errors import OutOfBudget
 from statechart.observation.difference import compare, pair_jumps, separation_time
 from statechart.observation.observer import Observer
-from statechart.running.accuracy import Once, run_within_budget, tighten
+from statechart.running.accuracy import EvaluatedRun, Once, run_within_budget, tighten
 from statechart.running.runner import Runner, run
 
 THROWN = """\
@@ -422,3 +422,20 @@ def test_a_budget_that_ends_before_the_first_arc_tries_no_other_engine() -> None
     assert result.trace.engine == "taylor"
     assert result.trace.outcome is Outcome.OUT_OF_BUDGET
     assert not result.trace.arcs
+
+
+def test_lists_over_several_zeno_sequences_are_compared_sequence_by_sequence() -> None:
+    # The ball comes to rest twice; how many bounces are resolved depends on the tolerance.
+    start = {"A": 0.4076152515461017, "k": 11.329716503700658, "phase": 1.2333697043981378}
+    start |= {"y0": 2.9924753207313244, "vx0": -4.108552571098766, "vy0": -1.4587951966373836}
+    start |= {"e": 0.1585520579127728}
+    tight, loose = (
+        EvaluatedRun.of(result.observer, result.trace)
+        for result in (
+            run("bouncing_ball_hills", parameters=start, engine="taylor", tolerance=tolerance)
+            for tolerance in (2.2e-16, 1e-9)
+        )
+    )
+    assert len(tight.outputs["impact_times"]) > len(loose.outputs["impact_times"])
+    assert [len(one.truncated["impact_times"]) for one in (tight, loose)] == [2, 2]
+    assert tight.difference(loose, tight.scales).largest <= 1e-8

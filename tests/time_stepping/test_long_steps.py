@@ -234,7 +234,7 @@ def words(found: Result, what: str) -> list[str]:
 
 
 def named(warning: str) -> float:
-    return float(warning.rsplit("take ", 1)[1].split()[0])
+    return float(warning.removesuffix(" or less").rsplit(" ", 1)[1])
 
 
 @pytest.mark.parametrize("turn", [2.0, 3.5, 6.0, 20.0])
