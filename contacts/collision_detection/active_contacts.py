@@ -51,8 +51,7 @@ class ActiveContacts(NamedTuple):
     compliances: Array
     # (c,): `ROLLS` for a contact with rolling resistance, `RESISTS` for the row after it.
     rolling_roles: Ints
-    # (c, 2, 2): remaining error of joints in both directions, and its decrease per time.
-    closing: Array
+    open_by: Array  # (c, 2): offset of a joint's points at the midpoints, in both directions.
 
     @classmethod
     def allocate(cls, most: int) -> ActiveContacts:
@@ -62,7 +61,7 @@ class ActiveContacts(NamedTuple):
             np.empty((most, 4)), np.empty(most, np.int64), np.empty((most, 3)),
             np.empty(most, np.int64), np.empty((most, 2)), np.empty((most, 2)), np.empty((most, 2)),
             np.empty((most, 2)), np.empty(most, np.bool_), np.zeros(most), np.zeros(most, np.int64),
-            np.empty((most, 2, 2)),
+            np.empty((most, 2)),
         )  # fmt: skip
 
 

@@ -124,7 +124,6 @@ def add_couplings(
         active.materials[m, 0], active.materials[m, 2] = 1.0, 0.0
         active.materials[m, 1] = bound_in(limits[c], active.slip_directions[m]) if on else 0.0
         for d in range(2):
-            active.closing[m, 0, d] = active.closing[m, 1, d] = 0.0
             active.pushes[m, d] = active.pushes[m, d] if on else 0.0
         for k in range(4):
             active.levels[m, k] = active.levels[m, k] if k == 2 else 0.0

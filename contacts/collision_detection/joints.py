@@ -3,6 +3,10 @@
 A joint holds at the midpoints of steps: the velocities after a step close the joint at the next
 detection, rotation included. No stabilisation follows, so nothing drifts: Verlet's scheme with
 constraints, SHAKE (Ryckaert, Ciccotti and Berendsen 1977).
+
+A joint closed at the start of a step h is open by ``h^2 w^2 r/8`` at its midpoint (arm r, angular
+velocity w). It keeps this offset, in the first step and where the step size changes: closing it in
+one step would take an eighth of the centripetal force.
 """
 
 from __future__ import annotations
@@ -34,8 +38,8 @@ from statechart.kernels.jit import kernel
 
 # Round-off of joint points.
 _ANGLE_ROUND_OFF = 2.0**-50
-# Ratio of step sizes below which a step is shorter than the previous one.
-_SHORTER = 1.0 - 1e-9
+# Relative difference of step sizes up to which they are the same.
+_SAME = 1e-9
 
 
 # Bias with which a row that is off, or far from its bound, never presses.
@@ -56,31 +60,18 @@ def _nonlinear_displacement(x: float, y: float, across: bool, turn: float) -> fl
 
 
 @kernel
-def _write_remaining_error(apart: float, d: int, h: float, past: float, closing: Array) -> None:
-    """Write the remaining error of a joint along d in a step of size h after one of size past.
-
-    Between detections arms curve, so that joints are open when a step is split: closed in its first
-    part, that error would throw the bodies.
-    """
-    if h < _SHORTER * past:
-        closing[0, d], closing[1, d] = apart, apart / past
-    closed = h * closing[1, d]
-    closing[0, d] = closing[0, d] - closed if abs(closing[0, d]) > abs(closed) else 0.0
-
-
-@kernel
 def _joint_rows(
-    joints: JointNumbers, j: int, mid: Midpoint, paths: Array, h: float, past: float, m: int,
+    joints: JointNumbers, j: int, mid: Midpoint, paths: Array, h: float, keeps: bool, m: int,
     active: ActiveContacts,
 ) -> float:  # fmt: skip
     """Write the rows of a joint as contact m; return the second difference of its anchor over h.
 
     Velocities are relative to the path. `paths` (3, j, 2): the world anchors of all joints at the
-    last detection, this one and the next; `h`, `past`: size of this step and the previous one.
+    last detection, this one and the next; `keeps`: the joint stays as far open as it is.
     """
     places, old, loose = mid.poses, mid.old_rates, mid.free_rates
     rows, before, free = active.rows[m], active.before[m], active.free[m]
-    wanted, closing = active.bias[m], active.closing[m]
+    wanted, open_by = active.bias[m], active.open_by[m]
     for d in range(2):
         before[d] = free[d] = wanted[d] = 0.0
         apart = size = 0.0
@@ -112,10 +103,11 @@ def _joint_rows(
             size += abs(ux * x + uy * y) + abs(rx) + abs(ry)
         # Redundant joints cannot close round-off.
         if not abs(apart) > _ANGLE_ROUND_OFF * size:
-            closing[0, d] = 0.0
+            open_by[d] = 0.0
             continue
-        _write_remaining_error(apart, d, h, past, closing)
-        wanted[d] += (apart - closing[0, d]) / h
+        if keeps:
+            open_by[d] = apart
+        wanted[d] += (apart - open_by[d]) / h
     return _path_bend(paths, joints.owners[j]) / h
 
 
@@ -216,7 +208,7 @@ def _write_bounded_bias(
 @kernel
 def _write_scalar_row(
     joints: JointNumbers, j: int, mid: Midpoint, paths: Array, warm: WarmStart, place: int,
-    h: float, fall: float, m: int, active: ActiveContacts,
+    h: float, keeps: bool, fall: float, m: int, active: ActiveContacts,
 ) -> float:  # fmt: skip
     """Write a distance or angle row as contact m; see `_joint_rows`."""
     holds, bend = joints.kinds[j], 0.0
@@ -228,18 +220,15 @@ def _write_scalar_row(
         gap, bend = _distance_row(joints, j, mid, paths, h, m, active)
     else:
         gap = _angle_row(joints, j, mid, m, active)
-    past, closing = warm.last_step[0], active.closing[m]
-    if past > 0.0:
-        _write_remaining_error(gap, 0, h, past, closing)
-    gap -= closing[0, 0]
     if holds in (ROD, TURN):
-        if place < 0 and past > 0.0:
-            # A closing joint keeps its remaining error.
-            closing[0, 0], gap = gap, 0.0
-        active.bias[m, 0] = gap / h - bend
+        if keeps:
+            active.open_by[m, 0] = gap
+        active.bias[m, 0] = (gap - active.open_by[m, 0]) / h - bend
     else:
         lasting = place >= 0 and warm.contacts[place, 1] == 1.0
         level = warm.contacts[place, 0] if place >= 0 else 0.0
+        if lasting and keeps:
+            level = gap
         _write_bounded_bias(gap, bend, lasting, level, h, joints.sizes[j, 1], fall, m, active)
     return _path_bend(paths, joints.owners[j]) / h
 
@@ -273,20 +262,14 @@ def add_joints(
         if place >= 0 and warm.contacts[place, 9] == 0.0:
             # It was off then.
             place = -1
+        keeps = place < 0 or abs(h - past) > _SAME * h
         for d in range(2):
-            active.closing[m, 0, d] = warm.contacts[place, 4 + d] if place >= 0 else 0.0
-            active.closing[m, 1, d] = warm.contacts[place, 6 + d] if place >= 0 else 0.0
+            active.open_by[m, d] = warm.contacts[place, 4 + d] if place >= 0 else 0.0
         active.levels[m, 0] = active.levels[m, 1] = 0.0
         if joints.kinds[j] >= ROD:
-            pull = _write_scalar_row(joints, j, mid, places, warm, place, h, fall, m, active)
+            pull = _write_scalar_row(joints, j, mid, places, warm, place, h, keeps, fall, m, active)
         else:
-            pull = _joint_rows(joints, j, mid, places, h, past, m, active)
-            if place < 0 and past > 0.0:
-                # A closing joint keeps its remaining error.
-                for d in range(2):
-                    open_by = h * active.bias[m, d]
-                    active.closing[m, 0, d] += open_by
-                    active.bias[m, d] = 0.0
+            pull = _joint_rows(joints, j, mid, places, h, keeps, m, active)
         if on:
             mid.force_speed[b] += pull
         else:

@@ -48,6 +48,7 @@ class GateAtom(NamedTuple):
     words: str  # The relation that it belongs to
     margin: sp.Expr  # At or above 0 while it holds
     closed: bool  # It holds at 0
+    is_end: bool = False  # It is an end of an edge
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,18 +103,14 @@ class Gate:
         An end of an edge is ignored if its value in `valleys` is positive.
         """
         ignored = valleys or {}
-        if len(self.atoms) == 1 and not ignored:
-            return self.atoms[0].margin.xreplace(values)
 
         def margin(tree: Any) -> sp.Expr:
             if isinstance(tree, And | Or):
                 return (sp.Min if isinstance(tree, And) else sp.Max)(*map(margin, tree.parts))
             atom = self.atoms[tree]
             value = atom.margin.xreplace(values)
-            if atom.words in ignored:
-                value = sp.Max(value, ignored[atom.words])
-            if atom.words not in self.wholes:
-                return value
+            if atom.is_end:
+                return sp.Max(value, ignored[atom.words]) if atom.words in ignored else value
             return value + sp.Float(_ZERO_SHIFT if atom.closed else -_ZERO_SHIFT)
 
         return margin(self.root)
@@ -148,7 +145,7 @@ def gate_of(
     for end, margin in ends.items():
         parts.append(len(atoms))
         words = f"{contact}: {end}"
-        atoms.append(GateAtom(words, f"{off}: {end}", words, margin, True))
+        atoms.append(GateAtom(words, f"{off}: {end}", words, margin, True, is_end=True))
     return Gate(contact, off, tuple(atoms), And(tuple(parts)), wholes)
 
 

@@ -20,7 +20,7 @@ from contacts.impacts.simultaneous import impacts
 from contacts.scene.parts import Resolution
 from contacts.states import INACTIVE, OPEN
 from statechart.arrays import Array
-from statechart.automaton.laws import Flow, moving_mode, roles_in
+from statechart.automaton.laws import Flow, moving_mode
 from statechart.automaton.trace import Jump, Key
 from statechart.errors import NoConsistentMode, SingularMode
 
@@ -112,8 +112,9 @@ def close_immediately(
     after = landed(choice.taken.states, snapshot, state, setup.tolerances)
     warning = "; ".join(filter(None, (*warnings, choice.warning)))
     roles = choice.taken.roles
-    # If all contacts open (a bar that rattles over a crest), there is no time to wait.
-    wait = None if roles == roles_in(flow.mode) else remaining
+    # If no mode is left to change (a bar that rattles over a crest opens all contacts; the last of
+    # several rods closes at this impact), there is no time to wait.
+    wait = None if moving_mode(roles) == flow.mode else remaining
     following = flow_in(
         setup, flow.mode, roles, wait, warning, notes=choice.notes, tolerances=choice.tolerances
     )

@@ -104,21 +104,25 @@ def momentum_residual(
     that couples two coordinates has the round-off of both, and a momentum that moves no contact has
     the round-off of the velocities of the `fastest` contact.
     """
-    mass, worst = problem.mass, 0.0
+    mass, worst, slow = problem.mass, 0.0, np.zeros(change.shape[0])
     for i in range(change.shape[0]):
-        missed = terms = reach = 0.0
+        reach = np.abs(problem.jacobians[:, :, i]).max()
+        # The coordinate's rate at that round-off.
+        slow[i] = _MIN_VELOCITY_SHARE * fastest / reach if reach > 0.0 else 0.0
+    for i in range(change.shape[0]):
+        missed = terms = least = 0.0
         for k in range(change.shape[0]):
             if mass[i, k] != 0.0:
+                coupled = math.sqrt(mass[i, i] * mass[k, k])
                 missed += mass[i, k] * change[k]
-                terms += math.sqrt(mass[i, i] * mass[k, k]) * abs(change[k])
+                terms += coupled * abs(change[k])
+                least = max(least, coupled * slow[k])
         for g in range(impulses.shape[0]):
             for d in range(2):
                 row = problem.jacobians[g, d, i]
                 missed -= row * impulses[g, d]
                 terms += abs(row) * math.hypot(impulses[g, 0], impulses[g, 1])
-                reach = max(reach, abs(row))
-        if reach > 0.0:
-            terms += _MIN_VELOCITY_SHARE * fastest * mass[i, i] / reach
+        terms += least
         if terms > 0.0:
             worst = max(worst, abs(missed) / terms)
     return worst

@@ -235,8 +235,7 @@ def _store_joints(
         warm.contacts[i, 9] = 1.0 if numbers.joints.on[numbers.joints.owners[j]] else 0.0
         for d in range(2):
             warm.contacts[i, 2 + d] = space.pressed[i, d]
-            warm.contacts[i, 4 + d] = active.closing[i, 0, d]
-            warm.contacts[i, 6 + d] = active.closing[i, 1, d]
+            warm.contacts[i, 4 + d] = active.open_by[i, d]
             if holds[j] == GREATEST and d == 0:
                 # Both limits share one torque.
                 chunk.solved[k, at - 1] -= space.steady[i, d] / chunk.h

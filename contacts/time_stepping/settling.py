@@ -24,7 +24,7 @@ import numpy as np
 from contacts.solvers.contact_rows import STEEPEST
 from contacts.solvers.lemke import forces_by_lemke
 from contacts.solvers.step_impulses import SUM_ROUNDING
-from contacts.states import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
+from contacts.states import FREE, LOCKED, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.equations import (
     HOLDING,
@@ -268,7 +268,8 @@ def settle(
                 slides[a] = 1.0 if slips[a] > 0.0 else -1.0
             write_cone(scene, tape, i, int(slides[a]), cones[a])
             lasts = memory.modes[i] != FREE and memory.landing_steps[i] != HOLDING
-            lasts = lasts and chunk.codes[k, i] != FREE
+            # The impulses that correct a landing may unload a contact for a step.
+            lasts = lasts and (chunk.codes[k, i] != FREE or memory.settling[i] == LANDED)
             against[a] = lasts and _direction(memory.modes[i]) != slides[a]
             # Forces decide the slip that an impact leaves to a brake.
             brakes[a] = landed and is_coupling(scene, i) and scene.carriers[i] < 0
@@ -310,6 +311,9 @@ def settle(
                 clear_first_order_zeros(forced[a], sums[a], ALIKE * h / scene.speed)
                 tangential = slips[a] if slides[a] != 0.0 else forced[a, 1]
                 modes[i] = coupling_mode(scene, i, tangential, modes)
+            if memory.settling[i] == LANDED and modes[i] in (PIN, LOCKED):
+                # Its slip is of these impulses: no kinetic friction.
+                memory.closed[i], memory.slipped[i] = True, False
             if scene.carriers[i] >= 0:
                 found = coupling_mode(scene, i, slips[a] if slides[a] != 0.0 else 0.0, modes)
                 modes[i] = found if FREE in (found, modes[i]) else modes[i]

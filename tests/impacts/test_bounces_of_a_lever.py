@@ -32,8 +32,7 @@ def test_the_sum_of_the_last_bounces_has_the_ratio_of_their_rebounds(engine: str
     ratio = 0.7 * {"newton": 1.0, "poisson": part, "stronge": math.sqrt(part)}[law]
     model = read_text(LEVER.format(law=law))
     fine, coarse = (
-        Runner(model, engine=engine, tolerance=tolerance).run().trace
-        for tolerance in (1e-13, 1e-9)
+        Runner(model, engine=engine, tolerance=tolerance).run().trace for tolerance in (1e-13, 1e-9)
     )
     *_, before, last = [jump for jump in fine.jumps if jump.cause == "touchdown"]
     rest = (last.t - before.t) * ratio / (1.0 - ratio)

@@ -152,6 +152,28 @@ def test_the_force_of_a_joint_balances_the_load():
     assert outputs["X"] == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("step", [4e-3, 2e-3, 1e-3])
+def test_forces_of_joints_are_of_second_order_in_first_and_last_steps(step):
+    """A midpoint offset that was closed in one step took an eighth of the centripetal force."""
+    w = 2.0
+    pin = chain(1, step=step, gravity=0).replace(
+        "stop:", "outputs: {force: {value: 'hypot(j0.X, j0.Y)'}}\nstop:"
+    )
+    pair = chain(2, step=step, gravity=0).replace(
+        "  j0: {point: {body: bar0, at: [0, l/2]}, to: [0, 0]}\n", ""
+    )
+    pair = pair.replace(
+        "{point: {body: bar1, at: [0, l/2]}, to: {body: bar0, at: [0, -l/2]}}",
+        "{point: {body: bar1}, to: {body: bar0}, rod: l}",
+    )
+    pair = pair.replace("stop:", "outputs: {force: {value: j1.T}}\nstop:")
+    for text in (pin, pair):
+        runner = Runner(interpret(read_text(text)))
+        for until in (step, 0.4 * step, 1.4 * step, 250 * step, 250.1 * step, 250.6 * step):
+            force = runner.run({"w": w}, until=until).outputs["force"]
+            assert force == pytest.approx(w**2 * 0.25, rel=(step * w) ** 2 / 2)
+
+
 def test_a_guide_holds_one_component():
     text = chain(1, time=0.5).replace("to: [0, 0]", "to: {y: 0}")
     final = run(text, a=0.3).trace.final

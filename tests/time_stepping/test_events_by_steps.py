@@ -581,3 +581,30 @@ def test_a_contact_that_an_impact_at_a_wall_leaves_without_load_stays_closed(ste
         assert [j.cause for j in others] in ([], ["stick"])
         assert all(j.t <= first.t + late for j in others)
         assert run.trace.final_mode == ("pin", "pin")
+
+
+RESTING = """
+kind: scene
+name: resting
+gravity: 10
+parameters: {high: 1}
+bodies: {a: {mass: 1, start: {dx: 1}}, b: {mass: 1, start: {dx: 1, y: high}}}
+surfaces: {floor: {height: 0}, shelf: {height: 1}}
+contacts:
+  slides: {point: {body: a}, surface: floor, friction: 0.5, restitution: 0}
+  gated: {point: {body: b}, surface: shelf, friction: 0.5, restitution: 0, enabled: RELATION}
+stop: {time: 0.5}
+outputs: {height: {value: b.y}}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-3, 7e-4])
+@pytest.mark.parametrize(
+    ("relation", "high", "height"), [("b.dx > 0", 1.0, 0.55), ("a.dx <= 0", 1.5, 1.0)]
+)
+def test_a_relation_decides_where_friction_stops_a_rate_at_zero(relation, high, height, step):
+    """A strict relation went on holding at zero, and the other one never began to hold."""
+    model = interpret(read_text(RESTING.replace("RELATION", relation)))
+    for options in ({"engine": "scipy"}, {"engine": "impulse", "step": step}):
+        found = statechart.run(model, parameters={"high": high}, **options)
+        assert found.outputs["height"] == pytest.approx(height, abs=0.01)

@@ -272,3 +272,46 @@ def test_controllers_that_follow_each_other_for_ever_are_named() -> None:
     for setting in ({"engine": "impulse", "step": 1e-3}, {}):
         with pytest.raises(EventLoop, match=r"close -> .*shut, loose -> .*open"):
             run(scene, **setting)
+
+
+LANDING = """
+kind: scene
+name: landing
+gravity: 9.81
+parameters: {mu: 0.6, part: 0.65, limit: 1.05, q: -0.65}
+bodies:
+  b: {mass: 1, inertia: 0.02, start: {x: 0.25, y: 0.25*sin(q), angle: q}}
+  c: {mass: 0.734, inertia: 0.01, start: {x: 0.5 + 0.25*cos(q), y: 0.5*sin(q)}}
+surfaces: {floor: {height: -0.834}}
+contacts:
+  tip:
+    point: {body: c, at: [0.25, 0]}
+    surface: floor
+    friction: {static: mu, kinetic: part*mu}
+    restitution: 0
+joints:
+  hook: {point: {body: b, at: [-0.25, 0]}, to: ["0.25*(1 - cos(q))", 0]}
+  elbow: {point: {body: c, at: [-0.25, 0]}, to: {body: b, at: [0.25, 0]}}
+couplings:
+  rub: {bodies: [b], limit: limit}
+stop: {time: 0.4}
+"""
+
+
+@pytest.mark.parametrize("step", [2e-3, 1e-3, 5e-4])
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"mu": 0.6, "part": 0.65, "limit": 1.05, "q": -0.65},
+        {"mu": 0.51, "part": 0.49, "limit": 1.16, "q": -0.74},
+        {"mu": 0.7, "part": 0.44, "limit": 1.0, "q": -0.83},
+    ],
+)
+def test_static_friction_holds_a_mechanism_that_has_landed(values, step):
+    """The impulses that correct a landing made the tip slip, and kinetic friction let it go on."""
+    model = interpret(read_text(LANDING))
+    expected = run(model, parameters=values)
+    found = run(model, parameters=values, engine="impulse", step=step)
+    assert [jump.cause for jump in expected.trace.jumps] == ["touchdown"]
+    assert {jump.cause for jump in found.trace.jumps} == {"touchdown", "lock"}
+    assert np.abs(found.trace.final[6:]).max() < 0.01
