@@ -30,6 +30,7 @@ class Grid(NamedTuple):
     """Workspace of the broad phase."""
 
     cells: Ints  # (b, 2): cell of each body.
+    keys: Ints  # (b,): its hash; -1 for large bodies.
     large: Ints  # shape (b,)
     # (c + 1,): bodies by the hash of their cells.
     heads: Ints
@@ -44,10 +45,29 @@ class Grid(NamedTuple):
         """Allocate arrays for so many bodies and pairs."""
         cells = 1 << (_CELLS * count).bit_length()
         return cls(
-            np.empty((count, 2), np.int64), np.empty(count, np.int64),
+            np.empty((count, 2), np.int64), np.empty(count, np.int64), np.empty(count, np.int64),
             np.empty(cells + 1, np.int64), np.empty(count, np.int64), np.empty((most, 2), np.int64),
             np.empty((count, 3)), np.empty((most, 2), np.int64), np.full(1, -1),
         )  # fmt: skip
+
+
+@kernel
+def sort_by_key(keys: Ints, count: int, begins: Ints, order: Ints) -> None:
+    """Sort the first `count` items by their keys (counting sort); leave out negative keys.
+
+    The items of key k are ``order[begins[k] : begins[k + 1]]``.
+    """
+    for k in range(len(begins)):
+        begins[k] = 0
+    for i in range(count):
+        if keys[i] >= 0:
+            begins[keys[i]] += 1
+    for k in range(len(begins) - 1):
+        begins[k + 1] += begins[k]
+    for i in range(count - 1, -1, -1):
+        if keys[i] >= 0:
+            begins[keys[i]] -= 1
+            order[begins[keys[i]]] = i
 
 
 @kernel
@@ -59,10 +79,8 @@ def _bucket(across: int, up: int, most: int) -> int:
 @kernel
 def _sort_into_cells(grid: Grid) -> int:
     """Sort bodies into cells (counting sort); return the number of large bodies."""
-    cells, large, circles = grid.cells, grid.large, grid.circles
-    heads, order = grid.heads, grid.order
-    count, most = len(circles), len(heads) - 1
-    mean = 0.0
+    cells, large, circles, keys = grid.cells, grid.large, grid.circles, grid.keys
+    count, mean = len(circles), 0.0
     for b in range(count):
         mean += circles[b, 2] / count
     widest, many = 0.0, 0
@@ -73,25 +91,14 @@ def _sort_into_cells(grid: Grid) -> int:
         else:
             widest = max(widest, circles[b, 2])
     cell = 2.0 * widest if widest > 0.0 else 1.0
-    for i in range(most + 1):
-        heads[i] = 0
     for b in range(count):
-        cells[b, 0] = cells[b, 1] = 0
+        cells[b, 0], cells[b, 1], keys[b] = 0, 0, -1
         if circles[b, 2] <= _LARGE * mean:
             # Bodies beyond the integer range share the outermost cells.
             cells[b, 0] = int(min(max(math.floor(circles[b, 0] / cell), -(2.0**30)), 2.0**30))
             cells[b, 1] = int(min(max(math.floor(circles[b, 1] / cell), -(2.0**30)), 2.0**30))
-            heads[_bucket(cells[b, 0], cells[b, 1], most) + 1] += 1
-    for i in range(most):
-        heads[i + 1] += heads[i]
-    for b in range(count - 1, -1, -1):
-        if circles[b, 2] <= _LARGE * mean:
-            bucket = _bucket(cells[b, 0], cells[b, 1], most) + 1
-            heads[bucket] -= 1
-            order[heads[bucket]] = b
-    for i in range(most):
-        heads[i] = heads[i + 1]
-    heads[most] = count - many
+            keys[b] = _bucket(cells[b, 0], cells[b, 1], len(grid.heads) - 1)
+    sort_by_key(keys, count, grid.heads, grid.order)
     return many
 
 

@@ -47,6 +47,21 @@ def norm(x: float, y: float) -> float:
 
 
 @kernel
+def interval_within(x: float, y: float, u: float, v: float, apart: float) -> tuple[float, float]:
+    """Return the interval in which a point, now at x, y with velocity u, v, is within `apart` of 0.
+
+    (inf, inf) if it never is.
+    """
+    # |r + v t|^2 = apart^2
+    square, half, rest = u * u + v * v, x * u + y * v, x * x + y * y - apart * apart
+    inside = half * half - square * rest
+    if not inside > 0.0:
+        return math.inf, math.inf
+    root = math.sqrt(inside)
+    return (-half - root) / square, (-half + root) / square
+
+
+@kernel
 def write_contact(point: Array, nx: float, ny: float, x: float, y: float, gap: float) -> None:
     """Write a contact point; see `FOUND`."""
     point[0], point[1], point[2], point[3], point[4] = nx, ny, x, y, gap

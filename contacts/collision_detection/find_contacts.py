@@ -27,7 +27,7 @@ from contacts.collision_detection.body_numbers import (
     BodyNumbers,
     WarmStart,
 )
-from contacts.collision_detection.broad_phase import Grid, near_pairs
+from contacts.collision_detection.broad_phase import Grid, near_pairs, sort_by_key
 from contacts.collision_detection.convex import FOUND, ConvexShape, shape_contacts
 from contacts.collision_detection.ground import (
     POINTS,
@@ -44,7 +44,6 @@ from contacts.collision_detection.internal_edges import (
     find_face_contacts,
     list_neighbours,
     near_obstacles,
-    sort_pairs,
 )
 from contacts.collision_detection.joints import is_joined
 from contacts.collision_detection.midpoint import TOUCH_TOLERANCE, Midpoint
@@ -479,7 +478,8 @@ def find_contacts(
         np.empty(count, np.int64), np.zeros(1, np.int64), np.empty(COVERING, np.int64),
     )  # fmt: skip
     if corners:
-        sort_pairs(pairs, max(many, 0), count, near)
+        seconds = pairs[: max(many, 0), 1].copy()
+        sort_by_key(seconds, len(seconds), near.heads, near.order)
     # Bodies in prescribed motion come last, and do not collide with each other.
     moving = numbers.pieces.begins[len(numbers.inverse)]
     for p in range(moving if many >= 0 else 0):

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
-from contacts.collision_detection.convex import face_contacts, norm, write_contact
+from contacts.collision_detection.convex import face_contacts, interval_within, norm, write_contact
 from contacts.collision_detection.ground import Ground, pose_of
 from contacts.collision_detection.joints import is_joined
 from contacts.collision_detection.midpoint import Midpoint
@@ -142,31 +142,6 @@ def add_rays(one: Obstacle, x: float, y: float, near: float, rays: Array, count:
 
 
 @kernel
-def is_in_normal_cone(
-    one: Obstacle, place: tuple[float, float], outward: tuple[float, float]
-) -> bool:
-    """Return whether a direction is in the normal cone of a piece at a boundary point."""
-    (x, y), (nx, ny) = place, outward
-    if one.sort == DISC:
-        ux, uy = x - one.centre[0], y - one.centre[1]
-        return abs(ux * ny - uy * nx) <= FLUSH * one.radius and ux * nx + uy * ny > 0.0
-    near, n_near = FLUSH * one.size, 0
-    ax = ay = bx = by = 0.0
-    for i in range(edge_count(one)):
-        cx, cy, ex, ey, _ = edge_of(one, i)
-        if abs(ey * (x - cx) - ex * (y - cy)) <= near:
-            if n_near == 0:
-                ax, ay = ey, -ex
-            bx, by = ey, -ex
-            n_near += 1
-    # Counter-clockwise order; the normals differ by less than a half turn.
-    if ax * by - ay * bx < 0.0:
-        ax, ay, bx, by = bx, by, ax, ay
-    ahead = (ax + bx) * nx + (ay + by) * ny > 0.0
-    return n_near > 0 and ahead and ax * ny - ay * nx >= -FLUSH and nx * by - ny * bx >= -FLUSH
-
-
-@kernel
 def chord_interval(
     one: Obstacle, x: float, y: float, ux: float, uy: float, near: float
 ) -> tuple[float, float]:
@@ -175,11 +150,7 @@ def chord_interval(
     if one.sort == SHEET:
         return high, low
     if one.sort == DISC:
-        dx, dy = x - one.centre[0], y - one.centre[1]
-        half = dx * ux + dy * uy
-        inside = half * half - (dx * dx + dy * dy - one.radius * one.radius)
-        root = math.sqrt(max(inside, 0.0))
-        return (-half - root, -half + root) if inside > 0.0 else (math.inf, -math.inf)
+        return interval_within(x - one.centre[0], y - one.centre[1], ux, uy, one.radius)
     for i in range(edge_count(one)):
         ax, ay, ex, ey, _ = edge_of(one, i)
         offset, rate = ey * (x - ax) - ex * (y - ay), ey * ux - ex * uy
@@ -273,9 +244,9 @@ class TouchedSide(NamedTuple):
 class Neighbours(NamedTuple):
     """The pieces near each piece."""
 
-    # (p + 1,): start of each piece's list of near pieces with lower index, and those.
-    heads: Ints
-    lower: Ints
+    # Pairs by their second piece (see `contacts.collision_detection.broad_phase.sort_by_key`).
+    heads: Ints  # shape (p + 1,)
+    order: Ints
     # (p,): the pieces near one piece, and their number.
     others: Ints
     n_others: Ints
@@ -283,27 +254,11 @@ class Neighbours(NamedTuple):
 
 
 @kernel
-def sort_pairs(pairs: Ints, n_near: int, count: int, near: Neighbours) -> None:
-    """Sort pairs by their second piece (counting sort)."""
-    heads = near.heads
-    for p in range(count + 1):
-        heads[p] = 0
-    for i in range(n_near):
-        heads[pairs[i, 1]] += 1
-    for p in range(count):
-        heads[p + 1] += heads[p]
-    for i in range(n_near - 1, -1, -1):
-        q = pairs[i, 1]
-        heads[q] -= 1
-        near.lower[heads[q]] = pairs[i, 0]
-
-
-@kernel
 def list_neighbours(pairs: Ints, begin: int, end: int, p: int, near: Neighbours) -> None:
     """List the pieces near p, whose pairs with later pieces are from `begin` to `end`."""
     n_near = 0
     for i in range(near.heads[p], near.heads[p + 1]):
-        near.others[n_near] = near.lower[i]
+        near.others[n_near] = pairs[near.order[i], 0]
         n_near += 1
     for i in range(begin, end):
         near.others[n_near] = pairs[i, 1]
@@ -584,13 +539,9 @@ def drop_internal_edges(
 
 @kernel
 def _classify_point(
-    numbers: BodyNumbers,
-    ground: Ground,
-    mid: Midpoint,
-    touched: TouchedSide,
-    point: Array,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: TouchedSide, point: Array,
     rays: Array,
-) -> int:
+) -> int:  # fmt: skip
     """Classify a contact point on the touched obstacle; see `_OF_FACE`."""
     which, by, side, covering = touched
     all_pieces = len(numbers.pieces.sizes)
@@ -620,7 +571,7 @@ def _classify_point(
             continue
         offset = True
         same = q < all_pieces and numbers.pieces.bodies[q] == body
-        if same and away >= -near and is_in_normal_cone(other, (u, v), out):
+        if same and away >= -near and _faces_outward(other, (u, v), out, near, rays):
             # Two pieces share a contact: the first has it, unless another piece covers it there.
             first = TouchedSide(q, by, side, covering)
             if q < which and not _is_covered(numbers, ground, mid, first, (u, v), out):
@@ -630,7 +581,7 @@ def _classify_point(
             deep = -distance_to(other, u + gap * out[0], v + gap * out[1])
             if away < -(near + 2.0 * max(deep, 0.0)):
                 return _COVERED
-        elif face < 0 and (away < -near or not _in_cone(other, (u, v), out, near, rays)):
+        elif face < 0 and (away < -near or not _in_cone(other, (u, v), out, near, -FLUSH, rays)):
             # Another piece of the body may be far from the other contact points.
             return _COVERED if same else _BARRED
     if face < 0:
@@ -647,16 +598,31 @@ def _classify_point(
 @kernel
 def _in_cone(
     other: Obstacle, place: tuple[float, float], outward: tuple[float, float], near: float,
-    rays: Array,
+    most: float, rays: Array,
 ) -> bool:  # fmt: skip
-    """Return whether a direction is inside the normal cone of an obstacle at a boundary point.
+    """Return whether a direction is in the normal cone of an obstacle at a boundary point.
 
-    On the cone's boundary it is a face normal, and the face has this contact itself.
+    Its cosine to every boundary ray is at most `most`: below zero inside the cone. On the cone's
+    boundary it is a face normal, and the face has this contact itself.
     """
     for k in range(add_rays(other, place[0], place[1], near, rays, 0)):
-        if outward[0] * rays[k, 0] + outward[1] * rays[k, 1] > -FLUSH:
+        if outward[0] * rays[k, 0] + outward[1] * rays[k, 1] > most:
             return False
     return True
+
+
+@kernel
+def _faces_outward(
+    one: Obstacle, place: tuple[float, float], outward: tuple[float, float], near: float,
+    rays: Array,
+) -> bool:  # fmt: skip
+    """Return whether a direction is in the normal cone of a piece, including the cone's boundary.
+
+    The opposite of a face normal is not: it points to the interior.
+    """
+    x, y = _point_beyond(one, place, outward, 0.0)
+    ahead = outward[0] * (place[0] - x) + outward[1] * (place[1] - y) > 0.0
+    return ahead and _in_cone(one, place, outward, near, FLUSH, rays)
 
 
 @kernel

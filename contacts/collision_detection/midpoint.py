@@ -257,10 +257,8 @@ def move_to_midpoint(
                 next_speed = norm(loose[b, 0], loose[b, 1]) + pieces.spans[p] * abs(loose[b, 2])
                 speed = max(speed, next_speed)
             reach[p] = max(2.0 * h, 0.5 * (h + past)) * speed + TOUCH_TOLERANCE * pieces.sizes[p]
-        gaps[b], pull[b] = (
-            math.inf,
-            _equivalent_speed(numbers, mid, b) if free <= b < count else sped,
-        )
+        gaps[b] = math.inf
+        pull[b] = _equivalent_speed(numbers, mid, b) if free <= b < count else sped
 
 
 @kernel

@@ -10,7 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collision_detection.convex import ConvexShape, norm, shape_contacts, write_contact
+from contacts.collision_detection.convex import (
+    ConvexShape,
+    interval_within,
+    norm,
+    shape_contacts,
+    write_contact,
+)
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import run_tape
@@ -100,15 +106,9 @@ def crossing_time(
         along = ((before[0] + at * u - a) * (c - a) + (before[1] + at * v - b) * (d - b)) / length
         return min(1.0, 2.0 * core / abs(begin - end)) if 0.0 <= along <= length else 0.0
     if kind == ROUND:
-        x, y, reach = after[0] - a, after[1] - b, 0.9 * (c + core)
-        # |r + w t|^2 = reach^2, t = 0 now
-        square, half, rest = u * u + v * v, x * u + y * v, x * x + y * y - reach * reach
-        inside = half * half - square * rest
-        if inside > 0.0:
-            root = math.sqrt(inside)
-            begin, end = (-half - root) / square, (-half + root) / square
-            if begin > -1.0 and begin + end < 0.0:
-                return end - begin
+        begin, end = interval_within(after[0] - a, after[1] - b, u, v, 0.9 * (c + core))
+        if begin > -1.0 and begin + end < 0.0:
+            return end - begin
     return 0.0
 
 
@@ -190,6 +190,17 @@ def _evaluate_graph(
 
 
 @kernel
+def _height_and_slope(
+    surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], x: float
+) -> tuple[float, float]:
+    """Return height and slope of a graph."""
+    numbers, outputs = registers[1], surfaces.outputs
+    numbers[0, 0] = x
+    at = _evaluate_graph(surfaces, s, registers, 1)
+    return numbers[outputs[at], 0], numbers[outputs[at + 1], 0]
+
+
+@kernel
 def tangent_at(
     surfaces: SurfaceNumbers, s: int, pose: Array, registers: tuple[int, Array], x: float, y: float
 ) -> tuple[float, float, float, float]:
@@ -198,10 +209,7 @@ def tangent_at(
     a, b, c, d = surfaces.numbers[s]
     kind = surfaces.kinds[s]
     if kind == GRAPH:
-        numbers, outputs = registers[1], surfaces.outputs
-        numbers[0, 0] = u
-        at = _evaluate_graph(surfaces, s, registers, 1)
-        height, slope = numbers[outputs[at], 0], numbers[outputs[at + 1], 0]
+        height, slope = _height_and_slope(surfaces, s, registers, u)
         unit = 1.0 / math.sqrt(1.0 + slope * slope)
         a, b, c, d = u, height, -slope * unit, unit
     elif kind != LINE:
@@ -214,23 +222,52 @@ def tangent_at(
 
 
 @kernel
-def _distance_to_disc(
-    surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], x: float, middle: Array
-) -> tuple[float, float, float, float]:
-    """Return height and slope at x, and two derivatives of half the squared distance."""
-    numbers, outputs = registers[1], surfaces.outputs
-    numbers[0, 0] = x
-    at = _evaluate_graph(surfaces, s, registers, 1)
-    height, slope = numbers[outputs[at], 0], numbers[outputs[at + 1], 0]
-    bend, above = numbers[outputs[at + 2], 0], height - middle[1]
-    return height, slope, x - middle[0] + above * slope, 1.0 + slope * slope + above * bend
+def _nearest_places(
+    surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], begin: float, length: float,
+    origin: tuple[float, float], normal: tuple[float, float], places: Array,
+) -> int:  # fmt: skip
+    """Find where a graph is nearest to a point, or deepest along a normal; return the number.
 
-
-@kernel
-def _newton_step(low: float, high: float, x: float, rate: float, steeper: float) -> float:
-    """Return Newton's next x, or the middle of the bracket if it leaves that."""
-    following = x - rate / steeper if steeper > 0.0 else math.inf
-    return following if low < following < high else 0.5 * (low + high)
+    Local minima over `length` from `begin` on, bracketed by samples, then by Newton's method. With
+    a zero `normal` those of half the squared distance from the origin; else of the distance from
+    the origin along the normal.
+    """
+    numbers, outputs, (x0, y0), (nx, ny) = registers[1], surfaces.outputs, origin, normal
+    away, round_off = np.empty(_INTERVALS + 1), 1e-15 * length
+    square = 1.0 if nx == 0.0 and ny == 0.0 else 0.0
+    for j in range(_INTERVALS + 1):
+        numbers[0, j] = begin + length * j / _INTERVALS
+    at = _evaluate_graph(surfaces, s, registers, _INTERVALS + 1)
+    for j in range(_INTERVALS + 1):
+        x, y = begin + length * j / _INTERVALS - x0, numbers[outputs[at], j] - y0
+        away[j] = square * 0.5 * (x * x + y * y) + nx * x + ny * y
+    count = 0
+    for j in range(1, _INTERVALS):
+        if not (away[j] <= away[j - 1] and away[j] < away[j + 1]):
+            continue
+        low, high = begin + length * (j - 1) / _INTERVALS, begin + length * (j + 1) / _INTERVALS
+        place = 0.5 * (low + high)
+        for _ in range(_STEPS):
+            numbers[0, 0] = place
+            at = _evaluate_graph(surfaces, s, registers, 1)
+            x, y, slope = place - x0, numbers[outputs[at], 0] - y0, numbers[outputs[at + 1], 0]
+            bend = numbers[outputs[at + 2], 0]
+            rate = square * (x + y * slope) + nx + ny * slope
+            steeper = square * (1.0 + slope * slope + y * bend) + ny * bend
+            if rate > 0.0:
+                high = place
+            else:
+                low = place
+            following = place - rate / steeper if steeper > 0.0 else math.inf
+            if not low < following < high:
+                following = 0.5 * (low + high)
+            done = abs(following - place) <= round_off
+            place = following
+            if done:
+                break
+        places[count] = place
+        count += 1
+    return count
 
 
 @kernel
@@ -238,37 +275,17 @@ def _disc_on_graph(
     surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], middle: Array, radius: float,
     within: float, manifold: Array,
 ) -> int:  # fmt: skip
-    """Find the points of a graph nearest to a disc: local minima of the distance."""
-    numbers = registers[1]
-    reach, away = radius + within, np.empty(_INTERVALS + 1)
-    for j in range(_INTERVALS + 1):
-        numbers[0, j] = middle[0] + reach * (2.0 * j / _INTERVALS - 1.0)
-    at = _evaluate_graph(surfaces, s, registers, _INTERVALS + 1)
-    for j in range(_INTERVALS + 1):
-        x, y = reach * (2.0 * j / _INTERVALS - 1.0), numbers[surfaces.outputs[at], j] - middle[1]
-        away[j] = x * x + y * y
-    count = 0
-    for j in range(1, _INTERVALS):
-        if not (away[j] <= away[j - 1] and away[j] < away[j + 1]) or count == len(manifold):
-            continue
-        low = middle[0] + reach * (2.0 * (j - 1) / _INTERVALS - 1.0)
-        high = middle[0] + reach * (2.0 * (j + 1) / _INTERVALS - 1.0)
-        x = 0.5 * (low + high)
-        for _ in range(_STEPS):
-            _, _, rate, steeper = _distance_to_disc(surfaces, s, registers, x, middle)
-            if rate > 0.0:
-                high = x
-            else:
-                low = x
-            following = _newton_step(low, high, x, rate, steeper)
-            done = abs(following - x) <= 1e-15 * reach
-            x = following
-            if done:
-                break
-        height, slope, _, _ = _distance_to_disc(surfaces, s, registers, x, middle)
+    """Find the points of a graph nearest to a disc."""
+    reach, count, places = radius + within, 0, np.empty(_INTERVALS)
+    begin, origin, any_way = middle[0] - reach, (middle[0], middle[1]), (0.0, 0.0)
+    for k in range(
+        _nearest_places(surfaces, s, registers, begin, 2.0 * reach, origin, any_way, places)
+    ):
+        x = places[k]
+        height, slope = _height_and_slope(surfaces, s, registers, x)
         unit = 1.0 / math.sqrt(1.0 + slope * slope)
         gap = unit * (middle[1] - height - slope * (middle[0] - x)) - radius
-        if gap <= within:
+        if gap <= within and count < len(manifold):
             write_contact(manifold[count], -slope * unit, unit, x, height, gap)
             count += 1
     return count
@@ -280,11 +297,10 @@ def _polygon_on_graph(
     manifold: Array, features: Ints,
 ) -> int:  # fmt: skip
     """Find corners near a graph, and its crests near edges."""
-    numbers, outputs = registers[1], surfaces.outputs
+    numbers, outputs, count, places = registers[1], surfaces.outputs, 0, np.empty(_INTERVALS)
     for i in range(len(corners)):
         numbers[0, i] = corners[i, 0]
     at = _evaluate_graph(surfaces, s, registers, len(corners))
-    count = 0
     for i in range(len(corners)):
         slope = numbers[outputs[at + 1], i]
         unit = 1.0 / math.sqrt(1.0 + slope * slope)
@@ -299,39 +315,14 @@ def _polygon_on_graph(
         # Lower edges of counter-clockwise polygons point right.
         if not ex > 0.0:
             continue
-        length = norm(ex, ey)
+        length, crests = norm(ex, ey), 0
         nx, ny = ey / length, -ex / length
-        away = np.empty(_INTERVALS + 1)
-        for j in range(_INTERVALS + 1):
-            numbers[0, j] = x + ex * j / _INTERVALS
-        at = _evaluate_graph(surfaces, s, registers, _INTERVALS + 1)
-        for j in range(_INTERVALS + 1):
-            away[j] = nx * (ex * j / _INTERVALS) + ny * (numbers[outputs[at], j] - y)
-        crests = 0
-        for j in range(1, _INTERVALS):
-            if not (away[j] <= away[j - 1] and away[j] < away[j + 1]) or count == len(manifold):
-                continue
-            low, high = x + ex * (j - 1) / _INTERVALS, x + ex * (j + 1) / _INTERVALS
-            place = 0.5 * (low + high)
-            for _ in range(_STEPS):
-                numbers[0, 0] = place
-                at = _evaluate_graph(surfaces, s, registers, 1)
-                rate = nx + ny * numbers[outputs[at + 1], 0]
-                if rate > 0.0:
-                    high = place
-                else:
-                    low = place
-                following = _newton_step(low, high, place, rate, ny * numbers[outputs[at + 2], 0])
-                done = abs(following - place) <= 1e-15 * length
-                place = following
-                if done:
-                    break
-            numbers[0, 0] = place
-            at = _evaluate_graph(surfaces, s, registers, 1)
-            height = numbers[outputs[at], 0]
+        for k in range(_nearest_places(surfaces, s, registers, x, ex, (x, y), (nx, ny), places)):
+            place = places[k]
+            height, _ = _height_and_slope(surfaces, s, registers, place)
             gap = nx * (place - x) + ny * (height - y)
-            offset = min(place - x, x + ex - place)
-            if gap <= within and offset > _SAME_NORMAL * length:
+            inside = min(place - x, x + ex - place) > _SAME_NORMAL * length
+            if gap <= within and inside and count < len(manifold):
                 write_contact(manifold[count], -nx, -ny, place, height, gap)
                 features[count] = len(corners) + _INTERVALS * i + crests
                 count += 1

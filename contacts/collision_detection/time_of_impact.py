@@ -7,7 +7,13 @@ import math
 import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
-from contacts.collision_detection.convex import ConvexShape, norm, place_vertices, shape_contacts
+from contacts.collision_detection.convex import (
+    ConvexShape,
+    interval_within,
+    norm,
+    place_vertices,
+    shape_contacts,
+)
 from contacts.collision_detection.midpoint import Midpoint
 from statechart.arrays import Array
 from statechart.kernels.jit import kernel
@@ -32,13 +38,7 @@ def overlap_interval(
     """
     x, y = centres[b, 0] - centres[c, 0], centres[b, 1] - centres[c, 1]
     u, v = velocities[b, 0] - velocities[c, 0], velocities[b, 1] - velocities[c, 1]
-    # |r + v t|^2 = apart^2
-    square, half, rest = u * u + v * v, x * u + y * v, x * x + y * y - apart * apart
-    inside = half * half - square * rest
-    if not inside > 0.0:
-        return math.inf, math.inf
-    root = math.sqrt(inside)
-    return (-half - root) / square, (-half + root) / square
+    return interval_within(x, y, u, v, apart)
 
 
 @kernel

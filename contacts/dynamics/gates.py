@@ -134,11 +134,8 @@ def gate_of(
     wholes: dict[str, sp.Expr] = {}
     for text in relations:
         relation = parse_relation(text)
-        condition, words, offset = (
-            relation.condition(known, states),
-            f"{contact}: {text}",
-            len(atoms),
-        )
+        condition = relation.condition(known, states)
+        words, offset = f"{contact}: {text}", len(atoms)
         if not condition.single:
             wholes[words] = -relation.margin(known, states)
         backs = condition.names(f"{off}: {text}")

@@ -10,7 +10,7 @@ import numpy as np
 import sympy as sp
 
 from contacts.solvers.dependence import CANCELLING, DEAD_POINT, column_scales, independent_rows
-from contacts.solvers.redundancy import connected_components
+from contacts.solvers.impulse_coupling import label_coordinates
 from contacts.solvers.saddle_point import SMALLEST
 from statechart.arrays import Array, Bools
 from statechart.automaton.regions import Hold
@@ -104,7 +104,8 @@ class Motions:
 
 def joint_groups(pattern: Bools) -> tuple[JointGroup, ...]:
     """Return the groups of coupled rows; `pattern` (m, n) marks nonzeros of the Jacobian."""
-    labels = connected_components(pattern.T @ pattern)
+    size = pattern.shape[1]
+    labels = label_coordinates(np.zeros((size, size)), pattern.astype(float, order="C"), size)
     groups = []
     for label in np.unique(labels):
         columns = np.flatnonzero(labels == label)

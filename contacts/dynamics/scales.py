@@ -101,30 +101,16 @@ class ScaleTape:
 
     def __init__(self, mechanics: Mechanics) -> None:
         scene = mechanics.scene
-        lengths: list[sp.Expr] = []
-        speeds: list[sp.Expr] = []
-        owners: list[tuple[str, ...]] = []  # of lengths
-        movers: list[tuple[str, ...]] = []  # of speeds
-        masses: list[sp.Expr] = []
-        for name, body in scene.bodies.items():
-            centre, _ = mechanics.body_frame(name)
-            lengths += centre
-            speeds += [mechanics.rate(component) for component in centre]
-            owners += [("bodies", name)] * 2
-            movers += [("bodies", name)] * 2
-            masses.append(parse(body.mass).to_sympy(mechanics.known))
-        for name in scene.contacts:
-            geometry = mechanics.contact(name)
-            lengths += [geometry.symbols.gap, *geometry.point]
-            speeds += [mechanics.rate(component) for component in geometry.point]
-            owners += [("contacts", name)] * 3
-            movers += [("contacts", name)] * 2
-        for name, joint in scene.joints.items():
-            place = mechanics.point(joint.point)
-            lengths += place
-            speeds += [mechanics.rate(component) for component in place]
-            owners += [("joints", name)] * 2
-            movers += [("joints", name)] * 2
+        points = {
+            **{("bodies", name): mechanics.body_frame(name)[0] for name in scene.bodies},
+            **{("contacts", name): mechanics.contact(name).point for name in scene.contacts},
+            **{("joints", name): mechanics.point(own.point) for name, own in scene.joints.items()},
+        }
+        places = [(owner, place) for owner, point in points.items() for place in point]
+        gaps = [mechanics.contact(name).symbols.gap for name in scene.contacts]
+        lengths = [*(place for _, place in places), *gaps]
+        speeds = [mechanics.rate(place) for _, place in places]
+        masses = [parse(body.mass).to_sympy(mechanics.known) for body in scene.bodies.values()]
         accelerations = [
             (force / mechanics.mass_matrix[i, i], q)
             for i, (force, q) in enumerate(
@@ -137,27 +123,25 @@ class ScaleTape:
         springs = [] if extents else [derivative(push, q) for push, q in accelerations]
         end = scene.stop.time
         duration = parse(end).to_sympy(mechanics.known) if end is not None else sp.S.One
-        points = [mechanics.body_frame(name)[0] for name in scene.bodies]
-        points += [mechanics.contact(name).point for name in scene.contacts]
-        points += [mechanics.point(joint.point) for joint in scene.joints.values()]
         moving: dict[sp.Symbol, list[sp.Expr]] = {q: [] for q in mechanics.q}
-        for place in (c for point in points for c in point):
+        for _, place in places:
             for q in moving.keys() & place.free_symbols:
                 moving[q].append(sp.diff(place, q))
         moves = [derivatives or [sp.S.Zero] for derivatives in moving.values()]
         mass = sp.Add(*map(sp.Abs, masses))
         across, upward = _positions(mechanics)
-        gaps = [mechanics.contact(name).symbols.gap for name in scene.contacts]
         shifts, turns, levers = _prescribed(mechanics)
         gravity = [[g] for g in mechanics.gravity]
         # The scales use the largest number of each group.
         groups = [lengths, speeds, pushes, springs, [mass], [duration], across, upward, gaps]
         groups += [extents, levers, *gravity, *moves]
         self.gravity = len(gravity)
-        self._owners, self._movers = owners, movers
+        # Owners of positions and gaps, and of speeds.
+        self._movers = [owner for owner, _ in places]
+        self._owners = [*self._movers, *(("contacts", name) for name in scene.contacts)]
         # Positions of contacts that may be off need not be finite.
         self._gated = {("contacts", name) for name in scene.contacts if scene.gate(name)}
-        self.places = len(owners) + len(movers)
+        self.places = len(lengths) + len(speeds)
         self.begins = np.array([*accumulate(map(len, groups), initial=0)])
         self.tape = mechanics.tape(
             [expression for group in groups for expression in group],

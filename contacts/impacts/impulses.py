@@ -22,6 +22,7 @@ from contacts.dynamics.snapshot import SCALARS, Snapshot
 from contacts.modes.compiled_classification import InstantConstants, write_edges
 from contacts.solvers.contact_rows import STEEPEST
 from contacts.solvers.dependence import independent_rows
+from contacts.solvers.impulse_coupling import label_coordinates
 from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.solvers.mode_solver import (
     ModeEquations,
@@ -30,7 +31,7 @@ from contacts.solvers.mode_solver import (
     list_combinations,
     solve_modes,
 )
-from contacts.solvers.redundancy import connected_components, mode_columns, smallest_impulses
+from contacts.solvers.redundancy import mode_columns, smallest_impulses
 from contacts.solvers.saddle_point import SOLVED
 from contacts.solvers.step_impulses import project_into_cone
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SLIDING
@@ -310,7 +311,7 @@ def strike_group(
     edges = np.empty((contacts, 6))
     write_edges(scene.cones, numbers, scalars, edges)
     modes, counts = np.empty((count, 5), np.int64), np.empty(count, np.int64)
-    total, linked = 1, mass != 0.0
+    total = 1
     for g in range(count):
         c = group[g]
         counts[g] = _list_modes(scene.allowed[c], scene.cones[c], modes[g])
@@ -321,12 +322,7 @@ def strike_group(
         copy_numbers(edges[c], cones[g])
         place = scalars + SCALARS * c
         start[g, 0], start[g, 1] = numbers[place + 1], numbers[place + 2]
-        for i in range(n):
-            for k in range(n):
-                touched = abs(jacobians[g, 0, i]) + abs(jacobians[g, 1, i]) > 0.0
-                touched_too = abs(jacobians[g, 0, k]) + abs(jacobians[g, 1, k]) > 0.0
-                linked[i, k] = linked[i, k] or (touched and touched_too)
-    labels = connected_components(linked)
+    labels = label_coordinates(mass, jacobians.reshape((count, 2 * n)), 2 * n)
     for i in range(n):
         # All coordinates must be coupled by the contacts.
         if labels[i] != labels[0]:
@@ -401,11 +397,9 @@ def solve_collisions(
 
 def label_coupled_coordinates(snapshot: Snapshot, group: Sequence[int]) -> Ints:
     """Label the coordinates (n,) by the components that impulses couple."""
-    linked = snapshot.mass != 0.0
-    for i in group:
-        touched = np.abs(snapshot.jacobians[i]).max(axis=0) > 0.0
-        linked |= np.outer(touched, touched)
-    return connected_components(linked)
+    width = 2 * len(snapshot.mass)
+    rows = snapshot.jacobians[list(group)].reshape(len(group), width)
+    return label_coordinates(snapshot.mass, rows, width)
 
 
 def _problem(

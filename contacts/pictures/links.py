@@ -132,10 +132,8 @@ class Links:
     def _damped(self, terms: Sequence[sp.Expr]) -> bool:
         """Return whether velocities alone give forces that dissipate energy."""
         states, count = self._states(), len(self._mechanics.q)
-        still, moving = (
-            self.sample_values(terms, self._at_rest()),
-            self.sample_values(terms, states),
-        )
+        still = self.sample_values(terms, self._at_rest())
+        moving = self.sample_values(terms, states)
         states[:, :count] += _MOVED * states[:, count : 2 * count]
         apart = self.sample_values(terms, states)[:, 2:] - moving[:, 2:]
         power = ((moving - still)[:, :2] * apart).sum(axis=1)

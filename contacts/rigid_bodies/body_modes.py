@@ -57,10 +57,8 @@ def _is_straight(numbers: BodyNumbers, key: int, normal: Array) -> bool:
         return False
     if surfaces.kinds[s] != PLATE:
         return surfaces.kinds[s] == LINE
-    x, y = (
-        surfaces.numbers[s, 2] - surfaces.numbers[s, 0],
-        surfaces.numbers[s, 3] - surfaces.numbers[s, 1],
-    )
+    a, b, c, d = surfaces.numbers[s]
+    x, y = c - a, d - b
     return abs(normal[0] * x + normal[1] * y) <= _PARALLEL * (abs(x) + abs(y))
 
 

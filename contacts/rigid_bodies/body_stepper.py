@@ -135,10 +135,8 @@ class BodyStepper(Stepper):
         self._paths = Paths(mechanics.scene)
         self._constants = declared.constants()
         self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
-        self._names, self._surfaces = (
-            list(mechanics.scene.bodies),
-            touchable_surfaces(mechanics.scene),
-        )
+        self._names = list(mechanics.scene.bodies)
+        self._surfaces = touchable_surfaces(mechanics.scene)
         self._warnings = lint(declared)
 
     def own_step(self) -> float:

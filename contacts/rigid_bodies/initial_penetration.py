@@ -13,7 +13,7 @@ from contacts.rigid_bodies.declared_numbers import touchable_surfaces
 from contacts.rigid_bodies.prescribed_motion import Positions
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts
 from contacts.scene.scene import Scene
-from statechart.arrays import Array
+from statechart.arrays import Array, Ints
 from statechart.errors import DeclarationProblem
 
 # Allowed penetration, relative to the inscribed circle: a fast body moves about so far in a step of
@@ -204,47 +204,35 @@ def _covering_pieces(
 
     No face is left to touch: the outer one is that with which alone the body is as deep.
     """
-
-    def as_deep(numbers: BodyNumbers, state: Array) -> bool:
-        gap = detect(numbers, state).gaps[b]
-        return gap <= (1.0 - _SAME_GAP) * margin
-
     moving, kinds = len(numbers.inverse), len(numbers.laws)
     places = numbers.motion(initial[None])[0][0, :, :2]
     apart = np.ptp(places[:, 0]) + 4.0 * numbers.sizes.max()
-    away = np.hypot(*(places - places[b]).T)
     reach = numbers.sizes[b] + numbers.sizes
 
-    def isolated(other: int) -> Array:
-        """Return the state with all free bodies but the two moved away."""
-        state = initial.copy()
+    def as_deep(obstacles: Sequence[int] | Ints, other: int = b) -> bool:
+        """Return whether it is as deep in these kinds and surfaces, without most free bodies."""
+        laws, state = np.full_like(numbers.laws, -1), initial.copy()
+        laws[:, obstacles] = numbers.laws[:, obstacles]
         for i in range(numbers.free):
             if i not in (b, other):
                 state[3 * i] += (i + 2.0) * apart
-        return state
+        gap = detect(numbers._replace(laws=laws), state).gaps[b]
+        return bool(gap <= (1.0 - _SAME_GAP) * margin)
 
     prescribed = np.unique(numbers.kinds[moving:])
     for kind in prescribed.tolist():
-        laws = numbers.laws.copy()
-        laws[:, np.arange(laws.shape[1]) != kind] = -1
-        if as_deep(numbers._replace(laws=laws), isolated(b)):
+        if as_deep([kind]):
             owner = names[moving + int(np.argmax(numbers.kinds[moving:] == kind))]
             return b, f"body {owner!r} or a copy of it", _STUCK
-    laws = numbers.laws.copy()
-    laws[:, prescribed] = -1
-    numbers = numbers._replace(laws=laws)
-    for other in np.flatnonzero(away < reach[:moving]).tolist():
-        state = isolated(other)
-        if other != b and as_deep(numbers, state):
+    others = np.setdiff1d(np.arange(kinds), prescribed)
+    for other in np.flatnonzero(np.hypot(*(places - places[b]).T) < reach[:moving]).tolist():
+        if other != b and as_deep(others, other):
             one, whole = sorted((b, other), key=lambda i: float(numbers.sizes[i]))
             far = f"start it {reach[other]:.6g} from the centre of {names[whole]!r}, or move it out"
             return one, f"body {names[whole]!r}", far
     far = f"start its centre {numbers.sizes[b]:.6g} from it, or move it out"
     for s, surface in enumerate(surfaces):
-        laws = numbers.laws.copy()
-        laws[:, :kinds] = -1
-        laws[:, kinds:][:, np.arange(len(surfaces)) != s] = -1
-        if as_deep(numbers._replace(laws=laws), initial):
+        if as_deep([kinds + s]):
             return b, f"surface {surface!r}", far
     every = np.flatnonzero(numbers.laws[numbers.kinds[b], kinds:] >= 0)
     listed = ", ".join(repr(surfaces[s]) for s in every.tolist())

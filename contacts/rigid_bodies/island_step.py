@@ -20,6 +20,7 @@ from contacts.collision_detection.body_numbers import (
     first_joint_key,
     split_key,
 )
+from contacts.collision_detection.broad_phase import sort_by_key
 from contacts.collision_detection.couplings import COUPLED, KINETIC_LIMIT, STATIC, bound_in
 from contacts.collision_detection.joints import arm_bend
 from contacts.collision_detection.midpoint import Midpoint, apply_link_impulse
@@ -75,18 +76,17 @@ _STRIDE = 5
 
 @kernel
 def find_islands(
-    bodies: Ints, count: int, free: int, firsts: Ints, parents: Ints, begins: Ints, order: Ints
-) -> None:
-    """Find the islands of coupled contacts (union-find and counting sort).
+    bodies: Ints, count: int, free: int, firsts: Ints, parents: Ints, keys: Ints, begins: Ints,
+    order: Ints,
+) -> None:  # fmt: skip
+    """Find the islands of coupled contacts (union-find).
 
     Island i has the contacts ``order[begins[i] : begins[i + 1]]``. Of the contacts `bodies` (m, 2;
     -1: a surface) `count` are used; there are `free` bodies, then linked ones with `firsts` (l,)
-    (see `LinkNumbers`); `parents` (b,) is a buffer.
+    (see `LinkNumbers`); `parents` (b,) and `keys` (m,) are buffers.
     """
     for b in range(len(parents)):
         parents[b] = b
-        begins[b] = 0
-    begins[len(parents)] = 0
     for i in range(len(firsts)):
         parents[free + i] = free + firsts[i]
     for i in range(count):
@@ -94,16 +94,8 @@ def find_islands(
             one = root(parents, bodies[i, 0])
             parents[one] = root(parents, bodies[i, 1])
     for i in range(count):
-        begins[root(parents, bodies[i, 0]) + 1] += 1
-    for b in range(len(parents)):
-        begins[b + 1] += begins[b]
-    for i in range(count - 1, -1, -1):
-        island = root(parents, bodies[i, 0]) + 1
-        begins[island] -= 1
-        order[begins[island]] = i
-    for b in range(len(parents)):
-        begins[b] = begins[b + 1]
-    begins[len(parents)] = count
+        keys[i] = root(parents, bodies[i, 0])
+    sort_by_key(keys, count, begins, order)
 
 
 @kernel
@@ -396,10 +388,8 @@ def _order_decides(
         i = island.members[a]
         for d in range(2):
             island.impact_impulses[a, d] = island.chosen[a, d] - active.pushes[i, d]
-        pairs[a], sudden = (
-            _pair_number(numbers, active, i),
-            contacts.own[a, 0] * island.impact_impulses[a, 0],
-        )
+        pairs[a] = _pair_number(numbers, active, i)
+        sudden = contacts.own[a, 0] * island.impact_impulses[a, 0]
         lively[a] = active.materials[i, 2] >= LIVELY and sudden > _slow(numbers, active, i, h)
     return order_matters(contacts, pairs, lively, island.impact_impulses)
 
@@ -535,11 +525,8 @@ def _write_frictions(numbers: BodyNumbers, space: Workspace, island: Island) -> 
     splits, active = False, space.active
     for a in range(len(island.members)):
         i = island.members[a]
-        used, island.kinds[a], island.slip_directions[a] = (
-            active.laws[i],
-            ONE,
-            active.slip_directions[i],
-        )
+        used, island.kinds[a] = active.laws[i], ONE
+        island.slip_directions[a] = active.slip_directions[i]
         if used <= COUPLED and active.materials[i, 1] > 0.0:
             bounds = space.limits[COUPLED - used]
             if bounds[STATIC] != bounds[KINETIC_LIMIT]:
@@ -584,7 +571,8 @@ def solve_islands(
     for j in range(len(effort)):
         effort[j] = 0.0
     effort[CONTACTS] = count
-    find_islands(bodies, count, free, numbers.links.firsts, space.parents, space.begins, order)
+    firsts, parents = numbers.links.firsts, space.parents
+    find_islands(bodies, count, free, firsts, parents, space.spare, space.begins, order)
     for island in range(len(numbers.sizes)):
         members = order[space.begins[island] : space.begins[island + 1]]
         size = len(members)
@@ -666,12 +654,8 @@ def solve_islands(
         if sequential:
             _add_impacts(space, together)
             quiet = not hit.any()
-        if (
-            lively
-            and law == CAPPED
-            and size > 1
-            and _order_decides(numbers, active, contacts, together, h)
-        ):
+        lively = lively and law == CAPPED and size > 1
+        if lively and _order_decides(numbers, active, contacts, together, h):
             effort[AMBIGUOUS] = 1.0
         effort[UNENDED] = max(effort[UNENDED], remaining)
         for a in range(size):

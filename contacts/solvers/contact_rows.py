@@ -329,12 +329,8 @@ def gauss_seidel(
     velocities without impulses, minus the required ones.
     """
     m, spare = len(impulses), contacts.spare
-    best, current, change, direction = (
-        spare[BEST, :m],
-        spare[CURRENT, :m],
-        spare[CHANGE, :m],
-        spare[DIRECTION, :m],
-    )
+    best, current = spare[BEST, :m], spare[CURRENT, :m]
+    change, direction = spare[CHANGE, :m], spare[DIRECTION, :m]
     copy_rows(impulses, best)
     copy_rows(impulses, current)
     direction[:] = 0.0

@@ -76,16 +76,9 @@ def _solve_impact(
         joint = friction_coefficient(contacts.cones[i]) < 0.0
         if not joint and -now[i, 0] > slow[i] and restitution[i] > 0.0:
             wanted[a, 0], rebounds[a] = restitution[i] * now[i, 0], True
+    rows = select_rows(contacts, chosen)
     error, iterations, _ = island_impulses(
-        select_rows(contacts, chosen),
-        before,
-        before,
-        wanted,
-        rebounds,
-        pushes,
-        tolerance,
-        0.0,
-        False,
+        rows, before, before, wanted, rebounds, pushes, tolerance, 0.0, False
     )
     for a in range(size):
         i = chosen[a]

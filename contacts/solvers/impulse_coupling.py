@@ -41,6 +41,22 @@ def _unite_row(parents: Ints, row: Array, count: int) -> int:
 
 
 @kernel
+def label_coordinates(mass: Array, rows: Array, width: int) -> Ints:
+    """Label coupled coordinates (n,) by the first of their group.
+
+    Mass (n, n), and the first `width` entries, k n, of rows (m, k n or more), couple them.
+    """
+    parents = np.arange(len(mass))
+    for i in range(len(mass)):
+        _unite_row(parents, mass[i], len(mass))
+    for i in range(len(rows)):
+        _unite_row(parents, rows[i], width)
+    for j in range(len(mass)):
+        parents[j] = root(parents, j)
+    return parents
+
+
+@kernel
 def coupled_contacts(
     mass: Array, joint_rows: Array, jacobians: Array, which: Ints, constraints: Ints
 ) -> Ints:
@@ -54,15 +70,7 @@ def coupled_contacts(
     labels = np.zeros(m, np.int64)
     if m == 1:
         return labels
-    parents = np.empty(n, np.int64)
-    for j in range(n):
-        parents[j] = j
-    for j in range(n):
-        for k in range(j):
-            if mass[j, k] != 0.0:
-                _unite(parents, j, k)
-    for i in range(len(joint_rows)):
-        _unite_row(parents, joint_rows[i], n)
+    parents = label_coordinates(mass, joint_rows, n)
     for i in range(len(constraints)):
         if constraints[i] > 0:
             _unite_row(parents, jacobians[i], 2 * n)

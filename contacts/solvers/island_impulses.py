@@ -76,14 +76,8 @@ def work_bounded_factor(
     impulses: Array, before: Array, free: Array, velocity_changes: Array, bound: float
 ) -> float:
     """Return the largest factor s <= 1 for which the work of s p is within a bound >= 0."""
-    curvature = 0.0
-    for i in range(len(impulses)):
-        for d in range(2):
-            curvature += impulses[i, d] * velocity_changes[i, d]
-    curvature *= 0.5
-    end = _impulse_work(before, free, impulses, velocity_changes)
-    limit = bound + _WORK_ROUNDING * _velocity_scale(before, free, impulses)
-    return parabola_root(-limit, end - limit, curvature)[1] if end > limit else 1.0
+    none = np.zeros((len(impulses), 2))
+    return energy_bounded_impulses(before, free, none, impulses, none, velocity_changes, bound)[1]
 
 
 @kernel
@@ -267,16 +261,9 @@ def island_impulses(
         stores = stores or is_compliant(contacts, i)
     trial = contacts.spare[SAVED, :count]
     copy_rows(impulses, trial)
+    at_rest = fastest <= slowest
     error, iterations, softened = _solve_restitution(
-        contacts,
-        before,
-        free,
-        wanted,
-        rebounds,
-        impulses,
-        tolerance,
-        fastest <= slowest,
-        not pushed,
+        contacts, before, free, wanted, rebounds, impulses, tolerance, at_rest, not pushed
     )
     if (stores or (joined and arms)) and error <= tolerance:
         bound += joint_work(contacts, impulses, before, free)

@@ -222,12 +222,8 @@ def solve_modes(
     constants, directions = np.empty(2 * contacts), np.empty((2 * contacts, 2))
     owners, in_order = np.empty(2 * contacts, np.int64), np.arange(2 * contacts)
     size, edges = n + 2 * contacts, np.empty((contacts, 2))
-    matrix, b, x, memory = (
-        np.empty((size, size)),
-        np.empty(size),
-        np.empty(size),
-        saddle_workspace(size),
-    )
+    matrix, memory = np.empty((size, size)), saddle_workspace(size)
+    b, x = np.empty(size), np.empty(size)
     for k in range(count):
         code, verdict, force = codes[k], verdicts[k], forces[k]
         choose_edges(cones, code, edges)

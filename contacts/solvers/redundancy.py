@@ -120,19 +120,3 @@ def smallest_impulses(
     )
     result[shared] = shared_forces(*redundant)[1]
     return result, shared.tolist()
-
-
-@kernel
-def connected_components(linked: Bools) -> Ints:
-    """Label the connected components of a symmetric relation (n, n)."""
-    labels = np.full(len(linked), -1)
-    for first in range(len(linked)):
-        stack = [first]
-        while len(stack) > 0:
-            k = stack.pop()
-            if labels[k] < 0:
-                labels[k] = first
-                for other in range(len(linked)):
-                    if linked[k, other] and labels[other] < 0:
-                        stack.append(other)
-    return labels

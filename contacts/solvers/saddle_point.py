@@ -72,18 +72,12 @@ def _equilibrate(scaled: Array, b: Array, size: int, column_scale: Array) -> Non
     """Scale rows and columns to size 1, in place, by powers of two; write the column scales."""
     # Columns first: masses may span many decades.
     for k in range(size):
-        largest = 0.0
-        for i in range(size):
-            largest = max(largest, abs(scaled[i, k]))
-        scale = power_of_two(largest)
+        scale = power_of_two(largest_in_column(scaled[:size], k))
         for i in range(size):
             scaled[i, k] *= scale
         column_scale[k] = scale
     for i in range(size):
-        largest = 0.0
-        for k in range(size):
-            largest = max(largest, abs(scaled[i, k]))
-        scale = power_of_two(largest)
+        scale = power_of_two(largest_size(scaled[i, :size]))
         for k in range(size):
             scaled[i, k] *= scale
         b[i] *= scale

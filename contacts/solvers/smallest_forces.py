@@ -139,31 +139,18 @@ def _step_length(
     Where the slope jumps over zero (a kink at the end of a flat zone) the length is just beyond the
     kink, in the zones that follow.
     """
-    initial_slope = dot(_evaluate_displacement(reach, cones, sliding, load, y, w, forces), step)
-    short, long = 0.0, 1.0
+    level = _LEVEL * dot(_evaluate_displacement(reach, cones, sliding, load, y, w, forces), step)
+    short, long, length = 0.0, 1.0, 1.0
     for _ in range(_HALVINGS):
-        middle = long if short == 0.0 else 0.5 * (short + long)
-        slope = dot(
-            _evaluate_displacement(reach, cones, sliding, load, y + middle * step, w, forces), step
-        )
-        if abs(slope) <= _LEVEL * initial_slope:
-            return middle
+        further = y + length * step
+        slope = dot(_evaluate_displacement(reach, cones, sliding, load, further, w, forces), step)
+        if abs(slope) <= level or (slope > 0.0 and length == 1.0):
+            return length
         if slope > 0.0:
-            if middle == 1.0:
-                return 1.0
-            short = middle
-        elif short == 0.0:
-            long, half = middle, 0.5 * middle
-            slope = dot(
-                _evaluate_displacement(reach, cones, sliding, load, y + half * step, w, forces),
-                step,
-            )
-            if slope > 0.0:
-                short = half
-            else:
-                long = half
+            short = length
         else:
-            long = middle
+            long = length
+        length = 0.5 * (short + long)
     return long
 
 

@@ -466,10 +466,8 @@ def keep_leaving(
             error, _ = coordinate_impulses(contacts, island, scene.impulse_tolerance)
             share_loads(scene, island, contacts)
             for a in range(len(members)):
-                i, presses = (
-                    members[a],
-                    error <= scene.impulse_tolerance and island.chosen[a, 0] > 0.0,
-                )
+                i, solved = members[a], error <= scene.impulse_tolerance
+                presses = solved and island.chosen[a, 0] > 0.0
                 bears[i] = presses and (bears[i] or not at_rest)
         for a in range(len(members)):
             for d in range(2):

@@ -165,10 +165,8 @@ class LoopModes:
         self._entries: dict[Kind, Entry] = {}
         self._bands: dict[str, int] = {}
         self._call: Any = None  # as `CompiledLaws.call` returns it
-        self._worth, self._batch_worth = (
-            _CompilationPolicy(laws.ready),
-            _CompilationPolicy(laws.compiled),
-        )
+        self._worth = _CompilationPolicy(laws.ready)
+        self._batch_worth = _CompilationPolicy(laws.compiled)
 
     def jump(self, setup: Callable[[], Setup], event: RecordedEvent) -> Jump:
         """Return the jump of an event of the loop; `setup` returns the run's setup."""

@@ -283,10 +283,8 @@ class Execution:
         if flow.near_bound:
             flow = self.flow = from_here(compiled, flow, self.setup, self.state, self.clock.high)
         watch = self._watch(flow, compiled, constraints)
-        initial, on_steps = (
-            watch.reconstruction.onto(self.state, watch.start),
-            self.show if self.progress else None,
-        )
+        initial = watch.reconstruction.onto(self.state, watch.start)
+        on_steps = self.show if self.progress else None
         reached = Advance(
             self.engine, compiled, self.path, watch, initial, duration, self.horizon, on_steps,
             flow.fixed,

@@ -121,15 +121,9 @@ class Simulator:
         """
         automaton, engine, result = self.automaton, self.engine, batch.result
         modes, kinds = batch.modes, batch.kinds
-        place, t_end, final = (
-            result.place[0].tolist(),
-            result.clock.item(runs.T_HIGH),
-            result.final[0],
-        )
-        start_mode, final_kind = (
-            kinds[result.ends.item(runs.FIRST_MODE)][0],
-            kinds[place[runs.N_MODE]],
-        )
+        place, final = result.place[0].tolist(), result.final[0]
+        t_end, final_kind = result.clock.item(runs.T_HIGH), kinds[place[runs.N_MODE]]
+        start_mode = kinds[result.ends.item(runs.FIRST_MODE)][0]
         outcome, stop = batch.outcome(0), None
         if outcome is Outcome.STOPPED:
             margin = automaton.stop_of[

@@ -34,10 +34,8 @@ def _remaining(intervals: Sequence[float], geometric: float) -> float:
         differences = [b - a for a, b in itertools.pairwise(current)]
         if not differences or 0.0 in differences:
             break
-        before, current = (
-            current,
-            [c + 1.0 / d for c, d in zip(before[1:], differences, strict=False)],
-        )
+        following = [c + 1.0 / d for c, d in zip(before[1:], differences, strict=False)]
+        before, current = current, following
         if k % 2 == 0:
             if not abs(current[-1] - best) < last_change:
                 break

@@ -12,35 +12,9 @@ import cmath
 import math
 
 from statechart.arrays import Array, Complexes, Ints32
+from statechart.kernels import tapes
 from statechart.kernels.intervals import INF
 from statechart.kernels.jit import kernel
-from statechart.kernels.tapes import (
-    ABS,
-    ACOS,
-    ADD,
-    ASIN,
-    ATAN,
-    ATAN2,
-    COS,
-    COSH,
-    DIV,
-    EXP,
-    LOG,
-    MAX,
-    MIN,
-    MUL,
-    NEG,
-    POW,
-    POWI,
-    SIGN,
-    SIN,
-    SINH,
-    SQRT,
-    SQUARE,
-    SUB,
-    TAN,
-    TANH,
-)
 
 Disc = tuple[complex, float]
 
@@ -191,22 +165,22 @@ def _angle(y: Disc, x: Disc) -> Disc:
 @kernel
 def _apply_binary(op: int, a: Disc, b: Disc) -> Disc:
     """Evaluate an operation of two operands."""
-    if op == ADD:
+    if op == tapes.ADD:
         return _add(a, b)
-    if op == SUB:
+    if op == tapes.SUB:
         return _add(a, _neg(b))
-    if op == MUL:
+    if op == tapes.MUL:
         return _mul(a, b)
-    if op == DIV:
+    if op == tapes.DIV:
         return _mul(a, _inverse(b))
-    if op in (MIN, MAX):
+    if op in (tapes.MIN, tapes.MAX):
         apart = a[0].real - b[0].real
         if not abs(apart) > a[1] + b[1]:
             return _UNKNOWN
-        return a if (apart < 0.0) == (op == MIN) else b
-    if op == POW:
+        return a if (apart < 0.0) == (op == tapes.MIN) else b
+    if op == tapes.POW:
         return _power(a, b)
-    if op == ATAN2:
+    if op == tapes.ATAN2:
         return _angle(a, b)
     return _sqrt(_add(_mul(a, a), _mul(b, b)))  # HYPOT
 
@@ -214,39 +188,39 @@ def _apply_binary(op: int, a: Disc, b: Disc) -> Disc:
 @kernel
 def _apply_unary(op: int, exponent: int, a: Disc) -> Disc:
     """Evaluate an operation of one operand."""
-    if op == NEG:
+    if op == tapes.NEG:
         return _neg(a)
-    if op == SQUARE:
+    if op == tapes.SQUARE:
         return _mul(a, a)
-    if op == POWI:
+    if op == tapes.POWI:
         return _whole_power(a, exponent)
-    if op == SQRT:
+    if op == tapes.SQRT:
         return _sqrt(a)
-    if op == EXP:
+    if op == tapes.EXP:
         return _exp(a)
-    if op == LOG:
+    if op == tapes.LOG:
         return _log(a)
-    if op == SIN:
+    if op == tapes.SIN:
         return _sin(a)
-    if op == COS:
+    if op == tapes.COS:
         return _cos(a)
-    if op == SINH:
+    if op == tapes.SINH:
         return _rotate(_sin(_rotate(a, _I)), -_I)
-    if op == COSH:
+    if op == tapes.COSH:
         return _cos(_rotate(a, _I))
-    if op == TANH:
+    if op == tapes.TANH:
         return _tanh(a)
-    if op == TAN:
+    if op == tapes.TAN:
         return _rotate(_tanh(_rotate(a, _I)), -_I)
-    if op == ATAN:
+    if op == tapes.ATAN:
         return _atan(a)
-    if op == ASIN:
+    if op == tapes.ASIN:
         return _asin(a)
-    if op == ACOS:
+    if op == tapes.ACOS:
         centre, radius = _asin(a)
         return 0.5 * math.pi - centre, radius
-    if op in (ABS, SIGN) and abs(a[0].real) > a[1]:
-        if op == SIGN:
+    if op in (tapes.ABS, tapes.SIGN) and abs(a[0].real) > a[1]:
+        if op == tapes.SIGN:
             return _ONE if a[0].real > 0.0 else _neg(_ONE)
         return a if a[0].real > 0.0 else _neg(a)
     return _UNKNOWN
@@ -260,7 +234,7 @@ def run_discs(
     for k in range(first, last):
         op, i = code[k, 0], code[k, 1]
         a = (centres[i], radii[i])
-        if op <= POW:
+        if op <= tapes.POW:
             j = code[k, 2]
             f = _apply_binary(op, a, (centres[j], radii[j]))
         else:

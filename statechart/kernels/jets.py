@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from statechart.arrays import Array, Ints32
+from statechart.kernels import tapes
 from statechart.kernels.intervals import (
     HALF,
     INF,
@@ -41,34 +42,6 @@ from statechart.kernels.intervals import (
     sub,
 )
 from statechart.kernels.jit import kernel
-from statechart.kernels.tapes import (
-    ABS,
-    ACOS,
-    ADD,
-    ASIN,
-    ATAN,
-    COS,
-    COSH,
-    DIV,
-    EXP,
-    HYPOT,
-    LOG,
-    MAX,
-    MIN,
-    MUL,
-    NEG,
-    POW,
-    POWI,
-    SIGN,
-    SIN,
-    SINH,
-    SKIP,
-    SQRT,
-    SQUARE,
-    SUB,
-    TAN,
-    TANH,
-)
 
 Jet = tuple[Interval, Interval, Interval]
 
@@ -79,9 +52,9 @@ _MAX_EXPONENT = 1024.0  # larger exponents are useless
 def _defined(op: int, a: Interval) -> Interval:
     """Return the part of an interval on which a function is defined, if there is one."""
     low, high = a
-    if op in (SQRT, LOG, POW) and low < 0.0 <= high:
+    if op in (tapes.SQRT, tapes.LOG, tapes.POW) and low < 0.0 <= high:
         low = 0.0
-    elif op in (ASIN, ACOS):
+    elif op in (tapes.ASIN, tapes.ACOS):
         if low < -1.0 <= high:
             low = -1.0
         if low <= 1.0 < high:
@@ -93,7 +66,7 @@ def _defined(op: int, a: Interval) -> Interval:
 def _kinked(op: int, a: Interval) -> Jet:
     """Enclosures of abs or sign and of their derivatives."""
     f = d = e = WHOLE_LINE
-    if op == ABS:
+    if op == tapes.ABS:
         if a[0] >= 0.0:
             f, d, e = a, ONE, ZERO
         elif a[1] <= 0.0:
@@ -113,7 +86,7 @@ def _kinked(op: int, a: Interval) -> Jet:
 def _inverse(op: int, a: Interval) -> Jet:
     """Enclosures of atan, asin or acos and of their derivatives."""
     f = d = e = WHOLE_LINE
-    if op == ATAN:
+    if op == tapes.ATAN:
         f = round_outward((math.atan(a[0]), math.atan(a[1])), LIBM)
         d = div(ONE, add(square(a), ONE))
         e = mul(scaled(2.0, neg(a)), square(d))
@@ -121,7 +94,7 @@ def _inverse(op: int, a: Interval) -> Jet:
         p = sub(ONE, square(a))
         d = div(ONE, sqrt(p))
         e = div(mul(a, d), p)
-        if op == ASIN:
+        if op == tapes.ASIN:
             f = round_outward((math.asin(a[0]), math.asin(a[1])), LIBM)
         else:
             f = round_outward((math.acos(a[1]), math.acos(a[0])), LIBM)
@@ -133,10 +106,10 @@ def _inverse(op: int, a: Interval) -> Jet:
 def _hyperbolic(op: int, a: Interval) -> Jet:
     """Enclosures of sinh, cosh or tanh and of their derivatives."""
     f = d = e = WHOLE_LINE
-    if op == SINH:
+    if op == tapes.SINH:
         f = e = sinh(a)
         d = cosh(a)
-    elif op == COSH:
+    elif op == tapes.COSH:
         f = e = cosh(a)
         d = sinh(a)
     else:
@@ -153,45 +126,45 @@ def _unary(op: int, exponent: int, a: Interval, order: int) -> Jet:
     if order < 0:
         a = _defined(op, a)
     f = d = e = WHOLE_LINE
-    if op == SIN:
+    if op == tapes.SIN:
         f = sine_or_cosine(a, True)
         if order > 0:
             d, e = sine_or_cosine(a, False), neg(f)
-    elif op == COS:
+    elif op == tapes.COS:
         f = sine_or_cosine(a, False)
         if order > 0:
             d, e = neg(sine_or_cosine(a, True)), neg(f)
-    elif op == SQRT:
+    elif op == tapes.SQRT:
         f = sqrt(a)
         if order > 0:
             d = div(HALF, f)
             e = div(scaled(0.5, neg(d)), a)
-    elif op == EXP:
+    elif op == tapes.EXP:
         f = d = e = exp(a)
-    elif op == POWI:
+    elif op == tapes.POWI:
         f = power(a, exponent)
         if order > 0:
             n = float(exponent)
             d = mul(power(a, exponent - 1), (n, n))
             n *= n - 1.0
             e = mul(power(a, exponent - 2), (n, n))
-    elif op == LOG:
+    elif op == tapes.LOG:
         if a[0] > 0.0:
             f = round_outward((math.log(a[0]), math.log(a[1])), LIBM)
             d = div(ONE, a)
             e = neg(square(d))
         elif order < 0 and a[0] == 0.0:
             f = round_outward((-INF, math.log(a[1]) if a[1] > 0.0 else -INF), LIBM)
-    elif op == TAN:
+    elif op == tapes.TAN:
         if extrema(a, 0.5)[0] < 1.0:
             f = round_outward((math.tan(a[0]), math.tan(a[1])), LIBM)
             d = add(square(f), ONE)
             e = mul(scaled(2.0, f), d)
-    elif op in (ABS, SIGN):
+    elif op in (tapes.ABS, tapes.SIGN):
         f, d, e = _kinked(op, a)
-    elif op in (ATAN, ASIN, ACOS):
+    elif op in (tapes.ATAN, tapes.ASIN, tapes.ACOS):
         f, d, e = _inverse(op, a)
-    elif op in (SINH, COSH, TANH):
+    elif op in (tapes.SINH, tapes.COSH, tapes.TANH):
         f, d, e = _hyperbolic(op, a)
     return f, d, e
 
@@ -203,7 +176,7 @@ def _polar(op: int, y: Jet, x: Jet) -> Jet:
     x0, x1, x2 = x
     # (q / 2)' = x x' + y y' with q = x^2 + y^2
     half = add(mul(x0, x1), mul(y0, y1))
-    if op == HYPOT:
+    if op == tapes.HYPOT:
         p, q = (
             even_power(y0, abs(y0[0]), abs(y0[1]), 0.0),
             even_power(x0, abs(x0[0]), abs(x0[1]), 0.0),
@@ -257,13 +230,13 @@ def _power_jet(x: Jet, y: Jet, order: int) -> Jet:
     if steady <= 1e-290 and max(k - y0[0], y0[1] - k) <= 1e-14 * abs(k) and abs(k) <= _MAX_EXPONENT:
         return _whole_power(x, int(k))
     if order < 0:
-        x0 = _defined(POW, x0)
+        x0 = _defined(tapes.POW, x0)
     if not (x0[0] > 0.0 or (x0[0] == 0.0 and y0[0] > 0.0)):
         return WHOLE_LINE, WHOLE_LINE, WHOLE_LINE
     f = hull(x0[0] ** y0[0], x0[0] ** y0[1], x0[1] ** y0[0], x0[1] ** y0[1])
     f = round_outward(f, LIBM)
     f = (max(0.0, f[0]), f[1])
-    n, r, m = _unary(LOG, 0, x0, 2)
+    n, r, m = _unary(tapes.LOG, 0, x0, 2)
     g = mul(r, x1)  # (log x)'
     w = add(mul(y1, n), mul(y0, g))  # (y log x)'
     h = add(mul(m, square(x1)), mul(r, x2))  # (log x)''
@@ -275,11 +248,11 @@ def _power_jet(x: Jet, y: Jet, order: int) -> Jet:
 def _extreme(op: int, u: Jet, v: Jet) -> Jet:
     """Jets of min(u, v) and max(u, v): one of them, or the hull without a second derivative."""
     if u[0][1] <= v[0][0]:
-        return u if op == MIN else v
+        return u if op == tapes.MIN else v
     if v[0][1] <= u[0][0]:
-        return v if op == MIN else u
+        return v if op == tapes.MIN else u
     d = (min(u[1][0], v[1][0]), max(u[1][1], v[1][1]))
-    if op == MIN:
+    if op == tapes.MIN:
         return (min(u[0][0], v[0][0]), min(u[0][1], v[0][1])), d, WHOLE_LINE
     return (max(u[0][0], v[0][0]), max(u[0][1], v[0][1])), d, WHOLE_LINE
 
@@ -297,28 +270,28 @@ def run_jets(code: Ints32, first: int, last: int, base: int, jets: Array, order:
     """
     for k in range(first, last):
         op = code[k, 0]
-        if op == SKIP:
+        if op == tapes.SKIP:
             continue
         u, du, ddu = _jet(jets, code[k, 1])
         d = e = ZERO
-        if op <= POW:
+        if op <= tapes.POW:
             v, dv, ddv = _jet(jets, code[k, 2])
-            if op == ADD:
+            if op == tapes.ADD:
                 f = add(u, v)
                 if order > 0:
                     d, e = add(du, dv), add(ddu, ddv)
-            elif op == SUB:
+            elif op == tapes.SUB:
                 f = sub(u, v)
                 if order > 0:
                     d, e = sub(du, dv), sub(ddu, ddv)
-            elif op == MUL:
+            elif op == tapes.MUL:
                 f = mul(u, v)
                 if order > 0:
                     d = add(mul(du, v), mul(u, dv))
                 if order > 1:
                     e = add(mul(ddu, v), mul(u, ddv))
                     e = add(e, mul(scaled(2.0, du), dv))
-            elif op == DIV:
+            elif op == tapes.DIV:
                 # q v = u, hence q' v = u' - q v' and q'' v = u'' - 2 q' v' - q v''
                 f = div(u, v)
                 if order > 0:
@@ -326,15 +299,15 @@ def run_jets(code: Ints32, first: int, last: int, base: int, jets: Array, order:
                 if order > 1:
                     e = sub(ddu, mul(scaled(2.0, d), dv))
                     e = div(sub(e, mul(f, ddv)), v)
-            elif op in (MIN, MAX):
+            elif op in (tapes.MIN, tapes.MAX):
                 f, d, e = _extreme(op, (u, du, ddu), (v, dv, ddv))
-            elif op == POW:
+            elif op == tapes.POW:
                 f, d, e = _power_jet((u, du, ddu), (v, dv, ddv), order)
             else:
                 f, d, e = _polar(op, (u, du, ddu), (v, dv, ddv))
-        elif op == NEG:
+        elif op == tapes.NEG:
             f, d, e = neg(u), neg(du), neg(ddu)
-        elif op == SQUARE:
+        elif op == tapes.SQUARE:
             f = square(u)
             if order > 0:
                 d = scaled(2.0, mul(u, du))

@@ -16,38 +16,13 @@ import math
 import numpy as np
 
 from statechart.arrays import Array, Ints32
+from statechart.kernels import tapes
 from statechart.kernels.boxes import StepTape, write_step_jets, write_variable_jets
 from statechart.kernels.intervals import INF, LIBM, TINY, Interval
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import local_time, values_at
-from statechart.kernels.tapes import (
-    ABS,
-    ACOS,
-    ADD,
-    ASIN,
-    ATAN,
-    COS,
-    COSH,
-    DIV,
-    EXP,
-    HYPOT,
-    MAX,
-    MIN,
-    MUL,
-    NEG,
-    POW,
-    POWI,
-    SIGN,
-    SIN,
-    SINH,
-    SQRT,
-    SQUARE,
-    SUB,
-    TAN,
-    TANH,
-    run_tape,
-)
+from statechart.kernels.tapes import run_tape
 
 PLACES = np.array([0.146, 0.382, 0.764])
 """Sampled places of a box, relative to its length, for functions resolved in it."""
@@ -79,21 +54,21 @@ def _resolved(op: int, exponent: int, a: Interval) -> bool:
     span = high - low
     if span == 0.0:
         return True
-    if op in (SIN, COS, EXP, SINH, COSH):
+    if op in (tapes.SIN, tapes.COS, tapes.EXP, tapes.SINH, tapes.COSH):
         return span <= _MAX_TURN
-    if op == TANH:
+    if op == tapes.TANH:
         return span <= _MAX_SPAN * math.hypot(_distance_from_zero(a), 0.5 * math.pi)
-    if op == ATAN:
+    if op == tapes.ATAN:
         return span <= _MAX_SPAN * math.hypot(_distance_from_zero(a), 1.0)
-    if op in (ABS, SIGN):
+    if op in (tapes.ABS, tapes.SIGN):
         return low >= 0.0 or high <= 0.0
-    if op == TAN:
+    if op == tapes.TAN:
         turn = math.floor(low / math.pi - 0.5)
         begin = (turn + 0.5) * math.pi
         return span <= _MAX_SPAN * min(low - begin, begin + math.pi - high)
-    if op in (ASIN, ACOS):
+    if op in (tapes.ASIN, tapes.ACOS):
         return span <= _MAX_SPAN * min(low + 1.0, 1.0 - high)
-    if op == POWI:
+    if op == tapes.POWI:
         n, near, size = abs(float(exponent)), _distance_from_zero(a), _magnitude(a)
         return n * span <= 2.0 * _MAX_TURN * size or (
             near > 0.0 and n * math.log(size / near) <= _MAX_TURN
@@ -107,7 +82,7 @@ def _power_resolved(x: Interval, y: Interval) -> bool:
     low, high = x
     n = math.floor(0.5 * (y[0] + y[1]) + 0.5)
     if max(n - y[0], y[1] - n) <= 1e-14 * abs(n):  # an integer parameter
-        whole = n < 2.0**31 and _resolved(POWI, int(n), x)
+        whole = n < 2.0**31 and _resolved(tapes.POWI, int(n), x)
         return whole and (n >= 0.0 or high - low <= _MAX_SPAN * _distance_from_zero(x))
     if not low > 0.0:
         return high == low and y[0] == y[1]
@@ -127,10 +102,10 @@ def _write_roughness(code: Ints32, first: int, last: int, base: int, jets: Array
         a, p = (jets[i, 0], jets[i, 1]), jets[i, 2]
         f = jets[base + k, 0], jets[base + k, 1]
         width = f[1] - f[0]
-        if op in (NEG, SQUARE) or op > POW:
-            if op == NEG:
+        if op in (tapes.NEG, tapes.SQUARE) or op > tapes.POW:
+            if op == tapes.NEG:
                 rough = p
-            elif op == SQUARE:
+            elif op == tapes.SQUARE:
                 rough = p * (2.0 * _magnitude(a) + p)
             elif not _resolved(op, code[k, 2], a):
                 rough = width
@@ -140,25 +115,25 @@ def _write_roughness(code: Ints32, first: int, last: int, base: int, jets: Array
         else:
             j = code[k, 2]
             b, q = (jets[j, 0], jets[j, 1]), jets[j, 2]
-            if op in (ADD, SUB):
+            if op in (tapes.ADD, tapes.SUB):
                 rough = p + q
-            elif op == MUL:
+            elif op == tapes.MUL:
                 rough = 0.0
                 if p > 0.0:
                     rough += p * (_magnitude(b) + q)
                 if q > 0.0:
                     rough += q * _magnitude(a)
-            elif op == DIV:
+            elif op == tapes.DIV:
                 near = _distance_from_zero(b)
                 if b[1] - b[0] <= _MAX_SPAN * near:
                     rough = (p + q * _magnitude(f)) / near if p > 0.0 or q > 0.0 else 0.0
                 else:
                     rough = width
-            elif op in (MIN, MAX):
+            elif op in (tapes.MIN, tapes.MAX):
                 rough = max(p, q)
                 if a[1] > b[0] and b[1] > a[0]:
                     rough += min(a[1] - b[0], b[1] - a[0])
-            elif op == POW:
+            elif op == tapes.POW:
                 seen = p == 0.0 and q == 0.0 and _power_resolved(a, b)
                 rough = 0.0 if seen else width
             else:
@@ -277,11 +252,11 @@ def refine_roughness(
     for k in range(first, last):
         _write_roughness(code, k, k + 1, base, jets)
         op, i, r = code[k, 0], code[k, 1], base + k
-        if op == ABS and jets[i, 2] == 0.0:
+        if op == tapes.ABS and jets[i, 2] == 0.0:
             jets[r, 2] = min(jets[r, 2], _magnitude((jets[i, 0], jets[i, 1])))
-        elif op == SQRT and jets[i, 2] == 0.0:
+        elif op == tapes.SQRT and jets[i, 2] == 0.0:
             jets[r, 2] = min(jets[r, 2], math.sqrt(max(jets[i, 1], 0.0)))
-        elif op == HYPOT and jets[i, 2] == 0.0 and jets[code[k, 2], 2] == 0.0:
+        elif op == tapes.HYPOT and jets[i, 2] == 0.0 and jets[code[k, 2], 2] == 0.0:
             j = code[k, 2]
             size = math.hypot(
                 _magnitude((jets[i, 0], jets[i, 1])), _magnitude((jets[j, 0], jets[j, 1]))

@@ -247,10 +247,8 @@ def _shape(trace: Trace, pieces: PartialReport, short: bool) -> tuple[Trace, flo
     if not short:
         return trace, _rows_of(trace)
     width = len(trace.variables)
-    arcs, jumps = (
-        pieces.some("flows", trace.arcs, width),
-        pieces.some("events", trace.jumps, width),
-    )
+    arcs = pieces.some("flows", trace.arcs, width)
+    jumps = pieces.some("events", trace.jumps, width)
     steps = sum(len(arc.times) - 1 for arc in arcs)
     per_step = min(_rows_of(trace), short_length(width) / max(steps, 1))
     if per_step < 1.0:
