@@ -53,6 +53,7 @@ class OutputTapes(NamedTuple):
     start: Ints  # shape (s, k + 1, 9)
     end: Ints  # shape (f, k + 1, 9)
     extremes: Ints  # shape (x, k + 1, 9)
+    passed: Ints  # Those of extremes in modes of zero duration, which have no forces.
     integrals: Ints  # (k + 1, 9): one tape for all of them
     columns: Ints  # (k + 1, i): integral to which each of its outputs is added
     waits: Ints  # (a, 2): set of events of each formula, whether evaluated before them
@@ -194,7 +195,7 @@ def _extremes(
     result: Array,
 ) -> None:
     """Update minimum and maximum (m, 2) of a formula."""
-    kinds, first = tapes.extremes[formula], 0
+    kinds, passing, first = tapes.extremes[formula], tapes.passed[formula], 0
     for row in range(found.spans.shape[0]):
         parameters, started = found.values[row], found.ends[row, FIRST_MODE]
         last, time = found.place[row, N_MODE], found.clock[row, T_HIGH]
@@ -203,7 +204,10 @@ def _extremes(
         begin = found.spans[row, EVENTS]
         for event in range(begin, found.spans[row, EVENTS_END]):
             if passed[first + event - begin]:
-                tape, at = kinds[np.int64(block.events[event, TARGET])], block.numbers[event, TIME]
+                tape, at = (
+                    passing[np.int64(block.events[event, TARGET])],
+                    block.numbers[event, TIME],
+                )
                 _include(result[row], _value(tapes, tape, block.states[event, 1], parameters, at))
         _include(result[row], _value(tapes, kinds[last], found.final[row], parameters, time))
         first += number_of_events(found, row)

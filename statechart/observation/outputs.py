@@ -288,8 +288,8 @@ class Outputs:
         """
         packed, programs = Packed(), self.observer.programs
 
-        def tapes(formulas: Sequence[Formula], where: tuple[Where, ...]) -> tuple[Ints, Ints]:
-            made = np.zeros((len(kinds) + 1, TAPE), np.int64)
+        def tapes(formulas: Sequence[Formula], where: tuple[Where, ...]) -> tuple[Ints, Ints, Ints]:
+            made, unforced = np.zeros((2, len(kinds) + 1, TAPE), np.int64)
             columns = np.zeros((len(kinds) + 1, len(formulas)), np.int64)
             for place, kind in enumerate(kinds):
                 own = [one(kind[0]) if _by_mode(one) else one for one in formulas]
@@ -301,26 +301,27 @@ class Outputs:
                 if active.places and (mode is not None or solved or not active.needed):
                     chosen = visible_expressions(active.expressions, mode)
                     made[place] = packed.tape(programs.tape(chosen, mode, known=solved))
+                    unforced[place] = 0 if active.needed else made[place]
                     columns[place, : len(active.places)] = active.places
-            return made, columns
+            return made, unforced, columns
 
         def separate_tapes(formulas: Sequence[Formula]) -> Ints:
-            found = [tapes([formula], ((),))[0] for formula in formulas]
-            return np.array(found, np.int64).reshape(len(found), len(kinds) + 1, TAPE)
+            found = [tapes([formula], ((),))[:2] for formula in formulas]
+            shape = len(found), 2, len(kinds) + 1, TAPE
+            return np.ascontiguousarray(np.array(found, np.int64).reshape(shape).swapaxes(0, 1))
 
-        at = separate_tapes([output.value for _, output, _ in self.at])
-        points = (
-            separate_tapes([*self.start.values()]),
-            separate_tapes([*self.end.values()]),
-            separate_tapes(self._watched),
-        )
+        at = separate_tapes([output.value for _, output, _ in self.at])[0]
+        start, end = (separate_tapes([*ends.values()])[0] for ends in (self.start, self.end))
+        watched, passed = separate_tapes(self._watched)
         integrals = [output.integral for output in self.integrals.values()]
         during = [tuple(output.during.items()) for output in self.integrals.values()]
-        over = tapes(integrals, tuple(during))
+        made, _, columns = tapes(integrals, tuple(during))
         waits = [(self._waits.index(moment.events), output.before) for _, output, moment in self.at]
         return OutputTapes(
-            *packed.arrays(), at, *points, *over, np.array(waits, np.int64).reshape(len(waits), 2)
-        )
+            *packed.arrays(),
+            at, start, end, watched, passed, made, columns,
+            np.array(waits, np.int64).reshape(len(waits), 2),
+        )  # fmt: skip
 
     def truncated(self, trace: Trace) -> dict[str, tuple[int, ...]]:
         """Return the outputs that count or list events of Zeno sequences, with their cuts.
