@@ -118,7 +118,10 @@ class Filippov:
         previous = None if before is None else tuple(before[i] for i in surface.on)
         if previous in choices:
             return previous, len(strict) < 2
-        return max(choices, key=lambda signs: signs.count(SLIDES)), len(strict) < 2
+        if strict:
+            return max(choices, key=lambda signs: signs.count(SLIDES)), len(strict) < 2
+        # A slide on its edge moves as the piece there, whose rates exist where its sign is 0/0.
+        return min(choices, key=lambda signs: signs.count(SLIDES)), True
 
     def _holds(self, signs: Sequence[int], at: Instant) -> bool:
         """Return whether higher derivatives let no margin of the switches fall at once."""
@@ -185,6 +188,9 @@ class _Surface:
                 continue
             self.signs[i] = self.signs[i] if abs(self.signs[i]) == 1 else 1
             self._place(i)
+        # Exactly on the surface: the root of a distance of 1e-16 is not small.
+        for i in self.on:
+            self._at = self._at._replace(state=self.onto(i, self._at.state))
         self._changes = self._corners()
 
     def _place(self, i: int) -> None:

@@ -176,11 +176,22 @@ def test_a_tank_that_has_drained_stays_empty_until_water_flows_in() -> None:
     assert filled.final == pytest.approx([0.6096118], rel=1e-6)
 
 
-def test_rates_without_a_value_end_the_run() -> None:
-    # One tank drains into another, which its empty state leaves without a rate.
+def test_tanks_that_drain_into_each_other_stay_empty() -> None:
+    out = [f"0.{k}*sqrt(max({h}, 0))" for h, k in (("a", 1), ("b", 2), ("c", 3))]
     chart = flow(
-        {"a": 1, "b": 0}, a="-0.1*sqrt(max(a, 0))", b="0.1*sqrt(max(a, 0)) - 0.05*sqrt(max(b, 0))"
-    )
-    trace = Simulator(chart, SCIPY).run(until=100.0, throw=False)
+        {"a": 1, "b": 0.2, "c": 0},
+        a=f"-{out[0]}", b=f"{out[0]} - {out[1]}", c=f"{out[1]} - {out[2]}",
+    )  # fmt: skip
+    three = run(chart, SCIPY, 40.0)
+    assert breaks(three)[0] == pytest.approx(20.0, abs=1e-4)
+    assert three.final == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+    out = ["0.1*sqrt(max(a, 0))", "0.05*sqrt(max(b, 0))"]
+    two = run(flow({"a": 1, "b": 0}, a=f"-{out[0]}", b=f"{out[0]} - {out[1]}"), SCIPY, 40.0)
+    # At t = 20, b = 0.389988020 (LSODA, steps of 0.05); sqrt(b) then falls at the rate 0.025.
+    assert two.final == pytest.approx([0.0, (math.sqrt(0.389988020) - 0.5) ** 2], abs=1e-8)
+
+
+def test_rates_without_a_value_end_the_run() -> None:
+    trace = Simulator(flow({"x": 0}, x="1/x"), SCIPY).run(until=1.0, throw=False)
     assert trace.outcome is Outcome.NON_FINITE
     assert "write a state for each side" in trace.message
