@@ -221,11 +221,15 @@ def _solve_struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
         return hidden(rules.tape.at(setup.values, state, clock.high + later), flow.mode)
 
     def apply(
-        laws: Sequence[ContactLaw], snapshot: Snapshot, state: Array, result: Impacts
+        laws: Sequence[ContactLaw],
+        snapshot: Snapshot,
+        state: Array,
+        result: Impacts,
+        later: float = 0.0,
     ) -> _Struck:
         result = apply_rolling_resistance(snapshot, laws, result, 2.0 * landing.slow)
         after = snapshot.moved(state, result.velocity)
-        return _Struck(laws, result, after, seen(after), {})
+        return _Struck(laws, result, after, seen(after, later), {})
 
     def under(laws: Sequence[ContactLaw]) -> _Struck:
         if jam is not None:
@@ -237,7 +241,7 @@ def _solve_struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
     def strike_again(state: Array, later: float, hit: Sequence[bool]) -> tuple[Snapshot, Snapshot]:
         laws, again = setup.contacts, seen(state, later)
         result = impacts(again, laws, strike_jammed(laws, hit), rules.simultaneous)
-        return again, apply(laws, again, state, result).snapshot
+        return again, apply(laws, again, state, result, later).snapshot
 
     elastic = under(setup.contacts)
     bounces = remaining_bounces(setup, strike_again, elastic.snapshot, elastic.state, closed)

@@ -77,7 +77,7 @@ class Chart(Declaration):
 
     kind: Literal["chart"] = declare("What is declared.", "chart", default="chart")
     variables: dict[fields.ValueName, fields.FiniteText] = declare(
-        "Variable to its initial value.", {"x": "height", "v": 0}, unit="that of each", min_length=1
+        "Variable to its initial value.", {"x": "height", "v": 0}, unit="that of each", default={}
     )
     regions: dict[fields.NameText, Region] = declare(
         "Name to region: all are active at once.",
@@ -133,6 +133,13 @@ class Chart(Declaration):
 
     @model_validator(mode="after")
     def _variables_have_values(self) -> Self:
+        if not (self.variables or self.timers):
+            raise DeclarationProblem(
+                "no variable and no timed transition",
+                advice="write variables: {x: 0}, or a transition with after or every",
+                loc=("regions",),
+                key=True,
+            )
         for name in self.variables:
             taken = "the time of the run" if name == TIME else "a parameter, {see}"
             if name == TIME or name in self.parameters:

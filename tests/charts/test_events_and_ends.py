@@ -374,3 +374,30 @@ stop: {time: 5}
 """
     jumps = run(tmp_path, text).trace.jumps
     assert [(j.cause, j.t) for j in jumps if j.region == "r"] == [("far", 2.0)]
+
+
+TIMED = """\
+regions:
+  wait:
+    initial: on
+    states: {on: {}, answered: {}, late: {}}
+    transitions:
+      - {name: ack, from: on, to: answered, on: peer.send}
+      - {name: over, from: on, to: late, after: 3}
+  peer: {initial: p, states: {p: {}, q: {}}, transitions: [{name: send, from: p, to: q, after: 2}]}
+stop: {time: 5}
+outputs: {t: {value: time, at: first wait.ack}}
+"""
+
+
+@ENGINES
+def test_timed_transitions_need_no_variables(tmp_path: Path, engine: str) -> None:
+    result = run(tmp_path, TIMED, engine)
+    assert result.outputs["t"] == pytest.approx(2.0, abs=1e-12)
+    assert result.trace.final_mode == ("answered", "q")
+
+
+def test_a_chart_in_which_nothing_changes_is_refused() -> None:
+    text = "kind: chart\nname: c\n" + TIMED.replace("after: 3", "guard: time >= 3")
+    with pytest.raises(DeclarationError, match=r"write variables: \{x: 0\}, or a transition with"):
+        interpret(read_text(text.replace("after: 2", "guard: time >= 2")))

@@ -53,3 +53,22 @@ def test_the_sum_of_the_last_bounces_on_a_curved_ground_has_the_ratio_of_restitu
     ends = [next(jump.t for jump in run.jumps if jump.cause == "zeno") for run in (fine, coarse)]
     assert len(coarse.jumps) < len(fine.jumps)
     assert ends[1] == pytest.approx(ends[0], abs=1e-8)
+
+
+def test_bounces_on_an_accelerated_table_are_summed() -> None:
+    # The table falls at 5 m/s**2: bounces accumulate as under a gravity of 4.81.
+    table = """\
+kind: scene
+name: table
+gravity: 9.81
+bodies: {ball: {mass: 1, start: {y: 1}}}
+surfaces: {table: {height: 0, displacement: [0, -2.5*time**2]}}
+contacts: {foot: {point: {body: ball}, surface: table, friction: 0, restitution: 0.3}}
+stop: {time: 5}
+"""
+    for tolerance, most in ((1e-13, 30), (1e-8, 20)):
+        jumps = Runner(read_text(table), tolerance=tolerance).run().trace.jumps
+        end = next(jump.t for jump in jumps if jump.cause == "zeno")
+        first = math.sqrt(2.0 / 4.81)
+        assert end == pytest.approx(first * (1.0 + 0.6 / 0.7), abs=1e-9)
+        assert len(jumps) < most
