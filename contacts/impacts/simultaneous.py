@@ -199,7 +199,7 @@ def _solve_sequentially(
     """Compute impacts one after another, the fastest approach first."""
     impulses = np.zeros((len(laws), 2))
     path: list[str] = []
-    current, first_approach = snapshot, 0.0
+    current, first_approach, struck = snapshot, 0.0, set[int]()
     terms = np.abs(snapshot.velocity)
     warnings: list[str] = []
     while True:
@@ -217,18 +217,18 @@ def _solve_sequentially(
         first_approach = first_approach or approach
         endless = len(path) >= LONGEST_SEQUENCE or approach < _MIN_APPROACH * first_approach
         if endless:
-            names = ", ".join(laws[i].name for i in group)
-            warnings = [
-                (
+            if struck.issuperset(approaching):
+                names = ", ".join(laws[i].name for i in group)
+                warnings = [
                     f"{names}: the sequence of impacts does not end; after {len(path)} the "
                     f"approach velocity is {approach:.3g}, and the rest is plastic"
-                )
-            ]
+                ]
             result = _solve_simultaneously(current, laws, group, False)._replace(
                 path=["plastic rest"]
             )
         else:
             result = _single_impact(current, laws, group[k])
+            struck.add(k)
         impulses += result.impulses
         path += result.path
         warnings += [result.warning] if result.warning else []

@@ -233,7 +233,7 @@ def test_sigint_reports_and_saves_the_run(
         tmp_path, "run", "stick_slip_block", "--until", "1e6", "--output", "out", *options
     )
     code, out, err = process.signalled(number, "t = ")
-    assert code == 1
+    assert code == 1, (out, err)
     assert out.startswith("stick_slip_block: INTERRUPTED\n")
     assert err.splitlines()[-1].startswith("left out: ")
     assert "margins" in err.splitlines()[-1]

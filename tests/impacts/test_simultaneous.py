@@ -571,3 +571,26 @@ def test_impact_laws_that_raise_the_energy_give_a_warning(law: str, contacts: in
         assert told is (after > before * (1.0 + 1e-9))
         raised += told
     assert raised == (4 if law == "newton" else 0)
+
+
+def test_a_rope_that_an_impact_loads_by_round_off_is_no_endless_sequence() -> None:
+    # Two balls on ropes exchange their velocities.
+    cradle = """\
+kind: scene
+name: cradle
+gravity: 9.81
+bodies:
+  a: {mass: 1, start: {x: sin(-0.5), y: -cos(-0.5)}}
+  b: {mass: 1, start: {x: 0.1, y: -1}}
+joints:
+  ra: {point: {body: a}, to: [0, 0], rope: 1}
+  rb: {point: {body: b}, to: [0.1, 0], rope: 1}
+surfaces: {sb: {circle: [0, 0], radius: 0.1, body: b}}
+contacts: {hit: {point: {body: a}, surface: sb, friction: 0, restitution: 1}}
+stop: {time: 1}
+simultaneous: sequential
+outputs: {v: {value: b.dx, at: first hit.touchdown}}
+"""
+    result = Runner(read_text(cradle)).run()
+    assert not result.warnings
+    assert result.outputs["v"] == pytest.approx(math.sqrt(2 * 9.81 * (1 - math.cos(0.5))))
