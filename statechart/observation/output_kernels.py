@@ -204,10 +204,8 @@ def _extremes(
         begin = found.spans[row, EVENTS]
         for event in range(begin, found.spans[row, EVENTS_END]):
             if passed[first + event - begin]:
-                tape, at = (
-                    passing[np.int64(block.events[event, TARGET])],
-                    block.numbers[event, TIME],
-                )
+                tape = passing[np.int64(block.events[event, TARGET])]
+                at = block.numbers[event, TIME]
                 _include(result[row], _value(tapes, tape, block.states[event, 1], parameters, at))
         _include(result[row], _value(tapes, kinds[last], found.final[row], parameters, time))
         first += number_of_events(found, row)

@@ -183,66 +183,6 @@ def test_the_first_summed_impact_does_not_change_the_result() -> None:
         assert (t, x) == pytest.approx(found[0][1:], rel=1e-12)
 
 
-FOLDING = """
-kind: scene
-name: folding_rods
-parameters: {k: 2.5374526545949756, m: 104.24964566045625, mu: 2.069556313955899e-06}
-gravity: 1
-coordinates:
-  x: {start: 0.8532143673728834, rate: 0.21583654791472873}
-  y: {start: 3.029466811153597, rate: -1.8590177115181086}
-  a: {start: 1.22865247000796, rate: 0.8712191270432451}
-  b: {start: 0.08179532664692912, rate: -0.8712191270432451}
-bodies:
-  one: {mass: 1, inertia: k, position: [x - sin(a), y + cos(a)], angle: a}
-  other: {mass: m, inertia: k*m, position: [x - sin(b), y + cos(b)], angle: b}
-surfaces: {floor: {height: 0}}
-contacts:
-  hinge: {point: {body: one, at: [0, -1]}, surface: floor, friction: mu, restitution: 0}
-  A: {point: {body: one, at: [0, 1]}, surface: floor, friction: mu, restitution: 0}
-  B: {point: {body: other, at: [0, 1]}, surface: floor, friction: mu, restitution: 0}
-stop: {time: 20}
-"""
-
-
-@pytest.mark.parametrize("name", ENGINES)
-def test_rods_that_fold_flat_hit_the_floor_before_their_equations_end(name: str) -> None:
-    trace = Runner(interpret(read_text(FOLDING)), engine=name).run().trace
-    assert "hinge" in {jump.region for jump in trace.jumps}
-    assert trace.final[1:4] == pytest.approx([0.0, math.pi / 2, -math.pi / 2], abs=1e-9)
-
-
-# With so much friction an end that slides into the floor jams: it does not slide to the end.
-JAMMING = """
-kind: scene
-name: jamming_rods
-parameters: {k: 0.0015240949483352924, m: 18.924369308357967, mu: 12.463470468848607}
-gravity: 1
-coordinates:
-  x: {start: 0.2471512255529731, rate: -0.271825061021291}
-  y: {start: 4.693826200146323, rate: 0.3338109216701273}
-  a: {start: -1.2757732195903568, rate: 1.4023489739804424}
-  b: {start: -2.373829547017327, rate: -1.4023489739804424}
-bodies:
-  one: {mass: 1, inertia: k, position: [x - sin(a), y + cos(a)], angle: a}
-  other: {mass: m, inertia: k*m, position: [x - sin(b), y + cos(b)], angle: b}
-surfaces: {floor: {height: 0}}
-contacts:
-  hinge: {point: {body: one, at: [0, -1]}, surface: floor, friction: mu, restitution: e}
-  A: {point: {body: one, at: [0, 1]}, surface: floor, friction: mu, restitution: e}
-  B: {point: {body: other, at: [0, 1]}, surface: floor, friction: mu, restitution: e}
-stop: {time: 20}
-""".replace("restitution: e", "restitution: 0.47666829934802957")
-
-
-def test_impacts_that_friction_jams_are_not_summed() -> None:
-    result = Runner(interpret(read_text(JAMMING))).run()
-    trace = result.trace
-    assert trace.final_mode == ("pin", "pin", "pin")
-    grown = [jump.energy[1] - jump.energy[0] for jump in trace.jumps if jump.energy is not None]
-    assert max(grown) <= 1e-12 * max(jump.energy[0] for jump in trace.jumps if jump.energy)
-
-
 SQUEEZED = """
 kind: scene
 name: squeezed_ball

@@ -1,4 +1,4 @@
-"""Bounces whose rebound is not the coefficient of restitution: friction turns over in each."""
+"""Sums of the last bounces of a contact, whose ratio need not be the coefficient of restitution."""
 
 from __future__ import annotations
 
