@@ -19,10 +19,9 @@ from contacts.dynamics.starting import (
     check_joints,
     check_limits,
     check_start,
-    displaced_surface_error,
     hovering_warnings,
-    surface_jump_error,
 )
+from contacts.dynamics.surface_jumps import modes_after_jump
 from contacts.scene.lint import NEARLY_MEETING, goes_off_warning, stays_off_warning
 from contacts.solvers.contact_rows import STEEPEST
 from contacts.solvers.dependence import independent_rows
@@ -33,9 +32,9 @@ from contacts.states import (
     LOCKED,
     OFF,
     OFF_CODE,
+    OPEN,
     OPEN_CODE,
     PIN,
-    SLIDE,
     SLIDE_MINUS,
     SLIDE_PLUS,
     STATES,
@@ -202,35 +201,23 @@ class SteppedScene(SteppedSystem):
         self._use(self._tapes.at(tuple(states.values())), contacts)
         if not was.scene.leading:
             return {}, False
-        memory, now = self._step_state.contacts, self._source.contacts(self._values, after, time)
-        old = was.contacts(self._values, before, time)
-        near, deep = self._near, np.minimum(old[:, 0], 0.0) - now[:, 0]
-        # Compliant contacts follow any motion of a surface.
-        rigid = np.array(
-            [contact.stiffness is None for contact in was.scene.contacts.values()]
-            + [False] * was.couplings,
-            np.bool_,
-        )
-        for i in np.flatnonzero(rigid & ~memory.disabled & (deep > near)).tolist():
-            surface = was.scene.contacts[was.names[i]].surface
-            raise displaced_surface_error(surface, was.names[i], -float(now[i, 0]))
+        memory, codes = self._step_state.contacts, self._step_state.codes
+        mode = tuple(STATES[i] for i in np.where(memory.disabled, OFF_CODE, codes).tolist())
+        old = was.contacts(self._values, before, time)[:, :3]
+        now = self._source.contacts(self._values, after, time)[:, :3]
+        tolerances = {"gap": self._near, "speed": self._still}
+        modes, parts = modes_after_jump(was.scene, contacts, tolerances, mode, old, now)
         # A contact that a surface strikes or leaves does not last.
-        parts = rigid & (np.abs(now - old)[:, :2] > [near, self._still]).any(axis=1)
         memory.closed[parts] = False
-        codes, slips = self._step_state.codes, np.abs(now[:, 2]) > self._still
-        touched = (codes != FREE) & ~memory.disabled
-        touched[len(rigid) - was.couplings :] = False
-        slips &= touched & (codes != SLIDE) & (np.abs(now - old)[:, 2] > self._still)
-        after = np.where(slips, np.where(now[:, 2] > 0.0, SLIDE_PLUS, SLIDE_MINUS), codes)
-        after[touched & parts] = FREE
-        switched = {i: int(after[i]) for i in np.flatnonzero(after != codes).tolist()}
+        closed = [one not in OPEN for one in mode]
+        switched = {
+            i: _CODES[new]
+            for i, (new, state) in enumerate(zip(modes, mode, strict=True))
+            if new != state
+        }
         for i, code in switched.items():
-            if self._undeclared[i, code]:
-                raise surface_jump_error(
-                    was.scene.contacts[was.names[i]].surface, was.names[i], STATES[code]
-                )
             codes[i] = memory.modes[i] = code
-        return switched, bool((touched & parts & (now[:, 1] < -self._still)).any())
+        return switched, bool((closed & parts & (now[:, 1] < -self._still)).any())
 
     def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Set equations and coefficients."""
@@ -583,10 +570,7 @@ class SceneStepper(Stepper):
         """Check the initial state; return initial modes, disabled contacts, warnings."""
         warnings = [*self._replaced_laws(setup), *self._cut(setup)]
         memory = ControllerState(self._mechanics)
-        initial = setup.initial
-        for region in self._scene.controlled.flat.values():
-            initial = memory.updated(setup, Clock(), region.name, region.begins, initial)
-        setup = replace(setup, initial=initial)
+        setup = replace(setup, initial=memory.begun(setup, Clock(), setup.initial))
         within = memory.within(setup, setup.initial)
         within = replace(within, initial=memory.parted(setup.initial))
         if self._mechanics.joint_rows:
