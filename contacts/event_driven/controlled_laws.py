@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -47,7 +48,7 @@ class ControlledLaws:
         self._names = tuple(self._controllers)
         self._regions = regions
         self._count = len(regions) - len(self._names)
-        self._under: dict[Key, SceneLaws] = {}
+        self._at = cache(self._laws_in)
         self._states = Controllers(mechanics)
         self._memory = ControllerState(mechanics)
         variables = (*mechanics.variables, *mechanics.controller_state.values())
@@ -228,15 +229,14 @@ class ControlledLaws:
         """Return warnings about contacts that stay off, see `handovers`."""
         return self._contacts.remarks(setup, arcs)
 
-    def _at(self, states: Key) -> SceneLaws:
+    def _laws_in(self, states: Key) -> SceneLaws:
         """Return the contacts' laws with the controllers in `states`."""
-        if states not in self._under:
-            states_by_name = self._states.named(states)
-            self._under[states] = self._contacts.under(
-                SnapshotTape(self._mechanics, states_by_name),
-                Conditions(self._mechanics, states_by_name),
-            )
-        return self._under[states]
+        names = self._states.named(states)
+        snapshots, conditions = (
+            SnapshotTape(self._mechanics, names),
+            Conditions(self._mechanics, names),
+        )
+        return self._contacts.under(snapshots, conditions)
 
     def _within(self, setup: SceneSetup, states: Key, state: Array) -> SceneSetup:
         """Return the setup with the coefficients and controllers' variables of `states`."""

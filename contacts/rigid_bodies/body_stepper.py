@@ -149,7 +149,7 @@ class BodyStepper(Stepper):
         known = self._constants.values({})
         until = math.inf if end is None else parse(end).value(known)
         forced = forced_speed(
-            [self._bodies.forces_at(states, setup.values) for states in each],
+            [self._bodies.at(states).forces(setup.values) for states in each],
             bodies.numbers,
             setup.initial,
             until,
@@ -210,7 +210,7 @@ class BodyStepper(Stepper):
             return RigidBodyRun(names, surfaces, bodies, prescribed, options, start_depth, step)
 
         if self._scene.couplings:
-            tape = self._bodies.limits_at(self._scene.controlled.initial)
+            tape = self._bodies.at(self._scene.controlled.initial).limits
             bounds = tape.table(setup.initial[None], values, np.zeros(1)).reshape(-1, 3)
             check_limits([*self._scene.couplings], bounds[:, :ENABLED])
         bodies, depth, remarks = self._started(setup, bodies, known, run_of)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -53,7 +53,6 @@ from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Region, StopCondition
-from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, NonFinite, SimulationError, SingularMode
 from statechart.kernels.boxes import Steps, bind_tape, bound_third_derivatives, enclose
 from statechart.kernels.jit import kernel
@@ -143,13 +142,7 @@ class SteppedTapes(Controllers):
 
     def __init__(self, mechanics: Mechanics) -> None:
         super().__init__(mechanics)
-        self._tapes: dict[Key, SteppedTape] = {}
-
-    def at(self, states: Key) -> SteppedTape:
-        """Return the equations in these states."""
-        if states not in self._tapes:
-            self._tapes[states] = SteppedTape(self._mechanics, self.named(states))
-        return self._tapes[states]
+        self.at = cache(lambda states: SteppedTape(mechanics, self.named(states)))
 
 
 class SteppedScene(SteppedSystem):
