@@ -39,7 +39,6 @@ from contacts.scene.parts import Simultaneous
 from contacts.scene.regions import BODY_EDGES, BODY_IMPACT, BODY_STATES
 from contacts.scene.scene import Scene
 from contacts.states import FREE, superstates_of
-from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.step_rejection import DEEPEST
 from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array
@@ -183,10 +182,7 @@ class BodyStepper(Stepper):
         if self._scene.couplings and failure is None:
             soon = _SOON * setup.scales.length / setup.scales.speed
             free = np.append(free, bodies.detect(setup.initial, 0.0, soon).couplings)
-        control = None
-        if self._scene.regions:
-            control = StepControl(self._bodies, self._controllers, setup, bodies, self._regions)
-        return RunInputs(setup, bodies, free, self._replaced_laws(setup), control, failure)
+        return RunInputs(setup, bodies, free, self._replaced_laws(setup), failure)
 
     def _new_run(
         self, overrides: Mapping[str, float], tolerance: float, forces: bool, step: float = 0.0

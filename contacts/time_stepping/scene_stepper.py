@@ -40,7 +40,6 @@ from contacts.states import (
     STATES,
 )
 from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem
-from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
 from contacts.time_stepping.equations import ContactHistory, StepConstants
 from contacts.time_stepping.scene_step import step_scene
@@ -554,10 +553,8 @@ class SceneStepper(Stepper):
         except SimulationError as error:
             failure = error
         scene = SteppedScene(self._tapes, self._numbers, setup, off, allowed)
-        if not self._scene.regions:
-            return RunInputs(setup, scene, codes, warnings, None, failure, scene.change)
-        control = StepControl(self._mechanics, self._tapes, setup, scene, self._regions)
-        return RunInputs(setup, scene, codes, warnings, control, failure)
+        change = None if self._scene.regions else scene.change
+        return RunInputs(setup, scene, codes, warnings, failure, change)
 
     def _checked(self, setup: SceneSetup, allowed: float) -> tuple[Ints, Bools, tuple[str, ...]]:
         """Check the initial state; return initial modes, disabled contacts, warnings."""
