@@ -170,7 +170,6 @@ class PrescribedMotion:
         self._known, self._values = known, values
         self.controlled = bool(mechanics.scene.regions)
         self.joints, self.leads = tuple(mechanics.scene.joints), paths.leads
-        self.couplings = tuple(mechanics.scene.couplings)
         # Positions at the last detection, and its step size.
         self._last: tuple[Positions, float] | None = None
         self._saved: tuple[Positions, float] | None = None

@@ -47,7 +47,7 @@ from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.solver_residual import INDETERMINATE
 from contacts.time_stepping.stability import Swings, check_swing, remarks
 from contacts.time_stepping.step_contacts import mode_of_impulse
-from contacts.time_stepping.step_rejection import depth_left, invalid_limit
+from contacts.time_stepping.step_rejection import depth_left
 from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
@@ -434,9 +434,7 @@ class SteppedScene(SteppedSystem):
         codes[turning] = np.where(slid, before, SLIDE_PLUS)[turning]
         self._step_state.codes = codes[-1] if len(codes) else self._step_state.codes
         places = np.arange(codes.shape[1])
-        # Limits of couplings, the last contacts, must not be negative.
-        coupled = places >= len(places) - self._source.couplings
-        wrong = self._undeclared[places, codes] | (coupled & (chunk.gaps < 0.0))
+        wrong = self._undeclared[places, codes]
         np.copyto(shown, codes, where=self._undeclared[places, shown])
         if len(self._source.hauled):
             times = start + h * np.arange(1, len(codes) + 1)
@@ -457,8 +455,6 @@ class SteppedScene(SteppedSystem):
     def _refusal(self, contact: int, code: int, end: float) -> NoConsistentMode:
         """Return the error of a contact that does not declare a mode of a step."""
         name, state = self._source.names[contact], STATES[code]
-        if contact >= len(self._source.names) - self._source.couplings:
-            return invalid_limit(name, end)
         if contact in self._source.hauled:
             return winch_end_message(name, end)
         if not self._undeclared[contact, code]:

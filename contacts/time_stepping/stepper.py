@@ -52,6 +52,7 @@ from contacts.time_stepping.step_rejection import (
     SqueezeCheck,
     squeezed,
     too_large,
+    without_limit,
 )
 from contacts.time_stepping.stop_conditions import StopConditions, StopTapes
 from statechart import interrupts
@@ -220,6 +221,10 @@ class SteppedRun:
     def _accept(self, chunk: Chunk, start: float) -> bool:
         """Record steps; return whether the run ends in them."""
         failure: SimulationError | None = None
+        rejection = without_limit(chunk, start, self.stepper.couplings)
+        if rejection is not None:
+            failure = rejection.why
+            chunk = chunk.first(rejection.step)
         rejection = self._rejected(chunk, start)
         if rejection is not None:
             failure = rejection.why
@@ -419,6 +424,7 @@ class Stepper(ABC):
         self._mechanics, self._scene, self._regions = mechanics, mechanics.scene, regions
         self.name = mechanics.scene.name
         self._controllers, self.controls = controllers, controllers.initial
+        self.couplings = tuple(mechanics.scene.couplings)
         self.names = (*mechanics.variable_names, *mechanics.controller_state)
         self.parameter_names = mechanics.parameters.names
         self.regions = tuple(region.name for region in regions)
