@@ -285,7 +285,7 @@ class BodyMechanics(Mechanics):
             found: list[sp.Expr] = []
             for name in self.scene.couplings:
                 gate = self.gate(name)
-                found += [*self.limits(name), sp.S.One if gate is None else gate.by_steps({})]
+                found += [*self.limits(name), sp.S.One if gate is None else gate.by_steps({}, {})]
             self._limits[key] = self.whole_tape(found, definitions=self.controlled(states))
         return self._limits[key]
 
