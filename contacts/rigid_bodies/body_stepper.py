@@ -15,6 +15,7 @@ import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.couplings import ENABLED
+from contacts.dynamics.conditions import undecided_couplings
 from contacts.dynamics.controllers import Controllers, controlled_symbols, controller
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
@@ -136,7 +137,7 @@ class BodyStepper(Stepper):
         self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
         self._names = list(mechanics.scene.bodies)
         self._surfaces = touchable_surfaces(mechanics.scene)
-        self._warnings = lint(declared)
+        self._warnings = (*lint(declared), *undecided_couplings(mechanics))
 
     def own_step(self) -> float:
         """Return the default step size at the declared parameters; see `own_step`."""

@@ -277,7 +277,7 @@ class BodyTapes:
         mechanics, found = self._mechanics, list[sp.Expr]()
         for name in mechanics.scene.couplings:
             gate = mechanics.gate(name)
-            found += [*mechanics.limits(name), sp.S.One if gate is None else gate.by_steps({})]
+            found += [*mechanics.limits(name), sp.S.One if gate is None else gate.by_steps({}, {})]
         return mechanics.whole_tape(found, definitions=self._definitions)
 
     def forces(self, values: Array) -> Forces:
