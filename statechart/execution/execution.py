@@ -24,7 +24,7 @@ from statechart.automaton.laws import (
 )
 from statechart.automaton.regions import Margin
 from statechart.automaton.switches import is_of_switch
-from statechart.automaton.time_stepper import Sample, Sampling, in_order
+from statechart.automaton.time_stepper import Sample, Sampling, unread
 from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace, check_size
 from statechart.automaton.trace_store import TraceStore
 from statechart.engines.engine import FlowWatch, Path
@@ -126,16 +126,8 @@ class Execution:
 
     def stream(self, parameters: Mapping[str, float], sampling: Sampling) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps as they are computed; parameters may be set between samples."""
-        values, end, count, yielded = dict(parameters), self.until, 0, [0, 0]
-
-        def fresh() -> Iterator[Arc | Jump]:
-            pieces: list[Arc | Jump] = [
-                *self.record.arcs[yielded[0] :],
-                *self.record.jumps[yielded[1] :],
-            ]
-            yielded[:] = len(self.record.arcs), len(self.record.jumps)
-            yield from in_order(pieces)
-
+        values, end, count = dict(parameters), self.until, 0
+        fresh = unread(self.record.arcs, self.record.jumps)
         ended = False
         with self.ending():
             ended = self.begin()
