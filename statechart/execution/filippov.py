@@ -303,10 +303,9 @@ class _Surface:
         if residual > _EDGE * np.abs(slopes).max():
             return None, no_shares  # not affine in the signs
         matrix = acts[list(sliding)]
-        try:
-            shares = np.linalg.solve(matrix, -middle[list(sliding)])
-        except np.linalg.LinAlgError:
+        if not np.linalg.cond(matrix) * _EDGE < 1.0:
             return None, no_shares
+        shares = np.linalg.solve(matrix, -middle[list(sliding)])
         if not (np.abs(shares) <= 1.0 + _EDGE).all():
             return None, no_shares
         return middle + acts @ shares, shares

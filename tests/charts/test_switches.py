@@ -180,6 +180,16 @@ def test_time_optimal_control_ends_at_the_origin(engine: Engine) -> None:
 
 
 @both
+def test_twisting_control_under_a_disturbance_rests(engine: Engine) -> None:
+    # Both signs act by x'' only, and do not determine each other.
+    push = "0.1*sin(3*time + 1.64)"
+    chart = flow({"x": 0.3, "v": 0.33}, x="v", v=f"-3.69*sign(x) - 0.86*sign(v) + {push}")
+    trace = run(chart, engine, 6.0)
+    assert trace.final == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert breaks(trace)[-1] == pytest.approx(3.63185, abs=1e-5)
+
+
+@both
 def test_a_spiral_around_two_surfaces_ends_at_their_intersection(engine: Engine) -> None:
     # Each turn shrinks by 1/81; z integrates the sliding mode with x' = y' = 0, sign(x) = 0.1.
     chart = flow(
