@@ -281,7 +281,10 @@ class ConditionsAt:
                 return verdicts
             verdicts = [*verdicts]
             for k, sign, verdict in zip(unsure, signs, at_rest, strict=True):
-                verdicts[k] = HOLDS if sign > 0.0 else FAILS if sign < 0.0 else verdict
+                # A velocity that friction stops at zero has fired, but does not pass zero.
+                stays = sign == 0.0 and self._of._conditions[k].atom.back in fired
+                judged = self._judge_staying(k, (), on) if stays else verdict
+                verdicts[k] = HOLDS if sign > 0.0 else FAILS if sign < 0.0 else judged
             if verdicts == tried[-1]:
                 return verdicts
             if verdicts in tried:

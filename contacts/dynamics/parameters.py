@@ -118,7 +118,8 @@ def scene_parameters(scene: Scene) -> Parameters:
         expressions |= {f"{name}.{GAP_OFFSET}": sp.S.Zero for name in scene.contacts}
         if has_switches(scene):
             expressions |= {f"{HELD_FORCE}{i}": sp.S.Zero for i in range(len(scene.variables))}
-        if any(one.enabled for one in (*scene.contacts.values(), *scene.couplings.values())):
+        gated = [*scene.contacts.values()], [*scene.couplings.values()]
+        if any(one.enabled for group in gated for one in group):
             expressions |= {f"{SIZE}{i}": sp.S.Zero for i in range(2 * len(scene.variables))}
         values = scene.values({})
         masses = [parse(body.mass).value(values) for body in scene.bodies.values()]

@@ -631,7 +631,9 @@ outputs: {off: {value: time, at: first c.disable}}
 @pytest.mark.parametrize(
     ("tilt", "belt", "start"), [(0.0, 0.5, 1.0), (0.0, 0.3, 0.9), (-0.2, 0.0, 0.7)]
 )
-def test_a_strict_relation_fails_where_friction_leaves_a_rate_at_its_bound(tilt, belt, start, step):
+def test_a_strict_relation_fails_where_friction_leaves_a_rate_at_its_bound(
+    tilt: float, belt: float, start: float, step: float
+) -> None:
     """The rate rests 1e-17 above the bound, or below it: the step decided whether b falls."""
     values = {"tilt": tilt, "belt": belt, "start": start}
     run = statechart.run(
