@@ -12,7 +12,7 @@ motion decides. If all derivatives are zero, f >= 0 holds and f > 0 does not.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -41,6 +41,7 @@ from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.laws import roles_in
 from statechart.automaton.margin_derivatives import (
     MarginDerivatives,
+    derivative,
     rounding_scale,
     time_derivative,
 )
@@ -280,7 +281,10 @@ class ConditionsAt:
                 return verdicts
             verdicts = [*verdicts]
             for k, sign, verdict in zip(unsure, signs, at_rest, strict=True):
-                verdicts[k] = HOLDS if sign > 0.0 else FAILS if sign < 0.0 else verdict
+                # A velocity that friction stops at zero has fired, but does not pass zero.
+                stays = sign == 0.0 and self._of._conditions[k].atom.back in fired
+                judged = self._judge_staying(k, (), on) if stays else verdict
+                verdicts[k] = HOLDS if sign > 0.0 else FAILS if sign < 0.0 else judged
             if verdicts == tried[-1]:
                 return verdicts
             if verdicts in tried:
@@ -319,6 +323,21 @@ class ConditionsAt:
         return of._derivatives.sign(
             inner, roles, margin, full_state, sizes, self._time, setup.precision
         )
+
+
+def undecided_couplings(mechanics: Mechanics) -> Iterator[str]:
+    """Yield a warning for each relation of a coupling that is at its bound while it is locked."""
+    for name in mechanics.scene.couplings:
+        gate, slip = mechanics.gate(name), mechanics.contact(name).symbols.slip
+        for rate in [v for v in mechanics.v if v in slip.free_symbols][:1]:
+            locked = {rate: rate - slip / derivative(slip, rate)}
+            for atom in () if gate is None else gate.atoms:
+                if rate in atom.margin.free_symbols and atom.margin.subs(locked).expand() == 0:
+                    yield (
+                        f"couplings.{atom.words} is at its bound while {name} is locked, whatever "
+                        f"the sign of {name}.M; for a freewheel write enabled: in(REGION.STATE), "
+                        f"and guards on {name}.M and {name}.slip there"
+                    )
 
 
 def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:

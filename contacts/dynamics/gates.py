@@ -18,7 +18,7 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import Array, Ints, Ints32
-from statechart.automaton.margin_derivatives import UNDERFLOW
+from statechart.automaton.margin_derivatives import UNDERFLOW, rounding_scale
 from statechart.automaton.regions import Margin
 from statechart.formulas.condition import And, Or, replaced
 from statechart.formulas.relation import States, parse_relation
@@ -35,8 +35,9 @@ PER_CONDITION = 4
 # At a multiple zero the terms vanish with f. Their sizes are therefore also evaluated at a state
 # shifted by this power of the relative round-off.
 _OFFSET_POWER = 0.75
-# Added to a margin in runs by steps, so that a zero counts as the relation (>= or >) says.
-_ZERO_SHIFT = 1e-300
+# Added to a margin in runs by steps, so that a zero counts as the relation (>= or >) says; beside
+# the residual motion of resting bodies, relative to the size of the margin's terms.
+_ZERO_SHIFT, RESIDUAL_MOTION = 1e-300, 1e-12
 
 
 class GateAtom(NamedTuple):
@@ -96,11 +97,15 @@ class Gate:
         )
 
     def by_steps(
-        self, values: Mapping[sp.Symbol, sp.Expr], valleys: Mapping[str, sp.Expr] | None = None
+        self,
+        values: Mapping[sp.Symbol, sp.Expr],
+        sizes: Mapping[sp.Symbol, sp.Expr],
+        valleys: Mapping[str, sp.Expr] | None = None,
     ) -> sp.Expr:
         """Return the margin of the gate at the end of a time step: > 0 while it holds.
 
-        An end of an edge is ignored if its value in `valleys` is positive.
+        `sizes` of coordinates and rates determine its round-off. An end of an edge is ignored if
+        its value in `valleys` is positive.
         """
         ignored = valleys or {}
 
@@ -111,7 +116,10 @@ class Gate:
             value = atom.margin.xreplace(values)
             if atom.is_end:
                 return sp.Max(value, ignored[atom.words]) if atom.words in ignored else value
-            return value + sp.Float(_ZERO_SHIFT if atom.closed else -_ZERO_SHIFT)
+            shift = sp.Float(_ZERO_SHIFT)
+            if value.free_symbols & sizes.keys():
+                shift += RESIDUAL_MOTION * rounding_scale(value, sizes)
+            return value + shift if atom.closed else value - shift
 
         return margin(self.root)
 

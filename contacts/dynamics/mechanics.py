@@ -18,6 +18,7 @@ from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import (
     GAP_OFFSET,
     HELD_FORCE,
+    SIZE,
     cone_edge,
     friction_cones,
     friction_symbols,
@@ -500,6 +501,13 @@ class Mechanics(Geometry):
                 result[f"{name}.M"] = self._arm(joint.point) * (low - high)
         result["energy"] = self.energy
         return result
+
+    @cached_property
+    def sizes(self) -> dict[sp.Symbol, sp.Symbol]:
+        """Coordinates and rates -> parameters that are their sizes; none without `enabled`."""
+        parameters = self.parameters.symbols
+        sizes = [symbol for name, symbol in parameters.items() if name.startswith(SIZE)]
+        return dict(zip(self.variables, sizes, strict=False))
 
     def gate(self, name: str) -> Gate | None:
         """Return the gate of a contact; None if it has no conditions and no ends of an edge."""

@@ -29,6 +29,8 @@ GAP_OFFSET = "gap_offset"
 """Parameter of a contact, ``tip.gap_offset``: see `contacts.scene.modes.ContactSymbols`."""
 HELD_FORCE = "scene.held_force"
 """Parameters ``scene.held_force0`` of scenes that switch: see `contacts.dynamics.held_forces`."""
+SIZE = "scene.size"
+"""Parameters ``scene.size0`` of scenes with `enabled`: sizes of coordinates and rates."""
 MASS_UNIT = "scene.mass_unit"
 """Parameter of scenes with extreme masses: the power of two that modes are solved in, or 0."""
 MAGNITUDES = 1e-40, 1e40
@@ -116,6 +118,9 @@ def scene_parameters(scene: Scene) -> Parameters:
         expressions |= {f"{name}.{GAP_OFFSET}": sp.S.Zero for name in scene.contacts}
         if has_switches(scene):
             expressions |= {f"{HELD_FORCE}{i}": sp.S.Zero for i in range(len(scene.variables))}
+        gated = [*scene.contacts.values()], [*scene.couplings.values()]
+        if any(one.enabled for group in gated for one in group):
+            expressions |= {f"{SIZE}{i}": sp.S.Zero for i in range(2 * len(scene.variables))}
         values = scene.values({})
         masses = [parse(body.mass).value(values) for body in scene.bodies.values()]
         if masses and not MAGNITUDES[0] <= min(masses) <= max(masses) <= MAGNITUDES[1]:

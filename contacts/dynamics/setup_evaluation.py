@@ -13,10 +13,10 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from contacts.dynamics.conditions import Conditions
+from contacts.dynamics.conditions import Conditions, undecided_couplings
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT
+from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT, SIZE
 from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
 from contacts.dynamics.setup import (
     HOLD_PART,
@@ -95,7 +95,7 @@ class SceneNumbers:
         self._joint_tape = mechanics.tape([entry for row in rows for entry in row.jacobian])
         # Bodies, and the indices of their moments of inertia among the values.
         self.inertias = [(name, self.places.get(f"{name}.inertia")) for name in scene.bodies]
-        self.lint = (*lint(scene), *_unpressed(mechanics))
+        self.lint = (*lint(scene), *_unpressed(mechanics), *undecided_couplings(mechanics))
         # Quantities with physical limits `bounds` (2, l); None if controllers set some of them.
         self.limits: Tape | None = None
         # Constants are checked when the scene is read.
@@ -140,6 +140,11 @@ class SceneNumbers:
         if MASS_UNIT in self.places:
             values = values.copy()
             values[self.places[MASS_UNIT]] = mass_unit(scales.acceleration, scales.force)
+            inputs = _known(memory, values)
+        if f"{SIZE}0" in self.places:
+            first = self.places[f"{SIZE}0"]
+            values = values.copy()
+            values[first : first + len(scales.sizes)] = scales.sizes
             inputs = _known(memory, values)
         margins = self.stop_tape.at(initial, inputs, 0.0).tolist()
         for name, margin in zip(self.stops, margins, strict=True):

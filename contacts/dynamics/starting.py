@@ -13,7 +13,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
-from contacts.scene.expansion import Reach, Stop, reach_of
+from contacts.scene.expansion import Reach, Stop
 from contacts.scene.parts import Point, Surface
 from contacts.scene.scene import Scene
 from contacts.solvers.dependence import dependent_rows, least_squares
@@ -325,21 +325,3 @@ def _format_values(names: Sequence[str], values: Array, changes: Array) -> str:
     ]
     ellipsis = ", ..." if len(changed) == _MAX_NAMED < len(names) else ""
     return ", ".join(f"{names[k]} = {values[k]:.6g}" for k in changed) + ellipsis
-
-
-def surface_jump_error(surface: str, contact: str, state: str) -> NoConsistentMode:
-    """Return the error of a velocity jump of a surface under a contact."""
-    return NoConsistentMode(
-        f"the velocity of surface {surface!r} jumps, and {contact!r} would "
-        f"be {state}, which is not among its modes; add it, or let the velocity flow"
-    )
-
-
-def displaced_surface_error(surface: str, contact: str, depth: float) -> NoConsistentMode:
-    """Return the error of a transition that displaces a surface into a point."""
-    problem = f"surface {surface!r} jumps {depth:.3g} deep into the point of {contact!r}"
-    if surface == reach_of(contact):
-        problem = f"rope {contact!r} jumps to {depth:.3g} below the distance of its ends"
-    return NoConsistentMode(
-        f"{problem}; write a path that moves there in a time, or let a variable flow"
-    )

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -17,12 +18,11 @@ from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.controllers import Controllers, ControllerState, opening_first
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import PerContact, Snapshot, SnapshotTape
-from contacts.dynamics.starting import displaced_surface_error, surface_jump_error
+from contacts.dynamics.snapshot import SnapshotTape
+from contacts.dynamics.surface_jumps import modes_after_jump
 from contacts.event_driven.laws import SceneLaws
 from contacts.modes.candidates import Case, candidates
-from contacts.scene.scene import Scene
-from contacts.states import CLOSED, OFF, OPEN
+from contacts.states import CLOSED, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
@@ -48,7 +48,7 @@ class ControlledLaws:
         self._names = tuple(self._controllers)
         self._regions = regions
         self._count = len(regions) - len(self._names)
-        self._under: dict[Key, SceneLaws] = {}
+        self._at = cache(self._laws_in)
         self._states = Controllers(mechanics)
         self._memory = ControllerState(mechanics)
         variables = (*mechanics.variables, *mechanics.controller_state.values())
@@ -72,9 +72,7 @@ class ControlledLaws:
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the first flow; transitions that are due there follow as jumps."""
         assert isinstance(setup, SceneSetup)
-        state = setup.initial
-        for region in self._controllers.values():
-            state = self._memory.updated(setup, Clock(), region.name, region.begins, state)
+        state = self._memory.begun(setup, Clock(), setup.initial)
         controllers = self._states.initial
         inner = self._within(setup, controllers, state)
         flow, motion = self._at(controllers).begin(
@@ -143,8 +141,12 @@ class ControlledLaws:
             setup_after = self._within(setup, states, after)
             after_update = self._at(states).snapshot(setup_after, motion, clock.high)
             before_update = laws.snapshot(inner, motion, clock.high)
-            contacts = displaced_modes(
-                self._mechanics.scene, inner, contacts, before_update, after_update
+            rates = (
+                np.array([contact[:3] for contact in update.contacts]).reshape(-1, 3)
+                for update in (before_update, after_update)
+            )
+            contacts, _ = modes_after_jump(
+                self._mechanics.scene, inner.contacts, inner.tolerances, contacts, *rates
             )
         jump = at.jump(
             name,
@@ -227,15 +229,14 @@ class ControlledLaws:
         """Return warnings about contacts that stay off, see `handovers`."""
         return self._contacts.remarks(setup, arcs)
 
-    def _at(self, states: Key) -> SceneLaws:
+    def _laws_in(self, states: Key) -> SceneLaws:
         """Return the contacts' laws with the controllers in `states`."""
-        if states not in self._under:
-            states_by_name = self._states.named(states)
-            self._under[states] = self._contacts.under(
-                SnapshotTape(self._mechanics, states_by_name),
-                Conditions(self._mechanics, states_by_name),
-            )
-        return self._under[states]
+        names = self._states.named(states)
+        snapshots, conditions = (
+            SnapshotTape(self._mechanics, names),
+            Conditions(self._mechanics, names),
+        )
+        return self._contacts.under(snapshots, conditions)
 
     def _within(self, setup: SceneSetup, states: Key, state: Array) -> SceneSetup:
         """Return the setup with the coefficients and controllers' variables of `states`."""
@@ -347,50 +348,3 @@ class ControlledLaws:
             terms=None if flow.terms is None or source is None else source.terms,
             pending=source.pending if source is not None else {},
         )
-
-
-def displaced_modes(
-    scene: Scene, setup: SceneSetup, mode: Key, before: Snapshot, after: Snapshot
-) -> Key:
-    """Return the modes of the contacts after a jump that may have moved their surfaces.
-
-    The jump opens contacts that no longer hold, and they are classified after it: a surface that
-    approaches strikes, a surface that departs leaves the contact free.
-
-    Raises `NoConsistentMode` if a surface jumps into a point, or if its velocity jumps and the
-    contact may not leave it.
-    """
-    gap_tolerance, speed_tolerance = setup.tolerances["gap"], setup.tolerances["speed"]
-    laws = zip(setup.contacts, mode, before.contacts, after.contacts, strict=True)
-    modes = []
-    for law, state, contact, changed in laws:
-        # Couplings have no surface.
-        if law.name not in scene.contacts:
-            modes.append(state)
-            continue
-        # Compliant contacts follow their surface by force alone.
-        rigid = scene.contacts[law.name].stiffness is None
-        # Approach and departure count relative to the motion before the jump.
-        separates = (
-            abs(changed.gap - contact.gap) > gap_tolerance
-            or abs(changed.gap_rate - contact.gap_rate) > speed_tolerance
-        )
-        separates, is_closed = separates and rigid, state not in OPEN
-        if rigid and state != OFF and changed.gap < min(contact.gap, 0.0) - gap_tolerance:
-            raise displaced_surface_error(scene.contacts[law.name].surface, law.name, -changed.gap)
-        target = state
-        if is_closed and separates:
-            target = "free"
-        elif is_closed and abs(changed.slip - contact.slip) > speed_tolerance:
-            target = _slip_mode(state, changed, speed_tolerance)
-        if target != state and target not in law.states:
-            raise surface_jump_error(scene.contacts[law.name].surface, law.name, target)
-        modes.append(target)
-    return tuple(modes)
-
-
-def _slip_mode(state: str, contact: PerContact, speed_tolerance: float) -> str:
-    """Return the mode of a closed contact after a tangential velocity jump of its surface."""
-    if state == "slide" or abs(contact.slip) <= speed_tolerance:
-        return state
-    return "slide+" if contact.slip > 0.0 else "slide-"

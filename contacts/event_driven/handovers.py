@@ -163,7 +163,7 @@ class Handovers:
             for name in self._gated.values():
                 gate = self._mechanics.gate(name)
                 assert gate is not None
-                outputs.append(gate.by_steps(controlled))
+                outputs.append(gate.by_steps(controlled, {}))
                 outputs.append(self._mechanics.contact(name).symbols.gap.xreplace(controlled))
             self._tapes[states] = self._mechanics.whole_tape(outputs)
         return self._tapes[states]

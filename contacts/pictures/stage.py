@@ -207,9 +207,11 @@ class SceneStage:
         result = poses.copy()
         for name, frame in self._moved.items():
             surface = self._scene.surfaces[name]
-            if surface.turn != 0 or not is_straight(surface):
+            if surface.turn != 0 or not surface.straight:
                 continue
-            _, direction = line_of(surface, lambda text: parse(text).value(moments.parameters))
+            _, direction = np.array(
+                surface.point_and_direction(lambda text: parse(text).value(moments.parameters))
+            )
             projections = result[:, frame, :2] @ direction
             whole = spacing * np.round(projections / spacing)
             result[:, frame, :2] -= whole[:, None] * direction
@@ -389,10 +391,10 @@ def grounds(
             centre = [number(text) for text in surface.circle]
             points = centre + radius * np.column_stack([np.cos(turn), np.sin(turn)])
             lift = 0.0
-        elif not is_straight(surface):
+        elif not surface.straight:
             points = _graph(surface.height or 0, known, box, unit)
         else:
-            start, direction = line_of(surface, number)
+            start, direction = np.array(surface.point_and_direction(number))
             start = start + lift * np.array([direction[1], -direction[0]])
             straight.append((len(shapes), start, direction))
             shapes.append(_ground(name, _line_through(start, direction, box), frame))
@@ -418,8 +420,8 @@ def _carried(
         return Shape("disc", centre, frame, frame, number(surface.radius or 0), name=name)
     if surface.edge is not None:
         points = np.array([[number(x), number(y)] for x, y in surface.edge])
-    elif is_straight(surface):
-        start, direction = line_of(surface, number)
+    elif surface.straight:
+        start, direction = np.array(surface.point_and_direction(number))
         # Beside the body's centre.
         start = start - (start @ direction) * direction
         points = start + _CARRIED * unit * np.outer([-1.0, 1.0], direction)
@@ -434,23 +436,6 @@ def _rim_offset(scene: Scene, name: str, number: Callable[[str | int | float], f
     contacts = [c for c in scene.contacts.values() if c.surface == name]
     radii = {disc_of(scene, contact, number) for contact in contacts}
     return radii.pop() if len(radii) == 1 else 0.0
-
-
-def is_straight(surface: Surface) -> bool:
-    """Return whether a surface is a straight line without ends."""
-    graph = surface.height is not None and "x" in parse(surface.height).names
-    return not graph and surface.edge is None and surface.circle is None
-
-
-def line_of(surface: Surface, number: Callable[[str | int | float], float]) -> tuple[Array, Array]:
-    """Return a point of a straight surface and its direction, the solid on the right."""
-    if surface.height is not None:
-        return np.array([0.0, number(surface.height)]), np.array([1.0, 0.0])
-    if surface.line is not None:
-        one, two = (np.array([number(x), number(y)]) for x, y in surface.line)
-        return one, (two - one) / np.hypot(*(two - one))
-    angle, through = number(surface.incline or 0), [number(text) for text in surface.through]
-    return np.array(through), np.array([np.cos(angle), np.sin(angle)])
 
 
 def _line_through(start: Array, direction: Array, box: tuple[Array, Array]) -> Array:

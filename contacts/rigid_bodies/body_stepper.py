@@ -7,7 +7,7 @@ gravity, forces and contact impulses move the bodies.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import get_args
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.couplings import ENABLED
+from contacts.dynamics.conditions import undecided_couplings
 from contacts.dynamics.controllers import Controllers, controlled_symbols, controller
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
@@ -39,12 +40,11 @@ from contacts.scene.parts import Simultaneous
 from contacts.scene.regions import BODY_EDGES, BODY_IMPACT, BODY_STATES
 from contacts.scene.scene import Scene
 from contacts.states import FREE, superstates_of
-from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.step_rejection import DEEPEST
 from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.regions import Region, State, StopCondition, stop_conditions
+from statechart.automaton.regions import Region, State, stop_conditions
 from statechart.automaton.time_stepper import DEFAULT_IMPULSES
 from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
 from statechart.formulas.formula import parse
@@ -88,7 +88,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
     rates = mechanics.controller_rates
 
     def stepper() -> BodyStepper:
-        return BodyStepper(declared, mechanics, stops, regions)
+        return BodyStepper(declared, mechanics, regions)
 
     return Automaton(
         name=scene.name,
@@ -119,12 +119,10 @@ class BodyStepper(Stepper):
         self,
         declared: Scene,
         mechanics: BodyMechanics,
-        stops: Sequence[StopCondition],
         regions: tuple[Region, ...],
     ) -> None:
         super().__init__(
             mechanics,
-            stops,
             regions,
             Controllers(mechanics),
             again=BODY_IMPACT,
@@ -137,7 +135,7 @@ class BodyStepper(Stepper):
         self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
         self._names = list(mechanics.scene.bodies)
         self._surfaces = touchable_surfaces(mechanics.scene)
-        self._warnings = lint(declared)
+        self._warnings = (*lint(declared), *undecided_couplings(mechanics))
 
     def own_step(self) -> float:
         """Return the default step size at the declared parameters; see `own_step`."""
@@ -149,7 +147,7 @@ class BodyStepper(Stepper):
         known = self._constants.values({})
         until = math.inf if end is None else parse(end).value(known)
         forced = forced_speed(
-            [self._bodies.forces_at(states, setup.values) for states in each],
+            [self._bodies.at(states).forces(setup.values) for states in each],
             bodies.numbers,
             setup.initial,
             until,
@@ -183,10 +181,7 @@ class BodyStepper(Stepper):
         if self._scene.couplings and failure is None:
             soon = _SOON * setup.scales.length / setup.scales.speed
             free = np.append(free, bodies.detect(setup.initial, 0.0, soon).couplings)
-        control = None
-        if self._scene.regions:
-            control = StepControl(self._bodies, self._controllers, setup, bodies, self._regions)
-        return RunInputs(setup, bodies, free, self._replaced_laws(setup), control, failure)
+        return RunInputs(setup, bodies, free, self._replaced_laws(setup), failure)
 
     def _new_run(
         self, overrides: Mapping[str, float], tolerance: float, forces: bool, step: float = 0.0
@@ -210,7 +205,7 @@ class BodyStepper(Stepper):
             return RigidBodyRun(names, surfaces, bodies, prescribed, options, start_depth, step)
 
         if self._scene.couplings:
-            tape = self._bodies.limits_at(self._scene.controlled.initial)
+            tape = self._bodies.at(self._scene.controlled.initial).limits
             bounds = tape.table(setup.initial[None], values, np.zeros(1)).reshape(-1, 3)
             check_limits([*self._scene.couplings], bounds[:, :ENABLED])
         bodies, depth, remarks = self._started(setup, bodies, known, run_of)

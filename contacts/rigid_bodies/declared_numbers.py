@@ -87,23 +87,16 @@ def surface_numbers(
 
 def _form(surface: Surface, number: Number) -> tuple[int, _Numbers]:
     """Return the kind of a surface, and its numbers."""
-    if surface.height is not None:
-        if "x" in parse(surface.height).names:
-            return GRAPH, (0.0, 0.0, 0.0, 0.0)
-        return LINE, (0.0, number(surface.height), 0.0, 1.0)
+    if surface.straight:
+        (x, y), (along, up) = surface.point_and_direction(number)
+        return LINE, (x, y, 0.0 - up, along)
     if surface.circle is not None and surface.radius is not None:
         x, y = (number(text) for text in surface.circle)
         return HOLLOW if surface.hollow else ROUND, (x, y, number(surface.radius), 0.0)
-    ends = surface.line or surface.edge
-    if ends is not None:
-        (x0, y0), (x1, y1) = ((number(x), number(y)) for x, y in ends)
-        if surface.edge is not None:
-            return PLATE, (x0, y0, x1, y1)
-        length = math.hypot(x1 - x0, y1 - y0)
-        return LINE, (x0, y0, (y0 - y1) / length, (x1 - x0) / length)
-    angle = number(surface.incline or 0)
-    x, y = (number(text) for text in surface.through)
-    return LINE, (x, y, -math.sin(angle), math.cos(angle))
+    if surface.edge is not None:
+        (x0, y0), (x1, y1) = ((number(x), number(y)) for x, y in surface.edge)
+        return PLATE, (x0, y0, x1, y1)
+    return GRAPH, (0.0, 0.0, 0.0, 0.0)
 
 
 @lru_cache(maxsize=16)

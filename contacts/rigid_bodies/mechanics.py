@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import ChainMap
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +24,6 @@ from contacts.scene.scene import Scene
 from contacts.scene.shapes import INDEX
 from contacts.time_stepping.stability import CHANGE, Stiffness, stiffness
 from statechart.arrays import Array, Ints
-from statechart.automaton.trace import Key
 from statechart.documents.fields import value_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
@@ -191,11 +190,7 @@ class BodyMechanics(Mechanics):
         parameters = body_parameters(scene)
         super().__init__(scene.model_copy(update={"bodies": single}), parameters)
         self.starts = Starts(scene, parameters)
-        # Tapes per combination of controller states, compiled on demand.
-        self._forces: dict[Key, tuple[Ints, Tape]] = {}
-        self._limits: dict[Key, Tape] = {}
-        self._given: dict[Key, Tape] = {}
-        self._flows: dict[Key, Tape] = {}
+        self._in_states = cache(lambda states: BodyTapes(self, dict(states)))
 
     @cached_property
     def energy(self) -> sp.Expr:
@@ -246,79 +241,76 @@ class BodyMechanics(Mechanics):
                     )  # fmt: skip
         return tuple(rows)
 
-    def control_values(self, states: Mapping[str, str]) -> Tape:
-        """Return the tape of `controlled_symbols` in these controller states."""
-        key = tuple(states.values())
-        if key not in self._given:
-            self._given[key] = self.whole_tape(
-                controlled_symbols(self), definitions=control_values(self, states)
-            )
-        return self._given[key]
+    def at(self, states: Mapping[str, str]) -> BodyTapes:
+        """Return the formulas in these controller states."""
+        return self._in_states(tuple(states.items()))
 
-    def flows_in(self, states: Mapping[str, str]) -> Tape:
-        """Return the rates of the controller variables in these states, over them and time."""
-        key = tuple(states.values())
-        if key not in self._flows:
-            self._flows[key] = compile_tape(
-                flows_in(self, states),
-                variables=tuple(self.controller_state.values()),
-                parameters=self.parameters.ordered,
-                time=self.time,
-                definitions=self.controlled(states),
-            )
-        return self._flows[key]
 
-    def forces_at(self, states: Mapping[str, str], values: Array) -> Forces:
-        """Return the forces on bodies in these controller states."""
-        key = tuple(states.values())
-        if key not in self._forces:
-            self._forces[key] = self._force_tape(states)
-        return Forces(*self._forces[key], values)
+class BodyTapes:
+    """Formulas in given controller states, compiled on first use."""
 
-    def limits_at(self, states: Mapping[str, str]) -> Tape:
-        """Return the tape of the limits of couplings in these controller states.
+    def __init__(self, mechanics: BodyMechanics, states: Mapping[str, str]) -> None:
+        self._mechanics, self._states = mechanics, states
+        self._definitions = mechanics.controlled(states)
 
-        See `contacts.collision_detection.couplings.STATIC`.
-        """
-        key = tuple(states.values())
-        if key not in self._limits:
-            found: list[sp.Expr] = []
-            for name in self.scene.couplings:
-                gate = self.gate(name)
-                found += [*self.limits(name), sp.S.One if gate is None else gate.by_steps({})]
-            self._limits[key] = self.whole_tape(found, definitions=self.controlled(states))
-        return self._limits[key]
+    @cached_property
+    def controls(self) -> Tape:
+        """The tape of `controlled_symbols`."""
+        mechanics, values = self._mechanics, control_values(self._mechanics, self._states)
+        return mechanics.whole_tape(controlled_symbols(mechanics), definitions=values)
 
-    def _force_tape(self, states: Mapping[str, str]) -> tuple[Ints, Tape]:
-        """Return the bodies on which forces act, and the tape of the forces."""
-        found: dict[int, list[sp.Expr]] = {}
-        for force in self.scene.forces.values():
+    @cached_property
+    def flows(self) -> Tape:
+        """Rates of the controller variables, over them and time."""
+        mechanics = self._mechanics
+        return compile_tape(
+            flows_in(mechanics, self._states),
+            variables=tuple(mechanics.controller_state.values()),
+            parameters=mechanics.parameters.ordered,
+            time=mechanics.time,
+            definitions=self._definitions,
+        )
+
+    @cached_property
+    def limits(self) -> Tape:
+        """Limits of couplings; see `contacts.collision_detection.couplings.STATIC`."""
+        mechanics, found = self._mechanics, list[sp.Expr]()
+        for name in mechanics.scene.couplings:
+            gate = mechanics.gate(name)
+            found += [*mechanics.limits(name), sp.S.One if gate is None else gate.by_steps({}, {})]
+        return mechanics.whole_tape(found, definitions=self._definitions)
+
+    def forces(self, values: Array) -> Forces:
+        """Return the forces on bodies."""
+        return Forces(*self._forces, values)
+
+    @cached_property
+    def _forces(self) -> tuple[Ints, Tape]:
+        """The bodies on which forces act, and the tape of the forces."""
+        mechanics, found = self._mechanics, dict[int, list[sp.Expr]]()
+        for force in mechanics.scene.forces.values():
             for place, known in self._each(force.body):
                 fx, fy = (parse(text).to_sympy(known) for text in force.force)
                 ax, ay = (parse(text).to_sympy(known) for text in force.at)
-                _, angle = self.body_frame(list(self.scene.bodies)[place])
+                _, angle = mechanics.body_frame(list(mechanics.scene.bodies)[place])
                 c, s = sp.cos(angle), sp.sin(angle)
                 turn = parse(force.moment).to_sympy(known)
                 turn += (c * ax - s * ay) * fy - (s * ax + c * ay) * fx
                 before = found.get(place, [sp.S.Zero] * 3)
                 found[place] = [a + b for a, b in zip(before, (fx, fy, turn), strict=True)]
-        tape = self.whole_tape(
-            [expression for three in found.values() for expression in three],
-            definitions=self.controlled(states),
-        )
+        expressions = [expression for three in found.values() for expression in three]
+        tape = mechanics.whole_tape(expressions, definitions=self._definitions)
         return np.array([*found], dtype=np.int64), tape
 
     def _each(self, body: str) -> Iterator[tuple[int, Mapping[str, sp.Expr]]]:
         """Yield the places of a body or its copies, with the symbols of their formulas."""
-        for place, (name, owner) in enumerate(zip(self.scene.bodies, self.owners, strict=True)):
-            if body in (owner, name) and self.scene.bodies[name].linked:
-                yield place, ChainMap(self.known, self.placed)
-            elif body in (owner, name):
-                own = {
-                    f"{body}.{c}": self.known[f"{name}.{c}"]
-                    for c in ("x", "y", "angle", "dx", "dy", "dangle")
-                }
-                yield place, ChainMap(own, self.known, self.placed)
+        mechanics, scene = self._mechanics, self._mechanics.scene
+        for place, (name, owner) in enumerate(zip(scene.bodies, mechanics.owners, strict=True)):
+            if body not in (owner, name):
+                continue
+            components = () if scene.bodies[name].linked else _KEYS
+            own = {f"{body}.{c}": mechanics.known[f"{name}.{c}"] for c in components}
+            yield place, ChainMap(own, mechanics.known, mechanics.placed)
 
 
 def _at_its_place(body: Body, number: str) -> Body:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,6 @@ from contacts.scene.expansion import captured_variables
 from contacts.scene.joints import Path
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
-from statechart.automaton.trace import Key
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText
 from statechart.errors import NonFinite
@@ -52,38 +51,35 @@ class Paths:
         self._scene, self._names = scene, tuple(scene.parameters)
         self.leads = bool(self._moved or self.led)
         self.any = bool(self.leads or self._joints)
-        # Tapes per combination of controller states, since paths of bodies may use controls.
-        self._tapes: dict[Key, Tape] = {}
+        # Per combination of controller states, since paths of bodies may use controls.
+        self._tapes = cache(self._tape)
 
-    def _tape(self, states: Mapping[str, str]) -> Tape:
+    def _tape(self, states: tuple[tuple[str, str], ...]) -> Tape:
         """Return the tape of all paths over controller variables, parameters and time."""
-        key = tuple(states.values())
-        if key not in self._tapes:
-            scene = self._scene
-            parameters, time = symbols_of(self._names), sp.Symbol("t", real=True)
-            remembered, sets = scene.controlled.controller_state, dict[str, FormulaText]()
-            memory = {name: sp.Symbol(f"w{i}", real=True) for i, name in enumerate(remembered)}
-            known = {TIME: time, **memory, **dict(zip(self._names, parameters, strict=True))}
-            expressions = [
-                e
-                for s in self._moved
-                for e in surface_frame(scene.surfaces[touchable_surfaces(scene)[s]], known)
-            ]
-            for joint in scene.joints.values():
-                path = joint.to if isinstance(joint.to, Path) else Path(x=0, y=0)
-                expressions += [parse(text or 0).to_sympy(known) for text in (path.x, path.y)]
-            for region, state in states.items():
-                sets |= scene.controlled.values(region, state)
-            for control in scene.controlled.order:
-                # Controls that depend on bodies occur in no path.
-                if parse(sets[control]).names <= known.keys():
-                    known[control] = parse(sets[control]).to_sympy(known)
-            for body in self._led.values():
-                expressions += [parse(text).to_sympy(known) for text in body.path]
-            self._tapes[key] = compile_tape(
-                expressions, variables=tuple(memory.values()), parameters=parameters, time=time
-            )
-        return self._tapes[key]
+        scene = self._scene
+        parameters, time = symbols_of(self._names), sp.Symbol("t", real=True)
+        remembered, sets = scene.controlled.controller_state, dict[str, FormulaText]()
+        memory = {name: sp.Symbol(f"w{i}", real=True) for i, name in enumerate(remembered)}
+        known = {TIME: time, **memory, **dict(zip(self._names, parameters, strict=True))}
+        expressions = [
+            e
+            for s in self._moved
+            for e in surface_frame(scene.surfaces[touchable_surfaces(scene)[s]], known)
+        ]
+        for joint in scene.joints.values():
+            path = joint.to if isinstance(joint.to, Path) else Path(x=0, y=0)
+            expressions += [parse(text or 0).to_sympy(known) for text in (path.x, path.y)]
+        for region, state in states:
+            sets |= scene.controlled.values(region, state)
+        for control in scene.controlled.order:
+            # Controls that depend on bodies occur in no path.
+            if parse(sets[control]).names <= known.keys():
+                known[control] = parse(sets[control]).to_sympy(known)
+        for body in self._led.values():
+            expressions += [parse(text).to_sympy(known) for text in body.path]
+        return compile_tape(
+            expressions, variables=tuple(memory.values()), parameters=parameters, time=time
+        )
 
     def none(self, count: int) -> Positions:
         """Return the positions of a scene without paths."""
@@ -103,8 +99,8 @@ class Paths:
             return self.none(count)
         frames = np.zeros((count, self._surfaces, 3))
         values = np.array([known[name] for name in self._names], dtype=float)
-        tape = self._tape(states or self._scene.controlled.initial)
-        found = tape.table(memories, values, times)
+        states = states or self._scene.controlled.initial
+        found = self._tapes(tuple(states.items())).table(memories, values, times)
         of_joints, of_bodies = 3 * moved, 3 * moved + 2 * joints
         frames[:, self._moved] = found[:, :of_joints].reshape(count, moved, 3)
         places = np.array(found[:, of_joints:of_bodies]).reshape(count, joints, 2)
@@ -174,7 +170,6 @@ class PrescribedMotion:
         self._known, self._values = known, values
         self.controlled = bool(mechanics.scene.regions)
         self.joints, self.leads = tuple(mechanics.scene.joints), paths.leads
-        self.couplings = tuple(mechanics.scene.couplings)
         # Positions at the last detection, and its step size.
         self._last: tuple[Positions, float] | None = None
         self._saved: tuple[Positions, float] | None = None
@@ -188,10 +183,9 @@ class PrescribedMotion:
     def switch(self, states: Mapping[str, str]) -> None:
         """Change the states of the controllers."""
         self._states = states
-        self.forces = self._mechanics.forces_at(states, self._values)
-        tape = self._mechanics.limits_at(states)
+        self._tapes = self._mechanics.at(states)
+        self.forces, tape = self._tapes.forces(self._values), self._tapes.limits
         self._limits = LimitProgram(tape.code, tape.constants, tape.outputs, self._values)
-        self._controls = self._mechanics.control_values(states)
 
     def captured(self, joint: str, remembered: Array) -> dict[str, float]:
         """Return the pose that a joint captured as it closed: x, y and turn."""
@@ -227,8 +221,7 @@ class PrescribedMotion:
         number = round(start / h)
         first = number if abs(start - number * h) <= _SAME_MOTION * h else start / h
         times: Array = h * (first + 0.5 * np.arange(2 * count + 2, dtype=float))
-        flows = self._mechanics.flows_in(self._states)
-        memories = integrate(flows, self._values, remembered, times)
+        memories = integrate(self._tapes.flows, self._values, remembered, times)
         variables = np.concatenate([memories[:1], memories[1::2]])
         if not self._paths.any:
             return (
@@ -302,7 +295,7 @@ class PrescribedMotion:
     def control_values(self, start: float, h: float, states: Array) -> Array:
         """Return the controls (k, c) at the midpoints of steps between states (k + 1, w)."""
         times: Array = start + h * (0.5 + np.arange(len(states) - 1.0))
-        return self._controls.table(0.5 * (states[:-1] + states[1:]), self._values, times)
+        return self._tapes.controls.table(0.5 * (states[:-1] + states[1:]), self._values, times)
 
     def passed(self, count: int) -> None:
         """Note how many of the prescribed steps were taken."""

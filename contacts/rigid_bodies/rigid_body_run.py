@@ -40,7 +40,7 @@ from contacts.time_stepping.chunk import (
     SteppedSystem,
 )
 from contacts.time_stepping.stability import UNSTABLE, Held, check_stiffness
-from contacts.time_stepping.step_rejection import HELPLESS, depth_left, invalid_limit
+from contacts.time_stepping.step_rejection import HELPLESS, depth_left
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
 from statechart.errors import (
@@ -455,8 +455,6 @@ class RigidBodyRun(SteppedSystem):
             else:
                 self._parted, self._most_parts = self._parted + 1, max(self._most_parts, most)
         self._check_finite(chunk, status)
-        if len(self.numbers.couplings.holds):
-            chunk = self._with_limits(chunk, start)
         if len(self.numbers.joints.kinds):
             chunk = self._without_gain(chunk)
             if not len(chunk.codes) and self._gain_error is not None:
@@ -470,19 +468,6 @@ class RigidBodyRun(SteppedSystem):
         self._turned = max(self._turned, float(np.max(turns, where=struck, initial=0.0)))
         self._length = max(self._length, h)
         return chunk
-
-    def _with_limits(self, chunk: Chunk, start: float) -> Chunk:
-        """Return the steps before a coupling has no valid limit.
-
-        Raises `NoConsistentMode` if the first step has none.
-        """
-        wrong = ~(chunk.gaps[:, self._moving :] >= 0.0)
-        if not wrong.any():
-            return chunk
-        k, c = (int(i) for i in np.argwhere(wrong)[0])
-        if k == 0:
-            raise invalid_limit(self._prescribed.couplings[c], start + chunk.h)
-        return chunk.first(k)
 
     def _without_gain(self, chunk: Chunk) -> Chunk:
         """Return the steps before joints have added too much energy, relative to the kinetic one.

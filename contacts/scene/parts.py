@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Callable
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
@@ -338,6 +340,25 @@ class Surface(Part):
     def pivot(self) -> Pair:
         """Centre of its turn."""
         return self.through if self.circle is None else self.circle
+
+    @property
+    def straight(self) -> bool:
+        """True if it is a straight line without ends."""
+        graph = self.height is not None and "x" in parse(self.height).names
+        return not graph and self.edge is None and self.circle is None
+
+    def point_and_direction(
+        self, number: Callable[[FormulaText], float]
+    ) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return a point of a straight surface and its direction, the solid on the right."""
+        if self.height is not None:
+            return (0.0, number(self.height)), (1.0, 0.0)
+        if self.line is not None:
+            (x0, y0), (x1, y1) = ((number(x), number(y)) for x, y in self.line)
+            length = math.hypot(x1 - x0, y1 - y0)
+            return (x0, y0), ((x1 - x0) / length, (y1 - y0) / length)
+        angle, (x, y) = number(self.incline or 0), self.through
+        return (number(x), number(y)), (math.cos(angle), math.sin(angle))
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:

@@ -125,10 +125,7 @@ class StepControl:
         time = np.array([recorder.clock.high])
         if not self._begun:
             self._begun = True
-            for name, region in self._controllers.items():
-                state = self._memory.updated(
-                    self._setup, recorder.clock, name, region.begins, state
-                )
+            state = self._memory.begun(self._setup, recorder.clock, state)
         for _ in range(_MOST_TURNS):
             watched = self._states.guards(self.states).watch.guards
             at_end = time, state[None], solved[None]
@@ -285,14 +282,9 @@ class StepControl:
     ) -> set[tuple[int, int]]:
         """Return the event guards that hold at the end of a step."""
         guards = self._states.guards(self.states, at_events=True)
-        rows = guards.table(self._setup, times, states, solved[:, self._order])
-        margin, size = rows[..., 0], rows[..., 1]
-        zero = self._setup.rounded * size
-        atoms = margin <= np.where(guards.watch.closed, zero, -zero)
-        held = guards.watch.truths(atoms, self._active.at(codes, self.states))[0]
-        return {
-            (g.place, g.trigger) for g, now in zip(guards.watch.guards, held, strict=True) if now
-        }
+        rows = guards.table(self._setup, times, states, solved[:, self._order])[0]
+        active = self._active.at(codes, self.states)
+        return guards.watch.holding(rows, self._setup.rounded, lambda *of: bool(active(*of)[0]))
 
 
 def _simultaneous(jumps: Sequence[Jump]) -> Iterator[Sequence[Jump]]:

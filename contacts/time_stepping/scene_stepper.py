@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -19,10 +19,9 @@ from contacts.dynamics.starting import (
     check_joints,
     check_limits,
     check_start,
-    displaced_surface_error,
     hovering_warnings,
-    surface_jump_error,
 )
+from contacts.dynamics.surface_jumps import modes_after_jump
 from contacts.scene.lint import NEARLY_MEETING, goes_off_warning, stays_off_warning
 from contacts.solvers.contact_rows import STEEPEST
 from contacts.solvers.dependence import independent_rows
@@ -33,15 +32,14 @@ from contacts.states import (
     LOCKED,
     OFF,
     OFF_CODE,
+    OPEN,
     OPEN_CODE,
     PIN,
-    SLIDE,
     SLIDE_MINUS,
     SLIDE_PLUS,
     STATES,
 )
 from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem
-from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
 from contacts.time_stepping.equations import ContactHistory, StepConstants
 from contacts.time_stepping.scene_step import step_scene
@@ -49,12 +47,11 @@ from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.solver_residual import INDETERMINATE
 from contacts.time_stepping.stability import Swings, check_swing, remarks
 from contacts.time_stepping.step_contacts import mode_of_impulse
-from contacts.time_stepping.step_rejection import depth_left, invalid_limit
+from contacts.time_stepping.step_rejection import depth_left
 from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Region, StopCondition
-from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, NonFinite, SimulationError, SingularMode
 from statechart.kernels.boxes import Steps, bind_tape, bound_third_derivatives, enclose
 from statechart.kernels.jit import kernel
@@ -144,13 +141,7 @@ class SteppedTapes(Controllers):
 
     def __init__(self, mechanics: Mechanics) -> None:
         super().__init__(mechanics)
-        self._tapes: dict[Key, SteppedTape] = {}
-
-    def at(self, states: Key) -> SteppedTape:
-        """Return the equations in these states."""
-        if states not in self._tapes:
-            self._tapes[states] = SteppedTape(self._mechanics, self.named(states))
-        return self._tapes[states]
+        self.at = cache(lambda states: SteppedTape(mechanics, self.named(states)))
 
 
 class SteppedScene(SteppedSystem):
@@ -202,35 +193,23 @@ class SteppedScene(SteppedSystem):
         self._use(self._tapes.at(tuple(states.values())), contacts)
         if not was.scene.leading:
             return {}, False
-        memory, now = self._step_state.contacts, self._source.contacts(self._values, after, time)
-        old = was.contacts(self._values, before, time)
-        near, deep = self._near, np.minimum(old[:, 0], 0.0) - now[:, 0]
-        # Compliant contacts follow any motion of a surface.
-        rigid = np.array(
-            [contact.stiffness is None for contact in was.scene.contacts.values()]
-            + [False] * was.couplings,
-            np.bool_,
-        )
-        for i in np.flatnonzero(rigid & ~memory.disabled & (deep > near)).tolist():
-            surface = was.scene.contacts[was.names[i]].surface
-            raise displaced_surface_error(surface, was.names[i], -float(now[i, 0]))
+        memory, codes = self._step_state.contacts, self._step_state.codes
+        mode = tuple(STATES[i] for i in np.where(memory.disabled, OFF_CODE, codes).tolist())
+        old = was.contacts(self._values, before, time)[:, :3]
+        now = self._source.contacts(self._values, after, time)[:, :3]
+        tolerances = {"gap": self._near, "speed": self._still}
+        modes, parts = modes_after_jump(was.scene, contacts, tolerances, mode, old, now)
         # A contact that a surface strikes or leaves does not last.
-        parts = rigid & (np.abs(now - old)[:, :2] > [near, self._still]).any(axis=1)
         memory.closed[parts] = False
-        codes, slips = self._step_state.codes, np.abs(now[:, 2]) > self._still
-        touched = (codes != FREE) & ~memory.disabled
-        touched[len(rigid) - was.couplings :] = False
-        slips &= touched & (codes != SLIDE) & (np.abs(now - old)[:, 2] > self._still)
-        after = np.where(slips, np.where(now[:, 2] > 0.0, SLIDE_PLUS, SLIDE_MINUS), codes)
-        after[touched & parts] = FREE
-        switched = {i: int(after[i]) for i in np.flatnonzero(after != codes).tolist()}
+        closed = [one not in OPEN for one in mode]
+        switched = {
+            i: _CODES[new]
+            for i, (new, state) in enumerate(zip(modes, mode, strict=True))
+            if new != state
+        }
         for i, code in switched.items():
-            if self._undeclared[i, code]:
-                raise surface_jump_error(
-                    was.scene.contacts[was.names[i]].surface, was.names[i], STATES[code]
-                )
             codes[i] = memory.modes[i] = code
-        return switched, bool((touched & parts & (now[:, 1] < -self._still)).any())
+        return switched, bool((closed & parts & (now[:, 1] < -self._still)).any())
 
     def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Set equations and coefficients."""
@@ -455,9 +434,7 @@ class SteppedScene(SteppedSystem):
         codes[turning] = np.where(slid, before, SLIDE_PLUS)[turning]
         self._step_state.codes = codes[-1] if len(codes) else self._step_state.codes
         places = np.arange(codes.shape[1])
-        # Limits of couplings, the last contacts, must not be negative.
-        coupled = places >= len(places) - self._source.couplings
-        wrong = self._undeclared[places, codes] | (coupled & (chunk.gaps < 0.0))
+        wrong = self._undeclared[places, codes]
         np.copyto(shown, codes, where=self._undeclared[places, shown])
         if len(self._source.hauled):
             times = start + h * np.arange(1, len(codes) + 1)
@@ -478,8 +455,6 @@ class SteppedScene(SteppedSystem):
     def _refusal(self, contact: int, code: int, end: float) -> NoConsistentMode:
         """Return the error of a contact that does not declare a mode of a step."""
         name, state = self._source.names[contact], STATES[code]
-        if contact >= len(self._source.names) - self._source.couplings:
-            return invalid_limit(name, end)
         if contact in self._source.hauled:
             return winch_end_message(name, end)
         if not self._undeclared[contact, code]:
@@ -551,7 +526,6 @@ class SceneStepper(Stepper):
         places = np.vstack([rigid, np.repeat(2 * c + np.arange(couplings)[:, None], 2, axis=1)])
         super().__init__(
             mechanics,
-            stops,
             regions,
             self._tapes,
             again="jam",
@@ -574,19 +548,14 @@ class SceneStepper(Stepper):
         except SimulationError as error:
             failure = error
         scene = SteppedScene(self._tapes, self._numbers, setup, off, allowed)
-        if not self._scene.regions:
-            return RunInputs(setup, scene, codes, warnings, None, failure, scene.change)
-        control = StepControl(self._mechanics, self._tapes, setup, scene, self._regions)
-        return RunInputs(setup, scene, codes, warnings, control, failure)
+        change = None if self._scene.regions else scene.change
+        return RunInputs(setup, scene, codes, warnings, failure, change)
 
     def _checked(self, setup: SceneSetup, allowed: float) -> tuple[Ints, Bools, tuple[str, ...]]:
         """Check the initial state; return initial modes, disabled contacts, warnings."""
         warnings = [*self._replaced_laws(setup), *self._cut(setup)]
         memory = ControllerState(self._mechanics)
-        initial = setup.initial
-        for region in self._scene.controlled.flat.values():
-            initial = memory.updated(setup, Clock(), region.name, region.begins, initial)
-        setup = replace(setup, initial=initial)
+        setup = replace(setup, initial=memory.begun(setup, Clock(), setup.initial))
         within = memory.within(setup, setup.initial)
         within = replace(within, initial=memory.parted(setup.initial))
         if self._mechanics.joint_rows:

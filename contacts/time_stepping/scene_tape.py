@@ -68,7 +68,7 @@ class SteppedTape:
             rolling = mechanics.scene.couplings.get(name)
             if isinstance(rolling, Rolling):
                 self.carriers[i] = self.names.index(rolling.contact)
-        rigid = self.names[: len(self.names) - self.couplings]
+        rigid, sizes = self.names[: len(self.names) - self.couplings], mechanics.sizes
         for name in self.names:
             geometry = mechanics.contact(name)
             symbols = geometry.symbols
@@ -83,11 +83,11 @@ class SteppedTape:
             # Surface velocities depend on controller states.
             outputs += [term.xreplace(known) for term in motion] if self.scene.leading else motion
             gate = mechanics.gate(name)
-            holds = sp.S.One if gate is None else gate.by_steps(known)
+            holds = sp.S.One if gate is None else gate.by_steps(known, sizes)
             outputs.append(holds)
             for acute in (False, True):
                 valleys = {} if coupled else mechanics.valleys(name, acute=acute)
-                outputs.append(holds if gate is None else gate.by_steps(known, valleys))
+                outputs.append(holds if gate is None else gate.by_steps(known, sizes, valleys))
             edges = (
                 2 * _kinetic_edge(static, kinetic) if coupled else mechanics.sliding_edges(symbols)
             )
@@ -105,7 +105,7 @@ class SteppedTape:
             [
                 sp.Max(
                     mechanics.contact(name).symbols.gap.xreplace(known),
-                    *(() if gate is None else (-gate.by_steps(known),)),
+                    *(() if gate is None else (-gate.by_steps(known, sizes),)),
                 )
                 for name, gate in zip(rigid, map(mechanics.gate, rigid), strict=True)
             ]

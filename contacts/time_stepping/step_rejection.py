@@ -30,7 +30,7 @@ class Rejection(NamedTuple):
     """A rejected step."""
 
     step: int  # Its index in the chunk.
-    why: StepTooLarge | UnsolvedImpulses
+    why: StepTooLarge | UnsolvedImpulses | NoConsistentMode
     deep: str = ""  # The region that penetrates too far, if that is why.
 
 
@@ -171,9 +171,17 @@ def _gaps(chunk: Chunk) -> Array:
     return found
 
 
-def invalid_limit(name: str, end: float) -> NoConsistentMode:
-    """Return the error of a coupling whose limit is negative, or has no value."""
-    return NoConsistentMode(
-        f"coupling {name!r}: its limit is below zero or has no value by t = {end:.9g}; a coupling "
-        "that lets go is one with enabled: RELATION"
-    )
+def without_limit(chunk: Chunk, start: float, couplings: Sequence[str]) -> Rejection | None:
+    """Return the first step in which the limit of a coupling is negative, or has no value.
+
+    The last gaps of a step are the limits of couplings.
+    """
+    wrong = np.argwhere(~(chunk.gaps[:, chunk.gaps.shape[1] - len(couplings) :] >= 0.0)).tolist()
+    if not wrong:
+        return None
+    (k, c), *_ = wrong
+    return Rejection(k, NoConsistentMode(
+        f"coupling {couplings[c]!r}: its limit is below zero or has no value by "
+        f"t = {start + (k + 1) * chunk.h:.9g}; a coupling that lets go is one with "
+        "enabled: RELATION"
+    ))  # fmt: skip

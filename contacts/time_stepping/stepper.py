@@ -52,19 +52,18 @@ from contacts.time_stepping.step_rejection import (
     SqueezeCheck,
     squeezed,
     too_large,
+    without_limit,
 )
 from contacts.time_stepping.stop_conditions import StopConditions, StopTapes
 from statechart import interrupts
 from statechart.arrays import EPS, Bools, Ints
-from statechart.automaton.regions import Region, StopCondition
+from statechart.automaton.regions import Region
 from statechart.automaton.time_stepper import (
     DEFAULT_IMPULSES,
-    RECORD_ALL,
-    Impulses,
-    RecordingPolicy,
     Sample,
     Sampling,
-    in_order,
+    StepRequest,
+    unread,
 )
 from statechart.automaton.trace import (
     FAR_TOO_MANY,
@@ -90,25 +89,9 @@ class RunInputs(NamedTuple):
     system: SteppedSystem
     codes: Ints  # (r,): initial modes, codes of `contacts.states`.
     warnings: tuple[str, ...]  # Besides those of the setup.
-    control: StepControl | None = None
     failure: SimulationError | None = None  # Why no step can be taken.
     # Changes values of parameters and returns the setup; None if unsupported.
     change: Callable[[Mapping[str, float]], SceneSetup] | None = None
-
-
-class Span(NamedTuple):
-    """Step size, end, limits, progress display and recording policy of a run.
-
-    It yields after each `every`, at least.
-    """
-
-    step: float
-    until: float
-    max_jumps: int
-    impulses: Impulses
-    show: Callable[[float, int, int], None]
-    every: float = math.inf
-    policy: RecordingPolicy = RECORD_ALL
 
 
 # Largest chunk, within which no signal is handled, and its target of iterations times contacts,
@@ -124,14 +107,17 @@ _TIMED_STEPS = 2**15
 
 
 class SteppedRun:
-    """A stepped run in progress."""
+    """A stepped run in progress; it yields after each `every`, at least."""
 
-    def __init__(self, stepper: Stepper, inputs: RunInputs, span: Span) -> None:
-        self._inputs, self.stepper, self.span = inputs, stepper, span
-        self.setup, self.system, self.control = inputs.setup, inputs.system, inputs.control
-        values, (record, watch) = self.setup.values, span.policy
+    def __init__(
+        self, stepper: Stepper, inputs: RunInputs, request: StepRequest, every: float = math.inf
+    ) -> None:
+        self._inputs, self.stepper, self.request, self._every = inputs, stepper, request, every
+        self.setup, self.system = inputs.setup, inputs.system
+        self.control = stepper.control(inputs)
+        values, (record, watch) = self.setup.values, request.policy
         # Controllers react to the events of regions.
-        records = record is Record.MODES or inputs.control is not None
+        records = record is Record.MODES or self.control is not None
         self.recorder = Recorder(
             stepper.regions[: len(inputs.codes)],
             inputs.codes,
@@ -147,8 +133,8 @@ class SteppedRun:
         self.state = self.setup.initial
         self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
         self.outcome, self.message = Outcome.HORIZON, ""
-        self.solver_residual = SolverResidual(span.impulses)
-        self._squeeze = SqueezeCheck(stepper.regions, span.step, inputs.setup.start_depth)
+        self.solver_residual = SolverResidual(request.impulses)
+        self._squeeze = SqueezeCheck(stepper.regions, request.step, inputs.setup.start_depth)
         poses = record is Record.POSES
         self._poses = PoseRecorder(len(stepper.angles)) if poses else None
         self._turning = len(stepper.angles) + np.flatnonzero(stepper.angles)
@@ -175,14 +161,14 @@ class SteppedRun:
             self.end(Outcome[error.outcome], f"t = {self.time:.6g}: {error}")
 
     def _steps(self) -> Iterator[bool]:
-        step, until = self.span.step, self.span.until
+        step, until = self.request.step, self.request.until
         met = self.stops.at_start(self.state, self.recorder)
         if met is not None:
             self._stop(met)
             return
         yield True
         if self.control is not None:
-            solved = self.stops.unknown(self.state)
+            solved = self.stops.unknown()
             self.state = self.control.turn(self.recorder, (), self.state, solved, step)
         whole = math.floor(min(until / step * (1.0 + 4e-16), _COUNTED))
         rest = until - whole * step
@@ -193,7 +179,7 @@ class SteppedRun:
             counts = [(whole - 1, step), (2, 0.5 * (step + rest))]
         largest = max(1, min(_CHUNK, _CHUNK_BYTES // (TERMS * self.state.nbytes)))
         most = min(largest, max(1, _CHUNK // max(1, len(self.stepper.regions))))
-        each = max(1, round(min(self.span.every / step, _COUNTED)))
+        each = max(1, round(min(self._every / step, _COUNTED)))
         for count, h in counts:
             # A step may be split into a power of two of parts.
             done = 0.0
@@ -227,7 +213,7 @@ class SteppedRun:
                         self.recorder, fresh, self.state, chunk.solved[-1], h
                     )
                 done += len(chunk.codes) * (chunk.h / h)
-                if self.span.every == math.inf or done % each == 0.0:
+                if self._every == math.inf or done % each == 0.0:
                     yield True
         self.time = until
         self.message = f"reached t = {until:.6g}"
@@ -235,6 +221,10 @@ class SteppedRun:
     def _accept(self, chunk: Chunk, start: float) -> bool:
         """Record steps; return whether the run ends in them."""
         failure: SimulationError | None = None
+        rejection = without_limit(chunk, start, self.stepper.couplings)
+        if rejection is not None:
+            failure = rejection.why
+            chunk = chunk.first(rejection.step)
         rejection = self._rejected(chunk, start)
         if rejection is not None:
             failure = rejection.why
@@ -269,19 +259,19 @@ class SteppedRun:
         self.taken += len(chunk.codes)
         self.state = chunk.states[-1]
         self.time = start + len(chunk.codes) * chunk.h
-        self.span.show(self.time, self.recorder.count, self.taken)
+        self.request.show(self.time, self.recorder.count, self.taken)
         if stopped is not None:
             self.state = self.stops.locate(self.recorder, stopped[1])
             self._stop(stopped[1])
             return True
         if failure is not None:
             raise failure
-        if self.span.policy.record is Record.NOTHING:
+        if self.request.policy.record is Record.NOTHING:
             return False
-        modes = self.span.policy.record is Record.MODES
+        modes = self.request.policy.record is Record.MODES
         jumps = self.recorder.count if modes else len(self.recorder.control_jumps)
-        if jumps >= self.span.max_jumps:
-            self.end(Outcome.TOO_MANY_JUMPS, pluralise(self.span.max_jumps, "jump"))
+        if jumps >= self.request.max_jumps:
+            self.end(Outcome.TOO_MANY_JUMPS, pluralise(self.request.max_jumps, "jump"))
             return True
         self.size += chunk.states[1:].nbytes + chunk.solved.nbytes
         self.size += chunk.impulses.nbytes if modes else 0
@@ -292,7 +282,7 @@ class SteppedRun:
 
     def _hand_on(self, *, ended: bool = False) -> None:
         """Pass finished arcs and jumps to the watcher, and drop them if they are not recorded."""
-        record, watch = self.span.policy
+        record, watch = self.request.policy
         if record is not Record.MODES:
             looked_at = watch is not None and (ended or watch.motion)
             arcs, jumps = self.recorder.taken(looked_at=looked_at)
@@ -306,7 +296,7 @@ class SteppedRun:
 
     def _check_pace(self) -> None:
         """Raise `TooLong` if the trace of a run without stop conditions would be too large."""
-        steps = self.span.until / self.span.step
+        steps = self.request.until / self.request.step
         most = FAR_TOO_MANY * LARGEST
         if self.taken >= _TIMED_STEPS and not self.stepper.stops.names:
             needed = self.size / self.taken * steps
@@ -318,7 +308,7 @@ class SteppedRun:
 
     def _rejected(self, chunk: Chunk, start: float) -> Rejection | None:
         """Return the first rejected step."""
-        regions, size, step = self.stepper.regions, self.setup.scales.length, self.span.step
+        regions, size, step = self.stepper.regions, self.setup.scales.length, self.request.step
         rejection = too_large(chunk, self._turning, regions, size, step)
         if rejection is None or not rejection.deep:
             return rejection
@@ -340,7 +330,7 @@ class SteppedRun:
 
     def trace(self) -> Trace:
         """Return the trace."""
-        recorder, (record, watch) = self.recorder, self.span.policy
+        recorder, (record, watch) = self.recorder, self.request.policy
         recorder.close()
         self._hand_on(ended=True)
         if record is Record.MODES:
@@ -363,7 +353,7 @@ class SteppedRun:
             regions, start, final = (), (), ()
         tolerances = dict(self.setup.tolerances)
         # A landing depth is at most that of one step, and remains.
-        landed = self.setup.start_depth + self.span.step * self.fastest
+        landed = self.setup.start_depth + self.request.step * self.fastest
         tolerances["gap"] = max(tolerances["gap"], landed)
         tolerances["impulse"] = self.solver_residual.residual
         return Trace(
@@ -401,7 +391,7 @@ class SteppedRun:
                 "modes_built": 0,
                 **self.solver_residual.counts,
             },
-            step=self.span.step,
+            step=self.request.step,
             margins=self.system.margins,
             undetermined=recorder.indeterminate if record is Record.MODES else {},
             record=record,
@@ -423,7 +413,6 @@ class Stepper(ABC):
     def __init__(
         self,
         mechanics: Mechanics,
-        stops: Sequence[StopCondition],
         regions: Sequence[Region],
         controllers: Controllers,
         *,
@@ -434,13 +423,14 @@ class Stepper(ABC):
         self._mechanics, self._scene, self._regions = mechanics, mechanics.scene, regions
         self.name = mechanics.scene.name
         self._controllers, self.controls = controllers, controllers.initial
+        self.couplings = tuple(mechanics.scene.couplings)
         self.names = (*mechanics.variable_names, *mechanics.controller_state)
         self.parameter_names = mechanics.parameters.names
         self.regions = tuple(region.name for region in regions)
         self.again, self.forces, self.sticks = again, forces, sticks
         self.angles = np.array([name.endswith(".angle") for name in mechanics.names])
         unknowns = (*mechanics.a, *mechanics.unknown_forces, *controlled_symbols(mechanics))
-        self.stops = StopTapes(mechanics, stops, unknowns, regions)
+        self.stops = StopTapes(mechanics, unknowns, regions)
         self.energy: Tape = mechanics.whole_tape([mechanics.energy])
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
@@ -451,58 +441,31 @@ class Stepper(ABC):
         states = tuple(STATES[code] for code in inputs.codes.tolist())
         return (*states, *self.controls), (*inputs.setup.warnings, *inputs.warnings)
 
-    def run(
-        self,
-        overrides: Mapping[str, float],
-        *,
-        step: float,
-        until: float,
-        max_jumps: int,
-        show: Callable[[float, int, int], None],
-        impulses: Impulses = DEFAULT_IMPULSES,
-        policy: RecordingPolicy = RECORD_ALL,
-    ) -> Trace:
+    def run(self, overrides: Mapping[str, float], request: StepRequest) -> Trace:
         """Run from the declared initial state; see `TimeStepper.run`."""
-        record, watch = policy
+        record, watch = request.policy
         forces = record is not Record.NOTHING or (watch is not None and watch.motion)
-        inputs = self._checked_inputs(overrides, step, until, impulses.tolerance, forces)
-        span = Span(step, until, max_jumps, impulses, show, policy=policy)
-        return SteppedRun(self, inputs, span).whole()
+        return SteppedRun(self, self._checked_inputs(overrides, request, forces), request).whole()
 
     def stream(
-        self,
-        overrides: Mapping[str, float],
-        sampling: Sampling,
-        *,
-        step: float,
-        until: float,
-        max_jumps: int,
-        impulses: Impulses = DEFAULT_IMPULSES,
+        self, overrides: Mapping[str, float], sampling: Sampling, request: StepRequest
     ) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps as they come; see `TimeStepper.stream`."""
-        inputs = self._checked_inputs(overrides, step, until, impulses.tolerance)
-        show, every = (lambda time, jumps, steps: None), sampling.every
-        span = Span(step, until, max_jumps, impulses, show, every)
-        return self._streamed(inputs, span, sampling, dict(overrides))
+        inputs = self._checked_inputs(overrides, request)
+        run = SteppedRun(self, inputs, request, sampling.every)
+        return self._streamed(run, inputs, sampling, dict(overrides))
 
     def _streamed(
-        self, inputs: RunInputs, span: Span, sampling: Sampling, parameters: dict[str, float]
+        self, run: SteppedRun, inputs: RunInputs, sampling: Sampling, parameters: dict[str, float]
     ) -> Iterator[Arc | Jump]:
         if sampling.control is not None and inputs.change is None:
             raise Unsupported(
                 "the engine impulse can change parameters only in a scene without collisions and "
                 "without controllers; take the engine taylor or scipy"
             )
-        run = SteppedRun(self, inputs, span)
-        recorder, seen = run.recorder, [0, 0]
-
-        def fresh() -> list[Arc | Jump]:
-            recorder.close()
-            found: list[Arc | Jump] = [*recorder.arcs[seen[0] :], *recorder.jumps[seen[1] :]]
-            seen[:] = len(recorder.arcs), len(recorder.jumps)
-            return in_order(found)
-
+        recorder, fresh = run.recorder, unread(run.recorder.arcs, run.recorder.jumps)
         for _ in run.chunks():
+            recorder.close()
             yield from fresh()
             if sampling.control is None or inputs.change is None:
                 continue
@@ -512,21 +475,22 @@ class Stepper(ABC):
             if changed:
                 parameters |= changed
                 run.stops = StopConditions(self.stops, inputs.change(parameters))
+        recorder.close()
         yield from fresh()
         trace = run.trace()
         if not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
 
     def _checked_inputs(
-        self, overrides: Mapping[str, float], step: float, until: float, allowed: float,
-        forces: bool = True,
-    ) -> RunInputs:  # fmt: skip
+        self, overrides: Mapping[str, float], request: StepRequest, forces: bool = True
+    ) -> RunInputs:
         """Return the inputs of a run; raise for a step too short to change the state."""
         read = forces or bool(self.stops.names) or bool(self.controls)
-        inputs = self._begin(overrides, step, allowed, read)
+        step = request.step
+        inputs = self._begin(overrides, step, request.impulses.tolerance, read)
         scales = inputs.setup.scales
         least = EPS * scales.length / scales.speed
-        if step < min(least, until):
+        if step < min(least, request.until):
             raise DeclarationProblem(
                 f"a step of {step:g} is too short: a speed of {scales.speed:.3g} moves nothing by "
                 f"more than the round-off of {scales.length:.3g}, the size of the scene",
@@ -534,6 +498,13 @@ class Stepper(ABC):
                 loc=("settings", "step"),
             )
         return inputs
+
+    def control(self, inputs: RunInputs) -> StepControl | None:
+        """Return the controllers of a run, if there are any."""
+        if not self.controls:
+            return None
+        system, regions = inputs.system, self._regions
+        return StepControl(self._mechanics, self._controllers, inputs.setup, system, regions)
 
     @abstractmethod
     def _begin(

@@ -45,10 +45,12 @@ class Switches:
     margins: tuple[Margin, ...]
     derivatives: tuple[tuple[sp.Expr, ...], ...]  # of each function, up to the relative degree
     acts: tuple[bool, ...]  # whether signs act on the last derivative
+    removable: tuple[bool, ...]  # whether a sign acts on the first derivative off the surface only
     tape: Tape  # functions, time derivatives, gradients; of variables and signs
     places: tuple[int, ...]  # indices of the first derivatives in the tape
     gradients: int  # index of the gradients
     automaton: Automaton
+    signed_variables: tuple[int, ...]  # whose rates depend on signs
 
     def mode_with_signs(self, signs: Any) -> Mode:
         """Return the mode with these signs: 1, -1, `SLIDES` or `RESTS`."""
@@ -59,15 +61,23 @@ class Switches:
             for s, n in zip(self.signs, signs, strict=True)
             if n != SLIDES
         }
-        definitions, sliding_shares = self._sliding(sliding, known)
+        # A root of a switching function that stays zero has no slope.
+        held = _solutions(
+            [f for f, n, e in zip(self.functions, signs, self.removable, strict=True)
+             if e and n in (SLIDES, RESTS)], self.automaton.variables,
+        )  # fmt: skip
+        on_surfaces = [(s, e.xreplace(held)) for s, e in self.definitions]
+        definitions, sliding_shares = self._sliding(on_surfaces, sliding, known)
         known |= {self.signs[i]: share for i, share in zip(sliding, sliding_shares, strict=True)}
         own = [replace(m, expression=m.expression.xreplace(known)) for m in self.margins]
         names = set[str]()
         margins = []
         for i, (function, sign) in enumerate(zip(self.functions, signs, strict=True)):
             sign_expression = function.xreplace(known)
-            if abs(sign) == 1 and self._moves(sign_expression):
-                margins.append(_margin(SIGN_OF + self.texts[i], sign * sign_expression, names))
+            # A function that rests is expected to stay zero, but its rate may vary.
+            for side in (1, -1) if sign == RESTS else (sign,):
+                if abs(side) == 1 and self._moves(sign_expression):
+                    margins.append(_margin(SIGN_OF + self.texts[i], side * sign_expression, names))
         for i, share in zip(sliding, sliding_shares, strict=True):
             margins += [
                 _margin(f"{SLIDE_ON}{self.texts[i]}, {side}", 1 + sign * share, names)
@@ -84,7 +94,10 @@ class Switches:
         return not function.free_symbols <= {*self.automaton.parameters}
 
     def _sliding(
-        self, sliding: Sequence[int], known: Mapping[sp.Symbol, sp.Expr]
+        self,
+        on_surfaces: Sequence[Definition],
+        sliding: Sequence[int],
+        known: Mapping[sp.Symbol, sp.Expr],
     ) -> tuple[list[Definition], list[sp.Symbol]]:
         """Return the definitions of a sliding mode, and the symbols of its signs.
 
@@ -92,7 +105,7 @@ class Switches:
         the centre.
         """
         if not sliding:
-            return [(s, e.xreplace(known)) for s, e in self.definitions], []
+            return [(s, e.xreplace(known)) for s, e in on_surfaces], []
         signs = [self.signs[i] for i in sliding]
         corners: list[dict[sp.Symbol, sp.Expr]] = []
         for i in signs:
@@ -103,7 +116,7 @@ class Switches:
         corner_symbols: list[dict[sp.Symbol, sp.Expr]] = [{**known, **corner} for corner in corners]
         dependent = {*signs}
         blended = []
-        for symbol, expression in self.definitions:
+        for symbol, expression in on_surfaces:
             if not expression.free_symbols & dependent:
                 definitions.append((symbol, expression.xreplace(known)))
                 continue
@@ -151,6 +164,32 @@ class Switches:
         rates = {r for r in self.rates if r.free_symbols & {*signs}}
         assert not rates  # rates are variables and unknowns
         return definitions, shares
+
+
+def _dependent(symbols: set[sp.Symbol], definitions: Mapping[sp.Symbol, sp.Expr]) -> set[sp.Symbol]:
+    """Return symbols and the definitions that depend on them."""
+    dependent = {*symbols}
+    for symbol, expression in definitions.items():
+        if expression.free_symbols & dependent:
+            dependent.add(symbol)
+    return dependent
+
+
+def _solutions(
+    functions: Sequence[sp.Expr], variables: Sequence[sp.Symbol]
+) -> dict[sp.Expr, sp.Expr]:
+    """Return variables on the surfaces of functions, where they have constant coefficients."""
+    solved: dict[sp.Expr, sp.Expr] = {}
+    for function in functions:
+        reduced = function.xreplace(solved)
+        for variable in variables:
+            slope = sp.diff(reduced, variable) if variable in reduced.free_symbols else sp.S.Zero
+            if slope.is_number and slope != 0:
+                value = sp.expand(variable - reduced / slope)
+                solved = {v: e.xreplace({variable: value}) for v, e in solved.items()}
+                solved[variable] = value
+                break
+    return solved
 
 
 def _margin(name: str, expression: sp.Expr, names: set[str]) -> Margin:
@@ -203,7 +242,7 @@ def switches_of(automaton: Automaton, mode: Mode) -> Switches | None:
     # Definitions that affect neither motion nor guards, as contact forces, add no switches.
     reader.adds = False
     definitions = tuple((s, read[s] if s in read else reader.read(e)) for s, e in mode.definitions)
-    chains, acts = reader.chains(dict(definitions), rates)
+    chains, acts, removable = reader.chains(dict(definitions), rates)
     functions = tuple(reader.functions)
     outputs, places = [*functions], []
     for chain in chains:
@@ -219,9 +258,11 @@ def switches_of(automaton: Automaton, mode: Mode) -> Switches | None:
         definitions=definitions,
     )
     texts = tuple(reader.text(function) for function in functions)
+    dependent = _dependent({*reader.signs}, dict(definitions))
+    signed = tuple(k for k, rate in enumerate(rates) if rate.free_symbols & dependent)
     return Switches(
         mode, texts, tuple(reader.signs), functions, definitions, rates, margins, chains, acts,
-        tape, tuple(places), gradients, automaton,
+        removable, tape, tuple(places), gradients, automaton, signed,
     )  # fmt: skip
 
 
@@ -296,26 +337,45 @@ class _Reader:
 
     def chains(
         self, definitions: Mapping[sp.Symbol, sp.Expr], rates: Sequence[sp.Expr]
-    ) -> tuple[tuple[tuple[sp.Expr, ...], ...], tuple[bool, ...]]:
-        """Return the derivatives of each function, and whether signs act on the last one."""
-        sign_dependent = {*self.signs}
-        for symbol, expression in definitions.items():
-            if expression.free_symbols & sign_dependent:
-                sign_dependent.add(symbol)
-        of = dict(zip(self._automaton.variables, rates, strict=True))
-        chains, acts = [], []
-        for function in self.functions:
-            chain: list[sp.Expr] = []
-            while len(chain) < MAX_ORDER:
-                before = chain[-1] if chain else function
-                while defined := {s for s in before.free_symbols if s in definitions}:
-                    before = before.xreplace({s: definitions[s] for s in defined})
-                chain.append(time_derivative(before, of, self._automaton.time))
-                if chain[-1].free_symbols & sign_dependent:
-                    break
+    ) -> tuple[tuple[tuple[sp.Expr, ...], ...], tuple[bool, ...], tuple[bool, ...]]:
+        """Return the derivatives of each function, whether signs act on the last, and `removable`.
+
+        Derivatives are those on the surface: there a sign does not act by `sign(s)*sqrt(abs(s))`.
+        """
+        variables = self._automaton.variables
+        rooted = {
+            s for e in (*definitions.values(), *rates) for a in e.atoms(sp.Abs)
+            for s in a.free_symbols
+        }  # fmt: skip
+        chains, acts, removable = [], [], []
+        for function, sign in zip(self.functions, self.signs, strict=True):
+            values, of = definitions, dict(zip(variables, rates, strict=True))
+            slope = self._slope(function, of, values)
+            held = _solutions([function], variables) if sign in rooted else {}
+            if held and slope.free_symbols & _dependent({sign}, values):
+                on_surface = {s: e.xreplace(held) for s, e in definitions.items()}
+                rates_there = {v: rate.xreplace(held) for v, rate in of.items()}
+                reduced = self._slope(function, rates_there, on_surface)
+                if not reduced.free_symbols & _dependent({sign}, on_surface):
+                    values, of, slope = on_surface, rates_there, reduced
+            removable.append(values is not definitions)
+            sign_dependent = _dependent({*self.signs}, values)
+            chain = [slope]
+            while len(chain) < MAX_ORDER and not chain[-1].free_symbols & sign_dependent:
+                chain.append(self._slope(chain[-1], of, values))
             chains.append(tuple(chain))
             acts.append(bool(chain[-1].free_symbols & sign_dependent))
-        return tuple(chains), tuple(acts)
+        return tuple(chains), tuple(acts), tuple(removable)
+
+    def _slope(
+        self,
+        expression: sp.Expr,
+        rates: Mapping[sp.Symbol, sp.Expr],
+        definitions: Mapping[sp.Symbol, sp.Expr],
+    ) -> sp.Expr:
+        while defined := {s for s in expression.free_symbols if s in definitions}:
+            expression = expression.xreplace({s: definitions[s] for s in defined})
+        return time_derivative(expression, rates, self._automaton.time)
 
     def text(self, function: sp.Expr) -> str:
         """Return a switching function in the names of the model."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -54,6 +54,21 @@ class RecordingPolicy(NamedTuple):
 RECORD_ALL = RecordingPolicy()
 
 
+def _show_nothing(time: float, jumps: int, steps: int) -> None:
+    """Show no progress."""
+
+
+class StepRequest(NamedTuple):
+    """What a run by steps is asked for."""
+
+    step: float  # all steps have this length except the last two
+    until: float  # the end of the last step
+    max_jumps: int  # a run ends after so many
+    impulses: Impulses = DEFAULT_IMPULSES
+    policy: RecordingPolicy = RECORD_ALL
+    show: Callable[[float, int, int], None] = _show_nothing  # takes time, jumps and steps
+
+
 class TimeStepper(Protocol):
     """Runs a model by time steps, and recognises its mode at every step."""
 
@@ -64,34 +79,15 @@ class TimeStepper(Protocol):
         """
         ...
 
-    def run(
-        self,
-        overrides: Mapping[str, float],
-        *,
-        step: float,
-        until: float,
-        max_jumps: int,
-        show: Callable[[float, int, int], None],
-        impulses: Impulses = DEFAULT_IMPULSES,
-        policy: RecordingPolicy = RECORD_ALL,
-    ) -> Trace:
+    def run(self, overrides: Mapping[str, float], request: StepRequest) -> Trace:
         """Run from the declared initial state.
 
-        All steps have length `step` except the last two; the last ends at `until`. A run ends after
-        `max_jumps`. `show` reports time, jumps and steps. The outcome of the trace says whether the
-        run is complete.
+        The outcome of the trace says whether the run is complete.
         """
         ...
 
     def stream(
-        self,
-        overrides: Mapping[str, float],
-        sampling: Sampling,
-        *,
-        step: float,
-        until: float,
-        max_jumps: int,
-        impulses: Impulses = DEFAULT_IMPULSES,
+        self, overrides: Mapping[str, float], sampling: Sampling, request: StepRequest
     ) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps as they are computed; arcs end at instants of sampling.
 
@@ -130,12 +126,18 @@ class Sampling(NamedTuple):
     control: Control | None
 
 
-def in_order(pieces: Iterable[Arc | Jump]) -> list[Arc | Jump]:
-    """Return arcs and jumps in the order of hybrid time."""
+def unread(arcs: Sequence[Arc], jumps: Sequence[Jump]) -> Callable[[], list[Arc | Jump]]:
+    """Return a function that returns those added since its last call, by hybrid time."""
+    read = [0, 0]
 
     def place(piece: Arc | Jump) -> tuple[int, int, float]:
         if isinstance(piece, Arc):
             return piece.j, 0, piece.start.high
         return piece.j, 1, piece.t
 
-    return sorted(pieces, key=place)
+    def fresh() -> list[Arc | Jump]:
+        pieces: list[Arc | Jump] = [*arcs[read[0] :], *jumps[read[1] :]]
+        read[:] = len(arcs), len(jumps)
+        return sorted(pieces, key=place)
+
+    return fresh

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import sympy as sp
 from scipy import integrate
 
 from statechart.arrays import Array
@@ -34,6 +35,7 @@ _SLOPE, _SLOWER = 50.0, 0.85
 @dataclass(eq=False)
 class _Stepper:
     rates: Tape
+    rooted: list[int]  # variables whose root is in the rates
     solver: Any = None
     suggested: float | None = None
 
@@ -52,7 +54,14 @@ class SciPy(Engine):
 
     def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> _Stepper:
         """Return the stepper of the rates."""
-        return _Stepper(rates)
+        roots = [
+            power.base.free_symbols.intersection(automaton.variables)
+            for e in (*mode.rates, *(e for _, e in mode.definitions))
+            for power in e.atoms(sp.Pow)
+            if isinstance(power.base, sp.Abs | sp.Max) and power.exp.is_number and 0 < power.exp < 1
+        ]
+        single = {v for symbols in roots if len(symbols) == 1 for v in symbols}
+        return _Stepper(rates, [k for k, v in enumerate(automaton.variables) if v in single])
 
     def steps(
         self,
@@ -145,7 +154,10 @@ class SciPy(Engine):
             moving = float((magnitude / sizes).max(initial=0.0)) or 1.0
             smallest = sizes * max(moving, _RATE_ROUND_OFF / self.tolerance)
         self.floor = np.maximum(magnitude, 1e-3 * smallest)
-        options: dict[str, Any] = {"rtol": self.tolerance, "atol": self.tolerance * self.floor}
+        absolute = self.tolerance * self.floor
+        # Errors of a variable near zero grow in its root; one that passes zero needs short steps.
+        absolute[stepper.rooted] *= math.sqrt(self.tolerance)
+        options: dict[str, Any] = {"rtol": self.tolerance, "atol": absolute}
         if self.max_step < math.inf:
             options["max_step"] = self.max_step
         if stepper.suggested is not None and 0 < stepper.suggested < duration:

@@ -300,8 +300,7 @@ class MergedRun:
         return [pair for pair in zip(starts, ends, strict=True) if between(*pair) > 0.0]
 
     def _arc(self, place: int) -> Arc:
-        start, end = self._spans[place]
-        duration = _duration(start, end)
+        start, duration = _fitted(*self._spans[place])
         number = bisect_right(self._times, start.high + _ONE_INSTANT * _ULP * start.high)
         middle = start.later(0.5 * duration)
         active_arcs = [(run, run.arc(middle)) for run in self._parts]
@@ -327,11 +326,14 @@ class MergedRun:
         return Arc(self._key(keys), self._roles(roles), start, number, times, coefficients)
 
 
-def _duration(start: Clock, end: Clock) -> float:
-    """Return the duration that leads from one clock to the other; its last bit may round away."""
+def _fitted(start: Clock, end: Clock) -> tuple[Clock, float]:
+    """Return start and duration of an arc; the last bit of one changes so that it meets its end."""
     duration = between(start, end)
-    near = (duration, math.nextafter(duration, math.inf), math.nextafter(duration, 0.0))
-    return next((d for d in near if start.later(d).high == end.high), duration)
+    for near in (duration, math.nextafter(duration, math.inf), math.nextafter(duration, 0.0)):
+        if start.later(near).high == end.high:
+            return start, near
+    # Sums half-way between two floats round to the even one.
+    return start._replace(low=start.low + between(start.later(duration), end)), duration
 
 
 def _instants(

@@ -24,7 +24,7 @@ from statechart.automaton.laws import (
 )
 from statechart.automaton.regions import Margin
 from statechart.automaton.switches import is_of_switch
-from statechart.automaton.time_stepper import Sample, Sampling, in_order
+from statechart.automaton.time_stepper import Sample, Sampling, unread
 from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace, check_size
 from statechart.automaton.trace_store import TraceStore
 from statechart.engines.engine import FlowWatch, Path
@@ -126,16 +126,8 @@ class Execution:
 
     def stream(self, parameters: Mapping[str, float], sampling: Sampling) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps as they are computed; parameters may be set between samples."""
-        values, end, count, yielded = dict(parameters), self.until, 0, [0, 0]
-
-        def fresh() -> Iterator[Arc | Jump]:
-            pieces: list[Arc | Jump] = [
-                *self.record.arcs[yielded[0] :],
-                *self.record.jumps[yielded[1] :],
-            ]
-            yielded[:] = len(self.record.arcs), len(self.record.jumps)
-            yield from in_order(pieces)
-
+        values, end, count = dict(parameters), self.until, 0
+        fresh = unread(self.record.arcs, self.record.jumps)
         ended = False
         with self.ending():
             ended = self.begin()
@@ -302,8 +294,11 @@ class Execution:
             return ("zeno",) if duration == remaining else ()
         return self.fell(compiled, reached.crossing.guard, graze=reached.graze)
 
-    def _switch(self, fired: tuple[str, ...] = ()) -> None:
-        """Determine the signs of the switching functions for the next flow."""
+    def _switch(self, fired: tuple[str, ...] = (), *, accumulates: bool = False) -> None:
+        """Determine the signs of the switching functions for the next flow.
+
+        Where switches accumulate, a spiral shrinks into its limit, with its own scales.
+        """
         if self._filippov is None:
             return
         flow, known = self.flow, self._switched
@@ -314,8 +309,11 @@ class Execution:
         self._measure()
         before = known[3][0].share if known[:2] == now[:2] and known[3] else None
         self.flow = flow._replace(signs=())
+        at = self._instant(*fired)
+        if accumulates:
+            at = at._replace(flow=self.flow._replace(summed=self.engine.sizes))
         try:
-            found = self._filippov.resolved(self._instant(*fired), self.zeros, before)
+            found = self._filippov.resolved(at, self.zeros, before)
         except errors.SingularMode:
             # Constraints that have just closed may share loads, which the laws decide next.
             if flow.settled:
@@ -480,10 +478,11 @@ class Execution:
         self.instants += 1
         projected = False
         if fired and is_of_switch(fired[0]):
-            self._livelock.rearranged(self.clock, fired)
+            self._livelock.switched(self.clock, self.until)
+            accumulates = self._livelock.rearranged(self.clock, fired)
             if self.certificate is not None:
                 self.certificate.switch(self._instant(*fired))
-            self._switch(fired)
+            self._switch(fired, accumulates=accumulates)
             fired = ()
         for _ in range(JUMPS_AT_ONCE):
             self._switch()

@@ -100,6 +100,9 @@ class Filippov:
                 continue
             fitting.append((signs, verdict))
         if not fitting:
+            resting = (RESTS,) * len(surface.on)
+            if surface.determines() and self._holds(surface.with_(resting), at):
+                return resting, True
             names = " and ".join(f"{surface.switches.texts[i]} = 0" for i in surface.on)
             raise AmbiguousMode(
                 f"the motion is undetermined where {names}, as forces jump there in several "
@@ -231,6 +234,19 @@ class _Surface:
         if outputs[i] == 0.0 or not 0.0 < weight < math.inf:
             return state
         return state - outputs.item(i) / weight * scale * slope
+
+    def determines(self) -> bool:
+        """Return whether the surfaces determine the variables on whose rates signs act."""
+        count, slopes = len(self._at.state), self.switches.gradients
+        outputs = self._outputs(self._at.state, np.array(self.signs, float))
+        rows = np.array([outputs[slopes + i * count :][:count] for i in self.on])
+        if not np.isfinite(rows).all():
+            return False
+        _, sizes, basis = np.linalg.svd(rows)
+        basis = basis[: int((sizes > _EDGE * sizes.max(initial=0.0)).sum())]
+        return all(
+            1.0 - np.linalg.norm(basis[:, k]) <= _EDGE for k in self.switches.signed_variables
+        )
 
     def _corners(self) -> Callable[[Sequence[int]], Array]:
         """Return a function: signs of a corner -> derivatives, with round-off set to zero."""

@@ -21,6 +21,10 @@ JUMPS_NEAR = 1024
 """Limit of jumps within the round-off of an instant, with or without flows between them."""
 _ROUND_OFF = 4.0 * float(np.finfo(float).eps)
 
+SWITCHES = 512
+"""Number of switches after which their pace is extrapolated, if it is steady over quarters."""
+_TOO_MANY_SWITCHES = 1e6
+
 STEADY = 4096
 """Number of jumps from which a pace that was steady over three doublings is extrapolated."""
 
@@ -31,6 +35,7 @@ class Livelock:
     def __init__(self, scale: float) -> None:
         self._scale = scale if scale < math.inf else 0.0
         self._since, self._changes = Clock(), 0
+        self._switched: list[Clock] = []  # of the last switches
         self._stalled: tuple[Clock, tuple[str, ...]] | None = None
         self._stalls = 0
 
@@ -47,8 +52,11 @@ class Livelock:
         self._stalled = event
         return before == event or self._stalls > JUMPS_AT_ONCE
 
-    def rearranged(self, clock: Clock, fired: tuple[str, ...]) -> None:
-        """Count a change of equations without a jump; raise `EventLoop` if it repeats."""
+    def rearranged(self, clock: Clock, fired: tuple[str, ...]) -> bool:
+        """Count a change of equations without a jump; return whether such changes accumulate.
+
+        Raises `EventLoop` if they go on.
+        """
         if not self._stays(self._since, clock):
             self._since, self._changes = clock, 0
         self._changes += 1
@@ -57,6 +65,22 @@ class Livelock:
             raise EventLoop(
                 f"{fell} at t = {clock.high:.6g}, and equations of the mode follow one another "
                 "for ever"
+            )
+        return self._changes > JUMPS_AT_ONCE // 2
+
+    def switched(self, clock: Clock, until: float) -> None:
+        """Count a switch; raise `TooLong` if a steady pace of switches cannot reach the end."""
+        times = self._switched
+        times.append(clock)
+        if len(times) <= SWITCHES:
+            return
+        self._switched = []
+        paces = [between(a, b) for a, b in pairwise(times[:: SWITCHES // 4])]
+        remaining = clock.until(until)
+        if max(paces) <= 2.0 * min(paces) and remaining > _TOO_MANY_SWITCHES * max(paces):
+            raise TooLong(
+                f"{SWITCHES} switches of sign, abs, min or max took {sum(paces):.3g}, and "
+                f"{remaining:.3g} is left; end the run earlier, or smooth the functions that switch"
             )
 
     def check(self, jumps: Sequence[Jump], clock: Clock, automaton: Automaton) -> None:

@@ -47,15 +47,11 @@ class SteppingSimulator:
     ) -> Trace:
         """Run from the declared initial state, as `Simulator.run` does."""
         shown = Progress(until) if self.progress else None
+        policy = time_stepper.RecordingPolicy(self.record, self.new_outputs())
+        request = self._request(until)._replace(policy=policy)
         try:
             trace = self.stepper.run(
-                parameters or {},
-                step=min(self.step, until) or self.step,
-                until=until,
-                max_jumps=self.automaton.max_jumps,
-                show=shown.show if shown else lambda time, jumps, steps: None,
-                impulses=self.impulses,
-                policy=time_stepper.RecordingPolicy(self.record, self.new_outputs()),
+                parameters or {}, request if shown is None else request._replace(show=shown.show)
             )
         finally:
             if shown:
@@ -72,11 +68,8 @@ class SteppingSimulator:
         until: float,
     ) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps of a run as they are computed, as `Simulator.stream` does."""
-        return self.stepper.stream(
-            parameters,
-            sampling,
-            step=min(self.step, until) or self.step,
-            until=until,
-            max_jumps=self.automaton.max_jumps,
-            impulses=self.impulses,
-        )
+        return self.stepper.stream(parameters, sampling, self._request(until))
+
+    def _request(self, until: float) -> time_stepper.StepRequest:
+        step = min(self.step, until) or self.step
+        return time_stepper.StepRequest(step, until, self.automaton.max_jumps, self.impulses)

@@ -43,8 +43,8 @@ class Compared(NamedTuple):
 
 
 _NONE = Compared("", 0.0, 0.0, 0.0)
-Truncated: TypeAlias = Mapping[str, Sequence[int]]
-"""Cuts of the outputs of a run with Zeno sequences; see `Outputs.truncated`."""
+Cuts: TypeAlias = Sequence[Sequence[int]]
+"""Cuts of a list of a Zeno sequence in two runs; see `Outputs.truncated`."""
 
 
 @dataclass(frozen=True)
@@ -75,15 +75,14 @@ def compare(
     fine_outputs: Mapping[str, Output],
     *,
     scales: Scales = NO_SCALES,
-    endless: Collection[str] = (),
-    truncated: tuple[Truncated, Truncated] = ({}, {}),
+    endless: Collection[str] | Mapping[str, Cuts] = (),
     brief: float = 0.0,
     nothing: float = 0.0,
 ) -> Difference:
     """Compare two runs of one model from one start, and their outputs.
 
     Non-finite values must be equal. A value without a scale (from `Outputs.scales`) is relative to
-    itself. For `endless` outputs (Zeno sequences) only common events are compared: `truncated` has
+    itself. For `endless` outputs (Zeno sequences) only common events are compared; a mapping has
     their cuts in the two runs (see `Outputs.truncated`). `brief`: as in `pair_jumps`. Values up to
     `nothing` are round-off of zero.
     """
@@ -111,18 +110,14 @@ def compare(
     times = [("the end", coarse.t_end, fine.t_end)] if same_end else []
     times += [(f"the time of {one.region}.{one.cause}", one.t, other.t) for one, other in pairs]
     delay = _worst(Compared(*time, _relative(time[1], time[2], end, 0.0)) for time in times)
+    cuts = endless if isinstance(endless, Mapping) else dict.fromkeys(endless, ())
     outputs: dict[str, Compared] = {}
     for name, one in coarse_outputs.items():
         size = scales.outputs.get(name, 0.0)
         zero = max(nothing, scales.zero_outputs.get(name, 0.0))
         outputs[name] = _worst(
             Compared(f"output {name}", a, b, _relative(a, b, max(abs(a), abs(b), size), zero))
-            for a, b, size in _differences(
-                one,
-                fine_outputs[name],
-                size,
-                [cuts.get(name, ()) for cuts in truncated] if name in endless else None,
-            )
+            for a, b, size in _differences(one, fine_outputs[name], size, cuts.get(name))
         )
     return Difference(
         state.off if same_end else math.inf,
@@ -309,7 +304,7 @@ def _repeats(jump: Jump, end: Jump) -> bool:
 
 
 def _differences(
-    one: Output, other: Output, size: Output, cuts: Sequence[Sequence[int]] | None
+    one: Output, other: Output, size: Output, cuts: Cuts | None
 ) -> Iterable[tuple[float, float, float]]:
     """Yield the values of an output in both runs, and their size; `cuts`: of an endless output."""
     if isinstance(one, list) and isinstance(other, list):

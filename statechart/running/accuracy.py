@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
 from typing import Any, NamedTuple, Self
 
@@ -25,7 +25,6 @@ from statechart.execution.flow import STIFF
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.difference import (
     Difference,
-    Truncated,
     compare,
     distance,
     mode_disagreement,
@@ -169,7 +168,7 @@ class EvaluatedRun:
     trace: Trace
     outputs: Mapping[str, OutputValue]
     scales: Scales
-    truncated: Truncated
+    truncated: Mapping[str, Sequence[int]]
 
     @classmethod
     def of(cls, observer: Observer, trace: Trace, *more: Any) -> Self:
@@ -183,12 +182,22 @@ class EvaluatedRun:
         """The outputs that count or list events of Zeno sequences."""
         return frozenset(self.truncated)
 
-    def difference(self, other: EvaluatedRun, scales: Scales, **options: Any) -> Difference:
+    def difference(
+        self, other: EvaluatedRun, scales: Scales, endless: Iterable[str] = (), **options: Any
+    ) -> Difference:
         """Return the difference of another run; see `compare` for the options."""
-        options.setdefault("endless", self.endless | other.endless)
-        options["truncated"] = self.truncated, other.truncated
+        cuts = {
+            name: (self.truncated.get(name, ()), other.truncated.get(name, ()))
+            for name in {*endless, *self.endless, *other.endless}
+        }
         return compare(
-            self.trace, other.trace, self.outputs, other.outputs, scales=scales, **options
+            self.trace,
+            other.trace,
+            self.outputs,
+            other.outputs,
+            scales=scales,
+            endless=cuts,
+            **options,
         )
 
     @property

@@ -159,10 +159,37 @@ def test_a_fractional_power_of_a_clipped_value_is_zero_beyond_the_clip(engine: E
 
 @both
 def test_products_of_signs_at_intersecting_surfaces_are_reported(engine: Engine) -> None:
-    chart = flow({"x": 1, "y": 1}, x="-sign(x)*(1 + sign(y)/2)", y="-sign(y)*(1 + sign(x)/2)")
+    rates = {"x": "-sign(x)*(1 + sign(y)/2)", "y": "-sign(y)*(1 + sign(x)/2)"}
+    chart = flow({"x": 1, "y": 1, "z": 0}, **rates, z="sign(x)*sign(y)")
     trace = Simulator(chart, engine).run({}, until=2.0, throw=False)
     assert trace.outcome is Outcome.AMBIGUOUS_MODE
     assert "in several switches at once" in trace.message
+    # Without z, the intersection is a point, where the state stays.
+    trace = run(flow({"x": 1, "y": 1}, **rates), engine, 2.0)
+    assert trace.final == pytest.approx([0.0, 0.0], abs=1e-12)
+
+
+@both
+def test_time_optimal_control_ends_at_the_origin(engine: Engine) -> None:
+    # One switch half-way, at t = 1; the target is reached at t = 2.
+    trace = run(flow({"x": 1, "v": 0}, x="v", v="-sign(x + v*abs(v)/2)"), engine, 5.0)
+    assert breaks(trace) == pytest.approx([1.0, 2.0], abs=1e-6)
+    assert trace.final == pytest.approx([0.0, 0.0], abs=1e-12)
+    pushed = flow({"x": 1, "v": 0}, x="v", v="-sign(x + v*abs(v)/2) + 0.1*sin(pi*time)")
+    assert np.abs(Simulator(pushed, engine).run(until=5.0, throw=False).final).max() < 1e-3
+
+
+@both
+def test_a_spiral_around_two_surfaces_ends_at_their_intersection(engine: Engine) -> None:
+    # Each turn shrinks by 1/81; z integrates the sliding mode with x' = y' = 0, sign(x) = 0.1.
+    chart = flow(
+        {"x": 1, "y": -0.7, "z": 0},
+        x="-sign(x)/2 - sign(y)", y="sign(x) - sign(y)/2 - 1/8", z="sign(x)",
+    )  # fmt: skip
+    trace = run(chart, engine, 4.0)
+    assert trace.final[:2] == pytest.approx([0.0, 0.0], abs=1e-12)
+    later = run(chart, engine, 5.0)
+    assert later.final[2] - trace.final[2] == pytest.approx(0.1, abs=1e-12)
 
 
 def test_a_tank_that_has_drained_stays_empty_until_water_flows_in() -> None:
@@ -176,6 +203,15 @@ def test_a_tank_that_has_drained_stays_empty_until_water_flows_in() -> None:
     assert filled.final == pytest.approx([0.6096118], rel=1e-6)
 
 
+def test_a_stiff_inflow_into_an_empty_tank_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The level 100 u^2 is far below the tolerance of an explicit method, which passes zero.
+    monkeypatch.setattr("statechart.execution.livelock.SWITCHES", 64)
+    chart = flow({"h": 1}, h="-0.1*sqrt(max(h, 0)) + 0.02*exp(-(time - 35)**2)")
+    trace = Simulator(chart, SCIPY).run(until=60.0, throw=False)
+    assert trace.outcome in {Outcome.TOO_LONG, Outcome.EVENT_LOOP}
+    assert abs(trace.final[0]) < 1e-9
+
+
 def test_tanks_that_drain_into_each_other_stay_empty() -> None:
     out = [f"0.{k}*sqrt(max({h}, 0))" for h, k in (("a", 1), ("b", 2), ("c", 3))]
     chart = flow(
@@ -183,12 +219,25 @@ def test_tanks_that_drain_into_each_other_stay_empty() -> None:
         a=f"-{out[0]}", b=f"{out[0]} - {out[1]}", c=f"{out[1]} - {out[2]}",
     )  # fmt: skip
     three = run(chart, SCIPY, 40.0)
-    assert breaks(three)[0] == pytest.approx(20.0, abs=1e-4)
+    assert breaks(three)[0] == pytest.approx(20.0, abs=1e-7)
     assert three.final == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
     out = ["0.1*sqrt(max(a, 0))", "0.05*sqrt(max(b, 0))"]
     two = run(flow({"a": 1, "b": 0}, a=f"-{out[0]}", b=f"{out[0]} - {out[1]}"), SCIPY, 40.0)
     # At t = 20, b = 0.389988020 (LSODA, steps of 0.05); sqrt(b) then falls at the rate 0.025.
     assert two.final == pytest.approx([0.0, (math.sqrt(0.389988020) - 0.5) ** 2], abs=1e-8)
+
+
+def test_super_twisting_control_slides_with_its_second_derivative_at_zero() -> None:
+    # With s = s' = 0, w = -d and w' = -1.1 u: the disturbance d leaves where |d'| exceeds 1.1.
+    rates = {"s": "-1.5*sqrt(abs(s))*sign(s) + w + d", "w": "-1.1*sign(s)"}
+    held = {n: rate.replace("d", "0.2*sin(time)") for n, rate in rates.items()}
+    trace = run(flow({"s": 1, "w": 0}, **held), SCIPY, 5.0)
+    assert trace.final == pytest.approx([0.0, -0.2 * math.sin(5.0)], abs=1e-8)
+    left = {n: rate.replace("d", "0.2*time**2") for n, rate in rates.items()}
+    trace = run(flow({"s": 0.1, "w": 0}, **left), SCIPY, 5.0)
+    assert breaks(trace)[-1] == pytest.approx(2.75, abs=1e-6)
+    # w' = -1.1 from then on. LSODA from (0, 0) at 2.75 gives s.
+    assert trace.final == pytest.approx([0.2085039, -0.2 * 2.75**2 - 1.1 * 2.25], abs=1e-6)
 
 
 def test_rates_without_a_value_end_the_run() -> None:

@@ -94,3 +94,21 @@ def test_a_point_inside_its_surface_comes_back_once_its_gap_opens():
     trace = statechart.run(interpret(read_text(text))).trace
     assert [jump.cause for jump in trace.jumps][:1] == ["enable"]
     assert trace.jumps[0].t == pytest.approx(0.2 / (G * 0.3), abs=1e-12)
+
+
+@ENGINES
+def test_a_strict_relation_does_not_hold_of_a_velocity_that_friction_stops_at_zero(engine):
+    text = """\
+kind: scene
+name: strict_rate
+gravity: 10
+bodies: {b: {mass: 1, start: {dx: 1}}, w: {mass: 1, start: {x: 1, y: 0.5}}}
+surfaces: {floor: {height: 0}, low: {height: 0}}
+contacts:
+  c: {point: {body: b}, surface: floor, friction: 0.5, restitution: 0}
+  d: {point: {body: w}, surface: low, friction: 0.5, restitution: 0, enabled: "b.dx < 0"}
+stop: {time: 1.5}
+"""
+    step = {"step": STEP} if engine == "impulse" else {}
+    trace = statechart.run(interpret(read_text(text)), engine=engine, **step).trace
+    assert trace.final[3] == pytest.approx(0.5 - 5.0 * 1.5**2)

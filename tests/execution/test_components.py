@@ -292,3 +292,21 @@ def test_merged_runs_are_ordered_where_components_meet_up_to_rounding(
     trace = Runner(interpret(read_text(BESIDE.format(level=level))), engine=engine).run().trace
     assert_ordered(trace)
     assert len(trace.jumps) == 40 + 13
+
+
+def test_merged_runs_are_ordered_where_a_sum_of_times_rounds_to_another() -> None:
+    """The time from one event to the next is half-way between two that floats can express."""
+    text = """\
+kind: chart
+name: pair
+variables: {x: 1.1443360504355085, y: 3.162991900618492}
+regions:
+  one: {initial: a, states: {a: {flows: {x: -1}}, b: {}}, transitions: [
+    {name: hit, from: a, to: b, guard: x <= 0}]}
+  other: {initial: a, states: {a: {flows: {y: -1}}, b: {}}, transitions: [
+    {name: hit, from: a, to: b, guard: y <= 0}]}
+stop: {time: 4}
+"""
+    trace = Runner(interpret(read_text(text))).run().trace
+    assert [jump.t for jump in trace.jumps] == [1.1443360504355085, 3.162991900618492]
+    assert_ordered(trace)

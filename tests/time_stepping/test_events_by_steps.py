@@ -602,9 +602,42 @@ outputs: {height: {value: b.y}}
 @pytest.mark.parametrize(
     ("relation", "high", "height"), [("b.dx > 0", 1.0, 0.55), ("a.dx <= 0", 1.5, 1.0)]
 )
-def test_a_relation_decides_where_friction_stops_a_rate_at_zero(relation, high, height, step):
+def test_a_relation_decides_where_friction_stops_a_rate_at_zero(
+    relation: str, high: float, height: float, step: float
+) -> None:
     """A strict relation went on holding at zero, and the other one never began to hold."""
     model = interpret(read_text(RESTING.replace("RELATION", relation)))
     for options in ({"engine": "scipy"}, {"engine": "impulse", "step": step}):
         found = statechart.run(model, parameters={"high": high}, **options)
         assert found.outputs["height"] == pytest.approx(height, abs=0.01)
+
+
+SLOWED = """
+kind: scene
+name: slowed
+gravity: 10
+parameters: {tilt: 0, belt: 0.5, start: 1}
+bodies: {b: {mass: 1, start: {dx: start*cos(tilt), dy: start*sin(tilt)}}}
+surfaces:
+  floor: {line: [[0, 0], [cos(tilt), sin(tilt)]], displacement: [belt*time*cos(tilt), 0]}
+contacts:
+  c: {point: {body: b}, surface: floor, friction: 0.5, restitution: 0, enabled: b.dx > belt}
+stop: {time: 1}
+outputs: {off: {value: time, at: first c.disable}}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-3, 7e-4, 1e-4])
+@pytest.mark.parametrize(
+    ("tilt", "belt", "start"), [(0.0, 0.5, 1.0), (0.0, 0.3, 0.9), (-0.2, 0.0, 0.7)]
+)
+def test_a_strict_relation_fails_where_friction_leaves_a_rate_at_its_bound(
+    tilt: float, belt: float, start: float, step: float
+) -> None:
+    """The rate rests 1e-17 above the bound, or below it: the step decided whether b falls."""
+    values = {"tilt": tilt, "belt": belt, "start": start}
+    run = statechart.run(
+        interpret(read_text(SLOWED)), parameters=values, engine="impulse", step=step
+    )
+    deceleration = 10 * (0.5 * math.cos(tilt) + math.sin(tilt))
+    assert run.outputs["off"] == pytest.approx((start - belt) / deceleration, abs=1.01 * step)
