@@ -264,6 +264,21 @@ def _edge_length(corners: Array, edge: int) -> float:
 
 
 @kernel
+def _separation_along(one: Array, edge: int, other: Array) -> float:
+    """Return the separation of two polygons along an edge of the first; < 0: they overlap."""
+    j = (edge + 1) % len(one)
+    ex, ey, length = one[j, 0] - one[edge, 0], one[j, 1] - one[edge, 1], _edge_length(one, edge)
+    low, high, least, most = math.inf, -math.inf, math.inf, -math.inf
+    for k in range(len(one)):
+        along = (ex * (one[k, 0] - one[edge, 0]) + ey * (one[k, 1] - one[edge, 1])) / length
+        low, high = min(low, along), max(high, along)
+    for k in range(len(other)):
+        along = (ex * (other[k, 0] - one[edge, 0]) + ey * (other[k, 1] - one[edge, 1])) / length
+        least, most = min(least, along), max(most, along)
+    return max(least - high, low - most)
+
+
+@kernel
 def _polygons(
     shape: ConvexShape, other_shape: ConvexShape, within: float, manifold: Array, features: Ints
 ) -> int:
@@ -277,6 +292,15 @@ def _polygons(
         return 0
     width = min(_reach(one, shape.centre), _reach(other, other_shape.centre))
     farther = second > first
+    if max(first, second) > 0.0:
+        # A corner that passes along a face, over a gap between level faces, strikes no side.
+        across = (
+            _separation_along(other, edge_of_other, one)
+            if farther
+            else _separation_along(one, edge, other)
+        )
+        if abs(across) <= _EVEN * width:
+            return 0
     if abs(second - first) <= _PREFERRED * width:
         length = _edge_length(one, edge)
         farther = _edge_length(other, edge_of_other) > (1.0 + _SAME_LENGTH) * length

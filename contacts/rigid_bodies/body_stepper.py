@@ -7,7 +7,7 @@ gravity, forces and contact impulses move the bodies.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import get_args
 
@@ -44,7 +44,7 @@ from contacts.time_stepping.step_rejection import DEEPEST
 from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.regions import Region, State, StopCondition, stop_conditions
+from statechart.automaton.regions import Region, State, stop_conditions
 from statechart.automaton.time_stepper import DEFAULT_IMPULSES
 from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
 from statechart.formulas.formula import parse
@@ -88,7 +88,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
     rates = mechanics.controller_rates
 
     def stepper() -> BodyStepper:
-        return BodyStepper(declared, mechanics, stops, regions)
+        return BodyStepper(declared, mechanics, regions)
 
     return Automaton(
         name=scene.name,
@@ -119,12 +119,10 @@ class BodyStepper(Stepper):
         self,
         declared: Scene,
         mechanics: BodyMechanics,
-        stops: Sequence[StopCondition],
         regions: tuple[Region, ...],
     ) -> None:
         super().__init__(
             mechanics,
-            stops,
             regions,
             Controllers(mechanics),
             again=BODY_IMPACT,

@@ -41,6 +41,7 @@ class Coupling(Part):
         "body": "bodies: [arm]",
         **dict.fromkeys(("flange_a", "flange_b"), "bodies: [a, b]"),
         "engaged": "enabled",
+        "ratio": "coordinates: {q: {}}, and bodies with angle: q and angle: -q/2",
         **dict.fromkeys(
             ("static", "kinetic", "peak", "mu", "mue_pos", "fn_max"),
             "limit: {static: s, kinetic: k}, couples such as mu*N*r",

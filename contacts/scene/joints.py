@@ -110,7 +110,10 @@ class Joint(Part):
         "friction": "couplings: {bearing: {joint: NAME, limit: M_max}}",
         "damping": "a moment among the forces: {body: arm, moment: -c*arm.dangle}",
         **dict.fromkeys(("stiffness", "spring"), "a moment among the forces: -k*arm.angle"),
-        "motor": "a moment among the forces, or to: {x: ..., y: ...}, a path in time",
+        **dict.fromkeys(
+            ("motor", "motorSpeed", "enableMotor"),
+            "a moment among the forces, or to: {x: ..., y: ...}, a path in time",
+        ),
         "fixed": "angle: held",
         "type": "what it holds: to: [0, 0], angle: held, rope: L or rod: L",
         **dict.fromkeys(("child", "body"), "point: {body: arm, at: [-L, 0]}"),
@@ -118,7 +121,12 @@ class Joint(Part):
             ("parent", "origin", "anchor", "between", "bodies"),
             "to: [0, 0], or to: {body: rod, at: [0, L]}",
         ),
-        **dict.fromkeys(("breaking_force", "max_force"), "enabled: RELATION"),
+        **dict.fromkeys(
+            ("break_force", "breakForce", "breaking_force", "max_force", "strength"),
+            'enabled: "hypot(JOINT.X, JOINT.Y) <= F"',
+        ),
+        **dict.fromkeys(("lower", "lowerAngle", "upper", "upperAngle", "range"), "limits: [a, b]"),
+        "axis": "to: {x: f} or {y: f}, which leaves the other component free",
         **JOINT_WORDS,
     }
 

@@ -79,7 +79,7 @@ LAW_WORDS = {
         ("friction: a number for both, or friction: {static: 0.5, kinetic: 0.3}"),
     ),
     **dict.fromkeys(("e", "bounce", "bounciness", "elasticity", "cor"), "restitution"),
-    "coefficientOfRestitution": "restitution",
+    **dict.fromkeys(("coefficientOfRestitution", "coefficient_of_restitution"), "restitution"),
 }
 """Names of coefficients in other programs -> ours."""
 

@@ -526,7 +526,6 @@ class SceneStepper(Stepper):
         places = np.vstack([rigid, np.repeat(2 * c + np.arange(couplings)[:, None], 2, axis=1)])
         super().__init__(
             mechanics,
-            stops,
             regions,
             self._tapes,
             again="jam",

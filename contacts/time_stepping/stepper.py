@@ -57,7 +57,7 @@ from contacts.time_stepping.step_rejection import (
 from contacts.time_stepping.stop_conditions import StopConditions, StopTapes
 from statechart import interrupts
 from statechart.arrays import EPS, Bools, Ints
-from statechart.automaton.regions import Region, StopCondition
+from statechart.automaton.regions import Region
 from statechart.automaton.time_stepper import (
     DEFAULT_IMPULSES,
     Sample,
@@ -168,7 +168,7 @@ class SteppedRun:
             return
         yield True
         if self.control is not None:
-            solved = self.stops.unknown(self.state)
+            solved = self.stops.unknown()
             self.state = self.control.turn(self.recorder, (), self.state, solved, step)
         whole = math.floor(min(until / step * (1.0 + 4e-16), _COUNTED))
         rest = until - whole * step
@@ -413,7 +413,6 @@ class Stepper(ABC):
     def __init__(
         self,
         mechanics: Mechanics,
-        stops: Sequence[StopCondition],
         regions: Sequence[Region],
         controllers: Controllers,
         *,
@@ -431,7 +430,7 @@ class Stepper(ABC):
         self.again, self.forces, self.sticks = again, forces, sticks
         self.angles = np.array([name.endswith(".angle") for name in mechanics.names])
         unknowns = (*mechanics.a, *mechanics.unknown_forces, *controlled_symbols(mechanics))
-        self.stops = StopTapes(mechanics, stops, unknowns, regions)
+        self.stops = StopTapes(mechanics, unknowns, regions)
         self.energy: Tape = mechanics.whole_tape([mechanics.energy])
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
-from typing import Any
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
@@ -17,10 +14,10 @@ from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.lazy_arcs import cut
 from contacts.time_stepping.recorder import Recorder
 from statechart.arrays import Array, Bools, Ints
-from statechart.automaton.margin_derivatives import rounding_scale
-from statechart.automaton.regions import Region, StopCondition
+from statechart.automaton.regions import Region
 from statechart.automaton.trace import Arc, Key
-from statechart.formulas.tape import Tape
+from statechart.charts.guard_watch import Guard, GuardWatch
+from statechart.formulas.relation import parse_relation
 
 
 class ActiveStates:
@@ -44,49 +41,35 @@ class ActiveStates:
 
 
 class StopTapes:
-    """Margins of the atoms of stop conditions on tape, over variables and unknowns.
+    """Stop conditions over variables and unknowns, watched as guards are.
 
-    `counts` (2, a): atoms that hold on their boundary after a step there; and at once, if only
-    jumps change them.
+    `jumping` (a,): atoms that only jumps change.
     """
 
     def __init__(
-        self,
-        mechanics: Mechanics,
-        stops: Sequence[StopCondition],
-        unknowns: Sequence[sp.Symbol],
-        regions: Sequence[Region],
+        self, mechanics: Mechanics, unknowns: Sequence[sp.Symbol], regions: Sequence[Region]
     ) -> None:
-        self._mechanics, self._unknowns, self.stops = mechanics, unknowns, tuple(stops)
-        self.names = tuple(stop.name for stop in stops)
-        atoms = [atom for stop in stops for atom in stop.condition.atoms]
-        self._conditions = [atom.expression for atom in atoms]
-        self.margins: Tape = mechanics.whole_tape(self._conditions, unknowns=unknowns)
+        texts = mechanics.scene.stop.conditions
+        self.names, self.unknowns = tuple(texts), len(unknowns)
+        self.watch = GuardWatch(
+            [
+                Guard(k, name, parse_relation(text), 0)
+                for k, (name, text) in enumerate(texts.items())
+            ],
+            mechanics.observables if texts else {},
+            {},
+            inputs=(*mechanics.variables, *mechanics.controller_state.values(), *unknowns),
+            parameters=mechanics.parameters.ordered,
+            time=mechanics.time,
+        )
         flowing = mechanics.scene.controlled.flowing
         still = {*mechanics.parameters.ordered}
         still |= {
             symbol for name, symbol in mechanics.controller_state.items() if name not in flowing
         }
-        stays = np.array([not atom.strict for atom in atoms], np.bool_)
-        jumps = np.array([atom.expression.free_symbols <= still for atom in atoms], np.bool_)
-        self.counts: Bools = np.stack([stays, stays & jumps])
+        atoms = [atom for condition in self.watch.conditions for atom in condition.atoms]
+        self.jumping = np.array([a.expression.free_symbols <= still for a in atoms], np.bool_)
         self.active = ActiveStates(regions)
-
-    @cached_property
-    def _of_terms(self) -> Tape:
-        """Absolute terms of the margins, over inputs and input sizes."""
-        mechanics = self._mechanics
-        inputs = (*mechanics.variables, *mechanics.controller_state.values(), *self._unknowns)
-        sizes = {symbol: sp.Symbol(f"size_{symbol}", real=True) for symbol in inputs}
-        return mechanics.whole_tape(
-            [rounding_scale(condition, sizes) for condition in self._conditions],
-            unknowns=(*self._unknowns, *sizes.values()),
-        )
-
-    def terms(self, rows: Array, sizes: Array, values: Array, times: Array) -> Array:
-        """Return the sums of absolute terms of margins (k, s)."""
-        inputs = np.hstack([rows, np.broadcast_to(sizes, rows.shape)])
-        return np.nan_to_num(self._of_terms.table(inputs, values, times))
 
 
 # Bisections of a step.
@@ -97,28 +80,23 @@ class StopConditions:
     """The stop conditions of a run."""
 
     def __init__(self, tapes: StopTapes, setup: SceneSetup) -> None:
-        self._tapes, self._names, self._values = tapes, tapes.names, setup.values
-        self._tape = self._tapes.margins
+        self._tapes, self._setup, self._watch = tapes, setup, tapes.watch
         assert setup.sizes is not None
-        unknowns = self._tape.n_variables - len(setup.sizes)
-        self._sizes = np.concatenate([setup.sizes, setup.scales.solved(unknowns)])
-        self._stays, self._counts = self._tapes.counts
-        self._rounded = setup.rounded
+        self._sizes = np.concatenate([setup.sizes, setup.scales.solved(tapes.unknowns)])
         # States and mode of the step in which a condition was met.
         self._modes: tuple[Ints, Key] = np.zeros((1, 0), int), ()
         # Whether margins were zero at the end of the last step.
-        self._near = np.zeros(len(self._stays), dtype=np.bool_)
+        self._near = np.zeros(len(tapes.jumping), dtype=np.bool_)
 
-    def unknown(self, state: Array) -> Array:
+    def unknown(self) -> Array:
         """Return NaN for the unknowns before the first step."""
-        return np.full(self._tape.n_variables - len(state), np.nan)
+        return np.full(self._tapes.unknowns, np.nan)
 
     def at_start(self, state: Array, recorder: Recorder) -> int | None:
         """Return the condition that holds at the start; those on unknowns wait for a step."""
-        if not self._names:
+        if not self._tapes.names:
             return None
-        rows = np.concatenate([state, self.unknown(state)])[None]
-        atoms = self._met(rows, self._margins(rows, 0.0), np.zeros(1))
+        atoms = self._met(np.concatenate([state, self.unknown()])[None], np.zeros(1))
         below = self._truths(atoms, recorder.start[None], recorder.controls)[0]
         return int(np.argmax(below)) if below.any() else None
 
@@ -127,9 +105,9 @@ class StopConditions:
 
         `controls` are the controller states in these steps.
         """
-        if not self._names:
+        if not self._tapes.names:
             return None
-        atoms = self._met(*self._ends(chunk, start), chunk.ends(start))
+        atoms = self._met(_ends(chunk), chunk.ends(start))
         below = self._truths(atoms, chunk.codes, controls)
         if not below.any():
             return None
@@ -139,48 +117,38 @@ class StopConditions:
 
     def _truths(self, atoms: Bools, codes: Ints, controls: Key) -> Bools:
         """Return which conditions (k, s) hold, from their atoms (k, a)."""
-        active = self._tapes.active.at(codes, controls)
-        parts = self._parts(atoms)
-        held = [
-            stop.condition.truths(part, active)
-            for stop, part in zip(self._tapes.stops, parts, strict=True)
-        ]
-        return np.stack(held, axis=1)
+        return self._watch.truths(atoms, self._tapes.active.at(codes, controls))
 
-    def _parts(self, atoms: NDArray[Any]) -> list[NDArray[Any]]:
-        """Split atoms (k, a) by condition."""
-        counts = [len(stop.margins) for stop in self._tapes.stops]
-        return np.split(atoms, np.cumsum(counts)[:-1], axis=1)
+    def _table(self, rows: Array, times: Array) -> Array:
+        """Return the margins of the atoms and the sizes of their terms (k, a, 2)."""
+        return self._watch.table(self._setup, rows, self._sizes, times)
 
-    def _met(self, rows: Array, margins: Array, times: Array) -> Bools:
+    def _met(self, rows: Array, times: Array) -> Bools:
+        margins, terms = np.moveaxis(self._table(rows, times), -1, 0)
         # A resting coordinate moves by solver residuals.
-        zero = self._rounded * self._tapes.terms(rows, self._sizes, self._values, times)
-        ends = np.vstack([self._near, np.abs(margins) <= zero])
-        before, near, self._near = ends[:-1], ends[1:], ends[-1]
-        inside: Bools = (margins < 0.0) & ~near
-        return inside | (self._counts & (margins == 0.0)) | (self._stays & before & near)
+        near = np.abs(margins) <= self._setup.rounded * np.nan_to_num(terms)
+        ends = np.vstack([self._near, near])
+        before, self._near = ends[:-1], ends[-1]
+        # An atom that includes its boundary holds after a step there, or at once if it jumps.
+        closed, jumped = self._watch.closed, self._tapes.jumping & (margins == 0.0)
+        return ((margins < 0.0) & ~near) | (closed & (jumped | (before & near)))
 
     def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
         """Return the first step at whose end a condition has no value, and its name."""
-        if not self._names:
+        if not self._tapes.names:
             return None
-        rows, margins = self._ends(chunk, start)
-        single = [stop.condition.single for stop in self._tapes.stops]
-        # A compound condition is lost only if all its atoms are.
-        values = [
-            part if alone else np.where(np.isnan(part).all(axis=1, keepdims=True), part, 0.0)
-            for part, alone in zip(self._parts(margins), single, strict=True)
-        ]
-        found = first_undefined(np.hstack(values), rows)
+        rows = _ends(chunk)
+        margins = self._table(rows, chunk.ends(start))[..., 0]
+        for condition, first in zip(self._watch.conditions, self._watch.firsts, strict=True):
+            # A compound condition is lost only if all its atoms are.
+            part = margins[:, first : first + len(condition.atoms)]
+            if not condition.single:
+                part[~np.isnan(part).all(axis=1)] = 0.0
+        found = first_undefined(margins, rows)
         if found is None:
             return None
-        owners = [stop.name for stop in self._tapes.stops for _ in stop.margins]
-        return found[0], owners[found[1]]
-
-    def _ends(self, chunk: Chunk, start: float) -> tuple[Array, Array]:
-        """Return inputs and margins at the ends of steps."""
-        rows = np.hstack([chunk.states[1:], chunk.solved])
-        return rows, self._margins(rows, chunk.ends(start))
+        owner = int(np.searchsorted(self._watch.firsts, found[1], side="right")) - 1
+        return found[0], self._tapes.names[owner]
 
     def locate(self, recorder: Recorder, condition: int) -> Array:
         """Cut the recorded run where a condition is met in its last step; return that state."""
@@ -211,14 +179,15 @@ class StopConditions:
         unknowns = arc.unknowns(at)
         assert unknowns is not None
         rows = np.hstack([arc.states(at), unknowns])
-        margins = self._margins(rows, arc.start.later(local).high)
-        stop, part = self._tapes.stops[condition], self._parts(margins)[condition]
+        margins = self._table(rows, np.array([arc.start.later(local).high]))[0, :, 0]
         active = self._tapes.active.at(*self._modes)
-        return stop.condition.margin(part[0].tolist(), lambda *of: bool(active(*of)[0]))
+        stop, first = self._watch.conditions[condition], self._watch.firsts[condition]
+        return stop.margin(margins[first:].tolist(), lambda *of: bool(active(*of)[0]))
 
-    def _margins(self, rows: Array, times: Array | float) -> Array:
-        times = np.broadcast_to(np.asarray(times, dtype=float), len(rows)).copy()
-        return self._tape.table(rows, self._values, times)
+
+def _ends(chunk: Chunk) -> Array:
+    """Return the inputs of conditions at the ends of steps."""
+    return np.hstack([chunk.states[1:], chunk.solved])
 
 
 def first_undefined(margins: Array, inputs: Array) -> tuple[int, int] | None:

@@ -24,7 +24,8 @@ class Transition(fields.Part):
         **dict.fromkeys(("when", "if", "cond", "condition"), "guard"),
         **dict.fromkeys(("event", "trigger"), "on: REGION.EVENT, or guard: RELATION"),
         **dict.fromkeys(
-            ("reset", "action", "actions", "assign", "do", "set"), "updates: {VARIABLE: FORMULA}"
+            ("reset", "action", "actions", "assign", "do", "effect", "set"),
+            "updates: {VARIABLE: FORMULA}",
         ),
         **dict.fromkeys(("timeout", "delay"), "after"),
         "priority": "the transitions in their order: of those that are due the first is taken",
@@ -131,7 +132,7 @@ class Transition(fields.Part):
             raise DeclarationProblem(
                 f"transition {self.name!r} needs one of guard, on, after, every",
                 advice="write guard: x <= 0, on: region.event, after: DURATION or every: PERIOD; "
-                "beside on: region.event and after there may be a guard",
+                "beside after and on: region.event, such as one with every, there may be a guard",
             )
         return self
 
@@ -144,7 +145,8 @@ class BaseState(fields.Part):
 
     OTHER_WORDS: ClassVar = {
         **dict.fromkeys(("on", "after", "always"), _OUTSIDE),
-        **dict.fromkeys(("onentry", "on_entry", "enter"), "entry: {VARIABLE: FORMULA}"),
+        **dict.fromkeys(("children", "substates"), "states"),
+        **dict.fromkeys(("onentry", "on_entry", "on_enter", "enter"), "entry: {VARIABLE: FORMULA}"),
         **dict.fromkeys(("onexit", "on_exit", "leave"), "exit: {VARIABLE: FORMULA}"),
         **dict.fromkeys(("do", "ode", "dynamics"), "flows: {VARIABLE: FORMULA}"),
         **dict.fromkeys(("parallel", "type"), "regions: {NAME: ...} in it, or final: true"),
@@ -202,7 +204,10 @@ class BaseState(fields.Part):
 class BaseRegion(fields.Part):
     """States, exactly one of them active, and the transitions between them."""
 
-    OTHER_WORDS: ClassVar = {"history": "states: {NAME: {history: deep}} beside regions"}
+    OTHER_WORDS: ClassVar = {
+        "history": "states: {NAME: {history: deep}} beside regions",
+        **dict.fromkeys(("parallel", "type"), "regions: {NAME: ...} in a state"),
+    }
 
     initial: str = declare("State at the start.", "flight")
     states: Mapping[str, BaseState] = declare("Name to state.", {"flight": {}, "stance": {}})
@@ -317,6 +322,12 @@ def check_listening(
         for event in parse_events(transition.on) if transition.on is not None else ():
             heard = {*alone}.union(*others.values())
             own = event.cause in {*causes.get(region, ())} - heard and event.region is None
+            if event.cause == "done" and event.region in {*states.get(region, ())} - {*others}:
+                raise DeclarationProblem(
+                    f"{event.region!r} is never done: it holds no final state",
+                    advice="write {final: true} for the last of its states",
+                    loc=loc,
+                )
             if event.region == region or own:
                 raise DeclarationProblem(
                     f"{region!r} waits for an event of its own",

@@ -122,7 +122,8 @@ def loop_error(
     guard_texts = [f"{event[1]} ({guards[event]})" for event in dict.fromkeys(fired)]
     if len(guard_texts) == 1:
         return EventLoop(
-            f"{message}; the guard of {guard_texts[0]} holds after it too; let updates end it"
+            f"{message}; the guard of {guard_texts[0]} holds after it too; let updates end it, "
+            "give it a direction, such as x <= 0 and v < 0, or let it enter a second state"
         )
     return EventLoop(
         f"{message}; the guards of {' and '.join(guard_texts)} hold at once; leave a band between "

@@ -26,6 +26,7 @@ _CHARACTERS: Mapping[str, str] = {
     "&": "where both must hold, write `and`",
     "||": "where one is enough, write `or`",
     "!": "write `not`",
+    "~": "write `not`, or != between counts",
     "'": "digits of a number stand together: 10000, or 1e4",
     "_": "digits of a number stand together: 10000, or 1e4",
     **dict.fromkeys("\u201c\u201d\u201e\u2018\u2019\u00ab\u00bb", "a number needs no quotes"),
@@ -75,6 +76,7 @@ TOKENS: Mapping[str, str] = {
     ")": "there is no ( before it that it could close",
     **dict.fromkeys(("and", "or", "not", "in"), "comparisons stand on both sides of `and`, `or`"),
     **dict.fromkeys(("if", "else", "then"), _CHOICE),
+    "is": "compare counts with == or !=",
     "deg": "angles are in radians: 30*pi/180",
 }
 """Misplaced part of a formula -> advice."""
@@ -82,6 +84,9 @@ TOKENS: Mapping[str, str] = {
 _PROGRAMS: Mapping[str, str] = {
     r"\s*if\b|.*\?": _CHOICE,
     r".*(\+\+|--)\s*$|\s*[-+*/]=": "write the new value, such as n + 1",
+    r".*\b(AND|OR|NOT|And|Or|Not)\b": "write `and`, `or`, `not` in small letters",
+    r".*\bxor\b": "write a and not b or b and not a",
+    r".*<>": "counts are compared with !=",
 }
 
 
@@ -121,6 +126,7 @@ _WHOLE: Mapping[str, str] = {
     **dict.fromkeys(("fmod", "remainder"), "mod(x, y)"),
 }  # fmt: skip
 _HYBRID: Mapping[str, str] = {
+    "in": "write in(REGION.STATE)",
     "der": "a rate stands in flows; of a coordinate x it is dx",
     **dict.fromkeys(("pre", "previous"), "updates see the values before; write the variable"),
     **dict.fromkeys(

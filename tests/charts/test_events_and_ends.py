@@ -326,14 +326,14 @@ regions:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("b2: {final: true}", "b2: {}", "no region 'b'"),
+        ("b2: {final: true}", "b2: {}", "'b' is never done: it holds no final state"),
         ("on: b.done", "on: r.done", "takes events of other regions, and STATE.done"),
-        ("on: b.done", "on: p.done", "no region 'p'"),
+        ("on: b.done", "on: p.done", "'p' is never done"),
         ("from: b, to: a, on: b.done", "from: b2, to: a, after: 1", "'b2' is final, and nothing"),
         ("{final: true}", "{final: true, states: {c: {}}}", "it has no 'states'; leave final out"),
         ("after: 1}", "after: 1, internal: true}", "leads to no state in 'a'; write from: a state"),
         ("from: a, to: b, after: 1", "from: p, to: l2, after: 1, internal: true", "is internal"),
-        ("after: 1}", "every: 1, guard: x >= 1}", "beside on: region.event and after"),
+        ("after: 1}", "every: 1, guard: x >= 1}", "beside after and on: region.event"),
         ("after: 1}", "after: 1, guard: y >= 1}", "unknown name 'y'"),
         ("after: 1}", "after: 1, on: b.done}", "needs one of guard, on, after, every"),
         (

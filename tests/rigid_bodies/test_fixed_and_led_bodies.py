@@ -51,15 +51,16 @@ SEAM = f"""
     fixed: true
     copies: 12
     shape: {{polygon: [[-0.5, -0.25], [0.5, -0.25], [0.5, 0.25], [-0.5, 0.25]]}}
-    start: {{x: index - 0.5, y: -0.25}}
+    start: {{x: (1 + GAP)*index - 0.5, y: -0.25}}
 """
 
 
-def test_a_box_slides_over_flush_fixed_crates_as_on_one() -> None:
+@pytest.mark.parametrize("gap", [0, 1e-6, 1e-3, 0.03])
+def test_a_box_slides_over_level_fixed_crates_as_on_one(gap: float) -> None:
     far = 4.0**2 / (2 * 0.2 * G)
     for h in (8e-3, 3e-3, 1e-3, 2.5e-4):
         law = "  all: {bodies: [box, tile], friction: 0.2, restitution: 0}"
-        result = _run(SEAM, law, until=3.0, step=h)
+        result = _run(SEAM.replace("GAP", f"{gap}"), law, until=3.0, step=h)
         x, y, angle = result.trace.final[:3]
         assert result.trace.outcome is Outcome.HORIZON
         assert x == pytest.approx(far, abs=4.0 * h)
