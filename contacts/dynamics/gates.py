@@ -18,7 +18,7 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import Array, Ints, Ints32
-from statechart.automaton.margin_derivatives import UNDERFLOW, rounding_scale
+from statechart.automaton.margin_derivatives import UNDERFLOW, derivative
 from statechart.automaton.regions import Margin
 from statechart.formulas.condition import And, Or, replaced
 from statechart.formulas.relation import States, parse_relation
@@ -36,7 +36,7 @@ PER_CONDITION = 4
 # shifted by this power of the relative round-off.
 _OFFSET_POWER = 0.75
 # Added to a margin in runs by steps, so that a zero counts as the relation (>= or >) says; beside
-# the residual motion of resting bodies, relative to the size of the margin's terms.
+# the residual motion of resting bodies, relative to the sizes of coordinates and rates.
 _ZERO_SHIFT, RESIDUAL_MOTION = 1e-300, 1e-12
 
 
@@ -104,8 +104,8 @@ class Gate:
     ) -> sp.Expr:
         """Return the margin of the gate at the end of a time step: > 0 while it holds.
 
-        `sizes` of coordinates and rates determine its round-off. An end of an edge is ignored if
-        its value in `valleys` is positive.
+        `sizes` of coordinates and rates determine what the residual motion of resting bodies
+        changes. An end of an edge is ignored if its value in `valleys` is positive.
         """
         ignored = valleys or {}
 
@@ -116,9 +116,12 @@ class Gate:
             value = atom.margin.xreplace(values)
             if atom.is_end:
                 return sp.Max(value, ignored[atom.words]) if atom.words in ignored else value
-            shift = sp.Float(_ZERO_SHIFT)
-            if value.free_symbols & sizes.keys():
-                shift += RESIDUAL_MOTION * rounding_scale(value, sizes)
+            moves = [abs(derivative(value, symbol)) * size for symbol, size in sizes.items()]
+            # Roots have no slope at zero.
+            moves = [
+                move for move in moves if not any(p.exp.is_negative for p in move.atoms(sp.Pow))
+            ]
+            shift = sp.Add(sp.Float(_ZERO_SHIFT), RESIDUAL_MOTION * sp.Add(*moves))
             return value + shift if atom.closed else value - shift
 
         return margin(self.root)
