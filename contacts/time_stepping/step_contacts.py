@@ -189,11 +189,7 @@ def find_active(
             met.active[i], met.bias[i, 1] = True, 0.5 * h * numbers[row + 2 * n + 1]
             continue
         if scene.compliance[i, 0] > 0.0:
-            # Implicit Euler: h times the force at the initial gap plus h times the final rate,
-            # never below 0. It dissipates in steps longer than a contact lasts.
-            start = gap - 0.5 * h * before[0]
-            met.active[i] = min(start, gap) <= 0.0
-            met.bias[i, 0] = h * scene.compliance[i, 0] * start / _pad_compliance(scene, i, h)
+            met.active[i] = gap - 0.5 * h * abs(before[0]) <= 0.0
             met.bias[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
             continue
         nearing, slow = -before[0], _slow(scene, memory, tape, met, i, h)
@@ -229,10 +225,27 @@ def find_active(
 
 
 @kernel
-def _pad_compliance(scene: StepConstants, i: int, h: float) -> float:
-    """Return the implicit impulse per velocity of a compliant contact."""
-    impulse: float = h * (h * scene.compliance[i, 0] + scene.compliance[i, 1])
-    return impulse
+def _pad_row(
+    scene: StepConstants, tape: TapeValues, i: int, column: Array, h: float
+) -> tuple[float, float]:
+    """Return the compliance of a compliant contact, and its bias; its column of `unit_responses`.
+
+    The trapezoidal rule integrates the force to second order. The weight of implicit Euler is of
+    second order in h, and 1 in steps that do not resolve the contact, which dissipate. In the
+    step of a touchdown the damper acts from the touchdown on.
+    """
+    stiffness, damping = scene.compliance[i]
+    row, own = tape.first + tape.per * i, 0.0
+    for j in range(tape.size):
+        own += tape.numbers[row + j] * column[j]
+    weight = min(1.0, h * h * own * (stiffness + own * damping * damping))
+    rate = tape.numbers[row + 2 * tape.size + 3]
+    start = tape.numbers[row + 2 * tape.size + 2] - 0.5 * h * rate
+    if start > 0.0 > start + h * rate:
+        damping *= 1.0 + start / (h * rate)
+    push = h * ((0.25 + 0.75 * weight) * h * stiffness + (0.5 + 0.5 * weight) * damping)
+    force = stiffness * (start + 0.25 * (1.0 - weight) * h * rate)
+    return 1.0 / push, h * (force + 0.5 * (1.0 - weight) * damping * rate) / push
 
 
 @kernel
@@ -285,7 +298,7 @@ def normal_pads(
     for a in range(len(which)):
         i = which[a]
         if scene.compliance[i, 0] > 0.0:
-            pads[a] = 1.0 / _pad_compliance(scene, i, h)
+            pads[a], _ = _pad_row(scene, tape, i, columns[2 * a], h)
         if is_coupling(scene, i):
             row = tape.first + tape.per * i + tape.size
             for j in range(tape.size):
@@ -421,6 +434,8 @@ def group_island(
         copy_numbers(memory.impulses[i], island.chosen[a])
     for a in range(m):
         copy_numbers(met.bias[members[a]], island.bias[a])
+        if scene.compliance[members[a], 0] > 0.0:
+            _, island.bias[a, 0] = _pad_row(scene, tape, members[a], columns[2 * a], h)
         # The slip bias assumes the old rotation, which an impact changes.
         if struck:
             island.bias[a, 1] = 0.0
@@ -587,7 +602,8 @@ def write_modes(
         if scene.coefficient_places[i] >= 0:
             mu = cones[a, 1] / cones[a, 0] if cones[a, 0] > 0.0 else math.inf
             chunk.solved[k, used_at + scene.coefficient_places[i]] = mu
-        if pressed and not met.hit[i] and not memory.closed[i]:
+        distant = not met.hit[i] and not memory.closed[i] and not scene.compliance[i, 0] > 0.0
+        if pressed and distant:
             chunk.closing[k] = max(chunk.closing[k], chunk.gaps[k, i] - memory.target_gap[i])
         # A contact that another one's impulse stops counts as struck.
         chunk.struck[k, i] = island.hit[a] and (

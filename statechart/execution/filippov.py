@@ -113,11 +113,10 @@ class Filippov:
         if not strict:
             signs_of = [{signs[k] for signs in choices} for k in range(len(surface.on))]
             if any({1, -1} <= sign_set for sign_set in signs_of):
-                resting = [
+                return tuple(
                     RESTS if {1, -1} <= sign_set else min(sign_set, key=abs)
                     for sign_set in signs_of
-                ]
-                return tuple(resting), True
+                ), True
         previous = None if before is None else tuple(before[i] for i in surface.on)
         if previous in choices:
             return previous, len(strict) < 2
