@@ -30,7 +30,7 @@ GAP_OFFSET = "gap_offset"
 HELD_FORCE = "scene.held_force"
 """Parameters ``scene.held_force0`` of scenes that switch: see `contacts.dynamics.held_forces`."""
 SIZE = "scene.size"
-"""Parameters ``scene.size0`` of scenes with `enabled`: sizes of coordinates and rates."""
+"""Parameters ``scene.size0`` of scenes with `enabled`: sizes of coordinates and rates by steps."""
 MASS_UNIT = "scene.mass_unit"
 """Parameter of scenes with extreme masses: the power of two that modes are solved in, or 0."""
 MAGNITUDES = 1e-40, 1e40

@@ -113,9 +113,12 @@ class SceneNumbers:
                     np.array([(limit.least, limit.most) for limit in varying]).reshape(-1, 2).T
                 )
 
-    def at(self, overrides: Mapping[str, float], relative: float) -> SceneSetup:
+    def at(
+        self, overrides: Mapping[str, float], relative: float, *, stepped: bool = False
+    ) -> SceneSetup:
         """Return the numbers for `overrides` of the parameters.
 
+        By steps, relations use the sizes of coordinates and rates, which are then parameters.
         Raises `DeclarationProblem` or `FormulaError` if a parameter is unknown, or a number has no
         value or is not physical.
         """
@@ -141,7 +144,7 @@ class SceneNumbers:
             values = values.copy()
             values[self.places[MASS_UNIT]] = mass_unit(scales.acceleration, scales.force)
             inputs = _known(memory, values)
-        if f"{SIZE}0" in self.places:
+        if stepped and f"{SIZE}0" in self.places:
             first = self.places[f"{SIZE}0"]
             values = values.copy()
             values[first : first + len(scales.sizes)] = scales.sizes

@@ -179,7 +179,7 @@ class SteppedScene(SteppedSystem):
 
     def change(self, values: Mapping[str, float]) -> SceneSetup:
         """Change the values of parameters; return the setup."""
-        setup = self._numbers.at(values, RELATIVE)
+        setup = self._numbers.at(values, RELATIVE, stepped=True)
         self._values = setup.values
         self._use(self._source, setup.contacts)
         return setup
@@ -540,7 +540,8 @@ class SceneStepper(Stepper):
     def _begin(
         self, overrides: Mapping[str, float], step: float, allowed: float, forces: bool
     ) -> RunInputs:
-        setup, failure, warnings = self._numbers.at(overrides, RELATIVE), None, tuple[str, ...]()
+        setup = self._numbers.at(overrides, RELATIVE, stepped=True)
+        failure, warnings = None, tuple[str, ...]()
         off = np.zeros(len(setup.contacts), np.bool_)
         codes = np.full(len(off), FREE)
         try:
