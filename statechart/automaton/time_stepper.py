@@ -59,7 +59,7 @@ def _show_nothing(time: float, jumps: int, steps: int) -> None:
 
 
 class StepRequest(NamedTuple):
-    """What a run by steps is asked for."""
+    """Step size, end, limits and recording of a run by steps."""
 
     step: float  # all steps have this length except the last two
     until: float  # the end of the last step
