@@ -119,7 +119,12 @@ class Gate:
             moves = [abs(derivative(value, symbol)) * size for symbol, size in sizes.items()]
             # Roots have no slope at zero.
             moves = [
-                move for move in moves if not any(p.exp.is_negative for p in move.atoms(sp.Pow))
+                move
+                for move in moves
+                if not any(
+                    power.exp.is_negative and not power.base.free_symbols.isdisjoint(sizes)
+                    for power in move.atoms(sp.Pow)
+                )
             ]
             shift = sp.Add(sp.Float(_ZERO_SHIFT), RESIDUAL_MOTION * sp.Add(*moves))
             return value + shift if atom.closed else value - shift

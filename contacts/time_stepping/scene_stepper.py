@@ -201,7 +201,7 @@ class SteppedScene(SteppedSystem):
         modes, parts = modes_after_jump(was.scene, contacts, tolerances, mode, old, now)
         # A contact that a surface strikes or leaves does not last.
         memory.closed[parts] = False
-        closed = [one not in OPEN for one in mode]
+        closed = np.array([one not in OPEN for one in mode], np.bool_)
         switched = {
             i: _CODES[new]
             for i, (new, state) in enumerate(zip(modes, mode, strict=True))

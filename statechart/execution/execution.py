@@ -478,7 +478,8 @@ class Execution:
         self.instants += 1
         projected = False
         if fired and is_of_switch(fired[0]):
-            self._livelock.switched(self.clock, self.until)
+            if not self.automaton.stop_margins:
+                self._livelock.switched(self.clock, self.until)
             accumulates = self._livelock.rearranged(self.clock, fired)
             if self.certificate is not None:
                 self.certificate.switch(self._instant(*fired))

@@ -302,7 +302,10 @@ class _Surface:
         if residual > _EDGE * np.abs(slopes).max():
             return None, no_shares  # not affine in the signs
         matrix = acts[list(sliding)]
-        if not np.linalg.cond(matrix) * _EDGE < 1.0:
+        sizes = np.abs(matrix).max(axis=1, keepdims=True)
+        if not (np.isfinite(matrix).all() and sizes.all()):
+            return None, no_shares
+        if not np.linalg.cond(matrix / sizes) * _EDGE < 1.0:
             return None, no_shares
         shares = np.linalg.solve(matrix, -middle[list(sliding)])
         if not (np.abs(shares) <= 1.0 + _EDGE).all():

@@ -76,8 +76,8 @@ class Livelock:
             return
         self._switched = []
         paces = [between(a, b) for a, b in pairwise(times[:: SWITCHES // 4])]
-        remaining = clock.until(until)
-        if max(paces) <= 2.0 * min(paces) and remaining > _TOO_MANY_SWITCHES * max(paces):
+        remaining, steady = clock.until(until), max(paces) <= 2.0 * min(paces)
+        if steady and remaining * SWITCHES > _TOO_MANY_SWITCHES * sum(paces):
             raise TooLong(
                 f"{SWITCHES} switches of sign, abs, min or max took {sum(paces):.3g}, and "
                 f"{remaining:.3g} is left; end the run earlier, or smooth the functions that switch"

@@ -202,6 +202,20 @@ def test_a_spiral_around_two_surfaces_ends_at_their_intersection(engine: Engine)
     assert later.final[2] - trace.final[2] == pytest.approx(0.1, abs=1e-12)
 
 
+@both
+def test_slides_at_rates_of_eleven_decades_are_found_together(engine: Engine) -> None:
+    # x slides from 1e6 on, where its sign is 1/3.
+    rates = {"x": "1e-6*(1/2 - 3/2*sign(x))", "y": "1e5*(1/2 - 3/2*sign(y))", "z": "sign(x)"}
+    trace = run(flow({"x": 1, "y": 1, "z": 0}, **rates), engine, 2e6)
+    assert trace.final == pytest.approx([0.0, 0.0, 4e6 / 3.0], rel=1e-9, abs=1e-9)
+
+
+def test_rates_without_a_value_beside_a_surface_are_told() -> None:
+    rates = {"x": "-sign(x)*sqrt(3/2 + 2*sign(x)*sign(y))", "y": "-sign(y)"}
+    trace = Simulator(flow({"x": 1, "y": 1}, **rates), SCIPY).run(until=3.0, throw=False)
+    assert trace.outcome is Outcome.AMBIGUOUS_MODE
+
+
 def test_a_tank_that_has_drained_stays_empty_until_water_flows_in() -> None:
     # sqrt(h) falls at the constant rate 0.05: the tank is empty at t = 20. It has no Taylor series.
     drained = run(flow({"h": 1}, h="-0.1*sqrt(max(h, 0))"), SCIPY, 100.0)

@@ -175,14 +175,18 @@ outputs: {{x: {{value: box.x}}, turned: {{maximum: abs(box.angle)}}}}
         assert result.outputs["turned"] == pytest.approx(0, abs=1e-6)
 
 
-@pytest.mark.parametrize("above", [-1e-6, 1e-6])
-def test_plate_is_hit_at_its_end_not_at_a_cut_side(above):
+@pytest.mark.parametrize(
+    ("above", "hits"), [(-1e-6, 1), (-1e-11, 1), (0.0, 0), (1e-11, 0), (1e-6, 1)]
+)
+def test_plate_is_hit_at_its_end_not_at_a_cut_side(above, hits):
     # Its start is nearly as high as the leading corner, and it rises by rounding: cut to the width
     # of the box's side it began somewhere along itself. At the same height it is passed.
     plate = np.array([[0.0, 0.0], [0.2, 1e-7]])
     box = np.array([[-0.4, above], [-0.0015, above], [-0.0015, 0.1], [-0.4, 0.1]])
     found, features = np.zeros((16, FOUND)), np.zeros(16, dtype=np.int64)
     shapes = (ConvexShape(c, c.mean(axis=0), 0.0) for c in (plate, box))
-    count = shape_contacts(*shapes, 0.01, found, features)
-    assert found[:count, 4] == pytest.approx([0.0015], rel=1e-4)
-    assert np.abs(found[0, :2]) == pytest.approx([1, 0], abs=1e-3)
+    assert shape_contacts(*shapes, 0.01, found, features) == hits
+    assert found[:hits, 4] == pytest.approx([0.0015] * hits, rel=1e-4)
+    assert np.abs(found[:hits, :2]) == pytest.approx(
+        np.array([[1, 0]] * hits).reshape(-1, 2), abs=1e-3
+    )

@@ -621,7 +621,7 @@ bodies: {b: {mass: 1, start: {dx: start*cos(tilt), dy: start*sin(tilt)}}}
 surfaces:
   floor: {line: [[0, 0], [cos(tilt), sin(tilt)]], displacement: [belt*time*cos(tilt), 0]}
 contacts:
-  c: {point: {body: b}, surface: floor, friction: 0.5, restitution: 0, enabled: b.dx > belt}
+  c: {point: {body: b}, surface: floor, friction: 0.5, restitution: 0, enabled: RELATION}
 stop: {time: 1}
 outputs: {off: {value: time, at: first c.disable}}
 """
@@ -629,15 +629,39 @@ outputs: {off: {value: time, at: first c.disable}}
 
 @pytest.mark.parametrize("step", [1e-3, 7e-4, 1e-4])
 @pytest.mark.parametrize(
-    ("tilt", "belt", "start"), [(0.0, 0.5, 1.0), (0.0, 0.3, 0.9), (-0.2, 0.0, 0.7)]
+    ("relation", "tilt", "belt", "start"),
+    [
+        ("b.dx > belt", 0.0, 0.5, 1.0),
+        ("b.dx/belt > 1", 0.0, 0.5, 1.0),
+        ("b.dx > belt", 0.0, 0.3, 0.9),
+        ("b.dx > belt", -0.2, 0.0, 0.7),
+    ],
 )
 def test_a_strict_relation_fails_where_friction_leaves_a_rate_at_its_bound(
-    tilt: float, belt: float, start: float, step: float
+    relation: str, tilt: float, belt: float, start: float, step: float
 ) -> None:
     """The rate rests 1e-17 above the bound, or below it: the step decided whether b falls."""
     values = {"tilt": tilt, "belt": belt, "start": start}
-    run = statechart.run(
-        interpret(read_text(SLOWED)), parameters=values, engine="impulse", step=step
-    )
+    model = interpret(read_text(SLOWED.replace("RELATION", relation)))
+    run = statechart.run(model, parameters=values, engine="impulse", step=step)
     deceleration = 10 * (0.5 * math.cos(tilt) + math.sin(tilt))
     assert run.outputs["off"] == pytest.approx((start - belt) / deceleration, abs=1.01 * step)
+
+
+LIFTED = """
+kind: scene
+name: lifted
+gravity: 0
+bodies: {b: {mass: 1, start: {y: 1, dx: 1}}}
+surfaces: {floor: {height: 0, displacement: [0, lift]}}
+controls: {lift: 0}
+regions:
+  r: {initial: low, states: {low: {}, high: {sets: {lift: 0.1}}}, transitions: [
+    {name: up, from: low, to: high, after: 0.5}]}
+stop: {time: 1}
+"""
+
+
+def test_a_controller_lifts_a_floor_that_nothing_touches() -> None:
+    run = statechart.run(interpret(read_text(LIFTED)), engine="impulse", step=1e-2)
+    assert run.trace.final[:2] == pytest.approx([1.0, 1.0])
