@@ -280,7 +280,7 @@ class ControllerState:
 
         return of_motion._replace(project=project, fixed=None if of_motion.fixed is None else fixed)
 
-    def begun(self, setup: SceneSetup, clock: Clock, state: Array) -> Array:
+    def enter_initial_states(self, setup: SceneSetup, clock: Clock, state: Array) -> Array:
         """Return the state after the controllers have entered their initial states."""
         for name, region in self._mechanics.scene.controlled.flat.items():
             state = self.updated(setup, clock, name, region.begins, state)

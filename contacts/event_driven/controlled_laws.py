@@ -72,7 +72,7 @@ class ControlledLaws:
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the first flow; transitions that are due there follow as jumps."""
         assert isinstance(setup, SceneSetup)
-        state = self._memory.begun(setup, Clock(), setup.initial)
+        state = self._memory.enter_initial_states(setup, Clock(), setup.initial)
         controllers = self._states.initial
         inner = self._within(setup, controllers, state)
         flow, motion = self._at(controllers).begin(

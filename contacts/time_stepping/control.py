@@ -125,7 +125,7 @@ class StepControl:
         time = np.array([recorder.clock.high])
         if not self._begun:
             self._begun = True
-            state = self._memory.begun(self._setup, recorder.clock, state)
+            state = self._memory.enter_initial_states(self._setup, recorder.clock, state)
         for _ in range(_MOST_TURNS):
             watched = self._states.guards(self.states).watch.guards
             at_end = time, state[None], solved[None]

@@ -556,7 +556,7 @@ class SceneStepper(Stepper):
         """Check the initial state; return initial modes, disabled contacts, warnings."""
         warnings = [*self._replaced_laws(setup), *self._cut(setup)]
         memory = ControllerState(self._mechanics)
-        setup = replace(setup, initial=memory.begun(setup, Clock(), setup.initial))
+        setup = replace(setup, initial=memory.enter_initial_states(setup, Clock(), setup.initial))
         within = memory.within(setup, setup.initial)
         within = replace(within, initial=memory.parted(setup.initial))
         if self._mechanics.joint_rows:

@@ -180,8 +180,9 @@ def without_limit(chunk: Chunk, start: float, couplings: Sequence[str]) -> Rejec
     if not wrong:
         return None
     (k, c), *_ = wrong
-    return Rejection(k, NoConsistentMode(
-        f"coupling {couplings[c]!r}: its limit is below zero or has no value by "
-        f"t = {start + (k + 1) * chunk.h:.9g}; a coupling that lets go is one with "
-        "enabled: RELATION"
-    ))  # fmt: skip
+    end = start + (k + 1) * chunk.h
+    problem = (
+        f"coupling {couplings[c]!r}: its limit is below zero or has no value by t = {end:.7g}; a "
+        "coupling that lets go is one with enabled: RELATION"
+    )
+    return Rejection(k, NoConsistentMode(problem))
