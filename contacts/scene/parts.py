@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
+from pydantic import BeforeValidator, Field, PlainSerializer, field_validator, model_validator
 
 from contacts.scene.friction import DeclaredFriction, Friction
 from contacts.scene.modes import ContactMode, Free, Pin, Slide, as_mode
@@ -146,6 +146,17 @@ class Body(Part):
         unit="1",
         default=None,
     )
+
+    @field_validator("position", mode="before")
+    @classmethod
+    def _not_a_start(cls, position: Any) -> Any:
+        if isinstance(position, Mapping):
+            start = ", ".join(f"{key}: {value}" for key, value in position.items())
+            raise DeclarationProblem(
+                "position is a list of two formulas of coordinates or time",
+                advice=f"write start: {{{start}}} for the initial position of a free body",
+            )
+        return position
 
     def numbered(self, index: int) -> Body:
         """Return the copy of this number: a body by itself."""

@@ -127,12 +127,17 @@ class Transition(fields.Part):
     def _one_trigger(self) -> Self:
         triggers = (self.on, self.after, self.every)
         count = sum(trigger is not None for trigger in triggers)
-        alone = self.every is not None or self.on_zeno
-        if count > 1 or (alone if self.guard is not None else count == 0):
+        if self.every is not None and self.guard is not None:
+            raise DeclarationProblem(
+                f"transition {self.name!r} has every and guard",
+                advice="let another region tick: {name: tick, from: STATE, every: "
+                f"{self.every}}}, and write here on: REGION.tick, guard: {self.guard}",
+            )
+        if count > 1 or (self.on_zeno if self.guard is not None else count == 0):
             raise DeclarationProblem(
                 f"transition {self.name!r} needs one of guard, on, after, every",
                 advice="write guard: x <= 0, on: region.event, after: DURATION or every: PERIOD; "
-                "beside after and on: region.event, such as one with every, there may be a guard",
+                "a guard may stand beside on and after",
             )
         return self
 
