@@ -80,6 +80,9 @@ def check_range(number: float, quantity: str, loc: tuple[str, ...]) -> None:
     GRAVITY,
 ) = range(12)  # fmt: skip
 
+# Least lever of a coordinate, as a part of the radius of gyration of a body that it turns.
+_LEAST_LEVER = 1e-3
+
 
 class ScaleTape:
     """Determines the scales from the initial state and the prescribed motions of a run.
@@ -127,6 +130,13 @@ class ScaleTape:
         for _, place in places:
             for q in moving.keys() & place.free_symbols:
                 moving[q].append(sp.diff(place, q))
+        # At a dead point of a linkage the derivatives of its points may be round-off.
+        for name, body in scene.bodies.items():
+            for q in moving.keys() & mechanics.body_frame(name)[1].free_symbols:
+                if body.position is not None and moving[q]:
+                    mass, inertia = mechanics.inertia(name, body)
+                    turn = sp.diff(mechanics.body_frame(name)[1], q)
+                    moving[q].append(_LEAST_LEVER * turn * sp.sqrt(inertia / mass))
         moves = [derivatives or [sp.S.Zero] for derivatives in moving.values()]
         mass = sp.Add(*map(sp.Abs, masses))
         across, upward = _positions(mechanics)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.projection import on_constraints
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.impacts.jamming import Jam, paradoxes, resolve_jam
@@ -15,6 +18,7 @@ from contacts.modes.classification import Before, Choice, ForceUncertainty, choo
 from contacts.modes.compiled_classification import ENDLESS
 from contacts.scene.parts import Resolution
 from contacts.states import INACTIVE, OFF, cause_of, superstates_of
+from statechart.arrays import Array
 from statechart.automaton.trace import Key
 from statechart.errors import DeclarationProblem, NoConsistentMode
 
@@ -61,6 +65,71 @@ def choose_mode(
         warning = "; ".join([choice.warning, *map(str, paradoxes_met.values())])
         choice = choice._replace(warning=warning)
     return choice
+
+
+# A tangential row below this is zero.
+_NULL_ROW = 1e-9
+# To see which way a point slips, its motion is continued for times of which each is by this factor
+# shorter than the one before, until its slip grows by a power of time, as exactly as given.
+_SHORTER, _TRIALS, _CLEAR = 4.0, 20, 0.02
+
+
+def choose_at_rest(
+    setup: SceneSetup,
+    snapshot: Snapshot,
+    touching: Sequence[bool],
+    paradox: Resolution,
+    state: Array,
+    at: Callable[[Array, float], Snapshot],
+    before: Before | None = None,
+    uncertainty: ForceUncertainty | None = None,
+) -> Choice | Jam:
+    """Return the mode as `choose_mode` does, also at dead points of linkages.
+
+    At a dead point no motion moves a resting point along its surface to first order (a crank and
+    its slider in line): friction cannot hold the linkage there, and the point slips as the motion
+    goes on. `at` gives the snapshot at a state after a time.
+    """
+    choice = choose_mode(setup, snapshot, touching, paradox, before, uncertainty)
+    if isinstance(choice, Jam):
+        return choice
+    slip_tolerance = 2.0 * setup.tolerances["speed"]
+    idle = [
+        i
+        for i, row in enumerate(snapshot.jacobians[:, 1])
+        if touching[i]
+        and abs(snapshot.contacts[i].slip) <= slip_tolerance
+        and np.abs(row).max(initial=0.0) <= _NULL_ROW
+        and abs(snapshot.biases[i, 1]) <= _NULL_ROW * setup.scales.acceleration
+    ]
+    if not idle:
+        return choice
+    accelerations, _ = snapshot.solved(choice.taken.accelerations, choice.taken.forces)
+    half = len(state) // 2
+
+    def slips(later: float) -> list[float]:
+        """Return the slips of the points after a time."""
+        rates = state[half:] + later * accelerations[:half]
+        places = state[:half] + 0.5 * later * (state[half:] + rates)
+        moved = np.append(places, rates)
+        moved = on_constraints(("free",) * len(touching), at(moved, later), moved)
+        contacts = at(moved, later).contacts
+        return [contacts[i].slip for i in idle]
+
+    longest = setup.scales.length / setup.scales.speed
+    found = np.array([slips(longest / _SHORTER**k) for k in range(_TRIALS)])
+    contacts, turned = [*snapshot.contacts], False
+    for i, slip in zip(idle, found.T, strict=True):
+        for longer, shorter in pairwise(slip.tolist()):
+            if longer * shorter > 0.0 and abs(shorter) > slip_tolerance:
+                power = math.log(longer / shorter, _SHORTER)
+                if power > 0.5 and abs(power - round(power)) < _CLEAR:
+                    contacts[i], turned = contacts[i]._replace(slip=shorter), True
+                    break
+    if not turned:
+        return choice
+    snapshot = snapshot._replace(contacts=tuple(contacts))
+    return choose_mode(setup, snapshot, touching, paradox, before, uncertainty)
 
 
 def check_listed(setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 
 import numpy as np
@@ -27,7 +27,7 @@ from contacts.dynamics.starting import (
 )
 from contacts.event_driven.accumulation import close_immediately
 from contacts.event_driven.compiled_laws import CompiledSceneLaws
-from contacts.event_driven.decision import cause, check_declared, choose_mode
+from contacts.event_driven.decision import cause, check_declared, choose_at_rest
 from contacts.event_driven.handovers import Handovers
 from contacts.event_driven.impact_jump import Landing, Rules, flow_in, impact_jump, shown_roles
 from contacts.event_driven.switching import Switching, alike
@@ -173,7 +173,15 @@ class SceneLaws:
         if state is not setup.initial:
             snapshot = hidden(self.tape.at(setup.values, state, 0.0), off)
         above = self._hovering(setup, state, off)
-        choice = choose_mode(setup, snapshot, touching, self._paradox, Before())
+        choice = choose_at_rest(
+            setup,
+            snapshot,
+            touching,
+            self._paradox,
+            state,
+            self._hidden_at(setup, 0.0, off),
+            Before(),
+        )
         if isinstance(choice, Jam):
             starts = listed_mode(choice.sliding, setup.contacts, snapshot.contacts, 2.0 * slow)
             roles = roles_in(choice.sliding)
@@ -276,7 +284,17 @@ class SceneLaws:
         touching = [shut and c.gap_rate <= slow for shut, c in zip(closed, contacts, strict=True)]
         uncertainty = self._rules.uncertainty(here)
         before = Before.flow(at.flow.roles, here.moving)
-        choice = choose_mode(setup, here.snapshot, touching, self._paradox, before, uncertainty)
+        around = self._hidden_at(setup, clock.high, flow.mode)
+        choice = choose_at_rest(
+            setup,
+            here.snapshot,
+            touching,
+            self._paradox,
+            here.at.state,
+            around,
+            before,
+            uncertainty,
+        )
         if isinstance(choice, Jam):
             if all(choice.sliding[i] == here.moving[i] for i in choice.places):
                 # A contact that slid to where sliding ends: p fell to zero on the way.
@@ -284,6 +302,12 @@ class SceneLaws:
                 choice = choice if grown is None else dataclasses.replace(choice, why=grown.why)
             return self._impact(here, [*choice.places], choice)
         return self._enter(at, here, choice)
+
+    def _hidden_at(
+        self, setup: SceneSetup, start: float, mode: Key
+    ) -> Callable[[Array, float], Snapshot]:
+        """Return a function that gives the snapshot of a mode at a state, a time after `start`."""
+        return lambda state, later: hidden(self.tape.at(setup.values, state, start + later), mode)
 
     def close(self, at: Instant, joint: str, cause: str) -> tuple[Jump, Flow]:
         """Close a joint: its points stop, and so do contacts that are closed, without rebound.

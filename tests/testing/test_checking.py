@@ -168,6 +168,19 @@ def with_states(scene, change):
     return Subject(scene, dataclasses.replace(automaton, regions=regions))
 
 
+CARRIED = """
+kind: scene
+name: carried
+gravity: 9.81
+bodies: {ball: {mass: 1, start: {y: 0.1}}}
+surfaces: {belt: {height: 0, displacement: [s, 0]}}
+contacts: {foot: {point: {body: ball}, surface: belt, friction: 0.3, restitution: 0}}
+regions:
+  drive: {initial: runs, variables: {s: 0}, states: {runs: {flows: {s: 1}}}}
+stop: {time: 0.5}
+"""
+
+
 def test_a_good_chart_passes_every_property():
     report = check(model(BALL), examples=6, seed=1)
     assert report.passed, report.text()
@@ -388,6 +401,11 @@ def test_a_pulling_impulse_is_caught():
         with_jump(impulse=lambda jump: {k: (-n, t) for k, (n, t) in jump.impulse.items()})
     )
     assert "pulls" in failure(subject, "impulses push, within friction").message
+
+
+def test_impulses_on_a_surface_that_a_controller_moves_are_checked():
+    report = check(model(CARRIED), examples=1, seed=1)
+    assert report.passed, report.text()
 
 
 def test_an_impulse_outside_the_cone_is_caught():

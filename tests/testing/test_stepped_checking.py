@@ -63,6 +63,9 @@ stop: {time: 0.5}
 settings: {engine: impulse, step: 1e-3}
 """
 
+SOFT = HEAP.replace("restitution: e", "stiffness: 1e5, damping: 100").replace(", e: 0.4", "")
+SOFT = SOFT.replace(", e: [0, 1]", "")
+
 
 def model(text):
     return interpret(read_text(text))
@@ -90,6 +93,11 @@ def test_a_good_model_passes(text):
     }
     units = report.properties[-1]
     assert units.examples > units.undecidable
+
+
+def test_compliant_bodies_may_sink_in():
+    report = check(model(SOFT), examples=1, seed=2)
+    assert report.passed, report.text()
 
 
 def test_invariants_of_stepped_runs_allow_the_change_in_a_step():
