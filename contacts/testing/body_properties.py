@@ -303,7 +303,11 @@ def body_properties(declared: Scene) -> tuple[Property, ...]:
     """Return the properties of a scene of colliding bodies."""
     soft = any(law.stiffness is not None for law in declared.collisions.values())
     return (
-        Property("no body is deeper than a step takes it", each(_depths)),
+        Property(
+            "no body is deeper than a step takes it",
+            each(_depths),
+            "compliant contacts sink in" if soft else "",
+        ),
         Property("no force without contact", each(_fall)),
         Property("impulses push, within friction", each(_impulses)),
         *(
