@@ -269,3 +269,28 @@ stop: {{time: 1}}
     with pytest.raises(DeclarationError) as caught:
         statechart.run(interpret(read_text(text)))
     assert told in str(caught.value)
+
+
+def test_pads_that_steps_do_not_resolve_together_add_no_energy() -> None:
+    """Each of nine pads is soft for a step, all of them are not: h^2 k/m is 1/9 and 1."""
+    h, count = 1e-3, 9
+    pads = "".join(
+        f"  pad{i}: {{point: {{body: plank, at: [{i / (count - 1) - 0.5}, 0]}}, surface: mat, "
+        "friction: 0, stiffness: k, damping: 0}\n"
+        for i in range(count)
+    )
+    text = (
+        "kind: scene\nname: plank\nparameters: {k: 1, y: 1}\ngravity: 9.81\n"
+        "bodies: {plank: {mass: 1, inertia: 1, start: {y: y}}}\nsurfaces: {mat: {height: 0}}\n"
+        f"contacts:\n{pads}stop: {{time: 0.6}}\n"
+        "outputs: {energy: {maximum: plank.dy**2/2 + 9.81*plank.y}}\n"
+    )
+    model = interpret(read_text(text, "plank.yaml"))
+    for stiffness in (0.6, 1.0):
+        for start in range(6):
+            height = 0.3 + start * 4e-4
+            run = statechart.run(
+                model, parameters={"k": stiffness / count / h**2, "y": height},
+                engine="impulse", step=h,
+            )  # fmt: skip
+            assert run.outputs["energy"] <= 9.81 * height * (1 + 1e-3)
