@@ -15,7 +15,7 @@ from contacts.collision_detection.active_contacts import (
     restore_impulses,
     turning_change,
     velocity,
-    write_compliance,
+    write_compliant,
     write_contact,
     write_friction,
     write_resistance,
@@ -364,7 +364,7 @@ def _write_if_active(
         for k in range(4):
             active.levels[m, k] = 0.0
         _write_slip_direction(numbers, warm, place, lasting, gained, m, active)
-        return write_compliance(law, gap, h, 0.5 * h / times.since * shift, m, active)
+        return write_compliant(gap, h, 0.5 * h / times.since * shift, m, active)
     turned = 0.0
     if place >= 0 and warm.contacts[place, 1] == 0.0:
         # A contact that has rebounded can return by rotation alone: no impact in every step.
