@@ -124,7 +124,7 @@ MISTAKES = {
     "twice": ("e: 0", "e: 0, e: 1", "duplicate key 'e'; the first is on line 3"),
     "engine of another name": ("outputs:", "settings: {engine: moreau}\noutputs:", "'scipy' or 'i"),
     "no step": ("outputs:", "settings: {engine: impulse}\noutputs:", "13:20: settings.engine: the "
-                "engine impulse needs a step, or an accuracy; add --step 1e-3 (in Python step=1e-3)"),
+                "engine impulse needs a step, or an accuracy; add --step 1e-3 (in Python step="),
     "force as a number": ("outputs:", "forces: {push: {body: rod, force: 3}}\noutputs:", "such as"),
     "pivot as a name": ("outputs:", "joints: {p: {point: {body: rod}, to: wall}}\noutputs:", "such "
                         "as {body: rod, at: [0, L]}"),
