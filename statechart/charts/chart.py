@@ -67,6 +67,7 @@ class Chart(Declaration):
 
     OTHER_WORDS: ClassVar = {
         **Declaration.OTHER_WORDS,
+        **dict.fromkeys(("datamodel", "data", "locals", "vars"), "variables: {x: 0}"),
         **dict.fromkeys(("controls", "inputs"), "variables: {u: 0}, and entry: {u: 1} in states"),
         **dict.fromkeys(("clocks", "timers"), "variables: {c: 0} with flows: {c: 1}, or after: T"),
         "events": "a transition; its name is an event that other regions hear",
