@@ -137,7 +137,7 @@ class Chart(Declaration):
         if not (self.variables or self.timers):
             raise DeclarationProblem(
                 "no variable and no timed transition",
-                advice="write variables: {x: 0}, or a transition with after or every",
+                advice="write variables: {x: 0}; a guard on time alone is after: 2, or every: 2",
                 loc=("regions",),
                 key=True,
             )
