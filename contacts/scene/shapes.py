@@ -71,12 +71,25 @@ Shapes = Annotated[
 LAW_WORDS = {
     "k": "stiffness",
     "d": "damping",
-    **dict.fromkeys(("spring", "solref", "solimp"), "stiffness, and damping"),
+    **dict.fromkeys(
+        ("spring", "solref", "solimp", "hunt_crossley_dissipation", "point_contact_stiffness"),
+        "stiffness, and damping",
+    ),
     "rolling_friction": "rolling_resistance: LENGTH",
     "mu": "friction",
     **dict.fromkeys(
-        ("mu_s", "mu_k", "static_friction", "kinetic_friction", "friction_coefficient"),
-        ("friction: a number for both, or friction: {static: 0.5, kinetic: 0.3}"),
+        (
+            "mu_s",
+            "mu_k",
+            "mu_static",
+            "mu_dynamic",
+            "static_friction",
+            "kinetic_friction",
+            "dynamic_friction",
+            "friction_coefficient",
+            "coulomb_friction",
+        ),
+        "friction: a number for both, or friction: {static: 0.5, kinetic: 0.3}",
     ),
     **dict.fromkeys(("e", "bounce", "bounciness", "elasticity", "cor"), "restitution"),
     **dict.fromkeys(("coefficientOfRestitution", "coefficient_of_restitution"), "restitution"),

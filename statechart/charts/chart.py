@@ -67,6 +67,7 @@ class Chart(Declaration):
 
     OTHER_WORDS: ClassVar = {
         **Declaration.OTHER_WORDS,
+        **dict.fromkeys(("datamodel", "data", "locals", "vars"), "variables: {x: 0}"),
         **dict.fromkeys(("controls", "inputs"), "variables: {u: 0}, and entry: {u: 1} in states"),
         **dict.fromkeys(("clocks", "timers"), "variables: {c: 0} with flows: {c: 1}, or after: T"),
         "events": "a transition; its name is an event that other regions hear",
@@ -136,7 +137,7 @@ class Chart(Declaration):
         if not (self.variables or self.timers):
             raise DeclarationProblem(
                 "no variable and no timed transition",
-                advice="write variables: {x: 0}, or a transition with after or every",
+                advice="write variables: {x: 0}; a guard on time alone is after: 2, or every: 2",
                 loc=("regions",),
                 key=True,
             )

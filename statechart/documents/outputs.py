@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Discriminator, StrictBool, Tag, model_valid
 
 from statechart.documents.documented import declare
 from statechart.documents.fields import FiniteText, Part, check_names
+from statechart.documents.hints import OTHER_EVENTS
 from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.formula import parse
 
@@ -232,6 +233,11 @@ def check_event(
         known = {*causes[event.region], *states.get(event.region, ())}
     else:
         known = set().union(*causes.values())
+    if event.cause not in known and (meant := OTHER_EVENTS.get(event.cause.lower())) in known:
+        owner = "" if event.region is None else f"{event.region}."
+        raise DeclarationProblem(
+            f"no cause or state {event.cause!r}", advice=f"write {owner}{meant}", loc=loc
+        )
     check_member("cause or state", event.cause, known, *loc)
 
 

@@ -27,6 +27,7 @@ from statechart.engines.taylor_loop import (
 )
 from statechart.errors import NonFinite, StepFailure, Unsupported
 from statechart.formulas.tape import Tape
+from statechart.formulas.writer import to_text
 from statechart.kernels.polynomials import append_steps
 from statechart.tabular import pluralise
 
@@ -133,7 +134,7 @@ class Taylor(Engine):
             fixed,
             tuple(
                 # Unevaluated: the root of a square would become an absolute value.
-                sp.sstr(sp.Pow(base.xreplace(names), exponent, evaluate=False))[:_SHOWN]
+                to_text(sp.Pow(base.xreplace(names), exponent, evaluate=False))[:_SHOWN]
                 for base, exponent in convert.singular
             ),
             automaton.tape([base for base, _ in convert.singular], mode),

@@ -194,7 +194,12 @@ def test_positions_are_those_of_the_text() -> None:
         ("k: 0.9", "k: .nan", "3:32", "a finite number or inf"),
         ("k: 0.9", "k: [1]", "3:32", "must be a number or a formula"),
         ("k: 0.9", "k: inf - inf", "3:36", "no value"),
-        ("k: 0.9", "k: 0.9, sin: 1", "3:37", "already has a meaning"),
+        (
+            "k: 0.9",
+            "k: 0.9, sin: 1",
+            "3:37",
+            "'sin' is a function of formulas; write another name, such as sin_1",
+        ),
         ("k: 0.9", "k: 0.9, time: 1", "3:37", "time of the run"),
         ("{k: [0.1, 0.95]}", "{q: [0.1, 0.95]}", "4:10", "no parameter 'q'"),
         ("{k: [0.1, 0.95]}", "{k: [1, 0]}", "4:13", "least value comes first"),
