@@ -55,6 +55,34 @@ def test_a_ball_on_a_saw_tooth_table_is_thrown_and_lands_in_every_period(setting
 
 
 @engines
+def test_friction_that_varies_with_the_slip_on_a_conveyor_can_be_read(settings: str) -> None:
+    result = Runner(
+        interpret(
+            read_text(
+                f"""
+kind: scene
+name: n
+gravity: 9.81
+bodies: {{block: {{mass: 1, start: {{dx: 2}}}}}}
+surfaces: {{belt: {{height: 0, displacement: ['0.5*mod(time, 0.4)', 0]}}}}
+contacts:
+  foot: {{point: {{body: block}}, surface: belt, friction: 0.2 + 0.1*exp(-abs(slip)),
+    restitution: 0}}
+settings: {settings}
+"""
+            )
+        )
+    ).run(until=0.1)
+    before = result.at(0.05).values
+    assert before["foot.slip"] == pytest.approx(before["block.dx"] - 0.5, abs=1e-12)
+    near = 2e-4 if "impulse" in settings else 1e-12
+    mu = 0.2 + 0.1 * math.exp(-before["foot.slip"])
+    assert before["foot.H"] == pytest.approx(-mu * G, abs=near)
+    first = -(0.2 + 0.1 * math.exp(-1.5)) * G
+    assert result.samples["foot.H"].iloc[0] == pytest.approx(first, abs=near)
+
+
+@engines
 def test_a_conveyor_that_jumps_back_carries_on(settings: str) -> None:
     near = 1e-3 if "impulse" in settings else 1e-12
     result = scene("v*mod(time, T)", "0", settings)
