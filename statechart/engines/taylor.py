@@ -198,7 +198,10 @@ class Taylor(Engine):
                     f"the Taylor series of the rates overflows at t = {start:.6g}; use "
                     "engine: scipy"
                 )
-            raise NonFinite(f"the state or its rate is not finite near t = {start:.6g}")
+            raise NonFinite(
+                f"the state or its rate is not finite near t = {start:.6g}; look for a logarithm, "
+                "root or quotient without a value there"
+            )
         if h == 0.0 and remaining > 0.0:
             # The steps before the one that underflowed are valid, and may contain an event.
             if path.times.item(limit) == path.times.item(limit - 1):

@@ -32,6 +32,9 @@ MISTAKES = {
     "force of a body": ("value: time", "value: rod.V", "'rod.V'; rod has no V; write tip.V"),
     "place of a free body": ("start: {y: h, angle: 0.3}", "position: {x: 0, y: h}",
                              "write start: {x: 0, y: h} for the initial position of a free body"),
+    "control without a declaration": (
+        "stop: {", "regions: {r: {initial: a, states: {a: {sets: {u: 1}}}}}\nstop: {",
+        "no control 'u'; declare it: controls: {u: 0}"),
     "gravity in space": ("gravity: g", "gravity: [0, 0, -9.81]", "not 3; such as [0, -9.81]"),
     "colon left out": ("gravity: g", "gravity g", "5:1: not YAML: 'gravity g' has no colon with"),
     "blank left out": ("  rod: {", "  rod:\n    copies:1\n    copies: 2\n  stick: {",
