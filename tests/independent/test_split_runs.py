@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
+from scenes import with_starts
 
 from contacts.scene.scene import Scene
-from statechart.documents.settings import Stop
 from statechart.loading.load import load
 from statechart.running.runner import Runner
 
@@ -21,50 +19,12 @@ SPLITS = {
 }
 
 
-def _with_starts(scene: Scene) -> tuple[Scene, dict[str, str]]:
-    """Return a scene whose starts are parameters, and their names by those of the variables."""
-    parameters: dict[str, Any] = dict(scene.parameters)
-    names: dict[str, str] = {}
-
-    def named(variable: str, value: Any) -> str:
-        names[variable] = f"start_{variable}".replace(".", "_")
-        parameters[names[variable]] = 0 if value is None else value
-        return names[variable]
-
-    coordinates = {
-        name: declared.model_copy(
-            update={
-                "start": named(name, declared.start),
-                "rate": named(f"d{name}", declared.rate),
-            }
-        )
-        for name, declared in scene.coordinates.items()
-    }
-    bodies = {
-        name: body
-        if body.position is not None
-        else body.model_copy(
-            update={
-                "start": {
-                    key: named(f"{name}.{key}", body.start.get(key))
-                    for key in ("x", "y", "angle", "dx", "dy", "dangle")
-                    if body.inertia is not None or "angle" not in key
-                }
-            }
-        )
-        for name, body in scene.bodies.items()
-    }
-    fields = {key: getattr(scene, key) for key in Scene.model_fields}
-    changed = {"parameters": parameters, "coordinates": coordinates, "bodies": bodies}
-    return Scene(**{**fields, **changed, "outputs": {}, "stop": Stop(time=1e3)}), names
-
-
 @pytest.mark.parametrize("model", SPLITS)
 def test_a_run_that_is_split_in_two_has_the_same_events_and_end(model: str) -> None:
     until, places = SPLITS[model]
     declared = load(model)
     assert isinstance(declared, Scene)
-    scene, names = _with_starts(declared)
+    scene, names = with_starts(declared)
     runner = Runner(scene)
     whole = runner.run(until=until)
     for place in places:
