@@ -81,6 +81,7 @@ OTHER_VALUES: Mapping[str, str] = {
     **dict.fromkeys(("eventdriven", "events", "event"), "taylor"),
     "max": "maximum",
     "min": "minimum",
+    **dict.fromkeys(("mean", "average", "sum"), "integral"),
     "final": "value",
     "last": "value",
 }
