@@ -239,6 +239,10 @@ class _Surface:
         count, slopes = len(self._at.state), self.switches.gradients
         outputs = self._outputs(self._at.state, np.array(self.signs, float))
         rows = np.array([outputs[slopes + i * count :][:count] for i in self.on])
+        # Units of surfaces and variables are arbitrary.
+        for axis in (1, 0, 1):
+            norms = np.linalg.norm(rows, axis=axis, keepdims=True)
+            rows = rows / np.where(norms > 0.0, norms, 1.0)
         if not np.isfinite(rows).all():
             return False
         _, sizes, basis = np.linalg.svd(rows)

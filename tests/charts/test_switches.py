@@ -183,6 +183,17 @@ def test_time_optimal_control_ends_at_the_origin(engine: Engine) -> None:
 
 
 @both
+@pytest.mark.parametrize("size", [1e6, 1.0, 1e-6])
+def test_units_of_surfaces_do_not_decide_whether_they_fix_the_state(
+    engine: Engine, size: float
+) -> None:
+    surface = f"1e11*x + {1e11 * size}*v*abs(v)/2"
+    trace = run(flow({"x": size, "v": 0}, x=f"{size}*v", v=f"-sign({surface})"), engine, 3.0)
+    assert breaks(trace) == pytest.approx([1.0, 2.0], abs=1e-6)
+    assert trace.final == pytest.approx([0.0, 0.0], abs=1e-12 * size)
+
+
+@both
 def test_twisting_control_under_a_disturbance_rests(engine: Engine) -> None:
     # Both signs act by x'' only, and do not determine each other.
     push = "0.1*sin(3*time + 1.64)"
