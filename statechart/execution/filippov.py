@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from itertools import product
 from typing import NamedTuple
 
@@ -19,7 +20,7 @@ from statechart.automaton.laws import SWITCHES, Instant, flow_sizes
 from statechart.automaton.margin_derivatives import UNDERFLOW, MarginDerivatives
 from statechart.automaton.switches import RESTS, SIGN_OF, SLIDE_ON, SLIDES, Switches, is_of_switch
 from statechart.automaton.trace import Role, Roles
-from statechart.errors import AmbiguousMode, NonFinite
+from statechart.errors import AmbiguousMode, NonFinite, StatechartError
 from statechart.execution.compiled_modes import CompiledModes
 from statechart.formulas.series import sizes_at
 from statechart.formulas.tape import Tape
@@ -93,7 +94,9 @@ class Filippov:
         for signs in product((1, -1, SLIDES), repeat=len(surface.on)):
             verdict = surface.fits(signs)
             if verdict is None:
-                verdict = False if self._holds(surface.with_(signs), at) else None
+                # A slide whose equations are 0/0 does not exist.
+                with suppress(StatechartError):
+                    verdict = False if self._holds(surface.with_(signs), at) else None
                 if verdict is None:
                     continue
             elif not verdict:

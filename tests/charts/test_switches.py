@@ -273,6 +273,15 @@ def test_tanks_that_drain_into_each_other_stay_empty() -> None:
     assert two.final == pytest.approx([0.0, (math.sqrt(0.389988020) - 0.5) ** 2], abs=1e-8)
 
 
+def test_a_slide_without_equations_is_no_candidate() -> None:
+    # a is empty from 1.20 until its inflow begins at 3.87; the equations of a slide there are 0/0.
+    inflow, out = "0.23*max(0, sin(time + 2.41))", "sqrt(max(a, 0))"
+    rates = {"a": f"-0.76*{out} + {inflow}", "b": f"0.15*{out} - 0.43*sqrt(max(b, 0))"}
+    trace = run(flow({"a": 0.13, "b": 0.47}, **rates), SCIPY, 6.0)
+    # LSODA, tolerance 1e-12, steps of 1e-3.
+    assert trace.final == pytest.approx([0.0722935, 0.0078531], abs=1e-6)
+
+
 def test_super_twisting_control_slides_with_its_second_derivative_at_zero() -> None:
     # With s = s' = 0, w = -d and w' = -1.1 u: the disturbance d leaves where |d'| exceeds 1.1.
     rates = {"s": "-1.5*sqrt(abs(s))*sign(s) + w + d", "w": "-1.1*sign(s)"}
