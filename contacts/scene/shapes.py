@@ -77,6 +77,7 @@ LAW_WORDS = {
     ),
     "rolling_friction": "rolling_resistance: LENGTH",
     "mu": "friction",
+    "material": "friction, and restitution",
     **dict.fromkeys(
         (
             "mu_s",

@@ -115,7 +115,13 @@ class Chart(Declaration):
     @property
     def timers(self) -> frozenset[str]:
         """Clocks and counters of timed transitions; they are variables that nobody declared."""
-        return frozenset(timer for region in self.flat.values() for timer in region.timers)
+        return frozenset(self.clocks)
+
+    @property
+    def clocks(self) -> tuple[str, ...]:
+        """The `timers` in order; one of a chart that has no variables: engines need a state."""
+        found = tuple(timer for region in self.flat.values() for timer in region.timers)
+        return found or (() if self.variables else (f"{next(iter(self.regions))}.clock",))
 
     def stated(self, name: str) -> Quantity:
         """Return the quantity of a name, including clocks and counters."""
@@ -134,13 +140,6 @@ class Chart(Declaration):
 
     @model_validator(mode="after")
     def _variables_have_values(self) -> Self:
-        if not (self.variables or self.timers):
-            raise DeclarationProblem(
-                "no variable and no timed transition",
-                advice="write variables: {x: 0}; a guard on time alone is after: 2, or every: 2",
-                loc=("regions",),
-                key=True,
-            )
         for name in self.variables:
             taken = "the time of the run" if name == TIME else "a parameter, {see}"
             if name == TIME or name in self.parameters:

@@ -81,6 +81,7 @@ OTHER_VALUES: Mapping[str, str] = {
     **dict.fromkeys(("eventdriven", "events", "event"), "taylor"),
     "max": "maximum",
     "min": "minimum",
+    **dict.fromkeys(("mean", "average", "sum"), "integral"),
     "final": "value",
     "last": "value",
 }
@@ -318,10 +319,10 @@ def _wrong_call(
     if count > len(placed):
         named = ", ".join(word for word in taken if word not in placed)
         listed = ", ".join(placed) or "nothing"
-        return (
-            f"too many positional arguments; these may be positional: {listed}",
-            f"pass the others by name: {named}",
-        )
+        advice = f"pass the others by name: {named}"
+        if "parameters" in taken and isinstance(args[-1], Mapping):
+            advice = f"write parameters={args[-1]!r}"
+        return f"too many positional arguments; these may be positional: {listed}", advice
     for word in placed[count:]:
         if taken[word].default is inspect.Parameter.empty and word not in kwargs:
             return f"{word!r} is missing", f"it takes {known}"

@@ -279,7 +279,9 @@ def _message_and_advice(
         return f"must be {_EXPECTED[kind]}, not {shown}", ""
     if kind == "output" and isinstance(given, Mapping) and given:
         word, message = str(next(iter(given))), context.get("message", details["msg"])
-        return f"{message}, not {word!r}", other_value(word, "'value', 'minimum', 'maximum'")
+        return f"{message}, not {word!r}", other_value(
+            word, "'value', 'integral', 'minimum', 'maximum'"
+        )
     if kind == "union_tag_invalid":
         tags = context["expected_tags"]
         return f"must be one of {tags}, not {context['tag']!r}", other_value(context["tag"], tags)

@@ -133,6 +133,11 @@ class _Builder:
     def _check_colon(self, text: str, line: int) -> None:
         """Refuse a key without a colon, or without a blank behind it, above a line."""
         lines = [*text.split("\n"), ""]
+        for at in range(max(line - 1, 0), line + 1):
+            if lines[at].lstrip().startswith("//"):
+                raise self._at(at, lines[at].index("//")).error(
+                    "not YAML: '//'", "write a comment after #"
+                ) from None
         above = max((k for k in range(line) if lines[k].strip()), default=line)
         found = re.fullmatch(r"( *)([\w.]+)[ :]+(\S.*)", lines[above].split(" #")[0].rstrip())
         indent = len(lines[line]) - len(lines[line].lstrip())

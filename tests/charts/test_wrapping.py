@@ -15,7 +15,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, NoConsistentMode
 from statechart.loading.load import interpret
 from statechart.running.result import Result
-from statechart.running.runner import Runner
+from statechart.running.runner import Runner, run
 
 G = 9.81
 T, V = 0.4, 1.2
@@ -229,3 +229,34 @@ outputs: {x: {value: x}, n: {value: mod.count}, cuts: {value: time, at: each swi
     assert result.outputs["cuts"] == pytest.approx([1 / 12, 17 / 12, 11 / 4], abs=1e-12)
     assert result.outputs["x"] == pytest.approx(1 / 12 + 5 / 12 + 3 / 4, abs=1e-12)
     assert result.outputs["n"] == 2
+
+
+LIGHT = """\
+kind: chart
+name: light
+regions:
+  light:
+    initial: red
+    states: {red: {}, green: {}}
+    transitions:
+      - {name: go, from: red, to: green, guard: GO}
+      - {name: halt, from: green, to: red, guard: HALT}
+stop: {time: 7}
+outputs: {go: {value: time, at: each go}, green: {integral: 1, during: {light: green}}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("go", "halt", "times", "green"),
+    [
+        ("time >= 2 and time < 3", "time >= 4", [2.0], 2.0),
+        ('"mod(time, 3) >= 2"', '"mod(time, 3) <= 1"', [2.0, 5.0], 2.0),
+    ],
+)
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+def test_charts_on_time_alone_need_no_variables(
+    go: str, halt: str, times: list[float], green: float, engine: str
+) -> None:
+    result = run(read_text(LIGHT.replace("GO", go).replace("HALT", halt)), engine=engine)
+    assert result.outputs["go"] == pytest.approx(times, rel=1e-12)
+    assert result.outputs["green"] == pytest.approx(green, rel=1e-12)

@@ -35,6 +35,11 @@ MISTAKES = {
     "control without a declaration": (
         "stop: {", "regions: {r: {initial: a, states: {a: {sets: {u: 1}}}}}\nstop: {",
         "no control 'u'; declare it: controls: {u: 0}"),
+    "a moment in time": ("at: first tip.slip", "at: 1.5", "not 1.5; in a region write {name: tick"),
+    "values every second": ("at: first tip.slip", "every: 1", "write --samples after `run`, for a"),
+    "a mean": ("{value: time, at: first tip.slip}", "{mean: rod.y}", "not 'mean'; write integral"),
+    "line of C": ("gravity: g", "// earth\ngravity: g", "5:1: not YAML: '//'; write a comment af"),
+    "material": ("friction: mu", "material: ice", "write friction, and restitution"),
     "gravity in space": ("gravity: g", "gravity: [0, 0, -9.81]", "not 3; such as [0, -9.81]"),
     "colon left out": ("gravity: g", "gravity g", "5:1: not YAML: 'gravity g' has no colon with"),
     "blank left out": ("  rod: {", "  rod:\n    copies:1\n    copies: 2\n  stick: {",
