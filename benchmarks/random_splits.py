@@ -51,8 +51,9 @@ def shifted(seed: int) -> tuple[Scene, str, random_laws.Draw] | None:
 
 
 def events(result: Result, after: float) -> list[tuple[str, str]]:
-    """Return the events after an instant."""
-    return [(jump.region, jump.cause) for jump in result.trace.jumps if jump.t > after + NEAR]
+    """Return the changes of mode after an instant; how many bounces are counted is round-off."""
+    jumps = (jump for jump in result.trace.jumps if jump.t > after + NEAR)
+    return [(jump.region, jump.cause) for jump in jumps if jump.source != jump.target]
 
 
 def main(structures: int = 100, seed: int = 0) -> int:
