@@ -32,6 +32,9 @@ class LazyMapping(Mapping[str, T], Generic[T]):
     def __len__(self) -> int:
         return len(self._mapping)
 
+    def __repr__(self) -> str:
+        return repr(self._mapping)
+
     def __reduce__(self) -> tuple[type, tuple[dict[str, T]]]:
         return dict, (dict(self),)
 
@@ -63,6 +66,9 @@ class LazySequence(Sequence[T], Generic[T]):
 
     def __iter__(self) -> Iterator[T]:
         return map(self._at, range(len(self)))
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} items, made when read>"
 
     def forget(self, place: int) -> None:
         """Drop a cached item."""

@@ -224,8 +224,8 @@ def _plan_steps(
     elif step is None:
         message = "the engine impulse needs a step, or an accuracy"
         advice = (
-            "add --step 1e-3, or settings: {engine: impulse, step: 1e-3}; a thousandth of the "
-            "shortest time of interest is a good start"
+            "add --step 1e-3 (in Python step=1e-3), or settings: {engine: impulse, step: 1e-3}; a "
+            "thousandth of the shortest time of interest is a good start"
         )
         raise _refusal(message, advice, model.settings.engine == "impulse")
     reason = ""

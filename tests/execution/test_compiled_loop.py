@@ -103,3 +103,9 @@ def test_repeated_run_keeps_its_warnings(monkeypatch: pytest.MonkeyPatch) -> Non
     warnings = [runner.run(until=0.1).trace.warnings for _ in range(3)]
     assert "acts upwards" in warnings[0][0]
     assert warnings[0] == warnings[1] == warnings[2]
+
+
+def test_jumps_and_their_list_have_a_readable_repr() -> None:
+    trace = Runner("toppling_stick").run().trace
+    assert repr(trace.jumps) == "<3 items, made when read>"
+    assert "'tip:slide-': 'taken'" in repr(trace.jumps[0])
