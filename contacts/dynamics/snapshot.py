@@ -25,6 +25,7 @@ from statechart.arrays import Array
 from statechart.errors import SingularMode
 from statechart.formulas.linear import Definition
 from statechart.formulas.tape import Tape
+from statechart.formulas.writer import to_text
 
 SCALARS, EDGES = 11, 7
 """Numbers per contact after the Jacobians and biases: gap, its rate, slip, point, tangent; from
@@ -398,6 +399,6 @@ def sign_frictions(
         if any(sp.expand(e + limit * r) != 0 for e, r in zip(effects, row, strict=True)):
             return ()
         bias = mechanics.rate(slip).xreplace(at_rest)
-        name = sp.sstr(sp.sign(slip).xreplace(names)).replace(" ", "")
+        name = to_text(sp.sign(slip).xreplace(names)).replace(" ", "")
         found.append(SignFriction(name, slip, bias, limit, row))
     return tuple(found)

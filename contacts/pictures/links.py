@@ -100,39 +100,56 @@ class Links:
 
     def _kinds(self, one: Force, other: Force) -> list[ShapeKind]:
         """Return the kinds of two reactions; none if they do not act along their line."""
-        stiff = damped = False
-        for force in self._alternatives(one):
-            terms = [*force, *self._between(one, other)]
-            if _off(self.sample_values(terms, self._at_rest())):
-                return []
-            stiff |= self._stiff(terms)
-            damped |= self._damped(terms)
-        kinds: list[ShapeKind] = ["spring"] if stiff else []
-        if damped:
+        states, terms = self._states(), self._terms(one, other)
+        if not self._along(terms, states):
+            # Coordinates that the force does not use are equal: a spring along an axis.
+            states[:, self._unused(terms)] = 0.0
+            return self._found(terms, states) if self._along(terms, states) else []
+        return self._found(terms, states) or ["reaction"]
+
+    def _terms(self, one: Force, other: Force) -> list[list[sp.Expr]]:
+        return [[*force, *self._between(one, other)] for force in self._alternatives(one)]
+
+    def _along(self, terms: Sequence[Sequence[sp.Expr]], states: Array) -> bool:
+        still = self._at_rest(states)
+        return not any(_off(self.sample_values(each, still)) for each in terms)
+
+    def _found(self, terms: Sequence[Sequence[sp.Expr]], states: Array) -> list[ShapeKind]:
+        kinds: list[ShapeKind] = []
+        if any(self._stiff(each, self._at_rest(states)) for each in terms):
+            kinds.append("spring")
+        if any(self._damped(each, states) for each in terms):
             kinds.append("damper")
-        return kinds or ["reaction"]
+        return kinds
 
-    def _at_rest(self) -> Array:
-        states, count = self._states(), len(self._mechanics.q)
-        states[:, count : 2 * count] = 0.0
-        return states
+    def _unused(self, terms: Sequence[Sequence[sp.Expr]]) -> list[int]:
+        """Return the coordinates that neither a force uses, nor its rate."""
+        used = {s for x, y, *_ in terms for s in x.free_symbols | y.free_symbols}
+        pairs = zip(self._mechanics.q, self._mechanics.v, strict=True)
+        return [k for k, pair in enumerate(pairs) if used.isdisjoint(pair)]
 
-    def _stiff(self, terms: Sequence[sp.Expr]) -> bool:
+    def _at_rest(self, states: Array) -> Array:
+        count = len(self._mechanics.q)
+        still = states.copy()
+        still[:, count : 2 * count] = 0.0
+        return still
+
+    def _stiff(self, terms: Sequence[sp.Expr], still: Array) -> bool:
         """Return whether the static force grows with the length (a spring)."""
-        pull, length = _line_force(self.sample_values(terms, self._at_rest()))
+        pull, length = _line_force(self.sample_values(terms, still))
         rise, square = np.zeros(_CONFIGURATIONS), np.zeros(_CONFIGURATIONS)
         for k in range(len(self._mechanics.q)):
-            states = self._at_rest()
+            states = still.copy()
             states[:, k] += _MOVED
             there, longer = _line_force(self.sample_values(terms, states))
             rise += (there - pull) * (longer - length)
             square += (longer - length) ** 2
         return bool((rise > _FOLLOWS * np.abs(pull).max() * square).any())
 
-    def _damped(self, terms: Sequence[sp.Expr]) -> bool:
+    def _damped(self, terms: Sequence[sp.Expr], states: Array) -> bool:
         """Return whether velocities alone give forces that dissipate energy."""
-        states, count = self._states(), len(self._mechanics.q)
-        still = self.sample_values(terms, self._at_rest())
+        states, count = states.copy(), len(self._mechanics.q)
+        still = self.sample_values(terms, self._at_rest(states))
         moving = self.sample_values(terms, states)
         states[:, :count] += _MOVED * states[:, count : 2 * count]
         apart = self.sample_values(terms, states)[:, 2:] - moving[:, 2:]

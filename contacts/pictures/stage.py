@@ -275,7 +275,7 @@ def cloud_of(shapes: Sequence[Shape], poses: Array, places: Sequence[Array]) -> 
             points = points + shape.radius * np.column_stack([np.cos(_ROUND), np.sin(_ROUND)])
         ends = [(points, shape.frame)]
         if shape.slack is not None:
-            clouds.append(catenary(*ends_of(shape, poses), shape.slack))
+            clouds.append(catenary(*ends_of(shape, poses), shape.slack, shape.floor))
         if shape.other != shape.frame:
             ends = [(points[:1], shape.frame), (points[-1:], shape.other)]
         clouds += [place_points(part, poses[:, frame]) for part, frame in ends]

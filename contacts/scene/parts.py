@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
+from pydantic import BeforeValidator, Field, PlainSerializer, field_validator, model_validator
 
 from contacts.scene.friction import DeclaredFriction, Friction
 from contacts.scene.modes import ContactMode, Free, Pin, Slide, as_mode
@@ -73,7 +73,10 @@ class Body(Part):
         "m": "mass",
         **dict.fromkeys(("I", "J"), "inertia"),
         **dict.fromkeys(("count", "number", "n"), "copies"),
-        "velocity": "start: {dx: ..., dy: ...}",
+        **dict.fromkeys(
+            ("velocity", "vel", "linearVelocity", "linear_velocity"), "start: {dx: ..., dy: ...}"
+        ),
+        **dict.fromkeys(("angularVelocity", "angular_velocity", "omega"), "start: {dangle: ...}"),
         "radius": "shape: {disc: r}, and radius: r of its contacts",
         **dict.fromkeys(
             ("damping", "linearDamping", "drag"),
@@ -146,6 +149,17 @@ class Body(Part):
         unit="1",
         default=None,
     )
+
+    @field_validator("position", mode="before")
+    @classmethod
+    def _not_a_start(cls, position: Any) -> Any:
+        if isinstance(position, Mapping):
+            start = ", ".join(f"{key}: {value}" for key, value in position.items())
+            raise DeclarationProblem(
+                "position is a list of two formulas of coordinates or time",
+                advice=f"write start: {{{start}}} for the initial position of a free body",
+            )
+        return position
 
     def numbered(self, index: int) -> Body:
         """Return the copy of this number: a body by itself."""
@@ -275,7 +289,10 @@ class Surface(Part):
 
     OTHER_WORDS: ClassVar = {
         **dict.fromkeys(("slope", "angle"), "incline"),
-        "plane": "line: [[0, 0], [1, 0]]",
+        **dict.fromkeys(
+            ("plane", "type", "normal", "offset", "pos"),
+            "height: 0, incline: ANGLE, or line: [[0, 0], [1, 0]]",
+        ),
         **dict.fromkeys(
             ("profile", "polyline", "points", "vertices", "mesh", "polygon", "heightfield"),
             "height: FORMULA of x, or several surfaces, such as edge: [[0, 0], [1, 2]]",

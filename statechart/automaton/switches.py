@@ -19,7 +19,7 @@ from statechart.automaton.regions import Margin, Mode
 from statechart.automaton.trace import Role
 from statechart.formulas.linear import Definition, solve_linear
 from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
+from statechart.formulas.writer import compile_tape, to_text
 
 SIGN_OF, SLIDE_ON = "sign of ", "slide on "
 """Prefixes of margins: of a switching function, and of a sliding condition."""
@@ -384,5 +384,5 @@ class _Reader:
         names: dict[Any, Any] = dict(zip(symbols, map(sp.Symbol, model_names), strict=True))
         names |= {self._automaton.time: sp.Symbol("time")}
         for sign, inner in zip(self.signs, self.functions, strict=True):
-            names[sign] = sp.Symbol(f"sign({sp.sstr(inner.xreplace(names))})")
-        return sp.sstr(function.xreplace(names))[:_SHOWN]
+            names[sign] = sp.Symbol(f"sign({to_text(inner.xreplace(names))})")
+        return to_text(function.xreplace(names))[:_SHOWN]

@@ -122,15 +122,18 @@ def _name(value: str) -> str:
     if not NAME.fullmatch(value):
         raise DeclarationProblem(f"{value!r} is not a name", advice=no_name(value))
     if value in tree.RESERVED:
+        kind = "function" if value in tree.FUNCTIONS else "constant"
         raise DeclarationProblem(
-            f"{value!r} already has a meaning in formulas", advice="choose another name"
+            f"{value!r} is a {kind} of formulas", advice=f"write another name, such as {value}_1"
         )
     return value
 
 
 def _value_name(value: str) -> str:
     if value in tree.WORDS:
-        raise DeclarationProblem(f"{value!r} is a word of relations", advice="choose another name")
+        raise DeclarationProblem(
+            f"{value!r} is a word of relations", advice=f"write another name, such as {value}_1"
+        )
     return value
 
 

@@ -19,8 +19,8 @@ _CHARACTERS: Mapping[str, str] = {
     "∞": "write inf",
     "°": "angles are in radians: 30*pi/180",
     "%": "write a part as a number: 0.5, a remainder as mod(a, b)",
-    "[": "parentheses are round",
-    "{": "parentheses are round",
+    "[": "write parentheses as ( ), a relation without them, and x1 for x[1]",
+    "{": "write parentheses as ( )",
     "|": "write abs(...)",
     "#": "a comment has a blank before its #",
     "&": "where both must hold, write `and`",
@@ -177,6 +177,9 @@ def meant(
     whole, dot, part = name.rpartition(".")
     if dot and (same := f"{whole}.{_PARTS.get(part.lower(), part)}") in names:
         return f"write {same}"
+    owners = sorted(own for own in names if dot and own.endswith(f".{part}"))
+    if owners and any(own.startswith(f"{whole}.") for own in names):
+        return f"{whole} has no {part}; write {' or '.join(owners[:3])}"
     other = _OTHERS.get(bare.lower(), "")
     if other in names and other not in functions:
         return f"write {other}"

@@ -10,6 +10,8 @@ from functools import lru_cache
 
 import numpy as np
 import sympy as sp
+from sympy.core.sorting import default_sort_key
+from sympy.printing.str import StrPrinter
 
 from statechart.errors import StatechartError
 from statechart.formulas.tape import Tape
@@ -36,6 +38,25 @@ class Difference(sp.Function):
     def fdiff(self, argindex: int = 1) -> sp.Expr:
         """Return the derivative with respect to one side."""
         return sp.S.One if argindex == 1 else sp.S.NegativeOne
+
+
+class _FormulaPrinter(StrPrinter):
+    """Prints functions by the names that formulas of documents use."""
+
+    def _print_Function(self, node: sp.Expr) -> str:  # noqa: N802
+        return f"{_UNARY.get(node.func, node.func.__name__)}({self.stringify(node.args, ', ')})"
+
+    def _print_Abs(self, node: sp.Expr) -> str:  # noqa: N802
+        return f"abs({self._print(node.args[0])})"
+
+    def _print_LatticeOp(self, node: sp.Expr) -> str:  # noqa: N802
+        arguments = sorted(node.args, key=default_sort_key)
+        return f"{node.func.__name__.lower()}({self.stringify(arguments, ', ')})"
+
+
+def to_text(expression: sp.Expr, **settings: object) -> str:
+    """Return an expression in the notation of documents: ``sqrt(abs(h))``."""
+    return str(_FormulaPrinter(settings).doprint(expression))
 
 
 _UNARY: dict[type[sp.Basic], str] = {
@@ -160,7 +181,7 @@ class _Writer:
         if kind.__name__ in ("Min", "Max", "atan2", "hypot"):
             return self._fold(kind.__name__.lower(), [self.register(a) for a in node.args])
         raise StatechartError(
-            f"{kind.__name__} in {sp.sstr(node)[:80]} has no operation; "
+            f"{kind.__name__} in {to_text(node)[:80]} has no operation; "
             f"there are {', '.join(OPCODES)}"
         )
 
@@ -229,7 +250,7 @@ class _Writer:
             value = float("nan")
         if not np.isfinite(value):
             raise StatechartError(
-                f"the constant {sp.sstr(number)[:80]} is not a finite real number; "
+                f"the constant {to_text(number)[:80]} is not a finite real number; "
                 "make it a parameter or remove it"
             )
         if value not in self.constants:

@@ -69,7 +69,7 @@ function shaped(scene, shape, behind) {
     const line = made(group, "path", { class: `link ${shape.kind}` });
     moving.push((k) => {
       const [a, b] = [placed(shape.points[0], shape.frame, k), placed(shape.points.at(-1), shape.other, k)];
-      line.setAttribute("d", slack ? path(catenary(a, b, slack[k])) : between(a, b, shape));
+      line.setAttribute("d", slack ? path(catenary(a, b, slack[k], shape.floor)) : between(a, b, shape));
     });
     return;
   }
@@ -125,8 +125,9 @@ function between(a, b, { kind, aside }) {
   }
   return parts.map((part) => path(part.map(at))).join("");
 }
-// A rope that hangs; see `catenary` in film.py.
-function catenary(a, b, slack) {
+// A rope that hangs, or lies on the floor; see `catenary` in film.py.
+function catenary(a, b, slack, floor) {
+  const lowest = Math.min(floor ?? -Infinity, a[1], b[1]);
   const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
   const length = Math.hypot(dx, dy) + Math.max(slack, 0);
   const wide = Math.max(Math.abs(dx), 1e-6 * length);
@@ -139,7 +140,7 @@ function catenary(a, b, slack) {
   const [low, high] = [Math.sinh(middle - h), Math.sinh(middle + h)];
   const points = Array.from({ length: 39 }, (_, i) => {
     const s = low + ((i + 1) / 40) * (high - low);
-    return [a[0] + Math.sign(dx) * c * (Math.asinh(s) - middle + h), a[1] + c * (Math.hypot(1, s) - Math.hypot(1, low))];
+    return [a[0] + Math.sign(dx) * c * (Math.asinh(s) - middle + h), Math.max(a[1] + c * (Math.hypot(1, s) - Math.hypot(1, low)), lowest)];
   });
   return [a, ...points, b];
 }

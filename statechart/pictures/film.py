@@ -25,13 +25,13 @@ ShapeKind = Literal[
     "coupling",
     "ground",
 ]
-"""How a shape is drawn; of all but the ground what is seen is inside its points.
+"""Kinds of shapes. All but the ground lie within the hull of their points.
 
 outline: a filled polygon. disc: a filled circle. bar: a thick line with round ends. mass, joint,
 pivot: marks of a fixed size on the paper, at one point. link, rope, spring, damper, reaction: from
-a point of one frame to a point of another; a slack rope hangs. coupling: likewise, with a mark
-between, which the state of its region colours. ground: a line, the solid on its right, which is
-hatched.
+a point of one frame to a point of another; a slack rope hangs, or lies on the floor. coupling:
+from a point to a point, with a mark between, which the state of its region colours. ground: a line,
+the solid on its right, which is hatched.
 """
 
 BETWEEN: frozenset[ShapeKind] = frozenset(
@@ -50,7 +50,8 @@ class Shape:
     The last point of what joins two frames is in the frame `other`; `radius` is that of a disc. The
     state of `region` (a number in the film, -1 for none) colours it, and `name` is its owner's. A
     spring or damper is drawn `aside` of its line, in half widths of a spring, to the left; a rope
-    is longer by `slack` (k,) than the distance of its ends. A disc that `turns` has a radius.
+    is longer by `slack` (k,) than the distance of its ends, above a level `floor`. A disc that
+    `turns` has a radius.
     """
 
     kind: ShapeKind
@@ -62,6 +63,7 @@ class Shape:
     name: str = ""
     aside: float = 0.0
     slack: Array | None = None
+    floor: float = -np.inf
     turns: bool = False
 
 
@@ -172,8 +174,8 @@ def ends_of(shape: Shape, poses: Array) -> tuple[Array, Array]:
 _STRAIGHT, _HANGING = 1e-3, 41
 
 
-def catenary(first: Array, last: Array, slack: Array) -> Array:
-    """Return points (k, 41, 2) of ropes that hang between ends (k, 2).
+def catenary(first: Array, last: Array, slack: Array, floor: float = -np.inf) -> Array:
+    """Return points (k, 41, 2) of ropes that hang between ends (k, 2), or lie on a level floor.
 
     A rope of length L, whose ends are dx and dy apart, is y = c cosh(x/c) with dx = 2 a c, where
     sinh(a)/a = sqrt(L^2 - dy^2)/dx, and its middle is at x/c = artanh(dy/L). Points are at equal
@@ -199,6 +201,8 @@ def catenary(first: Array, last: Array, slack: Array) -> Array:
     x = np.sign(dx)[hangs, None] * c * (np.arcsinh(tangential) - low)
     y = c * (np.hypot(1.0, tangential) - np.cosh(low))
     points[hangs, 1:-1] = first[hangs, None] + np.stack([x, y], axis=-1)[:, 1:-1]
+    lowest = np.minimum(floor, np.minimum(first, last)[:, 1])
+    points[..., 1] = np.maximum(points[..., 1], lowest[:, None])
     return points
 
 

@@ -103,7 +103,7 @@ class Scenery:
     def _line(self, shape: Shape, ends: Array, instant: int) -> Array:
         """Return the line between two ends; parts of it are separated by nan."""
         if shape.slack is not None:
-            return catenary(ends[:1], ends[1:], shape.slack[[instant]])[0]
+            return catenary(ends[:1], ends[1:], shape.slack[[instant]], shape.floor)[0]
         direction = ends[1] - ends[0]
         length = float(np.hypot(*direction))
         if shape.kind not in _PROFILES or length == 0.0:

@@ -15,6 +15,7 @@ from statechart.automaton.modes import build_mode
 from statechart.automaton.reduction import Coordinates, Elimination, eliminate
 from statechart.automaton.trace import Key
 from statechart.errors import DeclarationError, close_matches
+from statechart.formulas.writer import to_text
 from statechart.tabular import ALL_DIGITS
 
 # Integers below this are written without a decimal point.
@@ -94,7 +95,7 @@ def mode_named(automaton: Automaton, text: object) -> Key:
 def _lines(automaton: Automaton, block: EquationBlock) -> list[str]:
     names = {symbol: sp.Symbol(name) for symbol, name in _names(automaton).items()}
     pairs = [
-        [sp.sstr(side.xreplace(names), full_prec=False) for side in sides]
+        [to_text(side.xreplace(names), full_prec=False) for side in sides]
         for sides in block.equations
     ]
     return [" = ".join(pair) for pair in pairs]

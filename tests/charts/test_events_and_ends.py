@@ -333,7 +333,7 @@ regions:
         ("{final: true}", "{final: true, states: {c: {}}}", "it has no 'states'; leave final out"),
         ("after: 1}", "after: 1, internal: true}", "leads to no state in 'a'; write from: a state"),
         ("from: a, to: b, after: 1", "from: p, to: l2, after: 1, internal: true", "is internal"),
-        ("after: 1}", "every: 1, guard: x >= 1}", "beside after and on: region.event"),
+        ("after: 1}", "every: 1, guard: x >= 1}", "here on: REGION.tick, guard: x >= 1"),
         ("after: 1}", "after: 1, guard: y >= 1}", "unknown name 'y'"),
         ("after: 1}", "after: 1, on: b.done}", "needs one of guard, on, after, every"),
         (

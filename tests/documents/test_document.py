@@ -194,7 +194,12 @@ def test_positions_are_those_of_the_text() -> None:
         ("k: 0.9", "k: .nan", "3:32", "a finite number or inf"),
         ("k: 0.9", "k: [1]", "3:32", "must be a number or a formula"),
         ("k: 0.9", "k: inf - inf", "3:36", "no value"),
-        ("k: 0.9", "k: 0.9, sin: 1", "3:37", "already has a meaning"),
+        (
+            "k: 0.9",
+            "k: 0.9, sin: 1",
+            "3:37",
+            "'sin' is a function of formulas; write another name, such as sin_1",
+        ),
         ("k: 0.9", "k: 0.9, time: 1", "3:37", "time of the run"),
         ("{k: [0.1, 0.95]}", "{q: [0.1, 0.95]}", "4:10", "no parameter 'q'"),
         ("{k: [0.1, 0.95]}", "{k: [1, 0]}", "4:13", "least value comes first"),
@@ -399,6 +404,17 @@ def test_load_accepts_a_path_or_a_name(tmp_path: Path, monkeypatch: pytest.Monke
         find("a\0b")
     with pytest.raises(DeclarationError):
         find("a" * 5000)
+
+
+def test_a_file_without_its_suffix_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "hop.yaml").write_text(BALL)
+    with pytest.raises(DeclarationError, match=r"no such file: 'hop'; write hop\.yaml"):
+        find("hop")
+    with pytest.raises(DeclarationError, match="no such file"):
+        find("a" * 253)
 
 
 @pytest.mark.usefixtures("_anew")

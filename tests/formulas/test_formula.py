@@ -11,6 +11,7 @@ from statechart.errors import DeclarationError, FormulaError, StatechartError
 from statechart.formulas.formula import Constants, order_parameters, parse
 from statechart.formulas.relation import parse_relation
 from statechart.formulas.tree import FUNCTIONS
+from statechart.formulas.writer import to_text
 
 # The right-hand sides are Python's own arithmetic, an implementation independent of the reader.
 CASES = {
@@ -293,3 +294,11 @@ def test_errors_are_one_tree_and_can_be_sent_to_another_process() -> None:
     copy = pickle.loads(pickle.dumps(caught.value))
     assert str(copy) == str(caught.value)
     assert copy.offset == 3
+
+
+@pytest.mark.parametrize(
+    "text", ["sqrt(abs(x))", "max(2, x, y)", "sin(x) + min(x, y)", "abs(y)**(3/2)*sign(x)"]
+)
+def test_to_text_writes_what_documents_read(text: str) -> None:
+    symbols = {name: sp.Symbol(name, real=True) for name in "xy"}
+    assert to_text(parse(text).to_sympy(symbols)) == text

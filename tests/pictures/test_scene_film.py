@@ -144,6 +144,28 @@ def test_ropes_hang_as_catenaries():
     np.testing.assert_allclose(np.diff(straight, n=2, axis=0), 0.0, atol=1e-12)
 
 
+def test_slack_ropes_lie_on_the_floor():
+    film = film_of(
+        read_text("""\
+kind: scene
+name: slack
+gravity: 9.81
+bodies: {ball: {mass: 1, start: {x: 0.6, y: 0.1}}}
+surfaces: {floor: {height: 0}}
+contacts: {foot: {point: {body: ball}, surface: floor, friction: 0, restitution: 0}}
+joints: {rope: {point: {body: ball}, to: [0, 0.6], rope: 1.6}}
+stop: {time: 0}
+"""),
+        [0.0],
+    )
+    (rope,) = shapes(film, "rope")
+    assert rope.floor == 0.0
+    height = catenary(*ends_of(rope, film.poses), rope.slack, rope.floor)[0, :, 1]
+    assert height.min() == 0.0
+    assert (height == 0.0).sum() > 10
+    assert catenary(*ends_of(rope, film.poses), rope.slack)[0, :, 1].min() < -0.1
+
+
 ROPES = """\
 kind: scene
 name: ropes
@@ -227,6 +249,19 @@ def test_dampers_written_by_components_are_drawn_as_dampers():
 def test_couples_are_not_drawn_as_links():
     film = pair_of("k", PAIR.replace("TENSION*(b.y - a.y)/LENGTH", "0"))
     assert {shape.kind for shape in film.shapes} == {"mass"}
+
+
+def test_springs_along_an_axis_are_drawn():
+    above = PAIR.replace("x: 1, y: 0.5", "x: 0, y: 1")
+    above = above.replace("TENSION*(b.x - a.x)/LENGTH", "0").replace("-0", "0")
+    for tension, kinds in (
+        ("k*(b.y - a.y - 1)", {"spring"}),
+        ("k*(b.y - a.y - 1) + c*(b.dy - a.dy)", {"spring", "damper"}),
+        ("k", set()),
+    ):
+        scene = above.replace("TENSION*(b.y - a.y)/LENGTH", f"({tension})")
+        kinds_drawn = {shape.kind for shape in film_of(read_text(scene), [0.0]).shapes}
+        assert kinds_drawn == {"mass", *kinds}, tension
 
 
 def test_ground_hatching_is_even_and_on_the_solid_side():
