@@ -196,6 +196,14 @@ def stays_off_warning(scene: SceneFields, contact: str, depth: float) -> str:
     )
 
 
+def passed_end_warning(contact: str) -> str:
+    """Return the warning about a point that passes a surface next to where its conditions hold."""
+    return (
+        f"{contact} stays off: its conditions just fail as its point passes the surface; "
+        "let adjacent surfaces overlap"
+    )
+
+
 def goes_off_warning(contact: str, time: float) -> str:
     """Return a warning: the conditions of a contact end on its own surface."""
     return (
