@@ -123,13 +123,13 @@ def implied_joints(names: Iterable[str]) -> str:
     """Return the message on redundant joints, from the names of their rows."""
     return (
         f"other joints imply {' and '.join(map(repr, dict.fromkeys(names)))}: the motion is "
-        "determined, how they share the forces is not"
+        "determined, the shares of the forces are not"
     )
 
 
 def implied_couplings(names: Iterable[str]) -> str:
     """Return the message on couplings that hold what others hold."""
     return (
-        f"others hold the same rotation as {' and '.join(map(repr, names))}: while they hold, how "
-        "they share the couple is not determined"
+        f"other couplings hold the same rotation as {' and '.join(map(repr, names))}: while all "
+        "are locked, their shares of the couple are not determined"
     )

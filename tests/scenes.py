@@ -11,6 +11,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
 from statechart.charts.chart import Chart
 from statechart.charts.laws import automaton as chart_automaton
+from statechart.documents.settings import Stop
 from statechart.documents.yaml_reader import read_text
 from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
@@ -63,3 +64,41 @@ def scene(text: str) -> Automaton:
     built = kind("scene").automaton(model)
     assert isinstance(built, Automaton)
     return built
+
+
+def with_starts(scene: Scene) -> tuple[Scene, dict[str, str]]:
+    """Return a scene whose starts are parameters, and their names by those of the variables."""
+    parameters: dict[str, Any] = dict(scene.parameters)
+    names: dict[str, str] = {}
+
+    def named(variable: str, value: Any) -> str:
+        names[variable] = f"start_{variable}".replace(".", "_")
+        parameters[names[variable]] = 0 if value is None else value
+        return names[variable]
+
+    coordinates = {
+        name: declared.model_copy(
+            update={
+                "start": named(name, declared.start),
+                "rate": named(f"d{name}", declared.rate),
+            }
+        )
+        for name, declared in scene.coordinates.items()
+    }
+    bodies = {
+        name: body
+        if body.position is not None
+        else body.model_copy(
+            update={
+                "start": {
+                    key: named(f"{name}.{key}", body.start.get(key))
+                    for key in ("x", "y", "angle", "dx", "dy", "dangle")
+                    if body.inertia is not None or "angle" not in key
+                }
+            }
+        )
+        for name, body in scene.bodies.items()
+    }
+    fields = {key: getattr(scene, key) for key in Scene.model_fields}
+    changed = {"parameters": parameters, "coordinates": coordinates, "bodies": bodies}
+    return Scene(**{**fields, **changed, "outputs": {}, "stop": Stop(time=1e3)}), names

@@ -8,10 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.collision_detection.body_numbers import (
-    DAMPING,
     KINETIC,
     ROLLING,
-    STIFFNESS,
     BodyNumbers,
     WarmStart,
 )
@@ -34,7 +32,8 @@ class ActiveContacts(NamedTuple):
     rows: Array  # (c, 2, 6): Jacobian rows, normal and tangential, on the rates of the two.
     keys: Ints  # (c, 2): see `WarmStart`.
     # (c, 4): target gap; excess of the gap over it or, in an impact, over the other; slip error of
-    # the previous impulses; excess over the previous target gap.
+    # the previous impulses; excess over the previous target gap, of a compliant one the gap at the
+    # start of the step.
     levels: Array
     laws: Ints  # (c,): row of `BodyNumbers.materials`; -1: a joint.
     materials: Array  # (c, 3): current cone edge (2), restitution.
@@ -155,20 +154,14 @@ def write_friction(numbers: BodyNumbers, i: int, way: int, active: ActiveContact
 
 
 @kernel
-def write_compliance(
-    law: Array, gap: float, h: float, shift: float, m: int, active: ActiveContacts
-) -> bool:
-    """Write the compliance of contact m in a step; return whether it is active.
+def write_compliant(gap: float, h: float, shift: float, m: int, active: ActiveContacts) -> bool:
+    """Write contact m as a compliant one, whose row its island writes; return whether it is active.
 
-    Implicit Euler: the impulse is h times the force at the gap at the start plus h times the
-    velocity at the end, never below 0. It dissipates in steps longer than a contact lasts. A
-    contact that would end closed is active, too: a stiff spring would throw it out in the next
+    A contact that would end closed is active, too: a stiff spring would throw it out in the next
     step.
     """
     start = gap - 0.5 * h * active.before[m, 0]
-    softness = h * law[STIFFNESS] + law[DAMPING]
-    active.compliances[m] = 1.0 / (h * softness)
-    active.bias[m, 0], active.bias[m, 1] = law[STIFFNESS] * start / softness, shift
+    active.compliances[m], active.levels[m, 3], active.bias[m, 1] = 1.0, start, shift
     return min(start, gap, start + h * active.free[m, 0]) <= 0.0
 
 

@@ -95,7 +95,7 @@ class Conditions:
         self.nodes = gate_trees(gates)
         self._roles = roles_in(tuple((initial if states is None else states).values()))
         self._memory = len(mechanics.controller_state)
-        self._moving = {*mechanics.variables}
+        self._places = {*mechanics.q}
         memory = controller_rates_in(mechanics, controlled)
         rates = {**dict(zip(mechanics.q, mechanics.v, strict=True)), **memory}
         sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in mechanics.variables}
@@ -306,7 +306,7 @@ class ConditionsAt:
         if (
             closed
             and closed[condition.contact]
-            and condition.margin.free_symbols & self._of._moving
+            and condition.margin.free_symbols & self._of._places
         ):
             return HOLDS
         return HOLDS if condition.atom.closed or condition.atom.back in fired else FAILS

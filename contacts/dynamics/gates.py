@@ -116,7 +116,11 @@ class Gate:
             value = atom.margin.xreplace(values)
             if atom.is_end:
                 return sp.Max(value, ignored[atom.words]) if atom.words in ignored else value
-            moves = [abs(derivative(value, symbol)) * size for symbol, size in sizes.items()]
+            moves = [
+                abs(derivative(value, symbol)) * sizes[symbol]
+                for symbol in sizes
+                if symbol in value.free_symbols
+            ]
             # Roots have no slope at zero.
             moves = [
                 move

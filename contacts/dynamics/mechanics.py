@@ -130,15 +130,15 @@ class Mechanics(Geometry):
             for symbols_of_rate in ((self.controller_state[name], rate), (rate, acceleration))
         )
         # Symbols that states of controllers set, in order of dependence: coefficients of contacts,
-        # the scene's controls, and motions of surfaces.
+        # the scene's controls, motions of surfaces, and friction that varies with the slip on them.
         self.controls = (
             *(symbol for name in self._switched for symbol in self._coefficients[name].values()),
             *controls.values(),
             *self._asked.values(),
-            *self.used_friction.values(),
             *self._closed.values(),
             *(rate for rate, _ in self._led.values()),
             *(acceleration for _, acceleration in self._led.values()),
+            *self.used_friction.values(),
         )
         self._contacts: dict[str, ContactGeometry] = {}
         self._gates: dict[str, Gate | None] = {}

@@ -12,6 +12,7 @@ from contacts.scene.friction import FrictionLaw
 from contacts.scene.modes import FrictionSymbols
 from contacts.scene.parts import Point
 from contacts.scene.scene import Scene
+from statechart.arrays import Array
 from statechart.documents.fields import FormulaText
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.parameters import Parameters
@@ -118,9 +119,7 @@ def scene_parameters(scene: Scene) -> Parameters:
         expressions |= {f"{name}.{GAP_OFFSET}": sp.S.Zero for name in scene.contacts}
         if has_switches(scene):
             expressions |= {f"{HELD_FORCE}{i}": sp.S.Zero for i in range(len(scene.variables))}
-        gated = [*scene.contacts.values()], [*scene.couplings.values()]
-        if any(one.enabled for group in gated for one in group):
-            expressions |= {f"{SIZE}{i}": sp.S.Zero for i in range(2 * len(scene.variables))}
+        expressions |= _sizes(scene, len(scene.variables))
         values = scene.values({})
         masses = [parse(body.mass).value(values) for body in scene.bodies.values()]
         if masses and not MAGNITUDES[0] <= min(masses) <= max(masses) <= MAGNITUDES[1]:
@@ -131,16 +130,36 @@ def scene_parameters(scene: Scene) -> Parameters:
     return Parameters(scene.parameters, derived, partial(_initial, scene))
 
 
-def body_parameters(scene: Scene) -> Parameters:
+def _sizes(scene: Scene, coordinates: int) -> dict[str, sp.Expr]:
+    """Return the sizes of coordinates and rates, zero until they are known, for `enabled`."""
+    gated = [*scene.contacts.values()], [*scene.couplings.values()]
+    used = any(one.enabled for group in gated for one in group)
+    return {f"{SIZE}{i}": sp.S.Zero for i in range(2 * coordinates if used else 0)}
+
+
+def with_sizes(values: Array, places: Mapping[str, int], sizes: Array) -> Array:
+    """Return parameter values with the sizes of coordinates and rates, if formulas use them."""
+    first = places.get(f"{SIZE}0")
+    if first is None:
+        return values
+    result = values.copy()
+    result[first : first + len(sizes)] = sizes
+    return result
+
+
+def body_parameters(scene: Scene, coordinates: int) -> Parameters:
     """Return the parameters of a scene of free bodies; copies of a body share theirs.
 
     The initial state is that of the controllers' variables alone.
     """
 
+    def derived(known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
+        return _derived(scene, known) | _sizes(scene, coordinates)
+
     def controller_variables(known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
         return [parse(text).to_sympy(known) for text in scene.controlled.controller_state.values()]
 
-    return Parameters(scene.parameters, partial(_derived, scene), controller_variables)
+    return Parameters(scene.parameters, derived, controller_variables)
 
 
 def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:

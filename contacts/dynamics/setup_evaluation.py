@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from contacts.dynamics.conditions import Conditions, undecided_couplings
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT, SIZE
+from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT, with_sizes
 from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
 from contacts.dynamics.setup import (
     HOLD_PART,
@@ -144,10 +144,8 @@ class SceneNumbers:
             values = values.copy()
             values[self.places[MASS_UNIT]] = mass_unit(scales.acceleration, scales.force)
             inputs = _known(memory, values)
-        if stepped and f"{SIZE}0" in self.places:
-            first = self.places[f"{SIZE}0"]
-            values = values.copy()
-            values[first : first + len(scales.sizes)] = scales.sizes
+        if stepped:
+            values = with_sizes(values, self.places, scales.sizes)
             inputs = _known(memory, values)
         margins = self.stop_tape.at(initial, inputs, 0.0).tolist()
         for name, margin in zip(self.stops, margins, strict=True):

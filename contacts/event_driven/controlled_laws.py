@@ -18,7 +18,7 @@ from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.controllers import Controllers, ControllerState, opening_first
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import SnapshotTape
+from contacts.dynamics.snapshot import SnapshotTape, close_compliant
 from contacts.dynamics.surface_jumps import modes_after_jump
 from contacts.event_driven.laws import SceneLaws
 from contacts.modes.candidates import Case, candidates
@@ -301,6 +301,7 @@ class ControlledLaws:
         snapshot = self._at(controllers).snapshot(inner, self._memory.parted(state), clock.high)
         modes = moving_mode(flow.roles[: self._count])
         closed = [mode not in OPEN for mode in modes]
+        snapshot = close_compliant(snapshot, closed)
         case = Case(snapshot, inner.contacts, closed, closed, setup.scales)
         (solved,) = candidates(case, [(mode,) for mode in modes])
         if solved.undetermined:

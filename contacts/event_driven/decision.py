@@ -12,7 +12,7 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import on_constraints
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import PerContact, Snapshot
+from contacts.dynamics.snapshot import PerContact, Snapshot, close_compliant
 from contacts.impacts.jamming import Jam, paradoxes, resolve_jam
 from contacts.modes.classification import Before, Choice, ForceUncertainty, choose
 from contacts.modes.compiled_classification import ENDLESS
@@ -37,6 +37,7 @@ def choose_mode(
     lists every candidate with its reason, and the Painleve paradoxes.
     """
     check_listed(setup, snapshot, touching)
+    snapshot = close_compliant(snapshot, touching)
     slip_tolerance = 2.0 * setup.tolerances["speed"]
     try:
         choice = choose(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -14,9 +14,10 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.scene.lint import (
     NEARLY_MEETING,
     goes_off_warning,
+    passed_end_warning,
     stays_off_warning,
 )
-from contacts.states import OFF
+from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Arc, Key
@@ -24,6 +25,8 @@ from statechart.formulas.tape import Tape
 
 # Samples per step of an arc, and bisections between two of them. Shorter intervals are missed.
 _SAMPLES, _BISECTIONS = 8, 50
+# Part of the scene's length: a point that passes an edge so near to its end hardly was meant to.
+_BESIDE = 1e-6
 _SAMPLE_POINTS = np.linspace(0.0, 1.0, _SAMPLES + 1)
 
 
@@ -48,6 +51,7 @@ class Handovers:
         arcs, gap_tolerance = list(arcs), setup.tolerances["gap"]
         tables, inside = self._tables(setup, arcs, gap_tolerance)
         early = self._let_through(arcs, tables, gap_tolerance)
+        missed_ends = self._past_ends(setup, arcs, tables, gap_tolerance)
         shallow = NEARLY_MEETING * setup.scales.length
         missed: dict[str, float] = {}
         for place, (contact, name) in enumerate(self._gated.items()):
@@ -77,7 +81,37 @@ class Handovers:
                             depths += (-first, -gap)
             end()
         late = (stays_off_warning(self._mechanics.scene, name, d) for name, d in missed.items())
-        return (*early, *late)
+        return (*early, *missed_ends, *late)
+
+    def _past_ends(
+        self, setup: SceneSetup, arcs: Sequence[Arc], tables: Mapping[int, Array], near: float
+    ) -> Iterator[str]:
+        """Yield a warning for each contact that just misses its condition as its gap closes."""
+        names = [*self._mechanics.scene.contacts]
+        points = [self._mechanics.scene.contacts[name].point for name in names]
+        gated, missed_ends = list(self._gated.items()), _BESIDE * setup.scales.length
+        warned: set[str] = set()
+        for k, table in tables.items():
+            arc, gaps = arcs[k], table[:, 1::2]
+            through = (gaps[:-1] > near) & (gaps[1:] < -near)
+            for place in np.flatnonzero(through.any(axis=0)).tolist():
+                contact, name = gated[place]
+                same = (i for i, point in enumerate(points) if point == points[contact])
+                # Another contact of the point that is closed takes its place.
+                if (
+                    name in warned
+                    or arc.mode[contact] != OFF
+                    or any(arc.mode[i] not in OPEN for i in same)
+                ):
+                    continue
+                sample = int(through[:, place].argmax()) + 1
+                around = table[sample - 1 : sample + 1, 2 * place]
+                low, high = around.min(), around.max()
+                if 2.0 * high - low < -missed_ends or 2.0 * low - high > 0.0:
+                    continue  # Far from its boundary before and after
+                if -missed_ends <= self._at_crossing(setup, arc, place, sample, gap=True) <= 0.0:
+                    warned.add(name)
+                    yield passed_end_warning(name)
 
     def _let_through(
         self, arcs: Sequence[Arc], tables: Mapping[int, Array], gap_tolerance: float
@@ -134,8 +168,13 @@ class Handovers:
             self._tapes[states] = self._mechanics.whole_tape(outputs)
         return self._tapes[states]
 
-    def _at_crossing(self, setup: SceneSetup, arc: Arc, place: int, sample: int) -> float:
-        """Return the gap where the gate's margin rises through zero before a sample of an arc."""
+    def _at_crossing(
+        self, setup: SceneSetup, arc: Arc, place: int, sample: int, *, gap: bool = False
+    ) -> float:
+        """Return the gap where the gate's margin rises through zero before a sample of an arc.
+
+        With `gap`, return the margin where the gap falls through zero.
+        """
         tape = self._tape(arc.mode[len(self._mechanics.scene.frictional) :])
 
         def at(local: float) -> Array:
@@ -145,11 +184,11 @@ class Handovers:
         before, after = _samples(arc)[sample - 1 : sample + 1].tolist()
         for _ in range(_BISECTIONS):
             middle = 0.5 * (before + after)
-            if at(middle)[2 * place] < 0.0:
+            if (at(middle)[2 * place + gap] < 0.0) != gap:
                 before = middle
             else:
                 after = middle
-        return float(at(after)[2 * place + 1])
+        return float(at(after)[2 * place + (not gap)])
 
 
 def _samples(arc: Arc) -> Array:

@@ -364,10 +364,14 @@ class SceneLaws:
             if state is not brought:
                 snapshot = hidden(self.tape.at(setup.values, state, at.clock.high), flow.mode)
         # A gap that falls between two floats of time is still above its tolerance at one of them.
+        # The top of a low flight, where a drag of its speed switches, is no contact.
         rounding = math.ulp(at.clock.high)
         closed = [
-            c.gap <= (close - rounding * c.gap_rate if f"{name}.gap" in at.fired else close)
-            for name, c in zip(self._names, snapshot.contacts, strict=True)
+            c.gap <= close - rounding * c.gap_rate
+            if f"{name}.gap" in at.fired
+            else c.gap <= close
+            and (was != "free" or c.gap <= setup.scales.rounding or abs(c.gap_rate) > slow)
+            for name, was, c in zip(self._names, moving, snapshot.contacts, strict=True)
         ]
         snapshot = close_compliant(snapshot, closed)
         return Landing(at._replace(state=state), setup, snapshot, moving, closed)

@@ -234,7 +234,7 @@ def _store_joints(
         warm.contacts[i, 1] = 1.0 if lasts or not bounds else closed
         warm.contacts[i, 9] = 1.0 if numbers.joints.on[numbers.joints.owners[j]] else 0.0
         for d in range(2):
-            warm.contacts[i, 2 + d] = space.pressed[i, d]
+            warm.contacts[i, 2 + d] = active.pushes[i, d]
             warm.contacts[i, 4 + d] = active.open_by[i, d]
             if holds[j] == GREATEST and d == 0:
                 # Both limits share one torque.
@@ -276,7 +276,7 @@ def _store_couplings(
         warm.keys[i, 0], warm.keys[i, 1] = active.keys[i]
         for d in range(WARM_START_COLUMNS):
             warm.contacts[i, d] = 0.0
-        warm.contacts[i, 2], warm.contacts[i, 3] = space.pressed[i]
+        warm.contacts[i, 2], warm.contacts[i, 3] = active.pushes[i]
         warm.contacts[i, 8] = space.known[i]
         warm.contacts[i, 9] = 1.0 if slips else 0.0
     warm.n_contacts[0] = first + len(limits)
@@ -400,7 +400,7 @@ def step_bodies(
             for b in applied.bodies:
                 if not math.isfinite(loose[b, 0] + loose[b, 1] + loose[b, 2]):
                     return k, NOT_FINITE if k < steps else DONE
-        detected = find_contacts(numbers, ground, warm, space.mid, space.grid, h, active)
+        detected = find_contacts(numbers, ground, warm, space.mid, space.sweep, h, active)
         others = len(numbers.joints.kinds) + len(limits)
         full = detected.contacts < 0 or detected.contacts + others >= len(active.hit)
         if full and k < steps:

@@ -17,6 +17,7 @@ from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.couplings import ENABLED
 from contacts.dynamics.conditions import undecided_couplings
 from contacts.dynamics.controllers import Controllers, controlled_symbols, controller
+from contacts.dynamics.parameters import with_sizes
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.starting import check_limits
@@ -200,13 +201,13 @@ class BodyStepper(Stepper):
         def run_of(
             bodies: BodyNumbers, options: StepOptions = defaults, start_depth: float = 0.0
         ) -> RigidBodyRun:
-            prescribed = PrescribedMotion(self._bodies, self._paths, known, values)
+            prescribed = PrescribedMotion(self._bodies, self._paths, known, setup.values)
             names, surfaces = self._names, self._surfaces
             return RigidBodyRun(names, surfaces, bodies, prescribed, options, start_depth, step)
 
         if self._scene.couplings:
             tape = self._bodies.at(self._scene.controlled.initial).limits
-            bounds = tape.table(setup.initial[None], values, np.zeros(1)).reshape(-1, 3)
+            bounds = tape.table(setup.initial[None], setup.values, np.zeros(1)).reshape(-1, 3)
             check_limits([*self._scene.couplings], bounds[:, :ENABLED])
         bodies, depth, remarks = self._started(setup, bodies, known, run_of)
         setup = replace(setup, start_depth=depth, warnings=(*setup.warnings, *remarks))
@@ -250,8 +251,9 @@ class BodyStepper(Stepper):
         acceleration = speed**2 / length
         force = float((1.0 / bodies.inverse[:, 0]).sum()) * acceleration
         scales = Scales(length, speed, acceleration, force, 0.0, sizes)
+        at = {name: i for i, name in enumerate(self._bodies.parameters.names)}
         return SceneSetup(
-            values=values,
+            values=with_sizes(values, at, sizes),
             initial=initial,
             tolerances={"gap": RELATIVE * length, "speed": RELATIVE * speed,
                         "force": 0.0, "plain": 0.0},

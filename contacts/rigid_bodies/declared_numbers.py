@@ -204,7 +204,7 @@ def closed_joints(
     moved : (2, b, 3)
         Poses and rates of the bodies.
     places, speeds : (j, 2)
-        Of the world anchors of joints.
+        Positions and velocities of the world anchors of joints.
     near, slow : float
         Tolerances of distances and speeds.
 

@@ -15,7 +15,9 @@ from contacts.collision_detection.active_contacts import (
     rolling_share,
 )
 from contacts.collision_detection.body_numbers import (
+    DAMPING,
     KINETIC,
+    STIFFNESS,
     BodyNumbers,
     first_joint_key,
     split_key,
@@ -60,6 +62,7 @@ from contacts.time_stepping.chunk import (
     SLOW,
     UNENDED,
     WORK,
+    compliant_row,
 )
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import copy_numbers, copy_rows
@@ -113,7 +116,7 @@ def distribute_members(members: Ints, spare: Ints) -> None:
 
 
 @kernel
-def island_rows(numbers: BodyNumbers, members: Ints, work: Workspace) -> ContactRows:
+def island_rows(numbers: BodyNumbers, members: Ints, h: float, work: Workspace) -> ContactRows:
     """Return contacts (m,) as rows on the bodies that they move.
 
     Writes the `local` indices of bodies and `pads` (see `_add_pads`). Linked bodies share the index
@@ -150,6 +153,7 @@ def island_rows(numbers: BodyNumbers, members: Ints, work: Workspace) -> Contact
         for a in range(count):
             _write_coordinates(numbers, work.mid, active, members[a], a, linked, space)
     if space.padded == 1:
+        _write_compliances(numbers, members, active, n_moving, h, space)
         n_moving = _add_pads(members, active, n_moving, work.pads, space)
     for a in range(count):
         for side in range(sides):
@@ -195,6 +199,38 @@ def _write_coordinates(
                 columns[d, 3 * first + k] += mid.links.compliance[k, j] * rows[d, 3 * first + j]
     for block in range(first, space.bodies.shape[1]):
         space.bodies[a, block] = linked + block - first if touches else -1
+
+
+@kernel
+def _write_compliances(
+    numbers: BodyNumbers, members: Ints, active: ActiveContacts, n_moving: int, h: float,
+    space: ContactRows,
+) -> None:  # fmt: skip
+    """Write the normal rows of compliant contacts; see `compliant_row`.
+
+    The response to all of them is bounded by the sum of their rows on every rate.
+    """
+    sums = space.rates[0]
+    for k in range(3 * n_moving):
+        sums[k] = 0.0
+    for responds in (False, True):
+        for a in range(len(members)):
+            # Both rows of a rolling disc follow from the first, and count once.
+            twin, own = active.rolling_roles[members[a]] == RESISTS, 0.0
+            i = members[a] - 1 if twin else members[a]
+            if active.laws[i] < 0 or active.compliances[i] == 0.0:
+                continue
+            for k in range(3 * space.bodies.shape[1]):
+                b = space.bodies[a, k // 3] if k // 3 != PAIR else -1
+                if b >= 0 and responds:
+                    own += abs(space.columns[a, 0, k]) * sums[3 * b + k % 3]
+                elif b >= 0 and not twin:
+                    sums[3 * b + k % 3] += abs(space.rows[a, 0, k])
+            if responds:
+                law = numbers.materials[active.laws[i]]
+                active.compliances[members[a]], active.bias[members[a], 0] = compliant_row(
+                    law[STIFFNESS], law[DAMPING], own, active.levels[i, 3], active.before[i, 0], h
+                )
 
 
 @kernel
@@ -579,7 +615,7 @@ def solve_islands(
         if size == 0:
             continue
         distribute_members(members, space.spare)
-        contacts = island_rows(numbers, members, space)
+        contacts = island_rows(numbers, members, h, space)
         start, unforced = space.island[0, :size], space.island[1, :size]
         bias, chosen = space.island[2, :size], space.island[4, :size]
         rebounds, hit = space.flags[0, :size], space.flags[1, :size]

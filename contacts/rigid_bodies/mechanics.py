@@ -187,8 +187,9 @@ class BodyMechanics(Mechanics):
             else kinds[owner]
             for name, owner in owners.items()
         }
-        parameters = body_parameters(scene)
-        super().__init__(scene.model_copy(update={"bodies": single}), parameters)
+        expanded = scene.model_copy(update={"bodies": single})
+        parameters = body_parameters(scene, len(expanded.variables))
+        super().__init__(expanded, parameters)
         self.starts = Starts(scene, parameters)
         self._in_states = cache(lambda states: BodyTapes(self, dict(states)))
 
@@ -277,7 +278,8 @@ class BodyTapes:
         mechanics, found = self._mechanics, list[sp.Expr]()
         for name in mechanics.scene.couplings:
             gate = mechanics.gate(name)
-            found += [*mechanics.limits(name), sp.S.One if gate is None else gate.by_steps({}, {})]
+            holds = sp.S.One if gate is None else gate.by_steps({}, mechanics.sizes)
+            found += [*mechanics.limits(name), holds]
         return mechanics.whole_tape(found, definitions=self._definitions)
 
     def forces(self, values: Array) -> Forces:

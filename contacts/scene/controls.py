@@ -196,7 +196,9 @@ class Controls:
             if control not in self.declared:
                 raise DeclarationProblem(
                     f"no control {control!r}",
-                    advice=close_matches(control, self.declared),
+                    advice=close_matches(control, self.declared)
+                    if self.declared
+                    else f"declare it: controls: {{{control}: 0}}",
                     loc=loc,
                     key=True,
                 )

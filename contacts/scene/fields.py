@@ -98,6 +98,7 @@ class SceneFields(Declaration):
     gravity: Gravity = declare(
         "Acceleration downwards, or its components: [0, -9.81] is downwards.",
         9.81,
+        [0, -9.81],
         ["g*sin(slope)", "-g*cos(slope)"],
         unit="length/time**2",
         default=0,

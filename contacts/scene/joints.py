@@ -37,6 +37,7 @@ class Force(Part):
             "one force for each body: {body: a, force: [0, F]}, {body: b, force: [0, -F]}",
         ),
         **dict.fromkeys(("fx", "fy", "x", "y"), "force: [fx, fy]"),
+        **dict.fromkeys(("point", "application_point", "position"), "at: [x, y], in its frame"),
     }
 
     body: str = declare("What it acts on.", "rod")

@@ -17,6 +17,7 @@ from statechart.documents.outputs import Count, Event, Value
 from statechart.documents.quantities import fields_of
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.formulas.formula import parse
+from statechart.formulas.relation import parse_relation
 from statechart.formulas.tree import Call, Name, Node, Number, Unary, nodes
 
 NEARLY_MEETING = 1e-3
@@ -195,6 +196,14 @@ def stays_off_warning(scene: SceneFields, contact: str, depth: float) -> str:
     )
 
 
+def passed_end_warning(contact: str) -> str:
+    """Return the warning about a point that passes a surface next to where its conditions hold."""
+    return (
+        f"{contact} stays off: its conditions just fail as its point passes the surface; "
+        "let adjacent surfaces overlap"
+    )
+
+
 def goes_off_warning(contact: str, time: float) -> str:
     """Return a warning: the conditions of a contact end on its own surface."""
     return (
@@ -256,6 +265,7 @@ def replaced_laws(scene: SceneFields, values: Mapping[str, float]) -> dict[str, 
             "by steps bounces end with a touchdown, and there is no such event; write the state "
             "that is entered, such as CONTACT.slide"
         )
+    replacements |= _passed_instants(scene)
     other_laws: dict[str, list[str]] = {}
     for name, contact in rigid.items():
         if contact.impact != MOREAU and not _impact_laws_agree(scene, contact, values):
@@ -265,6 +275,34 @@ def replaced_laws(scene: SceneFields, values: Mapping[str, float]) -> dict[str, 
             "steps use Moreau's law instead; impact: moreau gives the same with events"
         )
     return replacements
+
+
+def _passed_instants(scene: SceneFields) -> Iterator[tuple[str, str]]:
+    """Yield the relations ``abs(POSITION) <= 0``, true at instants that steps pass over."""
+    relations = {f"stop.conditions.{n}": text for n, text in scene.stop.conditions.items()}
+    for name, region in scene.regions.items():
+        for transition, loc in declared_transitions(region, "regions", name):
+            if transition.guard is not None:
+                relations[".".join(map(str, (*loc, "guard")))] = transition.guard
+    moving = {*scene.variables, TIME}
+    for where, text in relations.items():
+        for one in parse_relation(text).comparisons:
+            sides = (one.left, one.right) if one.operator == "<=" else (one.right, one.left)
+            call, bound = sides[0].root, sides[1].root
+            names = sides[0].names - {*scene.parameters}
+            if (
+                one.operator in ("<=", ">=")
+                and isinstance(call, Call)
+                and call.function == "abs"
+                and bound == Number(0.0)
+                and names
+                and names <= moving
+            ):
+                yield (
+                    where,
+                    "steps pass over the instant at which this absolute value is 0; compare the "
+                    "value in it by <= or >=, which becomes true as it passes 0",
+                )
 
 
 def _accumulates(events: Sequence[Event]) -> bool:

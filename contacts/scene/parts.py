@@ -73,7 +73,10 @@ class Body(Part):
         "m": "mass",
         **dict.fromkeys(("I", "J"), "inertia"),
         **dict.fromkeys(("count", "number", "n"), "copies"),
-        "velocity": "start: {dx: ..., dy: ...}",
+        **dict.fromkeys(
+            ("velocity", "vel", "linearVelocity", "linear_velocity"), "start: {dx: ..., dy: ...}"
+        ),
+        **dict.fromkeys(("angularVelocity", "angular_velocity", "omega"), "start: {dangle: ...}"),
         "radius": "shape: {disc: r}, and radius: r of its contacts",
         **dict.fromkeys(
             ("damping", "linearDamping", "drag"),
@@ -286,7 +289,10 @@ class Surface(Part):
 
     OTHER_WORDS: ClassVar = {
         **dict.fromkeys(("slope", "angle"), "incline"),
-        "plane": "line: [[0, 0], [1, 0]]",
+        **dict.fromkeys(
+            ("plane", "type", "normal", "offset", "pos"),
+            "height: 0, incline: ANGLE, or line: [[0, 0], [1, 0]]",
+        ),
         **dict.fromkeys(
             ("profile", "polyline", "points", "vertices", "mesh", "polygon", "heightfield"),
             "height: FORMULA of x, or several surfaces, such as edge: [[0, 0], [1, 2]]",

@@ -24,7 +24,7 @@ def largest_of(impulses: Iterable[Mapping[str, tuple[float, float]]]) -> float:
     Parameters
     ----------
     impulses : iterable of mapping
-        Of every jump: contact -> normal and tangential impulse.
+        For each jump, contact -> normal and tangential impulse.
     """
     return max((math.hypot(*impulse) for some in impulses for impulse in some.values()), default=0)
 
@@ -49,7 +49,7 @@ def assert_in_cone(
     Raises
     ------
     AssertionError
-        If it does not.
+        If the impulse pulls, or lies outside the cone.
     """
     normal, tangential = impulse
     allowed = 100.0 * ROUND_OFF * math.hypot(normal, tangential) + 4.0 * EPS * largest
@@ -92,7 +92,7 @@ def no_growth(points: Sequence[tuple[float, float, str]], allowed: float, rate: 
     Raises
     ------
     AssertionError
-        If it grows by more.
+        If the energy grows by more.
     """
     least = math.inf
     for t, value, where in points:
@@ -145,14 +145,14 @@ def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None
     Parameters
     ----------
     mechanics : Mechanics
-        Of the scene.
+        Mechanics of the scene.
     subject, trace : Subject, Trace
         The compiled scene, and a run of it.
 
     Raises
     ------
     AssertionError
-        If one is not.
+        If a torque exceeds its limit, or acts along the slip.
     """
     scene, known = mechanics.scene, subject.automaton.observables
     expressions = [

@@ -156,7 +156,7 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
     Parameters
     ----------
     mechanics : Mechanics
-        Of the scene: `contacts.testing.Mechanics(scene)`.
+        Mechanics of the scene, `contacts.testing.Mechanics(scene)`.
     subject : Subject
         The compiled scene.
     trace : Trace

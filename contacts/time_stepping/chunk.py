@@ -169,3 +169,30 @@ def contact_role(
     if above <= max(reached, near) and nearing > slow:
         return HIT, min(gap, 0.0), above
     return SEPARATED, level, above
+
+
+@kernel
+def compliant_row(
+    stiffness: float, damping: float, own: float, start: float, rate: float, h: float
+) -> tuple[float, float]:
+    """Return the compliance and the bias of a compliant contact's normal row in a step.
+
+    The trapezoidal rule integrates the force to second order. The weight of implicit Euler is of
+    second order in h, and 1 in steps that do not resolve the contact, which dissipate. In the
+    step of a touchdown the damper acts from the touchdown on.
+
+    Parameters
+    ----------
+    stiffness, damping : float
+    own : float
+        Velocity of the contact under unit impulses of all compliant contacts.
+    start, rate : float
+        Gap and its rate at the start of the step.
+    h : float
+    """
+    weight = min(1.0, h * h * own * (stiffness + own * damping * damping))
+    if start > 0.0 > start + h * rate:
+        damping *= 1.0 + start / (h * rate)
+    push = h * ((0.25 + 0.75 * weight) * h * stiffness + (0.5 + 0.5 * weight) * damping)
+    force = stiffness * (start + 0.25 * (1.0 - weight) * h * rate)
+    return 1.0 / push, h * (force + 0.5 * (1.0 - weight) * damping * rate) / push

@@ -275,7 +275,7 @@ def settle(
             brakes[a] = landed and is_coupling(scene, i) and scene.carriers[i] < 0
             against[a] = against[a] or brakes[a]
         ended, solved, forces = False, False, np.zeros((m, 2))
-        pads = normal_pads(scene, tape, which, columns, h)
+        pads, _ = normal_pads(scene, tape, which, columns, h)
         for a in range(m):
             delassus[2 * a, 2 * a] += pads[a]
         loads = coupling_loads(scene, which, columns, moving, forces, 1.0)

@@ -96,9 +96,9 @@ class SolverResidual:
         if ambiguous := self._sums[AMBIGUOUS]:
             warnings.append(
                 f"{steps(ambiguous, self._first[AMBIGUOUS])} bodies with a restitution of "
-                f"{LIVELY:g} or more are struck in several places at once, and Moreau's law lets a "
-                "body that passes the blow on not rebound. simultaneous: sequential resolves "
-                "impacts one after another (points on surfaces, with events)"
+                f"{LIVELY:g} or more are struck in several places at once. Moreau's law resolves "
+                "these impacts together; for one after another write simultaneous: sequential "
+                "(points on surfaces: with events)"
             )
         if chosen := self._sums[CHOSEN]:
             warnings.append(f"{steps(chosen, self._first[CHOSEN])} {INDETERMINATE}")

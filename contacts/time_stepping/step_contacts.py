@@ -48,6 +48,7 @@ from contacts.time_stepping.chunk import (
     SLOW,
     TIME_MARGIN,
     Chunk,
+    compliant_row,
     contact_role,
 )
 from contacts.time_stepping.equations import (
@@ -225,30 +226,6 @@ def find_active(
 
 
 @kernel
-def _pad_row(
-    scene: StepConstants, tape: TapeValues, i: int, column: Array, h: float
-) -> tuple[float, float]:
-    """Return the compliance of a compliant contact, and its bias; its column of `unit_responses`.
-
-    The trapezoidal rule integrates the force to second order. The weight of implicit Euler is of
-    second order in h, and 1 in steps that do not resolve the contact, which dissipate. In the
-    step of a touchdown the damper acts from the touchdown on.
-    """
-    stiffness, damping = scene.compliance[i]
-    row, own = tape.first + tape.per * i, 0.0
-    for j in range(tape.size):
-        own += tape.numbers[row + j] * column[j]
-    weight = min(1.0, h * h * own * (stiffness + own * damping * damping))
-    rate = tape.numbers[row + 2 * tape.size + 3]
-    start = tape.numbers[row + 2 * tape.size + 2] - 0.5 * h * rate
-    if start > 0.0 > start + h * rate:
-        damping *= 1.0 + start / (h * rate)
-    push = h * ((0.25 + 0.75 * weight) * h * stiffness + (0.5 + 0.5 * weight) * damping)
-    force = stiffness * (start + 0.25 * (1.0 - weight) * h * rate)
-    return 1.0 / push, h * (force + 0.5 * (1.0 - weight) * damping * rate) / push
-
-
-@kernel
 def _is_finite(scene: StepConstants, i: int) -> bool:
     """Return whether contact i is compliant or a coupling, which has no impacts."""
     return scene.compliance[i, 0] > 0.0 or is_coupling(scene, i)
@@ -289,22 +266,30 @@ def delassus_of(tape: TapeValues, which: Ints, columns: Array) -> Array:
 @kernel
 def normal_pads(
     scene: StepConstants, tape: TapeValues, which: Ints, columns: Array, h: float
-) -> Array:
-    """Return the pad compliances (m,) of the normal rows of compliant contacts and couplings.
+) -> tuple[Array, Array]:
+    """Return the pad compliances (m,) of compliant contacts and couplings, and biases (m,).
 
     The normal rows of couplings move only pads, scaled to other velocities.
     """
-    pads = np.zeros(len(which))
+    pads, biases = np.zeros(len(which)), np.zeros(len(which))
     for a in range(len(which)):
-        i = which[a]
+        i, n, own = which[a], tape.size, 0.0
+        row = tape.first + tape.per * i
         if scene.compliance[i, 0] > 0.0:
-            pads[a], _ = _pad_row(scene, tape, i, columns[2 * a], h)
+            for b in range(len(which)):
+                part = 0.0
+                for j in range(n if scene.compliance[which[b], 0] > 0.0 else 0):
+                    part += tape.numbers[row + j] * columns[2 * b, j]
+                own += abs(part)
+            rate = tape.numbers[row + 2 * n + 3]
+            start = tape.numbers[row + 2 * n + 2] - 0.5 * h * rate
+            stiffness, damping = scene.compliance[i]
+            pads[a], biases[a] = compliant_row(stiffness, damping, own, start, rate, h)
         if is_coupling(scene, i):
-            row = tape.first + tape.per * i + tape.size
-            for j in range(tape.size):
-                pads[a] += tape.numbers[row + j] * columns[2 * a + 1, j]
+            for j in range(n):
+                pads[a] += tape.numbers[row + n + j] * columns[2 * a + 1, j]
             pads[a] = pads[a] if pads[a] > 0.0 else 1.0
-    return pads
+    return pads, biases
 
 
 # Iterations of the loads of rolling resistances, and their relative tolerance. Each iteration
@@ -406,7 +391,7 @@ def group_island(
     Removes restitution in plastic groups.
     """
     columns = unit_responses(tape, equations, members)
-    pads = normal_pads(scene, tape, members, columns, h)
+    pads, biases = normal_pads(scene, tape, members, columns, h)
     m, n, struck, rigid_count = len(members), tape.size, False, 0
     island = new_island(members, met.before[members], met.free[members], np.zeros((m, 2)))
     jacobians, cones = np.empty((m, 2, n)), np.empty((m, 2))
@@ -435,7 +420,7 @@ def group_island(
     for a in range(m):
         copy_numbers(met.bias[members[a]], island.bias[a])
         if scene.compliance[members[a], 0] > 0.0:
-            _, island.bias[a, 0] = _pad_row(scene, tape, members[a], columns[2 * a], h)
+            island.bias[a, 0] = biases[a]
         # The slip bias assumes the old rotation, which an impact changes.
         if struck:
             island.bias[a, 1] = 0.0

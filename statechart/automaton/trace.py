@@ -230,7 +230,7 @@ class Trace:
     Attributes
     ----------
     name : str
-        Of the model.
+        Name of the model.
     regions, variables : tuple of str
         Names, in the order of the keys and of the states.
     parameters : mapping

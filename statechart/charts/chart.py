@@ -67,6 +67,7 @@ class Chart(Declaration):
 
     OTHER_WORDS: ClassVar = {
         **Declaration.OTHER_WORDS,
+        **dict.fromkeys(("datamodel", "data", "locals", "vars"), "variables: {x: 0}"),
         **dict.fromkeys(("controls", "inputs"), "variables: {u: 0}, and entry: {u: 1} in states"),
         **dict.fromkeys(("clocks", "timers"), "variables: {c: 0} with flows: {c: 1}, or after: T"),
         "events": "a transition; its name is an event that other regions hear",
@@ -114,7 +115,13 @@ class Chart(Declaration):
     @property
     def timers(self) -> frozenset[str]:
         """Clocks and counters of timed transitions; they are variables that nobody declared."""
-        return frozenset(timer for region in self.flat.values() for timer in region.timers)
+        return frozenset(self.clocks)
+
+    @property
+    def clocks(self) -> tuple[str, ...]:
+        """The `timers` in order; one of a chart that has no variables: engines need a state."""
+        found = tuple(timer for region in self.flat.values() for timer in region.timers)
+        return found or (() if self.variables else (f"{next(iter(self.regions))}.clock",))
 
     def stated(self, name: str) -> Quantity:
         """Return the quantity of a name, including clocks and counters."""
@@ -133,13 +140,6 @@ class Chart(Declaration):
 
     @model_validator(mode="after")
     def _variables_have_values(self) -> Self:
-        if not (self.variables or self.timers):
-            raise DeclarationProblem(
-                "no variable and no timed transition",
-                advice="write variables: {x: 0}, or a transition with after or every",
-                loc=("regions",),
-                key=True,
-            )
         for name in self.variables:
             taken = "the time of the run" if name == TIME else "a parameter, {see}"
             if name == TIME or name in self.parameters:

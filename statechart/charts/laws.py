@@ -86,7 +86,7 @@ class _Symbols:
     """Symbols with neutral names, since SymPy interprets names such as I or beta."""
 
     def __init__(self, chart: Chart) -> None:
-        timers = [timer for region in chart.flat.values() for timer in region.timers]
+        timers = chart.clocks
         starts = {**chart.variables, **dict.fromkeys(timers, 0)}
         self.variables = {name: sp.Symbol(f"v{i}", real=True) for i, name in enumerate(starts)}
         self.rates = {name: sp.Symbol(f"r{i}", real=True) for i, name in enumerate(starts)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Literal, Self
 
@@ -24,11 +25,15 @@ class Transition(fields.Part):
         **dict.fromkeys(("when", "if", "cond", "condition"), "guard"),
         **dict.fromkeys(("event", "trigger"), "on: REGION.EVENT, or guard: RELATION"),
         **dict.fromkeys(
-            ("reset", "action", "actions", "assign", "do", "effect", "set"),
+            ("reset", "reinit", "action", "actions", "assign", "do", "effect", "set"),
             "updates: {VARIABLE: FORMULA}",
         ),
         **dict.fromkeys(("timeout", "delay"), "after"),
         "priority": "the transitions in their order: of those that are due the first is taken",
+        **dict.fromkeys(
+            ("send", "raise", "emit", "broadcast"),
+            "in another region on: REGION.NAME; the name of a transition is its event",
+        ),
         "source": "from",
         "target": "to",
     }
@@ -151,9 +156,16 @@ class BaseState(fields.Part):
     OTHER_WORDS: ClassVar = {
         **dict.fromkeys(("on", "after", "always"), _OUTSIDE),
         **dict.fromkeys(("children", "substates"), "states"),
-        **dict.fromkeys(("onentry", "on_entry", "on_enter", "enter"), "entry: {VARIABLE: FORMULA}"),
-        **dict.fromkeys(("onexit", "on_exit", "leave"), "exit: {VARIABLE: FORMULA}"),
-        **dict.fromkeys(("do", "ode", "dynamics"), "flows: {VARIABLE: FORMULA}"),
+        **dict.fromkeys(
+            ("onentry", "on_entry", "on_enter", "enter", "en"), "entry: {VARIABLE: FORMULA}"
+        ),
+        **dict.fromkeys(("onexit", "on_exit", "leave", "ex"), "exit: {VARIABLE: FORMULA}"),
+        **dict.fromkeys(
+            ("do", "ode", "dynamics", "equation", "equations", "der"), "flows: {VARIABLE: FORMULA}"
+        ),
+        **dict.fromkeys(
+            ("during", "du"), "flows: {VARIABLE: FORMULA}, or a transition with every: PERIOD"
+        ),
         **dict.fromkeys(("parallel", "type"), "regions: {NAME: ...} in it, or final: true"),
     }
 
@@ -272,9 +284,13 @@ def check_changes(
     for texts, at in changes:
         for variable, text in texts.items():
             if variable not in variables:
+                rate = re.sub(r"^d(er\()?|[_.]?dot$|['()]", "", variable)
+                is_rate = at[-1] == "flows" and rate in variables
                 raise DeclarationProblem(
                     f"no variable {variable!r}{of}",
-                    advice=undeclared(variable, variables),
+                    advice=f"write {rate}: a flow is its rate"
+                    if is_rate
+                    else undeclared(variable, variables),
                     loc=(*at, variable),
                     key=True,
                 )

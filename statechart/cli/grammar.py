@@ -73,7 +73,7 @@ def parser() -> argparse.ArgumentParser:
     schema.add_argument("kind", nargs="?", metavar="KIND", help="scene or chart; else both")
     new = verb("new", "write a commented scene to start from", file=False)
     new.add_argument("name", metavar="NAME", help="of the model; NAME.yaml is written")
-    completion = verb("completion", "print what completes commands in a shell", file=False)
+    completion = verb("completion", "print the completion script of a shell", file=False)
     completion.epilog = (
         'source <(statechart completion bash); eval "$(statechart completion zsh)"; '
         "statechart completion fish | source"

@@ -70,7 +70,9 @@ class Declaration(Part):
     METHODS: ClassVar[tuple[str, ...]] = ("check", "diagram", "equations", "modes", "with_")
 
     OTHER_WORDS: ClassVar[Mapping[str, str]] = {
-        **dict.fromkeys(("until", "t_end", "duration", "end"), "stop: {time: 10}"),
+        **dict.fromkeys(
+            ("until", "t_end", "tspan", "t_span", "duration", "end"), "stop: {time: 10}"
+        ),
         **dict.fromkeys(("dt", "timestep", "time_step"), "settings: {engine: impulse, step: 1e-3}"),
         "iterations": "settings: {impulse_tolerance: 1e-8}",
         **dict.fromkeys(("sensor", "sensors", "output"), "outputs: {NAME: {value: FORMULA}}"),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import functools
 import inspect
+import re
 import types
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import fields
@@ -76,18 +77,26 @@ OTHER_VALUES: Mapping[str, str] = {
     **dict.fromkeys(("theta", "phi", "rotation"), "angle"),
     **dict.fromkeys(("omega", "w", "dtheta", "dphi"), "dangle"),
     **dict.fromkeys(("rk4", "rk45", "rk23", "dop853", "radau", "lsoda", "bdf", "ode45"), "scipy"),
-    **dict.fromkeys(("euler", "moreau", "timestepping"), "impulse"),
+    **dict.fromkeys(("euler", "moreau", "timestepping", "fixedstep", "mujoco"), "impulse"),
+    **dict.fromkeys(("eventdriven", "events", "event"), "taylor"),
     "max": "maximum",
     "min": "minimum",
+    **dict.fromkeys(("mean", "average", "sum"), "integral"),
     "final": "value",
     "last": "value",
 }
-"""Value of another program, in lower case -> our value."""
+"""Value of another program, in lower case without - and _, -> our value."""
+
+OTHER_EVENTS: Mapping[str, str] = {
+    **dict.fromkeys(("impact", "collision", "collide", "contact", "hit", "landing"), "touchdown"),
+    **dict.fromkeys(("takeoff", "separation", "detach", "release", "lift"), "liftoff"),
+}
+"""Event of another program -> our event."""
 
 
 def other_value(given: object, known: str) -> str:
     """Return advice on a synonym of a known value, or nothing."""
-    word = OTHER_VALUES.get(str(given).lower(), "")
+    word = OTHER_VALUES.get(re.sub("[-_ ]", "", str(given).lower()), "")
     return f"write {word}" if f"'{word}'" in known else ""
 
 
@@ -104,9 +113,9 @@ def unknown_parameter(name: str, known: Collection[str]) -> str:
 
 
 def example(
-    model: type[BaseModel], loc: Sequence[str | int], *, built: bool, mapping: bool = False
+    model: type[BaseModel], loc: Sequence[str | int], *, built: bool, wanted: type = object
 ) -> str:
-    """Return an example of the value at `loc`, a mapping if there is one, or an empty text."""
+    """Return an example of the value at `loc`, a `wanted` one if possible, or an empty text."""
     shown: Any = None
     examples: list[Any] = []
     for part, _, field in _walk(model, loc):
@@ -117,8 +126,8 @@ def example(
             shown = next(iter(shown.values()), None)
         elif isinstance(shown, list) and isinstance(part, int):
             shown = shown[min(part, len(shown) - 1)]
-    if mapping and not isinstance(shown, Mapping):
-        shown = next((one for one in examples if isinstance(one, Mapping)), shown)
+    if not isinstance(shown, wanted):
+        shown = next((one for one in examples if isinstance(one, wanted)), shown)
     if shown is None:
         return ""
     return repr(shown) if built else flow(shown)
@@ -310,10 +319,10 @@ def _wrong_call(
     if count > len(placed):
         named = ", ".join(word for word in taken if word not in placed)
         listed = ", ".join(placed) or "nothing"
-        return (
-            f"too many positional arguments; these may be positional: {listed}",
-            f"pass the others by name: {named}",
-        )
+        advice = f"pass the others by name: {named}"
+        if "parameters" in taken and isinstance(args[-1], Mapping):
+            advice = f"write parameters={args[-1]!r}"
+        return f"too many positional arguments; these may be positional: {listed}", advice
     for word in placed[count:]:
         if taken[word].default is inspect.Parameter.empty and word not in kwargs:
             return f"{word!r} is missing", f"it takes {known}"

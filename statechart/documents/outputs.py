@@ -7,10 +7,18 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import AfterValidator, Discriminator, StrictBool, Tag, model_validator
+from pydantic import (
+    AfterValidator,
+    Discriminator,
+    StrictBool,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
 from statechart.documents.documented import declare
 from statechart.documents.fields import FiniteText, Part, check_names
+from statechart.documents.hints import OTHER_EVENTS
 from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.formula import parse
 
@@ -92,7 +100,12 @@ EventText = Annotated[str, _that(parse_events)]
 class Value(Part):
     """A formula at a moment of the run; a list of its values at `each` event, or at some."""
 
-    OTHER_WORDS: ClassVar = {"when": "at"}
+    OTHER_WORDS: ClassVar = {
+        "when": "at",
+        **dict.fromkeys(
+            ("every", "times", "sample"), "--samples after `run`, for a table over time"
+        ),
+    }
 
     value: FiniteText = declare(
         "Formula of variables, observables and parameters.",
@@ -109,6 +122,17 @@ class Value(Part):
     before: StrictBool = declare(
         "Evaluate just before the jump instead of just after it.", True, default=False
     )
+
+    @field_validator("at", mode="before")
+    @classmethod
+    def _no_time(cls, at: Any) -> Any:
+        if isinstance(at, int | float):
+            raise DeclarationProblem(
+                f"a moment is start, end or an event, not {at}",
+                advice=f"in a region write {{name: tick, from: STATE, after: {at}}}, "
+                "and here at: first REGION.tick",
+            )
+        return at
 
     @property
     def moment(self) -> Moment:
@@ -232,6 +256,11 @@ def check_event(
         known = {*causes[event.region], *states.get(event.region, ())}
     else:
         known = set().union(*causes.values())
+    if event.cause not in known and (meant := OTHER_EVENTS.get(event.cause.lower())) in known:
+        owner = "" if event.region is None else f"{event.region}."
+        raise DeclarationProblem(
+            f"no cause or state {event.cause!r}", advice=f"write {owner}{meant}", loc=loc
+        )
     check_member("cause or state", event.cause, known, *loc)
 
 

@@ -196,8 +196,9 @@ def _to_error(
     else:
         names = known_keys(model, loc[:-1])
         built = isinstance(document, Built)
-        wanted = _EXPECTED.get(kind) == "a mapping"
-        shown = example(model, loc, built=built, mapping=wanted)
+        wanted = Mapping if _EXPECTED.get(kind) == "a mapping" else object
+        wanted = list if kind in ("too_long", "too_short") else wanted
+        shown = example(model, loc, built=built, wanted=wanted)
         if built and not _lacks_items(details):  # Python uses field names, not aliases
             details = {**details, "loc": (*loc[:-1], names.get(str(loc[-1]), loc[-1]))}
         known = names.values() if built else names
@@ -278,7 +279,9 @@ def _message_and_advice(
         return f"must be {_EXPECTED[kind]}, not {shown}", ""
     if kind == "output" and isinstance(given, Mapping) and given:
         word, message = str(next(iter(given))), context.get("message", details["msg"])
-        return f"{message}, not {word!r}", other_value(word, "'value', 'minimum', 'maximum'")
+        return f"{message}, not {word!r}", other_value(
+            word, "'value', 'integral', 'minimum', 'maximum'"
+        )
     if kind == "union_tag_invalid":
         tags = context["expected_tags"]
         return f"must be one of {tags}, not {context['tag']!r}", other_value(context["tag"], tags)

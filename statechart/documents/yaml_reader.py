@@ -10,6 +10,7 @@ Plain scalars follow the core schema of YAML 1.2: `1e-3` is a number, `off` and 
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
@@ -92,6 +93,9 @@ class _Builder:
             if "expected ':'" in str(error.problem):  # the line without a colon, not the next
                 mark = error.context_mark or mark
                 self._check_equals(text, mark.line)
+                self._check_colon(text, mark.line + 1)
+            elif mark and "mapping values are not allowed" in str(error.problem):
+                self._check_colon(text, mark.line)
             self._check_blanks(text, mark.line if mark else 0)
             message = " ".join(str(error.problem or error.context).split())
             place = self._at(mark.line, mark.column) if mark else self._at(0, 0)
@@ -124,6 +128,23 @@ class _Builder:
         if "=" in written:
             raise self._at(line, written.index("=")).error(
                 "a key has a colon", no_name(written.strip())
+            ) from None
+
+    def _check_colon(self, text: str, line: int) -> None:
+        """Refuse a key without a colon, or without a blank behind it, above a line."""
+        lines = [*text.split("\n"), ""]
+        for at in range(max(line - 1, 0), line + 1):
+            if lines[at].lstrip().startswith("//"):
+                raise self._at(at, lines[at].index("//")).error(
+                    "not YAML: '//'", "write a comment after #"
+                ) from None
+        above = max((k for k in range(line) if lines[k].strip()), default=line)
+        found = re.fullmatch(r"( *)([\w.]+)[ :]+(\S.*)", lines[above].split(" #")[0].rstrip())
+        indent = len(lines[line]) - len(lines[line].lstrip())
+        if found and ": " not in found[0] and len(found[1]) == indent:
+            raise self._at(above, indent).error(
+                f"not YAML: {found[0].strip()!r} has no colon with a blank behind it",
+                f"write {found[2]}: {found[3]}",
             ) from None
 
     def _document(self, parsed: Iterator[events.Event], text: str) -> dict[str, Any]:

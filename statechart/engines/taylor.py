@@ -16,6 +16,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
 from statechart.compiling import whole
+from statechart.documents.fields import TIME
 from statechart.documents.setting import LONG_DOUBLE
 from statechart.engines.engine import Begin, Engine, Entry, FlowWatch, Pace, Path
 from statechart.engines.taylor_loop import (
@@ -125,8 +126,8 @@ class Taylor(Engine):
         # heyoka drops parameters that it simplifies away (a mass may cancel); the first is the
         # start of the arc.
         fixed = automaton.tape(convert.constants[: max(len(integrator.pars) - 1, 0)], mode)
-        symbols = (*automaton.variables, *automaton.parameters)
-        symbol_names = (*automaton.names, *automaton.parameter_names)
+        symbols = (*automaton.variables, *automaton.parameters, automaton.time)
+        symbol_names = (*automaton.names, *automaton.parameter_names, TIME)
         names = dict(zip(symbols, map(sp.Symbol, symbol_names), strict=True))
         return _Stepper(
             integrator,
@@ -198,7 +199,10 @@ class Taylor(Engine):
                     f"the Taylor series of the rates overflows at t = {start:.6g}; use "
                     "engine: scipy"
                 )
-            raise NonFinite(f"the state or its rate is not finite near t = {start:.6g}")
+            raise NonFinite(
+                f"the state or its rate is not finite near t = {start:.6g}; look for a logarithm, "
+                "root or quotient without a value there"
+            )
         if h == 0.0 and remaining > 0.0:
             # The steps before the one that underflowed are valid, and may contain an event.
             if path.times.item(limit) == path.times.item(limit - 1):

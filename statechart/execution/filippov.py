@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from itertools import product
 from typing import NamedTuple
 
@@ -19,7 +20,7 @@ from statechart.automaton.laws import SWITCHES, Instant, flow_sizes
 from statechart.automaton.margin_derivatives import UNDERFLOW, MarginDerivatives
 from statechart.automaton.switches import RESTS, SIGN_OF, SLIDE_ON, SLIDES, Switches, is_of_switch
 from statechart.automaton.trace import Role, Roles
-from statechart.errors import AmbiguousMode, NonFinite
+from statechart.errors import AmbiguousMode, NonFinite, StatechartError
 from statechart.execution.compiled_modes import CompiledModes
 from statechart.formulas.series import sizes_at
 from statechart.formulas.tape import Tape
@@ -93,7 +94,9 @@ class Filippov:
         for signs in product((1, -1, SLIDES), repeat=len(surface.on)):
             verdict = surface.fits(signs)
             if verdict is None:
-                verdict = False if self._holds(surface.with_(signs), at) else None
+                # A slide whose equations are 0/0 does not exist.
+                with suppress(StatechartError):
+                    verdict = False if self._holds(surface.with_(signs), at) else None
                 if verdict is None:
                     continue
             elif not verdict:
@@ -239,6 +242,10 @@ class _Surface:
         count, slopes = len(self._at.state), self.switches.gradients
         outputs = self._outputs(self._at.state, np.array(self.signs, float))
         rows = np.array([outputs[slopes + i * count :][:count] for i in self.on])
+        # Units of surfaces and variables are arbitrary.
+        for axis in (1, 0, 1):
+            norms = np.linalg.norm(rows, axis=axis, keepdims=True)
+            rows = rows / np.where(norms > 0.0, norms, 1.0)
         if not np.isfinite(rows).all():
             return False
         _, sizes, basis = np.linalg.svd(rows)

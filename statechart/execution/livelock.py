@@ -10,6 +10,7 @@ import numpy as np
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import Clock, between
+from statechart.automaton.switches import is_of_switch
 from statechart.automaton.trace import FAR_TOO_MANY, Jump
 from statechart.errors import EventLoop, TooLong
 from statechart.tabular import pluralise
@@ -62,9 +63,12 @@ class Livelock:
         self._changes += 1
         if self._changes > JUMPS_AT_ONCE:
             fell = f"{', '.join(fired)} falls" if fired else "nothing falls"
+            advice = ""
+            if fired and is_of_switch(fired[0]):
+                advice = "; write a state for each side, or smooth the function that switches"
             raise EventLoop(
                 f"{fell} at t = {clock.high:.6g}, and equations of the mode follow one another "
-                "for ever"
+                f"for ever{advice}"
             )
         return self._changes > JUMPS_AT_ONCE // 2
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -96,6 +97,11 @@ def find(path_or_name: str) -> Path:
             return found
     if exists:
         return path
+    for suffix in (".yaml", ".yml"):
+        if os.path.isfile(f"{path}{suffix}"):
+            raise DeclarationError(
+                f"no such file: {path_or_name!r}", advice=f"write {path}{suffix}"
+            )
     meant = close_matches(path.stem, shipped_models())
     if path.suffix in (".yaml", ".yml") and not meant.startswith("did"):
         raise DeclarationError(

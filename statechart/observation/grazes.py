@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from statechart.arrays import Array, Ints
+from statechart.arrays import EPS, Array, Ints
 from statechart.automaton.regions import whole_margins
 from statechart.automaton.trace import Arc, Jump, Roles, Trace, sizes
 from statechart.execution.compiled_modes import CompiledMode
@@ -31,8 +31,12 @@ _EDGE = 1.0 / 4096.0
 _REFINEMENTS = 18
 # Last part of a step from which a guard is extrapolated.
 _EXTRAPOLATED = 1.0 / 64.0
+# Extrapolation after a guard of several relations, relative to its last step. A relation that was
+# true before the guard is so for about as long after it.
+_AHEAD = 2.0
 # Relative time difference of simultaneous jumps.
 _SAME_INSTANT = 1e-12
+_TIME_ROUND_OFF = 8.0 * EPS
 
 
 class Graze(NamedTuple):
@@ -207,21 +211,26 @@ class _GuardScan:
         return 0.5 * (left + right)
 
     def beyond(self, ends: Sequence[tuple[Arc, Jump]]) -> Iterator[Graze]:
-        """Yield undecided guards that fired, by extrapolating with a parabola."""
+        """Yield undecided guards that fired, by extrapolating the flow, or with a parabola."""
         names = [name for name, _ in self._watched]
         ends = [(arc, jump) for arc, jump in ends if jump.fired[0] in self._named]
         if not ends:
             return
         for (arc, jump), guards in zip(ends, self._last([arc for arc, _ in ends]), strict=True):
             k = names.index(self._named[jump.fired[0]])
-            now, before, first = guards[:, k].tolist()
+            beyond, now, before, first = guards[:, k].tolist()
             bend, fall = now - 2.0 * before + first, 0.5 * (3.0 * now - 4.0 * before + first)
+            end, graze = arc.times.item(-1), None
             if bend > 0.0 > fall:
-                graze = self._open(
-                    arc, k, arc.times.item(-1), -0.5 * fall * (fall / bend), fired=True
-                )
-                if graze:
-                    yield graze
+                graze = self._open(arc, k, end, -0.5 * fall * (fall / bend), fired=True)
+            if graze is None and beyond > now:
+                # One relation makes the guard true, and another one ends that.
+                at = self._least(arc, k, end, end + _AHEAD * (end - arc.times.item(-2)))
+                # A guard such as abs(x) <= 0 is true at one instant only.
+                if at - end > _TIME_ROUND_OFF * max(at, 1.0):
+                    graze = self._open(arc, k, at, 0.0, fired=True)
+            if graze:
+                yield graze
 
     def turned_back(self, ends: Sequence[tuple[Arc, Jump]]) -> Iterator[Graze]:
         """Yield guards and stop conditions within their error of zero at another event.
@@ -237,8 +246,8 @@ class _GuardScan:
             return
         rows = self._last([arc for arc, _ in ends])[:, :, places]
         with np.errstate(all="ignore"):
-            falling = rows[:, 0] < rows[:, 1]
-            near = np.abs(rows[:, 0]) <= self._near * np.abs(rows[:, 1])
+            falling = rows[:, 1] < rows[:, 2]
+            near = np.abs(rows[:, 1]) <= self._near * np.abs(rows[:, 2])
         for i, place in np.argwhere(falling & near).tolist():
             (arc, jump), k = ends[i], places[place]
             graze = self._open(arc, k, arc.times.item(-1), 0.0, fired=False)
@@ -247,14 +256,14 @@ class _GuardScan:
                 yield graze._replace(turned=True)
 
     def _last(self, arcs: Sequence[Arc]) -> Array:
-        """Return the guards at the end of flows and shortly before, (m, 3, k)."""
-        s = 1.0 - _EXTRAPOLATED * np.arange(3)
+        """Return the guards shortly after the end of flows, there and shortly before, (m, 4, k)."""
+        s = 1.0 - np.array([-_AHEAD, 0.0, _EXTRAPOLATED, 2.0 * _EXTRAPOLATED])
         terms = np.array([arc.coefficients[-1] for arc in arcs])
         spans = np.array([arc.times[-1] - arc.times[-2] for arc in arcs])
         states = np.swapaxes(terms @ s ** np.arange(terms.shape[2])[:, None], 1, 2)
         times = np.array([arc.start.high + arc.times[-1] for arc in arcs])
         at = (times[:, None] - (1.0 - s) * spans[:, None]).ravel()
-        return self._table(states.reshape(-1, terms.shape[1]), at).reshape(len(arcs), 3, -1)
+        return self._table(states.reshape(-1, terms.shape[1]), at).reshape(len(arcs), len(s), -1)
 
     def _open(self, arc: Arc, k: int, tau: float, further: float, *, fired: bool) -> Graze | None:
         """Return the graze of a guard if its least value is within its uncertainty."""

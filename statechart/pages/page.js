@@ -117,7 +117,8 @@ function read(t) {
     const [a, b] = [panel.t[low], panel.t[low + 1]];
     const part = b > a ? Math.min(1, Math.max(0, (t - a) / (b - a))) : 0;
     const value = part > 0 ? curve[low] + part * (curve[low + 1] - curve[low]) : curve[low];
-    text.textContent = Number.isFinite(value) ? level(value, 4) : "";
+    // Round-off of what is drawn shows as zero.
+    text.textContent = Number.isFinite(value) ? level(Math.abs(value) < 1e-12 * panel.size ? 0 : value, 4) : "";
   }
 }
 function named(parent, attributes, name, room) {
@@ -157,6 +158,7 @@ function drawn(panel, narrow) {
   const seen = [...panel.curves, ...panel.struck.map((hit) => hit.sizes)];
   const finite = seen.flatMap((v) => Array.from(v)).filter(Number.isFinite);
   let [low, most] = [Math.min, Math.max].map((best) => finite.reduce((a, b) => best(a, b), 0));
+  panel.size = Math.max(-low, most);
   if (panel.cone) {
     const edge = Array.from(panel.cone).filter(Number.isFinite).reduce((a, b) => Math.max(a, b), 0);
     const reach = Math.min(edge, 2 * Math.max(-low, most));
@@ -280,7 +282,7 @@ const lines = data.events.map((event) => {
   const row = made(byId("events").tBodies[0], "tr", { tabindex: 0 });
   made(row, "td", { title: event.t }, short(event.t));
   made(row, "td", {}, event.what);
-  made(row, "td", {}, event.change);
+  made(row, "td", {}, event.change.replaceAll("->", "\u2192"));
   const choose = () => {
     pause();
     go(event.instant);

@@ -25,13 +25,13 @@ ShapeKind = Literal[
     "coupling",
     "ground",
 ]
-"""How a shape is drawn; of all but the ground what is seen is inside its points.
+"""Kinds of shapes. All but the ground lie within the hull of their points.
 
 outline: a filled polygon. disc: a filled circle. bar: a thick line with round ends. mass, joint,
 pivot: marks of a fixed size on the paper, at one point. link, rope, spring, damper, reaction: from
 a point of one frame to a point of another; a slack rope hangs, or lies on the floor. coupling:
-likewise, with a mark between, which the state of its region colours. ground: a line, the solid on
-its right, which is hatched.
+from a point to a point, with a mark between, which the state of its region colours. ground: a line,
+the solid on its right, which is hatched.
 """
 
 BETWEEN: frozenset[ShapeKind] = frozenset(

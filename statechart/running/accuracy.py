@@ -116,7 +116,7 @@ class AccuracyRequest:
     basis : str
         Source of the first tolerance or step.
     cost : Cost
-        Of all runs.
+        Cost of all runs.
     not_judged : tuple of str
         Outputs without an error estimate: the number of bounces of a Zeno sequence has no limit.
     decides : str

@@ -215,7 +215,8 @@ def advice(study: Measurements) -> list[str]:
         if others:
             next_best = min(others, key=lambda point: point.seconds)
             times = next_best.seconds / best.seconds
-            beside = f", {times:.2g} times cheaper than {next_best.setting.label}"
+            cheaper = f"{times:.2g} times cheaper than" if times >= 1.1 else "as fast as"
+            beside = f", {cheaper} {next_best.setting.label}"
         cost = _seconds(best.seconds)
         return [f"for an accuracy of {accuracy:g} use {options}: {cost} a run{beside}"]
     return []

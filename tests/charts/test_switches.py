@@ -183,6 +183,17 @@ def test_time_optimal_control_ends_at_the_origin(engine: Engine) -> None:
 
 
 @both
+@pytest.mark.parametrize("size", [1e6, 1.0, 1e-6])
+def test_units_of_surfaces_do_not_decide_whether_they_fix_the_state(
+    engine: Engine, size: float
+) -> None:
+    surface = f"1e11*x + {1e11 * size}*v*abs(v)/2"
+    trace = run(flow({"x": size, "v": 0}, x=f"{size}*v", v=f"-sign({surface})"), engine, 3.0)
+    assert breaks(trace) == pytest.approx([1.0, 2.0], abs=1e-6)
+    assert trace.final == pytest.approx([0.0, 0.0], abs=1e-12 * size)
+
+
+@both
 def test_twisting_control_under_a_disturbance_rests(engine: Engine) -> None:
     # Both signs act by x'' only, and do not determine each other.
     push = "0.1*sin(3*time + 1.64)"
@@ -244,6 +255,7 @@ def test_a_stiff_inflow_into_an_empty_tank_ends_the_run() -> None:
     chart = flow({"h": 1}, h="-0.1*sqrt(max(h, 0)) + 0.02*exp(-(time - 35)**2)")
     trace = Simulator(chart, SCIPY).run(until=60.0, throw=False)
     assert trace.outcome is Outcome.EVENT_LOOP
+    assert "write a state for each side" in trace.message
     assert abs(trace.final[0]) < 1e-9
 
 
@@ -260,6 +272,15 @@ def test_tanks_that_drain_into_each_other_stay_empty() -> None:
     two = run(flow({"a": 1, "b": 0}, a=f"-{out[0]}", b=f"{out[0]} - {out[1]}"), SCIPY, 40.0)
     # At t = 20, b = 0.389988020 (LSODA, steps of 0.05); sqrt(b) then falls at the rate 0.025.
     assert two.final == pytest.approx([0.0, (math.sqrt(0.389988020) - 0.5) ** 2], abs=1e-8)
+
+
+def test_a_slide_without_equations_is_no_candidate() -> None:
+    # a is empty from 1.20 until its inflow begins at 3.87; the equations of a slide there are 0/0.
+    inflow, out = "0.23*max(0, sin(time + 2.41))", "sqrt(max(a, 0))"
+    rates = {"a": f"-0.76*{out} + {inflow}", "b": f"0.15*{out} - 0.43*sqrt(max(b, 0))"}
+    trace = run(flow({"a": 0.13, "b": 0.47}, **rates), SCIPY, 6.0)
+    # LSODA, tolerance 1e-12, steps of 1e-3.
+    assert trace.final == pytest.approx([0.0722935, 0.0078531], abs=1e-6)
 
 
 def test_super_twisting_control_slides_with_its_second_derivative_at_zero() -> None:

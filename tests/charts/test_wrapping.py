@@ -15,7 +15,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, NoConsistentMode
 from statechart.loading.load import interpret
 from statechart.running.result import Result
-from statechart.running.runner import Runner
+from statechart.running.runner import Runner, run
 
 G = 9.81
 T, V = 0.4, 1.2
@@ -52,6 +52,34 @@ def test_a_ball_on_a_saw_tooth_table_is_thrown_and_lands_in_every_period(setting
     since = 1.5 - 3 * T
     expected = V * T + V * since - G * since**2 / 2
     assert result.trace.final[1] == pytest.approx(expected, abs=30 * near)
+
+
+@engines
+def test_friction_that_varies_with_the_slip_on_a_conveyor_can_be_read(settings: str) -> None:
+    result = Runner(
+        interpret(
+            read_text(
+                f"""
+kind: scene
+name: n
+gravity: 9.81
+bodies: {{block: {{mass: 1, start: {{dx: 2}}}}}}
+surfaces: {{belt: {{height: 0, displacement: ['0.5*mod(time, 0.4)', 0]}}}}
+contacts:
+  foot: {{point: {{body: block}}, surface: belt, friction: 0.2 + 0.1*exp(-abs(slip)),
+    restitution: 0}}
+settings: {settings}
+"""
+            )
+        )
+    ).run(until=0.1)
+    before = result.at(0.05).values
+    assert before["foot.slip"] == pytest.approx(before["block.dx"] - 0.5, abs=1e-12)
+    near = 2e-4 if "impulse" in settings else 1e-12
+    mu = 0.2 + 0.1 * math.exp(-before["foot.slip"])
+    assert before["foot.H"] == pytest.approx(-mu * G, abs=near)
+    first = -(0.2 + 0.1 * math.exp(-1.5)) * G
+    assert result.samples["foot.H"].iloc[0] == pytest.approx(first, abs=near)
 
 
 @engines
@@ -201,3 +229,34 @@ outputs: {x: {value: x}, n: {value: mod.count}, cuts: {value: time, at: each swi
     assert result.outputs["cuts"] == pytest.approx([1 / 12, 17 / 12, 11 / 4], abs=1e-12)
     assert result.outputs["x"] == pytest.approx(1 / 12 + 5 / 12 + 3 / 4, abs=1e-12)
     assert result.outputs["n"] == 2
+
+
+LIGHT = """\
+kind: chart
+name: light
+regions:
+  light:
+    initial: red
+    states: {red: {}, green: {}}
+    transitions:
+      - {name: go, from: red, to: green, guard: GO}
+      - {name: halt, from: green, to: red, guard: HALT}
+stop: {time: 7}
+outputs: {go: {value: time, at: each go}, green: {integral: 1, during: {light: green}}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("go", "halt", "times", "green"),
+    [
+        ("time >= 2 and time < 3", "time >= 4", [2.0], 2.0),
+        ('"mod(time, 3) >= 2"', '"mod(time, 3) <= 1"', [2.0, 5.0], 2.0),
+    ],
+)
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+def test_charts_on_time_alone_need_no_variables(
+    go: str, halt: str, times: list[float], green: float, engine: str
+) -> None:
+    result = run(read_text(LIGHT.replace("GO", go).replace("HALT", halt)), engine=engine)
+    assert result.outputs["go"] == pytest.approx(times, rel=1e-12)
+    assert result.outputs["green"] == pytest.approx(green, rel=1e-12)

@@ -130,6 +130,13 @@ HOSTS = {
             states: {looking: {flows: {theta: dtheta, dtheta: held}}}
             @
         """,
+    ("format/charts.md", "Sampled guards"): """
+        kind: chart
+        name: tank
+        variables: {h: 0}
+        stop: {time: 3}
+        @
+        """,
 }
 
 

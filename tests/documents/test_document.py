@@ -406,6 +406,17 @@ def test_load_accepts_a_path_or_a_name(tmp_path: Path, monkeypatch: pytest.Monke
         find("a" * 5000)
 
 
+def test_a_file_without_its_suffix_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "hop.yaml").write_text(BALL)
+    with pytest.raises(DeclarationError, match=r"no such file: 'hop'; write hop\.yaml"):
+        find("hop")
+    with pytest.raises(DeclarationError, match="no such file"):
+        find("a" * 253)
+
+
 @pytest.mark.usefixtures("_anew")
 def test_the_installed_kinds_and_models_are_optional(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.metadata.entry_points", lambda *, group: [])

@@ -108,6 +108,7 @@ def scene(**changes: object) -> Scene:
             lambda: run(scene(), 0.3),
             "run: too many positional arguments; these may be positional: model; pass the",
         ),
+        (lambda: run(scene(), {"mu": 0.3}), "model; write parameters={'mu': 0.3}"),
         (run, "run: 'model' is missing; it takes model, parameters, until, study, "),
         (
             lambda: Runner(scene()).run(step=1e-3),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 
 import statechart
@@ -269,3 +270,49 @@ stop: {{time: 1}}
     with pytest.raises(DeclarationError) as caught:
         statechart.run(interpret(read_text(text)))
     assert told in str(caught.value)
+
+
+def test_pads_that_steps_do_not_resolve_together_add_no_energy() -> None:
+    """Each of nine pads is soft for a step, all of them are not: h^2 k/m is 1/9 and 1."""
+    h, count = 1e-3, 9
+    pads = "".join(
+        f"  pad{i}: {{point: {{body: plank, at: [{i / (count - 1) - 0.5}, 0]}}, surface: mat, "
+        "friction: 0, stiffness: k, damping: 0}\n"
+        for i in range(count)
+    )
+    text = (
+        "kind: scene\nname: plank\nparameters: {k: 1, y: 1}\ngravity: 9.81\n"
+        "bodies: {plank: {mass: 1, inertia: 1, start: {y: y}}}\nsurfaces: {mat: {height: 0}}\n"
+        f"contacts:\n{pads}stop: {{time: 0.6}}\n"
+        "outputs: {energy: {maximum: plank.dy**2/2 + 9.81*plank.y}}\n"
+    )
+    model = interpret(read_text(text, "plank.yaml"))
+    for stiffness in (0.6, 1.0):
+        for start in range(6):
+            height = 0.3 + start * 4e-4
+            run = statechart.run(
+                model, parameters={"k": stiffness / count / h**2, "y": height},
+                engine="impulse", step=h,
+            )  # fmt: skip
+            assert run.outputs["energy"] <= 9.81 * height * (1 + 1e-3)
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+def test_a_joint_lets_go_at_the_touchdown_whose_damper_overloads_it(engine: str) -> None:
+    text = """
+kind: scene
+name: magnet
+gravity: 9.81
+parameters: {h: 0.2}
+bodies: {cart: {mass: 1, start: {y: h}}, load: {mass: 1, start: {y: h}}}
+surfaces: {floor: {height: 0}}
+contacts: {pad: {point: {body: cart}, surface: floor, friction: 0, stiffness: 1000, damping: 50}}
+joints:
+  magnet: {point: {body: load}, to: {body: cart}, enabled: 'abs(magnet.Y) <= 20'}
+outputs: {off: {value: time, at: first magnet.disable}}
+"""
+    runner = statechart.Runner(read_text(text), engine=engine)
+    # In half of them the gap rounds to above zero at the touchdown.
+    for h in np.linspace(0.1, 0.5, 30).tolist():
+        off = runner.run({"h": h}, until=0.4).outputs["off"]
+        assert off == pytest.approx(math.sqrt(2.0 * h / 9.81), abs=1e-11)

@@ -125,3 +125,9 @@ stop: {{time: 1}}
         run(read_text(text))
     smooth = text.replace(height, "sqrt(x**2 + 1)")
     assert run(read_text(smooth)).trace.outcome.succeeded
+
+
+@pytest.mark.parametrize("root", ["sqrt(time)", "sqrt(abs(x))"])
+def test_a_root_without_a_series_is_printed_as_documents_write_it(root: str) -> None:
+    result = run(read_text(CHART.format(x0=0, dx=1, flow=root)))
+    assert f"{root} has no Taylor series at t = 0" in result.trace.warnings[0]

@@ -112,3 +112,24 @@ stop: {time: 1.5}
     step = {"step": STEP} if engine == "impulse" else {}
     trace = statechart.run(interpret(read_text(text)), engine=engine, **step).trace
     assert trace.final[3] == pytest.approx(0.5 - 5.0 * 1.5**2)
+
+
+@ENGINES
+@pytest.mark.parametrize("belt", [0.3, 0.25])
+def test_a_strict_relation_fails_where_a_belt_holds_the_body_at_its_speed(belt, engine):
+    text = f"""\
+kind: scene
+name: slowed_by_a_belt
+gravity: 10
+bodies: {{b: {{mass: 1, start: {{dx: 0.9}}}}}}
+surfaces: {{floor: {{height: 0, displacement: ["{belt}*time", 0]}}}}
+contacts:
+  c: {{point: {{body: b}}, surface: floor, friction: 0.5, restitution: 0, enabled: "b.dx > {belt}"}}
+stop: {{time: 1}}
+"""
+    step = {"step": STEP} if engine == "impulse" else {}
+    trace = statechart.run(interpret(read_text(text)), engine=engine, **step).trace
+    fall = 1.0 - (0.9 - belt) / 5.0
+    tolerance = {"abs": 20.0 * STEP} if step else {"rel": 1e-9}
+    assert trace.final[1] == pytest.approx(-5.0 * fall**2, **tolerance)
+    assert trace.final[2] == pytest.approx(belt, abs=1e-9 if not step else STEP * 10.0)

@@ -151,3 +151,32 @@ def test_contact_disabled_at_touch_gives_a_warning(when, count, step):
         jump.region == "soles" and jump.cause == "touchdown" for jump in result.trace.jumps
     )
     assert landed == ("0.9" in when or when == "hero.dy <= 0")
+
+
+@pytest.mark.parametrize("gap", [1e-12, 1e-9])
+def test_a_point_that_falls_between_an_arc_and_an_edge_has_a_warning(gap):
+    scene = f"""
+kind: scene
+name: loop
+gravity: 9.81
+bodies: {{ball: {{mass: 1, start: {{x: X, y: 0.5}}}}}}
+parameters: {{X: 0}}
+surfaces:
+  bowl: {{circle: [0, 1], radius: 1, hollow: true}}
+  floor: {{edge: [[-3, 0], [{-gap}, 0]]}}
+contacts:
+  arc:
+    point: {{body: ball}}
+    surface: bowl
+    friction: 0
+    restitution: 0
+    enabled: ball.x > 0 and ball.y < 0.9
+  flat: {{point: {{body: ball}}, surface: floor, friction: 0, restitution: 0}}
+stop: {{time: 1}}
+"""
+    runner = Runner(interpret(read_text(scene)))
+    for x, falls in ((0.0, True), (-2 * gap, False), (gap, False), (-0.1, False), (0.1, False)):
+        result = runner.run({"X": x})
+        warned = [w.split()[0] for w in result.warnings if "just fail" in w]
+        assert bool(result.trace.final[1] < -1) is falls
+        assert bool(warned) is falls, (x, warned)

@@ -104,6 +104,7 @@ def test_repeated_run_keeps_its_warnings(monkeypatch: pytest.MonkeyPatch) -> Non
     assert "acts upwards" in warnings[0][0]
     assert warnings[0] == warnings[1] == warnings[2]
 
+
 def test_jumps_and_their_list_have_a_readable_repr() -> None:
     trace = Runner("toppling_stick").run().trace
     assert repr(trace.jumps) == "<3 items, made when read>"

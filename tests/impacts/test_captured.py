@@ -13,9 +13,11 @@ from scenes import run, scene, times
 from strategies import examples
 
 from statechart.automaton.trace import Outcome
+from statechart.documents.yaml_reader import read_text
 from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
+from statechart.running.runner import Runner
 
 both = pytest.mark.parametrize("name", ENGINES)
 
@@ -146,3 +148,42 @@ def test_the_number_of_resolved_bounces_does_not_depend_on_the_origin(
         alone = drop(name).run(values, until=4.0)
         others = [jump.t for jump in alone.jumps if jump.cause == "touchdown"]
         assert len(found) == len(others)
+
+
+def _rest_with_drag(e: float, k: float, g: float = 9.81) -> float:
+    """Return when a ball from height 1 rests under the drag -k v |v| per mass.
+
+    It falls from h with v^2 = g/k (1 - exp(-2 k h)) in acosh(exp(k h))/sqrt(g k), and rises from v
+    to log(1 + k v^2/g)/(2 k) in atan(v sqrt(k/g))/sqrt(g k).
+    """
+    t, height, root = 0.0, 1.0, math.sqrt(g * k)
+    while height > 1e-32:
+        # acosh(exp(x)) with cosh(y) - 1 = 2 sinh(y/2)^2, which is exact for small x.
+        t += 2.0 * math.asinh(math.sqrt(0.5 * math.expm1(k * height))) / root
+        v = e * math.sqrt(-math.expm1(-2.0 * k * height) * g / k)
+        t += math.atan(v * math.sqrt(k / g)) / root
+        height = math.log1p(k * v * v / g) / (2.0 * k)
+    return t
+
+
+@pytest.mark.parametrize("tolerance", [1e-9, 1e-12, 2.2e-16])
+@pytest.mark.parametrize(("e", "k"), [(0.5, 0.2), (0.7, 0.1), (0.2, 0.2)])
+@pytest.mark.parametrize("name", ENGINES)
+def test_the_top_of_a_low_flight_where_drag_switches_is_no_contact(
+    name: str, e: float, k: float, tolerance: float
+) -> None:
+    # The ball rested at the top of its first flight below the tolerance of gaps: 2e-4 s early.
+    text = """\
+kind: scene
+name: dragged
+gravity: 9.81
+parameters: {e: 0.5, k: 0.2}
+bodies: {ball: {mass: 1, start: {y: 1}}}
+surfaces: {floor: {height: 0}}
+contacts: {skin: {point: {body: ball}, surface: floor, friction: 0, restitution: e}}
+forces: {drag: {body: ball, force: [0, -k*ball.dy*abs(ball.dy)]}}
+stop: {time: 4}
+"""
+    trace = Runner(read_text(text), engine=name, tolerance=tolerance).run({"e": e, "k": k}).trace
+    assert trace.jumps[-1].cause == "zeno"
+    assert trace.jumps[-1].t == pytest.approx(_rest_with_drag(e, k), abs=max(10 * tolerance, 1e-13))

@@ -303,3 +303,27 @@ def test_extreme_scales_give_no_graze_warnings(engine: str, e: float) -> None:
     result = statechart.run(read_text(_SMALL), engine=engine, parameters={"e": e})
     assert result.outputs["n"] == 2
     assert not result.warnings
+
+
+@pytest.mark.parametrize("guard", ["x >= 1 and v <= 0", "min(x, 1 - v) >= 1"])
+def test_several_relations_that_hold_at_one_tangential_instant_give_a_warning(
+    engine: str, guard: str
+) -> None:
+    # x = sin(2 t) touches 1 where v passes 0.
+    text = f"""
+kind: chart
+name: tangential
+variables: {{x: 0, v: 2}}
+regions:
+  r:
+    initial: a
+    states: {{a: {{flows: {{x: v, v: -4*x}}}}, b: {{flows: {{x: v, v: -4*x}}}}}}
+    transitions: [{{name: go, from: a, to: b, guard: "{guard}"}}]
+stop: {{time: 2}}
+"""
+    (warning,) = told(statechart.run(interpret(read_text(text)), engine=engine))
+    assert warning.startswith("r.go ")
+    for clear in ("x >= 0.9 and v <= 0", "min(x, 1 - v) >= 0.9", "x >= 0.9 and abs(v) <= 0"):
+        result = statechart.run(interpret(read_text(text.replace(guard, clear))), engine=engine)
+        assert len(result.trace.jumps) == 1
+        assert not told(result)

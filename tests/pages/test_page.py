@@ -299,8 +299,24 @@ def test_current_state_is_coloured_and_other_states_are_faint(browser, result):
         lit = "document.querySelector('#diagram g.lit :is(path, polygon)')"
         rgb = ", ".join(str(int(colour[k : k + 2], 16)) for k in (1, 3, 5))
         assert browser.value(f"getComputedStyle({lit}).fill") == f"rgb({rgb})"
-        faint = "[...document.querySelectorAll('#diagram g.state:not(.lit)')].map((e) =>"
-        assert set(browser.value(f"{faint} Number(getComputedStyle(e).opacity))")) == {0.4}
+        for part, opacity in ((":is(path, polygon)", 0.4), ("text", 0.75)):
+            faint = (
+                f"[...document.querySelectorAll('#diagram g.state:not(.lit) {part}')].map((e) =>"
+            )
+            assert set(browser.value(f"{faint} Number(getComputedStyle(e).opacity))")) == {opacity}
+
+
+@in_browser
+def test_round_off_in_curves_reads_as_zero_and_arrows_stay_whole(tmp_path):
+    result = statechart.run("compass_walker", until=1.0)
+    with Browser(tmp_path / "browser") as opened:
+        opened.open(result.report(tmp_path / "page.html"))
+        values = opened.value(
+            "[...document.querySelectorAll('#curves .value')].map(e => +e.textContent)"
+        )
+        assert min(abs(value) for value in values if value) > 1e-10
+        change = opened.value("document.querySelector('#events tbody td:last-child').textContent")
+    assert change == "foot_two: off \u2192 free"
 
 
 @in_browser

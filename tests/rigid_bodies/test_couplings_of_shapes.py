@@ -264,3 +264,32 @@ def test_copies_are_coupled_one_by_one():
     assert final["d0.dangle"] == 4
     assert final["d1.dangle"] == pytest.approx(2)
     assert math.isfinite(final["d1.angle"])
+
+
+@pytest.mark.parametrize(
+    ("enabled", "opens"), [("a.dx > 0", True), ("a.dx <= 0", False), ("abs(a.dx) > 0", True)]
+)
+@pytest.mark.parametrize("mu", [0.3, 0.31, 0.47])
+def test_the_residual_motion_of_a_resting_box_switches_no_brake(enabled, opens, mu):
+    """The box stops after 1/(mu g); its round-off, of either sign, opened and closed the brake."""
+    square = "polygon: [[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]"
+    text = f"""
+kind: scene
+name: braked
+gravity: 9.81
+bodies:
+  a: {{mass: 1, inertia: 0.01, shape: {{{square}}}, start: {{y: 0.1, dx: 1}}}}
+  b: {{mass: 1, inertia: 0.5, {DISC}, start: {{x: -3, y: 0.1}}}}
+surfaces: {{floor: {{height: 0}}}}
+forces: {{turn: {{body: b, moment: 1, force: [0, 9.81]}}}}
+collisions: {{all: {{bodies: [a, b], surfaces: [floor], friction: {mu}, restitution: 0}}}}
+couplings: {{brake: {{bodies: [b], limit: 5, enabled: "{enabled}"}}}}
+stop: {{time: 1.5}}
+settings: {{engine: impulse, step: 1e-3}}
+"""
+    result = Runner(interpret(read_text(text))).run()
+    stops = 1 / (mu * 9.81)
+    spun = 2 * (1.5 - stops) if opens else 0.0
+    assert result.trace.final[11] == pytest.approx(spun, abs=2 * 2e-3)
+    brakes = [jump.cause for jump in result.trace.jumps if jump.region == "brake"]
+    assert brakes == (["open"] if opens else ["close", "lock"])

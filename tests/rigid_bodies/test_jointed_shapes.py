@@ -174,6 +174,33 @@ def test_forces_of_joints_are_of_second_order_in_first_and_last_steps(step):
             assert force == pytest.approx(w**2 * 0.25, rel=(step * w) ** 2 / 2)
 
 
+@pytest.mark.parametrize("step", [1e-3, 2.5e-4])
+def test_an_impact_leaves_no_force_in_a_weld_beside_a_floor(step):
+    """Weld and floor share the load: the impulse over the step stayed in both for ever."""
+    text = """
+kind: scene
+name: welded
+gravity: 9.81
+bodies:
+  ball: {mass: 0.5, inertia: 0.001, shape: {disc: 0.05}, start: {x: -0.2, y: 0.06, dx: 1}}
+  post: {mass: 0.2, inertia: 0.001, start: {y: 0.1},
+    shape: {polygon: [[-0.02, -0.1], [0.02, -0.1], [0.02, 0.1], [-0.02, 0.1]]}}
+surfaces: {floor: {height: 0}}
+joints: {glue: {point: {body: post, at: [0, -0.1]}, to: [0, 0], angle: held}}
+collisions: {all: {bodies: [ball, post], surfaces: [floor], friction: 0.4, restitution: 0.2}}
+stop: {time: 0.5}
+outputs:
+  struck: {value: time, at: first post.impact}
+  after: {value: "hypot(glue.X, glue.Y)"}
+  most: {maximum: "hypot(glue.X, glue.Y)"}
+"""
+    outputs = Runner(interpret(read_text(text)), step=step).run().outputs
+    assert 0.1 < outputs["struck"] < 0.2
+    assert outputs["after"] <= 0.2 * G
+    # A ball that falls as slowly as in one step stops within a step.
+    assert outputs["most"] <= 2 * 0.5 * G
+
+
 def test_a_guide_holds_one_component():
     text = chain(1, time=0.5).replace("to: [0, 0]", "to: {y: 0}")
     final = run(text, a=0.3).trace.final

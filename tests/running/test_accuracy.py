@@ -331,6 +331,40 @@ def test_modes_that_depend_on_a_tolerance_are_no_accurate_answer() -> None:
     assert "take different modes from t = 0.444059 on" in result.warnings[-1]
 
 
+# An end lands 1e-8 s before the other. Runs at tolerances from 1e-7 to 1e-11 merge the two impacts
+# and come to rest at 0.5201 s.
+NEARLY_TOGETHER = """\
+kind: scene
+name: bar_with_impacts_nearly_together
+gravity: 9.81
+bodies:
+  bar:
+    mass: 1
+    inertia: 0.2118988878993148
+    start: {y: 0.31560348997827314 + sin(0.59031530168598179), angle: -0.59031530168598179,
+            dx: 0.48149696575149736}
+surfaces: {floor: {height: 0}}
+contacts:
+  A: {point: {body: bar, at: [-1, 0]}, surface: floor, friction: 0.5798748343627852,
+      restitution: 0.27950864391894803}
+  B: {point: {body: bar, at: [1, 0]}, surface: floor, friction: 0.5798748343627852,
+      restitution: 0.27950864391894803}
+stop: {time: 2}
+outputs: {hits: {count: A.touchdown}}
+"""
+
+
+@pytest.mark.parametrize("method", ["RK45", "LSODA"])
+def test_the_estimate_includes_the_merging_of_impacts(method: str) -> None:
+    model = read_text(NEARLY_TOGETHER)
+    exact = run(model, engine="taylor")
+    assert exact.trace.jumps[-1].t == pytest.approx(0.519356, abs=1e-6)
+    result = run(model, accuracy=1e-4, engine="scipy", method=method)
+    assert result.error_estimate is not None
+    assert result.error_estimate <= 1e-4
+    assert result.trace.jumps[-1].t == pytest.approx(exact.trace.jumps[-1].t, abs=2e-4)
+
+
 @pytest.mark.parametrize("asked", [["--accuracy", "1e-3"], ["--budget", "2"]])
 def test_accuracy_fails_if_an_engine_cannot_run(
     asked: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -160,6 +160,8 @@ def test_a_study_ends_with_the_cheapest_setting_for_an_accuracy() -> None:
         "for an accuracy of 1e-06 use --engine taylor --tolerance 1e-06: 500 ms a run, "
         "4 times cheaper than scipy RK45 1e-08"
     )
+    equal = other.model_copy(update={"seconds": 1.9})
+    assert str(study(fine, equal)).splitlines()[-1].endswith(" a run, as fast as scipy RK45 1e-08")
     assert "for an accuracy of 0.001 use --engine scipy --method RK45 --tolerance 0.001" in (
         str(study(point(1e-3, 5e-4, 1.0)))
     )

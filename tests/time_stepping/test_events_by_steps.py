@@ -665,3 +665,36 @@ stop: {time: 1}
 def test_a_controller_lifts_a_floor_that_nothing_touches() -> None:
     run = statechart.run(interpret(read_text(LIFTED)), engine="impulse", step=1e-2)
     assert run.trace.final[:2] == pytest.approx([1.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("relation", "warns"),
+    [
+        ("abs(b.x - 2.5) <= 0 and b.dx > 0", True),
+        ("0 >= abs(b.x - 2.5)", True),
+        ("b.x >= 2.5", False),
+        ("abs(b.dy) <= 0", False),
+    ],
+)
+@pytest.mark.parametrize("guarded", [False, True])
+def test_steps_warn_of_an_instant_that_they_pass_over(
+    relation: str, warns: bool, guarded: bool
+) -> None:
+    watch = (
+        f"stop: {{time: 1.5}}\nregions: {{r: {{initial: a, states: {{a: {{}}, b: {{}}}}, "
+        f"transitions: [{{name: go, from: a, to: b, guard: '{relation}'}}]}}}}\n"
+        if guarded
+        else f"stop: {{time: 1.5, conditions: {{there: '{relation}'}}}}\n"
+    )
+    text = (
+        "kind: scene\nname: passing\ngravity: 9.81\n"
+        f"bodies: {{b: {{mass: 1, start: {{y: 1, dx: 2, dy: 1}}}}}}\n{watch}"
+    )
+    model = interpret(read_text(text, "passing.yaml"))
+    passes = "steps pass over the instant"
+    trace = statechart.run(model, engine="impulse", step=1e-3).trace
+    assert any(passes in warning for warning in trace.warnings) == warns
+    trace = statechart.run(model, engine="scipy").trace
+    assert not any(passes in warning for warning in trace.warnings)
+    if "b.x" in relation:
+        assert trace.jumps[-1].t == pytest.approx(1.25, abs=1e-9)
