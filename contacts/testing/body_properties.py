@@ -265,11 +265,13 @@ def _values(scene: Scene, trace: Trace) -> dict[str, float]:
 
 def _depths(subject: Subject, trace: Trace) -> None:
     scene = _scene(subject)
-    paths, values = Paths(scene), _values(scene, trace)
+    paths, values, controllers = Paths(scene), _values(scene, trace), scene.controlled.flat
     assert_depths(
         _body_numbers(subject, trace),
         trace,
-        lambda times, memories, states: paths.at(values, times, memories, states),
+        lambda times, memories, states: paths.at(
+            values, times, memories, {name: states[name] for name in states if name in controllers}
+        ),
     )
 
 

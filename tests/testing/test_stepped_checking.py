@@ -100,6 +100,14 @@ def test_compliant_bodies_may_sink_in():
     assert report.passed, report.text()
 
 
+def test_joints_that_break_are_regions_of_checked_runs():
+    text = HEAP.replace(
+        "stop:", "joints: {glue: {point: {body: ball}, to: [0.5, 0.11], enabled: time > 9}}\nstop:"
+    )
+    report = check(model(text), examples=1, seed=2)
+    assert report.passed, report.text()
+
+
 def test_invariants_of_stepped_runs_allow_the_change_in_a_step():
     # The ball comes to the ground by up to a step of its fall deeper than its radius, at -3.4.
     text = HEAP.replace("y: 0.11", "y: 0.5")
