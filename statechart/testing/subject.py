@@ -77,7 +77,7 @@ class Subject:
         """The engines of the runs."""
         if self.step is not None:
             return (f"impulse at steps of {self.step:g}",)
-        return tuple(self.observers)
+        return tuple(name for name in self.observers if name not in self.missing)
 
     def case(self, parameters: Mapping[str, float]) -> Case:
         """Return the cached case of some parameters."""
@@ -102,7 +102,7 @@ class Subject:
     def loosened(self, relative: float) -> Simulator:
         """Return the most accurate engine's simulator of modes chosen as at `relative`."""
         if relative not in self._loosened:
-            simulator = next(iter(self.observers.values())).simulator
+            simulator = self.observers[self.engines[0]].simulator
             assert isinstance(simulator, Simulator)  # there are several engines
             automaton = with_loosened_modes(self.automaton, relative)
             self._loosened[relative] = Simulator(automaton, simulator.engine)
@@ -215,14 +215,14 @@ class Case:
     def traces(self) -> Mapping[str, Trace]:
         """Engine -> run, the most accurate first, without engines that cannot run the model."""
         first = self.engine  # raises an error if there is none
-        made = {first: None, **dict.fromkeys(self.subject.observers)}
-        runs = {name: self._run_by(name) for name in made}
+        names = dict.fromkeys((first, *self.subject.observers))
+        runs = {name: self._run_by(name) for name in names}
         return {name: trace for name, trace in runs.items() if trace is not None}
 
     @cached_property
     def engine(self) -> str:
         """The most accurate engine that can run the model."""
-        for name in tuple(self.subject.observers):
+        for name in self.subject.observers:
             if self._run_by(name) is not None:
                 return name
         raise SimulationError("; ".join(self.subject.missing.values()))
@@ -281,7 +281,7 @@ class Case:
 
     def shorter(self, until: float) -> Trace:
         """Return the run of the most accurate engine up to `until`."""
-        simulator = next(iter(self.subject.observers.values())).simulator
+        simulator = self.subject.observers[self.engine].simulator
         return self._uninterrupted(simulator, self.parameters, until)
 
     def loosened(self, relative: float) -> Trace:
@@ -305,13 +305,14 @@ class Case:
 
     def _run(self, name: str, parameters: Mapping[str, float]) -> Trace | None:
         subject = self.subject
+        if name in subject.missing:
+            return None
         simulator = subject.observers[name].simulator
         trace = self._uninterrupted(simulator, parameters, subject.end(parameters))
         if trace.outcome is not Outcome.UNSUPPORTED:
             return trace
-        # Some formulas have no Taylor series.
+        # Some formulas have no Taylor series; earlier runs of the engine remain.
         subject.missing[name] = trace.message
-        del subject.observers[name]
         return None
 
 

@@ -591,6 +591,33 @@ def test_most_accurate_run_is_computed_first():
     assert subject.case({}).trace.engine.startswith("taylor")
 
 
+def test_examples_without_a_taylor_series_leave_earlier_ones_as_they_are():
+    # The bodies meet, where the direction of the spring has no series, if it is short.
+    away = "hypot(b.x - a.x, b.y - a.y)"
+    pull = [f"8*({away} - L)*(b.{q} - a.{q})/{away}" for q in "xy"]
+    subject = Subject(
+        model(
+            f"""
+kind: scene
+name: spring
+bodies: {{a: {{mass: 1}}, b: {{mass: 1, start: {{x: 1.8}}}}}}
+parameters: {{L: 1.5}}
+forces:
+  on_a: {{body: a, force: ["{pull[0]}", "{pull[1]}"]}}
+  on_b: {{body: b, force: ["-{pull[0]}", "-{pull[1]}"]}}
+stop: {{time: 2}}
+"""
+        )
+    )
+    earlier = subject.case({})
+    assert [*earlier.traces] == ["taylor", "scipy"]
+    assert [*subject.case({"L": 0.75}).traces] == ["scipy"] == [*subject.engines]
+    assert "no Taylor series" in subject.missing["taylor"]
+    assert earlier.trace.engine.startswith("taylor")
+    assert subject.mode(earlier.trace, earlier.trace.arcs[0]).margins == ()
+    assert earlier.shorter(1.0).engine.startswith("taylor")
+
+
 def test_readings_are_the_identity_by_default():
     assert Reading().factors == 1.0
     assert Reading().time == 1.0
