@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton, Component, Places
 from statechart.automaton.clock import Clock, between
-from statechart.automaton.components import compose_components, split
+from statechart.automaton.components import Data, compose_components, split
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, flow_sizes, moving_mode, roles_in
 from statechart.automaton.margin_derivatives import MarginDerivatives, rounding_scale
@@ -44,7 +44,7 @@ from statechart.charts.guard_watch import (
 )
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FiniteText
-from statechart.errors import DeclarationProblem, NonFinite, StatechartError, Zeno
+from statechart.errors import DeclarationProblem, NonFinite, StatechartError, Unsupported, Zeno
 from statechart.formulas.formula import parse
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import Tape
@@ -380,11 +380,18 @@ def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Com
     parts = split(
         data, ("variables", "regions"), ("regions",), Path(__file__).with_name("schema.json")
     )
+
+    def composed(part: Data) -> Automaton:
+        declared = Chart.model_validate(part)
+        if not (declared.variables or any(region.timers for region in declared.flat.values())):
+            raise Unsupported("a part without variables has no automaton of its own")
+        return compose(declared)
+
     try:
         return compose_components(
             parts,
             lambda part: {**part, "variables": list(part.get("variables", ()))},
-            lambda part: compose(Chart.model_validate(part)),
+            composed,
             lambda _: _restricted,
             joint=False,
         )

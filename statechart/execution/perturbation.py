@@ -25,13 +25,13 @@ _HORIZON_FACTOR = 1e-3
 _GAP_FACTOR = 4.5
 
 
-def with_increased_start(automaton: Automaton) -> Automaton:
+def with_increased_start(automaton: Automaton, *, merging: bool) -> Automaton:
     """Return the automaton with all initial values increased by a small factor.
 
     The relative change is the tolerance of the run, at least a few units in the last place. Zeros
     stay zero, and symmetric starts symmetric. The first horizon is shorter, which changes the
-    round-off of all steps. Modes have their least tolerances (of gaps: a few times that), so that
-    impacts which the run merges stay apart.
+    round-off of all steps. Unless `merging`, modes have their least tolerances (of gaps: a few
+    times that), so that impacts which the run merges stay apart.
     """
 
     def changed(setup: Setup, relative: float) -> Setup:
@@ -41,7 +41,7 @@ def with_increased_start(automaton: Automaton) -> Automaton:
         )
         return replace(perturbed, horizon=horizon)
 
-    return _with_setup(automaton, changed, fixed=0.0)
+    return _with_setup(automaton, changed, None if merging else 0.0)
 
 
 def with_shifted_start(automaton: Automaton, part: float, signs: Array) -> Automaton:

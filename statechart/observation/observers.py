@@ -25,20 +25,21 @@ class Observers:
         self, automaton: Automaton, *, allowance: Allowance | None = None, progress: bool = False
     ) -> None:
         self._automaton, self._allowance, self._progress = automaton, allowance, progress
-        self._kept: dict[tuple[Setting, bool], Observer] = {}
+        self._kept: dict[tuple[Setting, bool, bool], Observer] = {}
         # Solved modes do not depend on tolerance, engine or start.
         self._solved = SolvedModes(automaton)
 
-    def at(self, setting: Setting, *, off: bool = False) -> Observer:
+    def at(self, setting: Setting, *, off: bool = False, merging: bool = False) -> Observer:
         """Return the observer of a setting.
 
-        `off`: runs start perturbed by the tolerance. Raises `DeclarationError` for an unknown
-        engine or method, or an engine that is not installed.
+        `off`, `merging`: runs start perturbed by the tolerance (`with_increased_start`). Raises
+        `DeclarationError` for an unknown engine or method, or an engine that is not installed.
         """
-        found = self._kept.get((setting, off))
+        key = setting, off, merging
+        found = self._kept.get(key)
         if found is None:
-            simulator = self._simulator(setting, off)
-            observer = found = self._kept[setting, off] = Observer(simulator)
+            simulator = self._simulator(*key)
+            observer = found = self._kept[key] = Observer(simulator)
             if isinstance(simulator, SteppingSimulator) and simulator.record is not Record.MODES:
                 simulator.new_outputs = lambda: OutputAccumulator(outputs_of(observer))
         return found
@@ -63,9 +64,11 @@ class Observers:
 
     def fresh(self, setting: Setting) -> Simulator | SteppingSimulator:
         """Return a new simulator that shares the solved modes."""
-        return self._simulator(setting, off=False)
+        return self._simulator(setting, off=False, merging=False)
 
-    def _simulator(self, setting: Setting, off: bool) -> Simulator | SteppingSimulator:
+    def _simulator(
+        self, setting: Setting, off: bool, merging: bool
+    ) -> Simulator | SteppingSimulator:
         if setting.step is not None:
             asked = Impulses(
                 setting.impulse_tolerance or DEFAULT_IMPULSES.tolerance,
@@ -74,6 +77,8 @@ class Observers:
             return SteppingSimulator(
                 self._automaton, setting.step, asked, setting.recorded, progress=self._progress
             )
-        automaton = with_increased_start(self._automaton) if off else self._automaton
+        automaton = self._automaton
+        if off:
+            automaton = with_increased_start(automaton, merging=merging)
         engine, solved = self.engine(setting), self._solved
         return Simulator(automaton, engine, solved=solved, progress=self._progress)

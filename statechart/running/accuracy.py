@@ -20,7 +20,7 @@ from statechart.compiling import working_time
 from statechart.documents.setting import Setting
 from statechart.engines.engine import Allowance
 from statechart.engines.request import TIGHTER, Chosen, Plan, choose
-from statechart.errors import DeclarationError
+from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.execution.flow import STIFF
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.difference import (
@@ -634,6 +634,13 @@ class RunPlanner:
         self, setting: Setting, overrides: Mapping[str, float], end: float, *, off: bool = False
     ) -> tuple[Observer, Trace]:
         observer = self._observers.at(setting, off=off)
+        try:
+            return observer, observer.simulator.run(overrides, until=end, throw=False)
+        except DeclarationProblem:
+            if not off:
+                raise
+        # The perturbed start keeps its constraints within the tolerances of the run only.
+        observer = self._observers.at(setting, off=True, merging=True)
         return observer, observer.simulator.run(overrides, until=end, throw=False)
 
     def _change_engine(self, trace: Trace) -> bool:

@@ -395,9 +395,3 @@ def test_timed_transitions_need_no_variables(tmp_path: Path, engine: str) -> Non
     result = run(tmp_path, TIMED, engine)
     assert result.outputs["t"] == pytest.approx(2.0, abs=1e-12)
     assert result.trace.final_mode == ("answered", "q")
-
-
-def test_a_chart_in_which_nothing_changes_is_refused() -> None:
-    text = "kind: chart\nname: c\n" + TIMED.replace("after: 3", "guard: time >= 3")
-    with pytest.raises(DeclarationError, match=r"write variables: \{x: 0\}, or a transition with"):
-        interpret(read_text(text.replace("after: 2", "guard: time >= 2")))
