@@ -1,12 +1,13 @@
-"""Broad phase: pairs of near bodies by sweep and prune along x (Baraff 1992).
+"""Broad phase: pairs of near bodies by spatial hashing, linear in the number of bodies.
 
-Pairs are sorted, so that warm starts are found. Pairs of enlarged circles are listed, and reused
-until a body leaves its circle (neighbour list: Verlet 1967): listing takes less than the steps
-between two lists, also in a single column of thousands of bodies.
+Cells are as large as the largest ordinary body; much larger bodies are tested against all. Pairs
+are sorted, so that warm starts are found. Pairs of enlarged circles are listed, and reused until a
+body leaves its circle (neighbour list: Verlet 1967).
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,26 +15,38 @@ import numpy as np
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
+# Size, relative to the mean, above which a body has no cell.
+_LARGE = 4.0
+# Cells per body.
+_CELLS = 2
 # Enlargement of circles: relative to the body's size, and to its reach until the next detection (at
 # most its size).
 _WIDER, _FARTHER = 0.1, 4.0
+# Hash multiplier of columns (Teschner and others, Optimized spatial hashing, 2003).
+_ACROSS = 73856093
 
 
-class Sweep(NamedTuple):
+class Grid(NamedTuple):
     """Workspace of the broad phase."""
 
-    order: Ints  # (b,): bodies by the left ends of their circles.
-    heads: Ints  # (b + 1,): first listed pair of each body.
+    cells: Ints  # (b, 2): cell of each body.
+    keys: Ints  # (b,): its hash; -1 for large bodies.
+    large: Ints  # shape (b,)
+    # (c + 1,): bodies by the hash of their cells.
+    heads: Ints
+    order: Ints
     pairs: Ints  # (p, 2): near pairs, sorted.
     circles: Array  # (b, 3): centres and radii of the enlarged circles.
     listed: Ints  # (p, 2): pairs of these, sorted.
     n_listed: Ints  # (1,): their number; -1: not listed yet.
 
     @classmethod
-    def allocate(cls, count: int, most: int) -> Sweep:
+    def allocate(cls, count: int, most: int) -> Grid:
         """Allocate arrays for so many bodies and pairs."""
+        cells = 1 << (_CELLS * count).bit_length()
         return cls(
-            np.arange(count), np.empty(count + 1, np.int64), np.empty((most, 2), np.int64),
+            np.empty((count, 2), np.int64), np.empty(count, np.int64), np.empty(count, np.int64),
+            np.empty(cells + 1, np.int64), np.empty(count, np.int64), np.empty((most, 2), np.int64),
             np.empty((count, 3)), np.empty((most, 2), np.int64), np.full(1, -1),
         )  # fmt: skip
 
@@ -58,44 +71,88 @@ def sort_by_key(keys: Ints, count: int, begins: Ints, order: Ints) -> None:
 
 
 @kernel
-def _list_pairs(sweep: Sweep) -> int:
+def _bucket(across: int, up: int, most: int) -> int:
+    # Vertically adjacent cells have adjacent buckets: three are scanned at once.
+    return (across * _ACROSS + up) & (most - 1)
+
+
+@kernel
+def _sort_into_cells(grid: Grid) -> int:
+    """Sort bodies into cells (counting sort); return the number of large bodies."""
+    cells, large, circles, keys = grid.cells, grid.large, grid.circles, grid.keys
+    count, mean = len(circles), 0.0
+    for b in range(count):
+        mean += circles[b, 2] / count
+    widest, many = 0.0, 0
+    for b in range(count):
+        if circles[b, 2] > _LARGE * mean:
+            large[many] = b
+            many += 1
+        else:
+            widest = max(widest, circles[b, 2])
+    cell = 2.0 * widest if widest > 0.0 else 1.0
+    for b in range(count):
+        cells[b, 0], cells[b, 1], keys[b] = 0, 0, -1
+        if circles[b, 2] <= _LARGE * mean:
+            # Bodies beyond the integer range share the outermost cells.
+            cells[b, 0] = int(min(max(math.floor(circles[b, 0] / cell), -(2.0**30)), 2.0**30))
+            cells[b, 1] = int(min(max(math.floor(circles[b, 1] / cell), -(2.0**30)), 2.0**30))
+            keys[b] = _bucket(cells[b, 0], cells[b, 1], len(grid.heads) - 1)
+    sort_by_key(keys, count, grid.heads, grid.order)
+    return many
+
+
+@kernel
+def _list_pairs(grid: Grid) -> int:
     """List pairs (one < other) of overlapping enlarged circles; return their number, -1: full."""
-    circles, order, found, n_pairs = sweep.circles, sweep.order, sweep.pairs, 0
-    count = len(circles)
-    # Insertion sort: the order of the last list is nearly right.
-    for i in range(1, count):
-        b, k = order[i], i
-        left = circles[b, 0] - circles[b, 2]
-        while k > 0 and circles[order[k - 1], 0] - circles[order[k - 1], 2] > left:
-            order[k] = order[k - 1]
-            k -= 1
-        order[k] = b
-    for i in range(count):
-        b = order[i]
-        x, y, radius = circles[b, 0], circles[b, 1], circles[b, 2]
-        for j in range(i + 1, count):
-            c = order[j]
-            both = radius + circles[c, 2]
-            along, up = circles[c, 0] - x, circles[c, 1] - y
-            if along > both:
-                break
-            if along * along + up * up > both * both:
-                continue
-            if n_pairs == len(found):
+    count, most = len(grid.circles), len(grid.heads) - 1
+    many = _sort_into_cells(grid)
+    cells, large, heads, order, pairs = grid.cells, grid.large, grid.heads, grid.order, grid.listed
+    n_pairs, next_large = 0, 0
+    for b in range(count):
+        begin = n_pairs
+        is_large = next_large < many and large[next_large] == b
+        if is_large:
+            next_large += 1
+            for c in range(b + 1, count):
+                if n_pairs == len(pairs):
+                    return -1
+                n_pairs = _append_if_near(grid.circles, b, c, n_pairs, pairs)
+            continue
+        for i in range(next_large, many):
+            if n_pairs == len(pairs):
                 return -1
-            found[n_pairs, 0], found[n_pairs, 1] = min(b, c), max(b, c)
-            n_pairs += 1
-    firsts, places = np.empty(n_pairs, np.int64), np.empty(n_pairs, np.int64)
-    for i in range(n_pairs):
-        firsts[i] = found[i, 0]
-    sort_by_key(firsts, n_pairs, sweep.heads, places)
-    for i in range(n_pairs):
-        one, other, k = found[places[i], 0], found[places[i], 1], i
-        while k > sweep.heads[one] and sweep.listed[k - 1, 1] > other:
-            sweep.listed[k, 1] = sweep.listed[k - 1, 1]
-            k -= 1
-        sweep.listed[i, 0], sweep.listed[k, 1] = one, other
+            n_pairs = _append_if_near(grid.circles, b, large[i], n_pairs, pairs)
+        for across in range(cells[b, 0] - 1, cells[b, 0] + 2):
+            first = _bucket(across, cells[b, 1] - 1, most)
+            # Buckets wrap around.
+            run = min(3, most - first)
+            for turn in range(1 if run == 3 else 2):
+                begin_at, end_at = (first, first + run) if turn == 0 else (0, 3 - run)
+                for i in range(heads[begin_at], heads[end_at]):
+                    c = order[i]
+                    if c > b and cells[c, 0] == across and abs(cells[c, 1] - cells[b, 1]) <= 1:
+                        if n_pairs == len(pairs):
+                            return -1
+                        n_pairs = _append_if_near(grid.circles, b, c, n_pairs, pairs)
+        for i in range(begin + 1, n_pairs):
+            c, k = pairs[i, 1], i
+            while k > begin and pairs[k - 1, 1] > c:
+                pairs[k, 1] = pairs[k - 1, 1]
+                k -= 1
+            pairs[k, 1] = c
     return n_pairs
+
+
+@kernel
+def _append_if_near(circles: Array, b: int, c: int, n_pairs: int, pairs: Ints) -> int:
+    """Append a pair if its circles overlap; return the number of pairs."""
+    x, y = circles[b, 0] - circles[c, 0], circles[b, 1] - circles[c, 1]
+    both = circles[b, 2] + circles[c, 2]
+    if x * x + y * y > both * both:
+        return n_pairs
+    pairs[n_pairs, 0], pairs[n_pairs, 1] = b, c
+    return n_pairs + 1
 
 
 @kernel
@@ -110,20 +167,20 @@ def _are_circles_valid(centres: Array, sizes: Array, reach: Array, circles: Arra
 
 
 @kernel
-def near_pairs(centres: Array, sizes: Array, reach: Array, sweep: Sweep) -> int:
+def near_pairs(centres: Array, sizes: Array, reach: Array, grid: Grid) -> int:
     """Find pairs (one < other) of overlapping circles; return their number, -1: full."""
-    circles, listed, pairs, n_pairs = sweep.circles, sweep.listed, sweep.pairs, 0
-    if sweep.n_listed[0] < 0 or not _are_circles_valid(centres, sizes, reach, circles):
+    circles, listed, pairs, n_pairs = grid.circles, grid.listed, grid.pairs, 0
+    if grid.n_listed[0] < 0 or not _are_circles_valid(centres, sizes, reach, circles):
         for b in range(len(sizes)):
             circles[b, 0], circles[b, 1] = centres[b]
             circles[b, 2] = sizes[b] + reach[b]
             circles[b, 2] += _WIDER * sizes[b] + min(_FARTHER * reach[b], sizes[b])
-        sweep.n_listed[0] = _list_pairs(sweep)
-    for i in range(sweep.n_listed[0]):
+        grid.n_listed[0] = _list_pairs(grid)
+    for i in range(grid.n_listed[0]):
         b, c = listed[i, 0], listed[i, 1]
         x, y = centres[b, 0] - centres[c, 0], centres[b, 1] - centres[c, 1]
         both = sizes[b] + reach[b] + (sizes[c] + reach[c])
         # Written unconditionally: a mispredicted branch takes longer.
         pairs[n_pairs, 0], pairs[n_pairs, 1] = b, c
         n_pairs += 0 if x * x + y * y > both * both else 1
-    return n_pairs if sweep.n_listed[0] >= 0 else -1
+    return n_pairs if grid.n_listed[0] >= 0 else -1

@@ -27,7 +27,7 @@ from contacts.collision_detection.body_numbers import (
     BodyNumbers,
     WarmStart,
 )
-from contacts.collision_detection.broad_phase import Sweep, near_pairs, sort_by_key
+from contacts.collision_detection.broad_phase import Grid, near_pairs, sort_by_key
 from contacts.collision_detection.convex import FOUND, ConvexShape, shape_contacts
 from contacts.collision_detection.ground import (
     POINTS,
@@ -454,14 +454,14 @@ def _add_resistance(
 
 @kernel
 def find_contacts(
-    numbers: BodyNumbers, ground: Ground, warm: WarmStart, mid: Midpoint, sweep: Sweep, h: float,
+    numbers: BodyNumbers, ground: Ground, warm: WarmStart, mid: Midpoint, grid: Grid, h: float,
     active: ActiveContacts,
 ) -> DetectionResult:  # fmt: skip
     """Find the active contacts of a step of size h.
 
-    Writes the `active` contacts, and gaps and pulls of the midpoint; `sweep` is workspace.
+    Writes the `active` contacts, and gaps and pulls of the midpoint; `grid` is workspace.
     """
-    sizes, pairs, keys = numbers.pieces.sizes, sweep.pairs, warm.keys
+    sizes, pairs, keys = numbers.pieces.sizes, grid.pairs, warm.keys
     count, others = len(sizes), len(sizes) + len(numbers.surfaces.kinds)
     manifold, buffer, worst = np.empty((POINTS, FOUND)), np.empty((POINTS, FOUND)), np.zeros(5)
     points = _Points(manifold, np.empty(POINTS, np.int64), buffer, worst)
@@ -470,7 +470,7 @@ def find_contacts(
     lowest = math.inf if first else LANDED * warm.last_step[2]
     times = _Times(h, 0.5 * (h + (h if first else warm.last_step[0])), fall, first, lowest)
     m, at_old, end = 0, 0, 0
-    many = near_pairs(mid.centres, sizes, mid.reach, sweep)
+    many = near_pairs(mid.centres, sizes, mid.reach, grid)
     # Discs have no internal edges.
     corners = len(numbers.pieces.vertices) > 0
     near = Neighbours(

@@ -400,7 +400,7 @@ def step_bodies(
             for b in applied.bodies:
                 if not math.isfinite(loose[b, 0] + loose[b, 1] + loose[b, 2]):
                     return k, NOT_FINITE if k < steps else DONE
-        detected = find_contacts(numbers, ground, warm, space.mid, space.sweep, h, active)
+        detected = find_contacts(numbers, ground, warm, space.mid, space.grid, h, active)
         others = len(numbers.joints.kinds) + len(limits)
         full = detected.contacts < 0 or detected.contacts + others >= len(active.hit)
         if full and k < steps:

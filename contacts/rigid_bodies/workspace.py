@@ -8,7 +8,7 @@ import numpy as np
 
 from contacts.collision_detection.active_contacts import ActiveContacts
 from contacts.collision_detection.body_numbers import BodyNumbers, WarmStart
-from contacts.collision_detection.broad_phase import Sweep
+from contacts.collision_detection.broad_phase import Grid
 from contacts.collision_detection.midpoint import Midpoint
 from contacts.solvers.contact_rows import ContactRows
 from statechart.arrays import Array, Bools, Ints
@@ -19,7 +19,7 @@ class Workspace(NamedTuple):
 
     mid: Midpoint
     active: ActiveContacts
-    sweep: Sweep
+    grid: Grid
     # (c, 2): impulses of the step, and their force parts.
     pressed: Array
     steady: Array
@@ -55,7 +55,7 @@ class Workspace(NamedTuple):
         count, most = len(numbers.sizes), len(warm.keys)
         return cls(
             Midpoint.allocate(numbers), ActiveContacts.allocate(most),
-            Sweep.allocate(len(numbers.pieces.sizes), most), np.empty((most, 2)),
+            Grid.allocate(len(numbers.pieces.sizes), most), np.empty((most, 2)),
             np.empty((most, 2)), np.empty(most, np.int64), np.empty(most),
             ContactRows.allocate(most, count, numbers.padded, numbers.links.rows),
             np.empty((7, most, 2)), np.empty((2, most), np.bool_), np.empty(most, np.int64),

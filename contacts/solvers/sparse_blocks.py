@@ -47,42 +47,89 @@ def _body(contacts: ContactRows, i: int, side: int) -> int:
 
 
 @kernel
-def allocate_equations(contacts: ContactRows) -> Equations:
-    """Allocate the equations of contacts and find their elimination order and pattern."""
-    (count, sides), bodies = contacts.bodies.shape, contacts.moving
-    adjacent, degrees = np.zeros((bodies, bodies), np.bool_), np.zeros(bodies, np.int64)
+def _neighbours(contacts: ContactRows, first: Ints, sizes: Ints, mark: Ints) -> Ints:
+    """Return the concatenated neighbour lists of the bodies; write where each begins."""
+    count, sides = contacts.bodies.shape
+    bodies, total = len(sizes), 0
+    for b in range(bodies):
+        sizes[b] = 0
+    for i in range(count):
+        for one in range(sides):
+            for other in range(sides):
+                if one != other and min(_body(contacts, i, one), _body(contacts, i, other)) >= 0:
+                    sizes[_body(contacts, i, one)] += 1
+    for b in range(bodies):
+        first[b] = total
+        total += sizes[b]
+        sizes[b] = 0
+    neighbours = np.empty(total + _ENTRIES * bodies, np.int64)
     for i in range(count):
         for one in range(sides):
             for other in range(sides):
                 b, neighbour = _body(contacts, i, one), _body(contacts, i, other)
-                if one != other and min(b, neighbour) >= 0 and not adjacent[b, neighbour]:
-                    adjacent[b, neighbour] = True
-                    degrees[b] += 1
+                if one != other and min(b, neighbour) >= 0:
+                    neighbours[first[b] + sizes[b]] = neighbour
+                    sizes[b] += 1
+    first[bodies] = total
+    # Two bodies may touch more than once.
+    for b in range(bodies):
+        end = first[b]
+        for k in range(first[b], first[b] + sizes[b]):
+            other = neighbours[k]
+            if mark[other] != b:
+                mark[other] = b
+                neighbours[end] = other
+                end += 1
+        sizes[b] = end - first[b]
+    return neighbours
+
+
+@kernel
+def allocate_equations(contacts: ContactRows) -> Equations:
+    """Allocate the equations of contacts and find their elimination order and pattern."""
+    bodies = contacts.moving
+    first, sizes = np.empty(bodies + 1, np.int64), np.empty(bodies, np.int64)
+    mark = np.full(bodies, -1)
+    pool = _neighbours(contacts, first, sizes, mark)
+    total = first[bodies]
     places, begins = np.full(bodies, -1), np.zeros(bodies + 1, np.int64)
     others = np.empty(_ENTRIES * bodies, np.int64)
     filled = 0
+    for b in range(bodies):
+        mark[b] = -1
     for p in range(bodies):
         chosen, fewest = -1, bodies + 1
         for b in range(bodies):
-            if places[b] < 0 and degrees[b] < fewest:
-                chosen, fewest = b, degrees[b]
+            if places[b] < 0 and sizes[b] < fewest:
+                chosen, fewest = b, sizes[b]
         places[chosen], begins[p] = p, filled
         if filled + fewest > len(others):
             others = _enlarged(others, filled + fewest)
-        for b in range(bodies):
-            if adjacent[chosen, b]:
-                others[filled] = b
-                filled += 1
+        for k in range(first[chosen], first[chosen] + fewest):
+            others[filled] = pool[k]
+            filled += 1
         # Its neighbours become neighbours of each other.
         for at in range(begins[p], filled):
             b = others[at]
-            adjacent[b, chosen] = False
-            degrees[b] -= 1
+            if total + sizes[b] + fewest > len(pool):
+                pool = _enlarged(pool, total + sizes[b] + fewest)
+            begin, mark[b] = total, b
+            for k in range(first[b], first[b] + sizes[b]):
+                other = pool[k]
+                if other != chosen:
+                    mark[other] = b
+                    pool[total] = other
+                    total += 1
             for k in range(begins[p], filled):
                 other = others[k]
-                if other != b and not adjacent[b, other]:
-                    adjacent[b, other] = True
-                    degrees[b] += 1
+                if mark[other] != b:
+                    mark[other] = b
+                    pool[total] = other
+                    total += 1
+            first[b], sizes[b] = begin, total - begin
+            for k in range(begin, total):
+                mark[pool[k]] = -1
+            mark[b] = -1
     begins[bodies] = filled
     for k in range(filled):
         others[k] = places[others[k]]
