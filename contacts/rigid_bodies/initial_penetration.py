@@ -13,7 +13,7 @@ from contacts.rigid_bodies.declared_numbers import touchable_surfaces
 from contacts.rigid_bodies.prescribed_motion import Positions
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts
 from contacts.scene.scene import Scene
-from statechart.arrays import Array
+from statechart.arrays import Array, Ints
 from statechart.errors import DeclarationProblem
 
 # Allowed penetration, relative to the inscribed circle: a fast body moves about so far in a step of
@@ -23,7 +23,7 @@ _LEFT = 0.1
 _SAME_GAP = 1e-9
 # Bodies for which a way out is searched, and moves of each.
 _MOVES = 20
-# Number of copies above which the advice is a grid: no move of a single one would help.
+# Number of copies above which the advice is a grid.
 _CROWD = 20
 # Overlapping bodies of a single pair.
 _PAIR = 2
@@ -51,7 +51,12 @@ def check_penetration(
     Raises `DeclarationProblem` if one is deeper.
     """
     _check_places(numbers, names, owners, initial)
+    _check_crowd(numbers, names, owners, initial)
     contacts = detect(numbers, initial)
+
+    def deepest_of(b: int) -> str:
+        return contacts.deepest_of(b, numbers.pieces.bodies, names, surfaces)
+
     cores = np.full(len(names), np.inf)
     np.minimum.at(cores, numbers.pieces.bodies, numbers.pieces.cores)
     cores, gaps = cores[: len(numbers.inverse)], contacts.gaps[: len(numbers.inverse)]
@@ -63,33 +68,25 @@ def check_penetration(
         first, depth = int(np.argmin(gaps)), -float(gaps.min())
         if depth <= near:
             return 0.0, ()
-        where = contacts.deepest_of(first, numbers.pieces.bodies, names, surfaces)
         return depth, (
             f"bodies start up to {depth:.3g} deep in others or in surfaces ({names[first]!r} in "
-            f"{where}): the run lets them stay as deep, but no deeper",
+            f"{deepest_of(first)}): the run lets them stay as deep, but no deeper",
         )
     # Report the first body that a move frees, else the first.
-    b, out = too_deep[0], _STUCK
-    crowd = np.count_nonzero(numbers.kinds[too_deep] == numbers.kinds[b])
-    if crowd >= _CROWD:
-        out = (
-            f"write a start that depends on index, {_row_formulas(numbers, b)}; {crowd} copies "
-            "overlap"
-        )
+    for b in [b for b in deep if b < numbers.free][:_MOVES]:
+        out = _way_out(detect, numbers, contacts, initial, b, near)
+        if out and not contacts.is_covered(b):
+            break
     else:
-        for other in [b for b in too_deep if b < numbers.free][:_MOVES]:
-            way = _way_out(detect, numbers, contacts, initial, other, near)
-            if way and not contacts.is_covered(other):
-                b, out = other, way
-                break
-        if len(deep) > _PAIR:
-            out += f"; {len(deep)} bodies overlap, by {-min(deep.values()):.3g} at most"
+        b, out = next(iter(deep)), _STUCK
+    where = deepest_of(b)
+    if contacts.is_covered(b):
+        b, where, out = _covering_pieces(detect, numbers, names, surfaces, initial, b, deep[b])
+    if len(deep) > _PAIR:
+        out += f"; {len(deep)} bodies overlap, by {-min(deep.values()):.3g} at most"
     key = "start"
     if b >= numbers.free:
         key, out = "position", "start the coordinates that place it elsewhere"
-    where = "overlapping pieces of what it touches"
-    if not contacts.is_covered(b):
-        where = contacts.deepest_of(b, numbers.pieces.bodies, names, surfaces)
     raise DeclarationProblem(
         f"body {names[b]!r} starts {-deep[b]:.6g} deep in {where}",
         advice=out,
@@ -113,6 +110,42 @@ def _check_places(
                 advice=f"write a start that depends on index, {_row_formulas(numbers, b)}",
                 loc=("bodies", owners[b], "start"),
             )
+
+
+def _check_crowd(
+    numbers: BodyNumbers, names: Sequence[str], owners: Sequence[str], initial: Array
+) -> None:
+    """Check that most copies of a kind do not overlap, where moving a single one would not help.
+
+    Full detection would take many times as long. Two bodies whose inscribed circles have their
+    centres in one cell of this size overlap too deeply.
+    """
+    pieces = numbers.pieces
+    members = np.flatnonzero(np.diff(pieces.begins[: len(numbers.inverse) + 1]))
+    if len(members) < _CROWD or len(numbers.joints.bodies):
+        return
+    one = pieces.begins[:-1][members]
+    x, y, angle = numbers.motion(initial[None])[0][0, members].T
+    (u, v), cos, sin = pieces.middles[one].T, np.cos(angle), np.sin(angle)
+    centres = np.column_stack([x + cos * u - sin * v, y + sin * u + cos * v])
+    cells = np.floor(centres / ((2.0 - _LEFT) / math.sqrt(2.0) * pieces.cores[one])[:, None])
+    kinds = numbers.kinds[members]
+    _, which, many = np.unique(
+        np.column_stack([kinds, cells]), axis=0, return_inverse=True, return_counts=True
+    )
+    which = which.reshape(-1)
+    deep = (many[which] > 1) & (numbers.laws[kinds, kinds] >= 0)
+    if 2 * np.count_nonzero(deep) <= len(members):
+        return
+    first, other = np.flatnonzero(deep & (which == which[int(np.argmax(deep))]))[:2].tolist()
+    depth = 2.0 * pieces.cores[one[first]] - math.dist(centres[first], centres[other])
+    b = int(members[first])
+    raise DeclarationProblem(
+        f"body {names[b]!r} starts at least {depth:.6g} deep in body {names[members[other]]!r}, "
+        f"and at least {np.count_nonzero(deep)} of {len(members)} copies overlap",
+        advice=f"write a start that depends on index, {_row_formulas(numbers, b)}",
+        loc=("bodies", owners[b], "start"),
+    )
 
 
 def _row_formulas(numbers: BodyNumbers, b: int) -> str:
@@ -156,6 +189,54 @@ def _way_out(
         state[3 * b : 3 * b + 2] += move
         contacts = detect(numbers, state)
     return ""
+
+
+def _covering_pieces(
+    detect: Detect,
+    numbers: BodyNumbers,
+    names: Sequence[str],
+    surfaces: Sequence[str],
+    initial: Array,
+    b: int,
+    margin: float,
+) -> tuple[int, str, str]:
+    """Return the inner body, the outer one, and advice, if pieces of the outer cover each other.
+
+    No face is left to touch: the outer one is that with which alone the body is as deep.
+    """
+    moving, kinds = len(numbers.inverse), len(numbers.laws)
+    places = numbers.motion(initial[None])[0][0, :, :2]
+    apart = np.ptp(places[:, 0]) + 4.0 * numbers.sizes.max()
+    reach = numbers.sizes[b] + numbers.sizes
+
+    def as_deep(obstacles: Sequence[int] | Ints, other: int = b) -> bool:
+        """Return whether it is as deep in these kinds and surfaces, without most free bodies."""
+        laws, state = np.full_like(numbers.laws, -1), initial.copy()
+        laws[:, obstacles] = numbers.laws[:, obstacles]
+        for i in range(numbers.free):
+            if i not in (b, other):
+                state[3 * i] += (i + 2.0) * apart
+        gap = detect(numbers._replace(laws=laws), state).gaps[b]
+        return bool(gap <= (1.0 - _SAME_GAP) * margin)
+
+    prescribed = np.unique(numbers.kinds[moving:])
+    for kind in prescribed.tolist():
+        if as_deep([kind]):
+            owner = names[moving + int(np.argmax(numbers.kinds[moving:] == kind))]
+            return b, f"body {owner!r} or a copy of it", _STUCK
+    others = np.setdiff1d(np.arange(kinds), prescribed)
+    for other in np.flatnonzero(np.hypot(*(places - places[b]).T) < reach[:moving]).tolist():
+        if other != b and as_deep(others, other):
+            one, whole = sorted((b, other), key=lambda i: float(numbers.sizes[i]))
+            far = f"start it {reach[other]:.6g} from the centre of {names[whole]!r}, or move it out"
+            return one, f"body {names[whole]!r}", far
+    far = f"start its centre {numbers.sizes[b]:.6g} from it, or move it out"
+    for s, surface in enumerate(surfaces):
+        if as_deep([kinds + s]):
+            return b, f"surface {surface!r}", far
+    every = np.flatnonzero(numbers.laws[numbers.kinds[b], kinds:] >= 0)
+    listed = ", ".join(repr(surfaces[s]) for s in every.tolist())
+    return b, f"surfaces {listed}", far.replace("from it", "from them")
 
 
 def check_containers(

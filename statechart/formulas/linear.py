@@ -99,6 +99,9 @@ def _solve_component(
     first, rows, last = _reduce(given, unknowns, before, paired)
     if paired and _largest(rows) > 2 * _MAX_PAIRED:
         first, rows, last = _reduce(given, unknowns, before)
+    if paired and _largest(rows) > 2 * MAX_CRAMER:
+        mirrors = _mirrors(given, unknowns, paired)
+        first, rows, last = _reduce(given, unknowns, before, mirrors=mirrors)
     block = _blocks(rows, place, (paired, len(unknowns)) if paired else ())
     solved = {u for u, _ in (*first, *block, *last)}
     missing = [u for u in unknowns if u not in solved]
@@ -112,12 +115,14 @@ def _reduce(
     unknowns: Sequence[sp.Symbol],
     before: Collection[sp.Symbol],
     motions: int = 0,
+    mirrors: Collection[int] | None = None,
 ) -> tuple[list[Definition], list[Equation], list[Definition]]:
     """Eliminate by pivots that are numbers, or alone in their row or column.
 
-    Unknowns from `motions` on are eliminated by their own equations only. Returns the unknowns
-    known at once, the remaining equations, and the eliminated unknowns in reverse order of
-    evaluation.
+    Unknowns from `motions` on are eliminated by their own equations only. `mirrors` are symmetric
+    pairs: their pivots are on the diagonal, so that the Schur complement stays definite. Returns
+    the unknowns known at once, the remaining equations, and the eliminated unknowns in reverse
+    order of evaluation.
     """
     place = {unknown: i for i, unknown in enumerate(unknowns)}
     first: list[Definition] = []
@@ -126,7 +131,7 @@ def _reduce(
     swapped: set[int] = set()
     while True:
         rows = [equation for equation in rows if equation[0]]
-        pivot = _pivot(rows, place, sizes, swapped, before, motions)
+        pivot = _pivot(rows, place, sizes, swapped, before, motions, mirrors)
         if pivot is None:
             return first, rows, last
         index, unknown, where = pivot
@@ -150,6 +155,19 @@ def _reduce(
             last.append((unknown, value))
             if where == "number":
                 rows = [_eliminate(e, unknown, row, right, coefficient) for e in rows]
+
+
+def _mirrors(rows: list[Equation], unknowns: Sequence[sp.Symbol], paired: int) -> set[int]:
+    """Return the pairs with symmetric rows and columns up to signs, of the first `paired`."""
+    mirrors = set()
+    for row, _, k in rows:
+        pairs = (
+            (row.get(unknowns[j], sp.S.Zero), rows[j][0].get(unknowns[k], sp.S.Zero))
+            for j in range(paired)
+        )
+        if all(one == other or one == -other for one, other in pairs):
+            mirrors.add(k)
+    return mirrors
 
 
 def _linear_row(equation: sp.Expr, unknowns: Mapping[sp.Symbol, int]) -> tuple[Row, sp.Expr]:
@@ -180,11 +198,12 @@ def _pivot(
     wanted: Collection[int],
     before: Collection[sp.Symbol],
     motions: int,
+    mirrors: Collection[int] | None,
 ) -> tuple[int, sp.Symbol, str] | None:
     """Choose the cheapest pivot (Markowitz) that divides by a factor of the determinant only.
 
     `sizes` caches magnitudes of coefficients, 0 for symbolic ones. `wanted` pairs and `before`
-    unknowns have priority. `motions`: see `_reduce`.
+    unknowns have priority. `motions`, `mirrors`: see `_reduce`.
     """
 
     def size(coefficient: sp.Expr) -> float:
@@ -206,6 +225,8 @@ def _pivot(
             if count[unknown] == 1:
                 return index, unknown, "column"
             partner = place[unknown]
+            if mirrors is not None and origin != partner and not {origin, partner} <= {*mirrors}:
+                continue
             if 0 < motions <= partner and (origin != partner or origin in wanted):
                 continue
             if size(coefficient) >= max(_MIN_PIVOT, 0.1 * largest):

@@ -131,16 +131,21 @@ def test_bodies_that_overlap_at_the_start_are_refused():
         Runner(interpret(read_text(row))).run()
 
 
-def test_a_body_that_starts_inside_pieces_is_reported():
+def test_a_body_that_starts_inside_pieces_is_reported_by_name():
     """It starts at the end of a plate in overlapping pieces, where no face has a contact."""
     shape = "{polygon: [[-1, -1], [1, -1], [1, 1], [-1, 1]]}"
     halves = ", ".join(f"{{polygon: [[{x}, -1], [{x} + 1, -1], [{x} + 1, 1], [{x}, 1]]}}"
                        for x in (-1, 0))  # fmt: skip
+    plates = "low: {edge: [[-9, -9], [9, -9]]}, plate: {edge: [[0.1, 0], [0.1, 5]]}"
     text = TWO.replace("copies: 2", "copies: 1").replace(shape, f"[{halves}]")
     text = text.replace("{y: 1 + 3*index}", "{}").replace("surfaces: [ground]", "surfaces: [plate]")
-    text = text.replace("  ground: {height: 0}", "  plate: {edge: [[0.1, 0], [0.1, 5]]}")
-    with pytest.raises(DeclarationError, match=r"'block0?' .* deep in overlapping pieces of what"):
-        Runner(read_text(text)).run()
+    text = text.replace("  ground: {height: 0}", f"  {plates}".replace(", plate", "\n  plate"))
+    for listed in ("[plate]", "[low, plate]"):
+        with pytest.raises(DeclarationError, match="deep in surface 'plate'; start") as caught:
+            Runner(read_text(text.replace("[plate]", listed))).run()
+        far = float(re.findall(r"start its centre (\S+) from it", str(caught.value))[0])
+        moved = text.replace("start: {}", f"start: {{x: 0.1 - {far}}}").replace("[plate]", listed)
+        Runner(read_text(moved)).start()
 
 
 def test_a_body_inside_several_things_is_advised_a_way_out_of_all():

@@ -146,8 +146,8 @@ def test_a_body_that_reaches_an_undefined_height_is_reported(surface, told):
     [
         (
             'x: "0.3*sin(index)", y: 1 + 0.3*cos(3*index)',
-            'write a start that depends on index, such as x: "0.21*mod(index, 10)" and y: '
-            "0.21*floor(index/10); 120 copies overlap",
+            "at least 118 of 120 copies overlap; write a start that depends "
+            'on index, such as x: "0.21*mod(index, 10)" and y: 0.21*floor(index/10)',
         ),
         ("y: 1", "and 'grain1' start at the same place; write a start that depends on index,"),
         ('x: "0.21*mod(index, 90)", y: 0.1', "'grain0' and 'grain90' start at the same place"),
@@ -162,3 +162,9 @@ def test_overlapping_copies_are_counted_and_advised_to_stand_in_rows(start, told
     with pytest.raises(DeclarationError) as caught:
         Runner(read_text(text)).start()
     assert told in str(caught.value)
+
+
+def test_the_least_penetration_of_overlapping_copies_is_reported():
+    text = SCENE.replace("x: 0.3*index", "x: 0.08*index").replace("n: 3", "n: 20")
+    with pytest.raises(DeclarationError, match=r"'grain0' .* at least 0\.12 deep in body 'grain1'"):
+        Runner(read_text(text)).start()
