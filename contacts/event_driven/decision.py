@@ -70,8 +70,8 @@ def choose_mode(
 
 # A tangential row below this is zero.
 _NULL_ROW = 1e-9
-# To see which way a point slips, its motion is continued for times of which each is by this factor
-# shorter than the one before, until its slip grows by a power of time, as exactly as given.
+# The slip of a point is evaluated at times that shrink by this factor, at most so often, until it
+# grows by a power of time to this accuracy: its leading power decides the direction.
 _SHORTER, _TRIALS, _CLEAR = 4.0, 20, 0.02
 
 

@@ -17,7 +17,7 @@ from statechart.documents.outputs import Count, Event, Value
 from statechart.documents.quantities import fields_of
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.formulas.formula import parse
-from statechart.formulas.relation import parse_relation
+from statechart.formulas.relation import Comparison, Junction, parse_relation
 from statechart.formulas.tree import Call, Name, Node, Number, Unary, nodes
 
 NEARLY_MEETING = 1e-3
@@ -286,7 +286,10 @@ def _passed_instants(scene: SceneFields) -> Iterator[tuple[str, str]]:
                 relations[".".join(map(str, (*loc, "guard")))] = transition.guard
     moving = {*scene.variables, TIME}
     for where, text in relations.items():
-        for one in parse_relation(text).comparisons:
+        term = parse_relation(text).root
+        for one in term.parts if isinstance(term, Junction) and term.word == "and" else (term,):
+            if not isinstance(one, Comparison):
+                continue
             sides = (one.left, one.right) if one.operator == "<=" else (one.right, one.left)
             call, bound = sides[0].root, sides[1].root
             names = sides[0].names - {*scene.parameters}

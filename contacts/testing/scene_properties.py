@@ -118,18 +118,19 @@ def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> N
             raise AssertionError(f"{name} is {state} at t = {times[0]:.6g} and has a force")
 
 
-def assert_impulses(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
+def assert_impulses(scene: Scene | Mechanics, subject: Subject, trace: Trace) -> None:
     """Check that impulses push, within the friction cone.
 
     Parameters
     ----------
-    mechanics : Mechanics
-        Of the scene: `contacts.testing.Mechanics(scene)`.
+    scene : Scene or Mechanics
+        The scene, or its mechanics, `contacts.testing.Mechanics(scene)`.
     subject : Subject
         The compiled scene.
     trace : Trace
         A run of it.
     """
+    mechanics = scene if isinstance(scene, Mechanics) else Mechanics(scene)
     scene = mechanics.scene
     largest = largest_of(jump.impulse for jump in trace.jumps)
     for jump in trace.jumps:

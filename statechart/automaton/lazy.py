@@ -68,7 +68,7 @@ class LazySequence(Sequence[T], Generic[T]):
         return map(self._at, range(len(self)))
 
     def __repr__(self) -> str:
-        return f"<{len(self)} items, made when read>"
+        return f"<{len(self)} items, computed when read>"
 
     def forget(self, place: int) -> None:
         """Drop a cached item."""

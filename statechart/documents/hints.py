@@ -321,7 +321,8 @@ def _wrong_call(
         listed = ", ".join(placed) or "nothing"
         advice = f"pass the others by name: {named}"
         if "parameters" in taken and isinstance(args[-1], Mapping):
-            advice = f"write parameters={args[-1]!r}"
+            shown = repr(args[-1])
+            advice = f"write parameters={shown if len(shown) <= 80 else '{...}'}"
         return f"too many positional arguments; these may be positional: {listed}", advice
     for word in placed[count:]:
         if taken[word].default is inspect.Parameter.empty and word not in kwargs:

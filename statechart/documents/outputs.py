@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
@@ -126,7 +127,7 @@ class Value(Part):
     @field_validator("at", mode="before")
     @classmethod
     def _no_time(cls, at: Any) -> Any:
-        if isinstance(at, int | float):
+        if isinstance(at, int | float) and not isinstance(at, bool) and math.isfinite(at):
             raise DeclarationProblem(
                 f"a moment is start, end or an event, not {at}",
                 advice=f"in a region write {{name: tick, from: STATE, after: {at}}}, "

@@ -66,6 +66,11 @@ def read(path: Path) -> Document:
     return read_text(text if len(raw) <= MAX_BYTES else " " * (MAX_BYTES + 1), source)
 
 
+def _lines(text: str) -> list[str]:
+    """Return the lines of a text, and an empty one behind it."""
+    return [*re.split(r"\r\n|\r|\n", text), ""]
+
+
 def read_text(text: str, source: str = "<text>") -> Document:
     """Read YAML text; raise `DeclarationError` if it is not a valid document."""
     if len(text) > MAX_BYTES:
@@ -115,7 +120,7 @@ class _Builder:
 
     def _check_blanks(self, text: str, line: int) -> None:
         """Refuse characters that look like a blank but are none in YAML."""
-        for at, written in list(enumerate(text.split("\n")))[max(0, line - 1) : line + 1]:
+        for at, written in list(enumerate(_lines(text)))[max(0, line - 1) : line + 1]:
             for column, one in enumerate(written):
                 if one.isspace() and one not in " \t\r":
                     raise self._at(at, column).error(
@@ -124,7 +129,7 @@ class _Builder:
 
     def _check_equals(self, text: str, line: int) -> None:
         """Refuse `name = value`."""
-        written = text.split("\n")[line]
+        written = _lines(text)[line]
         if "=" in written:
             raise self._at(line, written.index("=")).error(
                 "a key has a colon", no_name(written.strip())
@@ -132,7 +137,7 @@ class _Builder:
 
     def _check_colon(self, text: str, line: int) -> None:
         """Refuse a key without a colon, or without a blank behind it, above a line."""
-        lines = [*text.split("\n"), ""]
+        lines = _lines(text)
         for at in range(max(line - 1, 0), line + 1):
             if lines[at].lstrip().startswith("//"):
                 raise self._at(at, lines[at].index("//")).error(

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from itertools import product
 from typing import NamedTuple
 
@@ -20,7 +19,7 @@ from statechart.automaton.laws import SWITCHES, Instant, flow_sizes
 from statechart.automaton.margin_derivatives import UNDERFLOW, MarginDerivatives
 from statechart.automaton.switches import RESTS, SIGN_OF, SLIDE_ON, SLIDES, Switches, is_of_switch
 from statechart.automaton.trace import Role, Roles
-from statechart.errors import AmbiguousMode, NonFinite, StatechartError
+from statechart.errors import AmbiguousMode, NonFinite, SimulationError, StatechartError
 from statechart.execution.compiled_modes import CompiledModes
 from statechart.formulas.series import sizes_at
 from statechart.formulas.tape import Tape
@@ -94,9 +93,12 @@ class Filippov:
         for signs in product((1, -1, SLIDES), repeat=len(surface.on)):
             verdict = surface.fits(signs)
             if verdict is None:
-                # A slide whose equations are 0/0 does not exist.
-                with suppress(StatechartError):
+                try:
                     verdict = False if self._holds(surface.with_(signs), at) else None
+                except SimulationError:
+                    raise
+                except StatechartError:
+                    pass  # The equations of the slide are 0/0: it does not exist.
                 if verdict is None:
                     continue
             elif not verdict:

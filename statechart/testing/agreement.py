@@ -72,7 +72,7 @@ def assert_same(
     reference, other : Trace
         The runs.
     sensitivity : Sensitivity
-        Of `reference`.
+        Sensitivity of `reference`.
     reading : Reading, optional
         Transformation of `other`, if it is of a transformed model.
     until : (float, (n,) array), optional

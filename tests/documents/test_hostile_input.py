@@ -252,6 +252,13 @@ def test_anything_like_yaml_is_a_document_or_a_declaration_error(text: str) -> N
     assert error.line >= 1
 
 
+@pytest.mark.parametrize("text", ["kind: scene\rname = x\r: {", "kind scene\rname: x\r"])
+def test_line_ends_of_old_computers_give_a_place(text):
+    with pytest.raises(DeclarationError) as caught:
+        read_text(text)
+    assert caught.value.line is not None
+
+
 @pytest.mark.parametrize(
     ("raw", "told"),
     [

@@ -107,5 +107,5 @@ def test_repeated_run_keeps_its_warnings(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_jumps_and_their_list_have_a_readable_repr() -> None:
     trace = Runner("toppling_stick").run().trace
-    assert repr(trace.jumps) == "<3 items, made when read>"
+    assert repr(trace.jumps) == "<3 items, computed when read>"
     assert "'tip:slide-': 'taken'" in repr(trace.jumps[0])

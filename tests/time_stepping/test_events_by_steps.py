@@ -674,6 +674,7 @@ def test_a_controller_lifts_a_floor_that_nothing_touches() -> None:
         ("0 >= abs(b.x - 2.5)", True),
         ("b.x >= 2.5", False),
         ("abs(b.dy) <= 0", False),
+        ("abs(b.x - 2.5) <= 0 or b.dx < 0", False),
     ],
 )
 @pytest.mark.parametrize("guarded", [False, True])
