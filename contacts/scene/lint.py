@@ -240,7 +240,7 @@ def nearly_meeting_ends(scene: SceneFields) -> Iterator[str]:
 
 
 def replaced_laws(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
-    """Return the declared laws that time stepping replaces -> sentence on the replacement."""
+    """Return the declared laws and events that time stepping replaces, or passes over -> why."""
     replacements = {}
     rigid = {n: c for n, c in scene.contacts.items() if "free" in c.kinds and c.stiffness is None}
     if scene.simultaneous == "sequential" and rigid and _nearly_meet(scene):
