@@ -11,8 +11,8 @@ import numpy as np
 import sympy as sp
 
 from contacts.dynamics.joints import (
-    ROUND_OFF,
     OFF_ROW,
+    ROUND_OFF,
     JointGroup,
     JointNumbers,
     joint_groups,
