@@ -72,7 +72,7 @@ def choose_mode(
 _NULL_ROW = 1e-9
 # The slip of a point is evaluated at times that shrink by this factor, at most so often, until it
 # grows by a power of time to this accuracy: its leading power decides the direction.
-_SHORTER, _TRIALS, _CLEAR = 4.0, 20, 0.02
+_SHORTER, _TRIALS, _CLEAR = 4.0, 10, 0.02
 
 
 def choose_at_rest(
@@ -105,27 +105,33 @@ def choose_at_rest(
     ]
     if not idle:
         return choice
-    accelerations, _ = snapshot.solved(choice.taken.accelerations, choice.taken.forces)
     half = len(state) // 2
+    accelerations = snapshot.solved(choice.taken.accelerations, choice.taken.forces)[0][:half]
+    paces = np.abs(accelerations) / setup.scales.sizes[:half]
+    if not paces.any():
+        return choice
 
-    def slips(later: float) -> list[float]:
+    def slips(later: float) -> Array:
         """Return the slips of the points after a time."""
-        rates = state[half:] + later * accelerations[:half]
-        places = state[:half] + 0.5 * later * (state[half:] + rates)
-        moved = np.append(places, rates)
+        rates = later * accelerations
+        moved = np.append(state[:half] + 0.5 * later * rates, rates)
         moved = on_constraints(("free",) * len(touching), at(moved, later), moved)
         contacts = at(moved, later).contacts
-        return [contacts[i].slip for i in idle]
+        return np.array([contacts[i].slip for i in idle])
 
-    longest = setup.scales.length / setup.scales.speed
-    found = np.array([slips(longest / _SHORTER**k) for k in range(_TRIALS)])
+    # The acceleration moves a point by about the scale of lengths in the longest time.
+    longest = 1.0 / math.sqrt(paces.max())
+    times = longest / _SHORTER ** np.arange(_TRIALS)
+    found = np.array([slips(time) for time in times])
+    least = _NULL_ROW * setup.scales.length * paces.max() * times
     contacts, turned = [*snapshot.contacts], False
     for i, slip in zip(idle, found.T, strict=True):
-        for longer, shorter in pairwise(slip.tolist()):
-            if longer * shorter > 0.0 and abs(shorter) > slip_tolerance:
+        for (longer, shorter), round_off in zip(pairwise(slip.tolist()), least[1:], strict=True):
+            if longer * shorter > 0.0 and abs(shorter) > round_off:
                 power = math.log(longer / shorter, _SHORTER)
                 if power > 0.5 and abs(power - round(power)) < _CLEAR:
-                    contacts[i], turned = contacts[i]._replace(slip=shorter), True
+                    onwards = math.copysign(2.0 * slip_tolerance, shorter)
+                    contacts[i], turned = contacts[i]._replace(slip=onwards), True
                     break
     if not turned:
         return choice
