@@ -68,7 +68,7 @@ def choose_mode(
     return choice
 
 
-# A tangential row below this is zero.
+# A tangential row below this, relative to the scales, is zero.
 _NULL_ROW = 1e-9
 # The slip of a point is evaluated at times that shrink by this factor, at most so often, until it
 # grows by a power of time to this accuracy: its leading power decides the direction.
@@ -91,23 +91,32 @@ def choose_at_rest(
     its slider in line): friction cannot hold the linkage there, and the point slips as the motion
     goes on. `at` gives the snapshot at a state after a time.
     """
-    choice = choose_mode(setup, snapshot, touching, paradox, before, uncertainty)
-    if isinstance(choice, Jam):
-        return choice
-    slip_tolerance = 2.0 * setup.tolerances["speed"]
+    slip_tolerance, half = 2.0 * setup.tolerances["speed"], len(state) // 2
+    sizes = setup.scales.sizes[:half]
+    whole = np.append(sizes, np.ones(snapshot.unreduced.pads))
+    basis = np.eye(len(whole)) if snapshot.reduction is None else snapshot.reduction.basis
+    # Sizes of the independent motions.
+    levers = 1.0 / np.abs(basis / whole[:, None]).max(axis=0)
     idle = [
         i
         for i, row in enumerate(snapshot.jacobians[:, 1])
         if touching[i]
         and abs(snapshot.contacts[i].slip) <= slip_tolerance
-        and np.abs(row).max(initial=0.0) <= _NULL_ROW
+        and np.abs(row * levers).max(initial=0.0) <= _NULL_ROW * setup.scales.length
         and abs(snapshot.biases[i, 1]) <= _NULL_ROW * setup.scales.acceleration
     ]
-    if not idle:
+    if idle:
+        # Round-off in a row (sin(pi) is 1e-16) would divide forces by itself.
+        jacobians = snapshot.jacobians.copy()
+        jacobians[idle, 1] = 0.0
+        exact = zip(snapshot.contacts, jacobians, strict=True)
+        contacts = tuple(contact._replace(jacobian=rows) for contact, rows in exact)
+        snapshot = snapshot._replace(jacobians=jacobians, contacts=contacts)
+    choice = choose_mode(setup, snapshot, touching, paradox, before, uncertainty)
+    if not idle or isinstance(choice, Jam):
         return choice
-    half = len(state) // 2
     accelerations = snapshot.solved(choice.taken.accelerations, choice.taken.forces)[0][:half]
-    paces = np.abs(accelerations) / setup.scales.sizes[:half]
+    paces = np.abs(accelerations) / sizes
     if not paces.any():
         return choice
 
@@ -124,18 +133,18 @@ def choose_at_rest(
     times = longest / _SHORTER ** np.arange(_TRIALS)
     found = np.array([slips(time) for time in times])
     least = _NULL_ROW * setup.scales.length * paces.max() * times
-    contacts, turned = [*snapshot.contacts], False
+    moving, turned = [*snapshot.contacts], False
     for i, slip in zip(idle, found.T, strict=True):
         for (longer, shorter), round_off in zip(pairwise(slip.tolist()), least[1:], strict=True):
             if longer * shorter > 0.0 and abs(shorter) > round_off:
                 power = math.log(longer / shorter, _SHORTER)
                 if power > 0.5 and abs(power - round(power)) < _CLEAR:
                     onwards = math.copysign(2.0 * slip_tolerance, shorter)
-                    contacts[i], turned = contacts[i]._replace(slip=onwards), True
+                    moving[i], turned = moving[i]._replace(slip=onwards), True
                     break
     if not turned:
         return choice
-    snapshot = snapshot._replace(contacts=tuple(contacts))
+    snapshot = snapshot._replace(contacts=tuple(moving))
     return choose_mode(setup, snapshot, touching, paradox, before, uncertainty)
 
 
