@@ -13,7 +13,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
-from contacts.scene.expansion import Reach, Stop
+from contacts.scene.expansion import Reach, Stop, start_problem
 from contacts.scene.parts import Point, Surface
 from contacts.scene.scene import Scene
 from contacts.solvers.dependence import dependent_rows, least_squares
@@ -176,6 +176,17 @@ def check_joints(
     """
     if not mechanics.joint_rows:
         return
+    try:
+        _check_joints(mechanics, snapshots, setup, allowed)
+    except DeclarationProblem as problem:
+        declared = mechanics.parameters.names
+        values = dict(zip(declared, setup.values[-len(declared) :].tolist(), strict=True))
+        raise start_problem(mechanics.scene, problem, values) from None
+
+
+def _check_joints(
+    mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup, allowed: float
+) -> None:
     scales, tolerances = setup.scales, setup.tolerances
     names = [row.joint for row in mechanics.joint_rows]
     joints = _joints_at(snapshots, setup, setup.initial)

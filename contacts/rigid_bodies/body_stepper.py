@@ -16,7 +16,12 @@ import numpy as np
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.couplings import ENABLED
 from contacts.dynamics.conditions import undecided_couplings
-from contacts.dynamics.controllers import Controllers, controlled_symbols, controller
+from contacts.dynamics.controllers import (
+    Controllers,
+    ControllerState,
+    controlled_symbols,
+    controller,
+)
 from contacts.dynamics.parameters import with_sizes
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
@@ -36,6 +41,7 @@ from contacts.rigid_bodies.prescribed_motion import Paths, PrescribedMotion
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts, RigidBodyRun
 from contacts.scene.checks import check_physical
 from contacts.scene.couplings import coupling_region
+from contacts.scene.expansion import start_problem
 from contacts.scene.lint import lint
 from contacts.scene.parts import Simultaneous
 from contacts.scene.regions import BODY_EDGES, BODY_IMPACT, BODY_STATES
@@ -45,6 +51,7 @@ from contacts.time_stepping.step_rejection import DEEPEST
 from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
+from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Region, State, stop_conditions
 from statechart.automaton.time_stepper import DEFAULT_IMPULSES
 from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
@@ -282,7 +289,10 @@ class BodyStepper(Stepper):
         it.
         """
         scene, owners = self._scene, self._bodies.owners
-        placed, remembered = np.split(setup.initial, [2 * bodies.size])
+        memory = ControllerState(self._mechanics)
+        initial = memory.enter_initial_states(setup, Clock(), setup.initial)
+        placed, remembered = np.split(initial, [2 * bodies.size])
+        run_of(bodies).capture(remembered)
         length, speed = setup.scales.length, setup.scales.speed
         soon = 1e-6 * length / speed
         positions = self._paths.at(known, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
@@ -300,11 +310,13 @@ class BodyStepper(Stepper):
         check_containers(scene, owners, bodies, placed, positions)
         # One-sided differences of second order: a path need not exist before the start.
         rates = np.tensordot([-1.5, 2.0, -0.5], positions.places, axes=1) / soon
-        joints = closed_joints(
-            scene, bodies.joints, np.concatenate(bodies.motion(placed[None])), positions.places[0],
-            rates, _START_DEPTH * length,
-            _START_DEPTH * speed,
-        )  # fmt: skip
+        try:
+            joints = closed_joints(
+                scene, bodies.joints, np.concatenate(bodies.motion(placed[None])),
+                positions.places[0], rates, _START_DEPTH * length, _START_DEPTH * speed,
+            )  # fmt: skip
+        except DeclarationProblem as problem:
+            raise start_problem(scene, problem, known) from None
         bodies = bodies._replace(joints=joints)
 
         def detect(numbers: BodyNumbers, start: Array) -> DetectedContacts:
@@ -313,7 +325,7 @@ class BodyStepper(Stepper):
         near = _START_DEPTH * length
         try:
             depth_and_warning = check_penetration(
-                detect, bodies, self._names, self._surfaces, owners, setup.initial, near
+                detect, bodies, self._names, self._surfaces, owners, initial, near
             )
         except NonFinite as error:
             raise DeclarationProblem(f"{error.message} at the start", loc=("forces",)) from None

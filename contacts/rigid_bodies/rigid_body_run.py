@@ -302,6 +302,21 @@ class RigidBodyRun(SteppedSystem):
             self._warm.keys[:met, 1][np.isin(self._warm.keys[:met, 0], struck)] = _NO_FEATURE
         return {}, bool(len(struck))
 
+    def capture(self, remembered: Array) -> None:
+        """Let joints that start closed hold the pose that they have captured."""
+        for j, joint in enumerate(self._prescribed.joints):
+            if self.numbers.joints.on[j]:
+                self._capture(j, joint, remembered)
+
+    def _capture(self, j: int, joint: str, remembered: Array) -> bool:
+        """Let a joint hold the pose that it has captured; return whether it captures a place."""
+        joints, pose = self.numbers.joints, self._prescribed.captured(joint, remembered)
+        if "turn" in pose:
+            joints.sizes[(joints.owners == j) & (joints.kinds == TURN), 0] = pose["turn"]
+        if "x" in pose and joints.bodies[j, 1] >= 0:
+            joints.points[j, 1] = pose["x"], pose["y"]
+        return "x" in pose or "y" in pose
+
     def _close(self, j: int, joint: str, state: Array, time: float) -> None:
         """Close a joint at the pose that it has captured.
 
@@ -309,11 +324,7 @@ class RigidBodyRun(SteppedSystem):
         step moves them.
         """
         joints, remembered = self.numbers.joints, state[2 * self.numbers.size :]
-        pose = self._prescribed.captured(joint, remembered)
-        joints.sizes[(joints.owners == j) & (joints.kinds == TURN), 0] = pose.get("turn", 0.0)
-        if "x" in pose or "y" in pose:
-            if joints.bodies[j, 1] >= 0:
-                joints.points[j, 1] = pose["x"], pose["y"]
+        if self._capture(j, joint, remembered):
             return
         poses, rates = (part[0] for part in self.numbers.motion(state[None]))
         ends = [self._prescribed.place_of(j, time, remembered)] * 2

@@ -8,6 +8,7 @@ limit of an angle a contact whose gap is the remaining angle.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
 from typing import TYPE_CHECKING, Any
 
@@ -201,27 +202,48 @@ def _region(scene: SceneFields, name: str, joint: Joint) -> Controller:
     return region.model_copy(update={"variables": dict.fromkeys(captures, 0)})
 
 
-def holds_at_start(scene: SceneFields, term: Term) -> bool | None:
+def start_problem(
+    scene: SceneFields, problem: DeclarationProblem, values: Mapping[str, float]
+) -> DeclarationProblem:
+    """Return the problem of a closed joint at the start, or that `values` open the joint.
+
+    Its first state is that with the declared parameters.
+    """
+    joint = str(problem.loc[1])
+    enabled = scene.joints[joint].enabled
+    term = parse_relation(conjunction(enabled)).root if enabled else None
+    if term is None or holds_at_start(scene, term, values) is not False:
+        return problem
+    return DeclarationProblem(
+        f"the declared parameters close joint {joint!r} at the start, and it is off",
+        advice="declare parameters with which it starts off, too",
+        loc=("joints", joint),
+    )
+
+
+def holds_at_start(
+    scene: SceneFields, term: Term, values: Mapping[str, float] | None = None
+) -> bool | None:
     """Return whether a relation holds at the start; None if it depends on forces."""
     if isinstance(term, Negation):
-        operand = holds_at_start(scene, term.part)
+        operand = holds_at_start(scene, term.part, values)
         return None if operand is None else not operand
     if isinstance(term, Member):
         region = scene.controlled.flat.get(term.region)
         return None if region is None else term.state in region.active(region.initial)
     if isinstance(term, Junction):
-        operands = [holds_at_start(scene, operand) for operand in term.parts]
+        operands = [holds_at_start(scene, operand, values) for operand in term.parts]
         decisive = term.word == "or"
         return decisive if decisive in operands else None if None in operands else not decisive
     assert isinstance(term, Comparison)
-    known = _start(scene)
+    known = _start(scene, values)
     if not term.left.names | term.right.names <= known.keys():
         return None
     return bool(term.holds(term.left.value(known), term.right.value(known)))
 
 
-def _start(scene: SceneFields) -> dict[str, float]:
-    known = scene.values()
+def _start(scene: SceneFields, values: Mapping[str, float] | None) -> dict[str, float]:
+    known = scene.values() if values is None else values
     texts: dict[str, Any] = {}
     for name, coordinate in scene.coordinates.items():
         texts |= {name: coordinate.start, scene.rate_name(name): coordinate.rate}

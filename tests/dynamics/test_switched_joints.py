@@ -333,6 +333,17 @@ def test_a_weld_to_a_cart_on_rails_keeps_the_momentum_of_a_sliding_body(engine: 
     assert found["force"] == pytest.approx(4.0 * 9.81, rel=1e-9)
 
 
+@pytest.mark.parametrize("engine", ["taylor", "impulse"])
+def test_a_joint_that_only_the_declared_parameters_close_names_them(engine: str) -> None:
+    text = _WELD.replace("time >= 0.5", "time >= T").replace("bodies", "parameters: {T: 0}\nbodies")
+    setting = {"engine": engine} | ({"step": 1e-3} if engine == "impulse" else {})
+    runner = statechart.Runner(interpret(read_text(text)), **setting)
+    with pytest.raises(DeclarationError, match="does not hold at the start"):
+        runner.run()
+    with pytest.raises(DeclarationError, match="the declared parameters close joint 'glue' at"):
+        runner.run({"T": 0.5})
+
+
 _PEG = """
 kind: scene
 name: peg

@@ -148,6 +148,54 @@ outputs: {met: {value: time, at: first a.touchdown}, rate: {value: b.dx - a.dx}}
     assert outputs["rate"] == pytest.approx(-0.4, rel=1e-9)
 
 
+HELD = """
+kind: scene
+name: held
+parameters: {T: 0.4}
+gravity: 10
+bodies:
+  arm:
+    mass: 1
+    inertia: 0.01
+    shape: {disc: 0.05}
+    start: {x: 0.1, y: 1.2, angle: 0.3, dx: 0.5, dy: 1}
+  box:
+    mass: 2
+    inertia: 0.01
+    shape: {polygon: [[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]}
+    start: {y: 1, angle: 0.1, dx: 0.5, dy: 1}
+  ball: {mass: 1, inertia: 0.01, shape: {disc: 0.05}, start: {x: 3, y: 5}}
+joints:
+  lead: {point: {body: arm}, to: ["0.1 + 0.5*time", "1.2 + time"], angle: held}
+  cup:
+    point: {body: box, at: [0, 0.1]}
+    to: {body: arm}
+    angle: held
+    rest: captured
+    enabled: time <= T
+  hook: {point: {body: ball}, to: [2, 2], rest: captured, enabled: time <= 0.2}
+collisions: {all: {bodies: [arm, box, ball], friction: 0.5, restitution: 0}}
+stop: {time: 0.8}
+settings: {engine: impulse, step: 1e-3}
+outputs: {x: {value: box.x}, y: {value: box.y}, angle: {value: box.angle}, ball: {value: ball.y}}
+"""
+
+
+def test_joints_that_start_closed_capture_the_pose_of_the_start():
+    outputs = Runner(interpret(read_text(HELD))).run().outputs
+    # The box rises at 1 for 0.4 s, and flies from there; the ball falls from 0.2 s on.
+    expected = {"x": 0.4, "y": 1.0 + 0.8 - 5.0 * 0.4**2, "angle": 0.1, "ball": 5.0 - 5.0 * 0.6**2}
+    assert outputs == pytest.approx(expected, abs=2e-5)
+
+
+def test_a_joint_that_only_the_declared_parameters_close_names_them():
+    scene = interpret(read_text(HELD.replace("dx: 0.5, dy: 1}\n  ball", "dx: 0.4, dy: 1}\n  ball")))
+    with pytest.raises(DeclarationError, match="does not hold at the start"):
+        Runner(scene).run()
+    with pytest.raises(DeclarationError, match="the declared parameters close joint 'cup'"):
+        Runner(scene).run({"T": -1})
+
+
 def test_a_rod_is_a_pendulum():
     """From the horizontal: sqrt(2 g) at the lowest point, after K(1/2)/sqrt(g) = 0.59196 s."""
     quarter = float(ellipk(0.5)) / math.sqrt(G)
