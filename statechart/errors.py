@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar
 
@@ -302,6 +302,20 @@ def close_matches(name: str, known: Iterable[str]) -> str:
     listed = ", ".join(names[:30]) + (", ..." if len(names) > 30 else "")
     meant = f"did you mean {' or '.join(repr(match) for match in close)}? " if close else ""
     return f"{meant}known: {listed or 'none'}"
+
+
+def owner_or_matches(region: str, name: str, owners: Mapping[str, Collection[str]]) -> str:
+    """Return advice on ``region.name``: the one region that has `name`, else similar names.
+
+    States and events of inner regions belong to the region of the model that holds them.
+    """
+    holders = [owner for owner, names in owners.items() if owner and name in names]
+    similar = region not in owners and difflib.get_close_matches(region, owners)
+    if len(holders) == 1 and not similar:
+        return f"write {holders[0]}.{name}"
+    return (
+        close_matches(name, owners[region]) if region in owners else close_matches(region, owners)
+    )
 
 
 def _with_other_number(name: str, names: Sequence[str]) -> str:

@@ -20,7 +20,7 @@ from pydantic import (
 from statechart.documents.documented import declare
 from statechart.documents.fields import FiniteText, Part, check_names
 from statechart.documents.hints import OTHER_EVENTS
-from statechart.errors import DeclarationProblem, close_matches
+from statechart.errors import DeclarationProblem, close_matches, owner_or_matches
 from statechart.formulas.formula import parse
 
 _EVENT = re.compile(r"(?:([A-Za-z_]\w*)\.)?([A-Za-z_]\w*[+-]?)", re.ASCII)
@@ -252,17 +252,25 @@ def check_event(
     *loc: str | int,
 ) -> None:
     """Raise `DeclarationProblem` if an event does not exist."""
-    if event.region is not None:
-        check_member("region", event.region, causes, *loc)
-        known = {*causes[event.region], *states.get(event.region, ())}
+    every = {name: {*found, *states.get(name, ())} for name, found in causes.items()}
+    if event.region is None:
+        known = set[str]().union(*causes.values())
     else:
-        known = set().union(*causes.values())
+        known = every.get(event.region, set())
     if event.cause not in known and (meant := OTHER_EVENTS.get(event.cause.lower())) in known:
         owner = "" if event.region is None else f"{event.region}."
         raise DeclarationProblem(
             f"no cause or state {event.cause!r}", advice=f"write {owner}{meant}", loc=loc
         )
-    check_member("cause or state", event.cause, known, *loc)
+    if event.region is None:
+        check_member("cause or state", event.cause, known, *loc)
+    elif event.cause not in known:
+        known_region = event.region in every
+        raise DeclarationProblem(
+            f"no cause or state {event.cause!r}" if known_region else f"no region {event.region!r}",
+            advice=owner_or_matches(event.region, event.cause, every),
+            loc=loc,
+        )
 
 
 def check_member(what: str, name: str, known: Collection[str], *loc: str | int) -> None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
-from statechart.errors import close_matches
+from statechart.errors import owner_or_matches
 from statechart.formulas.condition import (
     And,
     Atom,
@@ -157,12 +157,11 @@ class Relation:
                 advice = "`in` is for guards, stop conditions, invariants, and `enabled` of scenes "
                 advice += "with controllers"
                 source.fail("no state can be asked for here", member.offset, advice)
-            for kind, name, known in (
-                ("region", member.region, states),
-                ("state", member.state, states.get(member.region, ())),
-            ):
-                if name not in known:
-                    source.fail(f"no {kind} {name!r}", member.offset, close_matches(name, known))
+            region, state = member.region, member.state
+            if state not in states.get(region, ()):
+                missing = f"state {state!r}" if region in states else f"region {region!r}"
+                advice = owner_or_matches(region, state, states)
+                source.fail(f"no {missing}", member.offset, advice)
 
     def require_still(self, changing: Collection[str]) -> None:
         """Raise `FormulaError` at the first ``==`` or ``!=`` of names that vary along flows."""

@@ -261,6 +261,18 @@ regions:
             "'on' never fires: 'go', declared before it, is taken from 'a' whenever it could be",
         ),
         (
+            "a, to: b, after: D}\n",
+            "a, to: b, after: D}\noutputs: {n: {count: left.go}}\n",
+            "left.go",
+            "no region 'left'; write r.go",
+        ),
+        (
+            "a, to: b, after: D}\n",
+            "a, to: b, after: D}\nstop: {conditions: {e: in(left.l2)}}\n",
+            "in(left.l2)",
+            "no region 'left'; write r.l2",
+        ),
+        (
             "a: {}",
             "a: {states: {c: {}}, regions: {}, initial: c, entry: {y: 1}}",
             "y: 1",
