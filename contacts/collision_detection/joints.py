@@ -315,9 +315,11 @@ def joint_forces(numbers: BodyNumbers) -> int:
 
 @kernel
 def is_joined(joints: JointNumbers, one: int, other: int) -> bool:
-    """Return whether a joint connects two bodies, which then do not collide."""
+    """Return whether a joint other than a rope connects two bodies, which then do not collide."""
     for j in range(len(joints.kinds)):
         a, b = joints.bodies[j]
+        if joints.kinds[j] == ROPE:
+            continue
         if joints.passes[joints.owners[j]] and not joints.on[joints.owners[j]]:
             continue
         if (a == one and b == other) or (a == other and b == one):

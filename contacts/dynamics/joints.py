@@ -18,6 +18,8 @@ OFF_ROW = 2.0
 """Status of a row of a joint that is off; see `JointRow.status`."""
 # Rows with a smaller coefficient in a unit null vector are not named as dependent.
 _MIN_COEFFICIENT = 1e-3
+ROUND_OFF = 4e-15
+"""Of an orthonormal basis of motions, relative."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +130,7 @@ def motions(numbers: JointNumbers, velocity: Array, groups: Sequence[JointGroup]
         scale = column_scales(without_noise(jacobian))
         outer, sizes, right = np.linalg.svd(jacobian * scale)
         row_space, null_space = right[: len(rows)], right[len(rows) :]
+        null_space = np.where(np.abs(null_space) > ROUND_OFF, null_space, 0.0)
         # At a singular configuration the motion is not unique: the least-norm one is taken.
         inverse = np.where(sizes > CANCELLING * sizes[0], 1.0 / np.maximum(sizes, 1e-300), 0.0)
         right_sides = np.array([driven[rows], numbers.biases[rows]])

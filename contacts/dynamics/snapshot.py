@@ -12,6 +12,7 @@ import sympy as sp
 
 from contacts.dynamics.joints import (
     OFF_ROW,
+    ROUND_OFF,
     JointGroup,
     JointNumbers,
     joint_groups,
@@ -289,6 +290,9 @@ def _reduce(whole: Snapshot, joints: JointNumbers, groups: Sequence[JointGroup])
     basis = allowed.basis
     mass = basis.T @ whole.mass @ basis
     jacobians = whole.jacobians @ basis
+    # What joints hold cannot move: a row of round-off would let a contact close there, or stop all.
+    largest = np.abs(whole.jacobians) @ np.abs(basis)
+    jacobians[np.abs(jacobians) <= ROUND_OFF * largest] = 0.0
     biases = whole.biases + whole.jacobians @ allowed.acceleration
     return Snapshot(
         0.5 * (mass + mass.T),

@@ -74,11 +74,11 @@ def choose_mode(
     return choice
 
 
-# A tangential row below this is zero.
+# A tangential row below this, relative to the scales, is zero.
 _NULL_ROW = 1e-9
 # The slip of a point is evaluated at times that shrink by this factor, at most so often, until it
 # grows by a power of time to this accuracy: its leading power decides the direction.
-_SHORTER, _TRIALS, _CLEAR = 4.0, 20, 0.02
+_SHORTER, _TRIALS, _CLEAR = 4.0, 10, 0.02
 
 
 def choose_at_rest(
@@ -97,45 +97,60 @@ def choose_at_rest(
     its slider in line): friction cannot hold the linkage there, and the point slips as the motion
     goes on. `at` gives the snapshot at a state after a time.
     """
-    choice = choose_mode(setup, snapshot, touching, paradox, before, uncertainty)
-    if isinstance(choice, Jam):
-        return choice
-    slip_tolerance = 2.0 * setup.tolerances["speed"]
+    slip_tolerance, half = 2.0 * setup.tolerances["speed"], len(state) // 2
+    sizes = setup.scales.sizes[:half]
+    whole = np.append(sizes, np.ones(snapshot.unreduced.pads))
+    basis = np.eye(len(whole)) if snapshot.reduction is None else snapshot.reduction.basis
+    # Sizes of the independent motions.
+    levers = 1.0 / np.abs(basis / whole[:, None]).max(axis=0)
     idle = [
         i
         for i, row in enumerate(snapshot.jacobians[:, 1])
         if touching[i]
         and abs(snapshot.contacts[i].slip) <= slip_tolerance
-        and np.abs(row).max(initial=0.0) <= _NULL_ROW
+        and np.abs(row * levers).max(initial=0.0) <= _NULL_ROW * setup.scales.length
         and abs(snapshot.biases[i, 1]) <= _NULL_ROW * setup.scales.acceleration
     ]
-    if not idle:
+    if idle:
+        # Round-off in a row (sin(pi) is 1e-16) would divide forces by itself.
+        jacobians = snapshot.jacobians.copy()
+        jacobians[idle, 1] = 0.0
+        exact = zip(snapshot.contacts, jacobians, strict=True)
+        contacts = tuple(contact._replace(jacobian=rows) for contact, rows in exact)
+        snapshot = snapshot._replace(jacobians=jacobians, contacts=contacts)
+    choice = choose_mode(setup, snapshot, touching, paradox, before, uncertainty)
+    if not idle or isinstance(choice, Jam):
         return choice
-    accelerations, _ = snapshot.solved(choice.taken.accelerations, choice.taken.forces)
-    half = len(state) // 2
+    accelerations = snapshot.solved(choice.taken.accelerations, choice.taken.forces)[0][:half]
+    paces = np.abs(accelerations) / sizes
+    if not paces.any():
+        return choice
 
-    def slips(later: float) -> list[float]:
+    def slips(later: float) -> Array:
         """Return the slips of the points after a time."""
-        rates = state[half:] + later * accelerations[:half]
-        places = state[:half] + 0.5 * later * (state[half:] + rates)
-        moved = np.append(places, rates)
+        rates = later * accelerations
+        moved = np.append(state[:half] + 0.5 * later * rates, rates)
         moved = on_constraints(("free",) * len(touching), at(moved, later), moved)
         contacts = at(moved, later).contacts
-        return [contacts[i].slip for i in idle]
+        return np.array([contacts[i].slip for i in idle])
 
-    longest = setup.scales.length / setup.scales.speed
-    found = np.array([slips(longest / _SHORTER**k) for k in range(_TRIALS)])
-    contacts, turned = [*snapshot.contacts], False
+    # The acceleration moves a point by about the scale of lengths in the longest time.
+    longest = 1.0 / math.sqrt(paces.max())
+    times = longest / _SHORTER ** np.arange(_TRIALS)
+    found = np.array([slips(time) for time in times])
+    least = _NULL_ROW * setup.scales.length * paces.max() * times
+    moving, turned = [*snapshot.contacts], False
     for i, slip in zip(idle, found.T, strict=True):
-        for longer, shorter in pairwise(slip.tolist()):
-            if longer * shorter > 0.0 and abs(shorter) > slip_tolerance:
+        for (longer, shorter), round_off in zip(pairwise(slip.tolist()), least[1:], strict=True):
+            if longer * shorter > 0.0 and abs(shorter) > round_off:
                 power = math.log(longer / shorter, _SHORTER)
                 if power > 0.5 and abs(power - round(power)) < _CLEAR:
-                    contacts[i], turned = contacts[i]._replace(slip=shorter), True
+                    onwards = math.copysign(2.0 * slip_tolerance, shorter)
+                    moving[i], turned = moving[i]._replace(slip=onwards), True
                     break
     if not turned:
         return choice
-    snapshot = snapshot._replace(contacts=tuple(contacts))
+    snapshot = snapshot._replace(contacts=tuple(moving))
     return choose_mode(setup, snapshot, touching, paradox, before, uncertainty)
 
 

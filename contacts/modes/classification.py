@@ -175,7 +175,8 @@ def _rejections(refused: Mapping[str, str]) -> Iterator[str]:
     """Yield the first rejected modes with reasons, and the number of the others."""
     for label, why in [*refused.items()][:_MAX_LISTED]:
         contact = f"{label.partition(':')[0]}: "
-        yield f"{label} fails, {why.removeprefix(contact) if ' ' not in label else why}"
+        why = why.removeprefix(contact) if " " not in label else why
+        yield f"{label or 'free motion'} fails, {why}"
     if len(refused) > _MAX_LISTED:
         yield f"{len(refused) - _MAX_LISTED} more modes fail"
 
@@ -467,7 +468,7 @@ def _advice(
             unlisted = True
             yield f"{law.name} has no {' and no '.join(missing)} among its modes: add it"
     if not unlisted and any(c.undetermined == SINGULAR for c in tried):
-        yield "a body that no contact holds has no mass or no inertia: add it"
+        yield "A body that no contact holds has no mass or no inertia: add it"
 
 
 def _bearing(candidate: Candidate) -> frozenset[int]:

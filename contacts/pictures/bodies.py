@@ -227,21 +227,10 @@ class BodyShapes:
             end, other = self._pair(joint.to.at), self._frames[joint.to.body]
         elif other == WORLD:
             end = self._number(joint.to.x or 0), self._number(joint.to.y or 0)
-        floor = self._floor() if kind == "rope" else -np.inf
-        line = Shape(kind, np.array([at, end]), frame, other, name=name, floor=floor)
+        line = Shape(kind, np.array([at, end]), frame, other, name=name)
         if isinstance(joint.to, Point):
             return [line]
         return [line, Shape("pivot", np.array([end]), other, other, name=name)]
-
-    def _floor(self) -> float:
-        """Return the level of the highest flat floor at rest."""
-        floors = [
-            self._number(surface.height)
-            for surface in self._scene.surfaces.values()
-            if surface.height is not None and "x" not in parse(surface.height).names
-            if surface.body is None and surface.displacement == (0, 0) and surface.turn == 0
-        ]
-        return max(floors, default=-np.inf)
 
     def _number(self, text: str | int | float) -> float:
         return parse(text).value(self._values)

@@ -28,7 +28,6 @@ from statechart.pictures.film import (
     Shape,
     Touch,
     arrows,
-    catenary,
     cones,
     ends_of,
     place_points,
@@ -189,15 +188,16 @@ class SceneStage:
         return np.concatenate([still, moving.reshape(len(moments.times), -1, 3)], axis=1)
 
     def _slackened(self, shape: Shape, moments: Moments, poses: Array) -> Shape:
-        """Return a rope with its length beyond the distance of its ends at every instant."""
+        """Return a rope with the instants at which it is longer than the distance of its ends."""
         if shape.kind != "rope":
             return shape
+        first, last = ends_of(shape, poses)
+        distance = np.hypot(*(last - first).T)
         slack = moments.columns.get(f"{shape.name}.gap")
         if slack is None:
-            first, last = ends_of(shape, poses)
             length = parse(self._scene.joints[shape.name].rope or 0).value(moments.parameters)
-            slack = length - np.hypot(*(last - first).T)
-        return replace(shape, slack=np.nan_to_num(slack))
+            slack = length - distance
+        return replace(shape, slack=slack > _SLACK * distance)
 
     def _held(self, poses: Array, moments: Moments, spacing: float) -> Array:
         """Return the poses with straight surfaces moved along themselves by less than a stroke.
@@ -262,6 +262,8 @@ _AROUND, _ROUND_ABOUT = 2.2, 6.0
 # Distance of surfaces shown in a still picture, in half sizes of the bodies: beyond it bodies would
 # be dots.
 _VISIBLE = 20.0
+# Clearance above which a rope is drawn slack, relative to the distance of its ends.
+_SLACK = 1e-3
 # Smoothing window of the camera, relative to the run.
 _SMOOTH = 0.04
 
@@ -274,8 +276,6 @@ def cloud_of(shapes: Sequence[Shape], poses: Array, places: Sequence[Array]) -> 
         if shape.kind == "disc":
             points = points + shape.radius * np.column_stack([np.cos(_ROUND), np.sin(_ROUND)])
         ends = [(points, shape.frame)]
-        if shape.slack is not None:
-            clouds.append(catenary(*ends_of(shape, poses), shape.slack, shape.floor))
         if shape.other != shape.frame:
             ends = [(points[:1], shape.frame), (points[-1:], shape.other)]
         clouds += [place_points(part, poses[:, frame]) for part, frame in ends]

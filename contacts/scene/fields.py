@@ -75,6 +75,7 @@ class SceneFields(Declaration):
         ),
         **dict.fromkeys(("body", "links", "worldbody", "objects"), "bodies"),
         **dict.fromkeys(("simulation", "option", "solver"), "settings"),
+        **dict.fromkeys(("keyframe", "qpos", "initial", "start"), "start: {x: 0, y: 1} of a body"),
         **dict.fromkeys(("ground", "floor", "plane", "walls"), "surfaces: {floor: {height: 0}}"),
         **dict.fromkeys(("actuator", "actuators"), "forces: {motor: {body: arm, moment: M}}"),
         **dict.fromkeys(

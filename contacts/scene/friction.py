@@ -23,8 +23,8 @@ class Friction(Part):
     """Coefficients of friction at rest and in motion."""
 
     OTHER_WORDS: ClassVar = {
-        "mu_s": "static",
-        **dict.fromkeys(("mu_k", "dynamic", "sliding"), "kinetic"),
+        **dict.fromkeys(("mu_s", "static_friction"), "static"),
+        **dict.fromkeys(("mu_k", "dynamic", "sliding", "dynamic_friction"), "kinetic"),
     }
 
     static: FormulaText = declare(

@@ -112,21 +112,23 @@ class Joint(Part):
         "damping": "a moment among the forces: {body: arm, moment: -c*arm.dangle}",
         **dict.fromkeys(("stiffness", "spring"), "a moment among the forces: -k*arm.angle"),
         **dict.fromkeys(
-            ("motor", "motorSpeed", "enableMotor"),
+            ("motor", "motor_speed", "enable_motor"),
             "a moment among the forces, or to: {x: ..., y: ...}, a path in time",
         ),
         "fixed": "angle: held",
         "type": "what it holds: to: [0, 0], angle: held, rope: L or rod: L",
-        **dict.fromkeys(("child", "body"), "point: {body: arm, at: [-L, 0]}"),
+        **dict.fromkeys(("child", "body", "body_b", "body2"), "point: {body: arm, at: [-L, 0]}"),
         **dict.fromkeys(
-            ("parent", "origin", "anchor", "between", "bodies"),
+            ("parent", "body_a", "body1", "origin", "anchor", "between", "bodies"),
             "to: [0, 0], or to: {body: rod, at: [0, L]}",
         ),
         **dict.fromkeys(
-            ("break_force", "breakForce", "breaking_force", "max_force", "strength"),
+            ("break_force", "breaking_force", "max_force", "strength"),
             'enabled: "hypot(JOINT.X, JOINT.Y) <= F"',
         ),
-        **dict.fromkeys(("lower", "lowerAngle", "upper", "upperAngle", "range"), "limits: [a, b]"),
+        **dict.fromkeys(
+            ("lower", "lower_angle", "upper", "upper_angle", "range"), "limits: [a, b]"
+        ),
         "axis": "to: {x: f} or {y: f}, which leaves the other component free",
         **JOINT_WORDS,
     }

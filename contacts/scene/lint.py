@@ -17,7 +17,7 @@ from statechart.documents.outputs import Count, Event, Value
 from statechart.documents.quantities import fields_of
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.formulas.formula import parse
-from statechart.formulas.relation import Comparison, Junction, parse_relation
+from statechart.formulas.relation import parse_relation
 from statechart.formulas.tree import Call, Name, Node, Number, Unary, nodes
 
 NEARLY_MEETING = 1e-3
@@ -265,7 +265,7 @@ def replaced_laws(scene: SceneFields, values: Mapping[str, float]) -> dict[str, 
             "by steps bounces end with a touchdown, and there is no such event; write the state "
             "that is entered, such as CONTACT.slide"
         )
-    replacements |= _passed_instants(scene)
+    replacements |= _passed_instants(scene, values)
     other_laws: dict[str, list[str]] = {}
     for name, contact in rigid.items():
         if contact.impact != MOREAU and not _impact_laws_agree(scene, contact, values):
@@ -277,35 +277,26 @@ def replaced_laws(scene: SceneFields, values: Mapping[str, float]) -> dict[str, 
     return replacements
 
 
-def _passed_instants(scene: SceneFields) -> Iterator[tuple[str, str]]:
-    """Yield the relations ``abs(POSITION) <= 0``, true at instants that steps pass over."""
+def _passed_instants(scene: SceneFields, values: Mapping[str, float]) -> Iterator[tuple[str, str]]:
+    """Yield relations of positions that hold at an instant only, which steps pass over."""
+    import sympy as sp
+
     relations = {f"stop.conditions.{n}": text for n, text in scene.stop.conditions.items()}
     for name, region in scene.regions.items():
         for transition, loc in declared_transitions(region, "regions", name):
             if transition.guard is not None:
                 relations[".".join(map(str, (*loc, "guard")))] = transition.guard
-    moving = {*scene.variables, TIME}
     for where, text in relations.items():
-        term = parse_relation(text).root
-        for one in term.parts if isinstance(term, Junction) and term.word == "and" else (term,):
-            if not isinstance(one, Comparison):
-                continue
-            sides = (one.left, one.right) if one.operator == "<=" else (one.right, one.left)
-            call, bound = sides[0].root, sides[1].root
-            names = sides[0].names - {*scene.parameters}
-            if (
-                one.operator in ("<=", ">=")
-                and isinstance(call, Call)
-                and call.function == "abs"
-                and bound == Number(0.0)
-                and names
-                and names <= moving
-            ):
-                yield (
-                    where,
-                    "steps pass over the instant at which this absolute value is 0; compare the "
-                    "value in it by <= or >=, which becomes true as it passes 0",
-                )
+        relation = parse_relation(text)
+        symbols = {name: sp.Symbol(name, real=True) for name in relation.names}
+        known = {**symbols, **{name: sp.Float(value) for name, value in values.items()}}
+        moving = {symbols[name] for name in relation.names & {*scene.variables, TIME}}
+        if relation.condition(known).instantaneous(moving):
+            yield (
+                where,
+                "steps pass over the instant at which it holds; write one comparison by <= or >=, "
+                "which becomes true as its left side passes the right one",
+            )
 
 
 def _accumulates(events: Sequence[Event]) -> bool:

@@ -73,13 +73,11 @@ class Body(Part):
         "m": "mass",
         **dict.fromkeys(("I", "J"), "inertia"),
         **dict.fromkeys(("count", "number", "n"), "copies"),
-        **dict.fromkeys(
-            ("velocity", "vel", "linearVelocity", "linear_velocity"), "start: {dx: ..., dy: ...}"
-        ),
-        **dict.fromkeys(("angularVelocity", "angular_velocity", "omega"), "start: {dangle: ...}"),
+        **dict.fromkeys(("velocity", "vel", "linear_velocity"), "start: {dx: ..., dy: ...}"),
+        **dict.fromkeys(("angular_velocity", "omega"), "start: {dangle: ...}"),
         "radius": "shape: {disc: r}, and radius: r of its contacts",
         **dict.fromkeys(
-            ("damping", "linearDamping", "drag"),
+            ("damping", "linear_damping", "drag"),
             "forces: {drag: {body: rod, force: [-c*rod.dx, -c*rod.dy]}}",
         ),
         **dict.fromkeys(("pos", "origin"), "start: {x: ..., y: ...}"),
@@ -89,10 +87,13 @@ class Body(Part):
         ),
         "inertial": "mass, and inertia",
         **dict.fromkeys(
-            ("static", "immovable", "is_static", "type"),
+            ("static", "immovable", "is_static"),
             "fixed: true, of a body with a shape that collides; else "
             "surfaces: {floor: {height: 0}}",
         ),
+        "type": "fixed: true, of a body that stands still; every other body with a mass moves",
+        "fixed_rotation": "no inertia: a particle does not turn; a shape needs a large one",
+        "freejoint": "no position: a body without one moves freely",
         "kinematic": 'position: ["v*time", 0], a path of a body with a shape that collides',
         "density": "mass, and inertia: of a disc m*r**2/2, of a box m*(width**2 + height**2)/12",
     }
@@ -290,7 +291,7 @@ class Surface(Part):
     OTHER_WORDS: ClassVar = {
         **dict.fromkeys(("slope", "angle"), "incline"),
         **dict.fromkeys(
-            ("plane", "type", "normal", "offset", "pos"),
+            ("plane", "halfspace", "half_space", "type", "normal", "offset", "pos"),
             "height: 0, incline: ANGLE, or line: [[0, 0], [1, 0]]",
         ),
         **dict.fromkeys(

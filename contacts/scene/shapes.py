@@ -27,8 +27,7 @@ class Shape(Part):
         **dict.fromkeys(
             ("box", "rectangle", "rect", "size"), "polygon: [[-a, -b], [a, -b], [a, b], [-a, b]]"
         ),
-        "circle": "disc",
-        "radius": "disc",
+        **dict.fromkeys(("circle", "sphere", "radius"), "disc: r"),
         **dict.fromkeys(
             ("square", "points", "vertices", "corners"), "polygon: [[-1, -1], [1, -1], [0, 1]]"
         ),
@@ -123,7 +122,7 @@ class Collision(Part):
     OTHER_WORDS: ClassVar = {
         **LAW_WORDS,
         **dict.fromkeys(
-            ("pairs", "layer", "layers", "mask", "category", "group"),
+            ("pairs", "layer", "layers", "mask", "category", "group", "category_bits", "mask_bits"),
             "bodies: [die, cup], which collide with each other; one list for each group",
         ),
         "sensor": "a relation among conditions, guards or outputs, such as die.y < 0",

@@ -70,6 +70,9 @@ class Chart(Declaration):
         **dict.fromkeys(("datamodel", "data", "locals", "vars"), "variables: {x: 0}"),
         **dict.fromkeys(("controls", "inputs"), "variables: {u: 0}, and entry: {u: 1} in states"),
         **dict.fromkeys(("clocks", "timers"), "variables: {c: 0} with flows: {c: 1}, or after: T"),
+        **dict.fromkeys(
+            ("equations", "initial_equation"), "variables: {x: 0}, and flows of states"
+        ),
         "events": "a transition; its name is an event that other regions hear",
         **dict.fromkeys(
             ("initial", "states", "transitions"), "regions: {NAME: {initial: ..., states: ...}}"

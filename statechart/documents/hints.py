@@ -96,7 +96,7 @@ OTHER_EVENTS: Mapping[str, str] = {
 
 def other_value(given: object, known: str) -> str:
     """Return advice on a synonym of a known value, or nothing."""
-    word = OTHER_VALUES.get(re.sub("[-_ ]", "", str(given).lower()), "")
+    word = OTHER_VALUES.get(_plain(str(given)), "")
     return f"write {word}" if f"'{word}'" in known else ""
 
 
@@ -140,6 +140,8 @@ def one_value(loc: Sequence[str | int], given: object) -> str:
     if len(loc) == 2 and loc[0] == "parameters":
         shown = f"ranges: {{{loc[1]}: {flow(given)}}}"
         return f"write {loc[1]}: {given[0]}; for checks {shown}; for a sweep --over {loc[1]}=..."
+    if loc[-1] == "on":
+        return f"write {' or '.join(map(str, given))}"
     return "write a contact for each surface" if loc[-1] == "surface" else ""
 
 
@@ -155,8 +157,21 @@ def known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> dict[str, st
 def other_word(model: type[BaseModel], loc: Sequence[str | int]) -> str:
     """Return our notation for a key of another program, or an empty text."""
     members = _models(_annotations_at(model, loc[:-1]))
-    words = (getattr(member, "OTHER_WORDS", {}).get(str(loc[-1]), "") for member in members)
-    return next(filter(None, words), "")
+    key = _plain(str(loc[-1]))
+    return next(
+        (
+            written
+            for member in members
+            for word, written in getattr(member, "OTHER_WORDS", {}).items()
+            if _plain(word) == key
+        ),
+        "",
+    )
+
+
+def _plain(word: str) -> str:
+    """Return a word without -, _ and blanks, in lower case unless it is one letter."""
+    return word if len(word) == 1 else re.sub("[-_ ]", "", word.lower())
 
 
 def sections_with_key(

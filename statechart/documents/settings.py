@@ -53,7 +53,7 @@ class Settings(Part):
     """Computation of a run; everything has a sensible default."""
 
     OTHER_WORDS: ClassVar = {
-        **dict.fromkeys(("dt", "timestep", "time_step"), "step"),
+        **dict.fromkeys(("dt", "timestep"), "step"),
         "solver": "engine",
         "iterations": "impulse_tolerance",
         "fps": "step; a film takes --speed",

@@ -133,6 +133,9 @@ def _empty(
                 "decimals have a point: 9.81",
             )
             continue
+        if "=" in str(loc[-1]):
+            yield at.error("a key has a colon", no_name(str(loc[-1])))
+            continue
         yield at.error(
             f"{'.'.join(map(str, loc))}: nothing is written",
             f"write a value{f', such as {shown}' if shown else ''}, or remove the key"
@@ -234,13 +237,16 @@ def _key_advice(details: ErrorDetails, model: type[BaseModel], known: Collection
         return "a colon has a blank behind it: key: value"
     if written := other_word(model, loc):
         return f"write {written}"
+    word, brace, value = key.partition("{")
+    if brace and isinstance(details["input"], str | int | float):
+        return f"write {word.strip()}: {{{value}: {details['input']}"
     if key and not NAME.fullmatch(key):
         if details["input"] is None and not key.isdecimal():
             word, _, value = key.partition(" ")
             if word in known and value:
                 return f"write {word}: {value}"
             return f"a comma in braces ends a value; a list stands in brackets: [..., {key}]"
-        return no_name(key)
+        return no_name(key) if " " not in key or key.replace(" ", "_") in known else ""
     return sections_with_key(model, loc, known)
 
 

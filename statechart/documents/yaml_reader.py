@@ -4,7 +4,8 @@ A document is built from the YAML event stream, not by a loader: size, depth, nu
 anchors, aliases, merge keys, tags and duplicate keys are checked first, since a few hundred bytes
 of aliases can occupy a loader for minutes.
 
-Plain scalars follow the core schema of YAML 1.2: `1e-3` is a number, `off` and `inf` are text.
+Plain scalars follow the core schema of YAML 1.2: `1e-3` is a number, `off` and `inf` are text. Only
+`+1` differs: it is a formula.
 """
 
 from __future__ import annotations
@@ -144,13 +145,18 @@ class _Builder:
                     "not YAML: '//'", "write a comment after #"
                 ) from None
         above = max((k for k in range(line) if lines[k].strip()), default=line)
-        found = re.fullmatch(r"( *)([\w.]+)[ :]+(\S.*)", lines[above].split(" #")[0].rstrip())
         indent = len(lines[line]) - len(lines[line].lstrip())
-        if found and ": " not in found[0] and len(found[1]) == indent:
-            raise self._at(above, indent).error(
-                f"not YAML: {found[0].strip()!r} has no colon with a blank behind it",
-                f"write {found[2]}: {found[3]}",
-            ) from None
+        for at in (above, line):
+            text = lines[at].split(" #")[0].rstrip()
+            found = braced = re.fullmatch(r"( *)([\w.]+) *(\{.*)", text)
+            if at == above and ": " not in text:
+                found = found or re.fullmatch(r"( *)([\w.]+)[ :]+(\S.*)", text)
+            if found and len(found[1]) == indent:
+                raise self._at(at, indent).error(
+                    f"not YAML: {(found[2] if braced else text.strip())!r} has no colon with a "
+                    "blank behind it",
+                    f"write {found[2]}: {found[3]}",
+                ) from None
 
     def _document(self, parsed: Iterator[events.Event], text: str) -> dict[str, Any]:
         first = next(parsed, None)

@@ -222,13 +222,15 @@ def margin_errors(
 ) -> float:
     """Return the error of a margin in a state (n,) with these `errors` of the variables.
 
-    It is the sum of the changes by each of them, by the round-off of time, and by that of its
-    terms.
+    It is the sum of the changes by each of them, of either sign, by the round-off of time, and by
+    that of its terms.
     """
-    states = np.vstack([state, state, state + np.diag(errors)])
+    shifts, delay = np.diag(errors), EVALUATION_ROUND_OFF * abs(time)
+    states = np.vstack([state, state, state + shifts, state, state - shifts])
     times = np.full(len(states), time)
-    times[1] += EVALUATION_ROUND_OFF * abs(time)
+    times[[1, len(errors) + 2]] += delay, -delay
     with np.errstate(all="ignore"):
         values = guards.table(states, parameters, times)[:, guard]
     (terms,) = sizes_at(guards, (guard,), state, np.abs(state), parameters, time)
-    return float(np.abs(values[1:] - values[0]).sum()) + EVALUATION_ROUND_OFF * terms
+    changes = np.abs(values[1:] - values[0]).reshape(2, -1).max(axis=0)
+    return float(changes.sum()) + EVALUATION_ROUND_OFF * terms

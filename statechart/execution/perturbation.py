@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from enum import Enum, auto
 
 import numpy as np
 
@@ -25,13 +26,21 @@ _HORIZON_FACTOR = 1e-3
 _GAP_FACTOR = 4.5
 
 
-def with_increased_start(automaton: Automaton, *, merging: bool) -> Automaton:
+class Start(Enum):
+    """Initial values of a run, and tolerances of its modes."""
+
+    DECLARED = auto()
+    INCREASED = auto()  # `with_increased_start`
+    INCREASED_WITH_TOLERANCES = auto()  # the same, with the tolerances of the declared start
+
+
+def with_increased_start(automaton: Automaton, start: Start) -> Automaton:
     """Return the automaton with all initial values increased by a small factor.
 
     The relative change is the tolerance of the run, at least a few units in the last place. Zeros
     stay zero, and symmetric starts symmetric. The first horizon is shorter, which changes the
-    round-off of all steps. Unless `merging`, modes have their least tolerances (of gaps: a few
-    times that), so that impacts which the run merges stay apart.
+    round-off of all steps. With `Start.INCREASED`, modes have their least tolerances (of gaps: a
+    few times that), so that impacts which the run merges stay apart.
     """
 
     def changed(setup: Setup, relative: float) -> Setup:
@@ -41,7 +50,7 @@ def with_increased_start(automaton: Automaton, *, merging: bool) -> Automaton:
         )
         return replace(perturbed, horizon=horizon)
 
-    return _with_setup(automaton, changed, None if merging else 0.0)
+    return _with_setup(automaton, changed, 0.0 if start is Start.INCREASED else None)
 
 
 def with_shifted_start(automaton: Automaton, part: float, signs: Array) -> Automaton:

@@ -15,6 +15,7 @@ import operator
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import partial, reduce
+from itertools import combinations
 from math import inf, isnan
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,8 @@ MAX_ATOMS = 100
 
 # Limit before equal atoms are merged, as of sums of abs of one variable.
 MAX_SPLITS = 10 * MAX_ATOMS
+
+_ROUND_OFF = 1e-14  # relative, of coefficients
 
 Active = Callable[[str, str], bool]
 """Region, state -> whether the state is active."""
@@ -103,6 +106,26 @@ class Condition:
         return self.single or (
             isinstance(self.root, Or) and all(isinstance(part, int) for part in self.root.parts)
         )
+
+    def instantaneous(self, moving: Collection[sp.Symbol]) -> bool:
+        """Return whether a part is true at instants only: ``x <= 1 and x >= 1`` of `moving` x."""
+        closed = {
+            k: atom.expression
+            for k, atom in enumerate(self.atoms)
+            if not atom.strict and set[Any]() < atom.expression.free_symbols <= {*moving}
+        }
+        if any(e.is_nonnegative and not e.is_positive for e in closed.values()):
+            return True
+        opposed = [{i, k} for i, k in combinations(closed, 2) if _opposed(closed[i], closed[k])]
+
+        def joint(tree: Any) -> bool:
+            if not isinstance(tree, And | Or):
+                return False
+            leaves = {part for part in tree.parts if isinstance(part, int)}
+            found = isinstance(tree, And) and any(pair <= leaves for pair in opposed)
+            return found or any(map(joint, tree.parts))
+
+        return joint(self.root)
 
     def names(self, name: str) -> tuple[str, ...]:
         """Return names of the atoms: `name` for a single one, else numbered."""
@@ -252,6 +275,15 @@ def _certificate(
     if isinstance(tree, Or) is truth:
         return min(certificate, key=len)
     return frozenset[int]().union(*certificate)
+
+
+def _opposed(a: sp.Expr, b: sp.Expr) -> bool:
+    """Return whether a is a negative multiple of b, up to round-off of coefficients."""
+    first, second = (e.expand().as_coefficients_dict() for e in (a, b))
+    if first.keys() != second.keys():
+        return False
+    ratios = [float(first[term] / second[term]) for term in first]
+    return max(ratios) < 0.0 and max(ratios) - min(ratios) <= -_ROUND_OFF * max(ratios)
 
 
 def condition_of(tree: Any, source: Source) -> Condition:

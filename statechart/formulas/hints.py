@@ -117,6 +117,8 @@ _PARTS: Mapping[str, str] = {
     "vx": "dx", "vy": "dy", "xdot": "dx", "ydot": "dy", "omega": "dangle", "theta": "angle",
     "phi": "angle", "normal": "V", "tangential": "H",
 }  # fmt: skip
+# Quantities of contacts, not of bodies.
+_OF_CONTACTS = frozenset({"V", "H", "N", "gap", "slip", "normal", "force"})
 # Piecewise functions: each piece is a state with a formula.
 _PIECEWISE = frozenset({"if", "where", "piecewise", "heaviside", "step"})
 # Rounding functions, for constants only.
@@ -139,8 +141,10 @@ _HYBRID: Mapping[str, str] = {
     ),
     **dict.fromkeys(("clip", "clamp", "saturate", "saturation", "limit"), "write sat(x, a, b)"),
     **dict.fromkeys(
-        ("after", "every"), "a transition has the key after: T or every: T, beside its guard"
+        ("after", "every", "sample"),
+        "a transition has the key after: T or every: T, beside its guard",
     ),
+    **dict.fromkeys(("noevent", "smooth"), "write its argument: a switch is not an event"),
     "integral": "write a variable with flows: {i: x}",
     "log10": "write log(x)/log(10)",
     **dict.fromkeys(("log2", "lb"), "write log(x)/log(2)"),
@@ -180,10 +184,17 @@ def meant(
     owners = sorted(own for own in names if dot and own.endswith(f".{part}"))
     if owners and any(own.startswith(f"{whole}.") for own in names):
         return f"{whole} has no {part}; write {' or '.join(owners[:3])}"
+    if part in _OF_CONTACTS and f"{whole}.dx" in names:
+        return "a body has no such quantity: a contact has V, H, gap and slip, a joint X and Y"
     other = _OTHERS.get(bare.lower(), "")
     if other in names and other not in functions:
         return f"write {other}"
-    for spelt in (bare, bare.lower(), other):
+    for spelt in (bare, bare.lower(), other, part):
         if spelt != name and (spelt in functions or spelt in constants):
             return f"write {spelt}{'(...)' if spelt in functions else ''}"
-    return close_matches(name, names) if names else "write a number"
+    if not names:
+        return "write a number"
+    advice = close_matches(name, names)
+    if constants and not dot and advice.startswith("known"):
+        advice += f"; declare a constant as parameters: {{{name}: 1}}"
+    return advice

@@ -13,9 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from statechart.arrays import EPS, Array, Ints
+from statechart.arrays import Array, Ints
 from statechart.automaton.regions import whole_margins
 from statechart.automaton.trace import Arc, Jump, Roles, Trace, sizes
+from statechart.engines.compiled_flow import EVALUATION_ROUND_OFF
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.execution.finding import STATE_ROUND_OFF, STATE_TOLERANCES, margin_errors
 from statechart.execution.simulator import Simulator
@@ -36,7 +37,6 @@ _EXTRAPOLATED = 1.0 / 64.0
 _AHEAD = 2.0
 # Relative time difference of simultaneous jumps.
 _SAME_INSTANT = 1e-12
-_TIME_ROUND_OFF = 8.0 * EPS
 
 
 class Graze(NamedTuple):
@@ -107,7 +107,8 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
             approaches += scan.between(batch)
             ends = [(arc, ended[id(arc)]) for arc in batch if id(arc) in ended]
             approaches += scan.beyond(ends)
-            for graze in scan.turned_back(ends):
+            joints = [(arc, None) for arc in batch if arc is not last_arcs[arc.j]]
+            for graze in scan.turned_back([*ends, *joints]):
                 tolerance = _SAME_INSTANT * max(graze.t, 1.0)
                 begin = bisect_left(times, graze.t - tolerance)
                 simultaneous = trace.jumps[begin : bisect_right(times, graze.t + tolerance)]
@@ -140,6 +141,7 @@ class _GuardScan:
         self._kinds = trace.tolerances
         relative_error = max(STATE_TOLERANCES * trace.tolerance, STATE_ROUND_OFF)
         self._errors = relative_error * sizes(trace)
+        self._round_off = EVALUATION_ROUND_OFF * sizes(trace)
         # Larger minima, relative to the size of a margin in its flows, are not refined.
         self._near = float(np.sqrt(relative_error))
 
@@ -200,15 +202,28 @@ class _GuardScan:
         order = np.lexsort((tau, of))
         return tau[order], np.concatenate(rows)[order], of[order]
 
+    def _minima(
+        self, arc: Arc, k: int, left: float, right: float, shifts: Array
+    ) -> tuple[Array, Array]:
+        """Return local times and values (m,) of minima of a guard in a bracket.
+
+        The variables are shifted by `shifts` (m, n) from those of the arc.
+        """
+        each = np.arange(len(shifts))
+        lefts, rights = np.full(len(shifts), left), np.full(len(shifts), right)
+        for _ in range(_REFINEMENTS):
+            tau = np.linspace(lefts, rights, _GRID + 1, axis=1)
+            states = sample_states(arc.coefficients, arc.times, tau.ravel())
+            shifted = (states.reshape(*tau.shape, -1) + shifts[:, None]).reshape(states.shape)
+            values = self._table(shifted, arc.start.high + tau.ravel())[:, k].reshape(tau.shape)
+            i = values.argmin(axis=1)
+            lefts, rights = tau[each, np.maximum(i - 1, 0)], tau[each, np.minimum(i + 1, _GRID)]
+        return 0.5 * (lefts + rights), values.min(axis=1)
+
     def _least(self, arc: Arc, k: int, left: float, right: float) -> float:
         """Return the local time of the minimum of a guard in a bracket."""
-        for _ in range(_REFINEMENTS):
-            tau = np.linspace(left, right, _GRID + 1)
-            states = sample_states(arc.coefficients, arc.times, tau)
-            values = self._table(states, arc.start.high + tau)[:, k]
-            i = int(np.argmin(values))
-            left, right = tau.item(max(i - 1, 0)), tau.item(min(i + 1, _GRID))
-        return 0.5 * (left + right)
+        times, _ = self._minima(arc, k, left, right, np.zeros((1, len(self._errors))))
+        return times.item()
 
     def beyond(self, ends: Sequence[tuple[Arc, Jump]]) -> Iterator[Graze]:
         """Yield undecided guards that fired, by extrapolating the flow, or with a parabola."""
@@ -221,21 +236,33 @@ class _GuardScan:
             beyond, now, before, first = guards[:, k].tolist()
             bend, fall = now - 2.0 * before + first, 0.5 * (3.0 * now - 4.0 * before + first)
             end, graze = arc.times.item(-1), None
+            last = end - arc.times.item(-2)
             if bend > 0.0 > fall:
                 graze = self._open(arc, k, end, -0.5 * fall * (fall / bend), fired=True)
             if graze is None and beyond > now:
                 # One relation makes the guard true, and another one ends that.
-                at = self._least(arc, k, end, end + _AHEAD * (end - arc.times.item(-2)))
-                # A guard such as abs(x) <= 0 is true at one instant only.
-                if at - end > _TIME_ROUND_OFF * max(at, 1.0):
-                    graze = self._open(arc, k, at, 0.0, fired=True)
-            if graze:
+                at = self._least(arc, k, end, end + _AHEAD * last)
+                graze = self._open(arc, k, at, 0.0, fired=True)
+            if graze and self._shifts(arc, k, end - last, end + _AHEAD * last, graze.t):
                 yield graze
 
-    def turned_back(self, ends: Sequence[tuple[Arc, Jump]]) -> Iterator[Graze]:
+    def _shifts(self, arc: Arc, k: int, left: float, right: float, t: float) -> bool:
+        """Return whether errors of variables change the minimum of a guard in a bracket.
+
+        They only delay that of guards such as ``abs(x) <= 0``, which is zero for any error.
+        """
+        errors = np.diag(self._errors)
+        shifts = np.vstack([np.zeros(len(errors)), errors, -errors])
+        times, minima = self._minima(arc, k, left, right, shifts)
+        state = sample_states(arc.coefficients, arc.times, times[:1])[0]
+        round_off = margin_errors(self._guards, k, state, self._round_off, self._values, t)
+        return bool(np.abs(minima - minima[0]).max() > round_off)
+
+    def turned_back(self, ends: Sequence[tuple[Arc, Jump | None]]) -> Iterator[Graze]:
         """Yield guards and stop conditions within their error of zero at another event.
 
-        The state after that event decides whether they fire.
+        The state after that event decides whether they fire. Where a relation of a guard ends, or a
+        function switches, there is no jump.
         """
         places = [
             k
@@ -251,9 +278,9 @@ class _GuardScan:
         for i, place in np.argwhere(falling & near).tolist():
             (arc, jump), k = ends[i], places[place]
             graze = self._open(arc, k, arc.times.item(-1), 0.0, fired=False)
-            fired = graze and self._named.get(jump.fired[0]) == graze.guard not in self._stops
-            if graze and not fired:
-                yield graze._replace(turned=True)
+            cause = jump and self._named.get(jump.fired[0])
+            if graze and (cause != graze.guard or graze.guard in self._stops):
+                yield graze._replace(turned=jump is not None)
 
     def _last(self, arcs: Sequence[Arc]) -> Array:
         """Return the guards shortly after the end of flows, there and shortly before, (m, 4, k)."""

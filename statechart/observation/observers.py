@@ -11,7 +11,7 @@ from statechart.documents.setting import Record, Setting
 from statechart.engines.engine import Allowance, Engine
 from statechart.engines.request import choose
 from statechart.execution.compiled_modes import SolvedModes
-from statechart.execution.perturbation import with_increased_start
+from statechart.execution.perturbation import Start, with_increased_start
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.observer import Observer
@@ -25,17 +25,17 @@ class Observers:
         self, automaton: Automaton, *, allowance: Allowance | None = None, progress: bool = False
     ) -> None:
         self._automaton, self._allowance, self._progress = automaton, allowance, progress
-        self._kept: dict[tuple[Setting, bool, bool], Observer] = {}
+        self._kept: dict[tuple[Setting, Start], Observer] = {}
         # Solved modes do not depend on tolerance, engine or start.
         self._solved = SolvedModes(automaton)
 
-    def at(self, setting: Setting, *, off: bool = False, merging: bool = False) -> Observer:
+    def at(self, setting: Setting, start: Start = Start.DECLARED) -> Observer:
         """Return the observer of a setting.
 
-        `off`, `merging`: runs start perturbed by the tolerance (`with_increased_start`). Raises
-        `DeclarationError` for an unknown engine or method, or an engine that is not installed.
+        Raises `DeclarationError` for an unknown engine or method, or an engine that is not
+        installed.
         """
-        key = setting, off, merging
+        key = setting, start
         found = self._kept.get(key)
         if found is None:
             simulator = self._simulator(*key)
@@ -64,11 +64,9 @@ class Observers:
 
     def fresh(self, setting: Setting) -> Simulator | SteppingSimulator:
         """Return a new simulator that shares the solved modes."""
-        return self._simulator(setting, off=False, merging=False)
+        return self._simulator(setting, Start.DECLARED)
 
-    def _simulator(
-        self, setting: Setting, off: bool, merging: bool
-    ) -> Simulator | SteppingSimulator:
+    def _simulator(self, setting: Setting, start: Start) -> Simulator | SteppingSimulator:
         if setting.step is not None:
             asked = Impulses(
                 setting.impulse_tolerance or DEFAULT_IMPULSES.tolerance,
@@ -78,7 +76,7 @@ class Observers:
                 self._automaton, setting.step, asked, setting.recorded, progress=self._progress
             )
         automaton = self._automaton
-        if off:
-            automaton = with_increased_start(automaton, merging=merging)
+        if start is not Start.DECLARED:
+            automaton = with_increased_start(automaton, start)
         engine, solved = self.engine(setting), self._solved
         return Simulator(automaton, engine, solved=solved, progress=self._progress)

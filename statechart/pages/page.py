@@ -169,8 +169,7 @@ def _shape(film: Film, shape: Shape, part: float) -> dict[str, Any]:
         "turns": shape.turns,
     }
     if shape.slack is not None:
-        made["slack"] = _pack(part * shape.slack, np.float32)
-        made["floor"] = part * shape.floor if np.isfinite(shape.floor) else None
+        made["slack"] = shape.slack.tolist()
     if shape.kind == "ground":
         made["strokes"] = _short(part * hatching(shape.points, film.spacing).reshape(-1, 4))
     return made

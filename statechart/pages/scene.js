@@ -65,11 +65,11 @@ function shaped(scene, shape, behind) {
     return;
   }
   if (linked) {
-    const slack = shape.slack && float(shape.slack);
     const line = made(group, "path", { class: `link ${shape.kind}` });
     moving.push((k) => {
       const [a, b] = [placed(shape.points[0], shape.frame, k), placed(shape.points.at(-1), shape.other, k)];
-      line.setAttribute("d", slack ? path(catenary(a, b, slack[k], shape.floor)) : between(a, b, shape));
+      line.setAttribute("d", between(a, b, shape));
+      if (shape.slack) line.classList.toggle("slack", shape.slack[k]);
     });
     return;
   }
@@ -124,25 +124,6 @@ function between(a, b, { kind, aside }) {
     parts.at(-1).push([0.88, 0], [1, 0]);
   }
   return parts.map((part) => path(part.map(at))).join("");
-}
-// A rope that hangs, or lies on the floor; see `catenary` in film.py.
-function catenary(a, b, slack, floor) {
-  const lowest = Math.min(floor ?? -Infinity, a[1], b[1]);
-  const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
-  const length = Math.hypot(dx, dy) + Math.max(slack, 0);
-  const wide = Math.max(Math.abs(dx), 1e-6 * length);
-  const ratio = Math.log(Math.max(Math.sqrt((length - dy) * (length + dy)) / wide, 1));
-  let h = Math.sqrt(6 * ratio);
-  if (!(h > 1e-3)) return [a, b];
-  for (let i = 0; i < 8; i++)
-    h -= (h + Math.log1p(-Math.exp(-2 * h)) - Math.log(2 * h) - ratio) / (1 / Math.tanh(h) - 1 / h);
-  const [middle, c] = [Math.atanh(dy / length), wide / (2 * h)];
-  const [low, high] = [Math.sinh(middle - h), Math.sinh(middle + h)];
-  const points = Array.from({ length: 39 }, (_, i) => {
-    const s = low + ((i + 1) / 40) * (high - low);
-    return [a[0] + Math.sign(dx) * c * (Math.asinh(s) - middle + h), Math.max(a[1] + c * (Math.hypot(1, s) - Math.hypot(1, low)), lowest)];
-  });
-  return [a, ...points, b];
 }
 function touching(scene, touch) {
   const region = data.regions[touch.region];
@@ -207,7 +188,7 @@ if (film) {
   const scale = made(scene, "g", { id: "scale" });
   const [long, edge] = [length / real, 0.03 * 2 * h];
   made(scale, "path", { class: "bar-scale", d: `M0 -8V8M0 0H${long}M${long} -8V8` });
-  made(scale, "text", { x: long / 2, y: -14, "text-anchor": "middle" }, `${level(length)} ${film.of}`.trim());
+  made(scale, "text", { y: -14 }, `${level(length)} ${film.of}`.trim());
   moving.push((k) => scale.setAttribute("transform",
     `translate(${film.centres[2 * k] - w + 20} ${-film.centres[2 * k + 1] + h - edge - 8})`));
 } else byId("scene").remove();

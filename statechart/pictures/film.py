@@ -29,7 +29,7 @@ ShapeKind = Literal[
 
 outline: a filled polygon. disc: a filled circle. bar: a thick line with round ends. mass, joint,
 pivot: marks of a fixed size on the paper, at one point. link, rope, spring, damper, reaction: from
-a point of one frame to a point of another; a slack rope hangs, or lies on the floor. coupling:
+a point of one frame to a point of another; a slack rope is dashed. coupling:
 from a point to a point, with a mark between, which the state of its region colours. ground: a line,
 the solid on its right, which is hatched.
 """
@@ -49,9 +49,8 @@ class Shape:
 
     The last point of what joins two frames is in the frame `other`; `radius` is that of a disc. The
     state of `region` (a number in the film, -1 for none) colours it, and `name` is its owner's. A
-    spring or damper is drawn `aside` of its line, in half widths of a spring, to the left; a rope
-    is longer by `slack` (k,) than the distance of its ends, above a level `floor`. A disc that
-    `turns` has a radius.
+    spring or damper is drawn `aside` of its line, in half widths of a spring, to the left; `slack`
+    (k,) is where a rope is dashed. A disc that `turns` has a radius.
     """
 
     kind: ShapeKind
@@ -62,8 +61,7 @@ class Shape:
     region: int = -1
     name: str = ""
     aside: float = 0.0
-    slack: Array | None = None
-    floor: float = -np.inf
+    slack: NDArray[np.bool_] | None = None
     turns: bool = False
 
 
@@ -168,42 +166,6 @@ def ends_of(shape: Shape, poses: Array) -> tuple[Array, Array]:
     """Return the first and last point (..., 2) of a shape, for poses (..., f, 3) of all frames."""
     first = place_points(shape.points[:1], poses[..., shape.frame, :])
     return first[..., 0, :], place_points(shape.points[-1:], poses[..., shape.other, :])[..., 0, :]
-
-
-# A sag below this part of half the distance of the ends is not visible; points of a curve.
-_STRAIGHT, _HANGING = 1e-3, 41
-
-
-def catenary(first: Array, last: Array, slack: Array, floor: float = -np.inf) -> Array:
-    """Return points (k, 41, 2) of ropes that hang between ends (k, 2), or lie on a level floor.
-
-    A rope of length L, whose ends are dx and dy apart, is y = c cosh(x/c) with dx = 2 a c, where
-    sinh(a)/a = sqrt(L^2 - dy^2)/dx, and its middle is at x/c = artanh(dy/L). Points are at equal
-    lengths of the rope; a taut rope is straight.
-    """
-    dx, dy = (last - first).T
-    length = np.hypot(dx, dy) + np.maximum(slack, 0.0)
-    wide = np.maximum(np.abs(dx), 1e-6 * length)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        # Newton's method for log(sinh(a)/a) = log(ratio), convex, from below.
-        ratio = np.log(np.maximum(np.sqrt((length - dy) * (length + dy)) / wide, 1.0))
-        a = np.sqrt(6.0 * ratio)
-        hangs = a > _STRAIGHT
-        for _ in range(8):
-            sinh = a + np.log1p(-np.exp(-2.0 * a)) - np.log(2.0 * a)
-            a = a - (sinh - ratio) / (1.0 / np.tanh(a) - 1.0 / a)
-        middle = np.arctanh(dy / length)
-        c, low, high = wide / (2.0 * a), middle - a, middle + a
-    part = np.linspace(0.0, 1.0, _HANGING)
-    points = first[:, None] + part[:, None] * (last - first)[:, None]
-    c, low, high = (values[hangs, None] for values in (c, low, high))
-    tangential = (1.0 - part) * np.sinh(low) + part * np.sinh(high)
-    x = np.sign(dx)[hangs, None] * c * (np.arcsinh(tangential) - low)
-    y = c * (np.hypot(1.0, tangential) - np.cosh(low))
-    points[hangs, 1:-1] = first[hangs, None] + np.stack([x, y], axis=-1)[:, 1:-1]
-    lowest = np.minimum(floor, np.minimum(first, last)[:, 1])
-    points[..., 1] = np.maximum(points[..., 1], lowest[:, None])
-    return points
 
 
 def hatching(points: Array, spacing: float) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.palette import FRAME, INK, state_colours
-from statechart.pictures.film import BETWEEN, WORLD, Film, Shape, catenary, ends_of, hatching
+from statechart.pictures.film import BETWEEN, WORLD, Film, Shape, ends_of, hatching
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 BODY, SOLID = "#C5D3E2", "#EEF1F4"
 """Fill colours of bodies and of the solid below surfaces."""
 
+_DASHED = (0, (4, 3))
 # Sizes relative to the width of the picture.
 _BAR, _MASS, _MARK = 0.012, 0.02, 0.011
 _WINDINGS = 7
@@ -89,7 +90,9 @@ class Scenery:
         for shape, artists in self._made:
             if shape.kind in BETWEEN:
                 ends = np.array(ends_of(shape, self._film.poses[instant]))
-                artists[0].set_data(*self._line(shape, ends, instant).T)
+                artists[0].set_data(*self._line(shape, ends).T)
+                if shape.slack is not None:
+                    artists[0].set_linestyle(_DASHED if shape.slack[instant] else "-")
                 if shape.kind == "coupling":
                     artists[1].set_data(*ends.mean(axis=0)[:, None])
                     artists[1].set_markerfacecolor(state_colour(self._film, instant, shape.region))
@@ -100,10 +103,8 @@ class Scenery:
                 for artist in artists:
                     artist.set_transform(transform)
 
-    def _line(self, shape: Shape, ends: Array, instant: int) -> Array:
+    def _line(self, shape: Shape, ends: Array) -> Array:
         """Return the line between two ends; parts of it are separated by nan."""
-        if shape.slack is not None:
-            return catenary(ends[:1], ends[1:], shape.slack[[instant]], shape.floor)[0]
         direction = ends[1] - ends[0]
         length = float(np.hypot(*direction))
         if shape.kind not in _PROFILES or length == 0.0:
@@ -162,7 +163,7 @@ class Scenery:
 
     def _reaction(self, shape: Shape) -> list[Artist]:
         (line,) = self._link(shape)
-        line.set(linestyle=(0, (4, 3)))
+        line.set(linestyle=_DASHED)
         return [line]
 
     def _coupling(self, shape: Shape) -> list[Artist]:

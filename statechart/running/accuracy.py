@@ -22,6 +22,7 @@ from statechart.engines.engine import Allowance
 from statechart.engines.request import TIGHTER, Chosen, Plan, choose
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.execution.flow import STIFF
+from statechart.execution.perturbation import Start
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.difference import (
     Difference,
@@ -631,16 +632,20 @@ class RunPlanner:
         return simulator.certified(trace, overrides, until=end)
 
     def _once(
-        self, setting: Setting, overrides: Mapping[str, float], end: float, *, off: bool = False
+        self,
+        setting: Setting,
+        overrides: Mapping[str, float],
+        end: float,
+        start: Start = Start.DECLARED,
     ) -> tuple[Observer, Trace]:
-        observer = self._observers.at(setting, off=off)
+        observer = self._observers.at(setting, start)
         try:
             return observer, observer.simulator.run(overrides, until=end, throw=False)
         except DeclarationProblem:
-            if not off:
+            if start is Start.DECLARED:
                 raise
         # The perturbed start keeps its constraints within the tolerances of the run only.
-        observer = self._observers.at(setting, off=True, merging=True)
+        observer = self._observers.at(setting, Start.INCREASED_WITH_TOLERANCES)
         return observer, observer.simulator.run(overrides, until=end, throw=False)
 
     def _change_engine(self, trace: Trace) -> bool:
@@ -665,7 +670,8 @@ class RunPlanner:
         setting, plan, basis = self.setting, self._plan, self._plan.basis
 
         def once(tolerance: float, off: bool) -> tuple[Observer, Trace]:
-            return self._once(replace(setting, tolerance=tolerance), overrides, end, off=off)
+            start = Start.INCREASED if off else Start.DECLARED
+            return self._once(replace(setting, tolerance=tolerance), overrides, end, start)
 
         def run_step(step: float) -> tuple[Observer, Trace]:
             return self._once(replace(setting, accuracy=None, step=step), overrides, end)

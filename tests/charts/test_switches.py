@@ -241,6 +241,17 @@ def test_a_tank_that_has_drained_stays_empty_until_water_flows_in() -> None:
     assert filled.final == pytest.approx([0.6096118], rel=1e-6)
 
 
+@pytest.mark.parametrize("rate", ["-sqrt(max(h, 0))", "-sign(h)*sqrt(abs(h))"])
+def test_a_tank_whose_outflow_has_no_series_at_zero_empties_on_time(rate: str) -> None:
+    chart = flow({"h": 1}, h=rate)
+    trace = Simulator(chart, TAYLOR).run(until=2.5, throw=False)
+    assert trace.outcome is Outcome.UNSUPPORTED
+    assert "has no Taylor series at t = 2" in trace.message
+    drained = run(chart, SCIPY, 2.5)
+    assert breaks(drained)[0] == pytest.approx(2.0, abs=1e-7)
+    assert drained.final == pytest.approx([0.0], abs=1e-15)
+
+
 def test_switches_at_a_steady_pace_that_cannot_reach_the_end_are_too_long() -> None:
     trace = Simulator(flow({"x": 1, "v": 0}, x="v", v="-sign(x)"), TAYLOR).run(
         until=1e9, throw=False

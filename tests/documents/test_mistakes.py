@@ -41,6 +41,8 @@ MISTAKES = {
     "line of C": ("gravity: g", "// earth\ngravity: g", "5:1: not YAML: '//'; write a comment af"),
     "material": ("friction: mu", "material: ice", "write friction, and restitution"),
     "gravity in space": ("gravity: g", "gravity: [0, 0, -9.81]", "not 3; such as [0, -9.81]"),
+    "step of Box2D": ("stop: {", "settings: {timeStep: 0.1}\nstop: {", "'timeStep'; write step"),
+    "force of a body without contacts": ("value: time", "value: rod.force", "a contact has V, H"),
     "colon left out": ("gravity: g", "gravity g", "5:1: not YAML: 'gravity g' has no colon with"),
     "blank left out": ("  rod: {", "  rod:\n    copies:1\n    copies: 2\n  stick: {",
                        "'copies:1' has no colon with a blank behind it; write copies: 1"),
@@ -357,6 +359,16 @@ OF_CHARTS = {
     "choice": ("n: n + 1", "n: if T > 1 then 2 else 3", "a state or transition for each case"),
     "ternary": ("n: n + 1", "n: 'T > 1 ? 2 : 3'", "a state or transition for each case"),
     "increment": ("n: n + 1", "n: n++", "write the new value, such as n + 1"),
+    "increment of one": ("n: n + 1", "n: +1", "9:69: regions.switch.transitions.0.updates.n: +1 is "
+                         "read as the new value, not as an increment; write VARIABLE + 1, or 1"),
+    "colon before a brace": ("variables: {", "variables {", "3:1: not YAML: 'variables' has no "
+                             "colon with a blank behind it; write variables: {T: 15, n: 0}"),
+    "colon before a brace of one key": ("stop: {", "stop {", "10:1: unknown key 'stop {time'; write"
+                                        " stop: {time: 10}"),
+    "equals in a mapping": ("{T: 1}", "{T = 1}", "7:27: a key has a colon; write T: 1"),
+    "events in a list": ("guard: T >= 20", "on: [a.go, b.go]", "write a.go or b.go"),
+    "no event": ("{T: 1}", "{T: noEvent(T)}", "write its argument: a switch is not an event"),
+    "constant of a library": ("{T: 1}", "{T: Modelica.Constants.pi}", "write pi"),
     "sum assigned": ("n: n + 1", "n: += 1", "write the new value, such as n + 1"),
     "equality": ("T >= 20", "T = 20", "not an assignment; compare with <=, <, >= or >"),
     "rate": ("{T: 1}", "{dT: 1}",

@@ -59,7 +59,7 @@ outputs:
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
 @pytest.mark.parametrize("torque", [2, -2])
-@pytest.mark.parametrize(("start", "on"), [(0, 0), (math.pi, 0), (0, 0.5)])
+@pytest.mark.parametrize(("start", "on"), [(0, 0), (math.pi, 0), (0, 0.5), (math.pi, 0.5)])
 def test_friction_does_not_hold_a_yoke_at_its_dead_centre(
     engine: str, torque: float, start: float, on: float
 ) -> None:
@@ -71,6 +71,22 @@ def test_friction_does_not_hold_a_yoke_at_its_dead_centre(
     assert result.outputs["surplus"] == pytest.approx(0.0, abs=1e-9)
     assert 0.5 < result.outputs["way"] < 1.5  # Before the block turns round
     assert result.outputs["held"] == pytest.approx(on, abs=1e-9)
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+@pytest.mark.parametrize("torque", [1e-3, 1e-4, -1e-5])
+@pytest.mark.parametrize("start", [0, math.pi, 2 * math.pi])
+def test_friction_stops_a_yoke_that_a_small_couple_turns(
+    engine: str, torque: float, start: float
+) -> None:
+    # I q'' = T - mu m g q: at t = pi/w friction holds the block.
+    text = YOKE.replace("stop: {time: on + 1}", "stop: {time: 4}")
+    result = statechart.run(
+        read_text(text, "y.yaml"), parameters={"T": torque, "q0": start}, engine=engine
+    )
+    stiffness = 0.05 * 2 * 9.81
+    assert result.trace.jumps[-1].t == pytest.approx(math.pi / math.sqrt(stiffness), rel=1e-5)
+    assert result.outputs["way"] == pytest.approx(2 * abs(torque) / stiffness, rel=1e-5)
 
 
 def test_a_yoke_off_its_dead_centre_is_held() -> None:

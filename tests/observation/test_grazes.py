@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pytest
@@ -327,3 +328,53 @@ stop: {{time: 2}}
         result = statechart.run(interpret(read_text(text.replace(guard, clear))), engine=engine)
         assert len(result.trace.jumps) == 1
         assert not told(result)
+
+
+@pytest.mark.parametrize("guard", [
+    "x >= 0.5 and time <= pi/12 - 5e-14",
+    "x >= 0.5 and time <= pi/12 + 5e-14",
+    "time >= pi/12 + 5e-14 and x <= 0.5",
+    "x >= 0.5 and 1 - y <= pi/12 - 5e-14",
+    "x >= 0.5 and 1 - y <= pi/12 + 5e-14",
+    "x >= 0.5 and v >= sqrt(3)",
+    "min(x - 0.5, pi/12 - time) >= 0",
+    "not (x < 0.5 or time > pi/12)",
+])  # fmt: skip
+def test_relations_that_change_within_their_errors_give_a_warning(engine: str, guard: str) -> None:
+    # x = sin(2 t) is 1/2 at t = pi/12.
+    text = f"""
+kind: chart
+name: rises
+variables: {{x: 0, v: 2, y: 1}}
+regions:
+  r:
+    initial: a
+    states: {{a: {{flows: {{x: v, v: -4*x, y: -1}}}}, b: {{flows: {{x: v, v: -4*x}}}}}}
+    transitions: [{{name: go, from: a, to: b, guard: "{guard}"}}]
+stop: {{time: 1}}
+"""
+    result = statechart.run(interpret(read_text(text)), engine=engine, tolerance=1e-13)
+    (warning,) = told(result)
+    assert warning.startswith("r.go ")
+    assert "at t = 0.261799" in warning
+    for clear in ("abs(x - 0.5) <= 0", "x >= 0.5 and 2*x <= 1", "x >= 0.5 and time <= 0.2618"):
+        result = statechart.run(interpret(read_text(text.replace(guard, clear))), engine=engine)
+        assert [jump.t for jump in result.trace.jumps] == pytest.approx([math.pi / 12], abs=1e-11)
+        assert not told(result)
+
+
+def test_a_relation_that_holds_where_a_control_saturates_gives_a_warning(engine: str) -> None:
+    # u = min(3 t, 3) reaches 3 as w = max(0, t - 1) leaves 0.
+    text = """
+kind: chart
+name: saturates
+variables: {x: 0}
+regions:
+  r:
+    initial: a
+    states: {a: {flows: {x: 1}}, b: {}}
+    transitions: [{name: go, from: a, to: b, guard: "min(3*min(x, 1), 3 - max(0, x - 1)) >= 3"}]
+stop: {time: 2}
+"""
+    result = statechart.run(interpret(read_text(text)), engine=engine)
+    assert len(result.trace.jumps) + len(told(result)) == 1

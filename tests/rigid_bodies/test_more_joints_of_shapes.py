@@ -128,6 +128,26 @@ def test_a_rope_rebounds_by_its_restitution():
     assert outputs["up"] == pytest.approx(0.5 * fallen, rel=2e-3)
 
 
+def test_discs_on_one_rope_collide():
+    """The rope takes half of 2 m/s after 0.35 s, and the discs meet 0.8 further on at 1.15 s."""
+    text = """
+kind: scene
+name: leash
+bodies:
+  a: {mass: 1, inertia: 0.01, shape: {disc: 0.1}}
+  b: {mass: 3, inertia: 0.03, shape: {disc: 0.1}, start: {x: 0.3, dx: 2}}
+joints: {rope: {point: {body: a}, to: {body: b}, rope: 1, restitution: 0.5}}
+collisions: {all: {bodies: [a, b], friction: 0, restitution: 0.8}}
+stop: {time: 2.5}
+settings: {engine: impulse, step: 1e-3}
+outputs: {met: {value: time, at: first a.touchdown}, rate: {value: b.dx - a.dx}}
+"""
+    outputs = Runner(interpret(read_text(text))).run().outputs
+    assert outputs["met"] == pytest.approx(1.15, abs=2e-3)
+    # It was -1 before the discs met, 0.8 until the rope was taut again, and -0.4 then.
+    assert outputs["rate"] == pytest.approx(-0.4, rel=1e-9)
+
+
 def test_a_rod_is_a_pendulum():
     """From the horizontal: sqrt(2 g) at the lowest point, after K(1/2)/sqrt(g) = 0.59196 s."""
     quarter = float(ellipk(0.5)) / math.sqrt(G)

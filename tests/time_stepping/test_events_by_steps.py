@@ -672,9 +672,17 @@ def test_a_controller_lifts_a_floor_that_nothing_touches() -> None:
     [
         ("abs(b.x - 2.5) <= 0 and b.dx > 0", True),
         ("0 >= abs(b.x - 2.5)", True),
+        ("b.x >= 2.5 and b.x <= 2.5", True),
+        ("b.x >= 2.5 and b.dx > 0 and not (2*b.x > 5)", True),
+        ("max(b.x - 2.5, 2.5 - b.x) <= 0", True),
+        ("abs(b.x - 2.5) <= nothing", True),
+        ("(b.x - 2.5)**2 <= 0", True),
+        ("b.x >= 2.5 and b.x <= 2.6", False),
+        ("b.x >= 2.5 or b.x <= -2.5", False),
+        ("b.x >= 2.5 and b.y <= 2.5", False),
         ("b.x >= 2.5", False),
         ("abs(b.dy) <= 0", False),
-        ("abs(b.x - 2.5) <= 0 or b.dx < 0", False),
+        ("abs(b.x - 2.5) <= 0 or b.x < -1", True),
     ],
 )
 @pytest.mark.parametrize("guarded", [False, True])
@@ -689,6 +697,7 @@ def test_steps_warn_of_an_instant_that_they_pass_over(
     )
     text = (
         "kind: scene\nname: passing\ngravity: 9.81\n"
+        "parameters: {nothing: 0}\n"
         f"bodies: {{b: {{mass: 1, start: {{y: 1, dx: 2, dy: 1}}}}}}\n{watch}"
     )
     model = interpret(read_text(text, "passing.yaml"))
@@ -697,5 +706,5 @@ def test_steps_warn_of_an_instant_that_they_pass_over(
     assert any(passes in warning for warning in trace.warnings) == warns
     trace = statechart.run(model, engine="scipy").trace
     assert not any(passes in warning for warning in trace.warnings)
-    if "b.x" in relation:
+    if "b.x" in relation and "**" not in relation:
         assert trace.jumps[-1].t == pytest.approx(1.25, abs=1e-9)
