@@ -6,7 +6,7 @@ coordinates that a mode leaves. `gates` are the relations that keep contacts on,
 judges them; `controllers` has regions of controllers, their guards and variables, and
 `surface_jumps` follows the surfaces that these move.
 Numbers: `setup_evaluation` makes the `setup` of a run, with its `scales` and each `contact_law`;
-`snapshot` evaluates the equations at a state, `held_forces` are those of signs at rest,
-`projection` brings a state onto the constraints, `starting` checks the start.
+`snapshot` evaluates the equations at a state, with signs that are dry friction, `held_forces` are
+those of other signs, `projection` brings a state onto the constraints, `starting` checks the start.
 `components` are uncoupled bodies.
 """

@@ -326,26 +326,7 @@ class ConditionsAt:
 
 
 def undecided_couplings(mechanics: Mechanics) -> Iterator[str]:
-    """Yield warnings: relations of couplings at their bounds while locked, signs beside friction.
-
-    A contact that sticks bears all that it shares with a sign of the same speed.
-    """
-    initial = values_in(mechanics, mechanics.scene.controlled.initial)
-    forces = mechanics.generalised_forces if mechanics.held_forces else ()
-    signs = set().union(*(force.xreplace(initial).atoms(sp.sign) for force in forces))
-    for sign in sorted(signs, key=sp.default_sort_key):
-        row = [sp.diff(sign.args[0], v) for v in mechanics.v]
-        for name in mechanics.scene.frictional:
-            contact = mechanics.scene.contacts.get(name)
-            along = zip(row, mechanics.contact(name).jacobian_t, strict=True)
-            ratios = {r if t == 0 else r / t for r, t in along if (r, t) != (0, 0)}
-            holds = contact is None or "pin" in contact.kinds
-            if holds and any(row) and len(ratios) == 1:
-                yield (
-                    f"friction of {name} and a sign in forces hold the same motion: while it "
-                    "sticks it bears all, and what exceeds it may end the run; write the sign as "
-                    "couplings: {f: {bodies: [a], limit: F}}"
-                )
+    """Yield a warning for each relation of a coupling that is at its bound while it is locked."""
     for name in mechanics.scene.couplings:
         gate, slip = mechanics.gate(name), mechanics.contact(name).symbols.slip
         for rate in [v for v in mechanics.v if v in slip.free_symbols][:1]:

@@ -17,7 +17,6 @@ from statechart.arrays import Array
 from statechart.automaton.laws import Flow
 from statechart.automaton.regions import Mode
 from statechart.automaton.switches import slides
-from statechart.errors import SingularMode
 from statechart.formulas.tape import Tape
 
 
@@ -32,13 +31,10 @@ class HeldForces:
         self, setup: SceneSetup, flow: Flow, state: Array, time: float, tape: SnapshotTape
     ) -> SceneSetup:
         """Return the setup with the forces of sign functions of a flow in a state."""
-        if setup.modes is None or not any(map(slides, flow.signs)):
+        # The laws know signs that are dry friction by their limits.
+        if setup.modes is None or tape.signs or not any(map(slides, flow.signs)):
             return setup
-        try:
-            mechanics, mode = self._mechanics, setup.modes(flow.moving)
-        except SingularMode:
-            # Constraints that have just closed may share loads, which is decided next.
-            return setup
+        mechanics, mode = self._mechanics, setup.modes(flow.moving)
         if mode not in self._tapes:
             # The controls of the contact laws, not those that the mode solves for.
             controlled = {} if tape.states is None else values_in(mechanics, tape.states)

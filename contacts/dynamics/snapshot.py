@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import NamedTuple
@@ -19,10 +19,13 @@ from contacts.dynamics.joints import (
     motions,
 )
 from contacts.dynamics.mechanics import Mechanics
+from contacts.scene.modes import SignFriction
 from contacts.solvers.saddle_point import INEXACT, SINGULAR, saddle
 from statechart.arrays import Array
 from statechart.errors import SingularMode
+from statechart.formulas.linear import Definition
 from statechart.formulas.tape import Tape
+from statechart.formulas.writer import to_text
 
 SCALARS, EDGES = 11, 7
 """Numbers per contact after the Jacobians and biases: gap, its rate, slip, point, tangent; from
@@ -75,6 +78,7 @@ class Snapshot(NamedTuple):
     pads: int = 0  # Coordinates that are pads of compliant contacts, the last ones
     # (c, n): Generalised normal forces of compliant contacts; `forces` includes those with gap 0
     pushes: Array | None = None
+    signs: SignNumbers | None = None  # None where no sign is dry friction
 
     @property
     def unreduced(self) -> Snapshot:
@@ -119,6 +123,14 @@ class Snapshot(NamedTuple):
         rest = total - np.einsum("ckn,ck->n", self.unreduced.jacobians, forces)
         result[independent] = np.linalg.lstsq(joints.jacobian[independent].T, rest)[0]
         return result
+
+
+class SignNumbers(NamedTuple):
+    """Signs that are dry friction."""
+
+    frictions: tuple[SignFriction, ...]
+    numbers: Array  # (k, 3): slip, its bias, limit
+    rows: Array  # (k, coordinates)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +195,10 @@ class SnapshotTape:
         self._limits = 2 * len(couplings)
         for name in couplings:
             outputs += mechanics.limits(name)
+        self._end = len(outputs)
+        self.signs = sign_frictions(mechanics, mechanics.controlled(states))
+        for sign in self.signs:
+            outputs += [sign.slip, sign.bias, sign.limit, *sign.row]
         self.tape: Tape = mechanics.tape(outputs, definitions=mechanics.controlled(states))
 
     def at(self, values: Array, state: Array, time: float) -> Snapshot:
@@ -196,7 +212,8 @@ class SnapshotTape:
         """Return the snapshot without joints, and the joint rows."""
         n, count = self.size, self.count
         square, at, end, further, last = self._ends
-        numbers = self.tape.at(state, values, time)
+        found = self.tape.at(state, values, time)
+        numbers, signs = found[: self._end], found[self._end :]
         jacobians = numbers[at:end].reshape(count, 2, n)
         listed = numbers[end:last].tolist()
         further -= end
@@ -223,6 +240,9 @@ class SnapshotTape:
             numbers[end : end + further].reshape(count, 2),
             limits=numbers[len(numbers) - self._limits :].reshape(-1, 2),
         )
+        if self.signs:
+            rows = np.pad(signs.reshape(-1, 3 + n), ((0, 0), (0, len(self._pads))))
+            whole = whole._replace(signs=SignNumbers(self.signs, rows[:, :3], rows[:, 3:]))
         if self._pads:
             end = len(numbers) - self._limits
             whole = self._padded(whole, numbers[end - 3 * len(self._pads) : end])
@@ -311,6 +331,7 @@ def _reduce(whole: Snapshot, joints: JointNumbers, groups: Sequence[JointGroup])
         whole.limits,
         whole.pads,
         None if whole.pushes is None else whole.pushes @ basis,
+        whole.signs,
     )
 
 
@@ -343,3 +364,41 @@ def answer(
     The second array is the impulses; None if the system is singular (see `solve_kkt`).
     """
     return solve_kkt(snapshot.mass, np.zeros(len(snapshot.forces)), rows, columns, rates)
+
+
+def sign_frictions(
+    mechanics: Mechanics, controlled: Iterable[Definition]
+) -> tuple[SignFriction, ...]:
+    """Return the signs of speeds in the forces of a scene, where all are dry friction; else none.
+
+    Forces ``-limit sign(s) ds/dv`` of rates of change s: where s is zero the force is any up to the
+    limit, as that of a locked coupling (Moreau 1988).
+
+    `controlled` are the values of what states of controllers set, in order.
+    """
+    if not mechanics.held_forces:
+        return ()
+    known: dict[sp.Symbol, sp.Expr] = {}
+    for symbol, value in controlled:
+        known[symbol] = value.xreplace(known)
+    forces = [force.xreplace(known) for force in mechanics.generalised_forces]
+    names = dict(zip(mechanics.variables, map(sp.Symbol, mechanics.variable_names), strict=True))
+    at_rest = dict.fromkeys(mechanics.a, sp.S.Zero)
+    found = []
+    for sign in sorted(set().union(*(f.atoms(sp.sign) for f in forces)), key=sp.default_sort_key):
+        (slip,) = sign.args
+        if not slip.has(*mechanics.v):
+            continue  # A switch of places or of time.
+        size = sp.Dummy("sign", real=True)
+        effects = [sp.diff(force.xreplace({sign: size}), size) for force in forces]
+        row = tuple(sp.diff(slip, v) for v in mechanics.v)
+        limit = next((-e / r for e, r in zip(effects, row, strict=True) if r != 0), None)
+        kinked = slip.has(sp.sign, sp.Abs, sp.Max, sp.Min, *mechanics.controller_state.values())
+        if limit is None or kinked or limit.has(sp.sign, size):
+            return ()
+        if any(sp.expand(e + limit * r) != 0 for e, r in zip(effects, row, strict=True)):
+            return ()
+        bias = mechanics.rate(slip).xreplace(at_rest)
+        name = to_text(sp.sign(slip).xreplace(names)).replace(" ", "")
+        found.append(SignFriction(name, slip, bias, limit, row))
+    return tuple(found)

@@ -21,6 +21,7 @@ from contacts.dynamics.contact_law import ContactLaw, bounds, carriers, cones
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.snapshot import Snapshot
 from contacts.modes.load_sharing import Share, share
+from contacts.scene.modes import SignFriction
 from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.solvers.mode_solver import (
     AGAINST,
@@ -86,6 +87,7 @@ class Case(NamedTuple):
     at_rest: Sequence[bool]
     scales: Scales  # For judging inequalities
     tie: float = 0.0  # Relative violations up to this are boundary cases
+    signs: int = 0  # How many of the laws, the last, are signs (`contacts.modes.classification`)
 
 
 class Candidate(NamedTuple):
@@ -101,6 +103,11 @@ class Candidate(NamedTuple):
     broken: tuple[str, int, float]
     share: Share | None = None  # Smallest forces, if the motion does not determine them
     undetermined: str = ""  # Reason why it determines no motion
+
+    def of_contacts(self, count: int, frictions: Sequence[SignFriction]) -> Candidate:
+        """Return the mode of the first contacts, those behind them being signs."""
+        share = None if self.share is None else self.share.of_contacts(count, frictions)
+        return self._replace(states=self.states[:count], forces=self.forces[:count], share=share)
 
     @property
     def roles(self) -> Roles:
@@ -138,7 +145,7 @@ def candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
 def _solved_combinations(
     case: Case, combinations: Sequence[tuple[str, ...]], codes: Ints
 ) -> list[Candidate]:
-    snapshot, laws, closed, at_rest, scales, tie = case
+    snapshot, laws, closed, at_rest, scales, tie, _ = case
     edges = bounds(laws, snapshot)
     count, contacts = codes.shape
     touching = tuple(c and not law.coupling for c, law in zip(closed, laws, strict=True))
@@ -206,6 +213,7 @@ def _explain(
                 carriers(tuple(case.laws)),
                 candidate.forces,
                 inward,
+                case.signs,
             )
         if shared_forces is None or shared_forces.violation > tie * scales.force:
             failed.append((candidate, codes[k]))
@@ -273,7 +281,7 @@ def lemke_candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candi
     Trinkle's form; the force of a slipping contact is along the edge that opposes the slip). It
     only proposes modes; these are solved and checked as all others. Empty without a solution.
     """
-    snapshot, laws, closed, at_rest, scales, _ = case
+    snapshot, laws, closed, at_rest, scales, *_ = case
     group = [i for i, is_closed in enumerate(closed) if is_closed]
     slides = np.array([0.0 if at_rest[i] else np.sign(snapshot.contacts[i].slip) for i in group])
     # Contacts at rest have their static friction.

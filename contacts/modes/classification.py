@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import NamedTuple
@@ -43,6 +44,7 @@ from contacts.solvers.mode_solver import (
 )
 from contacts.states import (
     CODES,
+    COUPLING_STATES,
     DISENGAGED,
     INACTIVE,
     OFF,
@@ -69,6 +71,14 @@ class ForceUncertainty(NamedTuple):
     certain_modes: Key
     # Contacts with a force that has just passed its bound, which is certain, too
     fell: Collection[int] = ()
+
+    def with_signs(self, which: Sequence[int]) -> ForceUncertainty:
+        """Return the uncertainty of contacts and signs."""
+
+        def at(state: Array, later: float) -> Snapshot:
+            return _with_signs(self.at(state, later), which)
+
+        return self._replace(at=at, certain_modes=(*self.certain_modes, *(["locked"] * len(which))))
 
     def sticking(
         self, case: Case, options: Sequence[Sequence[str]], taken: Candidate
@@ -220,6 +230,10 @@ class Before(NamedTuple):
     # Contacts that may bear a load; a load on others would have no cause
     bearing: frozenset[int] = frozenset()
 
+    def is_mode(self, states: tuple[str, ...]) -> bool:
+        """Return whether contacts, which signs may follow, are in the mode."""
+        return self.mode is not None and states[: len(self.mode)] == self.mode
+
     @classmethod
     def flow(cls, roles: Roles, mode: tuple[str, ...] | None = None) -> Before:
         """Return mode and loads of a flow."""
@@ -245,12 +259,18 @@ def choose(
     Raises `NoConsistentMode` or `AmbiguousMode` with every candidate and its reason, and
     `NonFinite` if the state has no finite forces.
     """
-    before = before or Before(bearing=frozenset(range(len(laws))))
+    count, resting = len(laws), _signs_at_rest(snapshot, slip_tolerance)
+    before = before or Before(bearing=frozenset(range(count)))
+    if resting:
+        snapshot, laws = _with_signs(snapshot, resting), (*laws, *_laws_of(snapshot, resting))
+        closed, signs = [*closed, *([True] * len(resting))], range(count, len(laws))
+        before = before._replace(bearing=before.bearing.union(signs))
+        uncertainty = None if uncertainty is None else uncertainty.with_signs(resting)
     at_rest = [abs(contact.slip) <= slip_tolerance for contact in snapshot.contacts]
     options = [*map(_options, snapshot.contacts, laws, closed, at_rest)]
     for i, carrier in resistance_pairs(tuple(laws)):
         options[i] = options[i] if closed[carrier] else ("free",)
-    case = Case(snapshot, laws, closed, at_rest, scales, tie)
+    case = Case(snapshot, laws, closed, at_rest, scales, tie, len(resting))
     tried: list[Candidate] = []
     agreeing: list[Candidate] = []
     touching = sum(closed)
@@ -306,6 +326,8 @@ def choose(
         upper, lower = LIMIT_MARGINS if laws[k].coupling else FORCE_MARGINS[1:]
         margin = upper if taken.forces[k, 1] > 0.0 else lower
         tolerances[f"{laws[k].name}.{margin}"] = _BOUNDARY * scales.force
+    if snapshot.signs is not None:
+        taken = taken.of_contacts(count, [snapshot.signs.frictions[k] for k in resting])
     return Choice(taken, considered, warning, notes, tolerances, uncertain is not None)
 
 
@@ -322,7 +344,7 @@ def _continuing_candidates(
     """
     previous = None
     if len(agreeing) > 1 and before.mode is not None:
-        of_mode = (c for c in (*agreeing, *tried) if c.states == before.mode)
+        of_mode = (c for c in (*agreeing, *tried) if before.is_mode(c.states))
         previous = next((c for c in of_mode if not c.undetermined), None)
     if previous is None or (
         previous.share is not None and not _bearing(previous) <= before.bearing
@@ -343,13 +365,13 @@ def _select_candidate(
 
     Raises `AmbiguousMode` if their motions differ and all keep every contact closed.
     """
-    _, laws, closed, _, scales, tie = case
+    _, laws, closed, _, scales, tie, _ = case
     taken = agreeing[0]
     if len(agreeing) == 1:
         return taken, ""
     clear = [c for c in agreeing if c.violation <= _NEGLIGIBLE_TIE * tie]
     for candidate in clear:
-        if candidate.share is not None and candidate.states == before.mode:
+        if candidate.share is not None and before.is_mode(candidate.states):
             return _without_new_loads(candidate, clear, case, before.bearing)
     # A contact held by static friction does not start to slip because another does.
     firmer, holding = _more_sticking(case), clear
@@ -544,3 +566,51 @@ def _verdict(candidate: Candidate, tie: float) -> str:
     if candidate.violation <= tie:
         return f"consistent within the tie band: {candidate.reason}"
     return candidate.reason
+
+
+def _signs_at_rest(snapshot: Snapshot, still_below: float) -> list[int]:
+    """Return the signs at rest: with rates of at most `still_below`."""
+    if snapshot.signs is None:
+        return []
+    slips, _, limits = snapshot.signs.numbers.T
+    slow = np.abs(slips) <= still_below * np.abs(snapshot.signs.rows).max(axis=1, initial=0.0)
+    found: list[int] = np.flatnonzero(slow & (limits > 0.0)).tolist()
+    return found
+
+
+def _laws_of(snapshot: Snapshot, which: Sequence[int]) -> tuple[ContactLaw, ...]:
+    """Return signs as laws of couplings."""
+    assert snapshot.signs is not None
+    names = [snapshot.signs.frictions[k].name for k in which]
+    return tuple(ContactLaw(n, COUPLING_STATES, 0.0, 1.0, 0.0, "newton", True) for n in names)
+
+
+def _with_signs(snapshot: Snapshot, which: Sequence[int]) -> Snapshot:
+    """Return the snapshot with signs as its last couplings, and without their forces."""
+    assert snapshot.signs is not None
+    slips, biases, limits = snapshot.signs.numbers[which].T
+    rows, reduction = snapshot.signs.rows[which], snapshot.reduction
+    effect = np.sign(slips) * limits
+    if reduction is None:
+        return _add_couplings(snapshot, rows, biases, limits, effect)
+    whole = _add_couplings(snapshot.unreduced, rows, biases, limits, effect)
+    biases, rows = biases + rows @ reduction.drift, rows @ reduction.basis
+    extended = _add_couplings(snapshot, rows, biases, limits, effect)
+    return extended._replace(reduction=replace(reduction, unreduced=whole))
+
+
+def _add_couplings(
+    snapshot: Snapshot, rows: Array, biases: Array, limits: Array, effect: Array
+) -> Snapshot:
+    jacobians = np.stack([np.zeros_like(rows), rows], axis=1)
+    contacts = [
+        PerContact(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, bias, jacobian)
+        for bias, jacobian in zip(biases.tolist(), jacobians, strict=True)
+    ]
+    return snapshot._replace(
+        forces=snapshot.forces + effect @ rows,
+        contacts=(*snapshot.contacts, *contacts),
+        jacobians=np.concatenate([snapshot.jacobians, jacobians]),
+        biases=np.concatenate([snapshot.biases, np.stack([0.0 * biases, biases], axis=1)]),
+        limits=np.concatenate([snapshot.limits, np.stack([limits, limits], axis=1)]),
+    )

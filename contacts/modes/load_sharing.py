@@ -11,12 +11,12 @@ mode; the mode ends when no forces in the cones explain the motion.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from contacts.dynamics.snapshot import Snapshot
-from contacts.scene.modes import OWN, Bearing
+from contacts.scene.modes import OWN, Bearing, SignFriction
 from contacts.solvers.dependence import independent_rows
 from contacts.solvers.mode_solver import is_coupling, judge_forces, write_limits
 from contacts.solvers.redundancy import mode_columns, redundant_contacts
@@ -60,6 +60,18 @@ class Share:
     violation: float
     # Contacts inside their cones or limits whose forces lie on the boundary, to round-off
     bounded: tuple[int, ...] = ()
+    signs: tuple[tuple[SignFriction, str], ...] = ()  # Signs that share, and their zones
+
+    def of_contacts(self, count: int, frictions: Sequence[SignFriction]) -> Share | None:
+        """Return the load sharing of the first contacts, without the signs that follow them."""
+        behind = zip(frictions, self.zones[count:], strict=True)
+        signs = tuple((sign, zone) for sign, zone in behind if zone != OWN)
+        zones, rows, carriers = self.zones[:count], self.rows[:count], self.carriers[:count]
+        if all(zone == OWN for zone in zones):
+            return None
+        return replace(
+            self, forces=self.forces[:count], zones=zones, rows=rows, carriers=carriers, signs=signs
+        )
 
     def roles(self, states: Sequence[str]) -> Roles:
         """Return the roles of contacts in `states`, with their zones and independent rows."""
@@ -70,8 +82,8 @@ class Share:
         for k, (state, zone, rows, carriers) in enumerate(contacts):
             bearing = None
             if zone != OWN:
-                joints = self.joints if k == first_shared else ()
-                bearing = Bearing(zone, rows, carriers, self.coordinates, joints)
+                once = (self.joints, self.signs) if k == first_shared else ((), ())
+                bearing = Bearing(zone, rows, carriers, self.coordinates, *once)
             elif rows != all_rows.get(state, "n"):
                 bearing = Bearing(zone, rows)
             result.append(Role(state, share=bearing))
@@ -91,13 +103,15 @@ def share(
     loaded_by: Ints,
     forces: Array,
     inward: float,
+    signs: int,
 ) -> Share | None:
     """Return the smallest forces within the cones equivalent to `forces`; None if there are none.
 
     The modes `code` (c,) are those of `contacts.states`; `forces` explain the motion, inside their
     `cones` or not. A bias `inward` into the cones regularises the search of zones, so that they
     determine the forces also on the boundary of the feasible loads. `loaded_by` are the carriers of
-    `ModeEquations`.
+    `ModeEquations`; the last `signs` modes are those of sign functions, which carry nothing in the
+    equations of a flow.
     """
     limits, cones = cones, cones.copy()
     couplings = np.flatnonzero([is_coupling(c) for c in code.tolist()])
@@ -107,8 +121,10 @@ def share(
     shared = np.flatnonzero(
         redundant_contacts(code, cones, jacobians, independent_rows(flat)[0], len(flat))
     )
-    shares = np.isin(owners, shared)
-    count, order, _ = independent_rows(flat)
+    shares, carrying = np.isin(owners, shared), owners < len(code) - signs
+    if independent_rows(flat[shares & carrying])[0] < independent_rows(flat[shares])[0]:
+        return None
+    count, order, _ = independent_rows(flat[carrying])
     load = np.einsum("gdn,gd->n", jacobians[shared], forces[shared])
     motion_rank, chosen, _ = independent_rows(np.ascontiguousarray(flat[shares].T))
     coordinates = np.sort(chosen[:motion_rank])
@@ -157,7 +173,7 @@ def share(
         "".join(letters[i] for i in np.nonzero(owners == k)[0].tolist() if i in independent)
         for k in range(len(code))
     )
-    rows = _row_names(code, jacobians)
+    rows = _row_names(code[: len(code) - signs], jacobians) + ("",) * signs
     joints = np.zeros(0, dtype=np.int64)
     if snapshot.reduction is not None:
         joints = np.nonzero(~snapshot.reduction.joints.redundant)[0]

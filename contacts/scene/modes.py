@@ -143,6 +143,16 @@ def off_state(contact: ContactSymbols, back: tuple[Margin, ...]) -> State:
     return State((contact.V, contact.H), back, values=contact.friction.used.get(0, {}))
 
 
+class SignFriction(NamedTuple):
+    """Dry friction by a sign, as expressions."""
+
+    name: str  # As in formulas, without spaces.
+    slip: sp.Expr  # The rate in the sign.
+    bias: sp.Expr  # Its derivative where nothing accelerates.
+    limit: sp.Expr
+    row: tuple[sp.Expr, ...]  # (n,): derivatives of the slip by the rates.
+
+
 class Bearing(NamedTuple):
     """Equations of a contact that shares its load."""
 
@@ -154,6 +164,8 @@ class Bearing(NamedTuple):
     coordinates: tuple[int, ...] = ()  # Independent displacements of the load sharing
     # Joint rows that these displacements satisfy; given once in a mode
     joints: tuple[int, ...] = ()
+    # Signs that share the load, and their zones; named once, too
+    signs: tuple[tuple[SignFriction, str], ...] = ()
 
 
 OWN = "own"
@@ -222,7 +234,17 @@ def share_of(
         for i in places:
             # A spring at the joint, with zero deflection, makes the pivots nonzero.
             balances[y[i]] += row[i] * (reaction + displacement)
-    loads = Loads(carried, tuple(carriers.values()), laws, balances)
+    known: dict[sp.Expr, sp.Expr] = {}
+    for (name, slip, _, most, row), zone in bearing.signs:
+        spring = sp.Add(*(row[i] * y[i] for i in places if i < len(row)))
+        # A sign on its bound has it in the equations of motion.
+        side = {"upper": 1, "lower": -1}.get(zone, 0)
+        known[sp.sign(slip)] = sp.Integer(-side)
+        for i in places:
+            balances[y[i]] += row[i] * spring if side == 0 and i < len(row) else 0
+        rooms = (side * spring - most,) if side else (most - spring, most + spring)
+        margins += tuple(Margin(f"{name}.{k}", room, "force") for k, room in enumerate(rooms))
+    loads = Loads(carried, tuple(carriers.values()), laws, balances, known)
     if contact.compliance is not None:
         independent = tuple(equation.xreplace(carried) for equation in independent)
     return State(independent, margins, values=state.values, loads=loads)

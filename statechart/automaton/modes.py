@@ -35,6 +35,8 @@ def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) 
     states = [region.build(role) for region, role in zip(automaton.regions, roles, strict=True)]
     loads = [state.loads for state in states if state.loads is not None]
     substitution: dict[sp.Expr, sp.Expr] = dict.fromkeys(zeros, sp.S.Zero)
+    for load in loads:
+        substitution |= load.known
     values = {control: value for state in states for control, value in state.values.items()}
     controls = []
     for control in automaton.controls:

@@ -220,6 +220,7 @@ class Loads:
     carriers: tuple[sp.Symbol, ...]  # unknowns of these expressions
     laws: Mapping[sp.Symbol, sp.Expr]  # unknown -> its linear equation (= 0)
     balances: Mapping[sp.Symbol, sp.Expr]  # shared unknown -> term of a sum over states (= 0)
+    known: Mapping[sp.Expr, sp.Expr] = field(default_factory=dict)  # expression -> value
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,13 +33,7 @@ from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.filippov import Filippov
 from statechart.execution.finding import closing, from_here, only_stops
 from statechart.execution.flow import FOLLOWED, UNFOLLOWED, Advance
-from statechart.execution.livelock import (
-    JUMPS_AT_ONCE,
-    SIGN_ADVICE,
-    Livelock,
-    check_pace,
-    loop_error,
-)
+from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, loop_error
 from statechart.execution.outcome import Progress, error_of
 from statechart.execution.zeno import Accumulation, summed
 from statechart.formulas.series import sizes_at
@@ -519,18 +513,19 @@ class Execution:
             if self.flow.settled and self._filippov is None:
                 break
         else:
-            raise loop_error(
-                self.record.jumps[-6:], self.clock, self.automaton, signs=any(self._switched[3:4])
-            )
+            raise loop_error(self.record.jumps[-6:], self.clock, self.automaton)
         if fired and not projected:
             if self.failure is not None:
                 if fired != (UNBOUNDED,) or not (last := self._fell_at_last()):
                     raise self.failure
                 return self.outcome is Outcome.STOPPED or self.settle((*last, UNBOUNDED))
             if self._livelock.stalled(self.clock, fired) and not self._widen(*fired):
+                advice = (
+                    "; instead of sign write couplings: {f: {bodies: [a], limit: F}}, or a contact"
+                )
                 self.failure = errors.EventLoop(
                     f"{', '.join(fired)} falls at t = {self.clock.high:.6g}, but no jump follows"
-                    + (SIGN_ADVICE if self.flow.signs else "")
+                    + (advice if self.flow.signs else "")
                 )
                 return self.settle((UNBOUNDED,))
         self.failure = None

@@ -26,9 +26,6 @@ SWITCHES = 512
 """Number of switches after which their pace is extrapolated, if it is steady over quarters."""
 _TOO_MANY_SWITCHES = 1e6
 
-SIGN_ADVICE = "; instead of sign write couplings: {f: {bodies: [a], limit: F}}, or a contact"
-"""Advice where signs of speeds and contacts hold the same motion."""
-
 STEADY = 4096
 """Number of jumps from which a pace that was steady over three doublings is extrapolated."""
 
@@ -117,12 +114,7 @@ def check_pace(jumps: Sequence[Jump], clock: Clock, until: float, max_jumps: int
 
 
 def loop_error(
-    last: Sequence[Jump],
-    clock: Clock,
-    automaton: Automaton,
-    count: int = JUMPS_AT_ONCE,
-    *,
-    signs: bool = False,
+    last: Sequence[Jump], clock: Clock, automaton: Automaton, count: int = JUMPS_AT_ONCE
 ) -> EventLoop:
     """Return the error of too many jumps at one instant, with the last ones."""
     message = f"{count} jumps at t = {clock.high:.6g}: "
@@ -130,7 +122,7 @@ def loop_error(
     guards = {(r.name, e.cause): e.guard for r in automaton.regions for e in r.nesting.edges}
     fired = [(jump.region, jump.cause) for jump in last]
     if not guards or not {*fired} <= guards.keys():
-        return EventLoop(message + (SIGN_ADVICE if signs else ""))
+        return EventLoop(message)
     guard_texts = [f"{event[1]} ({guards[event]})" for event in dict.fromkeys(fired)]
     if len(guard_texts) == 1:
         return EventLoop(

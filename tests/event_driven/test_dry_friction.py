@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from contacts.scene.scene import Scene
-from statechart.automaton.trace import Outcome, Trace
+from statechart.automaton.trace import Trace
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.running.runner import run
@@ -91,18 +91,6 @@ def test_a_sign_in_a_force_is_friction_of_a_contact(engine: str) -> None:
     assert written.outputs["heat"] == pytest.approx(-MU * MASS * G * written.outputs["way"])
 
 
-WHEEL = """\
-kind: scene
-name: wheel
-gravity: 9.81
-bodies: {{w: {{mass: 1, inertia: 0.5, start: {{y: 1, dx: 1, dangle: -1}}}}}}
-surfaces: {{f: {{height: 0}}}}
-contacts: {{c: {{point: {{body: w}}, radius: 1, surface: f, friction: 0.5, restitution: 0}}}}
-forces: {{b: {{body: w, force: [0.2, 0], moment: "{moment}"}}}}
-stop: {{time: 1}}
-"""
-
-
 @engines
 def test_friction_holds_a_body_up_to_its_limit(engine: str) -> None:
     trace = run(scene(PUSHED), engine=engine).trace
@@ -138,16 +126,23 @@ def test_steps_stand_still_under_a_push_below_friction() -> None:
 
 
 @engines
+@pytest.mark.parametrize("drag", [0.4, 2.5, 6.0])
 @pytest.mark.parametrize("force", ["", "u"])
-def test_sign_beside_friction_of_the_same_motion_is_warned_of(engine: str, force: str) -> None:
-    both = run(shares("-0.4*sign(b.dx)", MU, force), engine=engine).trace
-    alone = run(shares(0, MU + 0.4 / (MASS * G)), engine=engine).trace
+def test_sign_and_contact_share_their_limits(engine: str, drag: float, force: str) -> None:
+    both = run(shares(f"-{drag}*sign(b.dx)", MU, force), engine=engine).trace
+    alone = run(shares(0, MU + drag / (MASS * G)), engine=engine).trace
     assert [jump.cause for jump in both.jumps] == [jump.cause for jump in alone.jumps]
+    assert [jump.t for jump in both.jumps] == pytest.approx([j.t for j in alone.jumps], abs=1e-11)
     assert both.final == pytest.approx(alone.final, abs=1e-11)
-    warning = "friction of c and a sign in forces hold the same motion"
-    assert warning in both.warnings[0]
-    stronger = run(shares("-2.5*sign(b.dx)", MU, force), engine=engine, throw=False).trace
-    assert stronger.outcome is Outcome.EVENT_LOOP
-    assert "write couplings" in stronger.message
-    wheel = WHEEL.format(moment="-0.3*sign(w.dangle)")
-    assert not run(read_text(wheel), engine=engine).trace.warnings
+    assert both.certified
+
+
+@pytest.mark.parametrize("push", [0.5, 1.5])
+def test_the_smallest_forces_of_a_contact_and_a_sign_are_shown(push: float) -> None:
+    text = BLOCK.replace("friction: 0, modes: [slide]", f"friction: {MU}, modes: [slide, pin]")
+    text = text.replace("-k*b.x + 6*sin(2*time) + u", f"{push} - 0.5*sign(b.dx)")
+    text = text.replace("outputs: {", "outputs: {H: {value: c.H}, ")
+    result = run(scene(text), engine="taylor")
+    # Equal springs share, until the sign is at its limit.
+    assert result.outputs["H"] == pytest.approx(-max(push / 2, push - 0.5), abs=1e-12)
+    assert "the forces of c, sign(b.dx) are indeterminate" in " ".join(result.warnings)
