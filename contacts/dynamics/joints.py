@@ -154,6 +154,8 @@ def without_noise(jacobian: Array) -> Array:
 
 def dependent(rows: Sequence[tuple[str, Array]]) -> str:
     """Return a sentence on the rows that have become dependent; "" if there are none."""
+    # No coordinate moves a row of zeros.
+    rows = [(name, row) for name, row in rows if row.any()]
     if len(rows) < 2:
         return ""
     scaled = np.array([row for _, row in rows])
