@@ -76,6 +76,8 @@ def choose_mode(
 
 # A tangential row below this, relative to the scales, is zero.
 _NULL_ROW = 1e-9
+# Smaller accelerations, relative to the scales, are round-off.
+_STILL = 1e-12
 # The slip of a point is evaluated at times that shrink by this factor, at most so often, until it
 # grows by a power of time to this accuracy: its leading power decides the direction.
 _SHORTER, _TRIALS, _CLEAR = 4.0, 10, 0.02
@@ -123,8 +125,14 @@ def choose_at_rest(
         return choice
     accelerations = snapshot.solved(choice.taken.accelerations, choice.taken.forces)[0][:half]
     paces = np.abs(accelerations) / sizes
-    if not paces.any():
-        return choice
+    if not paces.max() > _STILL * setup.scales.acceleration / setup.scales.length:
+        # Contacts are pinned. A coupling without a row cannot be locked: the way in which a slow
+        # motion would turn it decides, so that round-off does not grow.
+        idle = [i for i in idle if setup.contacts[i].coupling]
+        if not idle or basis.shape[1] != 1:
+            return choice
+        accelerations = basis[:half, 0]
+        paces = np.abs(accelerations) / sizes
 
     def slips(later: float) -> Array:
         """Return the slips of the points after a time."""

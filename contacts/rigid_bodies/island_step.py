@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -287,49 +286,6 @@ def apply_row_impulse(
             rates[b, 0] += inverse[b, 0] * rows[i, d, k] * amount
             rates[b, 1] += inverse[b, 1] * rows[i, d, k + 1] * amount
             rates[b, 2] += inverse[b, 2] * rows[i, d, k + 2] * amount
-
-
-# Relative accuracy of impulses: a stack of twelve under a body of 1e8 times their mass misses 1e-6
-# in half of its steps, two bodies from 4e9 on, the round-off of one product.
-_VELOCITY_ROUND_OFF = 64.0 * 2.0**-52
-# Residual, relative to the fastest approach, from which impulses hold nothing apart.
-_HOLDS_NOTHING = 0.1
-
-
-@kernel
-def note_worst(inverse: Array, bodies: Ints, members: Ints, residual: float, worst: Array) -> None:
-    """Note an island if its mass ratio exceeds that of islands noted before.
-
-    `bodies` (c, 2) are those of all contacts, -1 for a surface, `members` (m,) the island's
-    contacts; `worst` (4,) has mass ratio, lightest body, heaviest body and residual.
-    """
-    light = heavy = -1
-    for i in members:
-        for side in range(2):
-            b = bodies[i, side]
-            if b >= 0 and (light < 0 or inverse[b, 0] > inverse[light, 0]):
-                light = b
-            if b >= 0 and (heavy < 0 or inverse[b, 0] < inverse[heavy, 0]):
-                heavy = b
-    ratio = inverse[light, 0] / inverse[heavy, 0]
-    if ratio > worst[0]:
-        worst[0], worst[1], worst[2], worst[3] = ratio, light, heavy, residual
-
-
-def mass_ratio_warnings(worst: Array, names: Sequence[str], tolerance: float) -> tuple[str, ...]:
-    """Return a warning of mass ratios at which the tolerance cannot be met."""
-    ratio, light, heavy, residual = worst.tolist()
-    # With equal masses the tolerance itself is below round-off.
-    if ratio * _VELOCITY_ROUND_OFF <= tolerance or tolerance < _VELOCITY_ROUND_OFF:
-        return ()
-    reached = max(ratio * _VELOCITY_ROUND_OFF, residual)
-    looser = f", or an impulse_tolerance of {reached:.0e}" if reached < _HOLDS_NOTHING else ""
-    return (
-        f"bodies {names[int(light)]!r} and {names[int(heavy)]!r} are pressed together, and their "
-        f"masses are 1 to {ratio:.2g}: round-off leaves a residual of {residual:.2g} of the "
-        f"fastest approach, above impulse_tolerance, {tolerance:g}. Take masses within 1 to "
-        f"{tolerance / _VELOCITY_ROUND_OFF:.0e}{looser}",
-    )
 
 
 @kernel
@@ -685,8 +641,6 @@ def solve_islands(
         if splits:
             _write_slips(contacts, together, max(residual, _SLIP_ROUND_OFF) * fast)
         residual, iterations = max(share * residual, impact_residual), iterations + impacts
-        if residual > tolerance:
-            note_worst(numbers.inverse, active.bodies, members, residual, space.worst)
         if sequential:
             _add_impacts(space, together)
             quiet = not hit.any()

@@ -23,7 +23,6 @@ from contacts.collision_detection.find_contacts import LANDED
 from contacts.collision_detection.joints import joint_forces
 from contacts.collision_detection.surfaces import GRAPH
 from contacts.rigid_bodies.body_step import StepOptions, step_bodies
-from contacts.rigid_bodies.island_step import mass_ratio_warnings
 from contacts.rigid_bodies.mechanics import energy_root
 from contacts.rigid_bodies.own_step import inner_radii
 from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
@@ -429,7 +428,6 @@ class RigidBodyRun(SteppedSystem):
             digit = 10.0 ** math.floor(math.log10(finest))
             advice = f"; take steps of {math.floor(finest / digit) * digit:.1g} or less"
         return (
-            *mass_ratio_warnings(self._workspace.worst, self._names, self._options.allowed),
             *self._no_ground.remarks,
             *(text + advice for text, _ in too_long),
         )
@@ -556,8 +554,7 @@ class RigidBodyRun(SteppedSystem):
             done += taken
             if status == FULL:
                 self._warm = self._warm.doubled()
-                worst = self._workspace.worst
-                self._workspace = Workspace.of(self.numbers, self._warm)._replace(worst=worst)
+                self._workspace = Workspace.of(self.numbers, self._warm)
         chunk.states[1:, 2 * n :] = remembered[:-1]
         chunk = chunk.first(done)
         if done:

@@ -15,7 +15,7 @@ from statechart.arrays import Array, Bools, Ints
 
 
 class Workspace(NamedTuple):
-    """Workspace of a step; only `worst` persists between steps."""
+    """Workspace of a step."""
 
     mid: Midpoint
     active: ActiveContacts
@@ -40,8 +40,6 @@ class Workspace(NamedTuple):
     spare: Ints  # shape (c,)
     pads: Ints  # shape (c,)
     borne: Array  # (b,): largest normal impulse on a body.
-    # (4,): inexact island of largest mass ratio: ratio, lightest body, heaviest body, residual.
-    worst: Array
     earlier: WarmStart  # Before the last step.
     # (c, 4): limits of couplings (see `contacts.collision_detection.couplings`).
     limits: Array
@@ -61,6 +59,6 @@ class Workspace(NamedTuple):
             np.empty((7, most, 2)), np.empty((2, most), np.bool_), np.empty(most, np.int64),
             np.empty(most, np.int64), np.empty((most, 3, 2)), np.empty(count, np.int64),
             np.empty(count, np.int64), np.empty(count + 1, np.int64), np.empty(most, np.int64),
-            np.empty(most, np.int64), np.empty(most, np.int64), np.empty(count), np.zeros(4),
+            np.empty(most, np.int64), np.empty(most, np.int64), np.empty(count),
             warm.copy(), np.zeros((len(numbers.couplings.holds), 4)), np.zeros(2),
         )  # fmt: skip

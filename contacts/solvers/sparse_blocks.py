@@ -15,10 +15,8 @@ import numpy as np
 
 from contacts.solvers.contact_rows import ContactRows
 from statechart.arrays import Array, Ints
+from statechart.kernels.copies import indices
 from statechart.kernels.jit import kernel
-
-# Initial capacity of off-diagonal entries per body.
-_ENTRIES = 16
 
 
 class Equations(NamedTuple):
@@ -47,114 +45,55 @@ def _body(contacts: ContactRows, i: int, side: int) -> int:
 
 
 @kernel
-def _neighbours(contacts: ContactRows, first: Ints, sizes: Ints, mark: Ints) -> Ints:
-    """Return the concatenated neighbour lists of the bodies; write where each begins."""
-    count, sides = contacts.bodies.shape
-    bodies, total = len(sizes), 0
-    for b in range(bodies):
-        sizes[b] = 0
-    for i in range(count):
-        for one in range(sides):
-            for other in range(sides):
-                if one != other and min(_body(contacts, i, one), _body(contacts, i, other)) >= 0:
-                    sizes[_body(contacts, i, one)] += 1
-    for b in range(bodies):
-        first[b] = total
-        total += sizes[b]
-        sizes[b] = 0
-    neighbours = np.empty(total + _ENTRIES * bodies, np.int64)
+def allocate_equations(contacts: ContactRows) -> Equations:
+    """Allocate the equations of contacts and find their elimination order and pattern."""
+    (count, sides), bodies = contacts.bodies.shape, contacts.moving
+    adjacent, degrees = np.zeros((bodies, bodies), np.bool_), np.zeros(bodies, np.int64)
     for i in range(count):
         for one in range(sides):
             for other in range(sides):
                 b, neighbour = _body(contacts, i, one), _body(contacts, i, other)
-                if one != other and min(b, neighbour) >= 0:
-                    neighbours[first[b] + sizes[b]] = neighbour
-                    sizes[b] += 1
-    first[bodies] = total
-    # Two bodies may touch more than once.
-    for b in range(bodies):
-        end = first[b]
-        for k in range(first[b], first[b] + sizes[b]):
-            other = neighbours[k]
-            if mark[other] != b:
-                mark[other] = b
-                neighbours[end] = other
-                end += 1
-        sizes[b] = end - first[b]
-    return neighbours
-
-
-@kernel
-def allocate_equations(contacts: ContactRows) -> Equations:
-    """Allocate the equations of contacts and find their elimination order and pattern."""
-    bodies = contacts.moving
-    first, sizes = np.empty(bodies + 1, np.int64), np.empty(bodies, np.int64)
-    mark = np.full(bodies, -1)
-    pool = _neighbours(contacts, first, sizes, mark)
-    total = first[bodies]
-    places, begins = np.full(bodies, -1), np.zeros(bodies + 1, np.int64)
-    others = np.empty(_ENTRIES * bodies, np.int64)
-    filled = 0
-    for b in range(bodies):
-        mark[b] = -1
+                if one != other and min(b, neighbour) >= 0 and not adjacent[b, neighbour]:
+                    adjacent[b, neighbour] = True
+                    degrees[b] += 1
+    places, order = np.full(bodies, -1), np.empty(bodies, np.int64)
+    begins = np.zeros(bodies + 1, np.int64)
     for p in range(bodies):
-        chosen, fewest = -1, bodies + 1
+        chosen = -1
         for b in range(bodies):
-            if places[b] < 0 and sizes[b] < fewest:
-                chosen, fewest = b, sizes[b]
-        places[chosen], begins[p] = p, filled
-        if filled + fewest > len(others):
-            others = _enlarged(others, filled + fewest)
-        for k in range(first[chosen], first[chosen] + fewest):
-            others[filled] = pool[k]
-            filled += 1
-        # Its neighbours become neighbours of each other.
-        for at in range(begins[p], filled):
-            b = others[at]
-            if total + sizes[b] + fewest > len(pool):
-                pool = _enlarged(pool, total + sizes[b] + fewest)
-            begin, mark[b] = total, b
-            for k in range(first[b], first[b] + sizes[b]):
-                other = pool[k]
-                if other != chosen:
-                    mark[other] = b
-                    pool[total] = other
-                    total += 1
-            for k in range(begins[p], filled):
-                other = others[k]
-                if mark[other] != b:
-                    mark[other] = b
-                    pool[total] = other
-                    total += 1
-            first[b], sizes[b] = begin, total - begin
-            for k in range(begin, total):
-                mark[pool[k]] = -1
-            mark[b] = -1
-    begins[bodies] = filled
-    for k in range(filled):
-        others[k] = places[others[k]]
+            if places[b] < 0 and (chosen < 0 or degrees[b] < degrees[chosen]):
+                chosen = b
+        places[chosen], order[p], begins[p + 1] = p, chosen, begins[p] + degrees[chosen]
+        # Its neighbours become neighbours of each other; its row keeps those at later places.
+        later = indices(adjacent[chosen])
+        for b in later:
+            adjacent[b, chosen] = False
+            degrees[b] -= 1
+            for other in later:
+                if other != b and not adjacent[b, other]:
+                    adjacent[b, other] = True
+                    degrees[b] += 1
+    others, filled = np.empty(begins[bodies], np.int64), 0
+    for p in range(bodies):
+        for q in range(p + 1, bodies):
+            if adjacent[order[p], order[q]]:
+                others[filled] = q
+                filled += 1
     targets = _targets(begins, others)
     ends, entries = _shared(contacts, places, begins, others)
     return Equations(
-        ends, entries, begins, others[:filled].copy(), targets, np.empty((bodies, 9)),
-        np.empty((filled, 9)), np.empty((filled, 9)), np.empty((bodies, 3)),
-        np.empty((len(contacts.own), 2)),
+        ends, entries, begins, others, targets, np.empty((bodies, 9)), np.empty((filled, 9)),
+        np.empty((filled, 9)), np.empty((bodies, 3)), np.empty((len(contacts.own), 2)),
     )  # fmt: skip
 
 
 @kernel
 def _targets(begins: Ints, others: Ints) -> Ints:
-    """Sort the entries of each body; return `Equations.targets`."""
+    """Return `Equations.targets`."""
     bodies, pairs = len(begins) - 1, 0
     for p in range(bodies):
-        begin, end = begins[p], begins[p + 1]
-        pairs += (end - begin) * (end - begin - 1) // 2
-        for at in range(begin + 1, end):
-            q, k = others[at], at
-            while k > begin and others[k - 1] > q:
-                others[k] = others[k - 1]
-                k -= 1
-            others[k] = q
+        size = begins[p + 1] - begins[p]
+        pairs += size * (size - 1) // 2
     targets, where, last = np.empty(pairs, np.int64), np.empty(bodies, np.int64), 0
     for p in range(bodies):
         for at in range(begins[p], begins[p + 1]):
@@ -185,14 +124,6 @@ def _shared(contacts: ContactRows, places: Ints, begins: Ints, others: Ints) -> 
                         if others[at] == late:
                             entries[i, one, other] = entries[i, other, one] = at
     return ends, entries
-
-
-@kernel
-def _enlarged(array: Ints, needed: int) -> Ints:
-    result = np.empty(2 * needed, np.int64)
-    for k in range(len(array)):
-        result[k] = array[k]
-    return result
 
 
 @kernel

@@ -127,7 +127,7 @@ class Setting:
             self._refuse(
                 ("step",),
                 f"the engine {engine} chooses its own steps",
-                "write engine: impulse beside the step, or leave it out",
+                "add --engine impulse, in a file engine: impulse, or remove the step",
             )
             self._refuse(
                 ("impulse_tolerance", "impulse_bound"),

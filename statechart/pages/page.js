@@ -237,12 +237,13 @@ function drawCurves() {
   return there;
 }
 let drawnFor = drawCurves();
-addEventListener("resize", () => {
+// A frame of a notebook may get its width after it was loaded.
+new ResizeObserver(() => {
   const there = byId("curves").clientWidth;
   if (there === drawnFor || Math.min(there, drawnFor) >= 700) return;
   drawnFor = drawCurves();
   go(now);
-});
+}).observe(byId("curves"));
 moving.push((k) => {
   for (const cursor of cursors) for (const x of ["x1", "x2"]) cursor.setAttribute(x, along(times[k]));
   read(times[k]);

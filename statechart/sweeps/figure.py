@@ -261,6 +261,8 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
                 _points(ax, x.at[chosen], values.reshape(len(x.at), -1)[chosen], colour)
             else:
                 _join_cells(ax, x.at[chosen], values.ravel()[chosen], cells.modes[chosen], colour)
+        if (values[np.isfinite(values)] % 1.0 == 0.0).all():  # counts
+            ax.locator_params(axis="y", integer=True)
         ax.set_ylabel(plan.entitled(name))
         frame(ax)
     x.put(axes[-1, 0], "x")

@@ -109,3 +109,42 @@ def test_a_coordinate_at_a_dead_point_has_the_scale_of_what_it_turns(engine: str
     )
     result = statechart.run(read_text(text, "y.yaml"), parameters={"q0": math.pi}, engine=engine)
     assert result.outputs["way"] == pytest.approx(0.5, rel=1e-11)
+
+
+ROCKER = """
+kind: scene
+name: rocker
+doc: A motor starts a crank at the dead centre of the rocker that a brake holds.
+parameters: {q0: 0, side: 1}
+gravity: 0
+coordinates: {q: {start: q0}}
+bodies:
+  crank: {mass: 1, inertia: 1, position: [0, 0], angle: q}
+  rocker: {mass: 1, inertia: 1, position: [3, 0], angle: side*cos(q)}
+couplings: {brake: {bodies: [rocker], limit: 2}}
+controls: {M: 0}
+forces: {motor: {body: crank, moment: M}}
+regions:
+  motor:
+    initial: rests
+    states: {rests: {}, drives: {sets: {M: 1}}}
+    transitions: [{name: go, from: rests, to: drives, guard: time >= 5}]
+stop: {time: 6}
+outputs:
+  waits: {value: abs(q - q0), at: first go}
+  way: {value: q - q0}
+  surplus: {value: energy - (q - q0) + 2*(1 - abs(cos(q)))}
+"""
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("start", [0, math.pi, 2 * math.pi])
+def test_a_crank_waits_at_the_dead_centre_of_a_braked_rocker(
+    engine: str, side: float, start: float
+) -> None:
+    parameters = {"q0": start, "side": side}
+    result = statechart.run(read_text(ROCKER, "r.yaml"), parameters=parameters, engine=engine)
+    assert result.outputs["waits"] <= 1e-12
+    assert 0.1 < result.outputs["way"] < 1.0
+    assert result.outputs["surplus"] == pytest.approx(0.0, abs=1e-9)

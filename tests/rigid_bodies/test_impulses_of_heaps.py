@@ -9,7 +9,6 @@ from random_bodies import heap
 from contacts.rigid_bodies import rigid_body_run
 from contacts.rigid_bodies.body_step import step_bodies
 from contacts.rigid_bodies.declared_numbers import body_numbers
-from contacts.rigid_bodies.island_step import mass_ratio_warnings
 from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
 from statechart.automaton.trace import Outcome
 from statechart.cli.main import main
@@ -133,19 +132,3 @@ def test_residuals_above_the_tolerance_warn_and_above_the_bound_end_the_run(caps
 def test_wrong_tolerances_of_impulses_are_refused(asked, words):
     with pytest.raises(DeclarationError, match=words):
         Runner("block_on_incline", **{"engine": "impulse", **asked})
-
-
-@pytest.mark.parametrize(
-    ("ratio", "missed", "looser"),
-    [
-        (1e10, 1e-5, "an impulse_tolerance of 1e-04"),
-        (1e10, 3e-3, "an impulse_tolerance of 3e-03"),
-        # Discs under a box of 1e12 times their mass miss by as much at any tolerance.
-        (1e12, 0.22, None),
-        (1e14, 1e-5, None),
-    ],
-)
-def test_extreme_mass_ratios_are_advised_an_allowed_tolerance(ratio, missed, looser):
-    (said,) = mass_ratio_warnings(np.array([ratio, 0.0, 1.0, missed]), ["box", "ball"], 1e-6)
-    assert f"leaves a residual of {missed:g}" in said
-    assert said.endswith(f"or {looser}" if looser else "within 1 to 7e+07")

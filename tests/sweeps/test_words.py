@@ -77,6 +77,13 @@ def test_lines_break_where_modes_change() -> None:
     assert int(np.isnan(line.get_ydata()).sum()) == changes > 0
 
 
+def test_counts_have_whole_ticks() -> None:
+    plan, data, _ = drawn({"mu": np.geomspace(0.05, 50, 12)})
+    data["slip_forward"][:] = 3.0 + np.arange(12) % 3
+    ticks = figure(plan, data).axes[0].get_yticks()
+    np.testing.assert_array_equal(ticks, np.rint(ticks))
+
+
 def test_the_band_of_modes_has_no_seams_between_equal_cells() -> None:
     _, data, picture = drawn({"mu": np.geomspace(0.05, 50, 60)})
     codes = data["modes"].to_numpy()
