@@ -13,7 +13,7 @@ from contacts.rigid_bodies.declared_numbers import touchable_surfaces
 from contacts.rigid_bodies.prescribed_motion import Positions
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts
 from contacts.scene.scene import Scene
-from statechart.arrays import Array
+from statechart.arrays import Array, Ints
 from statechart.errors import DeclarationProblem
 
 # Allowed penetration, relative to the inscribed circle: a fast body moves about so far in a step of
@@ -25,8 +25,6 @@ _SAME_GAP = 1e-9
 _MOVES = 20
 # Number of copies above which the advice is a grid.
 _CROWD = 20
-# Number of bodies and surfaces that an error lists.
-_NAMED = 6
 # Overlapping bodies of a single pair.
 _PAIR = 2
 _STUCK = "no small move frees it: start it elsewhere, or move what it is in"
@@ -83,7 +81,7 @@ def check_penetration(
         b, out = next(iter(deep)), _STUCK
     where = deepest_of(b)
     if contacts.is_covered(b):
-        where, out = _things_near(numbers, names, surfaces, initial, b), _STUCK
+        b, where, out = _covering_pieces(detect, numbers, names, surfaces, initial, b, deep[b])
     if len(deep) > _PAIR:
         out += f"; {len(deep)} bodies overlap, by {-min(deep.values()):.3g} at most"
     key = "start"
@@ -193,21 +191,52 @@ def _way_out(
     return ""
 
 
-def _things_near(
-    numbers: BodyNumbers, names: Sequence[str], surfaces: Sequence[str], initial: Array, b: int
-) -> str:
-    """Return what a body may be in where pieces cover each other, so that no face is touched."""
-    kinds, laws = numbers.kinds, numbers.laws[numbers.kinds[b]]
+def _covering_pieces(
+    detect: Detect,
+    numbers: BodyNumbers,
+    names: Sequence[str],
+    surfaces: Sequence[str],
+    initial: Array,
+    b: int,
+    margin: float,
+) -> tuple[int, str, str]:
+    """Return the inner body, the outer one, and advice, if pieces of the outer cover each other.
+
+    No face is left to touch: the outer one is that with which alone the body is as deep.
+    """
+    moving, kinds = len(numbers.inverse), len(numbers.laws)
     places = numbers.motion(initial[None])[0][0, :, :2]
-    near = laws[kinds] >= 0
-    near[: len(places)] &= (
-        np.hypot(*(places - places[b]).T) < numbers.sizes[b] + numbers.sizes[: len(places)]
-    )
-    near[b] = False
-    found = [f"body {names[i]!r}" for i in np.flatnonzero(near).tolist()]
-    touched = np.flatnonzero(laws[len(numbers.laws) :] >= 0).tolist()
-    found += [f"surface {surfaces[s]!r}" for s in touched]
-    return " or ".join([*found[:_NAMED], *(["another"] if len(found) > _NAMED else [])])
+    apart = np.ptp(places[:, 0]) + 4.0 * numbers.sizes.max()
+    reach = numbers.sizes[b] + numbers.sizes
+
+    def as_deep(obstacles: Sequence[int] | Ints, other: int = b) -> bool:
+        """Return whether it is as deep in these kinds and surfaces, without most free bodies."""
+        laws, state = np.full_like(numbers.laws, -1), initial.copy()
+        laws[:, obstacles] = numbers.laws[:, obstacles]
+        for i in range(numbers.free):
+            if i not in (b, other):
+                state[3 * i] += (i + 2.0) * apart
+        gap = detect(numbers._replace(laws=laws), state).gaps[b]
+        return bool(gap <= (1.0 - _SAME_GAP) * margin)
+
+    prescribed = np.unique(numbers.kinds[moving:])
+    for kind in prescribed.tolist():
+        if as_deep([kind]):
+            owner = names[moving + int(np.argmax(numbers.kinds[moving:] == kind))]
+            return b, f"body {owner!r} or a copy of it", _STUCK
+    others = np.setdiff1d(np.arange(kinds), prescribed)
+    for other in np.flatnonzero(np.hypot(*(places - places[b]).T) < reach[:moving]).tolist():
+        if other != b and as_deep(others, other):
+            one, whole = sorted((b, other), key=lambda i: float(numbers.sizes[i]))
+            far = f"start it {reach[other]:.6g} from the centre of {names[whole]!r}, or move it out"
+            return one, f"body {names[whole]!r}", far
+    far = f"start its centre {numbers.sizes[b]:.6g} from it, or move it out"
+    for s, surface in enumerate(surfaces):
+        if as_deep([kinds + s]):
+            return b, f"surface {surface!r}", far
+    every = np.flatnonzero(numbers.laws[numbers.kinds[b], kinds:] >= 0)
+    listed = ", ".join(repr(surfaces[s]) for s in every.tolist())
+    return b, f"surfaces {listed}", far.replace("from it", "from them")
 
 
 def check_containers(

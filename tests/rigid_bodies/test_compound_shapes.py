@@ -362,9 +362,11 @@ def test_a_point_on_the_seam_of_two_pieces_counts_as_inside():
     boxes = shaped(box(-1, 0, -0.5, 0.5), box(0, 1, -0.5, 0.5))
     small = "mass: 1, inertia: 1, shape: {polygon: [[-0.05, -0.05], [0.05, -0.05], [0, 0.1]]}"
     bodies = {"boxes": (boxes, "y: 0.5"), "small": (small, "x: 0.02, y: 0.6")}
+    # Neither a disc around the one nor one around the other is left at that distance.
+    far = math.hypot(1, 0.5) + math.hypot(0, 0.1)
     with pytest.raises(DeclarationError) as caught:
         run(scene(bodies, FLOOR))
     assert (
-        "boxes.start: body 'boxes' starts 0.07 deep in body 'small' or surface 'floor'; no small "
-        "move frees it: start it elsewhere, or move what it is in"
+        "small.start: body 'small' starts 0.07 deep in body 'boxes'; start it "
+        f"{far:.6g} from the centre of 'boxes', or move it out"
     ) in str(caught.value)

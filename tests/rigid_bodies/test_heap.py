@@ -140,9 +140,12 @@ def test_a_body_that_starts_inside_pieces_is_reported_by_name():
     text = TWO.replace("copies: 2", "copies: 1").replace(shape, f"[{halves}]")
     text = text.replace("{y: 1 + 3*index}", "{}").replace("surfaces: [ground]", "surfaces: [plate]")
     text = text.replace("  ground: {height: 0}", f"  {plates}".replace(", plate", "\n  plate"))
-    for listed, told in (("plate", "'plate'"), ("low, plate", "'low' or surface 'plate'")):
-        with pytest.raises(DeclarationError, match=f"deep in surface {told}; no small move"):
-            Runner(read_text(text.replace("[plate]", f"[{listed}]"))).run()
+    for listed in ("[plate]", "[low, plate]"):
+        with pytest.raises(DeclarationError, match="deep in surface 'plate'; start") as caught:
+            Runner(read_text(text.replace("[plate]", listed))).run()
+        far = float(re.findall(r"start its centre (\S+) from it", str(caught.value))[0])
+        moved = text.replace("start: {}", f"start: {{x: 0.1 - {far}}}").replace("[plate]", listed)
+        Runner(read_text(moved)).start()
 
 
 def test_a_body_inside_several_things_is_advised_a_way_out_of_all():
