@@ -119,6 +119,7 @@ class BodyNumbers(NamedTuple):
     joints: JointNumbers
     couplings: CouplingNumbers
     links: LinkNumbers
+    step: float = 0.0  # Size of whole steps; a part of one is shorter.
 
     @property
     def free(self) -> int:

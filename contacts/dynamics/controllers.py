@@ -20,7 +20,7 @@ from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.regions import Edge, Region, State
-from statechart.automaton.trace import Key, Role, Roles
+from statechart.automaton.trace import Key, Role
 from statechart.charts.flatten import FlatRegion, FlatTransition, Updates
 from statechart.charts.guard_watch import (
     Guard,
@@ -274,11 +274,7 @@ class ControllerState:
             projected = of_motion.project(motion, time, self.within(setup, state).values)
             return state if projected is motion else self.joined(projected, state)
 
-        def fixed(state: Array, time: float, own: Roles) -> Roles:
-            assert of_motion.fixed is not None
-            return of_motion.fixed(self.parted(state), time, own)
-
-        return of_motion._replace(project=project, fixed=None if of_motion.fixed is None else fixed)
+        return of_motion._replace(project=project)
 
     def enter_initial_states(self, setup: SceneSetup, clock: Clock, state: Array) -> Array:
         """Return the state after the controllers have entered their initial states."""

@@ -9,16 +9,13 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.solvers.dependence import CANCELLING, DEAD_POINT, column_scales, independent_rows
+from contacts.solvers.dependence import CANCELLING, DEAD_POINT, column_scales
 from contacts.solvers.impulse_coupling import label_coordinates
-from contacts.solvers.saddle_point import SMALLEST
 from statechart.arrays import Array, Bools
 from statechart.automaton.regions import Hold
 
 OFF_ROW = 2.0
 """Status of a row of a joint that is off; see `JointRow.status`."""
-# See `redundant_rows`. Steps are short in comparison, so that none meets the singular place.
-DECAYED = 0.2
 # Rows with a smaller coefficient in a unit null vector are not named as dependent.
 _MIN_COEFFICIENT = 1e-3
 ROUND_OFF = 4e-15
@@ -155,30 +152,10 @@ def without_noise(jacobian: Array) -> Array:
     return np.where(np.abs(jacobian) > noise, jacobian, 0.0)
 
 
-def redundant_rows(jacobian: Array, redundant: Bools) -> Bools:
-    """Return which rows (m, n) the others imply: `redundant`, or as many where these decay.
-
-    Rows that were independent may become dependent as the mechanism moves while other rows stay
-    independent, such as two of three parallel cranks in line with their pivots. The selection
-    decays where its smallest singular value falls below `DECAYED` of that of all rows.
-    """
-    count = int(np.count_nonzero(~redundant))
-    jacobian = without_noise(jacobian)
-    scaled = jacobian * column_scales(jacobian)
-    scaled /= np.maximum(np.linalg.norm(scaled, axis=1, keepdims=True), SMALLEST)
-    independent, every = (
-        np.linalg.svd(rows, compute_uv=False)[:count] for rows in (scaled[~redundant], scaled)
-    )
-    if count == 0 or independent[-1] >= DECAYED * every[-1]:
-        return redundant
-    _, order, _ = independent_rows(scaled)
-    result = np.ones(len(redundant), np.bool_)
-    result[order[:count]] = False
-    return result
-
-
 def dependent(rows: Sequence[tuple[str, Array]]) -> str:
     """Return a sentence on the rows that have become dependent; "" if there are none."""
+    # No coordinate moves a row of zeros.
+    rows = [(name, row) for name, row in rows if row.any()]
     if len(rows) < 2:
         return ""
     scaled = np.array([row for _, row in rows])

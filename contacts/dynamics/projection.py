@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
-from typing import Any
 
 import numpy as np
 import sympy as sp
 
 from contacts.dynamics.contact_law import ContactLaw
-from contacts.dynamics.joints import JointNumbers, dependent, redundant_rows
+from contacts.dynamics.joints import JointNumbers, dependent
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape, answer
 from contacts.solvers.dependence import reduce_to_independent
 from contacts.states import COUPLING_STATES, OPEN, STICKING
-from statechart.arrays import EPS, Array
+from statechart.arrays import EPS, Array, Bools
 from statechart.automaton.constraints import Constraints
-from statechart.automaton.laws import PARAMETERS
-from statechart.automaton.trace import Key, Role, Roles
+from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, SingularMode
 from statechart.formulas.tape import Tape
 
@@ -58,9 +55,6 @@ class Projection:
         for row in mechanics.joint_rows:
             outputs += [row.gap, row.gap_rate]
         self._joints = tuple(row.joint for row in mechanics.joint_rows)
-        places = {symbol: place for place, symbol in enumerate(mechanics.parameters.ordered)}
-        self._redundant = np.array([places[row.redundant] for row in mechanics.joint_rows], int)
-        self._values = len(places)
         # Controls that say which joints are closed -> 1 or 0.
         states = dict(mechanics.controlled(snapshots.states))
         closed = [row.closed for row in mechanics.joint_rows]
@@ -137,7 +131,7 @@ class Projection:
                         raise SingularMode(reason)
                     rows = self.tape.at(projected, values, time)[5 * len(flow) :].reshape(-1, 2)
                     rows = np.where(joints.on[:, None], np.abs(rows), 0.0)
-                    raise self._broken(rows, gap_weight, speed_weight, time)
+                    raise self._broken(rows, joints.redundant, gap_weight, speed_weight, time)
             return projected
 
         # At a loose tolerance a state that is not projected may be off by the gap's tolerance.
@@ -145,28 +139,7 @@ class Projection:
         constraints = Constraints(
             self.tape, targets, weights, project, self.passed_over(flow), blind_gap
         )
-        fixed = partial(self._fixed, values) if self._flags(values).any() else None
-        return constraints._replace(tape=self._whole, fixed=fixed)
-
-    def _flags(self, values: Array) -> Array:
-        """Return for every joint row whether others imply it in a run; numbers 0 and 1."""
-        # The memory of controllers stands before the parameters.
-        return values[len(values) - self._values :][self._redundant]
-
-    def _fixed(self, values: Array, state: Array, time: float, fixed: Roles) -> Roles:
-        """Return which rows the others imply from a state on, as parameters of a flow."""
-        of_run = self._flags(values)
-        flags, joints = of_run.copy(), self._snapshots.unreduced(values, state, time)[1]
-        assert joints is not None
-        for role in fixed:
-            share: Any = role.share
-            for place, value in share:
-                flags[self._redundant == place] = value
-        own, on = flags != 0.0, joints.on
-        flags[on] = redundant_rows(joints.jacobian[on], own[on])
-        pairs = zip(self._redundant.tolist(), flags.tolist(), of_run.tolist(), strict=True)
-        share = tuple((place, int(flag)) for place, flag, before in pairs if flag != before)
-        return (Role(PARAMETERS, share=share),) if share else ()
+        return constraints._replace(tape=self._whole)
 
     def _rounding(self, state: Array, values: Array, time: float) -> Array:
         """Return the effect of the last bits of the state on the joint rows (rows, 2)."""
@@ -203,7 +176,7 @@ class Projection:
         return np.array(weights)
 
     def _broken(
-        self, rows: Array, gap_weight: float, speed_weight: float, time: float
+        self, rows: Array, redundant: Bools, gap_weight: float, speed_weight: float, time: float
     ) -> NoConsistentMode:
         k = int(np.argmax((rows * (gap_weight, speed_weight)).max(axis=1)))
         gap, rate = rows[k].tolist()
@@ -212,9 +185,12 @@ class Projection:
             if gap * gap_weight >= rate * speed_weight
             else f"parts at {rate:.3g}"
         )
+        cause = ""
+        if redundant[k]:
+            cause = ", implied by the others at the start, not past a dead point; remove one"
         return NoConsistentMode(
             f"the joints {', '.join(dict.fromkeys(self._joints))} cannot all hold at t = "
-            f"{time:.6g}: {self._joints[k]!r} {violation}"
+            f"{time:.6g}: {self._joints[k]!r} {violation}{cause}"
         )
 
 

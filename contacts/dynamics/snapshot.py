@@ -17,7 +17,6 @@ from contacts.dynamics.joints import (
     JointNumbers,
     joint_groups,
     motions,
-    redundant_rows,
 )
 from contacts.dynamics.mechanics import Mechanics
 from contacts.scene.modes import SignFriction
@@ -253,10 +252,7 @@ class SnapshotTape:
         behind = last + 4 * self.joints
         rows = numbers[behind : behind + self.joints * n].reshape(self.joints, n)
         rows = np.pad(rows, ((0, 0), (0, len(self._pads))))
-        redundant, on = status != 0.0, status < OFF_ROW
-        if (redundant & on).any():
-            redundant[on] = redundant_rows(rows[on], redundant[on])
-        return whole, JointNumbers(gaps, rates, bias, rows, redundant, on)
+        return whole, JointNumbers(gaps, rates, bias, rows, status != 0.0, status < OFF_ROW)
 
     def _padded(self, whole: Snapshot, numbers: Array) -> Snapshot:
         """Return the numbers with the pads of compliant contacts (`Mechanics.pads`).

@@ -56,6 +56,12 @@ def choose_mode(
             return replace(jam, considered=error.considered)
         paradoxes_met = paradoxes(snapshot, setup.contacts, touching, slip_tolerance)
         reports = "".join(f"; {paradox_met}" for paradox_met in paradoxes_met.values())
+        slides = [
+            t and abs(c.slip) > slip_tolerance
+            for t, c in zip(touching, snapshot.contacts, strict=True)
+        ]
+        if sum(touching) > 1 and any(slides) and paradox == "impact":
+            reports += "; where friction jams several contacts at once, take the engine impulse"
         raise NoConsistentMode(f"{error}{reports}", considered=error.considered) from None
     if np.abs(choice.taken.forces).max(initial=0.0) > ENDLESS * setup.scales.force:
         jam = resolve_jam(snapshot, setup.contacts, touching, slip_tolerance)

@@ -233,7 +233,7 @@ def _solve_struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
 
     def under(laws: Sequence[ContactLaw]) -> _Struck:
         if jam is not None:
-            result = impact_without_collision(snapshot, laws, jam.places)
+            result = impact_without_collision(snapshot, laws, jam.place)
         else:
             result = impacts(snapshot, laws, strike_jammed(laws, closed), rules.simultaneous)
         return apply(laws, snapshot, state, result)

@@ -296,11 +296,11 @@ class SceneLaws:
             uncertainty,
         )
         if isinstance(choice, Jam):
-            if all(choice.sliding[i] == here.moving[i] for i in choice.places):
+            if choice.sliding[choice.place] == here.moving[choice.place]:
                 # A contact that slid to where sliding ends: p fell to zero on the way.
                 grown = self._grown(here)
                 choice = choice if grown is None else dataclasses.replace(choice, why=grown.why)
-            return self._impact(here, [*choice.places], choice)
+            return self._impact(here, [choice.place], choice)
         return self._enter(at, here, choice)
 
     def _hidden_at(
@@ -390,7 +390,7 @@ class SceneLaws:
             return None
         if self._paradox == "stop":
             raise NoConsistentMode(jam.why)
-        return self._impact(here, [*jam.places], jam)
+        return self._impact(here, [jam.place], jam)
 
     def _grown(self, here: Landing) -> Jam | None:
         """Return the jam if a force grows without bound."""

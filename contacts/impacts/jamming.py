@@ -19,11 +19,9 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw, sliding_edge
 from contacts.dynamics.snapshot import PerContact, Snapshot, answer, solve_kkt
 from contacts.impacts.impact import impact
-from contacts.impacts.impulses import Impulses, solve_collisions
 from contacts.impacts.simultaneous import Impacts, groups
 from contacts.states import DISENGAGED, OFF, SLIDING
 from statechart.automaton.trace import Key
-from statechart.errors import NoConsistentMode
 
 # Values of p below this part of the frictionless response are round-off; the corresponding force
 # stops the slip within the resolution of time.
@@ -115,17 +113,15 @@ def _response(snapshot: Snapshot, contact: PerContact, n: float, t: float) -> fl
 
 # Relative p below which a force counts as unbounded: it is 1e6 times the frictionless one.
 _UNBOUNDED_P = 1e-6
-# Relative velocity changes below this are no impulses.
-_MIN_CHANGE = 1e-9
 
 
 @dataclass(frozen=True)
 class Jam:
-    """Contacts that friction presses into their surfaces; an impact without collision follows."""
+    """Contact that friction presses into its surface; an impact without collision follows."""
 
-    why: str  # Sentence on the contacts
-    places: tuple[int, ...]  # Indices of the contacts
-    sliding: Key  # The mode in which they slide
+    why: str  # Sentence on the contact
+    place: int  # Index of the contact
+    sliding: Key  # The mode in which it slides
     # Mode -> reason why it is not consistent
     considered: Mapping[str, str] = field(default_factory=dict)
 
@@ -173,19 +169,10 @@ def resolve_jam(
     """Return the jam of a state without a consistent mode; None if no impact resolves it."""
     paradoxes_met = paradoxes(snapshot, laws, touching, slip_tolerance)
     for group in groups(snapshot, strike_jammed(laws, touching)):
-        why = ""
-        if len(group) == 1:
-            why = str(paradoxes_met.get(group[0], ""))
-        elif _plastic_impulse(snapshot, laws, group) is not None:
-            names = ", ".join(laws[i].name for i in group)
-            why = "; ".join(
-                [
-                    f"friction jams {names}",
-                    *(str(paradoxes_met[i]) for i in group if i in paradoxes_met),
-                ]
-            )
-        if why:
-            return Jam(why, tuple(group), _sliding(snapshot, laws, group, slip_tolerance))
+        if len(group) == 1 and group[0] in paradoxes_met:
+            place = group[0]
+            sliding = _sliding(snapshot, laws, place, slip_tolerance)
+            return Jam(str(paradoxes_met[place]), place, sliding)
     return None
 
 
@@ -198,36 +185,23 @@ def unbounded_jam(
         paradox = paradoxes_met.get(group[0])
         if len(group) == 1 and paradox is not None and paradox.b < 0.0:
             why = f"the force of {paradox.contact} grows without bound: {paradox}"
-            return Jam(why, tuple(group), _sliding(snapshot, laws, group, slip_tolerance))
+            return Jam(why, group[0], _sliding(snapshot, laws, group[0], slip_tolerance))
     return None
 
 
-def impact_without_collision(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], places: Sequence[int]
-) -> Impacts:
-    """Return the impact without collision of contacts that friction presses into their surfaces.
+def impact_without_collision(snapshot: Snapshot, laws: Sequence[ContactLaw], place: int) -> Impacts:
+    """Return the impact without collision of a contact that friction presses into its surface.
 
-    For one contact it is Routh's path from a normal velocity of zero: friction brakes the slip to
-    zero and presses the point inwards, then it sticks, and compression and restitution follow. For
-    several contacts it is the nonzero solution of the plastic impact law.
+    It is Routh's path from a normal velocity of zero: friction brakes the slip to zero and presses
+    the point inwards, then it sticks, and compression and restitution follow.
 
-    Raises `NoConsistentMode` if the path does not end, or there are no such impulses.
+    Raises `NoConsistentMode` if the path does not end.
     """
     impulses = np.zeros((len(laws), 2))
-    if len(places) == 1:
-        place = places[0]
-        law, contact = laws[place], snapshot.contacts[place]._replace(gap_rate=0.0)
-        result = impact(snapshot, contact, law, law.restitution, braking=True)
-        impulses[place] = result.normal, result.tangential
-        velocity, path = result.velocity, f"{law.name} {' '.join(result.path)}"
-    else:
-        impulse = _plastic_impulse(snapshot, laws, places)
-        if impulse is None:
-            names = ", ".join(laws[i].name for i in places)
-            raise NoConsistentMode(f"no impulse ends the jam of {names} (Painleve's paradox)")
-        impulses, velocity = impulse.impulses, snapshot.velocity + impulse.change
-        path = "plastic " + ", ".join(f"{laws[i].name}:{impulse.states[i]}" for i in places)
-    return Impacts(velocity, impulses, (path,))
+    law, contact = laws[place], snapshot.contacts[place]._replace(gap_rate=0.0)
+    result = impact(snapshot, contact, law, law.restitution, braking=True)
+    impulses[place] = result.normal, result.tangential
+    return Impacts(result.velocity, impulses, (f"{law.name} {' '.join(result.path)}",))
 
 
 def strike_jammed(laws: Sequence[ContactLaw], closed: Sequence[bool]) -> list[bool]:
@@ -236,26 +210,11 @@ def strike_jammed(laws: Sequence[ContactLaw], closed: Sequence[bool]) -> list[bo
 
 
 def _sliding(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], places: Sequence[int], slip_tolerance: float
+    snapshot: Snapshot, laws: Sequence[ContactLaw], place: int, slip_tolerance: float
 ) -> Key:
     return tuple(
         closed_state(law, contact, slip_tolerance)
-        if i in places or (law.coupling and contact.gap < np.inf and law.carrier in (-1, *places))
+        if i == place or (law.coupling and contact.gap < np.inf and law.carrier in (-1, place))
         else off_state(law) if contact.gap == np.inf else "free"
         for i, (law, contact) in enumerate(zip(laws, snapshot.contacts, strict=True))
     )  # fmt: skip
-
-
-def _plastic_impulse(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], places: Sequence[int]
-) -> Impulses | None:
-    """Return the preferred nonzero plastic impulse."""
-    contacts = tuple(c._replace(gap_rate=0.0) for c in snapshot.contacts)
-    closed = [i in places for i in range(len(laws))]
-    solutions = solve_collisions(
-        snapshot._replace(contacts=contacts), laws, closed, [0.0] * len(laws)
-    )
-    negligible = _MIN_CHANGE * float(np.abs(snapshot.velocity).max())
-    return next(
-        (solution for solution in solutions if np.abs(solution.change).max() > negligible), None
-    )

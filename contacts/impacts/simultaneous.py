@@ -130,15 +130,11 @@ def _solve_simultaneously(
     names = ", ".join(laws[i].name for i in group)
     elastic = [law.restitution for law in laws]
     plastic = solve_collisions(snapshot, laws, closed, [0.0] * len(laws))
-    if not plastic and rebound and any(elastic[i] > 0.0 for i in group):
-        sequence = _solve_sequentially(snapshot, laws, group)
-        reason = (
-            f"no simultaneous impulse of {names} satisfies the friction cones; the impacts "
-            "follow one another"
-        )
-        return sequence._replace(warning="; ".join(filter(None, (reason, sequence.warning))))
     if not plastic:
-        raise NoConsistentMode(f"no plastic impulse of {names} satisfies the friction cones")
+        raise NoConsistentMode(
+            f"no plastic impulse of {names} satisfies the friction cones; write simultaneous: "
+            "sequential, or lower their friction"
+        )
     base, elastic_solutions = plastic[0], plastic
     plastic_share, share, target = 1.0, 0.0, base
     warnings: list[str] = []

@@ -208,7 +208,8 @@ def _store_joints(
     And the energy that they add beyond the bound of the scheme; see `RigidBodyRun`.
     """
     holds, active, mid, links = numbers.joints.kinds, space.active, space.mid, numbers.links
-    at = 3 * (len(numbers.inverse) - links.bodies) + links.size
+    n = 3 * (len(numbers.inverse) - links.bodies) + links.size
+    at = n
     for b in range(len(numbers.inverse)):
         space.local[b] = 0
     for j in range(len(holds)):
@@ -236,11 +237,14 @@ def _store_joints(
         for d in range(2):
             warm.contacts[i, 2 + d] = active.pushes[i, d]
             warm.contacts[i, 4 + d] = active.open_by[i, d]
+            force = space.steady[i, d] / chunk.h
+            impact = space.pressed[i, d] - space.steady[i, d]
             if holds[j] == GREATEST and d == 0:
                 # Both limits share one torque.
-                chunk.solved[k, at - 1] -= space.steady[i, d] / chunk.h
+                chunk.solved[k, at - 1] -= force
+                chunk.joint_impulses[k, at - 1 - n] -= impact
             elif d == 0 or holds[j] in (BOTH, ROPE):
-                chunk.solved[k, at] = space.steady[i, d] / chunk.h
+                chunk.solved[k, at], chunk.joint_impulses[k, at - n] = force, impact
                 at += 1
     if space.joint_energy[0] > 0.0:
         # The work of all impulses is bounded: wedged contacts absorb the energy of joints.

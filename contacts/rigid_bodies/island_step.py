@@ -228,8 +228,9 @@ def _write_compliances(
             if responds:
                 law = numbers.materials[active.laws[i]]
                 active.compliances[members[a]], active.bias[members[a], 0] = compliant_row(
-                    law[STIFFNESS], law[DAMPING], own, active.levels[i, 3], active.before[i, 0], h
-                )
+                    law[STIFFNESS], law[DAMPING], own, active.levels[i, 3], active.before[i, 0], h,
+                    max(h, numbers.step),
+                )  # fmt: skip
 
 
 @kernel

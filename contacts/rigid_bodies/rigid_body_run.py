@@ -256,7 +256,7 @@ class RigidBodyRun(SteppedSystem):
         step: float = 0.0,
     ) -> None:
         self.surfaces, self._options = surfaces, options
-        self.numbers, self._names, self._prescribed = numbers, names, prescribed
+        self.numbers, self._names, self._prescribed = numbers._replace(step=step), names, prescribed
         count = self._moving = len(numbers.inverse)
         self._warm = self._saved = WarmStart.allocate(numbers)
         # The first step counts as one after an impact.
@@ -547,12 +547,13 @@ class RigidBodyRun(SteppedSystem):
         """Return the accepted steps, and the status of their end."""
         bodies, n = self._moving, self.numbers.size
         couplings = len(self.numbers.couplings.holds)
-        solved = n + joint_forces(self.numbers) + couplings
+        joints = joint_forces(self.numbers)
+        unknowns = n + joints + couplings + self._prescribed.count
         # One more, for the last detection.
         motion, remembered, known = self._prescribed.prescribe(start, h, state[2 * n :], count + 1)
         count = min(count, known)
         remembered = remembered[: count + 1]
-        chunk = Chunk.allocate(h, state, solved + self._prescribed.count, bodies + couplings, count)
+        chunk = Chunk.allocate(h, state, unknowns, bodies + couplings, joints, count)
         done, status = 0, DONE
         while status == FULL or (status == DONE and done < count):
             if done and interrupts.signal_count():
@@ -572,5 +573,7 @@ class RigidBodyRun(SteppedSystem):
             at = slice(1, done + 1)
             self._no_ground.add(start, h, chunk.states, motion.frames[at], motion.poses[at])
         if self._prescribed.count:
-            chunk.solved[:, solved:] = self._prescribed.control_values(start, h, chunk.states)
+            chunk.solved[:, n + joints + couplings :] = self._prescribed.control_values(
+                start, h, chunk.states
+            )
         return chunk, status

@@ -51,6 +51,7 @@ class Chunk(NamedTuple):
     struck: Bools
     shared: Bools
     impulses: Array  # (k, r, 2): of impacts, including transmitted ones.
+    joint_impulses: Array  # (k, f): impulses of joint forces in impacts.
     gaps: Array  # (k, r): at the midpoints.
     # (k,): fastest approach of touching contacts; largest gap, of either sign, that a step closes.
     approach: Array
@@ -61,7 +62,9 @@ class Chunk(NamedTuple):
     stats: Array  # (k, e): solver statistics, columns `RESIDUAL` to `JAMMED`.
 
     @classmethod
-    def allocate(cls, h: float, state: Array, unknowns: int, regions: int, count: int) -> Chunk:
+    def allocate(
+        cls, h: float, state: Array, unknowns: int, regions: int, joints: int, count: int
+    ) -> Chunk:
         """Allocate steps from `state`."""
         states = np.empty((count + 1, len(state)))
         states[0] = state
@@ -69,8 +72,9 @@ class Chunk(NamedTuple):
             h, states, np.zeros((count, unknowns)), np.zeros((count, regions), dtype=np.int64),
             np.zeros((count, regions), dtype=np.int64), np.zeros((count, regions), dtype=np.bool_),
             np.zeros((count, regions), dtype=np.bool_), np.zeros((count, regions, 2)),
-            np.full((count, regions), np.inf), np.zeros(count), np.zeros(count), np.zeros(count),
-            np.zeros(count), np.zeros(count), np.zeros((count, _COLUMNS)),
+            np.zeros((count, joints)), np.full((count, regions), np.inf), np.zeros(count),
+            np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count),
+            np.zeros((count, _COLUMNS)),
         )  # fmt: skip
 
     def first(self, count: int) -> Chunk:
@@ -173,13 +177,15 @@ def contact_role(
 
 @kernel
 def compliant_row(
-    stiffness: float, damping: float, own: float, start: float, rate: float, h: float
+    stiffness: float, damping: float, own: float, start: float, rate: float, h: float, whole: float
 ) -> tuple[float, float]:
     """Return the compliance and the bias of a compliant contact's normal row in a step.
 
     The trapezoidal rule integrates the force to second order. The weight of implicit Euler is of
     second order in h, and 1 in steps that do not resolve the contact, which dissipate. In the
-    step of a touchdown the damper acts from the touchdown on.
+    step of a touchdown the force acts from the touchdown on: it then stores no more energy than
+    it takes. A part of a step dissipates as the whole does: it must not return energy that the
+    force would store in a depth which the whole does not resolve.
 
     Parameters
     ----------
@@ -188,11 +194,13 @@ def compliant_row(
         Velocity of the contact under unit impulses of all compliant contacts.
     start, rate : float
         Gap and its rate at the start of the step.
-    h : float
+    h, whole : float
+        Step size, and that of the step of which this one is a part.
     """
-    weight = min(1.0, h * h * own * (stiffness + own * damping * damping))
+    weight = min(1.0, whole * whole * own * (stiffness + own * damping * damping))
     if start > 0.0 > start + h * rate:
-        damping *= 1.0 + start / (h * rate)
-    push = h * ((0.25 + 0.75 * weight) * h * stiffness + (0.5 + 0.5 * weight) * damping)
-    force = stiffness * (start + 0.25 * (1.0 - weight) * h * rate)
-    return 1.0 / push, h * (force + 0.5 * (1.0 - weight) * damping * rate) / push
+        h, start = h + start / rate, 0.0
+    trapezoid = 1.0 - weight
+    push = (0.25 * trapezoid * h + weight * whole) * stiffness + (0.5 + 0.5 * weight) * damping
+    force = stiffness * (start + 0.25 * trapezoid * h * rate) + 0.5 * trapezoid * damping * rate
+    return 1.0 / (h * push), force / push

@@ -122,6 +122,7 @@ class Steps(NamedTuple):
     solved: Array  # (k, u): unknowns.
     # Impulses of impacts; struck regions. Empty if no jumps are recorded.
     impulses: Array  # shape (k, r, 2)
+    joint_impulses: Array  # shape (k, f)
     struck: Bools  # shape (k, r)
     hit: Bools  # (k,): whether a step has impacts.
     impact_delay: Array  # (k,): time from the middle of a step to its impacts.
@@ -134,8 +135,8 @@ class Steps(NamedTuple):
         """Return the steps of a chunk."""
         return cls(
             begin, ((chunk.h, len(hit)),), coordinates, _compact(chunk.states),
-            _compact(chunk.solved), _compact(chunk.impulses), _compact(chunk.struck), hit,
-            _compact(chunk.impact_delay), _places(hit),
+            _compact(chunk.solved), _compact(chunk.impulses), _compact(chunk.joint_impulses),
+            _compact(chunk.struck), hit, _compact(chunk.impact_delay), _places(hit),
         )  # fmt: skip
 
     @classmethod
@@ -149,6 +150,7 @@ class Steps(NamedTuple):
             np.concatenate([*(part.states[:-1] for part in parts), parts[-1].states[-1:]]),
             np.concatenate([part.solved for part in parts]),
             parts[0].impulses[:0].copy(),
+            parts[0].joint_impulses[:0].copy(),
             parts[0].struck[:0].copy(),
             hit,
             np.concatenate([part.impact_delay for part in parts]),
@@ -261,8 +263,9 @@ class ArcMaker:
         self,
         regions: Sequence[str] = (),
         energy: Callable[[Array, Array], Array] | None = None,
+        joint_forces: Sequence[str] = (),
     ) -> None:
-        self._regions, self._energy = regions, energy
+        self._regions, self._energy, self._joint_forces = regions, energy, joint_forces
         self._polynomials: _Polynomials | None = None
 
     def arc(self, lazy: LazyArc | Arc) -> Arc:
@@ -293,10 +296,12 @@ class ArcMaker:
             self._regions[i]: (normal, tangential)
             for i, (normal, tangential) in zip(places.tolist(), felt[places].tolist(), strict=True)
         }
+        of_joints = zip(self._joint_forces, steps.joint_impulses[lazy.step].tolist(), strict=False)
         return Jump(
             lazy.t, lazy.j, lazy.region, lazy.cause, lazy.source, lazy.target,
             whole.terms[first].sum(axis=1), whole.terms[first + 1, :, 0].copy(),
             impulse=impulses, energy=whole.energies[lazy.step],
+            joint_impulse={name: size for name, size in of_joints if size != 0.0},
         )  # fmt: skip
 
     def _of(self, steps: Steps) -> _Polynomials:

@@ -44,10 +44,10 @@ class Recorder:
 
     Regions have initial modes (r,); `controls` are states of the controllers, which `turn` changes.
     `sticks` (r,): regions with pin and slide, and couplings. An impact on a region that is not free
-    has the cause `again`. `forces` (r, 2): places of V and H among the further unknowns, or twice
-    that of a torque; None: no forces. Controller variables follow the `coordinates` and their
-    rates. Without `modes`, jumps of regions are only counted, and arcs end where they would.
-    `control_jumps` are those of controllers and the stop.
+    has the cause `again`. `joint_forces` (f,) are names. `forces` (r, 2): places of V and H among
+    the further unknowns, or twice that of a torque; None: no forces. Controller variables follow
+    the `coordinates` and their rates. Without `modes`, jumps of regions are only counted, and arcs
+    end where they would. `control_jumps` are those of controllers and the stop.
     """
 
     regions: Sequence[str]
@@ -55,6 +55,7 @@ class Recorder:
     controls: Key
     sticks: Bools
     again: str
+    joint_forces: Sequence[str]
     forces: Ints | None
     energy: Callable[[Array, Array], Array]
     coordinates: int
@@ -73,7 +74,7 @@ class Recorder:
         self._began = self.clock
         self._open: list[StepRange] = []
         self._size = 0
-        self._maker = ArcMaker(self.regions, self.energy)
+        self._maker = ArcMaker(self.regions, self.energy, self.joint_forces)
         self._arcs: list[LazyArc | Arc] = []
         self._jumps: list[LazyJump | Jump] = []
         self.arcs, self.jumps = self.sequences(kept=False)

@@ -394,6 +394,7 @@ def _write_held(
             at += 1
     for i in range(scene.joints):
         chunk.solved[k, n + i] = math.nan if blurred else lasting[at + i] / h
+        chunk.joint_impulses[k, i] = total[at + i] - lasting[at + i]
 
 
 @kernel

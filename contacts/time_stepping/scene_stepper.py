@@ -68,6 +68,8 @@ _NEGLIGIBLE = 1e-6
 _LANDED = 2.0
 # Limits of bisection: boxes per line, and width relative to the line. The rest touches at most.
 _BOXES, _NARROW = 256, 2.0**-32
+# Distance of friction from its bound that is round-off, relative to the normal force.
+_AT_BOUND = 1e-9
 _CODES = {state: code for code, state in STATES.items()}
 
 
@@ -131,6 +133,9 @@ class _StepState:
     least: Array
     errors: DiscretisationError
     loads: dict[bytes, str]  # Modes -> warnings about their load sharing.
+    # (c,): whether a contact has just come to rest; whether one did with friction at its bound.
+    rests: Bools
+    at_bound: Bools
 
     def copy(self) -> _StepState:
         return _StepState(**{name: part.copy() for name, part in vars(self).items()})
@@ -173,6 +178,8 @@ class SteppedScene(SteppedSystem):
             np.full((count, 2), np.inf),
             DiscretisationError(setup.scales),
             {},
+            np.zeros(count, np.bool_),
+            np.zeros(count, np.bool_),
         )
         self._saved = self._step_state.copy()
         self._swing = self._length = 0.0
@@ -270,6 +277,10 @@ class SteppedScene(SteppedSystem):
             *remarks(self._swing, self._length),
             *self._step_state.errors.remarks(self._length),
             *filter(None, self._step_state.loads.values()),
+            *(
+                f"{name} comes to rest with its friction at the bound: it sticks, and might slip on"
+                for name in np.array(self._source.names)[self._step_state.at_bound]
+            ),
             *self._stays_off(),
         )
 
@@ -291,7 +302,9 @@ class SteppedScene(SteppedSystem):
         """
         source, tape = self._source, self._source.tape
         n, c, r = source.size, len(source.names), source.joint_rows
-        chunk = Chunk.allocate(h, state, n + r + 2 * c + source.given, c, count)
+        chunk = Chunk.allocate(
+            h, state, n + r + 2 * c + source.given, c, r + source.couplings, count
+        )
         self._saved = self._step_state.copy()
         memory = self._step_state.contacts
         scene = StepConstants(
@@ -480,6 +493,12 @@ class SteppedScene(SteppedSystem):
             split = self._source.used >= 0
             mu[:, split] = controlled[:, self._source.used[split]]
             inside = np.where(np.isfinite(mu), mu * normal - tangential, np.inf)
+        # Friction stays at its bound where a slip decays to round-off.
+        before = np.vstack([self._saved.codes, codes[:-1]])
+        slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
+        rests = np.vstack([memory.rests, slid & (codes == PIN)])
+        bounded = rests[:-1] & (codes == PIN) & (inside <= _AT_BOUND * normal)
+        memory.rests, memory.at_bound = rests[-1], memory.at_bound | bounded.any(axis=0)
         for k, values in enumerate((normal, inside)):
             borne = (codes != FREE) & (codes != OFF_CODE) & ~np.isnan(values)
             seen = np.where(borne, values, np.inf).min(axis=0)

@@ -284,7 +284,7 @@ def normal_pads(
             rate = tape.numbers[row + 2 * n + 3]
             start = tape.numbers[row + 2 * n + 2] - 0.5 * h * rate
             stiffness, damping = scene.compliance[i]
-            pads[a], biases[a] = compliant_row(stiffness, damping, own, start, rate, h)
+            pads[a], biases[a] = compliant_row(stiffness, damping, own, start, rate, h, h)
         if is_coupling(scene, i):
             for j in range(n):
                 pads[a] += tape.numbers[row + n + j] * columns[2 * a + 1, j]
@@ -578,6 +578,9 @@ def write_modes(
         if is_coupling(scene, i):
             memory.closed[i] = True
             chunk.codes[k, i] = coupling_mode(scene, i, slip, chunk.codes[k])
+            if scene.carriers[i] >= 0:
+                at = scene.joints + i - len(scene.cones)
+                chunk.joint_impulses[k, at + scene.couplings] = pushes[a, 1] - steady[a, 1]
             continue
         if struck:
             for d in range(2):

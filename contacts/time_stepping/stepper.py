@@ -124,6 +124,7 @@ class SteppedRun:
             stepper.controls,
             stepper.sticks,
             stepper.again,
+            stepper.joint_forces,
             stepper.forces,
             lambda states, times: stepper.energy.table(states, values, times)[:, 0],
             len(stepper.angles),
@@ -428,6 +429,8 @@ class Stepper(ABC):
         self.parameter_names = mechanics.parameters.names
         self.regions = tuple(region.name for region in regions)
         self.again, self.forces, self.sticks = again, forces, sticks
+        joints = (f"{row.joint}.{row.component}" for row in mechanics.joint_rows)
+        self.joint_forces = (*joints, *(f"{name}.M" for name in self.couplings))
         self.angles = np.array([name.endswith(".angle") for name in mechanics.names])
         unknowns = (*mechanics.a, *mechanics.unknown_forces, *controlled_symbols(mechanics))
         self.stops = StopTapes(mechanics, unknowns, regions)

@@ -9,7 +9,6 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import Array
-from statechart.automaton.trace import Roles
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 from statechart.kernels.tapes import largest_deviation
@@ -26,9 +25,6 @@ class Constraints(NamedTuple):
     # Outputs below -max_depth show that a step jumped over an obstacle (a narrow bump).
     within: Tape | None = None
     max_depth: float = 0.0
-    # From a state, the absolute time and the parameters of a flow as a role (none: those of the
-    # run) to those that the flow needs from there; None where they never change.
-    fixed: Callable[[Array, float, Roles], Roles] | None = None
 
     def off(self, state: Array, parameters: Array, time: float) -> float:
         """Return the largest residual of a state, in tolerances."""

@@ -30,13 +30,6 @@ SWITCHES = "switches"
 """State of the role after those of the regions, whose share are the signs of the switches (see
 `statechart.automaton.switches`)."""
 
-PARAMETERS = "parameters"
-"""In a role behind those of the regions: its share are the places and values of parameters that
-differ in a flow from those of the run (which constraint of a linkage the others imply)."""
-
-OTHER_PARAMETERS = "other parameters"
-"""End of a flow whose equations need other values of these parameters; no margin fell."""
-
 UNBOUNDED = "unbounded"
 """End of a flow that cannot be continued without a fallen margin, as of an unbounded force."""
 
@@ -49,10 +42,8 @@ def roles_in(mode: Key) -> Roles:
 
 
 def region_roles(roles: Roles) -> Roles:
-    """Return roles without those of parameters and switches, which may stand behind them."""
-    while roles and roles[-1].state in (PARAMETERS, SWITCHES):
-        roles = roles[:-1]
-    return roles
+    """Return roles without that of switches, which may stand behind them."""
+    return roles[:-1] if roles and roles[-1].state == SWITCHES else roles
 
 
 @lru_cache(maxsize=1024)
@@ -107,13 +98,11 @@ class Flow(NamedTuple):
     values: Array | None = None  # (p,) parameters, if not those of the run
     near_bound: bool = False  # forces may start beyond their bounds by the error of the run
     signs: Roles = ()  # signs of the switches as a role, set by the executor
-    # Its own parameters as a role; none where they are those of the run. Kept by the executor.
-    fixed: Roles = ()
 
     @property
     def moving(self) -> Roles:
-        """The roles, parameters and signs of switches, which determine the equations."""
-        return (*self.roles, *self.fixed, *self.signs) if self.fixed or self.signs else self.roles
+        """The roles and signs of switches, which determine the equations."""
+        return (*self.roles, *self.signs) if self.signs else self.roles
 
     @property
     def sizes(self) -> Array | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,25 +24,17 @@ from statechart.kernels.reconstruction import (
 )
 
 
-def build_mode(
-    automaton: Automaton,
-    roles: Roles,
-    zeros: frozenset[sp.Symbol],
-    fixed: Mapping[sp.Symbol, int] = MappingProxyType({}),
-) -> Mode:
-    """Solve the equations of `roles`, with some parameters `fixed`.
+def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) -> Mode:
+    """Solve the equations of `roles`.
 
     Raises `Singular` if they are structurally singular.
     """
     plain_roles = uncaptured(roles)
     if plain_roles != roles:
-        return hide_captured_forces(
-            automaton, build_mode(automaton, plain_roles, zeros, fixed), roles
-        )
+        return hide_captured_forces(automaton, build_mode(automaton, plain_roles, zeros), roles)
     states = [region.build(role) for region, role in zip(automaton.regions, roles, strict=True)]
     loads = [state.loads for state in states if state.loads is not None]
     substitution: dict[sp.Expr, sp.Expr] = dict.fromkeys(zeros, sp.S.Zero)
-    substitution |= {symbol: sp.Integer(value) for symbol, value in fixed.items()}
     for load in loads:
         substitution |= load.known
     values = {control: value for state in states for control, value in state.values.items()}

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any
 
 import numpy as np
 import sympy as sp
 
 from statechart.arrays import Bools
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import HELD, SWITCHES, moving_mode, region_roles, uncaptured
+from statechart.automaton.laws import HELD, SWITCHES, moving_mode, uncaptured
 from statechart.automaton.modes import (
     ModeReconstruction,
     build_mode,
@@ -106,20 +105,17 @@ class SolvedModes:
             mode = self._modes[roles, zeros] = switches.mode_with_signs(roles[-1].share)
         elif mode is None:
             # Zero parameters that do not occur in its equations need no other mode.
-            regions = region_roles(roles)
-            mentioned = zeros & self._used(regions)
+            mentioned = zeros & self._used(roles)
             mode = self._modes.get((roles, mentioned))
             if mode is None:
                 symbols, plain_roles = self.automaton.parameters, uncaptured(roles)
                 if plain_roles != roles:
                     mode = hide_captured_forces(
-                        self.automaton, self.mode(plain_roles, zeros), regions
+                        self.automaton, self.mode(plain_roles, zeros), roles
                     )
                 else:
                     vanishing = frozenset(symbols[i] for i in mentioned)
-                    share: Any = roles[-1].share if regions != roles else ()
-                    fixed = {symbols[i]: value for i, value in share}
-                    mode = build_mode(self.automaton, regions, vanishing, fixed)
+                    mode = build_mode(self.automaton, roles, vanishing)
                 self._modes[roles, mentioned] = mode
             self._modes[roles, zeros] = mode
         return mode

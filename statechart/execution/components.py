@@ -12,16 +12,15 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton, Component, Places
 from statechart.automaton.clock import Clock, between
-from statechart.automaton.laws import PARAMETERS, Setup, region_roles, roles_in
+from statechart.automaton.laws import Setup, roles_in
 from statechart.automaton.lazy import LazyMapping, LazySequence
-from statechart.automaton.trace import Arc, Jump, Key, Outcome, Role, Roles, Trace
+from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace
 from statechart.automaton.trace_store import jump_times
 from statechart.formulas.tape import Tape
 from statechart.tabular import pluralise
@@ -222,16 +221,9 @@ class MergedRun:
 
     def _roles(self, roles: Sequence[Roles]) -> Roles:
         merged = [roles[0][0]] * len(self._automaton.regions)
-        fixed: list[Any] = []
         for run, roles_of_run in zip(self._parts, roles, strict=True):
-            own = region_roles(roles_of_run)
-            for region, role in zip(run.places.regions.tolist(), own, strict=True):
+            for region, role in zip(run.places.regions.tolist(), roles_of_run, strict=True):
                 merged[region] = run.component.shown(role, run.places)
-            for role in roles_of_run[len(own) :]:
-                share: Any = role.share
-                fixed += [(run.places.parameters.item(i), value) for i, value in share]
-        if fixed:
-            merged.append(Role(PARAMETERS, share=tuple(fixed)))
         return tuple(merged)
 
     def _jump(self, number: int) -> Jump:

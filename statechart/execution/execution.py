@@ -14,7 +14,6 @@ import numpy as np
 from statechart import errors, interrupts
 from statechart.automaton.clock import Clock, between
 from statechart.automaton.laws import (
-    OTHER_PARAMETERS,
     UNBOUNDED,
     Flow,
     Instant,
@@ -266,9 +265,6 @@ class Execution:
             return ("zeno",) if remaining <= 0.0 else ()
         laws, start = self.automaton.laws_of_events, self.clock.high
         constraints = laws.constraints(self.setup, flow.roles, start, self.state)
-        if constraints.fixed is not None:
-            fixed = constraints.fixed(self.state, start, ())
-            flow = self.flow = flow._replace(fixed=fixed)
         compiled = self._enter(flow.moving)
         if self.loop is not None:
             self.loop.add(flow.mode, flow.roles, compiled)
@@ -278,9 +274,8 @@ class Execution:
         initial = watch.reconstruction.onto(self.state, watch.start)
         on_steps = self.show if self.progress else None
         reached = Advance(
-            self.engine, compiled, self.path, watch, initial, duration, self.horizon, on_steps,
-            flow.fixed,
-        ).run()  # fmt: skip
+            self.engine, compiled, self.path, watch, initial, duration, self.horizon, on_steps
+        ).run()
         self._keep(flow, reached)
         if isinstance(reached.failure, errors.StepFailure | errors.NonFinite | errors.TooLong):
             self.failure = reached.failure
@@ -288,8 +283,6 @@ class Execution:
         if reached.failure is not None:
             raise reached.failure
         check_size(0, len(self.record.made), self.clock.high)
-        if reached.crossing is None and reached.duration < duration:
-            return (OTHER_PARAMETERS,)
         if reached.crossing is None:
             return ("zeno",) if duration == remaining else ()
         return self.fell(compiled, reached.crossing.guard, graze=reached.graze)
@@ -383,7 +376,7 @@ class Execution:
         )
         self.flow = following._replace(
             held=flow.held, tolerances=flow.tolerances, terms=terms, values=flow.values,
-            signs=flow.signs, fixed=flow.fixed,
+            signs=flow.signs,
         )  # fmt: skip
 
     def fell(self, compiled: CompiledMode, guard: int, *, graze: bool = False) -> tuple[str, ...]:

@@ -51,7 +51,7 @@ class Filippov:
         self, at: Instant, zeros: frozenset[int], before: Sequence[int] | None
     ) -> Resolved:
         """Return the signs after an instant; `before` are those of the flow before, if no jump."""
-        switches = self._modes.switches((*at.flow.roles, *at.flow.fixed), zeros)
+        switches = self._modes.switches(at.flow.roles, zeros)
         if switches is None:
             return Resolved((), at.state, {}, ())
         surface = _Surface(switches, at, before)
@@ -81,7 +81,7 @@ class Filippov:
         return Resolved(
             roles,
             state,
-            self._tolerances(at, (*at.flow.roles, *at.flow.fixed, *roles), zeros),
+            self._tolerances(at, (*at.flow.roles, *roles), zeros),
             tuple(notes),
         )
 
@@ -133,7 +133,7 @@ class Filippov:
     def _holds(self, signs: Sequence[int], at: Instant) -> bool:
         """Return whether higher derivatives let no margin of the switches fall at once."""
         setup, clock, _, flow, state, _ = at
-        roles = (*flow.roles, *flow.fixed, Role(SWITCHES, share=tuple(signs)))
+        roles = (*flow.roles, Role(SWITCHES, share=tuple(signs)))
         assert setup.modes is not None
         sizes = flow_sizes(setup, flow, state)
         for margin in setup.modes(roles).margins:

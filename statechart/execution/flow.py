@@ -10,7 +10,7 @@ import numpy as np
 
 from statechart import interrupts
 from statechart.arrays import Array
-from statechart.automaton.trace import LARGEST, Roles
+from statechart.automaton.trace import LARGEST
 from statechart.engines.engine import (
     FIRST_CHUNK,
     GROWTH,
@@ -84,7 +84,6 @@ class Advance:
     duration: float
     horizon: float
     on_steps: Callable[[float, int], None] | None
-    fixed: Roles = ()  # Parameters of the flow; it ends where its equations need others.
     state: Array = field(init=False)  # (n,): where it is.
     crossing: Crossing | None = None  # The event that ended it; None at the end of the duration.
     graze: bool = False  # True when the event is one that could not be proved.
@@ -126,9 +125,7 @@ class Advance:
 
     def _start(self) -> None:
         self.state, self._proved, self._reached = self.initial, 0, 0.0
-        # One step at a time where the equations may come to need other parameters.
-        self._count = FIRST_CHUNK if self.watch.constraints.fixed is None else 1
-        self._begin = Begin.NEW
+        self._count, self._begin = FIRST_CHUNK, Begin.NEW
         self._end = min(self.horizon, self.duration)
         self._last_defect, self._mark = math.inf, (0, 0.0)
         self._missed, self._rounded, self._unknown = (-1.0, 0.0, 0.0), 0.0, 0
@@ -276,7 +273,7 @@ class Advance:
 
     def _go_on(self, following: Array, finished: bool, *, moved: bool) -> None:
         """Accept the steps; `moved` is true if their end was projected onto the constraints."""
-        path, watch, duration = self.path, self.watch, self.duration
+        path, duration = self.path, self.duration
         self._proved, self._reached = path.count, path.times.item(path.count)
         self.state, self._last_defect = following, math.inf
         steps, since = self._mark
@@ -289,15 +286,11 @@ class Advance:
             self._mark = self._proved, self._reached
         if self.on_steps is not None:
             self.on_steps(self._reached, self.steps)
-        if (choose := watch.constraints.fixed) is not None:
-            now = choose(following, watch.start + self._reached, self.fixed)
-            if now != self.fixed:
-                self.duration = self._reached
         if finished:
             self.horizon *= GROWTH
             self._end = min(self._reached + self.horizon, duration)
         # The length of a chunk that needed projection is not increased.
-        if not moved and watch.constraints.fixed is None:
+        if not moved:
             self._count = min(self._count + self._count // 2, LONGEST_CHUNK)
         self._begin = Begin.MOVED if moved or finished else Begin.ON
 

@@ -233,17 +233,18 @@ class _GuardScan:
             return
         for (arc, jump), guards in zip(ends, self._last([arc for arc, _ in ends]), strict=True):
             k = names.index(self._named[jump.fired[0]])
-            beyond, now, before, first = guards[:, k].tolist()
+            beyond, soon, now, before, first = guards[:, k].tolist()
             bend, fall = now - 2.0 * before + first, 0.5 * (3.0 * now - 4.0 * before + first)
             end, graze = arc.times.item(-1), None
             last = end - arc.times.item(-2)
             if bend > 0.0 > fall:
                 graze = self._open(arc, k, end, -0.5 * fall * (fall / bend), fired=True)
-            if graze is None and beyond > now:
+            ahead = last * (_EXTRAPOLATED if soon > now else _AHEAD)
+            if graze is None and max(soon, beyond) > now:
                 # One relation makes the guard true, and another one ends that.
-                at = self._least(arc, k, end, end + _AHEAD * last)
+                at = self._least(arc, k, end, end + ahead)
                 graze = self._open(arc, k, at, 0.0, fired=True)
-            if graze and self._shifts(arc, k, end - last, end + _AHEAD * last, graze.t):
+            if graze and self._shifts(arc, k, end - last, end + ahead, graze.t):
                 yield graze
 
     def _shifts(self, arc: Arc, k: int, left: float, right: float, t: float) -> bool:
@@ -273,18 +274,20 @@ class _GuardScan:
             return
         rows = self._last([arc for arc, _ in ends])[:, :, places]
         with np.errstate(all="ignore"):
-            falling = rows[:, 1] < rows[:, 2]
-            near = np.abs(rows[:, 1]) <= self._near * np.abs(rows[:, 2])
+            falling = rows[:, 2] < rows[:, 3]
+            near = np.abs(rows[:, 2]) <= self._near * np.abs(rows[:, 3])
         for i, place in np.argwhere(falling & near).tolist():
             (arc, jump), k = ends[i], places[place]
-            graze = self._open(arc, k, arc.times.item(-1), 0.0, fired=False)
+            begin, end = arc.times[-2:].tolist()
+            at = self._least(arc, k, end - _EXTRAPOLATED * (end - begin), end)
+            graze = self._open(arc, k, at, 0.0, fired=False)
             cause = jump and self._named.get(jump.fired[0])
             if graze and (cause != graze.guard or graze.guard in self._stops):
                 yield graze._replace(turned=jump is not None)
 
     def _last(self, arcs: Sequence[Arc]) -> Array:
-        """Return the guards shortly after the end of flows, there and shortly before, (m, 4, k)."""
-        s = 1.0 - np.array([-_AHEAD, 0.0, _EXTRAPOLATED, 2.0 * _EXTRAPOLATED])
+        """Return the guards after the end of flows, there and shortly before, (m, 5, k)."""
+        s = 1.0 - np.array([-_AHEAD, -_EXTRAPOLATED, 0.0, _EXTRAPOLATED, 2.0 * _EXTRAPOLATED])
         terms = np.array([arc.coefficients[-1] for arc in arcs])
         spans = np.array([arc.times[-1] - arc.times[-2] for arc in arcs])
         states = np.swapaxes(terms @ s ** np.arange(terms.shape[2])[:, None], 1, 2)

@@ -243,7 +243,9 @@ def test_a_landing_damper_moves_a_braked_body(engine: str, step: float | None, l
     cosine, sine = math.cos(turns * 0.1), math.sin(turns * 0.1)
     wave = -settled * cosine + (-0.8 - 3.0 * settled) / turns * sine
     gap = settled + math.exp(-0.3) * wave
-    assert result.trace.jumps[0].t == pytest.approx(0.1, abs=1e-9 if step is None else step)
+    # By steps the mode begins with the step at whose end the gap closes.
+    allowed = 1e-9 if step is None else step * (1 + 1e-9)
+    assert result.trace.jumps[0].t == pytest.approx(0.1, abs=allowed)
     assert result.outputs["gap"] == pytest.approx(gap, abs=1e-11 if step is None else 5 * step)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 import statechart
-from contacts import Body, Contact, Coordinate, Point, Scene, Surface
-from statechart import Stop
+from contacts import Body, Contact, Coordinate, Force, Point, Scene, Surface
+from statechart import Outcome, Stop
 
 
 def pile(across: str) -> Scene:
@@ -31,3 +31,23 @@ def test_a_pile_without_normal_motion_gives_a_warning(engine: str) -> None:
     assert [w for w in sunk.warnings if "no coordinate moves side along the normal" in w]
     free = statechart.run(pile("x"), engine=engine, step=step)
     assert not [w for w in free.warnings if "no coordinate" in w]
+
+
+def test_a_pin_without_normal_motion_ends_the_run_with_a_sentence() -> None:
+    scene = Scene(
+        name="guided",
+        gravity=9.81,
+        coordinates={"x": Coordinate()},
+        bodies={"a": Body(mass=1, position=("x", 0))},
+        surfaces={"floor": Surface(height=0)},
+        contacts={
+            "c": Contact(
+                point=Point(body="a"), surface="floor", friction=0.2, modes=["slide", "pin"]
+            )
+        },
+        forces={"p": Force(body="a", force=("2*sin(time) - sign(a.dx)", 0))},
+        stop=Stop(time=1),
+    )
+    trace = statechart.run(scene, engine="taylor", throw=False).trace
+    assert trace.outcome is Outcome.EVENT_LOOP
+    assert "c.V falls" in trace.message

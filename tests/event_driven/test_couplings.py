@@ -514,6 +514,16 @@ def test_slip_sustained_by_rolling_resistance_survives_an_impact(
     assert "rim_rolling" not in landing.impulse
 
 
+def test_an_impact_by_steps_lists_the_impulse_of_rolling_resistance() -> None:
+    text = ROLLING.replace("y: r, dx: v0, dangle: -v0/r", "y: 0.3, dx: 2")
+    text = text.replace("rolling_resistance: L", "rolling_resistance: 0.02")
+    model = interpret(read_text(text.replace("friction: 0.5", "friction: 0.35"), "rolling.yaml"))
+    landing = statechart.run(model, engine="impulse", step=1e-4).trace.jumps[0]
+    couple = 0.4 * 0.1**2 * landing.after[5] - 0.1 * landing.impulse["rim"][1]
+    assert landing.joint_impulse == {"rim_rolling.M": pytest.approx(couple, abs=1e-9)}
+    assert couple == pytest.approx(0.02 * math.sqrt(2 * 9.81 * 0.2), rel=1e-3)
+
+
 @ENGINES
 def test_outputs_guards_and_units_know_the_couple_of_rolling_resistance(engine: str) -> None:
     text = ROLLING.replace(

@@ -337,6 +337,8 @@ stop: {{time: 2}}
     "x >= 0.5 and 1 - y <= pi/12 - 5e-14",
     "x >= 0.5 and 1 - y <= pi/12 + 5e-14",
     "x >= 0.5 and v >= sqrt(3)",
+    "time >= pi/12 and x <= 0.5",
+    "x >= 0.5 and time <= pi/12 - 1e-13 and y <= 0.9",
     "min(x - 0.5, pi/12 - time) >= 0",
     "not (x < 0.5 or time > pi/12)",
 ])  # fmt: skip

@@ -100,6 +100,20 @@ def test_compliant_bodies_may_sink_in():
     assert report.passed, report.text()
 
 
+def test_depths_of_rigid_contacts_are_checked_beside_compliant_ones():
+    soft = "soft: {bodies: [ball], surfaces: [ground], friction: mu, stiffness: 2e3}"
+    text = HEAP.replace("collisions:", f"collisions:\n  {soft}")
+    report = check(model(text), examples=1, seed=2)
+    assert report.passed, report.text()
+    depths = next(r for r in report.properties if "deeper" in r.name)
+    assert depths.examples == 1
+    subject = Subject(model(text))
+    trace, numbers = subject.case({}).trace, body_numbers(subject.model, subject.model.values())
+    assert_depths(numbers, trace)
+    with pytest.raises(AssertionError, match=r"ball is .* deep in a surface"):
+        assert_depths(numbers._replace(materials=0.0 * numbers.materials), trace)
+
+
 def test_joints_that_break_are_regions_of_checked_runs():
     text = HEAP.replace(
         "stop:", "joints: {glue: {point: {body: ball}, to: [0.5, 0.11], enabled: time > 9}}\nstop:"

@@ -16,6 +16,7 @@ from contacts.scene.scene import Scene
 from statechart.documents.outputs import Integral, Maximum, Value
 from statechart.documents.settings import Stop
 from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret
 from statechart.running.runner import Runner
 
 MASS = 1.3
@@ -225,3 +226,27 @@ outputs: {end: {value: r.T}, most: {maximum: r.T}}
     outputs = runner.run(until=1.5 + part * step).outputs
     assert outputs["end"] == pytest.approx(2.0, abs=3.0 * step**2 + 1e-7)
     assert outputs["most"] == pytest.approx(2.0, abs=3.0 * step**2 + 1e-7)
+
+
+@pytest.mark.parametrize(("drag", "warned"), [("200*block.dx", True), ("1", False)])
+def test_a_stick_with_its_friction_at_the_bound_gives_a_warning(drag: str, warned: bool) -> None:
+    """The push balances friction but for the drag: the slip is exp(-100 t), to its round-off."""
+    text = f"""
+kind: scene
+name: creeping
+parameters: {{v0: 1, mu: 0.5, m: 2}}
+gravity: 9.81
+bodies: {{block: {{mass: m, start: {{dx: v0}}}}}}
+surfaces: {{floor: {{height: 0}}}}
+contacts: {{base: {{point: {{body: block}}, surface: floor, friction: mu, modes: [slide, pin]}}}}
+forces: {{push: {{body: block, force: ["mu*m*9.81 - {drag}", 0]}}}}
+stop: {{time: 3}}
+settings: {{engine: impulse, step: 1e-3}}
+"""
+    result = Runner(interpret(read_text(text))).run()
+    assert [jump.cause for jump in result.trace.jumps] == ["stick"]
+    assert result.warnings == (
+        ("base comes to rest with its friction at the bound: it sticks, and might slip on",)
+        if warned
+        else ()
+    )
