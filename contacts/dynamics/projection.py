@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 import sympy as sp
@@ -12,11 +12,13 @@ from contacts.dynamics.joints import JointNumbers, dependent
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape, answer
+from contacts.scene.modes import Bearing
 from contacts.solvers.dependence import reduce_to_independent
 from contacts.states import COUPLING_STATES, OPEN, STICKING
 from statechart.arrays import EPS, Array, Bools
 from statechart.automaton.constraints import Constraints
-from statechart.automaton.trace import Key
+from statechart.automaton.laws import moving_mode, region_roles
+from statechart.automaton.trace import Key, Roles
 from statechart.errors import NoConsistentMode, SingularMode
 from statechart.formulas.tape import Tape
 
@@ -76,22 +78,23 @@ class Projection:
 
     def constraints(
         self,
-        flow: Key,
+        roles: Roles,
         start: float,
         anchor: Array,
         values: Array,
         tolerances: Mapping[str, float],
         scales: Scales,
     ) -> Constraints:
-        """Return the constraints of `flow` (see `statechart.automaton.laws.Laws`).
+        """Return the constraints of a flow (see `statechart.automaton.laws.Laws`).
 
         Pinned points keep their positions of the state `anchor` at the time `start`, in the frame
         of the surface. `project` takes positions and rates; it raises `NoConsistentMode` if the
         joints cannot all hold, and `SingularMode` if their constraints have become dependent.
         """
         gap_weight, speed_weight = 1.0 / tolerances["gap"], 1.0 / tolerances["speed"]
+        flow, implied = moving_mode(roles), self._implied(roles)
         pinned = any(state in STICKING for state in flow)
-        weights = self._weights(flow, gap_weight, speed_weight)
+        weights = self._weights(flow, implied, gap_weight, speed_weight)
         targets = np.zeros(len(weights))
         if pinned:
             pinned_at = self.tape.at(anchor, values, start)
@@ -104,7 +107,7 @@ class Projection:
         def project(state: Array, time: float, values: Array = values) -> Array:
             snapshot, joints = self._snapshots.unreduced(values, state, time)
             pins = self._snapshots.unreduced(began, anchor, start)[0] if pinned else None
-            projected = _brought(flow, snapshot, joints, state, pinned=pins)
+            projected = _brought(flow, snapshot, joints, state, pinned=pins, implied=implied)
             if joints is None:
                 return projected
             before = constraints.off(state, values, time)
@@ -113,7 +116,7 @@ class Projection:
                 # The first projection uses the velocity constraints at the old position, which
                 # are off by as much at the new one if a body turns fast; the second is not.
                 numbers = self._snapshots.unreduced(values, projected, time)
-                projected = _brought(flow, *numbers, projected, pinned=pins)
+                projected = _brought(flow, *numbers, projected, pinned=pins, implied=implied)
                 residual = constraints.off(projected, values, time)
             if residual > 0.5 * before:
                 # The round-off of large angles and rates can exceed the tolerances.
@@ -160,13 +163,30 @@ class Projection:
             self._within[flow] = tape
         return self._within[flow]
 
-    def _weights(self, flow: Key, gap_weight: float, speed_weight: float) -> Array:
+    def _implied(self, roles: Roles) -> frozenset[int]:
+        """Return the pinned compliant contacts whose tangential constraint others imply."""
+        shares = [role.share for role in region_roles(roles)]
+        return frozenset(
+            i
+            for i, share in enumerate(shares[: len(self._soft)])
+            if self._soft[i] and isinstance(share, Bearing) and "t" not in share.rows
+        )
+
+    def _weights(
+        self, flow: Key, implied: Collection[int], gap_weight: float, speed_weight: float
+    ) -> Array:
         weights: list[float] = []
-        for name, soft in zip(flow, self._soft, strict=True):
+        for i, (name, soft) in enumerate(zip(flow, self._soft, strict=True)):
             if name in OPEN:
                 weights += _FREE
             elif soft:
-                weights += (0.0, 0.0, speed_weight if name == "pin" else 0.0, 0.0, 0.0)
+                weights += (
+                    0.0,
+                    0.0,
+                    speed_weight if name == "pin" and i not in implied else 0.0,
+                    0.0,
+                    0.0,
+                )
             elif name in STICKING:
                 weights += (gap_weight, speed_weight, speed_weight, gap_weight, gap_weight)
             else:
@@ -187,7 +207,10 @@ class Projection:
         )
         cause = ""
         if redundant[k]:
-            cause = ", implied by the others at the start, not past a dead point; remove one"
+            cause = (
+                ", implied by the others at the start, not past a dead point; take the engine "
+                "impulse"
+            )
         return NoConsistentMode(
             f"the joints {', '.join(dict.fromkeys(self._joints))} cannot all hold at t = "
             f"{time:.6g}: {self._joints[k]!r} {violation}{cause}"
@@ -244,8 +267,12 @@ def _brought(
     *,
     pinned: Snapshot | None = None,
     penetrating: Sequence[bool] = (),
+    implied: Collection[int] = (),
 ) -> Array:
-    """Project as `on_constraints` does; `pinned` is the snapshot when the points were pinned."""
+    """Project as `on_constraints` does; `pinned` is the snapshot when the points were pinned.
+
+    The tangential constraints of `implied` contacts are left out.
+    """
     rows: list[Array] = []
     residuals: list[tuple[float, float]] = []
     if joints is not None:
@@ -258,7 +285,7 @@ def _brought(
         if name not in COUPLING_STATES:
             rows.append(contact.jacobian[0])
             residuals.append((-contact.gap, -contact.gap_rate if name not in OPEN else 0.0))
-        if name in STICKING:
+        if name in STICKING and i not in implied:
             displaced = 0.0
             if pinned is not None:
                 before = pinned.contacts[i]

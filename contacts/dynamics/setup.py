@@ -17,6 +17,9 @@ FORCE_BAND = 1e-12
 # Part of it for the bounds of static friction: kinetic friction is smaller, so that slip does not
 # return at once. Larger than the negligible part of a tie (`contacts.modes.classification`).
 HOLD_PART = 0.1
+# Slip, in tolerances of speed, above which a pinned contact whose constraint another one implied
+# slides. Slips up to 2 tolerances count as zero in the choice of a mode.
+IMPLIED_BAND = 4.0
 # A violation of an inequality of a mode by up to this part of the force's tolerance is a tie.
 TIE = 0.5
 # Flights shorter than this part of the unit of time may belong to an accumulation of impacts; the

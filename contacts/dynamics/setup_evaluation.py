@@ -20,6 +20,7 @@ from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT, with_sizes
 from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
 from contacts.dynamics.setup import (
     HOLD_PART,
+    IMPLIED_BAND,
     ROUNDING,
     SHORT,
     SceneSetup,
@@ -161,6 +162,7 @@ class SceneNumbers:
             "speed": speed * scales.speed,
             "force": force * scales.force,
             "hold": HOLD_PART * force * scales.force,
+            "implied": IMPLIED_BAND * speed * scales.speed,
             "plain": 0.0,
         }
         return SceneSetup(

@@ -518,7 +518,7 @@ class SceneLaws:
         """Return the constraints of the closed contacts of `roles`, and of pinned points."""
         assert isinstance(setup, SceneSetup)
         return self._projection.constraints(
-            moving_mode(roles), start, anchor, setup.values, setup.tolerances, setup.scales
+            roles, start, anchor, setup.values, setup.tolerances, setup.scales
         )
 
     def feasibility(

@@ -14,6 +14,7 @@ from contacts.dynamics.projection import BLIND_GAP, CREEP, DRIFT
 from contacts.dynamics.setup import (
     FORCE_BAND,
     HOLD_PART,
+    IMPLIED_BAND,
     SHORT,
     TIE,
     SceneSetup,
@@ -52,6 +53,7 @@ from statechart.engines.compiled_flow import (
     FORCE,
     GAP,
     HOLD,
+    IMPLIED,
     KINDS,
     LAWS_AT,
     MARGIN_TAPE,
@@ -390,7 +392,7 @@ def _run(
 def _tolerances(scene: SceneConstants, scales: Array, kinds: Array) -> None:
     kinds[PLAIN], kinds[GAP] = 0.0, max(scene.gap * scales[0], scales[4])
     kinds[SPEED], kinds[FORCE] = scene.speed * scales[1], FORCE_BAND * scales[3]
-    kinds[HOLD] = HOLD_PART * kinds[FORCE]
+    kinds[HOLD], kinds[IMPLIED] = HOLD_PART * kinds[FORCE], IMPLIED_BAND * kinds[SPEED]
 
 
 @kernel

@@ -132,8 +132,7 @@ def _solve_simultaneously(
     plastic = solve_collisions(snapshot, laws, closed, [0.0] * len(laws))
     if not plastic:
         raise NoConsistentMode(
-            f"no plastic impulse of {names} satisfies the friction cones; write simultaneous: "
-            "sequential, or lower their friction"
+            f"no plastic impulse of {names} satisfies the friction cones; lower their friction"
         )
     base, elastic_solutions = plastic[0], plastic
     plastic_share, share, target = 1.0, 0.0, base

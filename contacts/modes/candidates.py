@@ -72,7 +72,7 @@ _DUPLICATE = "moves like a mode that keeps more contacts closed or pinned"
 # Kind of violation: forces outside all cones; the other kinds are those of `mode_solver`.
 _OUTSIDE_ALL = -1
 # Relative difference of accelerations up to which two motions are equal.
-_SAME_MOTION = 1e-9
+SAME_MOTION = 1e-9
 # Forces below this part of the scene's force are round-off.
 _EXACT = 1e-13
 
@@ -186,13 +186,13 @@ def _explain(
     """Check whether forces in the cones explain the motion of candidates with dependent rows."""
     snapshot, scales, tie = case.snapshot, case.scales, case.tie
     inward = 0.25 * max(tie, _EXACT) * scales.force
-    bound = max(tie, _SAME_MOTION)
+    bound = max(tie, SAME_MOTION)
     moving = [(k, solved[k]) for k in redundant if solved[k].violation <= bound]
     if not moving:
         return
     moving.sort(key=lambda item: closedness_key(item[1]))
     motions = np.array([rejected.accelerations for _, rejected in moving]).reshape(len(moving), -1)
-    largest = _SAME_MOTION * np.maximum(scales.acceleration, np.abs(motions).max(1, initial=0.0))
+    largest = SAME_MOTION * np.maximum(scales.acceleration, np.abs(motions).max(1, initial=0.0))
     represented = np.zeros(len(moving), np.bool_)
     failed: list[tuple[Candidate, Ints]] = []
     for place, (k, candidate) in enumerate(moving):
@@ -256,7 +256,7 @@ def _combinations(
 
 
 def same_motion(
-    first: Candidate, second: Candidate, scales: Scales, tolerance: float = _SAME_MOTION
+    first: Candidate, second: Candidate, scales: Scales, tolerance: float = SAME_MOTION
 ) -> bool:
     """Return whether two candidate modes give the same accelerations."""
     size = max(scales.acceleration, float(np.abs(second.accelerations).max()))
@@ -306,10 +306,10 @@ def lemke_candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candi
     if not solved:
         return []
     after = free_accelerations + (contacts @ forces.ravel()).reshape(-1, 2)
-    not_accelerating = np.abs(after) <= _SAME_MOTION * max(
+    not_accelerating = np.abs(after) <= SAME_MOTION * max(
         scales.acceleration, float(np.abs(after).max())
     )
-    negligible = _SAME_MOTION * float(np.abs(forces).max())
+    negligible = SAME_MOTION * float(np.abs(forces).max())
     assignments = []
     # An unloaded contact may be closed or open, one at the edge of its cone pinned or sliding.
     for close_unloaded, pin_at_edge in product((True, False), repeat=2):

@@ -25,6 +25,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.modes.candidates import (
     OPEN_LOAD,
+    SAME_MOTION,
     SINGULAR,
     Candidate,
     Case,
@@ -152,6 +153,8 @@ _NEGLIGIBLE_TIE = 0.1
 # Relative difference of accelerations up to which a motion continues, at an event located with a
 # coarse tolerance. Rival motions differ by a multiple of this.
 _CONTINUES = 1e-3
+# The same of motions with a constraint that others imply to 1e-9 (`contacts.solvers.mode_solver`).
+_SAME_BY_SHARES = 10.0 * SAME_MOTION
 # Rows of a normal reduced by the joints below this part are round-off.
 _IMPLIED = 1e-10
 # Tolerance of a force that starts on the boundary of its cone, relative: its margin may stay zero,
@@ -381,10 +384,13 @@ def _select_candidate(
     taken = min(holding or clear or agreeing, key=closedness_key)
     # A candidate on the boundary of its inequalities (an unloaded massless body) is no rival.
     certain = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
+    same = SAME_MOTION if taken.share is None else _SAME_BY_SHARES
     rivals = [
         c
         for c in certain
-        if c is not taken and not same_motion(c, taken, scales) and not _held(taken, c, firmer)
+        if c is not taken
+        and not same_motion(c, taken, scales, same)
+        and not _held(taken, c, firmer)
     ]
     if not rivals and taken.share is not None:
         # With a shared load, candidates on the boundary are rivals, too.

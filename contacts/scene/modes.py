@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
@@ -192,6 +192,11 @@ def share_of(
     import sympy as sp
 
     zone, places = bearing.zone, bearing.coordinates
+    if contact.compliance is not None and pinned and "t" not in bearing.rows:
+        # Feet that sink differently turn the body: what implied the constraint no longer does.
+        slips = (("slip +", contact.slip), ("slip -", -contact.slip))
+        creeps = tuple(Margin(f"{contact.name}.{n}", slip, "implied") for n, slip in slips)
+        state = replace(state, margins=(*state.margins, *creeps))
     constraints = {"n": contact.normal_law, "t": contact.tangential_acceleration}
     independent = tuple(constraints[row] for row in bearing.rows)
     if zone == OWN:
@@ -208,7 +213,7 @@ def share_of(
         bears, laws, further = _coupling_zone_equations(contact, zone, limit, u)
     margins = state.margins
     if zone != "inside":
-        margins = *(m for m in margins if m.kind == "speed"), *further
+        margins = *(m for m in margins if m.kind in ("speed", "implied")), *further
     # The force in the equations of motion: normal and tangential, or along the edge.
     own_force = contact.V if limit is None else contact.H
     carriers = {f: sp.Symbol(f"{f}_{own_force}", real=True) for f in bearing.carriers}

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
-from contacts.collision_detection.body_numbers import STIFFNESS, BodyNumbers, PieceNumbers
+from contacts.collision_detection.body_numbers import ROPE, STIFFNESS, BodyNumbers, PieceNumbers
 from contacts.collision_detection.surfaces import HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
 from contacts.rigid_bodies.body_step import LEAST
 from contacts.rigid_bodies.declared_numbers import body_numbers
@@ -109,7 +109,8 @@ def _contact_candidates(numbers: BodyNumbers) -> Iterator[tuple[int, int]]:
     Surfaces have the indices behind the pieces; joined bodies are excluded.
     """
     bodies, kinds = numbers.pieces.bodies, numbers.laws.shape[0]
-    joined = {tuple(sorted(pair)) for pair in numbers.joints.bodies.tolist()}
+    bonds = numbers.joints.bodies[numbers.joints.kinds != ROPE]
+    joined = {tuple(sorted(pair)) for pair in bonds.tolist()}
     for p, b in enumerate(bodies.tolist()):
         # Compliant contacts sink in; -1 stands for no contact.
         rigid = np.append(numbers.materials[:, STIFFNESS] == 0.0, False)

@@ -198,7 +198,7 @@ def compliant_row(
         Step size, and that of the step of which this one is a part.
     """
     weight = min(1.0, whole * whole * own * (stiffness + own * damping * damping))
-    if start > 0.0 > start + h * rate:
+    if start > 0.0 > start + h * rate and h + start / rate > 0.0:
         h, start = h + start / rate, 0.0
     trapezoid = 1.0 - weight
     push = (0.25 * trapezoid * h + weight * whole) * stiffness + (0.5 + 0.5 * weight) * damping

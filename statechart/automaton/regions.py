@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from statechart.formulas.condition import Active, Condition
     from statechart.formulas.linear import Definition
 
-MarginKind = Literal["plain", "gap", "speed", "force", "hold"]
+MarginKind = Literal["plain", "gap", "speed", "force", "hold", "implied"]
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Margin:
 
     name: str  # such as ``tip.gap`` or ``tip.mu V - H``
     expression: sp.Expr  # of variables, parameters, time and unknowns
-    # Kind of tolerance. Events of `force` and `hold` margins are below minus their tolerance
-    # (hysteresis, so that the source mode is not re-entered), others are at zero.
+    # Kind of tolerance. Events of `force`, `hold` and `implied` margins are below minus their
+    # tolerance (hysteresis, so that the source mode is not re-entered), others are at zero.
     kind: MarginKind = "plain"
     relation: str = ""  # name of the relation of which it is one of several atoms
     whole: sp.Expr | None = None  # margin of that relation; None if it depends on states

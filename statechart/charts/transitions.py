@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, StrictBool, model_validator
+from pydantic import StrictBool, model_validator
 
 from statechart.documents import fields
 from statechart.documents.documented import declare
@@ -16,18 +16,6 @@ from statechart.formulas.formula import parse
 
 SEVERAL_SOURCES = "write one transition for each, or one from a state that holds them"
 _OUTSIDE = "transitions: [{name: go, from: STATE, to: STATE, on: EVENT}] beside `states`"
-
-
-def _no_increment(text: str | int | float) -> str | int | float:
-    if str(text).startswith("+"):
-        raise DeclarationProblem(
-            f"{text} is read as the new value, not as an increment",
-            advice=f"write VARIABLE + {str(text)[1:].strip()}, or {str(text)[1:].strip()}",
-        )
-    return text
-
-
-_Updates = dict[str, Annotated[fields.FiniteText, AfterValidator(_no_increment)]]
 
 
 class Transition(fields.Part):
@@ -89,7 +77,7 @@ class Transition(fields.Part):
         True,
         default=False,
     )
-    updates: _Updates = declare(
+    updates: dict[str, fields.FiniteText] = declare(
         "New values of variables, as formulas of the values before.",
         {"v": "-k*v"},
         unit="that of the variable",
@@ -207,13 +195,13 @@ class BaseState(fields.Part):
         True,
         default=False,
     )
-    entry: _Updates = declare(
+    entry: dict[str, fields.FiniteText] = declare(
         "Values of variables when the state is entered.",
         {"count": "count + 1"},
         unit="that of the variable",
         default={},
     )
-    exit: _Updates = declare(
+    exit: dict[str, fields.FiniteText] = declare(
         "Values of variables when the state is left.",
         {"count": 0},
         unit="that of the variable",

@@ -215,7 +215,7 @@ class _Builder:
                 # The mark of an empty value is on the next line.
                 self._values[loc] = self._keys[loc]
                 self._empty.add(loc)
-            return event.value if event.style else self._plain(event)
+            return event.value if event.style else self._plain(event, loc)
         if isinstance(event, events.SequenceStartEvent):
             items: list[Any] = []
             while not isinstance(item := next(parsed), events.SequenceEndEvent):
@@ -251,11 +251,18 @@ class _Builder:
                 f'put the whole formula in quotes: "{before[0]}, ..."',
             )
 
-    def _plain(self, event: events.ScalarEvent) -> Any:
+    def _plain(self, event: events.ScalarEvent, loc: Loc) -> Any:
+        text = event.value
         try:
-            return resolve(event.value)
+            value = resolve(text)
         except ValueError:
             self._fail(event, "a number of too many digits, or too large for a float")
+        if text.startswith("+") and loc[-2:-1] == ("updates",) and not isinstance(value, str):
+            more = f"{loc[-1]} + {text[1:]}"
+            self._fail(
+                event, f"{text} is the new value, no increment", f"write {more}, or {text[1:]}"
+            )
+        return value
 
     def _position(self, event: events.Event) -> Position:
         return self._at(event.start_mark.line, event.start_mark.column)

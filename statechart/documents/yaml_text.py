@@ -7,9 +7,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-# Text with a plus before it is a formula: `n: +1` as an update means n + 1 to its author.
-_INTEGER = re.compile(r"-?[0-9]+", re.ASCII)
-_FLOAT = re.compile(r"-?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?", re.ASCII)
+_INTEGER = re.compile(r"[-+]?[0-9]+", re.ASCII)
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?", re.ASCII)
 _WORDS: Mapping[str, Any] = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
     **dict.fromkeys(("true", "True", "TRUE"), True),
@@ -22,8 +21,6 @@ _WORDS: Mapping[str, Any] = {
 
 def resolve(text: str) -> Any:
     """Return the value of a plain scalar in the core schema of YAML 1.2, decimal numbers only.
-
-    `+1` stays text, and is a formula.
 
     Raises `ValueError` for integers of thousands of digits and numbers beyond the range of floats.
     """

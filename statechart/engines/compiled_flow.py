@@ -45,8 +45,8 @@ from statechart.kernels.search_workspace import (
 )
 from statechart.kernels.tapes import TapeCode, largest_deviation, tape_values
 
-PLAIN, GAP, SPEED, FORCE, HOLD = range(5)
-KINDS = ("plain", "gap", "speed", "force", "hold")
+PLAIN, GAP, SPEED, FORCE, HOLD, IMPLIED = range(6)
+KINDS = ("plain", "gap", "speed", "force", "hold", "implied")
 """Kinds of margins, and their names in the same order."""
 
 EVALUATION_ROUND_OFF = 8.0 * float(np.finfo(float).eps)
@@ -428,7 +428,7 @@ def flow_to_event(
         agrees = verdict == CROSSING and first == guard and at <= latest
         if at_zero or jumps or not agrees:
             return UNRESOLVED, -1, 0, boxes
-    cut = crossed if kind in (FORCE, HOLD) else at
+    cut = crossed if kind in (FORCE, HOLD, IMPLIED) else at
     count = cut_steps(times, coeffs, n_steps, cut, initial)
     reconstruct_any(dependent, initial, start + times[count])
     return AT_EVENT, guard, count, boxes

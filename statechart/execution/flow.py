@@ -242,7 +242,7 @@ class Advance:
                 self._cut(found.undecided.time, ended)
             raise
         self.graze = found.verdict is not Verdict.CROSSING
-        late = self.graze or self.compiled.kind(crossing.guard) in ("force", "hold")
+        late = self.graze or self.compiled.kind(crossing.guard) in ("force", "hold", "implied")
         at = crossing.crossed if late else crossing.time
         if self.compiled.plain[crossing.guard] and self._above(crossing.guard, at):
             # A discontinuous margin (an angle at its branch cut) is positive up to its jump.

@@ -155,14 +155,14 @@ def test_infinity_is_an_ordinary_parameter(spelling: str) -> None:
     assert validate(read_text(dump(python)), Chart) == python == chart
 
 
-def test_plain_scalars_follow_yaml_1_2_but_for_a_plus() -> None:
+def test_plain_scalars_follow_yaml_1_2() -> None:
     data = read_text(
         "a: 1e-3\nb: off\nc: yes\nd: 0x10\ne: 1_000\nf: 12:30\ng: 2001-01-01\nh: +.5\n"
         "i: '1'\nj: true\nk: null\nl:\nm: 007\nn: -3\no: =\n"
     ).data
     assert data == {
         **{"a": 1e-3, "b": "off", "c": "yes", "d": "0x10", "e": "1_000", "f": "12:30"},
-        **{"g": "2001-01-01", "h": "+.5", "i": "1", "j": True, "k": None, "l": None, "m": 7},
+        **{"g": "2001-01-01", "h": 0.5, "i": "1", "j": True, "k": None, "l": None, "m": 7},
         **{"n": -3, "o": "="},
     }
     assert type(data["a"]) is float

@@ -91,7 +91,7 @@ MISTAKES = {
     "a state as a relation": ("rod.angle <= -pi/2", "rod.up", "write it as x <= 0, or in(rod.up)"),
     "moment of inertia": ("inertia: m", "J: m", "unknown key 'J'; write inertia"),
     "controllers": ("stop: {", "controllers: {}\nstop: {", "write controls: {u: 0}, and regions: "),
-    "fixed steps": ("stop: {", "settings: {step: 1}\nstop: {", "write engine: impulse beside the "),
+    "fixed steps": ("stop: {", "settings: {step: 1}\nstop: {", "add --engine impulse, in a file "),
     "decimal comma": ("gravity: g", "gravity: 9,81", "5:11: gravity: formula '9,81': unexpected "
                       "','; decimals have a point: 9.81"),
     "decimal comma in braces": ("mu: 0.5", "mu: 0,5", "'5' is not a name; decimals have a point"),
@@ -359,8 +359,8 @@ OF_CHARTS = {
     "choice": ("n: n + 1", "n: if T > 1 then 2 else 3", "a state or transition for each case"),
     "ternary": ("n: n + 1", "n: 'T > 1 ? 2 : 3'", "a state or transition for each case"),
     "increment": ("n: n + 1", "n: n++", "write the new value, such as n + 1"),
-    "increment of one": ("n: n + 1", "n: +1", "9:69: regions.switch.transitions.0.updates.n: +1 is "
-                         "read as the new value, not as an increment; write VARIABLE + 1, or 1"),
+    "increment of one": ("n: n + 1", "n: +1", "9:69: +1 is the new value, no increment; write n "
+                         "+ 1, or 1"),
     "colon before a brace": ("variables: {", "variables {", "3:1: not YAML: 'variables' has no "
                              "colon with a blank behind it; write variables: {T: 15, n: 0}"),
     "colon before a brace of one key": ("stop: {", "stop {", "10:1: unknown key 'stop {time'; write"
