@@ -143,7 +143,7 @@ def scales(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:
         fall, t, count = sqrt(2 * q["h"] / G), 0.0, 0
         end = fall * r.uniform(0.2, 1.0) * (1 + 2 * q["e"] / (1 - q["e"]))
         flight, v, y = fall, 0.0, q["h"]
-        while t + flight < end and count < 60:
+        while t + flight < end and count < 600:
             t, count = t + flight, count + 1
             v, y = G * fall * q["e"] ** count, 0.0
             flight = 2 * v / G
