@@ -19,7 +19,7 @@ OFF_ROW = 2.0
 # Rows with a smaller coefficient in a unit null vector are not named as dependent.
 _MIN_COEFFICIENT = 1e-3
 ROUND_OFF = 4e-15
-"""Of an orthonormal basis of motions, relative."""
+"""Entries of an orthonormal basis of motions up to this size are round-off."""
 
 
 @dataclass(frozen=True, eq=False)

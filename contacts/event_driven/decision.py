@@ -60,10 +60,10 @@ def choose_mode(
             t and abs(c.slip) > slip_tolerance
             for t, c in zip(touching, snapshot.contacts, strict=True)
         ]
-        free = all(
+        may_open = all(
             "free" in law.states or not t for law, t in zip(setup.contacts, touching, strict=True)
         )
-        if sum(touching) > 1 and any(slides) and free and paradox == "impact":
+        if sum(touching) > 1 and any(slides) and may_open and paradox == "impact":
             reports += "; where friction jams several contacts at once, take the engine impulse"
         raise NoConsistentMode(f"{error}{reports}", considered=error.considered) from None
     if np.abs(choice.taken.forces).max(initial=0.0) > ENDLESS * setup.scales.force:

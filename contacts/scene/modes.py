@@ -195,8 +195,8 @@ def share_of(
     if contact.compliance is not None and pinned and "t" not in bearing.rows:
         # Feet that sink differently turn the body: what implied the constraint no longer does.
         slips = (("slip +", contact.slip), ("slip -", -contact.slip))
-        creeps = tuple(Margin(f"{contact.name}.{n}", slip, "implied") for n, slip in slips)
-        state = replace(state, margins=(*state.margins, *creeps))
+        implied = (Margin(f"{contact.name}.{side}", slip, "implied") for side, slip in slips)
+        state = replace(state, margins=(*state.margins, *implied))
     constraints = {"n": contact.normal_law, "t": contact.tangential_acceleration}
     independent = tuple(constraints[row] for row in bearing.rows)
     if zone == OWN:

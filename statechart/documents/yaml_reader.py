@@ -4,8 +4,7 @@ A document is built from the YAML event stream, not by a loader: size, depth, nu
 anchors, aliases, merge keys, tags and duplicate keys are checked first, since a few hundred bytes
 of aliases can occupy a loader for minutes.
 
-Plain scalars follow the core schema of YAML 1.2: `1e-3` is a number, `off` and `inf` are text. Only
-`+1` differs: it is a formula.
+Plain scalars follow the core schema of YAML 1.2: `1e-3` is a number, `off` and `inf` are text.
 """
 
 from __future__ import annotations
