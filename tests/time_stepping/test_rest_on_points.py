@@ -8,7 +8,7 @@ import pytest
 from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
-from statechart.running.runner import Runner
+from statechart.running.runner import Runner, run
 
 BOX = """
 kind: scene
@@ -93,3 +93,32 @@ def test_closing_walls_end_the_run():
     assert trace.outcome is Outcome.UNSOLVED_IMPULSES
     assert "no impulses keep two out" in trace.message
     assert 1 / 0.1875 < trace.t_end < 1 / 0.1875 + 0.02
+
+
+SECOND_END = """
+kind: scene
+name: second_end
+parameters: {a: -2e-5, w: 0.03}
+gravity: 9.81
+simultaneous: plastic
+bodies:
+  rod:
+    {mass: 1, inertia: 0.05,
+     start: {y: 0.3*sin(-a), angle: a, dx: 1.4, dy: -0.3*w*cos(a), dangle: w}}
+surfaces: {ground: {height: 0}}
+contacts:
+  left: {point: {body: rod, at: [-0.3, 0]}, surface: ground, friction: 0.5, restitution: 0.5,
+    impact: moreau}
+  right: {point: {body: rod, at: [0.3, 0]}, surface: ground, friction: 0.5, restitution: 0.5,
+    impact: moreau}
+stop: {time: 1e-3}
+settings: {engine: impulse}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-5, 1e-6, 3e-7])
+def test_contact_that_lands_within_its_gap_tolerance_rests_there(step):
+    # At the two short steps the middle of a step finds the left end 4e-9 above the ground.
+    trace = run(interpret(read_text(SECOND_END)), step=step).trace
+    assert [(jump.region, jump.cause) for jump in trace.jumps] == [("left", "touchdown")]
+    assert trace.final_mode == ("slide+", "slide+")
