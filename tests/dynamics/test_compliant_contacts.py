@@ -318,3 +318,24 @@ outputs: {off: {value: time, at: first magnet.disable}}
     for h in np.linspace(0.1, 0.5, 30).tolist():
         off = runner.run({"h": h}, until=0.4).outputs["off"]
         assert off == pytest.approx(math.sqrt(2.0 * h / 9.81), abs=1e-11)
+
+
+_TABLE = """
+kind: scene
+name: table
+gravity: 9.81
+bodies: {table: {mass: 200, inertia: 2, start: {y: 0.6 - 200*9.81/6e4, dangle: 0.04}}}
+surfaces: {floor: {height: 0}}
+contacts:
+  left: {point: {body: table, at: [-1.4, -0.6]}, surface: floor, friction: 0.3, FOOT}
+  right: {point: {body: table, at: [0.1, -0.6]}, surface: floor, friction: 0.3, FOOT}
+stop: {time: 0.02}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-4, 5e-5])
+def test_slow_slip_that_stops_on_compliant_feet_adds_no_energy(step: float) -> None:
+    """The mass of the feet is the scale of the energy, not the compliance of their pads."""
+    text = _TABLE.replace("FOOT", "stiffness: 3e4, damping: 5")
+    trace = statechart.run(read_text(text), engine="impulse", step=step).trace
+    assert trace.t_end == pytest.approx(0.02, abs=1e-9)
