@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -141,17 +142,21 @@ class Recorder:
         states: tuple[Array, Array],
         fired: tuple[str, ...],
         moved: Mapping[int, int],
+        **impulses: Mapping[str, Any],
     ) -> Jump:
         """Append and return a jump of a controller from one state to another.
 
-        Afterwards the regions `moved` have these modes.
+        Afterwards the regions `moved` have these modes; `impulses`: fields of the `Jump`.
         """
         self.close()
         self.row = self.row.copy()
         for i, code in moved.items():
             self.row[i] = code
         target = (*self._key(self.row)[: len(self.row)], *controls)
-        jump = Jump(self.clock.high, self.count, region, cause, self.key, target, *states, fired)
+        jump = Jump(
+            self.clock.high, self.count, region, cause, self.key, target, *states, fired,
+            **impulses,
+        )  # fmt: skip
         self._note(jump)
         self.control_jumps.append(
             replace(jump, j=len(self.control_jumps), source=self.controls, target=controls)

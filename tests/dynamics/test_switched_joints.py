@@ -523,6 +523,42 @@ def test_jumps_list_the_impulses_of_joints() -> None:
     assert event["joint_impulse"] == dict(pushes)
 
 
+def test_joint_that_closes_by_steps_lists_its_impulses() -> None:
+    model = read_text(_WELD)
+    runs = statechart.run(model), statechart.run(model, engine="impulse", step=1e-3)
+    by_events, by_steps = (
+        next(jump for jump in run.trace.jumps if jump.region == "glue") for run in runs
+    )
+    assert set(by_events.joint_impulse) == {"glue.X", "glue.Y", "glue.M"}
+    assert by_steps.joint_impulse == pytest.approx(by_events.joint_impulse, abs=1e-9)
+
+
+@pytest.mark.parametrize("engine", ["taylor", "impulse"])
+def test_joint_that_presses_a_contact_as_it_closes_lists_both_impulses(engine: str) -> None:
+    """A box of 2 kg at 1 m/s is caught 0.2 m above its centre, 0.05 m before its foot.
+
+    All stops: 0.4 N m s about the hook are 0.05 m times the impulse of the foot.
+    """
+    text = """
+kind: scene
+name: caught
+gravity: 10
+bodies: {box: {mass: 2, inertia: 0.1, start: {y: 0.1, dx: 1}}}
+surfaces: {floor: {height: 0}}
+contacts:
+  foot: {point: {body: box, at: [0, -0.1]}, surface: floor, friction: 0, restitution: 0}
+joints:
+  hook: {point: {body: box, at: [0.05, 0.2]}, to: [0, 0], rest: captured, enabled: time >= 0.2}
+stop: {time: 0.3}
+"""
+    settings = {"step": 1e-3} if engine == "impulse" else {}
+    jumps = statechart.run(read_text(text), engine=engine, **settings).trace.jumps
+    jump = next(jump for jump in jumps if jump.region == "hook")
+    assert jump.after[3:6] == pytest.approx(0, abs=1e-9)
+    assert jump.joint_impulse == pytest.approx({"hook.X": -2, "hook.Y": -8}, abs=1e-9)
+    assert jump.impulse == {"foot": pytest.approx((8, 0), abs=1e-9)}
+
+
 def test_impacts_list_the_impulses_of_joints() -> None:
     # A rod of moment of inertia 1 about its pin stops at its tip, 1 m from the pin: the impulse of
     # the tip is its spin, and both together stop the centre of mass.
