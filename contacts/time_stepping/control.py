@@ -249,11 +249,11 @@ class StepControl:
                     if push[0] > 0.0 and STATES[recorder.row[i]] in OPEN
                 }
             )
-        struck_by = zip(contacts, map(tuple, impulses.tolist()), strict=True)
+        pairs = zip(contacts, impulses.tolist(), strict=True)
         return ClosingImpact(
             self._memory.joined(motion, state),
             held,
-            {law.name: sizes for law, sizes in struck_by if any(sizes) and not law.coupling},
+            {law.name: (V, H) for law, (V, H) in pairs if (V or H) and not law.coupling},
             tape.joint_impulse(snapshot, before, motion, impulses),
         )
 

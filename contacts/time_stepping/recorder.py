@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -142,11 +141,13 @@ class Recorder:
         states: tuple[Array, Array],
         fired: tuple[str, ...],
         moved: Mapping[int, int],
-        **impulses: Mapping[str, Any],
+        *,
+        impulse: Mapping[str, tuple[float, float]],
+        joint_impulse: Mapping[str, float],
     ) -> Jump:
         """Append and return a jump of a controller from one state to another.
 
-        Afterwards the regions `moved` have these modes; `impulses`: fields of the `Jump`.
+        Afterwards the regions `moved` have these modes; the impulses are those of the `Jump`.
         """
         self.close()
         self.row = self.row.copy()
@@ -155,7 +156,7 @@ class Recorder:
         target = (*self._key(self.row)[: len(self.row)], *controls)
         jump = Jump(
             self.clock.high, self.count, region, cause, self.key, target, *states, fired,
-            **impulses,
+            impulse=impulse, joint_impulse=joint_impulse,
         )  # fmt: skip
         self._note(jump)
         self.control_jumps.append(
