@@ -340,6 +340,8 @@ OF_CHARTS = {
     "reset": ("updates:", "reset:", "unknown key 'reset'; write updates: {VARIABLE: FORMULA}"),
     "condition of SCXML": ("guard: T", "cond: T", "9:40: unknown key 'cond'; write guard"),
     "timeout": ("guard: T >= 20", "timeout: 2", "unknown key 'timeout'; write after"),
+    "type of a transition": ("guard: T", "type: internal, guard: T", "write internal: true"),
+    "event of SCXML": ("guard: T", "on: done.state.off, guard: T", "write off.done"),
     "priority": ("guard: T", "priority: 1, guard: T", "of those that are due the first is taken"),
     "controls": ("stop:", "controls: {u: 0}\nstop:",
                  "10:1: unknown key 'controls'; write variables: {u: 0}, and entry: {u: 1}"),
