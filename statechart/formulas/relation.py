@@ -309,6 +309,8 @@ class _RelationReader(Reader):
         opening = self.advance()
         name = self.advance()
         region, dot, state = name.text.partition(".")
+        if self.token.text in ("+", "-"):
+            state += self.advance().text
         if opening.text != "(" or name.kind != "name" or not dot or self.token.text != ")":
             self.source.fail(
                 "`in` asks for a state of a region", token.offset, "write in(REGION.STATE)"

@@ -543,6 +543,12 @@ OF_JOINTS = {
         "rope: {}\nstop:",
         "write joints: {NAME: {point: {body: load}, to: [0",
     ),
+    "ropes of a scene": ("stop:", "ropes: {}\nstop:", "write joints: {NAME: {point: {body: load}"),
+    "gears of a scene": ("stop:", "gears: {}\nstop:", "write coordinates: {q: {}}"),
+    "length of a joint": ("to: [0, 0]", "to: [0, 0], length: 1", "write rod: L"),
+    "longest joint": ("to: [0, 0]", "to: [0, 0], max_length: 1", "write rope: L"),
+    "joint with a condition": ("to: [0, 0]", "to: [0, 0], active: 1", "write enabled: RELATION"),
+    "viscous friction": ("friction: mu", "friction: {viscous: 1}", "write kinetic: 0.3"),
     "damper of a scene": (
         "stop:",
         "damper: {}\nstop:",
