@@ -23,6 +23,9 @@ class Friction(Part):
     """Coefficients of friction at rest and in motion."""
 
     OTHER_WORDS: ClassVar = {
+        **dict.fromkeys(
+            ("mu", "coefficient"), "friction: 0.5, or friction: {static: s, kinetic: k}"
+        ),
         **dict.fromkeys(("mu_s", "static_friction"), "static"),
         **dict.fromkeys(("mu_k", "dynamic", "sliding", "dynamic_friction"), "kinetic"),
         "coulomb": "a number instead of the mapping, or static and kinetic",

@@ -291,6 +291,7 @@ class Surface(Part):
 
     OTHER_WORDS: ClassVar = {
         **dict.fromkeys(("slope", "angle"), "incline"),
+        **dict.fromkeys(("y", "level"), "height"),
         **dict.fromkeys(
             ("plane", "halfspace", "half_space", "type", "normal", "offset", "pos"),
             "height: 0, incline: ANGLE, or line: [[0, 0], [1, 0]]",

@@ -171,7 +171,7 @@ class Relation:
                 Source(self.text).fail(
                     f"{one.operator} compares {changing_names[0]!r}, which changes between events",
                     one.offset,
-                    "write <= or >=: it becomes true as the value passes the other side",
+                    "write <= or >=: either is true as soon as the value gets there",
                 )
 
     def margin(self, symbols: Mapping[str, sp.Expr], states: States = _NO_STATES) -> sp.Expr:

@@ -216,7 +216,7 @@ def test_a_broken_joint_does_not_close_again() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "reported"),
     [
         ("rope: 1,", "rope: 1, rod: 2,", "a joint is a rod or a rope"),
         ("rope: 1,", "rope: 1, angle: held,", "a rope has no angle"),
@@ -235,9 +235,9 @@ def test_a_broken_joint_does_not_close_again() -> None:
         ("rope: 1, restitution: 0.5", "rod: 2 + a.x", "write a formula of time, or a rope"),
     ],
 )
-def test_a_mistake_in_a_joint_is_reported(old: str, new: str, told: str) -> None:
+def test_a_mistake_in_a_joint_is_reported(old: str, new: str, reported: str) -> None:
     assert old in _ROPE
-    with pytest.raises(DeclarationError, match=re.escape(told)):
+    with pytest.raises(DeclarationError, match=re.escape(reported)):
         statechart.run(interpret(read_text(_ROPE.replace(old, new), "joint.yaml")))
 
 
