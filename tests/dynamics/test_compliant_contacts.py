@@ -200,7 +200,7 @@ def test_steps_longer_than_a_contact_lasts_add_no_energy(stiffness: float, dampi
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "reported"),
     [
         ("stiffness: k,", "stiffness: k, restitution: 0.5,", "no restitution"),
         ("stiffness: k,", "stiffness: k, impact: newton,", "no impact"),
@@ -210,9 +210,9 @@ def test_steps_longer_than_a_contact_lasts_add_no_energy(stiffness: float, dampi
         ("stiffness: k,", "stiffness: ball.y,", "ball.y"),
     ],
 )
-def test_a_mistake_in_a_compliant_contact_is_reported(old: str, new: str, told: str) -> None:
+def test_a_mistake_in_a_compliant_contact_is_reported(old: str, new: str, reported: str) -> None:
     assert old in _BALL
-    with pytest.raises(DeclarationError, match=told):
+    with pytest.raises(DeclarationError, match=reported):
         interpret(read_text(_BALL.replace(old, new), "soft.yaml"))
 
 
@@ -250,13 +250,15 @@ def test_a_landing_damper_moves_a_braked_body(engine: str, step: float | None, l
 
 
 @pytest.mark.parametrize(
-    ("start", "told"),
+    ("start", "reported"),
     [
         ("{y: 0.4, x: 0.2}", "0.04 apart; a position that closes all: load.y = 0.36"),
         ("{y: 0.36, x: 0.2, dy: 1}", "apart at 1; velocities that it allows: load.dy = 0"),
     ],
 )
-def test_inconsistent_joints_with_compliant_contacts_suggest_a_start(start: str, told: str) -> None:
+def test_inconsistent_joints_with_compliant_contacts_suggest_a_start(
+    start: str, reported: str
+) -> None:
     text = f"""
 kind: scene
 name: cart
@@ -271,7 +273,7 @@ stop: {{time: 1}}
 """
     with pytest.raises(DeclarationError) as caught:
         statechart.run(interpret(read_text(text)))
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
 
 
 def test_pads_that_steps_do_not_resolve_together_add_no_energy() -> None:

@@ -216,7 +216,7 @@ def test_a_broken_joint_does_not_close_again() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "reported"),
     [
         ("rope: 1,", "rope: 1, rod: 2,", "a joint is a rod or a rope"),
         ("rope: 1,", "rope: 1, angle: held,", "a rope has no angle"),
@@ -235,9 +235,9 @@ def test_a_broken_joint_does_not_close_again() -> None:
         ("rope: 1, restitution: 0.5", "rod: 2 + a.x", "write a formula of time, or a rope"),
     ],
 )
-def test_a_mistake_in_a_joint_is_reported(old: str, new: str, told: str) -> None:
+def test_a_mistake_in_a_joint_is_reported(old: str, new: str, reported: str) -> None:
     assert old in _ROPE
-    with pytest.raises(DeclarationError, match=re.escape(told)):
+    with pytest.raises(DeclarationError, match=re.escape(reported)):
         statechart.run(interpret(read_text(_ROPE.replace(old, new), "joint.yaml")))
 
 
@@ -250,6 +250,21 @@ def test_initially_redundant_joint_is_reported() -> None:
     text = text.replace("dx: 1", "dy: 1")
     with pytest.raises(DeclarationError, match="starts closed, and other closed joints imply"):
         statechart.run(interpret(read_text(text, "joint.yaml")))
+
+
+def test_a_joint_that_contacts_decide_about_at_the_start_has_advice() -> None:
+    text = """
+kind: scene
+name: glued
+gravity: 10
+bodies: {a: {mass: 1, start: {dx: 2}}, b: {mass: 1, start: {x: 5, y: 3, dx: 1}}}
+surfaces: {floor: {height: 0}}
+contacts: {foot: {point: {body: a}, surface: floor, friction: 0.2, restitution: 0}}
+joints: {glue: {point: {body: b}, to: {body: a}, rest: captured, enabled: in(foot.pin)}}
+stop: {time: 1}
+"""
+    with pytest.raises(DeclarationError, match=r"start off, let a controller close it"):
+        statechart.run(interpret(read_text(text)))
 
 
 _SWAP = """
