@@ -278,11 +278,12 @@ class _GuardScan:
             near = np.abs(rows[:, 2]) <= self._near * np.abs(rows[:, 3])
         for i, place in np.argwhere(falling & near).tolist():
             (arc, jump), k = ends[i], places[place]
+            name, _ = self._watched[k]
+            if jump and name == self._named.get(jump.fired[0]) and name not in self._stops:
+                continue
             begin, end = arc.times[-2:].tolist()
             at = self._least(arc, k, end - _EXTRAPOLATED * (end - begin), end)
-            graze = self._open(arc, k, at, 0.0, fired=False)
-            cause = jump and self._named.get(jump.fired[0])
-            if graze and (cause != graze.guard or graze.guard in self._stops):
+            if graze := self._open(arc, k, at, 0.0, fired=False):
                 yield graze._replace(turned=jump is not None)
 
     def _last(self, arcs: Sequence[Arc]) -> Array:
