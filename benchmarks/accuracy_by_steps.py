@@ -246,12 +246,12 @@ def main() -> None:
             print(f"{number} {kind} {accuracy:g} ({shown}): {judged.verdict}, error "
                   f"{judged.error:.2g}, estimate {judged.estimate:.2g} {judged.reason}",
                   flush=True)  # fmt: skip
-    told = [one for _, one in found if one.verdict in ("delivered", "missed")]
-    ratios = [one.estimate / one.error for one in told if one.error > _ROUNDING]
+    reported = [one for _, one in found if one.verdict in ("delivered", "missed")]
+    ratios = [one.estimate / one.error for one in reported if one.error > _ROUNDING]
     print("\n".join(f"{v:10} {n}" for v, n in Counter(one.verdict for _, one in found).items()))
-    print(f"estimate below the error: {sum(r < 1.0 for r in ratios)} of {len(told)}, below half "
-          f"of it: {sum(r < 0.5 for r in ratios)}; median ratio {np.median(ratios):.2g}; "
-          f"median steps of all runs {np.median([one.steps for one in told]):.3g}")  # fmt: skip
+    print(f"estimate below the error: {sum(r < 1.0 for r in ratios)} of {len(reported)}, below "
+          f"half of it: {sum(r < 0.5 for r in ratios)}; median ratio {np.median(ratios):.2g}; "
+          f"median steps of all runs {np.median([one.steps for one in reported]):.3g}")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@
 
 The random scenes of accuracy_of_random_scenes.py, with outputs that have kinks and peaks, extremes,
 counts and lists. A request is judged by the tightest runs of two engines. Of every fifth, the cost
-is told in those of the coarsest single run of the same engine that delivers, both warm. Time steps
+is in units of the coarsest single run of the same engine that delivers, both warm. Time steps
 are asked for accuracies in accuracy_by_steps.py.
 """
 
@@ -172,9 +172,10 @@ def main() -> None:
         if (i + 1) % 20 == 0:
             print(f"{i + 1} of {count}: {dict(verdicts)}", file=sys.stderr, flush=True)
     print(f"{count} requests, seed {seed}: {dict(verdicts)}")
-    told = np.array(ratios)
-    print(f"estimate per error: median {np.median(told):.3g}, below it {np.mean(told < 1):.2%}, "
-          f"below a half {np.sum(told < 0.5)} of {len(told)}")  # fmt: skip
+    errors = np.array(ratios)
+    print(f"estimate per error: median {np.median(errors):.3g}, below it "
+          f"{np.mean(errors < 1):.2%}, below a half {np.sum(errors < 0.5)} "
+          f"of {len(errors)}")  # fmt: skip
     every = [ratio for some in costs.values() for ratio in some]
     print(f"cost in coarsest runs: median {np.median(every):.3g} of {len(every)}; "
           + ", ".join(f"{k} {np.median(v):.3g}" for k, v in costs.items()))  # fmt: skip

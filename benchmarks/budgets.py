@@ -18,17 +18,17 @@ BUDGETS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 
 
 def cold(model: str, budget: float) -> tuple[float, float | None, str, bool]:
-    """Seconds taken, estimate, engine, and whether an overrun is told, in a fresh process."""
+    """Seconds taken, estimate, engine, and whether an overrun is reported, in a fresh process."""
     command = [sys.executable, "-m", "statechart.cli.main", "run", model, "--json", "--budget"]
     said = subprocess.run([*command, str(budget)], capture_output=True, text=True, check=False)
     report = json.loads(said.stdout)
-    told = any("were taken" in warning for warning in report["warnings"])
+    reported = any("were taken" in warning for warning in report["warnings"])
     estimate = report["error_estimate"]
     return (
         report["asked"]["cost"]["seconds"],
         None if estimate is None else float(estimate),
         report["engine"],
-        told,
+        reported,
     )
 
 
@@ -38,8 +38,8 @@ def warm(model: str, budget: float) -> tuple[float, float | None, str, bool]:
     runner.run(throw=False)
     result = runner.run(throw=False)
     assert result.asked is not None
-    told = any("were taken" in warning for warning in result.warnings)
-    return result.asked.cost.seconds, result.error_estimate, result.trace.engine, told
+    reported = any("were taken" in warning for warning in result.warnings)
+    return result.asked.cost.seconds, result.error_estimate, result.trace.engine, reported
 
 
 def main() -> None:
@@ -50,12 +50,12 @@ def main() -> None:
         for budget in BUDGETS:
             cells = []
             for measure in (cold, warm):
-                seconds, estimate, engine, told = measure(model, budget)
+                seconds, estimate, engine, reported = measure(model, budget)
                 kept = seconds <= max(1.2 * budget, budget + 0.05)
                 count, over = count + 1, over + (not kept)
-                silent += not kept and not told
+                silent += not kept and not reported
                 known = "none" if estimate is None else f"{estimate:.1g}"
-                mark = "" if kept else " over" if told else " SILENT"
+                mark = "" if kept else " over" if reported else " SILENT"
                 cells += [f"{seconds:.3g} s{mark}", f"{known}, {engine}"]
             print(f"| {model} | {budget:g} | " + " | ".join(cells) + " |", flush=True)
     print(f"\n{over} of {count} over, {silent} silently")

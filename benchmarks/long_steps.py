@@ -200,7 +200,7 @@ KINDS: dict[str, Kind] = {
 
 # An error is plainly wrong from so many steps of the run on, and from so many times what is done
 # in a step; below the least never, above the most always.
-_ALLOWED, _ORDER, _LEAST, _MOST = 20.0, 5.0, 0.05, 0.5
+_ALLOWED, _ORDER, _MIN_ERROR, _MAX_ERROR = 20.0, 5.0, 0.05, 0.5
 # In steps in which no more than this is done a run is to come to its end.
 _FOLLOWED = 0.1
 # So much of the energy is gained by no rounding and no first order.
@@ -245,7 +245,7 @@ def judge(
         return "unjudged", exact.trace.message
     if refused:
         followed = step * kind.rate(known) < _FOLLOWED
-        return ("needless" if followed else "told"), coarse.trace.message
+        return ("needless" if followed else "reported"), coarse.trace.message
     gained = 0.0 if "drive" in model.name else _gained(coarse) - max(_gained(exact), 0.0)
     ours, theirs = _numbers(coarse), _numbers(exact)
     end = exact.trace.t_end
@@ -256,13 +256,13 @@ def judge(
         not half.trace.outcome.succeeded
         or float((np.abs(_numbers(half) - theirs) / scale).max()) > 0.3
     )
-    # Of a bounce off what is crossed in a step, nothing but its side is told.
-    allowed = max(_ALLOWED * step / end, _ORDER * step * kind.rate(known), _LEAST)
-    wrong = error > min(allowed, _MOST) or gained > _GAIN
-    if not wrong and not (said and error > _LEAST):
+    # Of a bounce off what is crossed in a step, nothing but its side is reported.
+    allowed = max(_ALLOWED * step / end, _ORDER * step * kind.rate(known), _MIN_ERROR)
+    wrong = error > min(allowed, _MAX_ERROR) or gained > _GAIN
+    if not wrong and not (said and error > _MIN_ERROR):
         return ("needless" if said else "right"), f"error {error:.2g}"
     if said:
-        return "told", coarse.warnings[-1] if coarse.warnings else ""
+        return "reported", coarse.warnings[-1] if coarse.warnings else ""
     if unclear and gained <= _GAIN:
         return "sensitive", f"error {error:.2g}"
     return "silent", f"error {error:.2g}, gained {gained:.2g}"

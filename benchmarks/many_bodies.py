@@ -3,7 +3,7 @@
 Same discs, same step, one process, one core: medians. Of others what is installed is measured:
 Box2D 3, pymunk and MuJoCo (`pip install "contact-statecharts[bench]"`), each in a process of its
 own. They give no impulses of contacts that this measures alike, so that their exactness is not
-told; of all the deepest overlap is, at the end, and how high the highest disc then is.
+reported; of all the deepest overlap is, at the end, and how high the highest disc then is.
 
 python benchmarks/many_bodies.py [--discs 100] [--dice 10 40] [--heaps 1000] [--memory 3000]
     [--repeats 5]

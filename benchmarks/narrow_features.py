@@ -3,7 +3,7 @@
     python benchmarks/narrow_features.py [COUNT] [SEED]
 
 A pulse or a switch (tanh, exp or rational) of a width of 1e-4 to 1 of the run, at a random time or
-place. A run is judged by SciPy, which is told where to look: quadrature for what depends on time
+place. A run is judged by SciPy, with the feature given: quadrature for what depends on time
 alone, an integration that is cut at the feature for the others. A run is wrong if it is off by more
 than a thousand times its tolerance (whose power an order below counts with scipy), or, where an
 accuracy was asked for, by more than that without saying so.

@@ -188,10 +188,10 @@ def shifts(r: random.Random) -> tuple[Runner, Callable[[], Sibling]]:
         def check(result: Result) -> float:
             if want.warnings and not result.warnings:
                 return 0.0
-            told = [[(j.region, j.cause) for j in one.trace.jumps] for one in (want, result)]
+            reported = [[(j.region, j.cause) for j in one.trace.jumps] for one in (want, result)]
             state = result.trace.final - np.array([X, Y, 0, 0, 0, 0][: len(want.trace.final)])
             return max(
-                0.0 if told[0] == told[1] else inf,
+                0.0 if reported[0] == reported[1] else inf,
                 float(np.abs(state - want.trace.final).max()) / (1e-8 + 1e-12 * hypot(X, Y)),
             )
 

@@ -77,7 +77,7 @@ def ended(result: Result, values: dict[str, float]) -> np.ndarray:
 
 def main(count: int = 300, seed: int = 0) -> int:
     """Try all moves of `count` scenes; print those that differ, return how many."""
-    random, wrong, told, tried = np.random.default_rng(seed), 0, 0, 0
+    random, wrong, reported, tried = np.random.default_rng(seed), 0, 0, 0
     runners = {
         name: Runner(read_text(HEAD + SURFACES + text.replace("\n      start", " start")))
         for name, text in SCENES.items()
@@ -103,12 +103,12 @@ def main(count: int = 300, seed: int = 0) -> int:
             if events(found) == events(want) and off <= 1e-9 + 1e3 * by:
                 continue
             if found.warnings or want.warnings:
-                told += 1
+                reported += 1
                 continue
             wrong += 1
             print(f"{index} {name} {move}: off by {off:.2g}, {base}")
             print("   ", events(want)[:9], "\n   ", events(found)[:9])
-    print(f"{count} scenes, {tried} moves: {wrong} wrong, {told} differ with a warning")
+    print(f"{count} scenes, {tried} moves: {wrong} wrong, {reported} differ with a warning")
     return wrong
 
 

@@ -4,7 +4,7 @@
 
 The toppling stick over friction and moment of inertia, in the ranges of the paper's figure 10,
 certified, with all its outputs. Rates are medians over blocks in one process; what a sweep adds to
-its runs (rows, arrays, the store) is told beside them. The load of the machine says what they are
+its runs (rows, arrays, the store) stands beside them. The load of the machine says what they are
 worth: on a busy one two processes cannot be twice as fast as one.
 """
 

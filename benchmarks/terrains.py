@@ -4,7 +4,7 @@ A ball is thrown over a random terrain and bounces for a second. Every flight of
 parabola from a known state, so that where it ends is known without integration: brute force
 marches along it, as far at a time as the terrain's curvature cannot reach up. Counted are impacts
 that were missed, came early or late, and runs that are not certified. Each run is also made up
-to just behind its first impact, and what that takes in all is told, in CPU time.
+to just behind its first impact, and what that takes in all is reported, in CPU time.
 
     python benchmarks/terrains.py [--terrains N] [--engine taylor|scipy]
 """

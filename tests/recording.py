@@ -98,10 +98,10 @@ def _compared(old: Any, new: Any, tolerance: float, at: str, size: float) -> Ite
         if _NUMBER.sub("#", old).split() != _NUMBER.sub("#", new).split():
             yield f"{at}: {new!r} instead of {old!r}"
         else:
-            told = ([float(n) for n in _NUMBER.findall(text)] for text in (old, new))
+            reported = ([float(n) for n in _NUMBER.findall(text)] for text in (old, new))
             yield from (
                 f"{at}: {new!r} instead of {old!r}"
-                for a, b in zip(*told, strict=True)
+                for a, b in zip(*reported, strict=True)
                 # Texts are rounded.
                 if not (a == b or abs(a - b) <= max(tolerance, 1e-5) * max(abs(a), abs(b), 1e-9))
             )

@@ -201,6 +201,16 @@ class SnapshotTape:
             outputs += [sign.slip, sign.bias, sign.limit, *sign.row]
         self.tape: Tape = mechanics.tape(outputs, definitions=mechanics.controlled(states))
 
+    def joint_impulse(
+        self, snapshot: Snapshot, before: Array, after: Array, impulses: Array
+    ) -> dict[str, float]:
+        """Return the impulses of joints other than zero in a jump, by name.
+
+        See `Snapshot.joint_impulses`.
+        """
+        sizes = snapshot.joint_impulses(before, after, impulses).tolist()
+        return {name: size for name, size in zip(self.joint_names, sizes, strict=True) if size}
+
     def at(self, values: Array, state: Array, time: float) -> Snapshot:
         """Return the snapshot at `state` (2 n,), reduced to the motions that joints allow."""
         whole, joints = self.unreduced(values, state, time)

@@ -165,11 +165,10 @@ def impact_jump(
     energy = rules.tape.at(setup.values, entered.state, at.clock.high).energy
     bounce_time = max(bounce_times.values(), default=None)
     impulses = struck.result.impulses
-    of_joints = landing.snapshot.joint_impulses(
-        at.state if before is None else before, entered.state, impulses
+    joint_impulse = rules.tape.joint_impulse(
+        landing.snapshot, at.state if before is None else before, entered.state, impulses
     )
-    joint_impulse = zip(rules.tape.joint_names, of_joints.tolist(), strict=False)
-    couples = [(f"{law.name}.M", impulses.item(i, 1)) for i, law in rolling(laws)]
+    couples = {f"{law.name}.M": impulses.item(i, 1) for i, law in rolling(laws)}
     jump = at.jump(
         *event,
         target,
@@ -179,7 +178,7 @@ def impact_jump(
             for law, (normal, tangential) in zip(laws, impulses.tolist(), strict=True)
             if law.carrier < 0 and (normal != 0.0 or tangential != 0.0)
         },
-        joint_impulse={name: size for name, size in (*joint_impulse, *couples) if size != 0.0},
+        joint_impulse=joint_impulse | {name: size for name, size in couples.items() if size},
         path=struck.result.path,
         considered=LazyMapping(
             partial(

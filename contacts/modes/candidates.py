@@ -56,7 +56,7 @@ _REASONS = {
     OUTSIDE: "|H| = {:.6g} > mu V",
     AGAINST: "slip would accelerate at {:.3g} against it",
     BEYOND: "|M| = {:.6g} > its limit",
-    NEGATIVE: "its limit is {:.6g} < 0",
+    NEGATIVE: "its limit is {:.6g} < 0 (a coupling that lets go has enabled: RELATION)",
 }
 SINGULAR = "its equations do not determine the motion"
 """Reason of a mode in which a body without mass or inertia is free."""

@@ -40,7 +40,7 @@ class BodyShapes:
     def __init__(
         self, mechanics: Mechanics, automaton: Automaton, known: Mapping[str, float]
     ) -> None:
-        self._mechanics, self._automaton, self._values = mechanics, automaton, known
+        self._mechanics, self._values = mechanics, known
         self._scene = mechanics.scene
         self._frames = {name: 1 + place for place, name in enumerate(self._scene.bodies)}
         led = led_ends(self._scene)

@@ -133,7 +133,10 @@ def _store(
             if active.hit[i] and pn > 0.0:
                 chunk.struck[k, b] = True
                 chunk.impulses[k, b, 0] += pn
-                if not resists:
+                if resists:
+                    turned = active.rows[i, 1, 3 * side + 2] * pt
+                    chunk.joint_impulses[k, joint_forces(numbers) + b] += turned
+                else:
                     chunk.impulses[k, b, 1] += pt if side == 0 else -pt
             # An impulse below this part of the largest on its body is round-off, no contact.
             pulled = space.mid.force_speed[b] / numbers.inverse[b, 0]

@@ -129,6 +129,9 @@ class BodyStepper(Stepper):
         mechanics: BodyMechanics,
         regions: tuple[Region, ...],
     ) -> None:
+        collisions = declared.collisions.values()
+        rolls = any(collision.rolling_resistance is not None for collision in collisions)
+        resisted = [f"{body}_rolling" for body in declared.moving()] if rolls else []
         super().__init__(
             mechanics,
             regions,
@@ -136,7 +139,9 @@ class BodyStepper(Stepper):
             again=BODY_IMPACT,
             forces=None,
             sticks=np.repeat([False, True], [len(declared.moving()), len(declared.couplings)]),
+            turning=resisted,
         )
+        self._resisted = len(resisted)
         self._declared, self._bodies = declared, mechanics
         self._paths = Paths(mechanics.scene)
         self._constants = declared.constants()
@@ -210,7 +215,9 @@ class BodyStepper(Stepper):
         ) -> RigidBodyRun:
             prescribed = PrescribedMotion(self._bodies, self._paths, known, setup.values)
             names, surfaces = self._names, self._surfaces
-            return RigidBodyRun(names, surfaces, bodies, prescribed, options, start_depth, step)
+            return RigidBodyRun(
+                names, surfaces, bodies, prescribed, options, start_depth, step, self._resisted
+            )
 
         if self._scene.couplings:
             tape = self._bodies.at(self._scene.controlled.initial).limits

@@ -242,7 +242,8 @@ class DetectedContacts(NamedTuple):
 class RigidBodyRun(SteppedSystem):
     """One run of colliding bodies.
 
-    Bodies start up to `start_depth` deep in each other, and stay no deeper. Steps of size `step`.
+    Bodies start up to `start_depth` deep in each other, and stay no deeper. Steps of size `step`;
+    `resisted` is the number of bodies whose impulses by rolling resistance are recorded.
     """
 
     def __init__(
@@ -254,8 +255,9 @@ class RigidBodyRun(SteppedSystem):
         options: StepOptions,
         start_depth: float = 0.0,
         step: float = 0.0,
+        resisted: int = 0,
     ) -> None:
-        self.surfaces, self._options = surfaces, options
+        self.surfaces, self._options, self._resisted = surfaces, options, resisted
         self.numbers, self._names, self._prescribed = numbers._replace(step=step), names, prescribed
         count = self._moving = len(numbers.inverse)
         self._warm = self._saved = WarmStart.allocate(numbers)
@@ -553,7 +555,8 @@ class RigidBodyRun(SteppedSystem):
         motion, remembered, known = self._prescribed.prescribe(start, h, state[2 * n :], count + 1)
         count = min(count, known)
         remembered = remembered[: count + 1]
-        chunk = Chunk.allocate(h, state, unknowns, bodies + couplings, joints, count)
+        columns = joints + self._resisted
+        chunk = Chunk.allocate(h, state, unknowns, bodies + couplings, columns, count)
         done, status = 0, DONE
         while status == FULL or (status == DONE and done < count):
             if done and interrupts.signal_count():

@@ -904,10 +904,8 @@ def check_prescribed(scene: SceneFields, findings: Findings) -> None:
 
 def _check_controller_state(scene: SceneFields) -> None:
     """Check that the memory of controllers is known before the steps."""
-    if not any(region.variables for region in scene.regions.values()):
-        return
     moving = _moving_names(scene)
-    for region, declared in scene.regions.items():
+    for region in scene.regions:
         for state, at in scene.controlled.states(region):
             for variable, text in state.flows.items():
                 used = [n for n in parse(text).names if n in moving]
@@ -916,7 +914,7 @@ def _check_controller_state(scene: SceneFields) -> None:
                     for n in parse(text).names.intersection(scene.controls)
                     if any(parse(t).names & moving for t in scene.controlled.texts(n))
                 ]
-                if used and declared.variables:
+                if used:
                     raise DeclarationProblem(
                         f"the flow of {variable!r} depends on {min(used)!r}, on how bodies move: "
                         "in a scene with collisions it may not",

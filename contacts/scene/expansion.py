@@ -7,6 +7,7 @@ limit of an angle a contact whose gap is the remaining angle.
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
@@ -209,15 +210,22 @@ def start_problem(
 
     Its first state is that with the declared parameters.
     """
-    joint = str(problem.loc[1])
-    enabled = scene.joints[joint].enabled
-    term = parse_relation(conjunction(enabled)).root if enabled else None
-    if term is None or holds_at_start(scene, term, values) is not False:
+    name = str(problem.loc[1])
+    enabled = scene.joints[name].enabled
+    relation = parse_relation(conjunction(enabled)) if enabled else None
+    holds = None if relation is None else holds_at_start(scene, relation.root, values)
+    if relation is not None and holds is None and relation.members:
+        return dataclasses.replace(
+            problem,
+            advice=f"{problem.advice}; if {name!r} is to start off, let a controller close it, "
+            "as in enabled: in(REGION.STATE)",
+        )
+    if holds is not False:
         return problem
     return DeclarationProblem(
-        f"the declared parameters close joint {joint!r} at the start, and it is off",
+        f"the declared parameters close joint {name!r} at the start, and it is off",
         advice="declare parameters with which it starts off, too",
-        loc=("joints", joint),
+        loc=("joints", name),
     )
 
 

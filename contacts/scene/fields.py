@@ -88,6 +88,10 @@ class SceneFields(Declaration):
             ("damper", "dampers"), "forces: {damper: {body: rod, force: [-c*rod.dx, 0]}}"
         ),
         **JOINT_WORDS,
+        **dict.fromkeys(
+            ("gear", "gears", "pulley", "pulleys"),
+            "coordinates: {q: {}}, and bodies placed by it, with angle: q and angle: -q/2",
+        ),
         **dict.fromkeys(("hinges", "constraints"), JOINT_WORDS["hinge"]),
         **dict.fromkeys(
             ("brake", "brakes", "clutch", "clutches"),

@@ -23,8 +23,15 @@ class Friction(Part):
     """Coefficients of friction at rest and in motion."""
 
     OTHER_WORDS: ClassVar = {
+        **dict.fromkeys(
+            ("mu", "coefficient"), "friction: 0.5, or friction: {static: s, kinetic: k}"
+        ),
         **dict.fromkeys(("mu_s", "static_friction"), "static"),
         **dict.fromkeys(("mu_k", "dynamic", "sliding", "dynamic_friction"), "kinetic"),
+        "coulomb": "a number instead of the mapping, or static and kinetic",
+        **dict.fromkeys(
+            ("viscous", "stribeck"), "kinetic: 0.3 + 0.2*exp(-abs(slip)/0.1), or another of slip"
+        ),
     }
 
     static: FormulaText = declare(

@@ -17,8 +17,9 @@ JOINT_WORDS = {
     ),
     "weld": "joints: {NAME: {point: {body: arm}, to: [0, 0], angle: held}}",
     **{
-        word: f"joints: {{NAME: {{point: {{body: load}}, to: [0, 0], {word}: L}}}}"
-        for word in ("rope", "rod")
+        word: f"joints: {{NAME: {{point: {{body: load}}, to: [0, 0], {key}: L}}}}"
+        for key, words in (("rope", ("rope", "ropes", "cables")), ("rod", ("rod", "rods")))
+        for word in words
     },
 }
 """Names of joints in other programs -> what to write here."""
@@ -127,8 +128,12 @@ class Joint(Part):
             'enabled: "hypot(JOINT.X, JOINT.Y) <= F"',
         ),
         **dict.fromkeys(
-            ("lower", "lower_angle", "upper", "upper_angle", "range"), "limits: [a, b]"
+            ("lower", "lower_angle", "upper", "upper_angle", "min_angle", "max_angle", "range"),
+            "limits: [a, b]",
         ),
+        **dict.fromkeys(("length", "distance", "rigid"), "rod: L, which holds the distance"),
+        **dict.fromkeys(("cable", "string", "max_length", "max_distance"), "rope: L"),
+        **dict.fromkeys(("active", "when", "condition"), "enabled: RELATION"),
         "axis": "to: {x: f} or {y: f}, which leaves the other component free",
         **JOINT_WORDS,
     }

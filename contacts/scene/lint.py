@@ -77,7 +77,7 @@ def _static_by_hand(scene: SceneFields) -> Iterator[str]:
     for name, contact in scene.contacts.items():
         law = scene.friction_of(name)
         region = None if law is None else scene.controlled.region_of(law.both)
-        if region is None:
+        if region is None or isinstance(contact.friction, Friction):
             continue
         transitions = declared_transitions(scene.regions[region], "regions", region)
         causes = {

@@ -71,7 +71,8 @@ class Body(Part):
 
     OTHER_WORDS: ClassVar = {
         "m": "mass",
-        **dict.fromkeys(("I", "J"), "inertia"),
+        "weight": "mass; its weight is mass times gravity",
+        **dict.fromkeys(("I", "J", "moment_of_inertia"), "inertia"),
         **dict.fromkeys(("count", "number", "n"), "copies"),
         **dict.fromkeys(("velocity", "vel", "linear_velocity"), "start: {dx: ..., dy: ...}"),
         **dict.fromkeys(("angular_velocity", "omega"), "start: {dangle: ...}"),
@@ -87,7 +88,7 @@ class Body(Part):
         ),
         "inertial": "mass, and inertia",
         **dict.fromkeys(
-            ("static", "immovable", "is_static"),
+            ("static", "immovable", "is_static", "frozen", "anchored"),
             "fixed: true, of a body with a shape that collides; else "
             "surfaces: {floor: {height: 0}}",
         ),
@@ -290,6 +291,7 @@ class Surface(Part):
 
     OTHER_WORDS: ClassVar = {
         **dict.fromkeys(("slope", "angle"), "incline"),
+        **dict.fromkeys(("y", "level"), "height"),
         **dict.fromkeys(
             ("plane", "halfspace", "half_space", "type", "normal", "offset", "pos"),
             "height: 0, incline: ANGLE, or line: [[0, 0], [1, 0]]",

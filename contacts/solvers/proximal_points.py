@@ -43,7 +43,7 @@ the residual: bodies at rest do not creep."""
 
 # Compliance relative to the diagonal of W: initial, smallest, largest; its factors after
 # convergence and after failure.
-_FIRST, _LEAST, _LARGEST = 1e-2, 1e-8, 1.0
+_FIRST, _MIN_COMPLIANCE, _LARGEST = 1e-2, 1e-8, 1.0
 _FALLS, _GROWS = 0.5, 4.0
 # Residual ratio of successive centres below which another one pays; at the smallest compliance,
 # where a good warm start begins, the first is the last.
@@ -53,7 +53,7 @@ _FURTHER = 0.9
 _REFINING, _REFINEMENTS = 1e-5, 32
 # Newton steps per centre; centres without progress at the smallest compliance; eliminations in all,
 # and times contacts (half a second).
-_SETTLING, _IDLE, _MOST, _MOST_TIMES = 10, 4, 3000, 2_000_000
+_SETTLING, _IDLE, _MAX_ITERATIONS, _MAX_PRODUCTS = 10, 4, 3000, 2_000_000
 # Status changes along a path, and how many of them may increase the shift.
 _CHANGES, _TURNS = 160, 40
 # The two bounds of a status; see `_status_margin`.
@@ -396,8 +396,9 @@ def solve_by_proximal_points(
     last_status, last_edges, has_last = status.copy(), edges.copy(), False
     exact = falls = tolerance <= VERIFIED
     # Near a solution the status is known: a small compliance solves it in one step.
-    compliance, iterations, idle = min(max(lowest, _LEAST), _FIRST) if exact else _FIRST, 0, 0
-    most = min(_MOST, _MOST_TIMES // count)
+    compliance = min(max(lowest, _MIN_COMPLIANCE), _FIRST) if exact else _FIRST
+    iterations = idle = 0
+    most = min(_MAX_ITERATIONS, _MAX_PRODUCTS // count)
     while iterations < most and idle < _IDLE and (lowest > tolerance or falls):
         converged, taken = _iterate_newton(
             contacts, equations, q, 0.0, now, centre, compliance, rates, status, edges
@@ -413,8 +414,8 @@ def solve_by_proximal_points(
         if converged:
             write_velocity_change(contacts, now, rates)
             error = residual(contacts, q, size, now, rates)
-            idle += 1 if compliance == _LEAST else 0
-            falls = exact and compliance > _LEAST and error < _FURTHER * lowest
+            idle += 1 if compliance == _MIN_COMPLIANCE else 0
+            falls = exact and compliance > _MIN_COMPLIANCE and error < _FURTHER * lowest
             if error < lowest:
                 lowest, idle = error, 0
                 copy_rows(now, impulses)
@@ -424,7 +425,7 @@ def solve_by_proximal_points(
                     shift[i, d] = compliance * contacts.own[i, d] * away
             copy_rows(now, centre)
             last_status[:], last_edges[:], has_last = status, edges, True
-            compliance = max(_FALLS * compliance, _LEAST)
+            compliance = max(_FALLS * compliance, _MIN_COMPLIANCE)
         elif compliance >= _LARGEST or lowest <= tolerance:
             break
         else:

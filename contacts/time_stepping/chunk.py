@@ -51,7 +51,7 @@ class Chunk(NamedTuple):
     struck: Bools
     shared: Bools
     impulses: Array  # (k, r, 2): of impacts, including transmitted ones.
-    joint_impulses: Array  # (k, f): impulses of joint forces in impacts.
+    joint_impulses: Array  # (k, f): impulses of joint forces and rolling resistances in impacts.
     gaps: Array  # (k, r): at the midpoints.
     # (k,): fastest approach of touching contacts; largest gap, of either sign, that a step closes.
     approach: Array

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,6 +38,15 @@ _MAX_LISTED = 4  # Transitions listed in the error of an endless sequence.
 _MOST_TURNS = 100
 # Part of a step within which a guard counts as true at its end: times are rounded.
 _AT_END = 1e-6
+
+
+class ClosingImpact(NamedTuple):
+    """The plastic impact in which a joint closes."""
+
+    state: Array
+    modes: dict[int, int]  # Regions that it stops -> their modes.
+    impulse: dict[str, tuple[float, float]]
+    joint_impulse: dict[str, float]
 
 
 class StepControl:
@@ -154,14 +164,17 @@ class StepControl:
             after = self._memory.updated(
                 self._setup, recorder.clock, taken.name, taken.blocks, state
             )
-            held = dict[int, int]()
+            closing = ClosingImpact(after, {}, {}, {})
             if name in self._joints and taken.target == CLOSED:
-                after, held = self._closed(name, after, recorder, h, struck)
+                closing = self._closed(name, after, recorder, h, struck)
+                after = closing.state
             switched, strikes = self._scene.switch(
                 self._states.named(self.states), (state, after, recorder.clock.high)
             )
-            switched = {**held, **switched}
-            jump = recorder.turn(name, taken.name, self.states, (state, after), fired, switched)
+            jump = recorder.turn(
+                name, taken.name, self.states, (state, after), fired, closing.modes | switched,
+                impulse=closing.impulse, joint_impulse=closing.joint_impulse,
+            )  # fmt: skip
             pending, state = self._queues.pending_after(firing.pending, jump), after
             if strikes:
                 self._pending, self._strikes = pending, True
@@ -193,11 +206,10 @@ class StepControl:
 
     def _closed(
         self, joint: str, state: Array, recorder: Recorder, h: float, struck: Collection[str]
-    ) -> tuple[Array, dict[int, int]]:
-        """Return the state after a joint closes, with a plastic impact of the touching contacts.
+    ) -> ClosingImpact:
+        """Close a joint, with a plastic impact of the touching contacts.
 
-        Contacts that were `struck` in this step touch, although they may rebound. Those that the
-        impact stops are returned with their modes.
+        Contacts that were `struck` in this step touch, although they may rebound.
 
         Raises `NoConsistentMode` if its points are farther apart than a step moves them, and
         `UnsolvedImpulses` if no impulses stop the contacts.
@@ -205,8 +217,8 @@ class StepControl:
         setup, time = self._memory.within(self._setup, state), recorder.clock.high
         motion, named = self._memory.parted(state), self._states.named(self.states)
         tape, contacts = SnapshotTape(self._mechanics, named), setup.contacts
-        held = dict[int, int]()
-        snapshot = tape.at(setup.values, motion, time)
+        held, impulses = dict[int, int](), np.zeros((len(contacts), 2))
+        before, snapshot = motion, tape.at(setup.values, motion, time)
         check_closing(self._mechanics, snapshot, joint, setup.tolerances["gap"], 2.0 * h)
         motion = on_constraints(("free",) * len(contacts), snapshot, motion)
         snapshot = tape.at(setup.values, motion, time)
@@ -226,9 +238,9 @@ class StepControl:
                     f"no impulses stop the contacts of what joint {joint!r} closes on at "
                     f"t = {time:.6g}; close it away from contacts, or at another time"
                 )
-            impulses = np.einsum("ckn,ck->n", jacobians, pushes)
-            change = np.linalg.lstsq(snapshot.mass, impulses)[0]
-            velocity = snapshot.velocity + change
+            push = np.einsum("ckn,ck->n", jacobians, pushes)
+            change = np.linalg.lstsq(snapshot.mass, push)[0]
+            velocity, impulses[touching] = snapshot.velocity + change, pushes
             motion, slips = snapshot.moved(motion, velocity), jacobians[:, 1] @ velocity
             held = self._scene.hold(
                 {
@@ -237,7 +249,13 @@ class StepControl:
                     if push[0] > 0.0 and STATES[recorder.row[i]] in OPEN
                 }
             )
-        return self._memory.joined(motion, state), held
+        pairs = zip(contacts, impulses.tolist(), strict=True)
+        return ClosingImpact(
+            self._memory.joined(motion, state),
+            held,
+            {law.name: (V, H) for law, (V, H) in pairs if (V or H) and not law.coupling},
+            tape.joint_impulse(snapshot, before, motion, impulses),
+        )
 
     def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
         """Return the first step at whose end a guard has no value, and its name."""

@@ -296,7 +296,7 @@ class ArcMaker:
             self._regions[i]: (normal, tangential)
             for i, (normal, tangential) in zip(places.tolist(), felt[places].tolist(), strict=True)
         }
-        of_joints = zip(self._joint_forces, steps.joint_impulses[lazy.step].tolist(), strict=False)
+        of_joints = zip(self._joint_forces, steps.joint_impulses[lazy.step].tolist(), strict=True)
         return Jump(
             lazy.t, lazy.j, lazy.region, lazy.cause, lazy.source, lazy.target,
             whole.terms[first].sum(axis=1), whole.terms[first + 1, :, 0].copy(),

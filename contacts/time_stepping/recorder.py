@@ -141,17 +141,23 @@ class Recorder:
         states: tuple[Array, Array],
         fired: tuple[str, ...],
         moved: Mapping[int, int],
+        *,
+        impulse: Mapping[str, tuple[float, float]],
+        joint_impulse: Mapping[str, float],
     ) -> Jump:
         """Append and return a jump of a controller from one state to another.
 
-        Afterwards the regions `moved` have these modes.
+        Afterwards the regions `moved` have these modes; the impulses are those of the `Jump`.
         """
         self.close()
         self.row = self.row.copy()
         for i, code in moved.items():
             self.row[i] = code
         target = (*self._key(self.row)[: len(self.row)], *controls)
-        jump = Jump(self.clock.high, self.count, region, cause, self.key, target, *states, fired)
+        jump = Jump(
+            self.clock.high, self.count, region, cause, self.key, target, *states, fired,
+            impulse=impulse, joint_impulse=joint_impulse,
+        )  # fmt: skip
         self._note(jump)
         self.control_jumps.append(
             replace(jump, j=len(self.control_jumps), source=self.controls, target=controls)

@@ -434,14 +434,14 @@ def _enable_continuations(
 def keep_leaving(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
     instant: StepInstant, k: int, met: ContactRoles, chunk: Chunk,
-) -> bool:  # fmt: skip
-    """Disable lasting contacts whose conditions cease to hold; return whether some remain.
+) -> None:  # fmt: skip
+    """Disable lasting contacts whose conditions cease to hold.
 
     In a valley each side leads back to the other, and both hold at the kink. A contact therefore
     stays on in a step in which it is loaded and its condition rises, or would fall without the
     other contacts. Parameters: those of `step_scene` in step k.
     """
-    n, h, stays, (time, state, middle) = tape.size, chunk.h, False, instant
+    n, h, (time, state, middle) = tape.size, chunk.h, instant
     change, c = equations.change, len(memory.target_gap)
     level, closed = memory.target_gap.copy(), memory.closed.copy()
     find_active(scene, memory, tape, change, k, met, chunk)
@@ -503,7 +503,6 @@ def keep_leaving(
             tape_values(*scene.equations, apart, scene.parameters, time + h, alone)
             stays_on = then - alone[at] > rounding
         memory.disabled[i] = not stays_on
-        stays = stays or stays_on
     for i in which:
         row, own = tape.first + tape.per * i, 0.0
         if not (met.leaving[i] and memory.disabled[i]):
@@ -522,7 +521,6 @@ def keep_leaving(
         memory.closed[i] = closed[i]
     copy_numbers(level, memory.target_gap)
     chunk.approach[k] = chunk.closing[k] = chunk.energy_gain[k] = 0.0
-    return stays
 
 
 @kernel

@@ -553,6 +553,7 @@ class SceneStepper(Stepper):
                 [{"pin", "slide"} <= c.kinds for c in contacts.values()] + [True] * couplings,
                 bool,
             ),
+            turning=tuple(mechanics.scene.couplings),
         )
         self._numbers = SceneNumbers(mechanics, stops)
 

@@ -500,7 +500,14 @@ def energy_added(
             both = island.start[a, d] + island.unforced[a, d] + change
             gained += island.chosen[a, d] * both
         speed = max(math.hypot(island.start[a, 0], island.start[a, 1]), scene.min_speed)
-        had = max(had, speed * speed / contacts.own[a, 0])
+        own = contacts.own[a, 0]
+        if scene.compliance[island.members[a], 0] > 0.0:
+            # The compliance of the pad would hide the mass of the contact.
+            own = 0.0
+            for j in range(n):
+                own += contacts.rows[a, 0, j] * contacts.columns[a, 0, j]
+        if own > 0.0:
+            had = max(had, speed * speed / own)
         for j in range(n):
             moves[j] = moves[j] or contacts.rows[a, 0, j] != 0.0 or contacts.rows[a, 1, j] != 0.0
     for i in range(n):

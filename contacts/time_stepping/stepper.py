@@ -408,7 +408,7 @@ class Stepper(ABC):
 
     The mechanics have the scene's equations, or only its names and symbols; `regions` are all,
     controllers last; `again`: cause of an impact on a region that is not free; `forces`, `sticks`:
-    see `Recorder`.
+    see `Recorder`; `turning`: names of the couples behind `Chunk.joint_impulses` of joints.
     """
 
     def __init__(
@@ -420,6 +420,7 @@ class Stepper(ABC):
         again: str,
         forces: Ints | None,
         sticks: Bools,
+        turning: Sequence[str],
     ) -> None:
         self._mechanics, self._scene, self._regions = mechanics, mechanics.scene, regions
         self.name = mechanics.scene.name
@@ -430,7 +431,7 @@ class Stepper(ABC):
         self.regions = tuple(region.name for region in regions)
         self.again, self.forces, self.sticks = again, forces, sticks
         joints = (f"{row.joint}.{row.component}" for row in mechanics.joint_rows)
-        self.joint_forces = (*joints, *(f"{name}.M" for name in self.couplings))
+        self.joint_forces = (*joints, *(f"{name}.M" for name in turning))
         self.angles = np.array([name.endswith(".angle") for name in mechanics.names])
         unknowns = (*mechanics.a, *mechanics.unknown_forces, *controlled_symbols(mechanics))
         self.stops = StopTapes(mechanics, unknowns, regions)

@@ -86,8 +86,8 @@ def _meaning(field: Schema) -> str:
 def _default(field: Schema) -> str:
     # What is empty by default is not written, nor what has a table of its own.
     default = field.get("default")
-    told = default not in (None, [], "") and not isinstance(default, dict)
-    return f"`{in_cell(_json(default))}`" if told else ""
+    reported = default not in (None, [], "") and not isinstance(default, dict)
+    return f"`{in_cell(_json(default))}`" if reported else ""
 
 
 def _json(value: Any) -> str:

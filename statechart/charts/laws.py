@@ -154,7 +154,6 @@ class ChartLaws:
     compiled_laws = None
 
     def __init__(self, chart: Chart, symbols: _Symbols, regions: Sequence[Region]) -> None:
-        self._chart = chart
         self._symbols = symbols
         self._regions = tuple(chart.regions)
         self._flat = chart.flat

@@ -36,6 +36,7 @@ class Transition(fields.Part):
         ),
         "source": "from",
         "target": "to",
+        "type": "internal: true",
     }
 
     name: fields.NameText = declare(
@@ -165,6 +166,7 @@ class BaseState(fields.Part):
             ("during", "du"), "flows: {VARIABLE: FORMULA}, or a transition with every: PERIOD"
         ),
         **dict.fromkeys(("parallel", "type"), "regions: {NAME: ...} in it, or final: true"),
+        **dict.fromkeys(("end", "terminal"), "final: true"),
     }
 
     initial: str | None = declare(

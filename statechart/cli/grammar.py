@@ -302,6 +302,14 @@ def _settable(parser: argparse.ArgumentParser) -> None:
 class _Parser(argparse.ArgumentParser):
     """Reports an error in one line, without the list of all options."""
 
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        known = action.choices
+        if known is not None and value not in known:
+            from statechart.documents.hints import other_value
+
+            advice = other_value(value, str(tuple(known))) or close_matches(value, known)
+            raise argparse.ArgumentError(action, f"no value {value!r}; {advice}")
+
     def error(self, message: str) -> NoReturn:
         message = message.replace("the following arguments are required", "missing")
         if message.endswith(": expected one argument"):

@@ -74,6 +74,7 @@ class Declaration(Part):
             ("until", "t_end", "tspan", "t_span", "duration", "end"), "stop: {time: 10}"
         ),
         **dict.fromkeys(("dt", "timestep"), "settings: {engine: impulse, step: 1e-3}"),
+        "constants": "parameters",
         "iterations": "settings: {impulse_tolerance: 1e-8}",
         **dict.fromkeys(("sensor", "sensors", "output"), "outputs: {NAME: {value: FORMULA}}"),
     }

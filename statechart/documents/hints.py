@@ -97,7 +97,9 @@ OTHER_EVENTS: Mapping[str, str] = {
 def other_value(given: object, known: str) -> str:
     """Return advice on a synonym of a known value, or nothing."""
     word = OTHER_VALUES.get(_plain(str(given)), "")
-    return f"write {word}" if f"'{word}'" in known else ""
+    if word == "scipy" and (method := str(given).upper()) in ("RK45", "DOP853", "LSODA"):
+        word += f" with the method {method}"
+    return f"write {word}" if f"'{word.partition(' ')[0]}'" in known else ""
 
 
 def unknown_parameter(name: str, known: Collection[str]) -> str:

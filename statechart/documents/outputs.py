@@ -58,11 +58,13 @@ def parse_events(text: str) -> tuple[Event, ...]:
     for part in text.split(" or "):
         match = _EVENT.fullmatch(part.strip())
         if match is None:
-            raise DeclarationProblem(
-                f"{part!r} is not an event",
-                advice="write a cause, or region.cause or region.state as in tip.slip, tip.pin; "
-                "several with 'or' between them",
+            advice = (
+                "write a cause, or region.cause or region.state as in tip.slip, tip.pin; several "
+                "with 'or' between them"
             )
+            if part.startswith("done.state."):
+                advice = f"write {part.rpartition('.')[2]}.done"
+            raise DeclarationProblem(f"{part!r} is not an event", advice=advice)
         events.append(Event(match[1], match[2]))
     return tuple(events)
 

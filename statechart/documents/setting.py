@@ -124,11 +124,8 @@ class Setting:
                 "give a step, which decides its error, or an accuracy",
             )
         else:
-            self._refuse(
-                ("step",),
-                f"the engine {engine} chooses its own steps",
-                "add --engine impulse, in a file engine: impulse, or remove the step",
-            )
+            if engine != "auto":  # the model decides which engine that is
+                self.check_own_steps()
             self._refuse(
                 ("impulse_tolerance", "impulse_bound"),
                 f"the engine {engine} has no {{}}",
@@ -140,6 +137,14 @@ class Setting:
                 f"the engine taylor has no method {self.method!r}",
                 "leave the method out, or take the engine scipy",
             )
+
+    def check_own_steps(self) -> None:
+        """Check that no step is set for an engine that locates events."""
+        self._refuse(
+            ("step",),
+            f"the engine {self.engine} chooses its own steps",
+            "add --engine impulse, in a file engine: impulse, or remove the step",
+        )
 
     def _refuse(self, parts: Sequence[str], message: str, advice: str) -> None:
         """Raise an error at the first of the parts that is set."""

@@ -54,7 +54,7 @@ class Settings(Part):
 
     OTHER_WORDS: ClassVar = {
         **dict.fromkeys(("dt", "timestep"), "step"),
-        "solver": "engine",
+        **dict.fromkeys(("solver", "integrator"), "engine"),
         "iterations": "impulse_tolerance",
         "fps": "step; a film takes --speed",
         **dict.fromkeys(("rtol", "atol"), "tolerance"),

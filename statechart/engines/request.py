@@ -140,7 +140,12 @@ def plan_request(
     requested = replace(requested, engine="impulse" if steps_only else engine)
     try:
         requested.check()
+        if requested.engine == "auto":
+            replace(requested, step=requested.step or settings.step).check_own_steps()
     except DeclarationProblem as problem:
+        if problem.loc == ("step",) and requested.step is None:
+            problem.loc = ("settings", "step")
+            raise
         # A value of the call has no place in the file.
         raise DeclarationError(problem.message, advice=problem.advice) from None
     # A value in the file is reported with its place.

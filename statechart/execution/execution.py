@@ -616,8 +616,8 @@ class Execution:
         if motion is not None:
             evidence["motion"] = str(motion)
         proved = motion is not None and motion.proved
-        doubtful = self.evidence.keys() - ({"motion"} if proved else set())
-        decided = not doubtful and self.outcome not in (Outcome.UNDECIDED, Outcome.NON_FINITE)
+        unproved = self.evidence.keys() - ({"motion"} if proved else set())
+        decided = not unproved and self.outcome not in (Outcome.UNDECIDED, Outcome.NON_FINITE)
         if self.started_mode:
             self._pass()
         arcs, jumps = self.record.close()

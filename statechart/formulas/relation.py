@@ -171,7 +171,7 @@ class Relation:
                 Source(self.text).fail(
                     f"{one.operator} compares {changing_names[0]!r}, which changes between events",
                     one.offset,
-                    "write <= or >=: it becomes true as the value passes the other side",
+                    "write <= or >=: either is true as soon as the value gets there",
                 )
 
     def margin(self, symbols: Mapping[str, sp.Expr], states: States = _NO_STATES) -> sp.Expr:
@@ -309,6 +309,8 @@ class _RelationReader(Reader):
         opening = self.advance()
         name = self.advance()
         region, dot, state = name.text.partition(".")
+        if self.token.text in ("+", "-"):
+            state += self.advance().text
         if opening.text != "(" or name.kind != "name" or not dot or self.token.text != ")":
             self.source.fail(
                 "`in` asks for a state of a region", token.offset, "write in(REGION.STATE)"

@@ -66,7 +66,9 @@ def _tokens(source: tree.Source) -> Iterator[_Token]:
         offset, at = match.start(kind), match.end()
         if kind == "number" and at < len(text) and (text[at].isalnum() or text[at] in "._"):
             advice = "write a product as 2*x, not 2x; numbers have no unit here"
-            if text[at] == ".":
+            if match[kind] == "0" and re.match("[xXbBoO][0-9a-fA-F]", text[at:]):
+                advice = "numbers are decimal: 16 instead of 0x10"
+            elif text[at] == ".":
                 advice = "a number has one point: 1.5"
             elif text.startswith("deg", at):
                 advice = f"{TOKENS['deg']}; numbers have no unit here"

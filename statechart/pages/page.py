@@ -45,7 +45,7 @@ from statechart.reporting.text import ALIKE, change, computation_lines, explanat
 from statechart.tabular import MAX_LISTED, number
 
 # Pictures that a page has at most and at least, and numbers that all of them have.
-_MOST, _LEAST, _NUMBERS = 600, 120, 150_000
+_MAX_SAMPLES, _MIN_SAMPLES, _NUMBERS = 600, 120, 150_000
 MOST_EVENTS = 300
 """Events of which a page says why, at most."""
 # At least, and regions that all of them change.
@@ -67,7 +67,7 @@ def content(
     drawn, panels = curves(observer, trace)
     end = end_of_activity(trace, drawn, panels)
     width = 3 * len(automaton.regions) + 9 if seen else 1
-    count = int(np.clip(_NUMBERS // max(width, 1), _LEAST, _MOST))
+    count = int(np.clip(_NUMBERS // max(width, 1), _MIN_SAMPLES, _MAX_SAMPLES))
     limit = int(np.clip(_CHANGED // max(len(automaton.regions), 1), _FEW, MOST_EVENTS))
     events = [event for event in report["events"] if event["t"] <= end][:limit]
     times = np.unique([*np.linspace(0.0, end, count), *(event["t"] for event in events)])

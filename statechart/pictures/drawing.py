@@ -36,7 +36,7 @@ CLOSED = ("pin", "slide", "slide+", "slide-")
 """States of a contact that has a force."""
 
 _RIM = 37  # points on the rim of a cone
-_TOUCH, _LEAST = 0.014, 3.0
+_TOUCH, _MIN_TOUCH = 0.014, 3.0
 # Length of an arrowhead in arrow widths; largest width in arrow lengths.
 _HEAD, _SHAFT = 5.0, 0.2
 
@@ -59,7 +59,7 @@ class Drawing:
         self._scenery = Scenery(ax, film)
         paper = points_of(film.unit, ax)
         self._points, self._thin = paper / film.unit, thinner(paper)
-        self._size = max(_TOUCH * paper, _LEAST)
+        self._size = max(_TOUCH * paper, _MIN_TOUCH)
         self._trails = [
             ax.plot([], [], color=TRAIL, lw=self._thin, alpha=0.55, zorder=1.6)[0]
             for _ in film.trails

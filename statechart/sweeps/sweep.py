@@ -56,9 +56,8 @@ class SweepWords(IntegrationWords, total=False):
 
 @dataclass(frozen=True)
 class Sweep:
-    """State of a sweep: plan, store, and the reason why it is incomplete (else empty)."""
+    """State of a sweep: its store, and the reason why it is incomplete (else empty)."""
 
-    plan: Plan
     store: Store
     ended: str
 
@@ -198,7 +197,7 @@ def run_plan(
         finally:
             if shown is not None:
                 shown.close()
-        return Sweep(plan, kept, ended)
+        return Sweep(kept, ended)
 
 
 class _Progress:

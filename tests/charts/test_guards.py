@@ -396,7 +396,7 @@ stop: {time: 10, conditions: {enough: n >= N}}
         ("x + 0*n >= 1", 0, 1.0),
     ],
 )
-def test_a_count_ends_a_run_as_its_relation_is_written(
+def test_stop_conditions_on_a_counter_tell_strict_from_weak_relations(
     engine: str, condition: str, begun: float, end: float
 ) -> None:
     text = COUNTED.replace("n >= N", condition)
@@ -469,7 +469,7 @@ def test_a_stop_condition_ends_a_run_where_its_rates_end() -> None:
     assert result.outputs["dry"] == pytest.approx(4.0, rel=3e-8)
 
 
-def test_a_guard_that_is_not_near_where_rates_end_does_not_fire() -> None:
+def test_a_guard_below_the_domain_of_the_rates_does_not_fire() -> None:
     text = TANK.replace("guard: h <= 0", "guard: h <= -1e-3")
     result = run_model(interpret(read_text(text)), throw=False)
     assert result.trace.outcome is Outcome.STEP_FAILURE

@@ -151,7 +151,7 @@ def test_check_passes_if_single_atoms_hold():
 
 
 @pytest.mark.parametrize(
-    ("relation", "told"),
+    ("relation", "reported"),
     [
         ("x == 0", "== compares 'x', which changes between events; write <= or >="),
         ("time != 1", "!= compares 'time', which changes between events"),
@@ -163,13 +163,13 @@ def test_check_passes_if_single_atoms_hold():
         ("[]", "an empty list is no relation"),
     ],
 )
-def test_wrong_relations_are_reported_with_their_place(relation, told):
+def test_wrong_relations_are_reported_with_their_place(relation, reported):
     quoted = relation if relation.startswith("[") else f'"{relation}"'
     text = CHART + GUARD.replace('"RELATION"', quoted)
     line = next(i for i, line in enumerate(text.splitlines(), 1) if "name: hit" in line)
     with pytest.raises(DeclarationError) as caught:
         interpret(read_text(text, "f.yaml"))
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
     assert caught.value.line == line
 
 

@@ -125,9 +125,7 @@ outputs:
 
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
-def test_flows_and_guards_of_charts_have_the_sums_of_their_periods(
-    tmp_path: Path, engine: str
-) -> None:
+def test_wrapped_time_in_flows_and_guards_integrates_exactly(tmp_path: Path, engine: str) -> None:
     result = run_chart(tmp_path, FLOWS + "stop: {time: 2}\n", engine)
     gone = 1.2
     assert result.outputs["gone"] == pytest.approx(gone, abs=1e-12)

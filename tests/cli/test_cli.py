@@ -387,10 +387,10 @@ def test_draw_shows_the_path_that_a_run_took(cli: Cli) -> None:
 def test_draw_writes_guards_at_arrows_with_the_option(cli: Cli) -> None:
     for guards in ("legend", "inline"):
         assert cli("draw", "two_balls", "-o", f"{guards}.mmd", "--guards", guards)[0] == 0
-    told = [(cli.folder / f"{g}.mmd").read_text(encoding="utf-8") for g in ("legend", "inline")]
-    assert [text.count("V #60; 0") for text in told] == [1, 1]
-    assert "legend : liftoff" in told[0]
-    assert "legend : liftoff" not in told[1]
+    reported = [(cli.folder / f"{g}.mmd").read_text(encoding="utf-8") for g in ("legend", "inline")]
+    assert [text.count("V #60; 0") for text in reported] == [1, 1]
+    assert "legend : liftoff" in reported[0]
+    assert "legend : liftoff" not in reported[1]
 
 
 @pytest.mark.parametrize("scene", [(), ("--scene",)])
@@ -412,7 +412,7 @@ def test_a_drawing_without_a_file_is_svg_in_a_pipe_and_opens_on_a_terminal(
 def test_place_and_suffix_of_a_drawing_are_checked_first(cli: Cli, scene: tuple[str, ...]) -> None:
     Path("file.yaml").write_text("")
     Path("folder.svg").mkdir()
-    for place, told in (
+    for place, reported in (
         ("nowhere/chart.svg", "-o nowhere/chart.svg: there is no folder"),
         ("file.yaml/chart.svg", "-o file.yaml/chart.svg: there is no folder"),
         ("folder.svg", "-o folder.svg: that is a folder; name a file in it"),
@@ -421,11 +421,11 @@ def test_place_and_suffix_of_a_drawing_are_checked_first(cli: Cli, scene: tuple[
     ):
         code, out, err = cli("draw", "nobody_reads_this", *scene, "-o", place)
         assert (code, out) == (2, "")
-        assert told in err
+        assert reported in err
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "reported"),
     [
         ("check bouncing_ball_chart --examples -3", "must be 1 or more, up to 10**18, not -3"),
         ("check bouncing_ball_chart --examples 0", "must be 1 or more, up to 10**18, not 0"),
@@ -444,15 +444,17 @@ def test_place_and_suffix_of_a_drawing_are_checked_first(cli: Cli, scene: tuple[
         ("run bouncing_ball --until -1", "the end must be a finite time from 0 on, not -1"),
         ("run bouncing_ball --max-step -1", "the max_step must be a positive time, not -1"),
         ("run bouncing_ball --tolerance 2", "tolerance must be above 0 and below 1, not 2"),
+        ("run bouncing_ball --engine rk45", "no value 'rk45'; write scipy with the method RK45"),
+        ("run bouncing_ball --engine impuls", "no value 'impuls'; did you mean 'impulse'? known"),
         ("run bouncing_ball --budget 0", "the budget must be a positive time in seconds, not 0"),
     ],
 )
 def test_a_number_out_of_range_is_reported_with_the_range(
-    cli: Cli, arguments: str, told: str
+    cli: Cli, arguments: str, reported: str
 ) -> None:
     code, out, err = cli(*arguments.split())
     assert (code, out) == (2, "")
-    assert told in err
+    assert reported in err
 
 
 def test_an_empty_model_name_is_reported(cli: Cli) -> None:

@@ -87,7 +87,7 @@ def test_long_work_lets_signals_through_unless_they_are_blocked() -> None:
         with interrupts.held(firmly=True), interrupts.let_through():
             strike()
         with pytest.raises(KeyboardInterrupt), interrupts.let_through():
-            raise AssertionError("the signal before was not told of")
+            raise AssertionError("the signal before was not reported")
 
 
 def test_kernels_are_compiled_where_signals_are_let_through() -> None:

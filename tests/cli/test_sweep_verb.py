@@ -27,20 +27,20 @@ OVER = ("--over", "mu=log:0.05:50:6", "--over", "I_G=0,1/3,1")
 
 def test_a_sweep_prints_a_summary(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sweep", STICK, *OVER]) == 0
-    told = capsys.readouterr().out
-    assert "mu (6 from 0.05 to 50), I_G (3 from 0 to 1)" in told
-    assert "18 cells, 18 certified" in told
-    assert "STOPPED" in told
-    assert "pin > slide- > slide+" in told
+    reported = capsys.readouterr().out
+    assert "mu (6 from 0.05 to 50), I_G (3 from 0 to 1)" in reported
+    assert "18 cells, 18 certified" in reported
+    assert "STOPPED" in reported
+    assert "pin > slide- > slide+" in reported
 
 
 def test_a_sweep_is_one_object_in_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sweep", STICK, "--over", "mu=0.2,inf", "--outputs", "t_impact", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["cells"], told["done"], told["certified"]) == (2, 2, 2)
-    assert told["over"]["mu"] == {"values": 2, "least": 0.2, "greatest": "inf"}
-    assert list(told["outputs"]) == ["t_impact"]
-    assert told["outcomes"][0]["outcome"] == "STOPPED"
+    reported = json.loads(capsys.readouterr().out)
+    assert (reported["cells"], reported["done"], reported["certified"]) == (2, 2, 2)
+    assert reported["over"]["mu"] == {"values": 2, "least": 0.2, "greatest": "inf"}
+    assert list(reported["outputs"]) == ["t_impact"]
+    assert reported["outcomes"][0]["outcome"] == "STOPPED"
 
 
 @pytest.mark.parametrize("name", ["a.zarr", "deep/a.nc"])
@@ -109,9 +109,9 @@ def test_lists_are_drawn(tmp_path: Path) -> None:
 
 def test_cells_that_cannot_run_do_not_end_a_sweep(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sweep", "bouncing_ball", "--over", "k=0.5,1.5"]) == 0
-    told = capsys.readouterr().out
-    assert "DECLARATION_ERROR" in told
-    assert "must be between 0 and 1, not 1.5" in told
+    reported = capsys.readouterr().out
+    assert "DECLARATION_ERROR" in reported
+    assert "must be between 0 and 1, not 1.5" in reported
 
 
 def test_a_sweep_in_which_no_cell_runs_fails() -> None:

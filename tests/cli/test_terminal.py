@@ -248,7 +248,7 @@ def test_every_option_and_argument_has_a_help_text(action: argparse.Action) -> N
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "reported"),
     [
         ("run toppling_stick --unitl 3", "run: error: no option --unitl; did you mean '--until'"),
         ("draw toppling_stick -o a.svg --sceen", "no option --sceen; did you mean '--scene'?"),
@@ -269,11 +269,11 @@ def test_every_option_and_argument_has_a_help_text(action: argparse.Action) -> N
     ],
 )  # fmt: skip
 def test_wrong_command_lines_are_reported_with_advice(
-    line: str, told: str, capsys: pytest.CaptureFixture[str]
+    line: str, reported: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(line.split()) == 2
     shown = capsys.readouterr()
-    assert told in shown.err
+    assert reported in shown.err
     assert not shown.out
 
 

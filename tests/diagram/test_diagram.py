@@ -275,9 +275,9 @@ def test_long_path_is_cut(render):
     diagram = two_states()
     names = ("flight",) * 1000
     text = render(single(diagram.title, diagram.nodes, diagram.links, path=names))
-    told = text.count("flight → ")
-    assert 8 < told < 16
-    assert f"({1000 - told} more)" in text
+    reported = text.count("flight → ")
+    assert 8 < reported < 16
+    assert f"({1000 - reported} more)" in text
 
 
 def test_infeasible_state_is_dashed_with_its_reason():

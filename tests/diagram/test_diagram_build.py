@@ -194,9 +194,12 @@ def test_a_mode_of_many_closed_contacts_is_named_by_their_states() -> None:
     region = automaton("woodpecker").regions[0]
     contacts = [replace(region, name=f"c{k}") for k in range(12)]
     states = ["pin"] * 10 + ["slide+", "free"]
-    label, told = mode_label(list(zip(contacts, states, strict=True)))
+    label, reported = mode_label(list(zip(contacts, states, strict=True)))
     assert label == "pin: 10 of 12\nc10 slide+"
-    assert [(region.name, state) for region, state in told] == [("c0", "pin"), ("c10", "slide+")]
+    assert [(region.name, state) for region, state in reported] == [
+        ("c0", "pin"),
+        ("c10", "slide+"),
+    ]
 
 
 def test_a_simultaneous_jump_of_several_regions_is_one_link() -> None:

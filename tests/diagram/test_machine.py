@@ -107,10 +107,10 @@ def test_parts_that_scxml_cannot_express_are_listed(
 ) -> None:
     path = tmp_path / "stick.scxml"
     assert main(["draw", "toppling_stick", "-o", str(path)]) == 0
-    told = capsys.readouterr().err
+    reported = capsys.readouterr().err
     left_out = "the SCXML file leaves out guards (the host program sends these events): tip."
-    assert f"{left_out}touchdown" in told
-    assert "resets of continuous states: tip.touchdown, tip.stick" in told
+    assert f"{left_out}touchdown" in reported
+    assert "resets of continuous states: tip.touchdown, tip.stick" in reported
     assert path.read_text(encoding="utf-8").count("<!-- left out: ") == 2
     machine = drawn(Runner("bouncing_ball_chart"))[0].machine
     assert machine is not None

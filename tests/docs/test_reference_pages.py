@@ -31,30 +31,30 @@ def rows(folder: Path, kind: str) -> dict[tuple[str, str], list[str]]:
 
 @pytest.mark.parametrize("kind", formats.KINDS)
 def test_every_key_has_a_row_with_its_unit(kind: str, tmp_path: Path) -> None:
-    told, whole = rows(tmp_path, kind), json.loads(schema(kind))
+    reported, whole = rows(tmp_path, kind), json.loads(schema(kind))
     parts: dict[str, Any] = {"": whole, **whole["$defs"]}
     fields = {
         (name, key): field
         for name, part in parts.items()
         for key, field in part.get("properties", {}).items()
     }
-    assert told.keys() == fields.keys()
+    assert reported.keys() == fields.keys()
     for place, field in fields.items():
-        value, _, meaning = told[place]
+        value, _, meaning = reported[place]
         assert value
         assert field["description"] in meaning.replace("\\|", "|")
         assert ("Unit: " in meaning) == ("unit" in field)
 
 
 def test_reference_lists_both_forms_of_a_field(tmp_path: Path) -> None:
-    told = rows(tmp_path, "scene")
-    assert told["", "gravity"][0] == "formula or [formula, formula]"
-    assert told["Body", "mass"][0] == "formula"
-    assert told["Body", "mass"][2] == (
+    reported = rows(tmp_path, "scene")
+    assert reported["", "gravity"][0] == "formula or [formula, formula]"
+    assert reported["Body", "mass"][0] == "formula"
+    assert reported["Body", "mass"][2] == (
         "Above 0; bodies that are fixed, or led along a path, have none. Unit: mass. Such as `m`."
     )
     to = "[formula, formula] or [Point](#scene-point) or [Path](#scene-path)"
-    assert told["Joint", "to"][0] == to
+    assert reported["Joint", "to"][0] == to
 
 
 @pytest.mark.parametrize("package", [statechart, contacts])

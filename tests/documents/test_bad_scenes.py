@@ -100,8 +100,8 @@ def test_range_of_an_integer_contains_an_integer() -> None:
     )
     law = "collisions: {all: {bodies: [ball], friction: 0, restitution: 0}}\nstop: {time: 1}\n"
     text = "kind: scene\nname: balls\nparameters: {n: 3}\nranges: {n: [2.2, 2.8]}\n" + ball + law
-    told = r"4:13: ranges\.n: 'n' is a whole number: none is from 2\.2 to 2\.8; write \[2, 3\]"
-    with pytest.raises(DeclarationError, match=told):
+    reported = r"4:13: ranges\.n: 'n' is a whole number: none is from 2\.2 to 2\.8; write \[2, 3\]"
+    with pytest.raises(DeclarationError, match=reported):
         Runner(read_text(text))
 
 
@@ -313,8 +313,8 @@ stop: {time: 1}
     runner = Runner(read_text(text))
     with pytest.raises(DeclarationError, match=r"7:58: bodies\.two\.shape\.1\.disc: must be pos"):
         runner.run({"R": 0})
-    told = r"6:47: bodies\.one\.shape\.polygon: all corners lie on the line"
-    with pytest.raises(DeclarationError, match=told):
+    reported = r"6:47: bodies\.one\.shape\.polygon: all corners lie on the line"
+    with pytest.raises(DeclarationError, match=reported):
         runner.run({"b": 0})
-    with pytest.raises(DeclarationError, match=told):
+    with pytest.raises(DeclarationError, match=reported):
         Runner(read_text(text.replace("b: 0.1", "b: 0")))

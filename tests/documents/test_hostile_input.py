@@ -260,7 +260,7 @@ def test_line_ends_of_old_computers_give_a_place(text):
 
 
 @pytest.mark.parametrize(
-    ("raw", "told"),
+    ("raw", "reported"),
     [
         (b"%PDF-1.4\n1 0 obj\n", "1:1: this is a PDF; name a YAML file"),
         (b"\x89PNG\r\n\x1a\n", "1:1: this is a picture; name"),
@@ -268,9 +268,9 @@ def test_line_ends_of_old_computers_give_a_place(text):
         ("kind: scene\n".encode("utf-16-le"), "1:2: the character U+0000 is not allowed; save the"),
     ],
 )
-def test_a_file_of_another_format_is_named_in_the_error(tmp_path, raw, told):
+def test_a_file_of_another_format_is_named_in_the_error(tmp_path, raw, reported):
     path = tmp_path / "model.yaml"
     path.write_bytes(raw)
     with pytest.raises(DeclarationError) as caught:
         read(path)
-    assert str(caught.value).startswith(f"{path}:{told}")
+    assert str(caught.value).startswith(f"{path}:{reported}")

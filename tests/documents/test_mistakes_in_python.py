@@ -31,7 +31,7 @@ def scene(**changes: object) -> Scene:
 
 
 @pytest.mark.parametrize(
-    ("build", "told"),
+    ("build", "reported"),
     [
         (lambda: Body(1), "Body: fields are given by their names; write Body(mass=...)"),
         (lambda: Body(mass=1j), "Body: mass: must be a number or a formula, not complex; such as"),
@@ -178,11 +178,11 @@ def scene(**changes: object) -> Scene:
     ],
 )
 def test_mistakes_in_python_are_reported_like_those_in_files(
-    build: Callable[[], object], told: str
+    build: Callable[[], object], reported: str
 ) -> None:
     with pytest.raises(DeclarationError) as caught:
         build()
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
     assert caught.value.__cause__ is None
 
 
@@ -210,7 +210,7 @@ def test_a_type_error_inside_a_call_is_not_changed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("call", "told"),
+    ("call", "reported"),
     [
         (lambda result: result.at("x"), "Result.at: t must be a number, not 'x'"),
         (
@@ -233,8 +233,8 @@ def test_a_type_error_inside_a_call_is_not_changed() -> None:
     ],
 )
 def test_arguments_of_wrong_type_are_reported_before_the_run(
-    call: Callable[[Result], object], told: str
+    call: Callable[[Result], object], reported: str
 ) -> None:
     with pytest.raises(DeclarationError) as caught:
         call(run(scene()))
-    assert str(caught.value).startswith(told)
+    assert str(caught.value).startswith(reported)

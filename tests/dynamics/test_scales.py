@@ -127,8 +127,8 @@ def test_bounces_of_two_contacts_far_from_the_origin_warn_of_their_order(e, warn
     bar = bar.replace("{mass: M", "{mass: M, inertia: 0.1*M*L**2")
     near, far = run(bar, y0=10).warnings, run(bar, y0=1e4).warnings
     assert not any("put the origin nearer" in warning for warning in near)
-    told = any("put the origin nearer" in warning for warning in far)
-    assert told == warned
+    reported = any("put the origin nearer" in warning for warning in far)
+    assert reported == warned
 
 
 @pytest.mark.parametrize("name", ENGINES)

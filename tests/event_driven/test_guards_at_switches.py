@@ -76,7 +76,7 @@ def test_a_stop_condition_that_stays_on_its_boundary_ends_the_run(
 @pytest.mark.parametrize("name", ENGINES)
 @pytest.mark.parametrize("force", ["u", "0"])
 @pytest.mark.parametrize(("enabled", "off"), [("u < 3", 1), ("not u >= 3", 1), ("u <= 3", None)])
-def test_a_condition_of_a_contact_that_stays_on_its_boundary(
+def test_contacts_whose_condition_stays_on_its_boundary_close_or_open(
     name: str, force: str, enabled: str, off: float | None
 ) -> None:
     """The block falls from t = 1 on, and is 0.001 lower sqrt(0.002/10) later."""

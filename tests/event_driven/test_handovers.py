@@ -42,12 +42,12 @@ def run(text, step=None):
     [(0.0, 1e-6), (0.0, 1e-4), (-0.1, 1e-6), (1e-3, 0.0)],
 )
 def test_a_warning_reports_the_depth_of_a_point_below_the_next_edge(begin, rise, step):
-    height, told = run(planks(begin, rise), step)
+    height, reported = run(planks(begin, rise), step)
     assert height < -0.5
-    assert len(told) == 1
-    assert told[0].startswith("on_b stays off: its point is ")
+    assert len(reported) == 1
+    assert reported[0].startswith("on_b stays off: its point is ")
     # Over the gap of 1 mm it falls by g (begin/v)^2/2.
-    depth = float(told[0].split()[6])
+    depth = float(reported[0].split()[6])
     fallen = 0.5 * 9.81 * (max(begin, 0.0) / 1.875) ** 2
     assert depth == pytest.approx(rise + fallen, abs=1e-8 if step is None else 0.02 * step)
 
@@ -55,15 +55,15 @@ def test_a_warning_reports_the_depth_of_a_point_below_the_next_edge(begin, rise,
 @STEPS
 @pytest.mark.parametrize(("begin", "rise"), [(0.0, 0.0), (0.0, -1e-4), (-0.1, -1e-3)])
 def test_a_point_that_meets_the_next_edge_has_no_warning(begin, rise, step):
-    height, told = run(planks(begin, rise), step)
+    height, reported = run(planks(begin, rise), step)
     assert height == pytest.approx(rise, abs=1e-9 if step is None else 0.2 * step)
-    assert told == []
+    assert reported == []
 
 
 @STEPS
 def test_points_far_below_an_edge_give_no_warning(step):
-    _, told = run(planks(0.1, 0.3), step)
-    assert told == []
+    _, reported = run(planks(0.1, 0.3), step)
+    assert reported == []
 
 
 @STEPS
@@ -81,10 +81,10 @@ contacts:
          enabled: puck.x >= 0}
 stop: {time: 0.6}
 """
-    _, told = run(text, step)
-    assert len(told) == 1
-    assert "on_b stays off" in told[0]
-    assert "below the surface b when its conditions become true" in told[0]
+    _, reported = run(text, step)
+    assert len(reported) == 1
+    assert "on_b stays off" in reported[0]
+    assert "below the surface b when its conditions become true" in reported[0]
 
 
 @STEPS
@@ -101,9 +101,9 @@ contacts:
 forces: {lift: {body: foot, force: [0, 1]}}
 stop: {time: 1}
 """
-    height, told = run(text, step)
+    height, reported = run(text, step)
     assert height > 0.1
-    assert told == []
+    assert reported == []
 
 
 @pytest.mark.parametrize(
@@ -111,9 +111,9 @@ stop: {time: 1}
 )
 def test_validation_reports_ends_of_edges_that_nearly_meet(begin, rise, meets):
     scene = interpret(read_text(planks(begin, rise)))
-    told = list(nearly_meeting_ends(scene))
-    assert bool(told) != meets
-    assert all("surfaces.b.edge: its first point is" in one for one in told)
+    reported = list(nearly_meeting_ends(scene))
+    assert bool(reported) != meets
+    assert all("surfaces.b.edge: its first point is" in one for one in reported)
     runner = Runner(scene)
     assert bool([w for w in runner.start()[1] if "nearly" in w or ".edge:" in w]) != meets
 

@@ -38,6 +38,7 @@ FIRST = {
     "abs(ball.y - 0.25) <= 0.125": math.sqrt(2 * 0.125 / G),
     "in(foot.closed) and time > 0.1": FALL,
     "in(foot.slide)": FALL,
+    "in(foot.slide+) and not in(foot.slide-)": FALL,
     "not in(foot.free) and max(ball.dx, 2*n) <= 0": STOPS,
     "in(foot.pin) and n == 0": STOPS,
     "foot.V > 0 and ball.x <= 2": FALL,

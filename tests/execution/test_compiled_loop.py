@@ -89,7 +89,7 @@ def assert_same(one: Trace, other: Trace) -> None:
         assert dict(jump.considered) == dict(same.considered)
 
 
-def test_low_bounces_are_made_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_low_bounces_stay_in_the_compiled_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     ball = traced("bouncing_ball", {"k": 0.5}, -1, monkeypatch)
     # In Python: the last two bounces, their accumulation, and the end of the run.
     assert len(ball.jumps) > 20

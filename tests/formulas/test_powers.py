@@ -146,7 +146,7 @@ def test_vanishing_last_terms_do_not_lengthen_steps(power: int, start: float) ->
 
 
 @pytest.mark.parametrize(("n", "x0"), [(2, 0.0), (4, 0.0), (3, 0.1), (4, 0.1), (7, -0.3)])
-def test_a_height_to_a_power_by_a_parameter_has_its_slope_through_zero(n: int, x0: float) -> None:
+def test_a_valley_whose_exponent_is_a_parameter_is_crossed_at_zero(n: int, x0: float) -> None:
     scene = HEIGHT.format(gravity=9.81, inertia="", p="n", start="y: b*x0**n, dx: a, dy: d")
     runner = Runner(read_text(scene.replace("c: 1}", "c: 1, n: 4, d: 0}")))
     found = runner.run({"n": n, "x0": x0, "d": n * x0 ** (n - 1)}).trace

@@ -204,10 +204,10 @@ def test_both_engines_give_the_velocities_of_the_law(throw, simultaneous):
         assert found[3:] == pytest.approx(expected, abs=error), engine
         # Time stepping warns where sequential impacts would have another outcome.
         lively = simultaneous == "capped" and sum(value >= 0.5 for value in e) > 1
-        told = [w for w in result.warnings if "law" in w]
+        reported = [w for w in result.warnings if "law" in w]
         if engine == "impulse" and lively:
-            told = [w for w in told if "struck in several places at once" not in w]
-        assert not told, engine
+            reported = [w for w in reported if "struck in several places at once" not in w]
+        assert not reported, engine
 
 
 @pytest.mark.parametrize(("place", "warned"), [(-1.0, False), (-0.5, True)])

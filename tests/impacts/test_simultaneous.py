@@ -567,9 +567,9 @@ def test_impact_laws_that_raise_the_energy_give_a_warning(law: str, contacts: in
     for phi, u in itertools.product((-0.8, -0.4, 0.3, 0.5, 0.7), (-0.3, 0.3, 0.6)):
         trace = runner.run({"phi": phi, "u": u}).trace
         before, after = trace.jumps[0].energy or (0.0, 0.0)
-        told = f"the impact law '{law}' raised the energy" in "".join(trace.warnings)
-        assert told is (after > before * (1.0 + 1e-9))
-        raised += told
+        reported = f"the impact law '{law}' raised the energy" in "".join(trace.warnings)
+        assert reported is (after > before * (1.0 + 1e-9))
+        raised += reported
     assert raised == (4 if law == "newton" else 0)
 
 

@@ -381,7 +381,7 @@ def tippe() -> dict[str, Any]:
             stick * (a - arm * c * turn + arm * s * y[1] ** 2),
         )
 
-    def room(t: float, y: Any) -> float:
+    def friction_margin(t: float, y: Any) -> float:
         V, H = forces(y)
         return mu * V - abs(H)
 
@@ -389,7 +389,7 @@ def tippe() -> dict[str, Any]:
         a, turn = stands(y)
         return [y[1], turn, a]
 
-    slip, state, _ = flow(pinned, 0.0, 0.7, [1e-3, 0.0, 3.0], room)
+    slip, state, _ = flow(pinned, 0.0, 0.7, [1e-3, 0.0, 3.0], friction_margin)
     way = math.copysign(1.0, forces(state)[1])
 
     def slides(t: float, y: Any) -> list[float]:

@@ -129,11 +129,11 @@ def test_a_bead_on_a_spinning_hoop_turns_and_sticks(
     assert found["x"] == pytest.approx(reach * np.sin(angle), rel=error)
 
 
-@pytest.mark.parametrize(("mu", "told"), [(0.9, False), (1.3, True)])
-def test_a_block_that_two_sides_may_jam_gives_a_warning(mu: float, told: bool) -> None:
+@pytest.mark.parametrize(("mu", "reported"), [(0.9, False), (1.3, True)])
+def test_a_block_that_two_sides_may_jam_gives_a_warning(mu: float, reported: bool) -> None:
     text = _SLOT.replace("START", "{}").replace("friction: 0.3", f"friction: {mu}")
     result = run(text + _FORCE.replace("PUSH", "10*time"), "taylor", None)
     may = [line for line in result.trace.warnings if "low, high may be wedged" in line]
     # From where H = V/mu on, long before H = mu V.
-    assert [line.split(":")[0] for line in may] == [f"t = {G / mu / 10:.6g}"] * told
-    assert (result.outputs["x"] == 0.0) == told
+    assert [line.split(":")[0] for line in may] == [f"t = {G / mu / 10:.6g}"] * reported
+    assert (result.outputs["x"] == 0.0) == reported

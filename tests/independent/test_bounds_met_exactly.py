@@ -77,8 +77,8 @@ def test_a_block_that_stops_at_the_friction_limit_sticks(
     assert (found["reversals"], found["slips"]) == (0, 0)
     assert found["x"] == pytest.approx(-6.0 / stiffness, rel=20.0 * max(tolerance, 1e-13))
     assert len(result.trace.jumps) == 1
-    told = [warning for warning in result.trace.warnings if "might slip on" in warning]
-    assert len(told) == len(result.trace.regions)
+    reported = [warning for warning in result.trace.warnings if "might slip on" in warning]
+    assert len(reported) == len(result.trace.regions)
 
 
 def _on(t: float) -> float:

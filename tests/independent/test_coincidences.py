@@ -117,8 +117,8 @@ def test_a_stick_between_walls_falls_with_a_warning_that_it_might_jam(
     text = _WEDGED.replace("MU", friction)
     result = statechart.run(interpret(read_text(text, "scene.yaml")), engine=engine)
     assert [*result.outputs.values()] == pytest.approx([-5.0, 0.3], abs=1e-12)
-    told = any("l:pin r:pin, l:free r:free" in warning for warning in result.warnings)
-    assert told == (float(friction) > math.tan(0.3))
+    reported = any("l:pin r:pin, l:free r:free" in warning for warning in result.warnings)
+    assert reported == (float(friction) > math.tan(0.3))
 
 
 def test_a_gripper_whose_force_fades_loses_its_part(engine: str) -> None:

@@ -56,7 +56,7 @@ settings: {{engine: impulse, step: STEP}}
 def locked():
     """Return the angles of wheel and pawl where one end of it is on a tooth and before the next."""
 
-    def beside(one, two, place):
+    def left_of(one, two, place):
         (x, y), (u, v) = two - one, place - one
         return x * v - y * u
 
@@ -68,7 +68,7 @@ def locked():
         tip, root, edge = (
             turned(wheel - k * math.pi / 6, reach, 0) for k, reach in ((4, 1), (3, 0.8), (3, 1))
         )
-        return beside(tip, root, ends[0]), beside(root, edge, ends[1])
+        return left_of(tip, root, ends[0]), left_of(root, edge, ends[1])
 
     return fsolve(apart, [3.0, 0.3], xtol=1e-13)
 

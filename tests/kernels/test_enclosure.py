@@ -387,13 +387,13 @@ def test_time_in_a_margin_is_the_absolute_one():
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_a_polynomial_that_is_not_finite_is_never_no_event(bad):
+def test_non_finite_polynomials_are_never_certified_free_of_events(bad):
     found = margin(X + 5, times=[0, 1, 2], coeffs=[[0.0, 1.0], [1.0, bad]])
     assert found.verdict is Verdict.NON_FINITE
     assert found.undecided.step == 1
 
 
-def test_margins_outside_their_domain_are_never_no_event():
+def test_margins_with_poles_are_never_certified_free_of_events():
     for expression in (
         sp.sqrt(X - 0.5) + 1,
         sp.log(0.5 - X) + 9,
@@ -407,7 +407,7 @@ def test_margins_outside_their_domain_are_never_no_event():
     assert margin(sp.asin(2 * X) + 3).verdict is Verdict.NON_FINITE
 
 
-def test_parameters_that_are_not_finite_are_never_no_event():
+def test_non_finite_parameters_are_never_certified_free_of_events():
     tape = compile_tape([P + X], variables=[X], parameters=[P], time=T)
     for bad in (math.nan, math.inf):
         found = first_crossing(tape, [0.0], [0, 1], [[[1.0, 1.0]]], [bad], 0.0)

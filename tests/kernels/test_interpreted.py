@@ -60,7 +60,7 @@ def compiled(monkeypatch):
         monkeypatch.setattr(jit, name, -1.0)
 
 
-def told(model, until, certify):
+def reported(model, until, certify):
     """Return everything that a run reports, except its cost."""
     result = Runner(model, once=True).run(until=until, certify=certify, throw=False)
     found = result.to_dict(explain=True)
@@ -84,10 +84,10 @@ def told(model, until, certify):
 )
 def test_interpreted_kernels_are_bit_identical(model, until, certify, request):
     request.getfixturevalue("interpreted")
-    by_python = told(model, until, certify)
+    by_python = reported(model, until, certify)
     request.getfixturevalue("monkeypatch").undo()
     request.getfixturevalue("compiled")
-    assert by_python == told(model, until, certify)
+    assert by_python == reported(model, until, certify)
 
 
 @pytest.mark.parametrize("op", [SQRT, HYPOT, POW])

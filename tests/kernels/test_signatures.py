@@ -34,7 +34,7 @@ Runner("dice").run(until=0.05)
 
 @register_pass(mutates_CFG=False, analysis_only=True)
 class Told(FunctionPass):
-    _name = "told"
+    _name = "reported"
 
     def __init__(self):
         FunctionPass.__init__(self)

@@ -32,8 +32,8 @@ def test_at_rest_every_leg_bears_a_quarter_with_a_warning_of_indeterminacy(engin
     assert [found[f"V_{leg}"] for leg in "ABCD"] == pytest.approx([W / 4] * 4, rel=1e-13)
     assert found["weight"] == pytest.approx(W, rel=1e-14)
     assert found["moment"] == pytest.approx(0.0, abs=1e-13)
-    told = report(Observer(simulator(MODEL, engine)), trace)["indeterminate"]
-    assert told == [{"mode": dict.fromkeys("ABCD", "pin"), "regions": list("ABCD")}]
+    reported = report(Observer(simulator(MODEL, engine)), trace)["indeterminate"]
+    assert reported == [{"mode": dict.fromkeys("ABCD", "pin"), "regions": list("ABCD")}]
 
 
 @pytest.mark.parametrize("push", [-19.0, 5.0, 12.0])

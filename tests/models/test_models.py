@@ -55,7 +55,7 @@ def test_a_shipped_model_runs_alike_by_every_method(name, method):
         assert name in GROWING
 
 
-def test_no_method_is_missing():
+def test_tests_cover_all_methods_of_scipy():
     assert set(METHODS) == {"RK45", "DOP853", "Radau", "LSODA"}
 
 

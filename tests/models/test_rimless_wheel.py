@@ -62,7 +62,9 @@ def test_its_limit_cycle_is_the_reference_one(engine: str, case: dict) -> None:
 
 @cases
 @pytest.mark.parametrize("factor", [1 + 1e-4, 1 - 1e-4])
-def test_it_passes_the_vertical_only_above_a_rate(engine: str, case: dict, factor: float) -> None:
+def test_the_wheel_passes_the_vertical_only_above_a_rate(
+    engine: str, case: dict, factor: float
+) -> None:
     rate = factor * float(case["omega_min_to_pass_vertical"])
     until = 4.0 * float(case["step_period"])
     trace = run(MODEL, engine, until=until, omega0=rate, **given(case))

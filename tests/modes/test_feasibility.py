@@ -134,7 +134,7 @@ def test_a_normal_that_passes_through_the_other_contact_leaves_6(
     assert counts(planar([(0, 0), (1, shift)], [(0, 1), (-1, 0)]))[0] == feasible
 
 
-def test_two_normals_on_one_line_leave_4() -> None:
+def test_opposed_normals_on_one_line_leave_4_of_9_modes() -> None:
     assert counts(planar([(-0.3, 0.2), (0.4, 0.2)], [(1, 0), (-1, 0)])) == (4, 9)
 
 

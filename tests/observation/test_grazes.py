@@ -74,7 +74,7 @@ def ran(text: str, engine: str, tolerance: float, e: float = 0.0) -> Any:
     return statechart.run(scene, engine=engine, tolerance=tolerance)
 
 
-def told(result: Any) -> list[str]:
+def reported(result: Any) -> list[str]:
     return [warning for warning in result.warnings if "whether it passes is not known" in warning]
 
 
@@ -82,7 +82,7 @@ def told(result: Any) -> list[str]:
 def test_graze_fires_no_event_and_gives_a_warning(engine: str, tolerance: float) -> None:
     result = ran(_THROWN, engine, tolerance)
     assert result.outputs["hits"] == 0
-    assert [warning.split(",")[0] for warning in told(result)] == [
+    assert [warning.split(",")[0] for warning in reported(result)] == [
         "c.gap comes to its boundary at t = 1"
     ]
     assert result.to_dict()["warnings"] == list(result.warnings)
@@ -90,9 +90,9 @@ def test_graze_fires_no_event_and_gives_a_warning(engine: str, tolerance: float)
 
 @pytest.mark.parametrize("e", [1e-9, -1e-9])
 def test_a_near_graze_within_the_tolerance_gives_a_warning(engine: str, e: float) -> None:
-    assert len(told(ran(_THROWN, engine, 1e-8, e))) == 1
+    assert len(reported(ran(_THROWN, engine, 1e-8, e))) == 1
     result = ran(_THROWN, engine, 1e-12, e)
-    assert not told(result)
+    assert not reported(result)
     assert result.outputs["hits"] == (e > 0.0)
 
 
@@ -100,14 +100,14 @@ def test_a_near_graze_within_the_tolerance_gives_a_warning(engine: str, e: float
 def test_a_stop_condition_that_is_only_touched_gives_a_warning(
     engine: str, tolerance: float
 ) -> None:
-    (warning,) = told(ran(_SWINGS, engine, tolerance))
+    (warning,) = reported(ran(_SWINGS, engine, tolerance))
     assert warning.startswith("top ")
 
 
 @pytest.mark.parametrize(("e", "outcome"), [(1e-9, "STOPPED"), (-1e-9, "HORIZON")])
 def test_clear_stops_give_no_warning(engine: str, e: float, outcome: str) -> None:
     result = ran(_SWINGS, engine, 1e-12, e)
-    assert (result.trace.outcome.name, told(result)) == (outcome, [])
+    assert (result.trace.outcome.name, reported(result)) == (outcome, [])
 
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)
@@ -117,30 +117,30 @@ def test_a_pull_that_grazes_the_friction_limit_gives_a_warning_and_no_slip(
     result = ran(_PULLED, engine, tolerance)
     # A slip under a force error lasts as long as its root, and covers its square.
     assert abs(result.outputs["x"]) <= (10.0 * tolerance) ** 1.5 + 1e-15
-    assert {warning.split()[0] for warning in told(result)} == {"c.mu"}
+    assert {warning.split()[0] for warning in reported(result)} == {"c.mu"}
 
 
 def test_a_pull_beyond_friction_slips_without_a_warning(engine: str) -> None:
     beyond, within = (ran(_PULLED, engine, 1e-12, e) for e in (1e-6, -1e-6))
     assert (beyond.outputs["slips"], within.outputs["slips"]) == (2, 0)
-    assert not told(beyond) + told(within)
+    assert not reported(beyond) + reported(within)
 
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)
 def test_guards_of_charts_that_graze_zero_give_a_warning(engine: str, tolerance: float) -> None:
-    assert len(told(ran(_CHART, engine, tolerance))) == 1
+    assert len(reported(ran(_CHART, engine, tolerance))) == 1
     passed, missed = (ran(_CHART, engine, 1e-12, e) for e in (-1e-9, 1e-9))
     assert (passed.outputs["fired"], missed.outputs["fired"]) == (1, 0)
-    assert not told(passed) + told(missed)
+    assert not reported(passed) + reported(missed)
 
 
 def test_a_margin_that_rests_on_its_bound_is_no_graze(engine: str) -> None:
-    assert not told(ran(_PULLED.replace("f*(1 + e)*d.x", "f"), engine, 1e-10))
+    assert not reported(ran(_PULLED.replace("f*(1 + e)*d.x", "f"), engine, 1e-10))
 
 
 @pytest.mark.parametrize("model", ["bouncing_ball", "stick_slip_block", "toppling_stick"])
 def test_shipped_models_have_no_graze_warnings(engine: str, model: str) -> None:
-    assert not told(statechart.run(model, engine=engine))
+    assert not reported(statechart.run(model, engine=engine))
 
 
 _TURNED = """
@@ -322,12 +322,12 @@ regions:
     transitions: [{{name: go, from: a, to: b, guard: "{guard}"}}]
 stop: {{time: 2}}
 """
-    (warning,) = told(statechart.run(interpret(read_text(text)), engine=engine))
+    (warning,) = reported(statechart.run(interpret(read_text(text)), engine=engine))
     assert warning.startswith("r.go ")
     for clear in ("x >= 0.9 and v <= 0", "min(x, 1 - v) >= 0.9", "x >= 0.9 and abs(v) <= 0"):
         result = statechart.run(interpret(read_text(text.replace(guard, clear))), engine=engine)
         assert len(result.trace.jumps) == 1
-        assert not told(result)
+        assert not reported(result)
 
 
 @pytest.mark.parametrize("guard", [
@@ -356,13 +356,13 @@ regions:
 stop: {{time: 1}}
 """
     result = statechart.run(interpret(read_text(text)), engine=engine, tolerance=1e-13)
-    (warning,) = told(result)
+    (warning,) = reported(result)
     assert warning.startswith("r.go ")
     assert "at t = 0.261799" in warning
     for clear in ("abs(x - 0.5) <= 0", "x >= 0.5 and 2*x <= 1", "x >= 0.5 and time <= 0.2618"):
         result = statechart.run(interpret(read_text(text.replace(guard, clear))), engine=engine)
         assert [jump.t for jump in result.trace.jumps] == pytest.approx([math.pi / 12], abs=1e-11)
-        assert not told(result)
+        assert not reported(result)
 
 
 def test_a_relation_that_holds_where_a_control_saturates_gives_a_warning(engine: str) -> None:
@@ -379,4 +379,4 @@ regions:
 stop: {time: 2}
 """
     result = statechart.run(interpret(read_text(text)), engine=engine)
-    assert len(result.trace.jumps) + len(told(result)) == 1
+    assert len(result.trace.jumps) + len(reported(result)) == 1

@@ -185,7 +185,7 @@ def test_empty_run_has_its_initial_state(stick: Observer) -> None:
     assert extremes(stick, trace, "stick.angle") == (-0.01, -0.01)
 
 
-def test_a_mode_of_no_duration_has_its_forces_without_being_compiled(stick: Observer) -> None:
+def test_forces_of_a_mode_of_no_duration_need_no_compilation(stick: Observer) -> None:
     trace = run(stick)
     built = stick.simulator.modes.built
     passed = replace(trace.jumps[0], target=("free",))

@@ -204,8 +204,10 @@ def test_words_are_large_enough_and_inside_at_a_thousand_pixels(name, tmp_path):
         # Without events there is nothing to choose.
         assert opened.value("byId('happened').hidden") == (name == "dragged_stick")
         words = "[...document.querySelectorAll('#outputs .value')].map((e) => e.textContent)"
-        told = opened.value(words)
-        assert all(len(word.rstrip(",").lstrip("-")) < 16 for text in told for word in text.split())
+        reported = opened.value(words)
+        assert all(
+            len(word.rstrip(",").lstrip("-")) < 16 for text in reported for word in text.split()
+        )
 
 
 @in_browser
@@ -362,12 +364,12 @@ def test_curves_have_round_ticks_and_values_under_the_cursor(browser, result):
     assert browser.value(marks) == ["tip", "0", "1", "2", "3", "4", "5", "t"]
     browser.value("go(at(3))")
     reading = result.at(browser.value("times[now]")).values
-    told = browser.value(
+    reported = browser.value(
         "values.map(({ panel, curve, text }) => [panel.names[panel.curves.indexOf(curve)],"
         " Number(text.textContent)])"
     )
-    assert len(told) > 5
-    for name, value in told:
+    assert len(reported) > 5
+    for name, value in reported:
         assert value == pytest.approx(reading[name], rel=1e-3, abs=2e-4)
 
 

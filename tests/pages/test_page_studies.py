@@ -36,12 +36,16 @@ def shown(page: Path) -> Any:
 
 def test_a_page_shows_the_study_and_marks_its_setting(study: Study, tmp_path: Path) -> None:
     result = statechart.run("toppling_stick", method="RK45", tolerance=1e-4)
-    told = shown(result.report(tmp_path / "page.html", study=study))
-    assert base64.b64decode(told["figure"]).startswith(b"<?xml")
+    reported = shown(result.report(tmp_path / "page.html", study=study))
+    assert base64.b64decode(reported["figure"]).startswith(b"<?xml")
     words = " ".join(str(study).split())
-    for line in (*told["above"], *told["below"], *(" ".join(row) for row in told["rows"])):
+    for line in (
+        *reported["above"],
+        *reported["below"],
+        *(" ".join(row) for row in reported["rows"]),
+    ):
         assert " ".join(line.split()) in words
-    assert [told["rows"][k][0].split(" *")[0] for k in told["own"]] == ["scipy RK45 0.0001"]
+    assert [reported["rows"][k][0].split(" *")[0] for k in reported["own"]] == ["scipy RK45 0.0001"]
     usual = statechart.run("toppling_stick", engine="taylor").report(
         tmp_path / "usual.html", study=study
     )
@@ -53,9 +57,9 @@ def test_page_warns_of_other_parameters_and_rejects_other_models(
     study: Study, tmp_path: Path
 ) -> None:
     result = statechart.run("toppling_stick", parameters={"mu": 0.3}, engine="taylor")
-    told = shown(result.report(tmp_path / "page.html", study=study))
-    assert told["above"][-1].endswith("this run had others")
-    assert told["own"] == []
+    reported = shown(result.report(tmp_path / "page.html", study=study))
+    assert reported["above"][-1].endswith("this run had others")
+    assert reported["own"] == []
     other = statechart.run("bouncing_ball", until=1.0)
     with pytest.raises(StatechartError, match="not of 'bouncing_ball'"):
         other.report(tmp_path / "other.html", study=study)

@@ -209,6 +209,6 @@ def test_the_verb_refuses_options_that_it_would_ignore(
     options: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["modes", "toppling_stick", *options]) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert "--equations" in told.err or "--latex" in told.err
+    reported = capsys.readouterr()
+    assert reported.out == ""
+    assert "--equations" in reported.err or "--latex" in reported.err

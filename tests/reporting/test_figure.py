@@ -308,9 +308,9 @@ def test_figures_omit_timers_of_transitions() -> None:
     timers = result.observer.automaton.declaration.timers
     assert timers == {"controller.sample_clock", "controller.sample_count"}
     _, panels = curves(result.observer, result.trace)
-    told = {name for p in panels for name in (*p.names, *p.left_out, *p.zero)}
-    assert not told & timers
-    assert {"held", "sum"} <= told
+    reported = {name for p in panels for name in (*p.names, *p.left_out, *p.zero)}
+    assert not reported & timers
+    assert {"held", "sum"} <= reported
 
 
 def test_a_controller_among_many_bodies_has_a_row() -> None:

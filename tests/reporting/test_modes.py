@@ -144,7 +144,7 @@ def test_modes_of_many_contacts_are_counted_and_never_enumerated(listed, capsys,
     assert "the product is not enumerated" in capsys.readouterr().out
 
 
-def test_a_chart_knows_no_reason_against_a_mode(listed) -> None:
+def test_charts_have_no_feasibility_verdicts(listed) -> None:
     runner = Runner("bouncing_ball_chart")
     setup = runner.setup()
     assert feasibility(runner.automaton, setup, setup.initial, 0.0) is None

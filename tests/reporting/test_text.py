@@ -143,9 +143,9 @@ def test_a_change_shared_by_many_bodies_is_listed_once() -> None:
 
 def test_numbers_in_sentences_are_as_short_as_they_read() -> None:
     numbers = (0.2, 10.0, -0.0, 1e-9, 1e22, 2.0100000000000002, 1 / 3)
-    told = [shortest_text(number) for number in numbers]
-    assert told[:3] == ["0.2", "10", "-0"]
-    assert [float(text) for text in told] == list(numbers)
+    reported = [shortest_text(number) for number in numbers]
+    assert reported[:3] == ["0.2", "10", "-0"]
+    assert [float(text) for text in reported] == list(numbers)
 
 
 @pytest.mark.parametrize(
@@ -222,15 +222,15 @@ def test_messages_use_the_singular_for_one(
 
 @pytest.mark.parametrize("engine", ["taylor", "impulse"])
 @pytest.mark.parametrize(
-    ("end", "told"), [("pi", "3.14159"), ("0.67*3", "2.01"), ("1e-7", "1e-07")]
+    ("end", "reported"), [("pi", "3.14159"), ("0.67*3", "2.01"), ("1e-7", "1e-07")]
 )
 def test_times_in_messages_have_the_digits_of_other_numbers(
-    engine: str, end: str, told: str
+    engine: str, end: str, reported: str
 ) -> None:
     scene = f"{{kind: scene, name: b, bodies: {{ball: {{mass: 1}}}}, stop: {{time: {end}}}}}"
     step = 1e-8 if end == "1e-7" else 0.01
     runner = Runner(read_text(scene), engine=engine, step=step if engine == "impulse" else None)
-    assert runner.run().trace.message == f"reached t = {told}"
+    assert runner.run().trace.message == f"reached t = {reported}"
 
 
 def test_a_list_of_values_leaves_units_of_others_where_they_are() -> None:
@@ -263,9 +263,9 @@ def test_times_in_tables_have_no_digits_that_the_step_has_not(tmp_path: Path) ->
     result = Runner(read_text(text)).run()
     result.save(tmp_path / "run", samples=True)
     rows = (tmp_path / "run" / "samples.csv").read_text().splitlines()[1:]
-    told = [row.split(",")[0] for row in rows]
+    reported = [row.split(",")[0] for row in rows]
     # Eighths of steps, and of the halves of those with an impact.
-    parts = [float(Fraction(round(float(t) / 6.25e-5), 16000)) for t in told]
+    parts = [float(Fraction(round(float(t) / 6.25e-5), 16000)) for t in reported]
     assert len(parts) > 1600
-    assert told == list(map(str, parts))
+    assert reported == list(map(str, parts))
     assert result.samples.t.tolist() == parts

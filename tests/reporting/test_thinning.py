@@ -72,9 +72,9 @@ def test_recomputed_run_is_identical() -> None:
 
 def test_the_first_events_of_a_report_are_those_of_all() -> None:
     result = Runner("bouncing_ball").run()
-    told = result.to_dict(explain=True)["events"]
-    assert len(told) > 5
-    assert result.to_dict(explain=True, most=5)["events"] == told[:5]
+    reported = result.to_dict(explain=True)["events"]
+    assert len(reported) > 5
+    assert result.to_dict(explain=True, most=5)["events"] == reported[:5]
 
 
 def test_thinning_keeps_visible_stretches() -> None:

@@ -77,7 +77,7 @@ def test_boxes_without_mutual_pressure_slide_together():
     # Open from the start, and the last one against the others: all gain the belt's speed alike.
     text = BELT.replace("-0.5*index", "-2*a*index").replace("D: 1", "D: 100")
     trace = Runner(interpret(read_text(text.replace("STEP", "1e-3")))).run(until=0.4).trace
-    told = [(jump.region, jump.cause, jump.target[:3]) for jump in trace.jumps]
-    assert told[2][2] == ("slide",) * 3
-    assert told[-1][2] == ("pin",) * 3
-    assert [cause for _, cause, _ in told] == ["touchdown"] * 3 + ["stick"] * 3
+    reported = [(jump.region, jump.cause, jump.target[:3]) for jump in trace.jumps]
+    assert reported[2][2] == ("slide",) * 3
+    assert reported[-1][2] == ("pin",) * 3
+    assert [cause for _, cause, _ in reported] == ["touchdown"] * 3 + ["stick"] * 3

@@ -204,6 +204,11 @@ def test_a_path_without_a_start_is_reported_with_its_line():
         Runner(read_text(text, "two.yaml")).run()
 
 
+def test_a_step_in_the_file_needs_no_engine_where_auto_takes_steps():
+    text = TWO.replace("engine: impulse, step: 1e-2", "step: 0.004")
+    assert Runner(read_text(text)).run().trace.step == 0.004
+
+
 def test_engines_with_events_name_the_engine_for_shapes():
     with pytest.raises(StatechartError, match="or take impulse"):
         Runner(interpret(read_text(TWO)), engine="scipy").run()
@@ -473,7 +478,7 @@ def test_a_body_that_crosses_a_thin_wall_within_a_step_strikes_it(shape, y):
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "reported"),
     [
         ("{engine: taylor}", "two.yaml:3:20: settings.engine: the engine taylor cannot run bodies"),
         ("{tolerance: 1e-6}", "two.yaml:3:12: settings.tolerance: the engine impulse has no tol"),
@@ -481,7 +486,7 @@ def test_a_body_that_crosses_a_thin_wall_within_a_step_strikes_it(shape, y):
     ],
 )
 def test_settings_unfit_for_collisions_are_reported_with_their_place(
-    settings, told, tmp_path, capsys
+    settings, reported, tmp_path, capsys
 ):
     path = tmp_path / "two.yaml"
     path.write_text(
@@ -492,4 +497,4 @@ def test_settings_unfit_for_collisions_are_reported_with_their_place(
     )
     for verb in ("validate", "run"):
         assert main([verb, str(path)]) == 2
-        assert told in capsys.readouterr().err
+        assert reported in capsys.readouterr().err

@@ -32,8 +32,8 @@ settings: {engine: impulse, step: 1e-3}
 
 def test_copies_at_one_place_are_advised_to_use_index():
     text = SCENE.replace("x: 0.3*index, ", "")
-    told = r"11:12: .*'grain0' and 'grain1' start at the same place; .* such as x: 0\.21\*index"
-    with pytest.raises(DeclarationError, match=told):
+    reported = r"11:12: .*'grain0' and 'grain1' start at the same place; .* such as x: 0\.21\*index"
+    with pytest.raises(DeclarationError, match=reported):
         Runner(read_text(text)).run()
     Runner(read_text(text.replace("y: r", "x: 0.21*index, y: r"))).start()
     # Bodies without a contact law may overlap.
@@ -53,7 +53,7 @@ def read_and_run(text):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "reported"),
     [
         (
             "[2, 0]]}",
@@ -72,9 +72,9 @@ def read_and_run(text):
         ),
     ],
 )
-def test_a_formula_that_loses_its_value_ends_the_run_there(old, new, told):
+def test_a_formula_that_loses_its_value_ends_the_run_there(old, new, reported):
     runner = Runner(read_text(SCENE.replace("y: -5", "y: sqrt(0.02) - 5").replace(old, new)))
-    with pytest.raises(NonFinite, match=told) as caught:
+    with pytest.raises(NonFinite, match=reported) as caught:
         runner.run()
     assert caught.value.trace.t_end == 0.02
     # A value at the start is enough.
@@ -111,7 +111,7 @@ settings: {engine: impulse, step: 0.01}
 
 
 @pytest.mark.parametrize(
-    ("surface", "told"),
+    ("surface", "reported"),
     [
         (
             "height: sqrt(1 - x**2)",
@@ -133,16 +133,16 @@ settings: {engine: impulse, step: 0.01}
         ),
     ],
 )
-def test_a_body_that_reaches_an_undefined_height_is_reported(surface, told):
+def test_a_body_that_reaches_an_undefined_height_is_reported(surface, reported):
     text = SLOPES.replace("height: sqrt(1 - x**2)", surface)
     if "body" in surface:
         text = text.replace("time: 0.7", "time: 0.9")
     warnings = [w for w in read_and_run(text).trace.warnings if "no ground" in w]
-    assert [told in warning for warning in warnings] == [True] * bool(told), warnings
+    assert [reported in warning for warning in warnings] == [True] * bool(reported), warnings
 
 
 @pytest.mark.parametrize(
-    ("start", "told"),
+    ("start", "reported"),
     [
         (
             'x: "0.3*sin(index)", y: 1 + 0.3*cos(3*index)',
@@ -154,14 +154,14 @@ def test_a_body_that_reaches_an_undefined_height_is_reported(surface, told):
         ('x: "0.21*mod(index, 12)", y: 0.1 + 0.21*floor(index/12)', ""),
     ],
 )
-def test_overlapping_copies_are_counted_and_advised_to_stand_in_rows(start, told):
+def test_overlapping_copies_are_counted_and_advised_to_stand_in_rows(start, reported):
     text = SCENE.replace("x: 0.3*index, y: r", start).replace("n: 3", "n: 120")
-    if not told:
+    if not reported:
         Runner(read_text(text)).start()
         return
     with pytest.raises(DeclarationError) as caught:
         Runner(read_text(text)).start()
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
 
 
 def test_the_least_penetration_of_overlapping_copies_is_reported():

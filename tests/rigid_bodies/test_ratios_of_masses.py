@@ -31,8 +31,8 @@ settings: {{engine: impulse, step: 1e-3}}
 def test_an_anvil_on_a_feather_gives_a_warning_of_its_residual():
     trace = stack(1e12)
     assert trace.counts["inexact_steps"] > 0
-    (told,) = trace.warnings
-    assert "the residual of the contact impulses exceeds the tolerance of 1e-06" in told
+    (reported,) = trace.warnings
+    assert "the residual of the contact impulses exceeds the tolerance of 1e-06" in reported
 
 
 @pytest.mark.parametrize("heavy", [1.0, 1e6])

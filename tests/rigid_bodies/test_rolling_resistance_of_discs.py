@@ -116,3 +116,15 @@ def test_a_polygon_does_not_roll():
     text = ROLLING.replace("{disc: r}", "{polygon: [[-r, -r], [r, -r], [0, r]]}")
     with pytest.raises(DeclarationError, match="no body has a disc"):
         interpret(read_text(text))
+
+
+def test_a_landing_lists_the_impulse_of_rolling_resistance():
+    """A spinning disc lands on a smooth floor: the couple is at its bound."""
+    text = ROLLING.replace("y: r*cos(alpha)", "y: r + 0.2").replace("-v/r", "-20")
+    text = text.replace("mu: 0.5", "mu: 0").replace("stop: {time: 2}", "stop: {time: 0.3}")
+    (jump,) = (j for j in Runner(interpret(read_text(text))).run().trace.jumps if j.impulse)
+    impulse = jump.impulse["wheel"][0]
+    assert impulse == pytest.approx(3 * math.sqrt(2 * G * 0.2), rel=3e-3)
+    assert jump.joint_impulse == {"wheel_rolling.M": pytest.approx(LENGTH * impulse, rel=1e-9)}
+    spin = (jump.after - jump.before)[5]
+    assert 3 * R**2 / 2 * spin == pytest.approx(LENGTH * impulse, rel=1e-9)

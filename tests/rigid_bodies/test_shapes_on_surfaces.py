@@ -77,7 +77,7 @@ def rolled(path, start, time, inertia=0.5):
     return path(found.y[0, -1])[0]
 
 
-def beside(height: Callable, r: float):
+def offset_curve(height: Callable, r: float):
     """Return the curve at the distance r above y = height(x), which gives three derivatives."""
 
     def path(x):
@@ -106,7 +106,7 @@ def around(reach):
 
 
 CURVES = {
-    "height": ({"hill": "height: 0.3*cos(2*x)"}, beside(wave, 0.05), 0.4, 0.8),
+    "height": ({"hill": "height: 0.3*cos(2*x)"}, offset_curve(wave, 0.05), 0.4, 0.8),
     "hollow": ({"drum": "circle: [0, 0], radius: 0.5, hollow: true"}, around(0.45), 1.0, 1.0),
     "round": ({"hill": "circle: [0, 0], radius: 0.5"}, around(0.55), math.pi - 0.3, 0.5),
 }

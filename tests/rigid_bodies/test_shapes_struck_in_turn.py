@@ -183,8 +183,8 @@ def test_endless_impact_sequences_give_a_warning_and_end_together():
     text = text.replace("restitution", "surfaces: [wall], restitution")
     text += f"surfaces: {{wall: {{line: [[{place!r}, -1], [{place!r}, 1]]}}}}\n"
     result = run(text, until=0.6)
-    told = [warning for warning in result.warnings if "did not end" in warning]
-    assert len(told) == 1
+    reported = [warning for warning in result.warnings if "did not end" in warning]
+    assert len(reported) == 1
     speeds = speeds_of(result)
     once = speeds_of(run(text, law="capped", until=0.6))
     np.testing.assert_allclose(speeds, once, atol=1e-12)
@@ -300,15 +300,15 @@ collisions: {{all: {{bodies: [one, up, down], friction: 0, restitution: 1}}}}
     assert abs(found[0, 1]) < 1e-12
 
 
-@pytest.mark.parametrize(("e", "told"), [(1.0, True), (0.6, True), (0.4, False), (0.0, False)])
+@pytest.mark.parametrize(("e", "reported"), [(1.0, True), (0.6, True), (0.4, False), (0.0, False)])
 @pytest.mark.parametrize("record", ["modes", "nothing"])
-def test_a_run_warns_where_the_order_of_impacts_matters(e, told, record):
+def test_a_run_warns_where_the_order_of_impacts_matters(e, reported, record):
     text = row([1, 1, 1], e, [0.0] * 3, [1.0, 0.0, 0.0])
     result = run(text + f"settings: {{record: {record}}}", law="capped")
     news = [warning for warning in result.warnings if NEWS in warning]
-    assert len(news) == told
+    assert len(news) == reported
     assert result.warnings == tuple(news)
-    if told:
+    if reported:
         assert news[0].startswith("in 1 step, the first at t = 0.4995,")
         assert "simultaneous: sequential" in news[0]
     assert not any(NEWS in warning for warning in run(

@@ -74,8 +74,8 @@ def test_a_settled_packing_stays_at_rest_when_it_is_the_start(after):
     deepest = {}
     for step in (after, 2e-4):
         trace = Runner(packing(settled, 0.2, step)).run().trace
-        (told,) = trace.warnings
-        assert told.startswith("bodies start up to ")
+        (reported,) = trace.warnings
+        assert reported.startswith("bodies start up to ")
         deepest[step] = -min(trace.margins.values())
         # It was about to rest: so fast it may go on.
         moved = 0.2 * np.abs(settled[:, 3:]).max() * np.array([1.0, 1.0, 100.0])

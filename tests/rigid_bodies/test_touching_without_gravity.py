@@ -38,10 +38,10 @@ def struck(places, x0, e, y0=0.0, tolerance=1e-10, law="capped"):
     names = ", ".join(f"d{k}" for k in range(len(starts)))
     text = SCENE.format(bodies=bodies, names=names, e=e, tolerance=tolerance, law=law)
     result = Runner(interpret(read_text(text))).run()
-    told = [
+    reported = [
         warning for warning in result.warnings if "resolves these impacts together" not in warning
     ]
-    return result.trace.final.reshape(2, -1, 3)[1, :, :2], told
+    return result.trace.final.reshape(2, -1, 3)[1, :, :2], reported
 
 
 @pytest.mark.parametrize("x", [0.0, 0.1, 7.3])

@@ -247,7 +247,7 @@ def test_an_accuracy_is_delivered_on_random_scenes_or_refused_with_the_reason() 
     assert all(j.reason for j in found if j.verdict != "delivered")
 
 
-def test_a_run_that_fails_early_parts_where_it_ends() -> None:
+def test_a_run_that_fails_early_separates_at_its_end() -> None:
     exact = run("bouncing_ball_hills")
     short = run("bouncing_ball_hills", until=0.2)
     ended = replace(short.trace, outcome=Outcome.STEP_FAILURE)
@@ -385,14 +385,14 @@ def test_accuracy_fails_if_an_engine_cannot_run(
 
 def test_an_exceeded_budget_gives_a_warning() -> None:
     once, clock = slow(Runner("toppling_stick"), lambda tolerance: 1.0)
-    told = run_within_budget(once, 0.5, floor=1e-13, clock=clock).warnings
-    assert told[0].startswith("the budget of 0.5 s allowed one run, of 1 s, ")
+    reported = run_within_budget(once, 0.5, floor=1e-13, clock=clock).warnings
+    assert reported[0].startswith("the budget of 0.5 s allowed one run, of 1 s, ")
     late = run_within_budget(once, 0.5, spent=0.75, floor=1e-13, clock=clock).warnings
     assert "one run, of 1.8 s" in late[0]
     once, clock = slow(Runner("toppling_stick"), lambda tolerance: 1.0)
     kept = run_within_budget(once, 2.9, floor=1e-13, clock=clock).warnings
     assert not any("budget" in warning for warning in kept)
-    assert (len(told), len(late)) == (1, 1)
+    assert (len(reported), len(late)) == (1, 1)
 
 
 @pytest.mark.parametrize("accuracy", [1e-3, 1e-10])

@@ -298,7 +298,7 @@ def test_no_step_is_longer_than_the_longest(choice: dict[str, str]) -> None:
     assert found.outputs["t_impact"] == pytest.approx(plain.outputs["t_impact"], rel=1e-3)
 
 
-def test_a_file_may_say_the_longest_step_and_a_call_another() -> None:
+def test_a_call_overrides_the_longest_step_of_the_file() -> None:
     model = load("toppling_stick")
     settings = model.settings.model_copy(update={"max_step": 0.05})
     model = model.model_copy(update={"settings": settings})

@@ -138,7 +138,7 @@ def test_step_refinement_halves_the_step_until_the_estimate_is_below() -> None:
     assert runner.run().error_estimate is None
 
 
-def test_a_step_that_is_too_large_is_no_answer() -> None:
+def test_accuracy_reduces_a_step_that_tunnels() -> None:
     result = run(read_text(POST), engine="impulse", step=5e-3, accuracy=0.05)
     assert reached(result)
     assert result.trace.final[0] < 1.0
@@ -201,7 +201,7 @@ def test_the_command_line_reports_the_request(capsys: pytest.CaptureFixture[str]
     assert "first step a thousandth of the run" in said
 
 
-def test_a_file_may_ask_for_it_and_a_step_in_the_call_goes_before() -> None:
+def test_a_step_in_the_call_overrides_the_accuracy_of_the_file() -> None:
     model = read_text(BLOCK + "settings: {engine: impulse, accuracy: 1e-3}\n")
     assert reached(Runner(model).run())
     single = Runner(model, step=1e-3).run()
@@ -210,7 +210,7 @@ def test_a_file_may_ask_for_it_and_a_step_in_the_call_goes_before() -> None:
 
 
 @pytest.mark.parametrize("name", ["budget", "tolerance"])
-def test_budget_and_tolerance_are_still_none_of_its_words(name: str) -> None:
+def test_step_refinement_takes_neither_budget_nor_tolerance(name: str) -> None:
     with pytest.raises(DeclarationError, match=f"the engine impulse has no {name}"):
         Runner(read_text(BLOCK), engine="impulse", **{name: 0.5})  # type: ignore[arg-type]
 
@@ -243,7 +243,7 @@ def test_a_step_that_never_does_ends_with_its_reason() -> None:
     assert answer.cost.runs < 50
 
 
-def test_a_result_travels_with_its_step() -> None:
+def test_a_pickled_result_keeps_its_step() -> None:
     result = run(read_text(BLOCK), engine="impulse", accuracy=1e-3)
     there = pickle.loads(pickle.dumps(result))
     assert there.outputs == result.outputs

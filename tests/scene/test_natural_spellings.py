@@ -111,6 +111,9 @@ def test_static_friction_by_a_controller_is_warned_of() -> None:
     text = BALL.replace("Y, dx: 1", "0").replace("time: 1", "time: 5.5")
     runner = Runner(Scene.model_validate(read_text(text + DRAGGED % "mu").data))
     assert any("write friction: {static: S, kinetic: K}" in w for w in runner.run().trace.warnings)
+    both = text + DRAGGED % "{static: mu, kinetic: mu/2}"
+    warnings = Runner(Scene.model_validate(read_text(both).data)).run().trace.warnings
+    assert not any("write friction" in warning for warning in warnings)
     law = "{static: 0.9, kinetic: 0.2}"
     scene = Scene.model_validate(read_text(text + DRAGGED % law).data)
     trace = Runner(scene).run().trace

@@ -36,7 +36,7 @@ def model(surface: str = HOLLOW, radius: str = "r") -> Any:
 
 
 @pytest.mark.parametrize(
-    ("surface", "radius", "told"),
+    ("surface", "radius", "reported"),
     [
         ("ring: {height: x**2}", "r", "write a slope as an incline or a line"),
         ("ring: {edge: [[0, 0], [1, 0]]}", "r", "a small circle"),
@@ -48,11 +48,11 @@ def model(surface: str = HOLLOW, radius: str = "r") -> Any:
     ],
 )
 def test_surfaces_that_a_disc_cannot_touch_are_reported(
-    surface: str, radius: str, told: str
+    surface: str, radius: str, reported: str
 ) -> None:
     with pytest.raises(DeclarationError) as caught:
         statechart.run(model(surface, radius))
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
 
 
 def test_a_disc_that_loops_keeps_its_energy_and_its_place() -> None:

@@ -20,7 +20,7 @@ def solve(matrix: np.ndarray, vector: np.ndarray) -> tuple[int, np.ndarray]:
     return lemke(matrix, vector, np.ones(len(vector)))
 
 
-def test_one_unknown() -> None:
+def test_problems_of_size_one_are_solved() -> None:
     for m, q, z in ((2.0, -1.0, 0.5), (2.0, 1.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 0.0)):
         outcome, found = solve(np.array([[m]]), np.array([q]))
         assert outcome == FOUND
@@ -33,7 +33,7 @@ def test_a_problem_without_solution_is_reported() -> None:
     assert every_solution(np.array([[-1.0]]), np.array([-1.0])) == []
 
 
-def test_no_unknowns() -> None:
+def test_a_problem_of_size_zero_is_solved() -> None:
     outcome, z = solve(np.empty((0, 0)), np.empty(0))
     assert outcome == FOUND
     assert len(z) == 0

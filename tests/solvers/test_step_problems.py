@@ -62,7 +62,7 @@ def test_without_friction_it_is_the_least_energy(seed):
     assert normal @ impulses[:, 0] == pytest.approx(normal @ best, rel=1e-6, abs=1e-8)
 
 
-def test_a_problem_without_solution_says_so():
+def test_a_problem_without_solution_is_reported():
     # Two contacts that oppose each other, both made to part.
     delassus = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.diag([1.0, 0.0]))
     least, cones = np.array([[-1.0, 0.0], [-1.0, 0.0]]), np.array([[1.0, 0.0]] * 2)

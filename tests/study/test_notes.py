@@ -47,7 +47,7 @@ def test_warnings_shared_with_the_reference_are_no_reason() -> None:
     assert len(notes(shared)) == 1
 
 
-def test_a_family_that_ends_with_the_modes_of_the_reference_needs_no_reason() -> None:
+def test_settings_that_converge_to_the_modes_of_the_reference_have_no_note() -> None:
     coarse = stepped(1e-2, same_modes=False, diverged=0.5, warnings=(LAW,))
     found = study(coarse, *(stepped(10.0**-k, warnings=(LAW,)) for k in (3, 4, 5)))
     assert reasons(found) == {}

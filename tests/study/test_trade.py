@@ -100,7 +100,7 @@ def test_many_body_trade_varies_step_and_impulse_tolerance(tmp_path: Path) -> No
 
 def test_trade_reports_the_worst_error_of_nearby_steps() -> None:
     runner = Runner("block_on_incline")
-    told = trade(
+    reported = trade(
         runner,
         settings=[Setting(engine="impulse", step=0.01)],
         repeats=1,
@@ -117,8 +117,8 @@ def test_trade_reports_the_worst_error_of_nearby_steps() -> None:
 
     errors = [error(0.01 * part) for part in (1.0, 0.983, 0.967, 0.951)]
     assert max(errors) > 1.5 * errors[0] > 0.0
-    assert told.errors.outputs == pytest.approx(max(errors), rel=1e-9)
-    assert told.steps == 300
+    assert reported.errors.outputs == pytest.approx(max(errors), rel=1e-9)
+    assert reported.steps == 300
 
 
 def test_distance_is_the_largest_along_the_runs() -> None:
@@ -438,8 +438,8 @@ def test_non_converging_outputs_are_named_and_excluded() -> None:
 def test_a_folder_that_cannot_be_written_is_refused_before_the_reference(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
 
-    def told(line: str) -> None:
+    def reported(line: str) -> None:
         raise AssertionError(line)
 
     with pytest.raises(DeclarationError, match="file is a file; name another folder"):
-        trade("toppling_stick", folder=tmp_path / "file" / "new", progress=told)
+        trade("toppling_stick", folder=tmp_path / "file" / "new", progress=reported)

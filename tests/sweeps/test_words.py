@@ -24,7 +24,7 @@ STICK = "toppling_stick"
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "reported"),
     [
         ("a", "a"),
         ("a b a", "a > b > a"),
@@ -33,8 +33,8 @@ STICK = "toppling_stick"
         ("a b c a b c a", "(a > b > c) x 2 > a"),
     ],
 )
-def test_repeated_cycles_are_abbreviated(words: str, told: str) -> None:
-    assert " > ".join(contract_cycles(words.split())) == told
+def test_repeated_cycles_are_abbreviated(words: str, reported: str) -> None:
+    assert " > ".join(contract_cycles(words.split())) == reported
 
 
 def unfolded(text: str) -> list[str]:
@@ -151,10 +151,10 @@ def test_legends_distinguish_sequences_of_any_length(
     box = picture.legends[0].get_window_extent()
     assert box.x0 >= 0.0
     assert box.x1 <= picture.bbox.x1
-    told = [text.get_text() for text in picture.legends[0].get_texts()]
-    assert len(set(told)) == 6
+    reported = [text.get_text() for text in picture.legends[0].get_texts()]
+    assert len(set(reported)) == 6
     if length < 6:
-        assert set(told) == set(texts)
+        assert set(reported) == set(texts)
 
 
 def test_the_page_has_the_pictures_that_it_names() -> None:

@@ -250,8 +250,8 @@ def test_final_forces_do_not_come_from_a_tiny_step():
 
 def test_warning_names_contacts_with_indeterminate_forces() -> None:
     shared = Runner("four_legged_table", engine="impulse", step=1e-3).run(until=0.01)
-    told = "the forces of A, B, C, D are indeterminate: the smallest are shown"
-    assert shared.trace.warnings.count(told) == 1
+    reported = "the forces of A, B, C, D are indeterminate: the smallest are shown"
+    assert shared.trace.warnings.count(reported) == 1
     # All forces are determined while one foot holds, or none touches.
     for name in ("bouncing_ball", "block_on_incline"):
         alone = Runner(name, engine="impulse", step=1e-3).run(until=0.01)

@@ -34,29 +34,31 @@ regions:
     transitions: [{name: lift, from: waiting, to: lifting, guard: time >= later}]
 """
 )
-TOLD = "friction presses a contact into its surface so that it may slide as well as lift off"
+REPORTED = "friction presses a contact into its surface so that it may slide as well as lift off"
 
 
 @pytest.mark.parametrize(
-    ("lift", "told"),
+    ("lift", "reported"),
     [(20, True), (0, False)],  # comes off by itself; jams, which is the only motion
 )
-def test_an_indeterminate_start_gives_a_warning_on_both_engines(lift: float, told: bool) -> None:
+def test_an_indeterminate_start_gives_a_warning_on_both_engines(
+    lift: float, reported: bool
+) -> None:
     scene = read_text(AT_ONCE)
     by_steps = run(scene, engine="impulse", step=1e-3, parameters={"lift": lift})
     by_events = run(scene, parameters={"lift": lift})
-    assert (f"at the start {TOLD}" in " ".join(by_steps.warnings)) == told
-    assert ("tip:slide+, tip:free all agree" in " ".join(by_events.warnings)) == told
+    assert (f"at the start {REPORTED}" in " ".join(by_steps.warnings)) == reported
+    assert ("tip:slide+, tip:free all agree" in " ".join(by_events.warnings)) == reported
 
 
 def test_less_friction_makes_the_motion_unique() -> None:
     found = run(read_text(AT_ONCE), engine="impulse", step=1e-3, parameters={"mu": 1, "lift": 20})
-    assert not any(TOLD in warning for warning in found.warnings)
+    assert not any(REPORTED in warning for warning in found.warnings)
 
 
 def test_indeterminate_motion_gives_a_warning_with_its_time() -> None:
     found = run(read_text(LATER), engine="impulse", step=1e-3, parameters={"lift": 20})
-    assert any(f"the first at t = 0.01, {TOLD}" in warning for warning in found.warnings)
+    assert any(f"the first at t = 0.01, {REPORTED}" in warning for warning in found.warnings)
 
 
 def test_check_reports_several_motions_at_the_start(
@@ -67,7 +69,7 @@ def test_check_reports_several_motions_at_the_start(
         AT_ONCE.replace("lift: 0", "lift: 20") + "settings: {engine: impulse, step: 1e-3}\n"
     )
     assert main(["check", str(path), "--examples", "1", "--seed", "1", "-q"]) == 0
-    assert f"warning: at the start {TOLD}" in capsys.readouterr().err
+    assert f"warning: at the start {REPORTED}" in capsys.readouterr().err
 
 
 def test_a_jam_by_steps_has_the_edge_and_the_depth_that_check_allows() -> None:

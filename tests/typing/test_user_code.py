@@ -106,7 +106,7 @@ result.outcomes
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory) -> str:
+def reported(tmp_path_factory: pytest.TempPathFactory) -> str:
     folder = tmp_path_factory.mktemp("user")
     (folder / "right.py").write_text(RIGHT)
     (folder / "wrong.py").write_text(WRONG)
@@ -120,8 +120,8 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> str:
     return re.sub(r"^.*?(?=(?:right\w*|wrong)\.py)", "", made.stdout, flags=re.M)
 
 
-def test_code_of_users_passes_in_strict_mode(told: str) -> None:
-    assert not [line for line in told.splitlines() if line.startswith("right")]
+def test_code_of_users_passes_in_strict_mode(reported: str) -> None:
+    assert not [line for line in reported.splitlines() if line.startswith("right")]
 
 
 def test_code_of_users_runs() -> None:
@@ -133,6 +133,6 @@ def test_code_of_users_runs() -> None:
     assert found["times"]
 
 
-def test_wrong_user_code_is_rejected_by_mypy(told: str) -> None:
-    places = [line.split(": error: ")[0] for line in told.splitlines() if ": error: " in line]
+def test_wrong_user_code_is_rejected_by_mypy(reported: str) -> None:
+    places = [line.split(": error: ")[0] for line in reported.splitlines() if ": error: " in line]
     assert {"wrong.py:3", "wrong.py:4", "wrong.py:6"} <= {*places}
