@@ -224,7 +224,7 @@ def test_slides_at_rates_of_eleven_decades_are_found_together(engine: Engine) ->
     assert trace.final == pytest.approx([0.0, 0.0, 4e6 / 3.0], rel=1e-9, abs=1e-9)
 
 
-def test_rates_without_a_value_beside_a_surface_give_a_warning() -> None:
+def test_rates_without_a_value_beside_a_surface_end_as_ambiguous() -> None:
     rates = {"x": "-sign(x)*sqrt(3/2 + 2*sign(x)*sign(y))", "y": "-sign(y)"}
     trace = Simulator(flow({"x": 1, "y": 1}, **rates), SCIPY).run(until=3.0, throw=False)
     assert trace.outcome is Outcome.AMBIGUOUS_MODE
