@@ -53,9 +53,10 @@ def test_moment_rocks_level_feet_that_stick(engine):
     assert {"slip", "stick", "reverse"} <= {jump.cause for jump in trace.jumps}
 
 
-def test_dropped_table_comes_to_rest_on_both_feet():
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+def test_dropped_table_comes_to_rest_on_both_feet(engine):
     text = TABLE.replace("START", "{y: 0.5, angle: 0.05}").replace("AMPLITUDE", "0")
-    trace = run(read_text(text), engine="taylor").trace
+    trace = run(read_text(text), engine=engine).trace
     assert trace.outcome is Outcome.HORIZON
     assert trace.final[[0, 2]] == pytest.approx([0.0443834, 0], abs=1e-7)
     expected = regularised([0, 0.5, 0.05, 0, 0, 0], 0, 1e-6)
