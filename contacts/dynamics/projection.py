@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import sympy as sp
@@ -92,9 +92,9 @@ class Projection:
         joints cannot all hold, and `SingularMode` if their constraints have become dependent.
         """
         gap_weight, speed_weight = 1.0 / tolerances["gap"], 1.0 / tolerances["speed"]
-        flow, implied = moving_mode(roles), self._implied(roles)
+        flow = held_key(roles, self._soft)
         pinned = any(state in STICKING for state in flow)
-        weights = self._weights(flow, implied, gap_weight, speed_weight)
+        weights = self._weights(flow, gap_weight, speed_weight)
         targets = np.zeros(len(weights))
         if pinned:
             pinned_at = self.tape.at(anchor, values, start)
@@ -107,7 +107,7 @@ class Projection:
         def project(state: Array, time: float, values: Array = values) -> Array:
             snapshot, joints = self._snapshots.unreduced(values, state, time)
             pins = self._snapshots.unreduced(began, anchor, start)[0] if pinned else None
-            projected = _brought(flow, snapshot, joints, state, pinned=pins, implied=implied)
+            projected = _brought(flow, snapshot, joints, state, pinned=pins)
             if joints is None:
                 return projected
             before = constraints.off(state, values, time)
@@ -116,7 +116,7 @@ class Projection:
                 # The first projection uses the velocity constraints at the old position, which
                 # are off by as much at the new one if a body turns fast; the second is not.
                 numbers = self._snapshots.unreduced(values, projected, time)
-                projected = _brought(flow, *numbers, projected, pinned=pins, implied=implied)
+                projected = _brought(flow, *numbers, projected, pinned=pins)
                 residual = constraints.off(projected, values, time)
             if residual > 0.5 * before:
                 # The round-off of large angles and rates can exceed the tolerances.
@@ -163,30 +163,13 @@ class Projection:
             self._within[flow] = tape
         return self._within[flow]
 
-    def _implied(self, roles: Roles) -> frozenset[int]:
-        """Return the pinned compliant contacts whose tangential constraint others imply."""
-        shares = [role.share for role in region_roles(roles)]
-        return frozenset(
-            i
-            for i, share in enumerate(shares[: len(self._soft)])
-            if self._soft[i] and isinstance(share, Bearing) and "t" not in share.rows
-        )
-
-    def _weights(
-        self, flow: Key, implied: Collection[int], gap_weight: float, speed_weight: float
-    ) -> Array:
+    def _weights(self, flow: Key, gap_weight: float, speed_weight: float) -> Array:
         weights: list[float] = []
-        for i, (name, soft) in enumerate(zip(flow, self._soft, strict=True)):
+        for name, soft in zip(flow, self._soft, strict=True):
             if name in OPEN:
                 weights += _FREE
             elif soft:
-                weights += (
-                    0.0,
-                    0.0,
-                    speed_weight if name == "pin" and i not in implied else 0.0,
-                    0.0,
-                    0.0,
-                )
+                weights += (0.0, 0.0, speed_weight if name == "pin" else 0.0, 0.0, 0.0)
             elif name in STICKING:
                 weights += (gap_weight, speed_weight, speed_weight, gap_weight, gap_weight)
             else:
@@ -215,6 +198,20 @@ class Projection:
             f"the joints {', '.join(dict.fromkeys(self._joints))} cannot all hold at t = "
             f"{time:.6g}: {self._joints[k]!r} {violation}{cause}"
         )
+
+
+def held_key(roles: Roles, soft: Sequence[bool]) -> Key:
+    """Return the states of roles, `slide` for a pinned compliant contact that others imply.
+
+    Its tangential constraint holds within a tolerance only (`contacts.scene.modes.share_of`):
+    projection on it would take the rotation of a body on two feet that are nearly level.
+    """
+    key, shares = [*moving_mode(roles)], [role.share for role in region_roles(roles)]
+    for i in np.flatnonzero(soft).tolist():
+        share = shares[i]
+        if key[i] == "pin" and isinstance(share, Bearing) and "t" not in share.rows:
+            key[i] = "slide"
+    return tuple(key)
 
 
 def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, float]) -> Array:
@@ -267,12 +264,8 @@ def _brought(
     *,
     pinned: Snapshot | None = None,
     penetrating: Sequence[bool] = (),
-    implied: Collection[int] = (),
 ) -> Array:
-    """Project as `on_constraints` does; `pinned` is the snapshot when the points were pinned.
-
-    The tangential constraints of `implied` contacts are left out.
-    """
+    """Project as `on_constraints` does; `pinned` is the snapshot when the points were pinned."""
     rows: list[Array] = []
     residuals: list[tuple[float, float]] = []
     if joints is not None:
@@ -285,7 +278,7 @@ def _brought(
         if name not in COUPLING_STATES:
             rows.append(contact.jacobian[0])
             residuals.append((-contact.gap, -contact.gap_rate if name not in OPEN else 0.0))
-        if name in STICKING and i not in implied:
+        if name in STICKING:
             displaced = 0.0
             if pinned is not None:
                 before = pinned.contacts[i]

@@ -85,6 +85,13 @@ class Snapshot(NamedTuple):
         """The snapshot in the scene's coordinates, without joints."""
         return self if self.reduction is None else self.reduction.unreduced
 
+    @property
+    def soft(self) -> list[bool]:
+        """Marks of the compliant contacts."""
+        whole = self.unreduced
+        on_pads = whole.jacobians[:, 0, len(whole.forces) - whole.pads :]
+        return [bool(row.any()) for row in on_pads]
+
     def moved(self, state: Array, velocity: Array) -> Array:
         """Return `state` (of the scene) after its velocity (n,) has jumped to `velocity`."""
         size = len(state) // 2

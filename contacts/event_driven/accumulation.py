@@ -10,7 +10,7 @@ import numpy as np
 
 from contacts.dynamics.conditions import hidden
 from contacts.dynamics.contact_law import ContactLaw, sliding_edge
-from contacts.dynamics.projection import landed, on_constraints
+from contacts.dynamics.projection import held_key, landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot, answer
 from contacts.event_driven.decision import choose_mode
@@ -109,9 +109,9 @@ def close_immediately(
     choice = choose_mode(setup, snapshot, closing, paradox)
     if isinstance(choice, Jam):
         return None
-    after = landed(choice.taken.states, snapshot, state, setup.tolerances)
-    warning = "; ".join(filter(None, (*warnings, choice.warning)))
     roles = choice.taken.roles
+    after = landed(held_key(roles, snapshot.soft), snapshot, state, setup.tolerances)
+    warning = "; ".join(filter(None, (*warnings, choice.warning)))
     # If no mode is left to change (a bar that rattles over a crest opens all contacts; the last of
     # several rods closes at this impact), there is no time to wait.
     wait = None if moving_mode(roles) == flow.mode else remaining

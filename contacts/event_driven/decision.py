@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -17,7 +18,8 @@ from contacts.impacts.jamming import Jam, paradoxes, resolve_jam
 from contacts.modes.classification import Before, Choice, ForceUncertainty, choose
 from contacts.modes.compiled_classification import ENDLESS
 from contacts.scene.parts import Resolution
-from contacts.states import INACTIVE, OFF, cause_of, superstates_of
+from contacts.solvers.dependence import DEAD_POINT, USER_DIGITS
+from contacts.states import INACTIVE, OFF, STICKING, cause_of, superstates_of
 from statechart.arrays import Array
 from statechart.automaton.trace import Key
 from statechart.errors import DeclarationProblem, NoConsistentMode
@@ -39,17 +41,21 @@ def choose_mode(
     check_listed(setup, snapshot, touching)
     snapshot = close_compliant(snapshot, touching)
     slip_tolerance = 2.0 * setup.tolerances["speed"]
+    decide = partial(
+        choose,
+        laws=setup.contacts,
+        closed=touching,
+        scales=setup.scales,
+        tie=setup.tie,
+        slip_tolerance=slip_tolerance,
+        before=before,
+        uncertainty=uncertainty,
+    )
+    level, resting = _level_feet(setup, snapshot, touching, slip_tolerance)
     try:
-        choice = choose(
-            snapshot,
-            setup.contacts,
-            touching,
-            setup.scales,
-            setup.tie,
-            slip_tolerance,
-            before,
-            uncertainty,
-        )
+        choice = decide(snapshot if resting else level)
+        if any(choice.taken.states[i] not in STICKING for i in resting):
+            choice = decide(level)
     except NoConsistentMode as error:
         jam = resolve_jam(snapshot, setup.contacts, touching, slip_tolerance)
         if paradox == "impact" and jam is not None:
@@ -75,6 +81,55 @@ def choose_mode(
         warning = "; ".join([choice.warning, *map(str, paradoxes_met.values())])
         choice = choice._replace(warning=warning)
     return choice
+
+
+def _level_feet(
+    setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool], slip_tolerance: float
+) -> tuple[Snapshot, list[int]]:
+    """Return the snapshot with dependent rows of nearly level feet, and the feet if they rest.
+
+    Two compliant feet of a body aslant by an angle a pin its rotation by forces of its moment / a.
+    If these are too large, the feet move by less than the tolerance of slip: one of them implies
+    the other, until a margin of kind `implied` falls.
+    """
+    sticking = [
+        i
+        for i in np.flatnonzero(snapshot.soft).tolist()
+        if touching[i] and abs(snapshot.contacts[i].slip) <= slip_tolerance
+    ]
+    if len(sticking) < 2:
+        return snapshot, []
+    (_, levers), scales = _motions(setup, snapshot), setup.scales
+    jacobians, biases = snapshot.jacobians.copy(), snapshot.biases.copy()
+    slips = np.array([contact.slip for contact in snapshot.contacts])
+    contacts, independent, resting = [*snapshot.contacts], sticking[:1], sticking
+    for i in sticking[1:]:
+        earlier = jacobians[independent, 1] * levers
+        weights = np.linalg.lstsq(earlier.T, jacobians[i, 1] * levers)[0]
+        row, bias = weights @ jacobians[independent, 1], weights @ biases[independent, 1]
+        off = np.abs((row - jacobians[i, 1]) * levers).max() / scales.length
+        if off > DEAD_POINT or abs(bias - biases[i, 1]) > DEAD_POINT * scales.acceleration:
+            independent.append(i)
+            continue
+        # The body moves along with this speed.
+        if off <= USER_DIGITS or abs(weights @ slips[independent] - slips[i]) > (
+            off * slip_tolerance
+        ):
+            resting = []
+        jacobians[i, 1], biases[i, 1] = row, bias
+        contacts[i] = contacts[i]._replace(jacobian=jacobians[i], bias_t=float(bias))
+    if len(independent) == len(sticking):
+        return snapshot, []
+    level = snapshot._replace(jacobians=jacobians, biases=biases, contacts=tuple(contacts))
+    return level, resting
+
+
+def _motions(setup: SceneSetup, snapshot: Snapshot) -> tuple[Array, Array]:
+    """Return the independent motions (coordinates, n) that joints allow, and their sizes (n,)."""
+    sizes = setup.scales.sizes[: len(setup.scales.sizes) // 2]
+    whole = np.append(sizes, np.ones(snapshot.unreduced.pads))
+    basis = np.eye(len(whole)) if snapshot.reduction is None else snapshot.reduction.basis
+    return basis, 1.0 / np.abs(basis / whole[:, None]).max(axis=0)
 
 
 # A tangential row below this, relative to the scales, is zero.
@@ -104,10 +159,7 @@ def choose_at_rest(
     """
     slip_tolerance, half = 2.0 * setup.tolerances["speed"], len(state) // 2
     sizes = setup.scales.sizes[:half]
-    whole = np.append(sizes, np.ones(snapshot.unreduced.pads))
-    basis = np.eye(len(whole)) if snapshot.reduction is None else snapshot.reduction.basis
-    # Sizes of the independent motions.
-    levers = 1.0 / np.abs(basis / whole[:, None]).max(axis=0)
+    basis, levers = _motions(setup, snapshot)
     idle = [
         i
         for i, row in enumerate(snapshot.jacobians[:, 1])

@@ -13,7 +13,7 @@ import numpy as np
 
 from contacts.dynamics.conditions import hidden
 from contacts.dynamics.contact_law import ContactLaw, sliding_edge
-from contacts.dynamics.projection import landed
+from contacts.dynamics.projection import held_key, landed
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape, answer, solve_kkt
 from contacts.event_driven.decision import check_listed, choose_mode, explain_choice
@@ -286,7 +286,8 @@ def _choose_entered(
     choice = choose_mode(setup, following, touching, rules.paradox, before, uncertainty)
     roles = roles_in(choice.sliding) if isinstance(choice, Jam) else choice.taken.roles
     moving = moving_mode(roles)
-    state = landed(moving, following, struck.state, setup.tolerances)
+    held = held_key(roles, following.soft)
+    state = landed(held, following, struck.state, setup.tolerances)
     # A contact whose bounces are skipped moves as closed and is shown as free.
     target = tuple(
         "free" if not struck.bounce_times.keys().isdisjoint((i, law.carrier)) else name

@@ -13,7 +13,14 @@ import numpy as np
 from contacts.dynamics.conditions import Conditions, hidden
 from contacts.dynamics.held_forces import HeldForces
 from contacts.dynamics.mechanics import HAULED, Mechanics, winch_end_message
-from contacts.dynamics.projection import Projection, dead_point, in_contact, landed, on_constraints
+from contacts.dynamics.projection import (
+    Projection,
+    dead_point,
+    held_key,
+    in_contact,
+    landed,
+    on_constraints,
+)
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape, close_compliant
@@ -353,10 +360,11 @@ class SceneLaws:
         closed.
         """
         flow, moving = at.flow, moving_mode(at.flow.roles)
-        state = landed(moving, snapshot, at.state, setup.tolerances)
+        held = held_key(flow.roles, snapshot.soft)
+        state = landed(held, snapshot, at.state, setup.tolerances)
         slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
-        rested = self._rested(flow, moving, snapshot, at.fired, 2.0 * slow)
-        if rested != moving:
+        rested = self._rested(flow, held, snapshot, at.fired, 2.0 * slow)
+        if rested != held:
             state = on_constraints(rested, snapshot, state)
         if state is not at.state:
             snapshot = hidden(self.tape.at(setup.values, state, at.clock.high), flow.mode)
@@ -415,11 +423,12 @@ class SceneLaws:
             # The force fell off the constraints by their error: on them it may not have. Projected
             # once per instant (`settled`): twice changes the last bits.
             if state is at.state and self._of_forces(fired):
-                state = on_constraints(moving, snapshot, state)
+                state = on_constraints(held_key(flow.roles, snapshot.soft), snapshot, state)
             if np.array_equal(state, at.state):
                 return None
             return None, flow._replace(settled=True, start=state)
-        after = landed(target, snapshot, state, setup.tolerances)
+        held = held_key(choice.taken.roles, snapshot.soft)
+        after = landed(held, snapshot, state, setup.tolerances)
         snapshot_after = (
             snapshot if after is state else self.tape.at(setup.values, after, clock.high)
         )
