@@ -240,7 +240,7 @@ def by_siconos(
     return taken, steps()
 
 
-def reported(program: str, how: str, taken: float, steps: Iterable[Step]) -> None:
+def print_row(program: str, how: str, taken: float, steps: Iterable[Step]) -> None:
     """Print a row of the table."""
     left = [missed(step) for step in steps if len(step.least)]
     print(
@@ -257,7 +257,7 @@ def tried(program: str, how: str, make: Callable[[], tuple[float, Iterator[Step]
     except (ImportError, subprocess.CalledProcessError, FileNotFoundError):
         print(f"{program:12}is not installed", flush=True)
         return
-    reported(program, how, taken, steps)
+    print_row(program, how, taken, steps)
 
 
 def main() -> None:
@@ -271,7 +271,7 @@ def main() -> None:
     for tolerance in (1e-2, 1e-4, 1e-6, 1e-8):
         taken, steps = by_us(n, tolerance)
         problems = list(steps)
-        reported("statechart", f"tolerance {tolerance:.0e}", taken, problems)
+        print_row("statechart", f"tolerance {tolerance:.0e}", taken, problems)
     for iterations in (10, 30, 100, 1000):
         tried("pymunk", f"iterations {iterations}", partial(by_pymunk, n, iterations))
     for tolerance in (1e-4, 1e-8, 1e-12):

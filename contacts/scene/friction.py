@@ -30,7 +30,8 @@ class Friction(Part):
         **dict.fromkeys(("mu_k", "dynamic", "sliding", "dynamic_friction"), "kinetic"),
         "coulomb": "a number instead of the mapping, or static and kinetic",
         **dict.fromkeys(
-            ("viscous", "stribeck"), "kinetic: 0.3 + 0.2*exp(-abs(slip)/0.1), or another of slip"
+            ("viscous", "stribeck"),
+            "{static: 0.5, kinetic: 0.3 + 0.2*exp(-abs(slip)/0.1)}, of points on surfaces",
         ),
     }
 

@@ -85,7 +85,7 @@ def _deepest(memory: ContactHistory, tape: TapeValues, i: int) -> float:
     A continuing surface is reached at the depth in the previous one, times the largest ratio of gap
     derivatives; a surface not left yet at its landing depth.
     """
-    lowest, n = memory.target_gap[i] if memory.left_behind[i] else 0.0, tape.size
+    lowest, n = min(memory.target_gap[i], 0.0) if memory.left_behind[i] else 0.0, tape.size
     for k in range(len(memory.disabled)):
         deep = memory.target_gap[k]
         if not memory.disabled[k] and memory.last[k, 1] < deep:
@@ -424,7 +424,7 @@ def _enable_continuations(
     for i in range(len(memory.disabled)):
         at = tape.first + tape.per * i + 2 * tape.size
         moved = there[at + 2] - tape.numbers[at + 2]
-        lay = memory.target_gap[i] if memory.left_behind[i] else 0.0
+        lay = min(memory.target_gap[i], 0.0) if memory.left_behind[i] else 0.0
         holds = there[at + 5] > 0.0 and met.entered[i] + moved >= lay - near
         if memory.disabled[i] and not met.leaving[i] and holds and scene.bilateral[i] == 0:
             memory.disabled[i] = False

@@ -15,6 +15,8 @@ _NUMBERS = (
     "tolerance", "accuracy", "step", "budget", "max_step", "impulse_tolerance", "impulse_bound"
 )  # fmt: skip
 
+OF_STEPS = "step", "impulse_tolerance", "impulse_bound"
+"""Settings that only the engine impulse has."""
 LONG_DOUBLE = "long double"
 """Method of the engine taylor in extended precision."""
 
@@ -125,12 +127,7 @@ class Setting:
             )
         else:
             if engine != "auto":  # the model decides which engine that is
-                self.check_own_steps()
-            self._refuse(
-                ("impulse_tolerance", "impulse_bound"),
-                f"the engine {engine} has no {{}}",
-                "remove it, or take the engine impulse",
-            )
+                self.check_no_steps()
         if engine == "taylor" and self.method != LONG_DOUBLE:
             self._refuse(
                 ("method",),
@@ -138,12 +135,18 @@ class Setting:
                 "leave the method out, or take the engine scipy",
             )
 
-    def check_own_steps(self) -> None:
-        """Check that no step is set for an engine that locates events."""
+    def check_no_steps(self) -> None:
+        """Check that nothing is set that only the engine impulse has: `OF_STEPS`."""
+        step, *others = OF_STEPS
         self._refuse(
-            ("step",),
+            (step,),
             f"the engine {self.engine} chooses its own steps",
             "add --engine impulse, in a file engine: impulse, or remove the step",
+        )
+        self._refuse(
+            others,
+            f"the engine {self.engine} has no {{}}",
+            "remove it, or take the engine impulse",
         )
 
     def _refuse(self, parts: Sequence[str], message: str, advice: str) -> None:

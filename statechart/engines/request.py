@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from statechart.automaton.automaton import Automaton
 from statechart.documents.declaration import Declaration
 from statechart.documents.hints import other_value
-from statechart.documents.setting import LONG_DOUBLE, Record, Setting
+from statechart.documents.setting import LONG_DOUBLE, OF_STEPS, Record, Setting
 from statechart.engines.engine import Engine
 from statechart.errors import DeclarationError, DeclarationProblem
 
@@ -138,13 +138,15 @@ def plan_request(
     engine = requested.engine or ("scipy" if requested.method is not None else settings.engine)
     steps_only = engine == "auto" and automaton.own_step is not None
     requested = replace(requested, engine="impulse" if steps_only else engine)
+    missing = (name for name in OF_STEPS if getattr(requested, name) is None)
+    declared = {name: getattr(settings, name) for name in missing}
     try:
         requested.check()
         if requested.engine == "auto":
-            replace(requested, step=requested.step or settings.step).check_own_steps()
+            replace(requested, **declared).check_no_steps()
     except DeclarationProblem as problem:
-        if problem.loc == ("step",) and requested.step is None:
-            problem.loc = ("settings", "step")
+        if problem.loc and problem.loc[0] in declared:
+            problem.loc = ("settings", *problem.loc)
             raise
         # A value of the call has no place in the file.
         raise DeclarationError(problem.message, advice=problem.advice) from None

@@ -171,7 +171,7 @@ class Relation:
                 Source(self.text).fail(
                     f"{one.operator} compares {changing_names[0]!r}, which changes between events",
                     one.offset,
-                    "write <= or >=: either is true as soon as the value gets there",
+                    "write >= if it rises to the value, <= if it falls",
                 )
 
     def margin(self, symbols: Mapping[str, sp.Expr], states: States = _NO_STATES) -> sp.Expr:

@@ -67,7 +67,7 @@ def _tokens(source: tree.Source) -> Iterator[_Token]:
         if kind == "number" and at < len(text) and (text[at].isalnum() or text[at] in "._"):
             advice = "write a product as 2*x, not 2x; numbers have no unit here"
             if match[kind] == "0" and re.match("[xXbBoO][0-9a-fA-F]", text[at:]):
-                advice = "numbers are decimal: 16 instead of 0x10"
+                advice = "write a decimal number, as 16 for 0x10"
             elif text[at] == ".":
                 advice = "a number has one point: 1.5"
             elif text.startswith("deg", at):

@@ -99,7 +99,7 @@ MISTAKES = {
     "a unit": ("gravity: g", "gravity: 9.81 m/s2", "unexpected 'm'; write a product as a*b; "
                "numbers have no unit here"),
     "a unit without a blank": ("mass: m", "mass: 1kg", "'1' runs into 'k'; write a product as 2*x"),
-    "hexadecimal": ("mass: m", "mass: 0x10", "numbers are decimal: 16 instead of 0x10"),
+    "hexadecimal": ("mass: m", "mass: 0x10", "write a decimal number, as 16 for 0x10"),
     "three components": ("gravity: g", "gravity: [0, -g, 0]", "must have 2 items, not 3"),
     "misspelt key": ("mass: m", "mas: m", "7:9: unknown key 'mas'; did you mean 'mass'?"),
     "forgotten key": ("mass: m, ", "", "7:8: bodies.rod: a body needs a mass; write mass: 1, or"),
@@ -550,7 +550,7 @@ OF_JOINTS = {
     "length of a joint": ("to: [0, 0]", "to: [0, 0], length: 1", "write rod: L"),
     "longest joint": ("to: [0, 0]", "to: [0, 0], max_length: 1", "write rope: L"),
     "joint with a condition": ("to: [0, 0]", "to: [0, 0], active: 1", "write enabled: RELATION"),
-    "viscous friction": ("friction: mu", "friction: {viscous: 1}", "write kinetic: 0.3"),
+    "viscous friction": ("friction: mu", "friction: {viscous: 1}", "write {static: 0.5, kinetic"),
     "damper of a scene": (
         "stop:",
         "damper: {}\nstop:",

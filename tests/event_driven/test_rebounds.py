@@ -26,13 +26,13 @@ def test_candidates_at_a_rebound_agree_with_the_laws(
 ) -> None:
     runner = Runner(name)
 
-    def reported() -> list[dict[str, str]]:
+    def path_entries() -> list[dict[str, str]]:
         return [dict(jump.considered) for jump in runner.run(values).trace.jumps]
 
-    found = reported()
+    found = path_entries()
     assert sum("taken: it leaves its surface at" in str(event) for event in found) > 2
     monkeypatch.setattr(CompiledSceneLaws, "_rebound", lambda *_: None)
-    assert reported() == found
+    assert path_entries() == found
 
 
 _BALL = """

@@ -88,5 +88,5 @@ def test_the_recording_policy_does_not_change_the_landing(record):
     runner = dropped("box", True)
     runner = Runner(interpret(read_text(text("box", True))), record=record)
     for height in HEIGHTS[::4]:
-        reported = dropped("box", True).run({"height": height}).outputs["y"]
-        assert runner.run({"height": height}).outputs["y"] == reported
+        expected = dropped("box", True).run({"height": height}).outputs["y"]
+        assert runner.run({"height": height}).outputs["y"] == expected

@@ -151,9 +151,9 @@ def test_outputs_of_one_run_are_those_of_its_jumps_and_arcs(
                 continue
             made += result.trace.arcs.source is not None
             # Pickled objects have no arrays of a loop.
-            reported = pickle.loads(pickle.dumps(result.trace))
+            restored = pickle.loads(pickle.dumps(result.trace))
             outputs = outputs_of(result.observer)
-            np.testing.assert_equal(dict(result.outputs), outputs.of(reported))
+            np.testing.assert_equal(dict(result.outputs), outputs.of(restored))
     assert made >= 5
 
 
