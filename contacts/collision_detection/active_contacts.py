@@ -44,6 +44,9 @@ class ActiveContacts(NamedTuple):
     before: Array
     free: Array
     bias: Array
+    # (c,): normal velocity that is not of the forces of the step: that of a landing, and its
+    # correction.
+    landings: Array
     pushes: Array  # (c, 2): impulses of the previous step.
     hit: Bools  # (c,): whether there is an impact.
     # (c,): compliance of a compliant contact in a step; 0 if rigid.
@@ -59,8 +62,8 @@ class ActiveContacts(NamedTuple):
             np.empty((most, 2), np.int64), np.zeros((most, 2, 6)), np.empty((most, 2), np.int64),
             np.empty((most, 4)), np.empty(most, np.int64), np.empty((most, 3)),
             np.empty(most, np.int64), np.empty((most, 2)), np.empty((most, 2)), np.empty((most, 2)),
-            np.empty((most, 2)), np.empty(most, np.bool_), np.zeros(most), np.zeros(most, np.int64),
-            np.empty((most, 2)),
+            np.zeros(most), np.empty((most, 2)), np.empty(most, np.bool_), np.zeros(most),
+            np.zeros(most, np.int64), np.empty((most, 2)),
         )  # fmt: skip
 
 
@@ -190,6 +193,7 @@ def write_resistance(
         active.levels[m, k] = active.levels[i, k]
     active.before[m, 0], active.free[m, 0] = active.before[i, 0], active.free[i, 0]
     active.bias[m, 0], active.bias[m, 1] = active.bias[i, 0], 0.0
+    active.landings[m] = active.landings[i]
     active.before[m, 1], active.free[m, 1] = -length * turns[0], -length * turns[1]
     active.hit[m], active.compliances[m], active.rolling_roles[m] = (
         active.hit[i],

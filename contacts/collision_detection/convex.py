@@ -304,10 +304,14 @@ def _polygons(
     if abs(second - first) <= _PREFERRED * width:
         length = _edge_length(one, edge)
         farther = _edge_length(other, edge_of_other) > (1.0 + _SAME_LENGTH) * length
-    if farther:
-        count = _clip_edges(other, edge_of_other, one, within, True, manifold, features)
-    else:
-        count = _clip_edges(one, edge, other, within, False, manifold, features)
+    count, turn = 0, 0
+    # The preferred face may have no point where the farther one has: a tip just before a corner.
+    while count == 0 and turn < (2 if farther != (second > first) else 1):
+        if farther == (turn == 0):
+            count = _clip_edges(other, edge_of_other, one, within, True, manifold, features)
+        else:
+            count = _clip_edges(one, edge, other, within, False, manifold, features)
+        turn += 1
     if count == 0 and max(first, second) > 0.0:
         return _nearest_corners(one, other, within, manifold, features)
     return count

@@ -355,7 +355,7 @@ def _write_if_active(
     nearing = -active.before[m, 0]
     gained = max(abs(active.free[m, 0] - active.before[m, 0]), times.fall)
     law = numbers.materials[pair.material]
-    active.compliances[m], active.laws[m] = 0.0, pair.material
+    active.compliances[m], active.laws[m], active.landings[m] = 0.0, pair.material, 0.0
     active.rolling_roles[m] = ROLLS if pair.rolls and law[ROLLING] > 0.0 else 0
     if law[STIFFNESS] > 0.0:
         shift = turning_change(warm, place, m, active)[1] if lasting else 0.0
@@ -405,6 +405,7 @@ def _write_if_active(
         # The target is no deeper than impacts leave a contact.
         above, level = min(above, gap + times.lowest), max(level, -times.lowest)
         turn = _write_velocity_bounds(warm, place, lasting, m, times, gained, above, active)
+        active.landings[m] = active.before[m, 0] - turn + active.bias[m, 0]
         # Half remains, half is corrected by the next detection.
         _update_maximum(points, TURNED, 2.0 * abs(turn))
     if not lasting:

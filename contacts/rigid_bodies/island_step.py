@@ -387,6 +387,8 @@ def _order_decides(
     return order_matters(contacts, pairs, lively, island.impact_impulses)
 
 
+# Landing, relative to the velocity that forces give in a step, below which forces contain it.
+_LANDS = 1e-3
 # Relative round-off of slips, to the fastest approach.
 _SLIP_ROUND_OFF = 1e-9
 # Fixed-point iterations that close joints; they stop when the remaining work has not shrunk by this
@@ -548,6 +550,22 @@ def _write_slips(contacts: ContactRows, island: Island, none: float) -> None:
 
 
 @kernel
+def _remove_landings(active: ActiveContacts, members: Ints, impulses: Array, least: Array) -> bool:
+    """Remove landings from the velocities `least` (m, 2) without impulses; return if there are any.
+
+    Contacts that bear are then at rest: what is left is what forces and rotation give in the step.
+    """
+    lands = False
+    for a in range(len(members)):
+        i = members[a]
+        if (active.laws[i] < 0 and active.rolling_roles[i] != RESISTS) or impulses[a, 0] <= 0.0:
+            continue
+        least[a, 0] -= active.landings[i]
+        lands = lands or abs(active.landings[i]) > _LANDS * abs(least[a, 0])
+    return lands
+
+
+@kernel
 def solve_islands(
     numbers: BodyNumbers, law: int, forces: bool, h: float, space: Workspace, count: int,
     tolerance: float, effort: Array,
@@ -665,8 +683,10 @@ def solve_islands(
             # impacts.
             if quiet or hit[a]:
                 copy_numbers(chosen[a], active.pushes[i])
-        if forces and not quiet:
-            least, pushes = active.free[members] + active.bias[members], active.pushes[members]
+        least = active.free[members] + active.bias[members]
+        lands = forces and joined and _remove_landings(active, members, chosen, least)
+        if lands or (forces and not quiet):
+            pushes = active.pushes[members]
             pushes = forces_without_impacts(contacts, hit, least, pushes, tolerance, fast)
             for a in range(size):
                 copy_numbers(pushes[a], space.steady[members[a]])

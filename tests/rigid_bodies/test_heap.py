@@ -281,6 +281,19 @@ def test_the_first_listed_corner_does_not_change_the_motion():
         assert np.ptp(answers, axis=0) == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.parametrize("gap", [1e-11, -1e-6])
+def test_a_tip_on_a_face_strikes_no_corner_that_it_is_about_to_pass(gap):
+    """The side of the tip that faces the end of the box is as near, to a thousandth of a size."""
+    box = SQUARE * 0.5 - [0.5, 0.5]
+    tip = np.array([[-2e-4, gap], [1.0, 0.5], [-0.5, 2.0]])
+    for shapes in ((tip, box), (box, tip)):
+        found = np.zeros((16, FOUND))
+        both = (ConvexShape(corners, corners.mean(axis=0), 0.0) for corners in shapes)
+        assert shape_contacts(*both, 0.01, found, np.zeros(16, dtype=np.int64)) > 0
+        assert np.abs(found[0, :2]) == pytest.approx([0.0, 1.0], abs=1e-12)
+        assert found[:1, 4] == pytest.approx(gap, abs=1e-15)
+
+
 def test_a_hundred_grains_collapse_without_sinking_into_each_other():
     runner = Runner("granular_column")
     trace = runner.run({"n": 100}, until=0.3).trace
