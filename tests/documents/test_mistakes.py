@@ -99,6 +99,8 @@ MISTAKES = {
     "a unit": ("gravity: g", "gravity: 9.81 m/s2", "unexpected 'm'; write a product as a*b; "
                "numbers have no unit here"),
     "a unit without a blank": ("mass: m", "mass: 1kg", "'1' runs into 'k'; write a product as 2*x"),
+    "residual without steps": ("stop: {", "settings: {impulse_tolerance: 1e-8}\nstop: {",
+                               "settings.impulse_tolerance: the engine auto has no"),
     "hexadecimal": ("mass: m", "mass: 0x10", "write a decimal number, as 16 for 0x10"),
     "three components": ("gravity: g", "gravity: [0, -g, 0]", "must have 2 items, not 3"),
     "misspelt key": ("mass: m", "mas: m", "7:9: unknown key 'mas'; did you mean 'mass'?"),

@@ -205,7 +205,7 @@ def test_a_path_without_a_start_is_reported_with_its_line():
 
 
 def test_a_step_in_the_file_needs_no_engine_where_auto_takes_steps():
-    text = TWO.replace("engine: impulse, step: 1e-2", "step: 0.004")
+    text = TWO.replace("engine: impulse, step: 1e-2", "step: 0.004, impulse_tolerance: 1e-8")
     assert Runner(read_text(text)).run().trace.step == 0.004
 
 
