@@ -153,7 +153,7 @@ def test_check_passes_if_single_atoms_hold():
 @pytest.mark.parametrize(
     ("relation", "reported"),
     [
-        ("x == 0", "== compares 'x', which changes between events; write <= or >="),
+        ("x == 0", "== compares 'x', which changes between events; write >= if it rises"),
         ("time != 1", "!= compares 'time', which changes between events"),
         ("in(gate.opened)", "no state 'opened'; did you mean 'open'"),
         ("in(gates.open)", "no region 'gates'; did you mean 'gate'"),
