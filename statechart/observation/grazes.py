@@ -28,8 +28,9 @@ from statechart.observation.observer import Observer
 _GRID, _MAX_ARCS = 16, 1024
 # Distance of an additional sample from the end of an arc, relative to the step.
 _EDGE = 1.0 / 4096.0
-# Refinements of a minimum, each of which divides its bracket by 8; 18 reach round-off.
-_REFINEMENTS = 18
+# Refinements of a minimum, each of which divides its bracket by 8, and the bracket in spacings of
+# floats where they end.
+_REFINEMENTS, _NARROWEST = 18, 4.0
 # Last part of a step from which a guard is extrapolated.
 _EXTRAPOLATED = 1.0 / 64.0
 # Extrapolation after a guard of several relations, relative to its last step. A relation that was
@@ -218,6 +219,8 @@ class _GuardScan:
             values = self._table(shifted, arc.start.high + tau.ravel())[:, k].reshape(tau.shape)
             i = values.argmin(axis=1)
             lefts, rights = tau[each, np.maximum(i - 1, 0)], tau[each, np.minimum(i + 1, _GRID)]
+            if (rights - lefts <= _NARROWEST * np.spacing(np.abs(rights))).all():
+                break
         return 0.5 * (lefts + rights), values.min(axis=1)
 
     def _least(self, arc: Arc, k: int, left: float, right: float) -> float:

@@ -70,11 +70,11 @@ gravity: 9.81
 bodies: {t: {mass: 0.645033, inertia: 0.0041051, start: {y: 0.164320155}}}
 surfaces: {floor: {height: 0}}
 contacts:
-  a: {point: {body: t, at: [-0.1218145, -0.164333]}, surface: floor, friction: 0.5, stiffness: 164169.3, damping: 0}
-  b: {point: {body: t, at: [0, -0.164333]}, surface: floor, friction: 0.5, stiffness: 164169.3, damping: 0}
-  c: {point: {body: t, at: [0.1570739, -0.164333]}, surface: floor, friction: 0.5, stiffness: 164169.3, damping: 0}
+  a: {point: {body: t, at: [-0.1218145, -0.164333]}, FOOT}
+  b: {point: {body: t, at: [0, -0.164333]}, FOOT}
+  c: {point: {body: t, at: [0.1570739, -0.164333]}, FOOT}
 stop: {time: 0.26}
-"""  # noqa: E501
+""".replace("FOOT", "surface: floor, friction: 0.5, stiffness: 164169.3, damping: 0")
 
 
 def test_events_of_nearly_level_feet_keep_the_rotation_of_their_body():
