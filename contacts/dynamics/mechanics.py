@@ -37,7 +37,7 @@ from statechart.errors import NoConsistentMode
 from statechart.formulas.linear import Definition
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
+from statechart.formulas.writer import Min, compile_tape
 
 _Row = tuple[sp.Expr, ...]
 
@@ -566,9 +566,9 @@ class Mechanics(Geometry):
             turns = ax * by - ay * bx
             back = (-ax * bx - ay * by,) if acute else ()
             if edge[1] == next_edge[0]:
-                valleys[f"{name}: end of its edge"] = sp.Min(turns, *back)
+                valleys[f"{name}: end of its edge"] = Min(turns, *back)
             if edge[0] == next_edge[1]:
-                valleys[f"{name}: begin of its edge"] = sp.Min(-turns, *back)
+                valleys[f"{name}: begin of its edge"] = Min(-turns, *back)
         return valleys
 
     def _stuck(

@@ -16,6 +16,7 @@ from statechart.arrays import Array
 from statechart.documents.fields import FormulaText
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.parameters import Parameters
+from statechart.formulas.writer import Max
 
 COEFFICIENTS = ("friction", "cone_n", "cone_t")
 """Parameters of a contact with friction; ``tip.friction.ice`` where the state `ice` sets it."""
@@ -239,4 +240,4 @@ def _lever(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
     ]
     mass = parse(scene.bodies[name].mass).to_sympy(known)
     # Unevaluated: SymPy takes half a second to decide which arm is the longest.
-    return mass * (sp.Max(*arms, evaluate=False) if arms else sp.S.Zero)
+    return mass * (Max(*arms, evaluate=False) if arms else sp.S.Zero)

@@ -76,16 +76,14 @@ class Free(Part):
 
     def state(self, contact: ContactSymbols, direction: int) -> State:
         """Return the equations and margins of the mode."""
-        import sympy as sp
-
-        from statechart.formulas.writer import Difference
+        from statechart.formulas.writer import Difference, Max
 
         gap = Difference(contact.gap, contact.gap_offset)
         margins = [Margin(f"{contact.name}.gap", gap, "gap")]
         if contact.compliance is not None:
             # A compliant contact may open while it is inside, and press again there.
             relation = f"{contact.name}.free"
-            whole_margin = sp.Max(contact.gap, -contact.compliance, evaluate=False)
+            whole_margin = Max(contact.gap, -contact.compliance, evaluate=False)
             margins = [
                 Margin(margins[0].name, gap, "gap", relation, whole_margin),
                 Margin(

@@ -19,6 +19,7 @@ from statechart.arrays import Array, Ints
 from statechart.automaton.margin_derivatives import derivative
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
+from statechart.formulas.writer import Max
 
 
 class StateEquations(NamedTuple):
@@ -103,7 +104,7 @@ class SteppedTape:
         # Disabled contacts and couplings are never passed over.
         self.gaps: Tape = mechanics.whole_tape(
             [
-                sp.Max(
+                Max(
                     mechanics.contact(name).symbols.gap.xreplace(known),
                     *(() if gate is None else (-gate.by_steps(known, sizes),)),
                 )
@@ -227,7 +228,7 @@ _TINY = 1e-300
 
 def _kinetic_edge(static: sp.Expr, kinetic: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
     """Return the unit edge of a slipping coupling: its normal force is the static limit."""
-    mu = sp.S.One if static == kinetic else kinetic / sp.Max(static, _TINY)
+    mu = sp.S.One if static == kinetic else kinetic / Max(static, _TINY)
     return cone_edge(mu)
 
 

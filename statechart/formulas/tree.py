@@ -84,13 +84,15 @@ def _sign(x: float) -> float:
     return float((x > 0) - (x < 0))
 
 
-def _sympy(name: str) -> Callable[..., Any]:
-    """Return SymPy's constructor `name`, imported when called, since that takes 0.4 s."""
+def _symbolic(name: str) -> Callable[..., Any]:
+    """Return a constructor of SymPy or `formulas.writer`, imported when called: it takes 0.4 s."""
 
     def build(*arguments: Any) -> Any:
         import sympy
 
-        return getattr(sympy, name)(*arguments)
+        from statechart.formulas import writer
+
+        return getattr(writer if name in ("Max", "Min", "Whole") else sympy, name)(*arguments)
 
     return build
 
@@ -101,16 +103,7 @@ def _hypot(x: Any, y: Any) -> Any:
     return sympy.sqrt(x**2 + y**2)
 
 
-def _sat(x: Any, a: Any, b: Any) -> Any:
-    import sympy
-
-    return sympy.Min(sympy.Max(x, a), b)
-
-
-def _floor(x: Any) -> Any:
-    from statechart.formulas.writer import Whole
-
-    return Whole(x)
+_max, _min, _floor = map(_symbolic, ("Max", "Min", "Whole"))
 
 
 def _mod(x: Any, y: Any) -> Any:
@@ -119,20 +112,20 @@ def _mod(x: Any, y: Any) -> Any:
     return sympy.nan if y.is_zero else x - y * _floor(x / y)
 
 
-_SAME_IN_MATH_AND_SYMPY = (
+_SAME_NAMES = (
     *("sqrt", "exp", "log", "sin", "cos", "tan"),
     *("asin", "acos", "atan", "sinh", "cosh", "tanh"),
 )
 
 FUNCTIONS: Mapping[str, Function] = {
-    **{name: Function(1, 1, getattr(math, name), _sympy(name)) for name in _SAME_IN_MATH_AND_SYMPY},
-    "abs": Function(1, 1, abs, _sympy("Abs")),
-    "sign": Function(1, 1, _sign, _sympy("sign")),
-    "min": Function(2, None, min, _sympy("Min")),
-    "max": Function(2, None, max, _sympy("Max")),
-    "sat": Function(3, 3, lambda x, a, b: min(max(x, a), b), _sat),
+    **{name: Function(1, 1, getattr(math, name), _symbolic(name)) for name in _SAME_NAMES},
+    "abs": Function(1, 1, abs, _symbolic("Abs")),
+    "sign": Function(1, 1, _sign, _symbolic("sign")),
+    "min": Function(2, None, min, _min),
+    "max": Function(2, None, max, _max),
+    "sat": Function(3, 3, lambda x, a, b: min(max(x, a), b), lambda x, a, b: _min(_max(x, a), b)),
     "hypot": Function(2, 2, math.hypot, _hypot),
-    "atan2": Function(2, 2, math.atan2, _sympy("atan2")),
+    "atan2": Function(2, 2, math.atan2, _symbolic("atan2")),
     "floor": Function(1, 1, tolerant_floor, _floor),
     "mod": Function(2, 2, lambda x, y: x - y * tolerant_floor(x / y), _mod),
 }
