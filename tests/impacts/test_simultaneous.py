@@ -374,7 +374,7 @@ def test_mirror_images() -> None:
 def test_all_solutions_are_those_of_the_complementarity_problem() -> None:
     random = np.random.default_rng(19)
     several = 0
-    for _ in range(150):
+    for _ in range(60):
         jacobians = random.normal(size=(2, 2, int(random.integers(3, 7))))
         snapshot = scene(
             np.ones(jacobians.shape[2]), jacobians, random.normal(size=jacobians.shape[2])
@@ -395,7 +395,7 @@ def test_all_solutions_are_those_of_the_complementarity_problem() -> None:
         assert len(found) == len(expected)
         for change in expected:
             assert any(np.allclose(change, one.change, atol=1e-9) for one in found)
-    assert several > 3
+    assert several > 1
 
 
 # --- laws that hold for all
