@@ -109,15 +109,13 @@ def close_immediately(
     choice = choose_mode(setup, snapshot, closing, paradox)
     if isinstance(choice, Jam):
         return None
-    roles = choice.taken.roles
+    roles = choice.roles
     after = landed(held_key(roles, snapshot.soft), snapshot, state, setup.tolerances)
-    warning = "; ".join(filter(None, (*warnings, choice.warning)))
+    warning = "; ".join(filter(None, warnings))
     # If no mode is left to change (a bar that rattles over a crest opens all contacts; the last of
     # several rods closes at this impact), there is no time to wait.
     wait = None if moving_mode(roles) == flow.mode else remaining
-    following = flow_in(
-        setup, flow.mode, roles, wait, warning, notes=choice.notes, tolerances=choice.tolerances
-    )
+    following = flow_in(setup, flow.mode, choice, wait, warning)
     energy = None if jump.energy is None else (jump.energy[0], snapshot.energy)
     return replace(jump, after=after, energy=energy, skipped=remaining), following
 

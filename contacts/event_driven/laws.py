@@ -189,21 +189,15 @@ class SceneLaws:
             self._hidden_at(setup, 0.0, off),
             Before(),
         )
+        moving = moving_mode(choice.roles)
+        starts = listed_mode(moving, setup.contacts, snapshot.contacts, 2.0 * slow)
         if isinstance(choice, Jam):
-            starts = listed_mode(choice.sliding, setup.contacts, snapshot.contacts, 2.0 * slow)
-            roles = roles_in(choice.sliding)
-            return flow_in(setup, starts, roles, None, above, settled=False), state
+            return flow_in(setup, starts, choice.roles, None, above, settled=False), state
         check_declared(self._modes, self._names, choice, snapshot, touching, failing)
-        taken = choice.taken
         settled = not any(
             shut and c.gap_rate < -slow for shut, c in zip(closed, snapshot.contacts, strict=True)
         )
-        starts = listed_mode(taken.states, setup.contacts, snapshot.contacts, 2.0 * slow)
-        warning = "; ".join(filter(None, (above, choice.warning)))
-        flow = flow_in(
-            setup, starts, taken.roles, None, warning, settled, choice.notes, choice.tolerances
-        )
-        return flow, state
+        return flow_in(setup, starts, choice, None, above, settled), state
 
     def _hovering(self, setup: SceneSetup, state: Array, mode: Key) -> str:
         """Return warnings about contacts that start just off their surfaces."""
@@ -439,11 +433,7 @@ class SceneLaws:
             considered=choice.considered,
             energy=(snapshot.energy, snapshot_after.energy),
         )
-        roles, warning, notes = choice.taken.roles, choice.warning, choice.notes
-        following = flow_in(
-            setup, target, roles, warning=warning, notes=notes, tolerances=choice.tolerances
-        )
-        return jump, following._replace(near_bound=choice.near_bound)
+        return jump, flow_in(setup, target, choice)
 
     def _of_forces(self, fired: tuple[str, ...]) -> bool:
         """Return whether only margins of contact forces fell."""

@@ -21,7 +21,8 @@ from contacts.dynamics.snapshot import PerContact, Snapshot, answer, solve_kkt
 from contacts.impacts.impact import impact
 from contacts.impacts.simultaneous import Impacts, groups
 from contacts.states import DISENGAGED, OFF, SLIDING
-from statechart.automaton.trace import Key
+from statechart.automaton.laws import roles_in
+from statechart.automaton.trace import Key, Roles
 
 # Values of p below this part of the frictionless response are round-off; the corresponding force
 # stops the slip within the resolution of time.
@@ -124,6 +125,11 @@ class Jam:
     sliding: Key  # The mode in which it slides
     # Mode -> reason why it is not consistent
     considered: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def roles(self) -> Roles:
+        """The roles in which contacts move before the impact."""
+        return roles_in(self.sliding)
 
     def __str__(self) -> str:
         return f"{self.why}; an impact without collision resolves it"

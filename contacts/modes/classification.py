@@ -223,6 +223,11 @@ class Choice(NamedTuple):
     tolerances: Mapping[str, float] = MappingProxyType({})
     near_bound: bool = False  # Forces may violate their bounds within the error of the run
 
+    @property
+    def roles(self) -> Roles:
+        """The roles in which contacts move."""
+        return self.taken.roles
+
 
 class Before(NamedTuple):
     """Mode and loads before the instant."""
