@@ -35,7 +35,7 @@ from contacts.dynamics.gates import (
     write_node_verdicts,
 )
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.snapshot import PerContact, Snapshot
+from contacts.dynamics.snapshot import EDGES, PerContact, Snapshot
 from contacts.states import INACTIVE
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.laws import roles_in
@@ -351,8 +351,7 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
             if snapshot.pushes is not None and contacts[i].gap == 0.0:
                 forces = forces - snapshot.pushes[i]
             jacobians[i] = biases[i] = 0.0
-            zeros = (0.0,) * len(PerContact._fields[1:-2])
-            contacts[i] = PerContact._make((math.inf, *zeros, jacobians[i], None))
+            contacts[i] = PerContact(math.inf, *[0.0] * (EDGES - 1), jacobians[i])
     reduction = snapshot.reduction
     if reduction is not None:
         reduction = replace(reduction, unreduced=hidden(reduction.unreduced, mode))

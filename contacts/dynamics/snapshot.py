@@ -49,9 +49,6 @@ class PerContact(NamedTuple):
     # `tx`, `ty`: Unit tangent of the surface there
     tx: float
     ty: float
-    # `bias_n`, `bias_t`: Accelerations of the point at zero accelerations of the coordinates
-    bias_n: float
-    bias_t: float
     jacobian: Array  # (2, n): Rows: normal, tangential
     # Unit edges (n, t) of the friction cone in slide+ and slide- at the present slip; None: the
     # edges at rest
@@ -71,7 +68,8 @@ class Snapshot(NamedTuple):
     energy: float  # Kinetic plus gravity's
     contacts: tuple[PerContact, ...]  # In the order of the declaration
     jacobians: Array  # (c, 2, n)
-    biases: Array  # (c, 2): all contacts
+    # (c, 2): Accelerations of the points, normal and tangential, without those of the coordinates
+    biases: Array
     reduction: JointReduction | None = None  # None without joints
     # (k, 2): Static and kinetic limits of the couplings, which are the last of the contacts
     limits: Array = np.empty((0, 2))
@@ -232,8 +230,7 @@ class SnapshotTape:
         found = self.tape.at(state, values, time)
         numbers, signs = found[: self._end], found[self._end :]
         jacobians = numbers[at:end].reshape(count, 2, n)
-        listed = numbers[end:last].tolist()
-        further -= end
+        scalars = numbers[further:last].reshape(count, SCALARS).tolist()
         whole = Snapshot(
             numbers[:square].reshape(n, n),
             numbers[square : at - 1],
@@ -241,20 +238,12 @@ class SnapshotTape:
             numbers.item(at - 1),
             tuple(
                 [
-                    PerContact._make(
-                        (
-                            *listed[at : at + EDGES],
-                            *listed[2 * i : 2 * i + 2],
-                            jacobian,
-                            tuple(listed[at + EDGES : at + SCALARS]),
-                        )
-                    )
-                    for i, jacobian in enumerate(jacobians)
-                    for at in (further + SCALARS * i,)
+                    PerContact(*row[:EDGES], jacobian, tuple(row[EDGES:]))
+                    for row, jacobian in zip(scalars, jacobians, strict=True)
                 ]
             ),
             jacobians,
-            numbers[end : end + further].reshape(count, 2),
+            numbers[end:further].reshape(count, 2),
             limits=numbers[len(numbers) - self._limits :].reshape(-1, 2),
         )
         if self.signs:
@@ -291,8 +280,7 @@ class SnapshotTape:
             acting[i] = contacts[i].gap <= 0.0
             jacobians[i, 0], biases[i, 0] = 0.0, 0.0
             jacobians[i, 0, n + pad] = 1.0
-            gap = max(contacts[i].gap, 0.0)
-            contacts[i] = contacts[i]._replace(gap=gap, gap_rate=0.0, bias_n=0.0)
+            contacts[i] = contacts[i]._replace(gap=max(contacts[i].gap, 0.0), gap_rate=0.0)
         return whole._replace(
             mass=mass,
             forces=np.concatenate([whole.forces, -pressed]) + acting @ pushes,
@@ -337,10 +325,8 @@ def _reduce(whole: Snapshot, joints: JointNumbers, groups: Sequence[JointGroup])
         allowed.left_inverse @ (whole.velocity - allowed.velocity),
         whole.energy,
         tuple(
-            contact._replace(bias_n=normal, bias_t=tangential, jacobian=jacobian)
-            for contact, jacobian, (normal, tangential) in zip(
-                whole.contacts, jacobians, biases.tolist(), strict=True
-            )
+            contact._replace(jacobian=jacobian)
+            for contact, jacobian in zip(whole.contacts, jacobians, strict=True)
         ),
         jacobians,
         biases,

@@ -117,7 +117,7 @@ def _level_feet(
         ):
             resting = []
         jacobians[i, 1], biases[i, 1] = row, bias
-        contacts[i] = contacts[i]._replace(jacobian=jacobians[i], bias_t=float(bias))
+        contacts[i] = contacts[i]._replace(jacobian=jacobians[i])
     if len(independent) == len(sticking):
         return snapshot, []
     level = snapshot._replace(jacobians=jacobians, biases=biases, contacts=tuple(contacts))

@@ -218,7 +218,7 @@ def _closing_accelerations(setup: SceneSetup, snapshot: Snapshot, lying: Sequenc
 
 
 def _closing(snapshot: Snapshot, accelerations: Array) -> Array:
-    return np.array([-float(c.jacobian[0] @ accelerations) - c.bias_n for c in snapshot.contacts])
+    return -(snapshot.jacobians[:, 0] @ accelerations) - snapshot.biases[:, 0]
 
 
 def stands_for_bounces(

@@ -85,7 +85,7 @@ def paradoxes(
         b = (
             math.nan
             if unconstrained is None
-            else float(contact.jacobian[0] @ unconstrained[0]) + contact.bias_n
+            else float(contact.jacobian[0] @ unconstrained[0] + snapshot.biases[i, 0])
         )
         if p >= 0.0 and not b < 0.0:
             continue

@@ -22,7 +22,7 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw, bounds, cones
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import PerContact, Snapshot
+from contacts.dynamics.snapshot import EDGES, PerContact, Snapshot
 from contacts.modes.candidates import (
     OPEN_LOAD,
     SAME_MOTION,
@@ -614,10 +614,7 @@ def _add_couplings(
     snapshot: Snapshot, rows: Array, biases: Array, limits: Array, effect: Array
 ) -> Snapshot:
     jacobians = np.stack([np.zeros_like(rows), rows], axis=1)
-    contacts = [
-        PerContact(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, bias, jacobian)
-        for bias, jacobian in zip(biases.tolist(), jacobians, strict=True)
-    ]
+    contacts = [PerContact(*[0.0] * EDGES, jacobian) for jacobian in jacobians]
     return snapshot._replace(
         forces=snapshot.forces + effect @ rows,
         contacts=(*snapshot.contacts, *contacts),
