@@ -351,7 +351,7 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
             if snapshot.pushes is not None and contacts[i].gap == 0.0:
                 forces = forces - snapshot.pushes[i]
             jacobians[i] = biases[i] = 0.0
-            contacts[i] = PerContact(math.inf, *[0.0] * (EDGES - 1), jacobians[i])
+            contacts[i] = PerContact._make((math.inf, *[0.0] * (EDGES - 1), jacobians[i], None))
     reduction = snapshot.reduction
     if reduction is not None:
         reduction = replace(reduction, unreduced=hidden(reduction.unreduced, mode))

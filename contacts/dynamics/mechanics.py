@@ -26,7 +26,7 @@ from contacts.dynamics.parameters import (
     scene_parameters,
 )
 from contacts.scene.couplings import CouplingSymbols, Rolling
-from contacts.scene.expansion import Reach, Stop, is_switched, limit_contacts
+from contacts.scene.expansion import Stop, is_switched, limit_contacts, reach_of
 from contacts.scene.joints import Joint
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point, Surface
@@ -348,8 +348,7 @@ class Mechanics(Geometry):
             if component in joint.components:
                 yield component, end - target, sp.diff(target, self.time)
         if joint.angle is not None:
-            ends = (joint.point, joint.to)
-            turns = [self.body_frame(e.body)[1] for e in ends if isinstance(e, Point)]
+            turns = [self.body_frame(end.body)[1] for end in joint.ends.values()]
             angle = self.known.get(f"{name}.turn", self.known.get(f"{name}.turn0"))
             yield "M", turns[0] - sp.Add(*turns[1:]) - angle, sp.S.Zero
 
@@ -379,9 +378,9 @@ class Mechanics(Geometry):
 
         A point that circles the end of a rope turns ever faster, as the square of its length.
         """
-        surface = self.scene.surfaces[self.scene.contacts[name].surface]
-        length = self._formula(surface.radius or 0)
-        if not isinstance(surface, Reach) or length.free_symbols <= {*self.parameters.ordered}:
+        rope = self.scene.surfaces.get(reach_of(name))
+        length = self._formula((rope and rope.radius) or 0)
+        if length.free_symbols <= {*self.parameters.ordered}:
             return ()
         controlled = self.scene.controlled
         texts = {**controlled.controller_state, **controlled.declared}

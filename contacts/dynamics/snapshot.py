@@ -90,6 +90,16 @@ class Snapshot(NamedTuple):
         on_pads = whole.jacobians[:, 0, len(whole.forces) - whole.pads :]
         return [bool(row.any()) for row in on_pads]
 
+    def approaching(self, closed: Sequence[bool], speed: float) -> list[int]:
+        """Return the closed contacts that approach their surfaces faster than `speed`."""
+        contacts = enumerate(self.contacts)
+        return [i for i, contact in contacts if closed[i] and contact.gap_rate < -speed]
+
+    def remaining(self, closed: Sequence[bool], speed: float) -> list[bool]:
+        """Return a mask of the closed contacts that leave their surfaces at most at `speed`."""
+        contacts = zip(closed, self.contacts, strict=True)
+        return [is_closed and contact.gap_rate <= speed for is_closed, contact in contacts]
+
     def moved(self, state: Array, velocity: Array) -> Array:
         """Return `state` (of the scene) after its velocity (n,) has jumped to `velocity`."""
         size = len(state) // 2
@@ -238,7 +248,7 @@ class SnapshotTape:
             numbers.item(at - 1),
             tuple(
                 [
-                    PerContact(*row[:EDGES], jacobian, tuple(row[EDGES:]))
+                    PerContact._make((*row[:EDGES], jacobian, tuple(row[EDGES:])))
                     for row, jacobian in zip(scalars, jacobians, strict=True)
                 ]
             ),

@@ -85,8 +85,7 @@ class Landing(NamedTuple):
     @property
     def hitting(self) -> list[int]:
         """The closed contacts that approach."""
-        contacts = enumerate(self.snapshot.contacts)
-        return [i for i, c in contacts if self.closed[i] and c.gap_rate < -self.slow]
+        return self.snapshot.approaching(self.closed, self.slow)
 
 
 class _Struck(NamedTuple):
@@ -148,10 +147,7 @@ def impact_jump(
     at, setup, closed, speed_tolerance = landing.at, landing.setup, landing.closed, landing.slow
     struck = _solve_struck(rules, landing, jam)
     laws, contacts, bounce_times = struck.laws, struck.snapshot.contacts, struck.bounce_times
-    touching = [
-        was_closed and contact.gap_rate <= speed_tolerance
-        for was_closed, contact in zip(closed, contacts, strict=True)
-    ]
+    touching = struck.snapshot.remaining(closed, speed_tolerance)
     mode, moved_by, after, settled = _choose_entered(rules, landing, struck, touching)
     target = listed_mode(mode, laws, contacts, 2.0 * speed_tolerance)
     energy = rules.tape.at(setup.values, after, at.clock.high).energy
@@ -261,10 +257,7 @@ def _choose_entered(
     """Return the mode after an impact, its choice or roles, the state, and if it is settled."""
     setup, following = landing.setup, struck.snapshot
     # If a contact still approaches after a sequence of impacts, the next jump is its impact.
-    settled = not any(
-        was_closed and contact.gap_rate < -landing.slow
-        for was_closed, contact in zip(landing.closed, following.contacts, strict=True)
-    )
+    settled = not following.approaching(landing.closed, landing.slow)
     check_listed(setup, following, touching)
     if not any(touching):
         flying = tuple(name if name in INACTIVE else "free" for name in landing.at.flow.mode)

@@ -194,9 +194,7 @@ class SceneLaws:
         if isinstance(choice, Jam):
             return flow_in(setup, starts, choice.roles, None, above, settled=False), state
         check_declared(self._modes, self._names, choice, snapshot, touching, failing)
-        settled = not any(
-            shut and c.gap_rate < -slow for shut, c in zip(closed, snapshot.contacts, strict=True)
-        )
+        settled = not snapshot.approaching(closed, slow)
         return flow_in(setup, starts, choice, None, above, settled), state
 
     def _hovering(self, setup: SceneSetup, state: Array, mode: Key) -> str:
@@ -273,7 +271,6 @@ class SceneLaws:
         if switched:
             return self._switching.jump(at, setup, snapshot, switched)
         here = self._landing(at, setup, hidden(snapshot, flow.mode))
-        contacts, closed, slow = here.snapshot.contacts, here.closed, here.slow
         if fired == (UNBOUNDED,):
             return self._unbounded(here)
         for name in self._names:
@@ -282,7 +279,7 @@ class SceneLaws:
         hitting = here.hitting
         if hitting:
             return self._impact(here, hitting)
-        touching = [shut and c.gap_rate <= slow for shut, c in zip(closed, contacts, strict=True)]
+        touching = here.snapshot.remaining(here.closed, here.slow)
         uncertainty = self._rules.uncertainty(here)
         before = Before.flow(at.flow.roles, here.moving)
         around = self._hidden_at(setup, clock.high, flow.mode)

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from contacts.scene.friction import StaticKinetic, coefficients
 from contacts.scene.modes import Bearing, ContactSymbols, share_of
 from contacts.scene.parts import Relations
-from contacts.states import COUPLING_STATES, DISENGAGED, SLIPPING, superstates_of
+from contacts.states import COUPLING_STATES, DISENGAGED, OPEN, SLIPPING, superstates_of
 from statechart.automaton.regions import Claim, Edge, Margin, Region, State
 from statechart.documents.documented import declare
 from statechart.documents.fields import FormulaText, Part
@@ -150,6 +150,8 @@ def coupling_state(symbols: CouplingSymbols, role: Role) -> State:
     """Return the equations and margins of a state; its conditions add theirs."""
     contact, static, kinetic = symbols
     name, couple = contact.name, contact.H
+    if role.state in OPEN:
+        return State((couple,), ())
     if role.state == "locked":
         margins = (
             Margin(f"{name}.{_UPPER}", static - couple, "force"),

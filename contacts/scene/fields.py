@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Discriminator, Tag
 
 from contacts.scene.controls import Controller, Controls
-from contacts.scene.couplings import Coupling
+from contacts.scene.couplings import Coupling, coupling_edges, coupling_states
 from contacts.scene.friction import SLIP, FrictionLaw, friction_law
 from contacts.scene.joints import JOINT_WORDS, Force, Joint
 from contacts.scene.parts import (
@@ -18,12 +17,14 @@ from contacts.scene.parts import (
     Contact,
     Coordinate,
     Pair,
-    Point,
     Resolution,
     Simultaneous,
     Surface,
+    used_names,
 )
+from contacts.scene.regions import edges, states
 from contacts.scene.shapes import INDEX, Collision
+from statechart.automaton.regions import Edge
 from statechart.charts.flatten import timer_dimension
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.documented import declare
@@ -226,6 +227,14 @@ class SceneFields(Declaration):
                 result |= {f"{name}{index}": name for index in range(count)}
         return result
 
+    def starts(self) -> dict[str, FiniteText]:
+        """Return the starts of all coordinates, then of their rates, copies one by one."""
+        starts = {name: (one.start, one.rate) for name, one in self.coordinates.items()}
+        for name, body in self.single_bodies().items():
+            starts |= {f"{name}.{c}": body.start_of(c) for c in body.coordinates}
+        rates = {self.rate_name(name): starts[name][1] for name in self.variables}
+        return {name: starts[name][0] for name in self.variables} | rates
+
     def moving(self) -> list[str]:
         """Return the names of the bodies that forces and impulses move, copies one by one."""
         return [name for name, owner in self.owners().items() if not self.bodies[owner].prescribed]
@@ -242,14 +251,12 @@ class SceneFields(Declaration):
     def whole(self) -> frozenset[str]:
         """Parameters that count copies of bodies."""
         counts = [b.copies for b in self.bodies.values() if b.copies is not None]
-        used = frozenset[str]().union(*(parse(text).names for text in counts))
-        return used & frozenset(self.parameters)
+        return used_names(counts) & frozenset(self.parameters)
 
     @property
     def timers(self) -> frozenset[str]:
         """Undeclared variables: the timers of transitions of controllers."""
-        flat = self.controlled.flat.values()
-        return frozenset(timer for region in flat for timer in region.timers)
+        return frozenset(self.controlled.timers)
 
     def counted(self, values: Mapping[str, float]) -> dict[str, int | None]:
         """Return the number of copies of every body; None for a single body."""
@@ -261,8 +268,8 @@ class SceneFields(Declaration):
             return self
         deciding, further = set(self.whole), set(self.whole)
         while further:
-            further = set().union(*(parse(self.parameters[name]).names for name in further))
-            further = (further & {*self.parameters}) - deciding
+            texts = (self.parameters[name] for name in further)
+            further = {*used_names(texts)} & (self.parameters.keys() - deciding)
             deciding |= further
         chosen = {name: value for name, value in overrides.items() if name in deciding}
         return self.model_copy(update={"parameters": {**self.parameters, **chosen}})
@@ -347,23 +354,12 @@ class SceneFields(Declaration):
 
     def _moved_with(self, body: str) -> set[str]:
         """Return the bodies coupled to a body by joints, coordinates and contacts."""
-        pairs = [
-            (joint.point.body, joint.to.body)
-            for joint in self.joints.values()
-            if isinstance(joint.to, Point)
-        ]
+        pairs = [tuple(end.body for end in joint.ends.values()) for joint in self.joints.values()]
         for contact in self.contacts.values():
             carrier = self.surfaces[contact.surface].body
             pairs += [] if carrier is None else [(contact.point.body, carrier)]
         for coordinate in self.coordinates:
-            pairs += pairwise(
-                name
-                for name, declared in self.bodies.items()
-                if any(
-                    coordinate in parse(text).names
-                    for text in (*(declared.position or ()), declared.angle or 0)
-                )
-            )
+            pairs.append(tuple(n for n, body in self.bodies.items() if coordinate in body.placing))
         moved, pending = {body}, [body]
         while pending:
             current = pending.pop()
@@ -413,9 +409,7 @@ class SceneFields(Declaration):
         declared = self.couplings[coupling]
         if declared.bodies is not None:
             return declared.bodies
-        joint = self.joints[declared.joint or ""]
-        other = (joint.to.body,) if isinstance(joint.to, Point) else ()
-        return (joint.point.body, *other)
+        return tuple(end.body for end in self.joints[declared.joint or ""].ends.values())
 
     @property
     def kinematic_names(self) -> frozenset[str]:
@@ -423,6 +417,16 @@ class SceneFields(Declaration):
         rates = map(self.rate_name, self.variables)
         memory = self.controlled.controller_state
         return frozenset((TIME, *self.parameters, *self.variables, *rates, *memory))
+
+    @property
+    def quantity_names(self) -> frozenset[str]:
+        """Names of gaps, slips and forces of contacts, ropes, joints and couplings; energy."""
+        # Limits of joints have none: their gaps are angles times a length.
+        touching = [*self.contacts, *(n for n, x in self.joints.items() if x.rope is not None)]
+        names = {f"{c}.{quantity}" for c in touching for quantity in ("gap", "slip", "V", "H")}
+        names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.forces}
+        names |= {f"{name}.{quantity}" for name in self.coupled_names for quantity in ("M", "slip")}
+        return frozenset((*names, "energy"))
 
     @property
     def leading(self) -> frozenset[str]:
@@ -455,12 +459,10 @@ class SceneFields(Declaration):
             turns = body.prescribed or body.angle is not None
             places = ["x", "y", "angle"] if turns else ["x", "y"]
             names |= {f"{name}.{place}" for place in places}
-            texts = (*(body.position or ()), body.angle or 0)
-            used = frozenset[str]().union(*(parse(text).names for text in texts))
             # How a control changes within a state is not known.
             varying = {
                 control
-                for control in used.intersection(self.controls)
+                for control in body.placing.intersection(self.controls)
                 for text in self.controlled.texts(control)
                 if parse(text).names - self.parameters.keys()
             }
@@ -478,6 +480,19 @@ class SceneFields(Declaration):
     def surface_of(self, contact: str) -> Surface:
         """Return the surface that a contact touches."""
         return self.surfaces[self.contacts[contact].surface]
+
+    def region_states(self, name: str) -> tuple[str, ...]:
+        """Return the states of the region of a contact or a coupling."""
+        if name in self.couplings:
+            return coupling_states(self.couplings[name])
+        return states(self.contacts[name], gate=self.gate(name))
+
+    def region_edges(self, name: str) -> tuple[Edge, ...]:
+        """Return the transitions of the region of a contact or a coupling."""
+        if name in self.couplings:
+            return coupling_edges(self.couplings[name])
+        jams, bounces, gate = self.jams(name), self.bounces(name), self.gate(name)
+        return edges(self.contacts[name], jams=jams, bounces=bounces, gate=gate)
 
     def gate(self, contact: str) -> str:
         """Return the conditions without which a contact is off, as text; "" for none."""

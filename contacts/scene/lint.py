@@ -9,7 +9,7 @@ from itertools import combinations, pairwise
 
 from contacts.scene.fields import SceneFields
 from contacts.scene.friction import Friction
-from contacts.scene.parts import MOREAU, Contact, Point
+from contacts.scene.parts import MOREAU, Contact
 from statechart.charts.transitions import declared_transitions
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText
@@ -328,10 +328,7 @@ def _impact_laws_agree(scene: SceneFields, contact: Contact, values: Mapping[str
     name = contact.point.body
     body = scene.bodies[name]
     jointed = any(
-        end.body == name
-        for joint in scene.joints.values()
-        for end in (joint.point, joint.to)
-        if isinstance(end, Point)
+        end.body == name for joint in scene.joints.values() for end in joint.ends.values()
     )
     fixed = scene.surfaces[contact.surface].body is None
     return body.inertia is None and body.position is None and fixed and not jointed

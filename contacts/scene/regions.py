@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from contacts.scene.friction import Friction
-from contacts.scene.modes import Bearing, ContactSymbols, Free, Pin, Slide, off_state, shared_state
+from contacts.scene.modes import Bearing, ContactSymbols, shared_state
 from contacts.scene.parts import Contact
 from contacts.states import OFF, OPEN, declared_state, superstates_of
-from statechart.automaton.regions import Claim, Edge, Margin, Region, State
+from statechart.automaton.regions import Claim, Edge, Region, State
 from statechart.formulas.relation import conjunction
 
 if TYPE_CHECKING:
@@ -50,34 +49,30 @@ def states(contact: Contact, *, gate: str) -> tuple[str, ...]:
     return (*state_names, OFF) if gate else state_names
 
 
+def contact_state(contact: Contact, symbols: ContactSymbols, role: Role) -> State:
+    """Return the equations and margins of a state; its conditions add theirs."""
+    if role.state == OFF:
+        values = symbols.friction.used.get(0, {})
+        return State((symbols.V, symbols.H), (), values=values)
+    declared, direction = declared_state(role.state), _DIRECTIONS.get(role.state, 0)
+    mode = next(mode for mode in contact.allowed if mode.mode == declared)
+    if isinstance(role.share, Bearing):
+        return shared_state(mode, symbols, direction, role.share)
+    return mode.state(symbols, direction)
+
+
 def region(
     name: str,
     contact: Contact,
-    symbols: Callable[[], ContactSymbols],
-    gates: Callable[[], tuple[Margin, ...]],
-    back: Callable[[], tuple[Margin, ...]],
+    build: Callable[[Role], State],
     arrows: tuple[Edge, ...],
     gate: str,
     forces: tuple[sp.Symbol, ...],
 ) -> Region:
-    """Return the region of a contact.
+    """Return the region of a contact; `build` adds the margins of its conditions.
 
-    Its `symbols`, and the margins that disable it or end the run (`gates`) and that enable it
-    (`back`), are evaluated when a state is built. `arrows` are its transitions (`edges`), `gate`
-    is `Scene.gate`.
+    `arrows` are its transitions (`edges`), `gate` is `Scene.gate`.
     """
-    modes = {mode.mode: mode for mode in contact.allowed}
-
-    def build(role: Role) -> State:
-        if role.state == OFF:
-            return off_state(symbols(), back())
-        mode: Free | Slide | Pin = modes[declared_state(role.state)]  # type: ignore[index]
-        direction = _DIRECTIONS.get(role.state, 0)
-        if isinstance(role.share, Bearing):
-            built = shared_state(mode, symbols(), direction, role.share)
-        else:
-            built = mode.state(symbols(), direction)
-        return replace(built, margins=(*built.margins, *gates()))
 
     def claims(state: str) -> tuple[Claim, ...]:
         if state != OFF:
