@@ -528,16 +528,10 @@ class Mechanics(Geometry):
                 length = sp.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2)
                 fraction = ((x1 - x0) * (x - x0) + (y1 - y0) * (y - y0)) / length
                 ends = {"begin of its edge": fraction, "end of its edge": length - fraction}
-            gated = contact.enabled or ends
+            off = f"{name}.{DISENGAGED if coupling else OFF}"
             self._gates[name] = (
-                gate_of(
-                    f"{name}.{DISENGAGED if coupling else OFF}",
-                    contact.enabled,
-                    known,
-                    self._asked,
-                    ends,
-                )
-                if gated
+                gate_of(off, contact.enabled, known, self._asked, ends)
+                if contact.enabled or ends
                 else None
             )
         return self._gates[name]
@@ -744,15 +738,9 @@ class Mechanics(Geometry):
         jacobian = list(
             zip(self.gradient(x), self.gradient(y), self.gradient(rim.turn), strict=True)
         )
-        jacobian_n = tuple(
-            normal[0] * dx + normal[1] * dy if dx != 0 or dy != 0 else sp.S.Zero
-            for dx, dy, _ in jacobian
-        )
+        jacobian_n = tuple(normal[0] * dx + normal[1] * dy for dx, dy, _ in jacobian)
         jacobian_t = tuple(
-            tangent[0] * dx + tangent[1] * dy + rim.radius * turn
-            if dx != 0 or dy != 0 or turn != 0
-            else sp.S.Zero
-            for dx, dy, turn in jacobian
+            tangent[0] * dx + tangent[1] * dy + rim.radius * turn for dx, dy, turn in jacobian
         )
         rolling = self.rate(rim.radius * rim.turn)
         slip = tangent[0] * rates[0] + tangent[1] * rates[1] + rolling

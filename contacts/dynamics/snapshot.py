@@ -117,20 +117,10 @@ class Snapshot(NamedTuple):
             return accelerations[: len(accelerations) - self.pads], np.zeros(0)
         whole = self.unreduced
         full = self.reduction.basis @ accelerations + self.reduction.drift
-        joint_forces = self._joint_forces(whole.mass @ full - whole.forces, forces)
+        joint_forces = self.joint_forces(whole.mass @ full - whole.forces, forces)
         return full[: len(full) - whole.pads], joint_forces
 
-    def joint_impulses(self, before: Array, after: Array, impulses: Array) -> Array:
-        """Return the impulses of joint rows in a jump between states (2 n,) of the scene.
-
-        `impulses` (c, 2) are those of contacts. The impulses of redundant rows are zero.
-        """
-        if self.reduction is None:
-            return np.zeros(0)
-        mass, size = self.unreduced.mass, len(before) // 2
-        return self._joint_forces(mass[:, :size] @ (after - before)[size:], impulses)
-
-    def _joint_forces(self, total: Array, forces: Array) -> Array:
+    def joint_forces(self, total: Array, forces: Array) -> Array:
         """Return the forces of joint rows, which with those of contacts add up to `total` (n,)."""
         assert self.reduction is not None
         joints = self.reduction.joints
@@ -219,11 +209,15 @@ class SnapshotTape:
     def joint_impulse(
         self, snapshot: Snapshot, before: Array, after: Array, impulses: Array
     ) -> dict[str, float]:
-        """Return the impulses of joints other than zero in a jump, by name.
+        """Return the impulses of joints other than zero in a jump between states (2 n,), by name.
 
-        See `Snapshot.joint_impulses`.
+        `impulses` (c, 2) are those of contacts. The impulses of redundant rows are zero.
         """
-        sizes = snapshot.joint_impulses(before, after, impulses).tolist()
+        if snapshot.reduction is None:
+            return {}
+        change = (after - before)[self.size :]
+        total = snapshot.unreduced.mass[:, : self.size] @ change
+        sizes = snapshot.joint_forces(total, impulses).tolist()
         return {name: size for name, size in zip(self.joint_names, sizes, strict=True) if size}
 
     def at(self, values: Array, state: Array, time: float) -> Snapshot:

@@ -18,7 +18,6 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import body_parameters
 from contacts.dynamics.scales import check_range
 from contacts.rigid_bodies.declared_numbers import LinkedMechanics, linked_mechanics
-from contacts.scene.fields import copies
 from contacts.scene.parts import Body
 from contacts.scene.scene import Scene
 from contacts.scene.shapes import INDEX
@@ -108,7 +107,7 @@ class Starts:
         self._scene = scene
         counts = [
             0 if scene.bodies[name].coordinates == () else 1 if n is None else n
-            for name, n in copies(scene, scene.values()).items()
+            for name, n in scene.counted(scene.values()).items()
         ]
         # Declared body of each moving body, and index among its copies.
         self._kinds = np.repeat(np.arange(len(counts)), counts)

@@ -212,8 +212,8 @@ class SceneFields(Declaration):
         Free bodies come first; with collisions, bodies placed by coordinates, led bodies and fixed
         bodies follow in this order.
         """
-        single = all(body.copies is None for body in self.bodies.values())
-        counts = dict.fromkeys(self.bodies) if single else copies(self, self.values())
+        several = any(body.copies is not None for body in self.bodies.values())
+        counts = self.counted(self.values()) if several else dict.fromkeys(self.bodies)
         result: dict[str, str] = {}
         groups = {
             name: 2 * body.prescribed + body.fixed + (body.linked and bool(self.collisions))
@@ -259,12 +259,26 @@ class SceneFields(Declaration):
         return frozenset(self.controlled.timers)
 
     def counted(self, values: Mapping[str, float]) -> dict[str, int | None]:
-        """Return the number of copies of every body; None for a single body."""
-        return copies(self, values)
+        """Return the number of copies of every body; None for a single body.
+
+        Raises `DeclarationProblem` if a number of copies is not whole, or too large.
+        """
+        counts: dict[str, int | None] = dict.fromkeys(self.bodies)
+        for name, body in self.bodies.items():
+            if body.copies is None:
+                continue
+            loc = ("bodies", name, "copies")
+            number = value_of(body.copies, values, *loc)
+            if not (1 <= number <= _MOST_COPIES and number == int(number)):
+                raise DeclarationProblem(
+                    f"must be a whole number from 1 to {_MOST_COPIES}, not {number:g}", loc=loc
+                )
+            counts[name] = int(number)
+        return counts
 
     def variant(self, overrides: Mapping[str, float]) -> Self:
         """Return the scene with the numbers of copies for these overrides, or itself."""
-        if not self.whole or copies(self, self.values()) == copies(self, self.values(overrides)):
+        if not self.whole or self.counted(self.values()) == self.counted(self.values(overrides)):
             return self
         deciding, further = set(self.whole), set(self.whole)
         while further:
@@ -501,23 +515,3 @@ class SceneFields(Declaration):
         declared = self.contacts[contact]
         ends = self.surface_of(contact).edge is not None
         return conjunction((*declared.enabled, *(["within its edge"] if ends else [])))
-
-
-def copies(scene: SceneFields, values: Mapping[str, float]) -> dict[str, int | None]:
-    """Return how many copies there are of every body; None where it is declared as one.
-
-    Raises `DeclarationProblem` if a number of copies is not whole, or too large.
-    """
-    counts: dict[str, int | None] = {}
-    for name, body in scene.bodies.items():
-        counts[name] = None
-        if body.copies is None:
-            continue
-        loc = ("bodies", name, "copies")
-        number = value_of(body.copies, values, *loc)
-        if not (1 <= number <= _MOST_COPIES and number == int(number)):
-            raise DeclarationProblem(
-                f"must be a whole number from 1 to {_MOST_COPIES}, not {number:g}", loc=loc
-            )
-        counts[name] = int(number)
-    return counts

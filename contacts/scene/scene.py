@@ -24,7 +24,7 @@ from contacts.scene.checks import (
 )
 from contacts.scene.controls import Controller
 from contacts.scene.expansion import expansion
-from contacts.scene.fields import SceneFields, copies
+from contacts.scene.fields import SceneFields
 from contacts.scene.lint import replaced_laws
 from contacts.scene.parts import FREE_START, Contact, Simultaneous
 from contacts.scene.regions import BODY_CAUSES, BODY_STATES
@@ -107,7 +107,7 @@ class Scene(SceneFields):
         # A pin by points has no impacts of its own: its path is smooth.
         pins = [] if self.collisions else [n for n, x in self.joints.items() if x.rope is None]
         check_wrapping(self, values, [("joints", name, "to") for name in pins])
-        copies(self, values)
+        self.counted(values)
         check_physical(self, values)
         check_finite(self, values)
         check_periods(self.regions, values, self.parameters)
