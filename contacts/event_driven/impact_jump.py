@@ -149,7 +149,7 @@ def impact_jump(
     laws, contacts, bounce_times = struck.laws, struck.snapshot.contacts, struck.bounce_times
     touching = struck.snapshot.remaining(closed, speed_tolerance)
     mode, moved_by, after, settled = _choose_entered(rules, landing, struck, touching)
-    target = listed_mode(mode, laws, contacts, 2.0 * speed_tolerance)
+    target = listed_mode(mode, setup, struck.snapshot)
     energy = rules.tape.at(setup.values, after, at.clock.high).energy
     bounce_time = max(bounce_times.values(), default=None)
     impulses = struck.result.impulses
@@ -209,7 +209,7 @@ def _solve_struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
         result: Impacts,
         later: float = 0.0,
     ) -> _Struck:
-        result = apply_rolling_resistance(snapshot, laws, result, 2.0 * landing.slow)
+        result = apply_rolling_resistance(snapshot, laws, result, setup.slip_tolerance)
         after = snapshot.moved(state, result.velocity)
         return _Struck(laws, result, after, seen(after, later), {})
 

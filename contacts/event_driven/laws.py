@@ -190,7 +190,7 @@ class SceneLaws:
             Before(),
         )
         moving = moving_mode(choice.roles)
-        starts = listed_mode(moving, setup.contacts, snapshot.contacts, 2.0 * slow)
+        starts = listed_mode(moving, setup, snapshot)
         if isinstance(choice, Jam):
             return flow_in(setup, starts, choice.roles, None, above, settled=False), state
         check_declared(self._modes, self._names, choice, snapshot, touching, failing)
@@ -354,7 +354,7 @@ class SceneLaws:
         held = held_key(flow.roles, snapshot.soft)
         state = landed(held, snapshot, at.state, setup.tolerances)
         slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
-        rested = self._rested(flow, held, snapshot, at.fired, 2.0 * slow)
+        rested = self._rested(flow, held, snapshot, at.fired, setup.slip_tolerance)
         if rested != held:
             state = on_constraints(rested, snapshot, state)
         if state is not at.state:
@@ -394,7 +394,7 @@ class SceneLaws:
     def _grown(self, here: Landing) -> Jam | None:
         """Return the jam if a force grows without bound."""
         shut = [state not in OPEN for state in here.moving]
-        return unbounded_jam(here.snapshot, here.setup.contacts, shut, 2.0 * here.slow)
+        return unbounded_jam(here.setup, here.snapshot, shut)
 
     def _enter(self, at: Instant, here: Landing, choice: Choice) -> tuple[Jump | None, Flow] | None:
         """Return the jump to a mode; None if the flow already moves in it."""

@@ -169,7 +169,7 @@ class Switching:
         mode = tuple(
             off_state(law)
             if why
-            else engaged_state(law, contact, 2.0 * slow)
+            else engaged_state(law, contact, setup.slip_tolerance)
             if state in INACTIVE and contact.gap >= -close
             else state
             for why, state, contact, close, law in zip(
@@ -218,8 +218,9 @@ class Switching:
         mode, roles = list(flow.mode), list(flow.roles)
         for place, why in switched.items():
             law, contact = setup.contacts[place], snapshot.contacts[place]
-            still = 2.0 * setup.tolerances["speed"]
-            mode[place] = off_state(law) if why else engaged_state(law, contact, still)
+            mode[place] = off_state(law)
+            if not why:
+                mode[place] = engaged_state(law, contact, setup.slip_tolerance)
             roles[place] = Role(mode[place])
         place, why = next(iter(switched.items()))
         name = self._names[place]

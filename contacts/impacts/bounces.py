@@ -197,9 +197,7 @@ def rest_of_passages(
 
 
 def _choose_resting(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Array:
-    slip_tolerance = 2.0 * setup.tolerances["speed"]
-    choice = choose(snapshot, setup.contacts, lying, setup.scales, setup.tie, slip_tolerance)
-    return choice.taken.accelerations
+    return choose(setup, snapshot, lying).taken.accelerations
 
 
 def _closing_accelerations(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Array:

@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw, bounds, cones
-from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import EDGES, PerContact, Snapshot
 from contacts.modes.candidates import (
@@ -249,24 +248,26 @@ class Before(NamedTuple):
 
 
 def choose(
+    setup: SceneSetup,
     snapshot: Snapshot,
-    laws: Sequence[ContactLaw],
     closed: Sequence[bool],
-    scales: Scales,
-    tie: float,
-    slip_tolerance: float,
     before: Before | None = None,
     uncertainty: ForceUncertainty | None = None,
 ) -> Choice:
     """Select the consistent mode of a state.
 
-    Relative violations up to `tie` are boundary cases, slips up to `slip_tolerance` are zero. If
-    contacts share a load, the mode of `before` continues as long as some forces of contacts that
+    If contacts share a load, the mode of `before` continues as long as some forces of contacts that
     were loaded explain it; without `before` all may be loaded.
 
     Raises `NoConsistentMode` or `AmbiguousMode` with every candidate and its reason, and
     `NonFinite` if the state has no finite forces.
     """
+    laws, scales, tie, slip_tolerance = (
+        setup.contacts,
+        setup.scales,
+        setup.tie,
+        setup.slip_tolerance,
+    )
     count, resting = len(laws), _signs_at_rest(snapshot, slip_tolerance)
     before = before or Before(bearing=frozenset(range(count)))
     if resting:
