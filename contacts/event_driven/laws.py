@@ -157,11 +157,11 @@ class SceneLaws:
         snapshot = hidden(snapshot, off)
         check_places(self._mechanics, snapshot)
         near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
-        touched = self._mechanics.scene.surface_of
-        for law, contact in list(zip(setup.contacts, snapshot.contacts, strict=True))[
-            : self._count
-        ]:
-            check_start(touched(law.name), law, contact[:3], depth, near, slow)
+        scene = self._mechanics.scene
+        for name, law, contact in zip(
+            scene.contacts, setup.contacts, snapshot.contacts, strict=False
+        ):
+            check_start(scene.surface_of(name), law, contact[:3], depth, near, slow)
         check_limits(self._names[self._count :], snapshot.limits)
         closed = [c.gap <= near for c in snapshot.contacts]
         touching = [

@@ -470,12 +470,7 @@ def has_switches(scene: SceneFields) -> bool:
     changing, texts = _force_formulas(scene)
     controls = scene.controlled
     changing = {*changing, TIME, *controls.controller_state}
-    flows = [
-        text
-        for name in scene.regions
-        for state, _ in controls.states(name)
-        for text in state.flows.values()
-    ]
+    flows = [text for _, _, text, _ in controls.declared_flows()]
     values = [text for _, _, _, text, _ in controls.sets()]
     formulas = [*(text for _, text in texts), *flows, *values]
     return any(has_switch(text, changing) for text in formulas)
@@ -805,8 +800,7 @@ def _check_path(scene: SceneFields, name: str) -> None:
     moving = _moving_names(scene)
     for key, text in zip(("x", "y", "angle"), scene.bodies[name].path, strict=True):
         for control in parse(text).names.intersection(scene.controls):
-            used = sorted({n for t in scene.controlled.texts(control) for n in parse(t).names})
-            if dependent := [n for n in used if n in moving]:
+            if dependent := sorted(used_names(scene.controlled.texts(control)) & moving):
                 raise DeclarationProblem(
                     f"the path uses {control!r}, which depends on {dependent[0]!r}, "
                     "on how bodies move",
@@ -853,10 +847,8 @@ def check_led_surfaces(scene: SceneFields, findings: Findings) -> None:
     """Check that the motion of surfaces within a state depends on time and itself only."""
     leading, constant = scene.leading, {*scene.parameters}
     texts: list[tuple[Loc, FormulaText]] = [(("controls", n), t) for n, t in scene.controls.items()]
-    for region in scene.regions:
-        for state, at in scene.controlled.states(region):
-            texts += [((*at, "sets", name), text) for name, text in state.sets.items()]
-            texts += [((*at, "flows", name), text) for name, text in state.flows.items()]
+    texts += [(loc, text) for _, _, _, text, loc in scene.controlled.sets()]
+    texts += [(loc, text) for _, _, text, loc in scene.controlled.declared_flows()]
     for loc, text in texts:
         allowed = constant | ({TIME, *leading} if "flows" in loc else set())
         forbidden = sorted(parse(text).names - allowed)
@@ -894,19 +886,17 @@ def check_prescribed(scene: SceneFields, findings: Findings) -> None:
 def _check_controller_state(scene: SceneFields) -> None:
     """Check that the memory of controllers is known before the steps."""
     moving = _moving_names(scene)
-    for region in scene.regions:
-        for state, at in scene.controlled.states(region):
-            for variable, text in state.flows.items():
-                used = [n for n in parse(text).names if n in moving]
-                used += [
-                    n
-                    for n in parse(text).names.intersection(scene.controls)
-                    if any(parse(t).names & moving for t in scene.controlled.texts(n))
-                ]
-                if used:
-                    raise DeclarationProblem(
-                        f"the flow of {variable!r} depends on {min(used)!r}, on how bodies move: "
-                        "in a scene with collisions it may not",
-                        advice="let it depend on time, controls and variables",
-                        loc=(*at, "flows", variable),
-                    )
+    for _, variable, text, loc in scene.controlled.declared_flows():
+        used = [n for n in parse(text).names if n in moving]
+        used += [
+            n
+            for n in parse(text).names.intersection(scene.controls)
+            if used_names(scene.controlled.texts(n)) & moving
+        ]
+        if used:
+            raise DeclarationProblem(
+                f"the flow of {variable!r} depends on {min(used)!r}, on how bodies move: "
+                "in a scene with collisions it may not",
+                advice="let it depend on time, controls and variables",
+                loc=loc,
+            )

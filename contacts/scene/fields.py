@@ -49,7 +49,10 @@ _OF_CONTACTS: Mapping[str, Dimension] = {
 }  # fmt: skip
 _OF_COUPLINGS: Mapping[str, Dimension] = {"M": "moment", "slip": "angle/time"}
 _OF_GUIDES: Mapping[str, Dimension] = {"M": "force", "slip": "length/time"}
-_CAPTURED: Mapping[str, Dimension] = {"x": "length", "y": "length", "turn": "angle"}
+_OF_JOINTS: Mapping[str, Dimension] = {
+    **dict.fromkeys(("X", "Y", "T", "V", "H"), "force"), "M": "moment", "gap": "length",
+    "x": "length", "y": "length", "turn": "angle",  # Captured places
+}  # fmt: skip
 _MOST_COPIES = 10_000
 
 
@@ -296,21 +299,11 @@ class SceneFields(Declaration):
     def stated(self, name: str) -> Quantity:
         """Return the physical quantity of a name of the scene."""
         owner, _, quantity = name.rpartition(".")
-        description = f"{quantity} of {owner}"
-        if owner in self.contacts and quantity in _OF_CONTACTS:
-            return Quantity(description, _OF_CONTACTS[quantity])
-        if owner in self.coupled_names and quantity in _OF_COUPLINGS:
-            dimensions = _OF_GUIDES if self.along_guide(owner) else _OF_COUPLINGS
-            return Quantity(description, dimensions[quantity])
-        if owner in self.joints and quantity in self.joints[owner].forces:
-            return Quantity(description, "moment" if quantity == "M" else "force")
-        if owner in self.joints and quantity == "gap":
-            return Quantity(f"slack of {owner}", "length")
-        if owner in self.joints and quantity in _CAPTURED:
-            return Quantity(description, _CAPTURED[quantity])
-        if quantity in _OF_BODIES and owner and owner not in self.contacts:
-            return Quantity(description, _OF_BODIES[quantity])
-        if quantity.startswith("d") and quantity[1:] in _OF_BODIES and owner:
+        dimensions = self._dimensions(owner)
+        if quantity in dimensions:
+            kind = "slack" if owner in self.joints and quantity == "gap" else quantity
+            return Quantity(f"{kind} of {owner}", dimensions[quantity])
+        if owner and quantity.startswith("d") and quantity[1:] in _OF_BODIES:
             return Quantity(
                 f"rate of {quantity[1:]} of {owner}", per_time(_OF_BODIES[quantity[1:]])
             )
@@ -325,16 +318,26 @@ class SceneFields(Declaration):
             return Quantity("slip velocity", "length/time")
         return Quantity(name, "energy") if name == "energy" else super().stated(name)
 
+    def _dimensions(self, owner: str) -> Mapping[str, Dimension]:
+        """Return the dimensions of the quantities of a part, by name."""
+        if owner in self.contacts:
+            return _OF_CONTACTS
+        if owner in self.coupled_names:
+            return _OF_GUIDES if self.along_guide(owner) else _OF_COUPLINGS
+        if owner in self.joints:
+            return _OF_JOINTS
+        return _OF_BODIES if owner else {}
+
     def facts(self) -> Iterator[Fact]:
         """Yield the dimensions of formulas, of starts and rates, too.
 
         Positions of bodies come first: they determine the dimensions of coordinates before constant
         gains of controllers are taken for plain numbers.
         """
-        for body in self.bodies.values():
+        for name, body in self.bodies.items():
             yield from fields_of(body)
             for key, text in body.start.items():
-                yield parse(text).root, POWERS[self.stated(f"body.{key}").dimension]
+                yield parse(text).root, POWERS[self.stated(f"{name}.{key}").dimension]
         for name, coordinate in self.coordinates.items():
             rate = rate_of(name)
             yield Name(self.rate_name(name)), rate
@@ -453,13 +456,8 @@ class SceneFields(Declaration):
         names, memory = set[str](), {*self.controlled.controller_state, *self.controls}
         while fresh := {n for text in texts for n in parse(text).names & memory} - names:
             names |= fresh
-            texts = [
-                text
-                for region in self.regions
-                for state, _ in self.controlled.states(region)
-                for variable, text in state.flows.items()
-                if variable in fresh
-            ]
+            flows = self.controlled.declared_flows()
+            texts = [text for _, variable, text, _ in flows if variable in fresh]
         return frozenset(names)
 
     @property
