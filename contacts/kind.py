@@ -86,8 +86,8 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
 def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
     """Return a region for every contact, then for every coupling, then for every controller."""
     from contacts.dynamics.controllers import controller
-    from contacts.scene.couplings import coupling_region, coupling_state
-    from contacts.scene.regions import contact_state, region
+    from contacts.scene.couplings import coupling_state
+    from contacts.scene.regions import contact_state
     from contacts.states import INACTIVE
 
     scene = mechanics.scene
@@ -106,24 +106,9 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
             margins += mechanics.hauled(name) + (() if gate is None else gate.margins)
         return replace(state, margins=margins)
 
-    of_contacts = (
-        region(
-            name,
-            contact,
-            partial(build, name),
-            scene.region_edges(name),
-            scene.gate(name),
-            mechanics.forces[name],
-        )
-        for name, contact in scene.contacts.items()
-    )
-    of_couplings = (
-        coupling_region(name, one, partial(build, name), (mechanics.couples[name],))
-        for name, one in scene.couplings.items()
-    )
+    forces = mechanics.forces | {name: (couple,) for name, couple in mechanics.couples.items()}
     return (
-        *of_contacts,
-        *of_couplings,
+        *(scene.region(name, partial(build, name), forces[name]) for name in scene.frictional),
         *(controller(n, r, mechanics) for n, r in scene.controlled.flat.items()),
     )
 

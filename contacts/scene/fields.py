@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Discriminator, Tag
 
@@ -24,7 +24,8 @@ from contacts.scene.parts import (
 )
 from contacts.scene.regions import edges, states
 from contacts.scene.shapes import INDEX, Collision
-from statechart.automaton.regions import Edge
+from contacts.states import DISENGAGED, INACTIVE, superstates_of
+from statechart.automaton.regions import Claim, Edge, Region, State
 from statechart.charts.flatten import timer_dimension
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.documented import declare
@@ -42,6 +43,11 @@ from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.relation import Member, conjunction, parse_relation
 from statechart.formulas.tree import Name
+
+if TYPE_CHECKING:
+    import sympy as sp
+
+    from statechart.automaton.trace import Role
 
 _OF_BODIES: Mapping[str, Dimension] = {"x": "length", "y": "length", "angle": "angle"}
 _OF_CONTACTS: Mapping[str, Dimension] = {
@@ -505,6 +511,35 @@ class SceneFields(Declaration):
             return coupling_edges(self.couplings[name])
         jams, bounces, gate = self.jams(name), self.bounces(name), self.gate(name)
         return edges(self.contacts[name], jams=jams, bounces=bounces, gate=gate)
+
+    def region(
+        self, name: str, build: Callable[[Role], State], forces: tuple[sp.Symbol, ...]
+    ) -> Region:
+        """Return the region of a contact or a coupling; `build` returns its states."""
+        coupling = self.couplings.get(name)
+        enabled = (coupling or self.contacts[name]).enabled
+
+        def claims(state: str) -> tuple[Claim, ...]:
+            if state not in INACTIVE:
+                return tuple(Claim(f"{name}: {text}", (text,), holds=True) for text in enabled)
+            if self.gate(name) != conjunction(enabled):
+                # The contact may also be off beyond the ends of its edge.
+                return ()
+            outside = () if coupling else (f"{name}.gap > 0",)
+            return (Claim(f"{name} is enabled", (*enabled, *outside), holds=False),)
+
+        names = self.region_states(name)
+        return Region(
+            name,
+            names,
+            build,
+            self.region_edges(name),
+            superstates_of(names),
+            ("slide", "slipping"),
+            forces=forces,
+            default=next((state for state in (DISENGAGED, "free") if state in names), ""),
+            claims=claims,
+        )
 
     def gate(self, contact: str) -> str:
         """Return the conditions without which a contact is off, as text; "" for none."""

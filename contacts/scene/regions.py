@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from contacts.scene.friction import Friction
 from contacts.scene.modes import Bearing, ContactSymbols, shared_state
 from contacts.scene.parts import Contact
-from contacts.states import OFF, OPEN, declared_state, superstates_of
-from statechart.automaton.regions import Claim, Edge, Region, State
-from statechart.formulas.relation import conjunction
+from contacts.states import OFF, OPEN, declared_state
+from statechart.automaton.regions import Edge, State
 
 if TYPE_CHECKING:
-    import sympy as sp
-
     from statechart.automaton.trace import Role
 
 BODY_STATES = ("free", "slide", "pin")
@@ -59,42 +55,6 @@ def contact_state(contact: Contact, symbols: ContactSymbols, role: Role) -> Stat
     if isinstance(role.share, Bearing):
         return shared_state(mode, symbols, direction, role.share)
     return mode.state(symbols, direction)
-
-
-def region(
-    name: str,
-    contact: Contact,
-    build: Callable[[Role], State],
-    arrows: tuple[Edge, ...],
-    gate: str,
-    forces: tuple[sp.Symbol, ...],
-) -> Region:
-    """Return the region of a contact; `build` adds the margins of its conditions.
-
-    `arrows` are its transitions (`edges`), `gate` is `Scene.gate`.
-    """
-
-    def claims(state: str) -> tuple[Claim, ...]:
-        if state != OFF:
-            return tuple(Claim(f"{name}: {text}", (text,), holds=True) for text in contact.enabled)
-        if gate != conjunction(contact.enabled):
-            # The contact may also be off beyond the ends of its edge.
-            return ()
-        outside = f"{name}.gap > 0"
-        return (Claim(f"{name} is enabled", (*contact.enabled, outside), holds=False),)
-
-    names = states(contact, gate=gate)
-    return Region(
-        name,
-        names,
-        build,
-        arrows,
-        superstates_of(names),
-        ("slide",),
-        forces=forces,
-        default="free",
-        claims=claims,
-    )
 
 
 def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Edge, ...]:
