@@ -513,9 +513,7 @@ class SceneLaws:
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
         """Return the constraints of the closed contacts of `roles`, and of pinned points."""
         assert isinstance(setup, SceneSetup)
-        return self._projection.constraints(
-            roles, start, anchor, setup.values, setup.tolerances, setup.scales
-        )
+        return self._projection.constraints(setup, roles, start, anchor)
 
     def feasibility(
         self, regions: Sequence[Region], setup: Setup, state: Array, time: float
