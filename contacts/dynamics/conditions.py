@@ -135,15 +135,12 @@ class Conditions:
         node_verdicts = np.empty(len(self.nodes), np.int64)
         write_node_verdicts(self.nodes, np.array(verdicts, np.int64), node_verdicts)
         top = -1
-        for k, (kind, above, contact) in enumerate(self.nodes.tolist()):
+        for k, (_, above, contact) in enumerate(self.nodes.tolist()):
             top = k if above < 0 else top
             # The parts of the topmost node are the relations.
             if above == top and node_verdicts[k] == FAILS and not result[contact]:
-                atom = kind
-                for below in range(k + 1, len(self.nodes)):
-                    if atom >= 0:
-                        break
-                    atom = int(self.nodes[below, 0])
+                # Parents come before children: the first atom from here on is its own.
+                atom = next(kind for kind in self.nodes[k:, 0].tolist() if kind >= 0)
                 result[contact] = self._conditions[atom].atom.words
         return tuple(result)
 

@@ -205,11 +205,8 @@ def _initial(scene: Scene, known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
 
 def _turn(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
     """Return the angle of a body at the start."""
-    body = scene.bodies[name]
-    if body.position is None:
-        return parse(body.start.get("angle", 0)).to_sympy(known)
     starts = {n: parse(c.start).to_sympy(known) for n, c in scene.coordinates.items()}
-    return parse(body.angle or 0).to_sympy({**known, **starts})
+    return parse(scene.bodies[name].path[2]).to_sympy({**known, **starts})
 
 
 def _lever(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:

@@ -152,8 +152,7 @@ def _starts_inside(scene: SceneFields) -> Iterator[str]:
             continue
         if scene.initial_modes.get(name) == "off":
             continue
-        start = (body.start.get("x", 0), body.start.get("y", 0))
-        x, y = numbers(body.position or start)
+        x, y = numbers(body.path[:2])
         (a, b), (c, d) = map(numbers, surface.line)
         depth = ((x - a) * (d - b) - (y - b) * (c - a)) / math.hypot(c - a, d - b)
         if depth > _GAP_ROUND_OFF * max(abs(x - a), abs(y - b)):

@@ -188,7 +188,7 @@ class Body(Part):
 
     @property
     def path(self) -> tuple[FiniteText, FiniteText, FiniteText]:
-        """The path of a `prescribed` body: x, y and angle."""
+        """Its x, y and angle: formulas, or the start of a body without a position."""
         if self.position is None:
             return self.start.get("x", 0), self.start.get("y", 0), self.start.get("angle", 0)
         return (*self.position, 0 if self.angle is None else self.angle)
