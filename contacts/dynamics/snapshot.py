@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -158,53 +158,46 @@ class SnapshotTape:
         forces = list(mechanics.generalised_forces)
         for i, place in enumerate(mechanics.held_forces):
             forces[i] += mechanics.parameters.ordered[place]
-        outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
-        outputs.append(mechanics.energy)
         names = [*mechanics.scene.frictional]
         contacts = [mechanics.contact(name) for name in names]
-        # Grouped by quantity, so that arrays are views of the outputs.
-        for geometry in contacts:
-            outputs += [*geometry.jacobian_n, *geometry.jacobian_t]
-        for geometry in contacts:
-            outputs += [geometry.bias_n, geometry.bias_t]
-        for geometry in contacts:
-            outputs += [geometry.symbols.gap, geometry.symbols.gap_rate, geometry.symbols.slip]
-            outputs += [*geometry.anchor, *geometry.slipping]
-            outputs += mechanics.sliding_edges(geometry.symbols)
+        scalars: list[sp.Expr] = []
+        for contact in contacts:
+            scalars += [contact.symbols.gap, contact.symbols.gap_rate, contact.symbols.slip]
+            scalars += [*contact.anchor, *contact.slipping]
+            scalars += mechanics.sliding_edges(contact.symbols)
         self._pads = tuple((names.index(name), pad) for name, pad in mechanics.pads.items())
-        n, count = self.size, self.count
-        lengths = n * n, n + 1, 2 * n * count, 2 * count, SCALARS * count
-        # Ends of mass matrix, forces and energy, Jacobians, biases and scalars.
-        self._ends = tuple(accumulate(lengths))
-        rows = mechanics.joint_rows
-        self.joints = len(rows)
-        self.joint_names = [f"{row.joint}.{row.component}" for row in rows]
-        self._blocks: tuple[JointGroup, ...] = joint_groups(
-            np.pad(
-                np.array([[j != 0 for j in row.jacobian] for row in rows], np.bool_).reshape(
-                    self.joints, self.size
-                ),
-                ((0, 0), (0, len(self._pads))),
-            )
-        )
-        for row in rows:
-            outputs += [row.gap, row.gap_rate, row.bias, row.status]
-        for row in rows:
-            outputs += row.jacobian
+        pads: list[sp.Expr] = []
         for name in mechanics.pads:
             body = mechanics.scene.contacts[name].point.body
             symbols = mechanics.contact(name).symbols
             mass, _ = mechanics.inertia(body, mechanics.scene.bodies[body])
-            outputs += [mass, symbols.compliance, symbols.gap_rate]
-        couplings = mechanics.scene.couplings
-        self._limits = 2 * len(couplings)
-        for name in couplings:
-            outputs += mechanics.limits(name)
-        self._end = len(outputs)
+            pads += [mass, symbols.compliance, symbols.gap_rate]
+        rows = mechanics.joint_rows
+        self.joint_names = [f"{row.joint}.{row.component}" for row in rows]
+        moved = np.array([[j != 0 for j in row.jacobian] for row in rows], np.bool_)
+        moved = np.pad(moved.reshape(len(rows), self.size), ((0, 0), (0, len(self._pads))))
+        self._groups: tuple[JointGroup, ...] = joint_groups(moved)
         self.signs = sign_frictions(mechanics, mechanics.controlled(states))
-        for sign in self.signs:
-            outputs += [sign.slip, sign.bias, sign.limit, *sign.row]
-        self.tape: Tape = mechanics.tape(outputs, definitions=mechanics.controlled(states))
+        # Grouped by quantity, so that arrays are views of the outputs.
+        quantities: list[list[sp.Expr]] = [
+            [*mechanics.mass_matrix],
+            forces,
+            [mechanics.energy],
+            [entry for c in contacts for entry in (*c.jacobian_n, *c.jacobian_t)],
+            [bias for c in contacts for bias in (c.bias_n, c.bias_t)],
+            scalars,
+            [number for r in rows for number in (r.gap, r.gap_rate, r.bias, r.status)],
+            [entry for row in rows for entry in row.jacobian],
+            pads,
+            [limit for name in mechanics.scene.couplings for limit in mechanics.limits(name)],
+            [e for sign in self.signs for e in (sign.slip, sign.bias, sign.limit, *sign.row)],
+        ]
+        ends = accumulate(map(len, quantities), initial=0)
+        self._slices = [slice(begin, end) for begin, end in pairwise(ends)]
+        self.tape: Tape = mechanics.tape(
+            [expression for quantity in quantities for expression in quantity],
+            definitions=mechanics.controlled(states),
+        )
 
     def joint_impulse(
         self, snapshot: Snapshot, before: Array, after: Array, impulses: Array
@@ -223,45 +216,44 @@ class SnapshotTape:
     def at(self, values: Array, state: Array, time: float) -> Snapshot:
         """Return the snapshot at `state` (2 n,), reduced to the motions that joints allow."""
         whole, joints = self.unreduced(values, state, time)
-        return whole if joints is None else _reduce(whole, joints, self._blocks)
+        return whole if joints is None else _reduce(whole, joints, self._groups)
 
     def unreduced(
         self, values: Array, state: Array, time: float
     ) -> tuple[Snapshot, JointNumbers | None]:
         """Return the snapshot without joints, and the joint rows."""
-        n, count = self.size, self.count
-        square, at, end, further, last = self._ends
-        found = self.tape.at(state, values, time)
-        numbers, signs = found[: self._end], found[self._end :]
-        jacobians = numbers[at:end].reshape(count, 2, n)
-        scalars = numbers[further:last].reshape(count, SCALARS).tolist()
+        n, count, numbers = self.size, self.count, self.tape.at(state, values, time)
+        (
+            mass, forces, energy, jacobians, biases, scalars, joints, joint_jacobian, pads, limits,
+            signs,
+        ) = (numbers[part] for part in self._slices)  # fmt: skip
+        jacobians = jacobians.reshape(count, 2, n)
+        contacts = zip(scalars.reshape(count, SCALARS).tolist(), jacobians, strict=True)
         whole = Snapshot(
-            numbers[:square].reshape(n, n),
-            numbers[square : at - 1],
+            mass.reshape(n, n),
+            forces,
             state[n:],
-            numbers.item(at - 1),
+            energy.item(),
             tuple(
                 [
                     PerContact._make((*row[:EDGES], jacobian, tuple(row[EDGES:])))
-                    for row, jacobian in zip(scalars, jacobians, strict=True)
+                    for row, jacobian in contacts
                 ]
             ),
             jacobians,
-            numbers[end:further].reshape(count, 2),
-            limits=numbers[len(numbers) - self._limits :].reshape(-1, 2),
+            biases.reshape(count, 2),
+            limits=limits.reshape(-1, 2),
         )
+        no_pads = (0, 0), (0, len(self._pads))
         if self.signs:
-            rows = np.pad(signs.reshape(-1, 3 + n), ((0, 0), (0, len(self._pads))))
+            rows = np.pad(signs.reshape(-1, 3 + n), no_pads)
             whole = whole._replace(signs=SignNumbers(self.signs, rows[:, :3], rows[:, 3:]))
         if self._pads:
-            end = len(numbers) - self._limits
-            whole = self._padded(whole, numbers[end - 3 * len(self._pads) : end])
-        if not self.joints:
+            whole = self._padded(whole, pads)
+        if not self.joint_names:
             return whole, None
-        gaps, rates, bias, status = numbers[last : last + 4 * self.joints].reshape(-1, 4).T
-        behind = last + 4 * self.joints
-        rows = numbers[behind : behind + self.joints * n].reshape(self.joints, n)
-        rows = np.pad(rows, ((0, 0), (0, len(self._pads))))
+        gaps, rates, bias, status = joints.reshape(-1, 4).T
+        rows = np.pad(joint_jacobian.reshape(len(self.joint_names), n), no_pads)
         return whole, JointNumbers(gaps, rates, bias, rows, status != 0.0, status < OFF_ROW)
 
     def _padded(self, whole: Snapshot, numbers: Array) -> Snapshot:
