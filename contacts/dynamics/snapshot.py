@@ -315,22 +315,18 @@ def _reduce(whole: Snapshot, joints: JointNumbers, groups: Sequence[JointGroup])
     largest = np.abs(whole.jacobians) @ np.abs(basis)
     jacobians[np.abs(jacobians) <= ROUND_OFF * largest] = 0.0
     biases = whole.biases + whole.jacobians @ allowed.acceleration
-    return Snapshot(
-        0.5 * (mass + mass.T),
-        basis.T @ (whole.forces - whole.mass @ allowed.acceleration),
-        allowed.left_inverse @ (whole.velocity - allowed.velocity),
-        whole.energy,
-        tuple(
+    return whole._replace(
+        mass=0.5 * (mass + mass.T),
+        forces=basis.T @ (whole.forces - whole.mass @ allowed.acceleration),
+        velocity=allowed.left_inverse @ (whole.velocity - allowed.velocity),
+        contacts=tuple(
             contact._replace(jacobian=jacobian)
             for contact, jacobian in zip(whole.contacts, jacobians, strict=True)
         ),
-        jacobians,
-        biases,
-        JointReduction(whole, joints, basis, allowed.acceleration),
-        whole.limits,
-        whole.pads,
-        None if whole.pushes is None else whole.pushes @ basis,
-        whole.signs,
+        jacobians=jacobians,
+        biases=biases,
+        reduction=JointReduction(whole, joints, basis, allowed.acceleration),
+        pushes=None if whole.pushes is None else whole.pushes @ basis,
     )
 
 
