@@ -33,7 +33,6 @@ def automaton(scene: Scene) -> Automaton:
 def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     """Compose the automaton of a scene; return it and its setup of runs."""
     from contacts.dynamics.components import components
-    from contacts.dynamics.controllers import controlled_symbols
     from contacts.dynamics.mechanics import Mechanics
     from contacts.dynamics.minimal import coordinates
     from contacts.dynamics.setup_evaluation import SceneNumbers
@@ -73,7 +72,7 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
         observables=observables,
         setup=numbers.at,
         laws=laws,
-        controls=controlled_symbols(mechanics),
+        controls=mechanics.controls,
         # Rates of eliminated coordinates would depend on the memory as well.
         coordinates=None if mechanics.scene.leading else coordinates(mechanics),
         stepper=stepper,

@@ -130,7 +130,8 @@ class Mechanics(Geometry):
             for symbols_of_rate in ((self.controller_state[name], rate), (rate, acceleration))
         )
         # Symbols that states of controllers set, in order of dependence: coefficients of contacts,
-        # the scene's controls, motions of surfaces, and friction that varies with the slip on them.
+        # the scene's controls, motions of surfaces, friction that varies with the slip on them, and
+        # rates of controllers' variables.
         self.controls = (
             *(symbol for name in self._switched for symbol in self._coefficients[name].values()),
             *controls.values(),
@@ -139,6 +140,7 @@ class Mechanics(Geometry):
             *(rate for rate, _ in self._led.values()),
             *(acceleration for _, acceleration in self._led.values()),
             *self.used_friction.values(),
+            *(rate for rate in self.controller_rates.values() if rate != 0),
         )
         self._contacts: dict[str, ContactGeometry] = {}
         self._gates: dict[str, Gate | None] = {}
@@ -454,6 +456,7 @@ class Mechanics(Geometry):
         for control, text in self._controls.values(region, state).items():
             values[self.known[control]] = self._formula(text)
         flows = self._controls.flows(region, state)
+        values |= {self.controller_rates[v]: self._formula(text) for v, text in flows.items()}
         variables = {*self.scene.regions[region].variables, *self._controls.flat[region].timers}
         for name in variables & self._led.keys():
             rate, acceleration = self._led[name]

@@ -19,7 +19,6 @@ from contacts.dynamics.conditions import undecided_couplings
 from contacts.dynamics.controllers import (
     Controllers,
     ControllerState,
-    controlled_symbols,
     controller,
 )
 from contacts.dynamics.parameters import with_sizes
@@ -113,7 +112,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
         observables=observables,
         setup=lambda overrides, _: stepper().setup(overrides),
         laws=None,
-        controls=controlled_symbols(mechanics),
+        controls=mechanics.controls,
         stepper=stepper,
         own_step=lambda: stepper().own_step(),
     )

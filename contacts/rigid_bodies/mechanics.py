@@ -12,7 +12,6 @@ import sympy as sp
 
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.midpoint import ForceProgram
-from contacts.dynamics.controllers import control_values, controlled_symbols, flows_in
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import body_parameters
@@ -250,21 +249,20 @@ class BodyTapes:
     """Formulas in given controller states, compiled on first use."""
 
     def __init__(self, mechanics: BodyMechanics, states: Mapping[str, str]) -> None:
-        self._mechanics, self._states = mechanics, states
+        self._mechanics = mechanics
         self._definitions = mechanics.controlled(states)
 
     @cached_property
     def controls(self) -> Tape:
-        """The tape of `controlled_symbols`."""
-        mechanics, values = self._mechanics, control_values(self._mechanics, self._states)
-        return mechanics.whole_tape(controlled_symbols(mechanics), definitions=values)
+        """The tape of `Mechanics.controls`."""
+        return self._mechanics.whole_tape(self._mechanics.controls, definitions=self._definitions)
 
     @cached_property
     def flows(self) -> Tape:
         """Rates of the controller variables, over them and time."""
-        mechanics = self._mechanics
+        mechanics, values = self._mechanics, dict(self._definitions)
         return compile_tape(
-            flows_in(mechanics, self._states),
+            [values.get(rate, sp.S.Zero) for rate in mechanics.controller_rates.values()],
             variables=tuple(mechanics.controller_state.values()),
             parameters=mechanics.parameters.ordered,
             time=mechanics.time,
