@@ -8,7 +8,7 @@ atomic states by ``|``; contents of a history that differ from its default entry
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, product
@@ -35,15 +35,23 @@ def flatten(name: str, region: BaseRegion, *loc: str | int) -> FlatRegion:
     Raises `DeclarationProblem` if its states or transitions are inconsistent (see `tree`), or if
     there are more than `MAX_CONFIGURATIONS`.
     """
-    return _Flattening(name, tree(region, *loc), loc).region()
+    return FlatRegion(name, tree(region, *loc), loc)
 
 
-class _Flattening:
-    """Breadth-first enumeration of the configurations of a region and their transitions."""
+class FlatRegion:
+    """A flattened region: configurations and the transitions between them.
+
+    `initial` is the initial configuration, with the entry updates `begins`. `states` maps
+    configurations to their active states, outer first, and `triggers` to the arrows out of them, by
+    priority: inner states first, then in document order. Combined `transitions` are the last ones.
+    `clocks` are the entry times of the sources of timed transitions, `counts` the periods passed
+    since. `superstates` and `nesting` are as of a `statechart.automaton.regions.Region`.
+    """
 
     def __init__(self, name: str, found: Tree, loc: tuple[str | int, ...]) -> None:
-        self._name, self._tree, self._loc = name, found, loc
+        self.name, self._tree, self._loc = name, found, loc
         self._named: dict[str, tuple[Nodes, Histories]] = {}
+        self._taken: dict[tuple[str, tuple[int, ...]], FlatTransition] = {}
         self._clocks = {
             place: f"{name}.{arrow.declared.name}_clock"
             for place, arrow in enumerate(found.arrows)
@@ -56,7 +64,7 @@ class _Flattening:
             or declared.internal
             or found.arrows[place].target < 0
         }
-        # Priority of arrows: inner states first, then in document order.
+        self.clocks, self.counts = tuple(self._clocks.values()), tuple(self._counts.values())
         rank = {node: place for place, node in enumerate(found.inner_first)}
         self._ranks = sorted(
             range(len(found.arrows)), key=lambda place: (rank[found.arrows[place].source], place)
@@ -69,60 +77,116 @@ class _Flattening:
             and found.nodes[arrow.target].sort in HISTORIES
             and found.holds(found.nodes[arrow.target].parent, arrow.source)
         }
+        begin, nodes = initial_entry(found), found.nodes
+        self.initial = self._name_of(begin.active, {})
+        self.begins = tuple(filter(None, (self._entry_updates(node, {}) for node in begin.entries)))
+        self.transitions = self._transitions()
+        self.states = {name: self._contents(active) for name, (active, _) in self._named.items()}
+        self.triggers = {
+            name: tuple(
+                Trigger(place, arrow.declared, arrow.declared.events, self._guard(place))
+                for place in self._ranks
+                if (arrow := found.arrows[place]).source in active
+            )
+            for name, (active, _) in self._named.items()
+        }
+        self.superstates = {
+            node.name: nodes[node.parent].name
+            for node in nodes
+            if node.parent > ROOT and node.sort not in HISTORIES
+        }
+        self.nesting = self._nesting()
 
-    def region(self) -> FlatRegion:
-        """Follow all transitions from the initial configuration."""
-        found = self._tree
-        begin = initial_entry(found)
-        initial = self._name_of(begin.active, {})
-        if found.flat:
-            for node in found.nodes[ROOT].children:
+    @property
+    def timers(self) -> tuple[str, ...]:
+        """The clocks, then the counts."""
+        return (*self.clocks, *self.counts)
+
+    @property
+    def ordered(self) -> tuple[str, ...]:
+        """The configurations, the initial one first."""
+        return tuple(self.states)
+
+    @property
+    def edges(self) -> tuple[Edge, ...]:
+        """The transitions as labelled edges."""
+        return tuple(
+            Edge(t.name, t.source, t.target, t.trigger, t.reset(self.timers), on_zeno=t.on_zeno)
+            for t in self.transitions
+        )
+
+    def flows(self, state: str) -> dict[str, FiniteText]:
+        """Return the flows of a configuration; inner states override outer ones."""
+        return {
+            name: flow for content in self.states[state] for name, flow in content.flows.items()
+        }
+
+    def active(self, state: str) -> tuple[str, ...]:
+        """Return the states of a configuration and their ancestors."""
+        return self.nesting.active(state, self.superstates)
+
+    @cached_property
+    def named(self) -> tuple[str, ...]:
+        """The names of all states and superstates, which outputs and events may use."""
+        return tuple(n.name for n in self._tree.nodes[1:] if n.sort not in HISTORIES)
+
+    @cached_property
+    def causes(self) -> tuple[str, ...]:
+        """The names of the declared transitions."""
+        return tuple(dict.fromkeys(arrow.declared.name for arrow in self._tree.arrows))
+
+    @cached_property
+    def awaited(self) -> frozenset[str]:
+        """The causes of the events that its transitions wait for."""
+        events = (event for arrow in self._tree.arrows for event in arrow.declared.events)
+        return frozenset(event.cause for event in events)
+
+    @cached_property
+    def done(self) -> tuple[str, ...]:
+        """The states that can raise `done`, and the region itself if it can."""
+        return tuple(dict.fromkeys(chain.from_iterable(self.nesting.done.values())))
+
+    def shared(self, part: str) -> Shared | None:
+        """Return the first variable that two orthogonal states both set in `part`."""
+        owners: dict[str, list[int]] = {}
+        for index, node in enumerate(self._tree.nodes):
+            if not isinstance(node.declared, BaseState):
+                continue
+            for what in getattr(node.declared, part, ()):
+                for other in owners.setdefault(what, []):
+                    if self._tree.are_orthogonal(index, other):
+                        return Shared(what, self._tree.nodes[other].name, node.name)
+                owners[what].append(index)
+        return None
+
+    def answer(self, state: str, enabled: Collection[int]) -> FlatTransition:
+        """Return the transition that enabled arrows take together (`select_transitions`)."""
+        return self._take(state, select_transitions(self._tree, *self._named[state], enabled))
+
+    def _transitions(self) -> tuple[FlatTransition, ...]:
+        """Enumerate the configurations breadth first, and the transitions between them."""
+        if self._tree.flat:
+            for node in self._tree.nodes[ROOT].children:
                 self._name_of(frozenset((node,)), {})
-        transitions: dict[tuple[str, tuple[int, ...]], FlatTransition] = {}
         done: set[str] = set()
         while todo := [name for name in self._named if name not in done]:
             for name in todo:
                 done.add(name)
                 for taken in self._arrow_sets(*self._named[name]):
-                    transitions[name, taken] = self.take(name, taken)
-        keys = list(transitions)
-        if found.flat:
+                    self._take(name, taken)
+        keys = list(self._taken)
+        if self._tree.flat:
             # Without hierarchy the order of declaration alone decides.
             keys.sort(key=lambda key: key[1])
-        ordered = tuple(transitions[key] for key in keys)
-        nodes = found.nodes
-        return FlatRegion(
-            self._name,
-            initial,
-            tuple(filter(None, (self._entry_updates(node, {}) for node in begin.entries))),
-            {name: self._contents(active) for name, (active, _) in self._named.items()},
-            ordered,
-            tuple(self._clocks.values()),
-            tuple(self._counts.values()),
-            {
-                node.name: nodes[node.parent].name
-                for node in nodes
-                if node.parent > ROOT and node.sort not in HISTORIES
-            },
-            self._nesting(initial, ordered),
-            found,
-            self._named,
-            {
-                name: tuple(
-                    Trigger(place, arrow.declared, arrow.declared.events, self._guard(place))
-                    for place in self._ranks
-                    if (arrow := found.arrows[place]).source in active
-                )
-                for name, (active, _) in self._named.items()
-            },
-            self,
-            transitions,
-        )
+        return tuple(self._taken[key] for key in keys)
 
-    def take(self, name: str, taken: tuple[int, ...]) -> FlatTransition:
+    def _take(self, name: str, taken: tuple[int, ...]) -> FlatTransition:
         """Return the flat transition that takes arrows together out of a configuration."""
-        step = microstep(self._tree, *self._named[name], taken)
-        return self._transition(name, self._name_of(step.active, step.histories), step)
+        if (name, taken) not in self._taken:
+            step = microstep(self._tree, *self._named[name], taken)
+            target = self._name_of(step.active, step.histories)
+            self._taken[name, taken] = self._transition(name, target, step)
+        return self._taken[name, taken]
 
     def _contents(self, active: Nodes) -> tuple[BaseState, ...]:
         holders = (self._tree.nodes[node].declared for node in sorted(active))
@@ -226,11 +290,11 @@ class _Flattening:
     def _joined(self, nodes: Iterable[int]) -> str:
         return "|".join(self._tree.nodes[node].name for node in sorted(nodes))
 
-    def _nesting(self, initial: str, transitions: Sequence[FlatTransition]) -> Nesting:
+    def _nesting(self) -> Nesting:
         nodes = self._tree.nodes
         states = {n.name: n.declared for n in nodes if isinstance(n.declared, BaseState)}
         names = tuple(n.name for n in nodes[1:] if n.sort not in HISTORIES)
-        unreached = frozenset(names) - self._entered_names(initial, transitions)
+        unreached = frozenset(names) - self._entered_names()
         entries = {name: state.entry for name, state in states.items() if state.entry}
         exits = {name: state.exit for name, state in states.items() if state.exit}
         # Only states of charts and of controllers have flows.
@@ -244,7 +308,7 @@ class _Flattening:
             flows=flows,
             final=frozenset(n.name for n in nodes if n.final),
             done={
-                name: tuple(nodes[node].name or self._name for node in done)
+                name: tuple(nodes[node].name or self.name for node in done)
                 for name, (active, _) in self._named.items()
                 if (done := self._tree.done(active))
             },
@@ -270,12 +334,12 @@ class _Flattening:
             },
         )
 
-    def _entered_names(self, initial: str, transitions: Sequence[FlatTransition]) -> set[str]:
+    def _entered_names(self) -> set[str]:
         """Return the names of the states reachable by transitions."""
         targets: dict[str, list[str]] = {}
-        for transition in transitions:
+        for transition in self.transitions:
             targets.setdefault(transition.source, []).append(transition.target)
-        found = [initial]
+        found = [self.initial]
         for configuration in found:
             found += (t for t in dict.fromkeys(targets.get(configuration, ())) if t not in found)
         nodes = self._tree.nodes
@@ -303,7 +367,7 @@ class _Flattening:
 
     def _too_many(self, what: str) -> DeclarationProblem:
         return DeclarationProblem(
-            f"more than {MAX_CONFIGURATIONS} {what} of {self._name!r}",
+            f"more than {MAX_CONFIGURATIONS} {what} of {self.name!r}",
             advice="make regions of a state regions of the model: these are not multiplied",
             loc=self._loc,
             key=True,
@@ -357,96 +421,6 @@ class Shared(NamedTuple):
     what: str
     one: str
     other: str
-
-
-@dataclass(frozen=True, eq=False)
-class FlatRegion:
-    """A flattened region: configurations and the transitions between them."""
-
-    name: str
-    initial: str  # initial configuration
-    begins: tuple[Updates, ...]  # entry updates of the initial configuration
-    states: Mapping[str, tuple[BaseState, ...]]  # configuration -> active states, outer first
-    # By priority: inner states first, then in document order; combined transitions last.
-    transitions: tuple[FlatTransition, ...]
-    clocks: tuple[str, ...]  # entry times of the sources of timed transitions
-    counts: tuple[str, ...]  # periods passed since
-    superstates: Mapping[str, str]  # as of a `statechart.automaton.regions.Region`
-    nesting: Nesting
-    _tree: Tree
-    _configurations: Mapping[str, tuple[Nodes, Histories]]
-    triggers: Mapping[str, tuple[Trigger, ...]]  # configuration -> arrows out of it, inner first
-    _flattening: _Flattening
-    _taken: dict[tuple[str, tuple[int, ...]], FlatTransition]
-
-    @property
-    def timers(self) -> tuple[str, ...]:
-        """The clocks, then the counts."""
-        return (*self.clocks, *self.counts)
-
-    @property
-    def ordered(self) -> tuple[str, ...]:
-        """The configurations, the initial one first."""
-        return tuple(self.states)
-
-    @property
-    def edges(self) -> tuple[Edge, ...]:
-        """The transitions as labelled edges."""
-        return tuple(
-            Edge(t.name, t.source, t.target, t.trigger, t.reset(self.timers), on_zeno=t.on_zeno)
-            for t in self.transitions
-        )
-
-    def flows(self, state: str) -> dict[str, FiniteText]:
-        """Return the flows of a configuration; inner states override outer ones."""
-        return {
-            name: flow for content in self.states[state] for name, flow in content.flows.items()
-        }
-
-    def active(self, state: str) -> tuple[str, ...]:
-        """Return the states of a configuration and their ancestors."""
-        return self.nesting.active(state, self.superstates)
-
-    @cached_property
-    def named(self) -> tuple[str, ...]:
-        """The names of all states and superstates, which outputs and events may use."""
-        return tuple(n.name for n in self._tree.nodes[1:] if n.sort not in HISTORIES)
-
-    @cached_property
-    def causes(self) -> tuple[str, ...]:
-        """The names of the declared transitions."""
-        return tuple(dict.fromkeys(arrow.declared.name for arrow in self._tree.arrows))
-
-    @cached_property
-    def awaited(self) -> frozenset[str]:
-        """The causes of the events that its transitions wait for."""
-        events = (event for arrow in self._tree.arrows for event in arrow.declared.events)
-        return frozenset(event.cause for event in events)
-
-    @cached_property
-    def done(self) -> tuple[str, ...]:
-        """The states that can raise `done`, and the region itself if it can."""
-        return tuple(dict.fromkeys(chain.from_iterable(self.nesting.done.values())))
-
-    def shared(self, part: str) -> Shared | None:
-        """Return the first variable that two orthogonal states both set in `part`."""
-        owners: dict[str, list[int]] = {}
-        for index, node in enumerate(self._tree.nodes):
-            if not isinstance(node.declared, BaseState):
-                continue
-            for what in getattr(node.declared, part, ()):
-                for other in owners.setdefault(what, []):
-                    if self._tree.are_orthogonal(index, other):
-                        return Shared(what, self._tree.nodes[other].name, node.name)
-                owners[what].append(index)
-        return None
-
-    def answer(self, state: str, enabled: Collection[int]) -> FlatTransition:
-        """Return the transition that enabled arrows take together (`select_transitions`)."""
-        key = state, select_transitions(self._tree, *self._configurations[state], enabled)
-        if key not in self._taken:
-            self._taken[key] = self._flattening.take(*key)
-        return self._taken[key]
 
 
 def causes_of(regions: Mapping[str, FlatRegion]) -> dict[str, tuple[str, ...]]:
