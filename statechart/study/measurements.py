@@ -154,6 +154,14 @@ class Measurements(Record):
         return len(self.points) + len(self.left_out) >= self.planned
 
     @property
+    def families(self) -> dict[str, list[Point]]:
+        """The points by family of their settings."""
+        found: dict[str, list[Point]] = {}
+        for point in self.points:
+            found.setdefault(point.setting.family, []).append(point)
+        return found
+
+    @property
     def least(self) -> float:
         """Resolution, below which errors may be those of the reference."""
         return max(self.resolution.largest or 0.0, self.shift.largest or 0.0)

@@ -252,11 +252,9 @@ def _footnote(texts: Sequence[str], listed: Sequence[Note]) -> str:
 
 def _list_settings(study: Measurements, labels: Sequence[str]) -> str:
     """Return settings by family, as ranges or one by one."""
-    families: dict[str, list[str]] = {}
-    for point in study.points:
-        families.setdefault(point.setting.family, []).append(point.setting.label)
     parts = []
-    for own in families.values():
+    for points in study.families.values():
+        own = [point.setting.label for point in points]
         places = [place for place, label in enumerate(own) if label in labels]
         if not places:
             continue
