@@ -67,7 +67,7 @@ def figure(plan: Plan, data: xr.Dataset) -> Figure:
 
     check_drawable(plan)
     with rc_context(STYLE):
-        cells = _Cells.of(plan, data)
+        cells = _Cells(plan, data)
         if len(cells.names) < 2:
             return _lines(plan, data, cells)
         few, many = sorted(len(np.unique(column)) for column in cells.columns)
@@ -76,7 +76,6 @@ def figure(plan: Plan, data: xr.Dataset) -> Figure:
         return _maps(plan, data, cells)
 
 
-@dataclass(frozen=True, eq=False)
 class _Cells:
     """Cells of a sweep as flat arrays (n,).
 
@@ -85,17 +84,7 @@ class _Cells:
     `colours` by decreasing frequency, -1 for none.
     """
 
-    names: tuple[str, ...]
-    columns: tuple[Array, ...]
-    good: Bools
-    done: Bools
-    modes: NDArray[np.int32]
-    kinds: NDArray[np.int64]
-    labels: tuple[str, ...]
-    colours: tuple[str, ...]
-
-    @classmethod
-    def of(cls, plan: Plan, data: xr.Dataset) -> _Cells:
+    def __init__(self, plan: Plan, data: xr.Dataset) -> None:
         values = [
             np.broadcast_to(grid, plan.shape).ravel()
             for grid in (
@@ -109,24 +98,25 @@ class _Cells:
             for name, column in zip(plan.columns, values, strict=True)
             if len(np.unique(column)) > 1
         ] or [(next(iter(plan.columns)), values[0])]
+        self.names: tuple[str, ...]
+        self.columns: tuple[Array, ...]
+        self.names, self.columns = zip(*varied, strict=True)
         outcome = data["outcome"].to_numpy().ravel().astype(object)
-        modes = data["modes"].to_numpy().ravel()
+        self.modes: NDArray[np.int32] = data["modes"].to_numpy().ravel()
         texts = data["sequence"].to_numpy()
-        good = np.isin(outcome.astype(str), _SUCCEEDED)
-        codes, counts = np.unique(modes[good], return_counts=True)
+        self.good: Bools = np.isin(outcome.astype(str), _SUCCEEDED)
+        self.done: Bools = outcome != ""
+        codes, counts = np.unique(self.modes[self.good], return_counts=True)
         order = codes[np.argsort(-counts, kind="stable")]
         shown = order if len(order) <= _MAX_COLOURS else order[: _MAX_COLOURS - 1]
         places = np.full(len(texts) + 1, len(shown), dtype=np.int64)
         places[shown] = np.arange(len(shown))
-        labels = shorten_alike([str(texts[code]) for code in shown])
-        colours = list(_COLOURS[: len(shown)])
+        self.labels = shorten_alike([str(texts[code]) for code in shown])
+        self.colours = list(_COLOURS[: len(shown)])
         if len(order) > len(shown):
-            labels.append(f"others ({len(order) - len(shown)})")
-            colours.append(_OTHERS)
-        kinds = np.where(good, places[modes], -1)
-        names, columns = zip(*varied, strict=True)
-        done = outcome != ""
-        return cls(names, columns, good, done, modes, kinds, tuple(labels), tuple(colours))
+            self.labels.append(f"others ({len(order) - len(shown)})")
+            self.colours.append(_OTHERS)
+        self.kinds = np.where(self.good, places[self.modes], -1)
 
     def handles(self, *, grid: bool = True, blank: bool = False) -> list[Patch | Line2D]:
         """Return the legend entries of modes, failed cells, and cells without a value."""
@@ -345,7 +335,7 @@ def _maps(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
         drawing.colorbar(_map(ax, x, y, values, plan, cells, cmap="viridis"), ax=ax, pad=0.02)
         ax.set_title(title, fontsize=9)
     ax = axes[len(outputs)]
-    colours = ListedColormap(list(cells.colours) or [_NOTHING])
+    colours = ListedColormap(cells.colours or [_NOTHING])
     kinds = np.where(cells.kinds >= 0, cells.kinds, math.nan)
     limits = {"vmin": -0.5, "vmax": max(len(cells.colours), 1) - 0.5}
     _map(ax, x, y, kinds, plan, cells, cmap=colours, **limits)
