@@ -18,13 +18,6 @@ from statechart.formulas.relation import Relation, conjunction, parse_relation
 from statechart.formulas.syntax import NAME
 
 
-def problem(error: FormulaError, *loc: str | int) -> DeclarationProblem:
-    """Return the error of a formula as a problem at `loc`."""
-    return DeclarationProblem(
-        error.message, advice=error.advice, loc=loc, offset=error.offset, text=error.text
-    )
-
-
 def _constant(value: Any) -> Any:
     if getattr(value, "ndim", None) == 0:  # a NumPy scalar
         value = value.item()
@@ -33,7 +26,7 @@ def _constant(value: Any) -> Any:
     try:
         parse(value)
     except FormulaError as error:
-        raise problem(error) from None
+        raise error.problem() from None
     # One spelling of infinity, so that a model equals its YAML round trip.
     return str(value) if isinstance(value, float) and math.isinf(value) else value
 
@@ -89,7 +82,7 @@ def _relation(value: str) -> str:
     try:
         relation = parse_relation(value)
     except FormulaError as error:
-        raise problem(error) from None
+        raise error.problem() from None
     _check_jumps(*relation.formulas)
     for one in relation.comparisons:
         # On its boundary the derivatives of a margin decide.
@@ -195,7 +188,7 @@ def check_names(formula: Formula | Relation, known: Collection[str], *loc: str |
     try:
         formula.require(known)
     except FormulaError as error:
-        raise problem(error, *loc) from None
+        raise error.problem(*loc) from None
 
 
 def check_relation(
@@ -215,7 +208,7 @@ def check_relation(
         relation.require_states(states)
         relation.require_still(changing)
     except FormulaError as error:
-        raise problem(error, *loc) from None
+        raise error.problem(*loc) from None
 
 
 def value_of(text: str | int | float, values: Mapping[str, float], *loc: str | int) -> float:
@@ -223,7 +216,7 @@ def value_of(text: str | int | float, values: Mapping[str, float], *loc: str | i
     try:
         return parse(text).value(values)
     except FormulaError as error:
-        raise problem(error, *loc) from None
+        raise error.problem(*loc) from None
 
 
 KINKED = ("abs", "sign", "min", "max", "sat")

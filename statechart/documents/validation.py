@@ -348,10 +348,7 @@ class located:  # noqa: N801 - a context manager, faster than a generator
                 loc = ("parameters", error.name)
             elif loc is None:
                 loc = self._document.where(error.text) if self._document else ()
-            problem = DeclarationProblem(
-                error.message, advice=error.advice, loc=loc, offset=error.offset, text=error.text
-            )
-            raise _locate(self._document, problem, {}) from None
+            raise _locate(self._document, error.problem(*loc), {}) from None
 
 
 def _path_parts(document: Document | None, loc: Loc) -> Iterator[str]:
