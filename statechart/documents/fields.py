@@ -47,16 +47,14 @@ def _check_jumps(*formulas: Formula) -> None:
     `statechart.charts.wrapping` replaces those by counting regions.
     """
     for formula in formulas:
-        for node in tree.nodes(formula.root):
-            if isinstance(node, tree.Call) and node.function in tree.JUMPS:
-                if any(name.name == TIME for name in tree.names_in(node.arguments[0])):
-                    continue
+        for call in tree.calls_in(formula.root, tree.JUMPS):
+            if all(name.name != TIME for name in tree.names_in(call.arguments[0])):
                 raise DeclarationProblem(
-                    f"formula {formula.text!r}: {node.function} jumps, and may stand only in "
+                    f"formula {formula.text!r}: {call.function} jumps, and may stand only in "
                     "parameters, starts and copies",
                     advice="write a parameter if its arguments are constant; along a run, write "
                     "mod(time, T), or a state for each piece",
-                    offset=node.offset,
+                    offset=call.offset,
                 )
 
 
@@ -227,11 +225,8 @@ def has_switch(
     text: str | int | float, variables: Collection[str], functions: Collection[str] = KINKED
 ) -> bool:
     """Return whether a formula contains one of `functions` of any of `variables`."""
-    calls = (node for node in tree.nodes(parse(text).root) if isinstance(node, tree.Call))
-    return any(
-        call.function in functions and any(name.name in variables for name in tree.names_in(call))
-        for call in calls
-    )
+    calls = tree.calls_in(parse(text).root, functions)
+    return any(name.name in variables for call in calls for name in tree.names_in(call))
 
 
 def check_smooth(
@@ -248,9 +243,9 @@ def check_smooth(
     `lacks` and `advice` complete the message. With `roots` the root of a square counts as a kink.
     Raises `DeclarationProblem` at the first kink.
     """
-    for call in (node for node in tree.nodes(parse(text).root) if isinstance(node, tree.Call)):
+    for call in tree.calls_in(parse(text).root, KINKED):
         switched = {name.name for name in tree.names_in(call)}.intersection(variables)
-        if call.function in KINKED and switched:
+        if switched:
             raise DeclarationProblem(
                 f"{call.function} of {', '.join(sorted(switched))} has no {lacks} where it "
                 "switches",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
@@ -183,6 +183,12 @@ def children(node: Node) -> tuple[Node, ...]:
 def names_in(node: Node) -> Iterator[Name]:
     """Yield every name in `node`, left to right."""
     return (part for part in nodes(node) if isinstance(part, Name))
+
+
+def calls_in(node: Node, functions: Collection[str] = FUNCTIONS) -> Iterator[Call]:
+    """Yield every call of one of `functions` in `node`, left to right."""
+    calls = (part for part in nodes(node) if isinstance(part, Call))
+    return (call for call in calls if call.function in functions)
 
 
 def nodes(node: Node) -> Iterator[Node]:
