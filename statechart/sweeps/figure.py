@@ -52,13 +52,17 @@ _SUCCEEDED = [outcome.name for outcome in Outcome if outcome.succeeded]
 
 def check_drawable(plan: Plan) -> None:
     """Raise `DeclarationError` unless a sweep varies one or two parameters."""
-    varied = [name for name, column in plan.columns.items() if len(np.unique(column)) > 1]
+    varied = _varied(plan)
     if len(varied) not in (1, 2):
         fewer = "vary fewer, or draw what -o FILE.nc keeps"
         raise DeclarationError(
             f"a picture shows one or two parameters, not {len(varied)}",
             advice=fewer if varied else "give one several values",
         )
+
+
+def _varied(plan: Plan) -> list[str]:
+    return [name for name, column in plan.columns.items() if len(np.unique(column)) > 1]
 
 
 def figure(plan: Plan, data: xr.Dataset) -> Figure:
@@ -85,22 +89,11 @@ class _Cells:
     """
 
     def __init__(self, plan: Plan, data: xr.Dataset) -> None:
-        values = [
-            np.broadcast_to(grid, plan.shape).ravel()
-            for grid in (
-                np.meshgrid(*plan.columns.values(), indexing="ij")
-                if plan.grid
-                else plan.columns.values()
-            )
-        ]
-        varied = [
-            (name, column)
-            for name, column in zip(plan.columns, values, strict=True)
-            if len(np.unique(column)) > 1
-        ] or [(next(iter(plan.columns)), values[0])]
-        self.names: tuple[str, ...]
-        self.columns: tuple[Array, ...]
-        self.names, self.columns = zip(*varied, strict=True)
+        columns = plan.columns.values()
+        cells = np.meshgrid(*columns, indexing="ij") if plan.grid else columns
+        values = dict(zip(plan.columns, cells, strict=True))
+        self.names = _varied(plan)
+        self.columns: list[Array] = [values[name].ravel() for name in self.names]
         outcome = data["outcome"].to_numpy().ravel().astype(object)
         self.modes: NDArray[np.int32] = data["modes"].to_numpy().ravel()
         texts = data["sequence"].to_numpy()
