@@ -386,14 +386,10 @@ class Outputs:
         magnitudes[~np.isfinite(magnitudes)] = 0.0
         return np.maximum.accumulate(magnitudes)
 
-    def _happened(self, trace: Trace, events: Sequence[Event]) -> list[Jump]:
+    def _happened(self, trace: Trace, events: tuple[Event, ...]) -> list[Jump]:
         """Return the jumps at which one of these events happened."""
-        regions = self.observer.automaton.regions
-        return [
-            jump
-            for jump in trace.jumps
-            if any(has_happened(regions, jump, event) for event in events)
-        ]
+        place = self._waits.index(events)
+        return [jump for jump in trace.jumps if self.marks_of(jump)[place]]
 
 
 class OutputAccumulator:
