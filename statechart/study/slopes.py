@@ -183,13 +183,11 @@ def reasons(study: Measurements) -> dict[str, tuple[str, ...]]:
 
 def new_warnings(warnings: Sequence[str], known: Collection[str]) -> tuple[str, ...]:
     """Return the distinct warnings that are not known, apart from numbers."""
-    seen = set(map(_same_apart_from_numbers, known))
-    found = []
+    found: dict[str, str] = {}
     for text in warnings:
-        if _same_apart_from_numbers(text) not in seen:
-            seen.add(_same_apart_from_numbers(text))
-            found.append(text)
-    return tuple(found)
+        found.setdefault(_same_apart_from_numbers(text), text)
+    seen = set(map(_same_apart_from_numbers, known))
+    return tuple(text for form, text in found.items() if form not in seen)
 
 
 def _deviates(study: Measurements, points: Sequence[Point], finest: Point) -> bool:
