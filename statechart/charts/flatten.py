@@ -79,7 +79,7 @@ class FlatRegion:
         }
         begin, nodes = initial_entry(found), found.nodes
         self.initial = self._name_of(begin.active, {})
-        self.begins = tuple(filter(None, (self._entry_updates(node, {}) for node in begin.entries)))
+        self.begins = tuple(filter(None, (self._entry_updates(node) for node in begin.entries)))
         self.transitions = self._transitions()
         self.states = {name: self._contents(active) for name, (active, _) in self._named.items()}
         self.triggers = {
@@ -213,17 +213,16 @@ class FlatRegion:
 
     def _transition(self, source: str, target: str, step: Microstep) -> FlatTransition:
         members = tuple(self._tree.arrows[place].declared for place in step.taken)
-        blocks: list[Updates] = []
-        for node in step.exits:
-            declared = self._tree.nodes[node].declared
-            blocks.append(declared.exit if isinstance(declared, BaseState) else {})
+        blocks: list[Updates] = [
+            getattr(self._tree.nodes[node].declared, "exit", {}) for node in step.exits
+        ]
         for place, member in zip(step.taken, members, strict=True):
             updates = dict(member.updates)
             count = self._counts.get(place)
             if count is not None:
                 updates[count] = f"{count} + 1"
             blocks.append(updates)
-        blocks += [self._entry_updates(node, step.histories) for node in step.entries]
+        blocks += [self._entry_updates(node) for node in step.entries]
         return FlatTransition(
             "+".join(member.name for member in members),
             source,
@@ -250,15 +249,14 @@ class FlatRegion:
             over = f"(1 - {count})*({TIME} - {clock} - ({declared.period})) >= {count}"
         return conjunction((over,) if declared.guard is None else (over, declared.guard))
 
-    def _entry_updates(self, node: int, memory: Histories) -> Updates:
-        declared = self._tree.nodes[node].declared
+    def _entry_updates(self, node: int) -> Updates:
         began: dict[str, FiniteText] = {}
         for place, clock in self._clocks.items():
             if self._tree.arrows[place].source == node:
                 began[clock] = TIME
                 if place in self._counts:
                     began[self._counts[place]] = 0
-        return {**(declared.entry if isinstance(declared, BaseState) else {}), **began}
+        return {**getattr(self._tree.nodes[node].declared, "entry", {}), **began}
 
     def _name_of(self, active: Nodes, memory: Histories) -> str:
         """Register a configuration under its name, and return that."""

@@ -6,7 +6,7 @@ import operator
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial, reduce
 
 import numpy as np
 import sympy as sp
@@ -238,10 +238,7 @@ class _Writer:
         return self._emit("square", base) if exponent == 2 else self._emit("powi", base, exponent)
 
     def _fold(self, name: str, registers: list[int]) -> int:
-        result = registers[0]
-        for register in registers[1:]:
-            result = self._emit(name, result, register)
-        return result
+        return reduce(partial(self._emit, name), registers)
 
     def _constant(self, number: sp.Expr | float) -> int:
         try:

@@ -155,10 +155,8 @@ def _possible(listed: Mapping[str, Any], digits: int) -> list[TextBlock]:
     if not names:
         return ["".join(lines)]
     rows = [(f"  {names[0]}", *names[1:], "")]
-    for mode in plain["feasible"]:
-        rows.append(_mode_row(mode, "possible"))
-    for refused in plain["infeasible"]:
-        rows.append(_mode_row(refused["mode"], f"not: {refused['reason']}"))
+    rows += [_mode_row(mode, "possible") for mode in plain["feasible"]]
+    rows += [_mode_row(one["mode"], f"not: {one['reason']}") for one in plain["infeasible"]]
     return ["".join(lines), Table(rows, headed=True)]
 
 
