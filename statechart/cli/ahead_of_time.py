@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -33,7 +34,9 @@ def compile_kernels(*, quiet: bool) -> None:
     from statechart.kernels.jit import ahead_of_time
 
     start_time = time.perf_counter()
-    parts = [partial(run, model, throw=False, **options) for model, options in _RUNS]
+    parts: list[Callable[[], object]] = [
+        partial(run, model, throw=False, **options) for model, options in _RUNS
+    ]
     parts.append(partial(sweep, "toppling_stick", {"mu": [0.2, 0.3]}))
     show = compiling.StderrLine() if not quiet else None
     # The runs have one line of progress in all.
