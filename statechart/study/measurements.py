@@ -56,12 +56,16 @@ class Errors(Record):
         return max(found, default=None)
 
     @property
-    def decides(self) -> str:
-        """The quantity with the largest error."""
+    def parts(self) -> dict[str, float]:
+        """The known errors by quantity."""
         parts = {"the final state": self.state, "the times of events": self.times}
         parts |= {"the path": self.path} | {f"output {n}": off for n, off in self.named.items()}
-        known = {what: off for what, off in parts.items() if off is not None}
-        return max(known, key=known.__getitem__, default="")
+        return {what: off for what, off in parts.items() if off is not None}
+
+    @property
+    def decides(self) -> str:
+        """The quantity with the largest error."""
+        return max(self.parts, key=self.parts.__getitem__, default="")
 
     def without(self, names: Collection[str]) -> Errors:
         """Return the errors without some outputs."""

@@ -96,18 +96,12 @@ def _head(study: Measurements) -> list[str]:
 
 def _odd(third: Third, study: Measurements) -> str:
     """Describe the difference of the odd run of three."""
-    errors = third.errors
-    worst = errors.largest or 0.0
+    worst = third.errors.largest or 0.0
     parts = [
-        f"the {name} by {value:.2g}"
-        for name, value in (
-            ("final state", errors.state),
-            ("times of events", errors.times),
-            ("path", errors.path),
-        )
-        if value is not None and value >= _MUCH * worst > 0.0
+        f"{what.removeprefix('output ')} by {error:.2g}"
+        for what, error in third.errors.parts.items()
+        if error >= _MUCH * worst > 0.0
     ]
-    parts += [f"{name} by {e:.2g}" for name, e in errors.named.items() if e >= _MUCH * worst > 0.0]
     when = "" if third.parted is None else f"leaves both at t = {third.parted:.6g}, and "
     warned = new_warnings(
         study.warnings.get(third.setting, ()), study.warnings.get(study.reference, ())
