@@ -59,20 +59,12 @@ def to_text(expression: sp.Expr, **settings: object) -> str:
     return str(_FormulaPrinter(settings).doprint(expression))
 
 
+_NAMED_ALIKE = (
+    "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "sign"
+)  # fmt: skip
 _UNARY: dict[type[sp.Basic], str] = {
-    sp.exp: "exp",
-    sp.log: "log",
-    sp.sin: "sin",
-    sp.cos: "cos",
-    sp.tan: "tan",
-    sp.asin: "asin",
-    sp.acos: "acos",
-    sp.atan: "atan",
-    sp.sinh: "sinh",
-    sp.cosh: "cosh",
-    sp.tanh: "tanh",
+    **{getattr(sp, name): name for name in _NAMED_ALIKE},
     sp.Abs: "abs",
-    sp.sign: "sign",
     Whole: "floor",
 }
 # SymPy introduces these itself, as for tan(x + pi/2); formulas contain the last.
