@@ -18,7 +18,7 @@ from statechart.documents.quantities import fields_of
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.relation import parse_relation
-from statechart.formulas.tree import Call, Name, Node, Number, Unary, nodes
+from statechart.formulas.tree import Name, Node, Number, Unary, calls_in
 
 NEARLY_MEETING = 1e-3
 """Ends of edges closer than this part of the scene's length were probably meant to meet."""
@@ -65,11 +65,10 @@ def _warnings(scene: SceneFields) -> Iterator[str]:
     with suppress(DeclarationError, DeclarationProblem):
         yield from nearly_meeting_ends(scene)
     for formula, _ in fields_of(scene):
-        for node in nodes(formula):
-            if isinstance(node, Call) and node.function in _OF_ANGLES:
-                value = _constant_value(node.arguments[0], {})
-                if value is not None and abs(value) > _TURN:
-                    yield f"{node.function}({value:g}): {_degrees(value)}"
+        for call in calls_in(formula, _OF_ANGLES):
+            value = _constant_value(call.arguments[0], {})
+            if value is not None and abs(value) > _TURN:
+                yield f"{call.function}({value:g}): {_degrees(value)}"
 
 
 def _static_by_hand(scene: SceneFields) -> Iterator[str]:

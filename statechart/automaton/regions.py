@@ -290,6 +290,14 @@ class Region:
     def _actives(self) -> Callable[[str], tuple[str, ...]]:
         return cache(partial(self.nesting.active, superstates=self.superstates))
 
+    def entered_with(self, name: str) -> set[str]:
+        """Return a state and the default states that are entered with it."""
+        if name in self.nesting.parallel:
+            inner = [state for state, outer in self.superstates.items() if outer == name]
+        else:
+            inner = [state for outer, state in self.nesting.initial.items() if outer == name]
+        return {name}.union(*map(self.entered_with, inner))
+
     @property
     def innermost(self) -> tuple[str, ...]:
         """The declared innermost states, unreachable ones last."""
