@@ -166,7 +166,7 @@ class Store:
         block = CellBlock.empty(tile.size, plan.numbers, plan.lists)
         if not self._done[tile.slices].any():
             return block
-        for name, column in self._columns(block):
+        for name, column in self._columns(block).items():
             column[:] = self._read(name, tile.slices).ravel()
         for name in plan.lists:
             variable = plan.variables[name]
@@ -188,7 +188,7 @@ class Store:
             self._write_sequences()
             for name, rows in block.lists.items():
                 self._write_list(name, tile, rows)
-            for name, column in self._columns(block):
+            for name, column in self._columns(block).items():
                 if name == "modes":
                     self._array(f"{UNFINISHED}/modes")[where] = column.reshape(tile.shape)
                 self._array(name)[where] = column.reshape(tile.shape)
@@ -354,13 +354,10 @@ class Store:
             *_sweep_variables(self._plan),
         ]
 
-    def _columns(self, block: CellBlock) -> Iterator[tuple[str, NDArray[Any]]]:
-        """Yield variables of one value per cell with their values (n,), the outcome last."""
-        values = [
-            *block.numbers.values(),
-            *(getattr(block, name) for name in _sweep_variables(self._plan)),
-        ]
-        yield from zip(self._single, values, strict=True)
+    def _columns(self, block: CellBlock) -> dict[str, NDArray[Any]]:
+        """Return variables of one value per cell -> their values (n,), the outcome last."""
+        found = {self._plan.variables[name]: values for name, values in block.numbers.items()}
+        return found | {name: getattr(block, name) for name in _sweep_variables(self._plan)}
 
     def _write_sequences(self) -> None:
         if len(self._codes) == self._written:
