@@ -16,6 +16,7 @@ import shutil
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
 from itertools import product
 from pathlib import Path
 from types import EllipsisType
@@ -135,7 +136,7 @@ class Store:
         self._fresh = False
         self._codes: dict[str, int] = {}
         self._written = 0  # texts written
-        self._arrays: dict[str, zarr.Array[Any]] = {}
+        self._array = cache(self._opened_array)
         try:
             with self._explained():
                 self._group = self._opened(resume)
@@ -390,15 +391,11 @@ class Store:
             self._array(variable)[(*tile.slices, slice(0, longest))] = table.reshape(shape)
         self._array(f"{variable}_count")[tile.slices] = counts.reshape(tile.shape)
 
-    def _array(self, name: str) -> zarr.Array[Any]:
-        found = self._arrays.get(name)
-        if found is None:
-            import zarr
+    def _opened_array(self, name: str) -> zarr.Array[Any]:
+        import zarr
 
-            with self._whole(name), zarr.config.set(_ALL_CHUNKS):
-                found = zarr.open_array(self._group.store, path=name, mode="r+")
-            self._arrays[name] = found
-        return found
+        with self._whole(name), zarr.config.set(_ALL_CHUNKS):
+            return zarr.open_array(self._group.store, path=name, mode="r+")
 
     def _read(self, name: str, where: Slices | EllipsisType = ...) -> NDArray[Any]:
         with self._whole(name):
