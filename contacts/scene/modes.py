@@ -136,11 +136,6 @@ class Pin(Part):
         return State(equations, tuple(margins), values=values, holds=holds)
 
 
-def off_state(contact: ContactSymbols, back: tuple[Margin, ...]) -> State:
-    """Return the state of a contact that is off: no force, until it may come `back`."""
-    return State((contact.V, contact.H), back, values=contact.friction.used.get(0, {}))
-
-
 class SignFriction(NamedTuple):
     """Dry friction by a sign, as expressions."""
 

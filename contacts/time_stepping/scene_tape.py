@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.controllers import controlled_symbols, values_in
+from contacts.dynamics.controllers import values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import cone_edge
 from contacts.scene.couplings import Rolling
@@ -53,7 +53,7 @@ class SteppedTape:
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
         known = values_in(mechanics, states)
         forces = [force.xreplace(known) for force in mechanics.generalised_forces]
-        set_in = [known[symbol] for symbol in controlled_symbols(mechanics)]
+        set_in = [known[symbol] for symbol in mechanics.controls]
         signs = _Signs(forces, set_in, mechanics)
         forces, set_in = signs.middle[: len(forces)], signs.middle[len(forces) :]
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
@@ -116,7 +116,7 @@ class SteppedTape:
         outputs += [*set_in, *signs.rows(len(forces))]
         used = mechanics.used_friction
         self.used = np.array(
-            [controlled_symbols(mechanics).index(used[n]) if n in used else -1 for n in self.names],
+            [mechanics.controls.index(used[n]) if n in used else -1 for n in self.names],
             np.int64,
         )
         self.tape: Tape = mechanics.whole_tape(outputs)

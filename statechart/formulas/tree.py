@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
@@ -80,10 +80,6 @@ class Function:
     build: Callable[..., Any]
 
 
-def _sign(x: float) -> float:
-    return float((x > 0) - (x < 0))
-
-
 def _symbolic(name: str) -> Callable[..., Any]:
     """Return a constructor of SymPy or `formulas.writer`, imported when called: it takes 0.4 s."""
 
@@ -97,19 +93,10 @@ def _symbolic(name: str) -> Callable[..., Any]:
     return build
 
 
-def _hypot(x: Any, y: Any) -> Any:
-    import sympy
-
-    return sympy.sqrt(x**2 + y**2)
-
-
-_max, _min, _floor = map(_symbolic, ("Max", "Min", "Whole"))
-
-
 def _mod(x: Any, y: Any) -> Any:
     import sympy
 
-    return sympy.nan if y.is_zero else x - y * _floor(x / y)
+    return sympy.nan if y.is_zero else x - y * _FLOOR(x / y)
 
 
 _SAME_NAMES = (
@@ -117,16 +104,18 @@ _SAME_NAMES = (
     *("asin", "acos", "atan", "sinh", "cosh", "tanh"),
 )
 
+_MIN, _MAX, _FLOOR, _SQRT = map(_symbolic, ("Min", "Max", "Whole", "sqrt"))
+
 FUNCTIONS: Mapping[str, Function] = {
     **{name: Function(1, 1, getattr(math, name), _symbolic(name)) for name in _SAME_NAMES},
     "abs": Function(1, 1, abs, _symbolic("Abs")),
-    "sign": Function(1, 1, _sign, _symbolic("sign")),
-    "min": Function(2, None, min, _min),
-    "max": Function(2, None, max, _max),
-    "sat": Function(3, 3, lambda x, a, b: min(max(x, a), b), lambda x, a, b: _min(_max(x, a), b)),
-    "hypot": Function(2, 2, math.hypot, _hypot),
+    "sign": Function(1, 1, lambda x: float((x > 0) - (x < 0)), _symbolic("sign")),
+    "min": Function(2, None, min, _MIN),
+    "max": Function(2, None, max, _MAX),
+    "sat": Function(3, 3, lambda x, a, b: min(max(x, a), b), lambda x, a, b: _MIN(_MAX(x, a), b)),
+    "hypot": Function(2, 2, math.hypot, lambda x, y: _SQRT(x**2 + y**2)),
     "atan2": Function(2, 2, math.atan2, _symbolic("atan2")),
-    "floor": Function(1, 1, tolerant_floor, _floor),
+    "floor": Function(1, 1, tolerant_floor, _FLOOR),
     "mod": Function(2, 2, lambda x, y: x - y * tolerant_floor(x / y), _mod),
 }
 
@@ -176,6 +165,12 @@ def children(node: Node) -> tuple[Node, ...]:
 def names_in(node: Node) -> Iterator[Name]:
     """Yield every name in `node`, left to right."""
     return (part for part in nodes(node) if isinstance(part, Name))
+
+
+def calls_in(node: Node, functions: Collection[str] = FUNCTIONS) -> Iterator[Call]:
+    """Yield every call of one of `functions` in `node`, left to right."""
+    calls = (part for part in nodes(node) if isinstance(part, Call))
+    return (call for call in calls if call.function in functions)
 
 
 def nodes(node: Node) -> Iterator[Node]:

@@ -6,7 +6,7 @@ import operator
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial, reduce
 
 import numpy as np
 import sympy as sp
@@ -85,20 +85,12 @@ def to_text(expression: sp.Expr, **settings: object) -> str:
     return str(_FormulaPrinter(settings).doprint(expression))
 
 
+_NAMED_ALIKE = (
+    "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "sign"
+)  # fmt: skip
 _UNARY: dict[type[sp.Basic], str] = {
-    sp.exp: "exp",
-    sp.log: "log",
-    sp.sin: "sin",
-    sp.cos: "cos",
-    sp.tan: "tan",
-    sp.asin: "asin",
-    sp.acos: "acos",
-    sp.atan: "atan",
-    sp.sinh: "sinh",
-    sp.cosh: "cosh",
-    sp.tanh: "tanh",
+    **{getattr(sp, name): name for name in _NAMED_ALIKE},
     sp.Abs: "abs",
-    sp.sign: "sign",
     Whole: "floor",
 }
 # SymPy introduces these itself, as for tan(x + pi/2); formulas contain the last.
@@ -264,10 +256,7 @@ class _Writer:
         return self._emit("square", base) if exponent == 2 else self._emit("powi", base, exponent)
 
     def _fold(self, name: str, registers: list[int]) -> int:
-        result = registers[0]
-        for register in registers[1:]:
-            result = self._emit(name, result, register)
-        return result
+        return reduce(partial(self._emit, name), registers)
 
     def _constant(self, number: sp.Expr | float) -> int:
         try:

@@ -29,7 +29,7 @@ def scene(mass: Any, jacobians: Any, velocity: Any, moving: Any = None) -> Snaps
     velocity = np.array(velocity, dtype=float)
     rates = jacobians @ velocity + (0.0 if moving is None else np.array(moving))
     contacts = tuple(
-        PerContact(0.0, float(n), float(t), 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, jacobian)
+        PerContact(0.0, float(n), float(t), 0.0, 0.0, 1.0, 0.0, jacobian)
         for (n, t), jacobian in zip(rates, jacobians, strict=True)
     )
     mass = np.array(mass, dtype=float)
