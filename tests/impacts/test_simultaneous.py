@@ -482,13 +482,12 @@ def test_impulses_balance_the_momentum_of_a_body_with_nearly_no_inertia() -> Non
     check(snapshot, laws, impacts(snapshot, laws, [True]))
 
 
-@pytest.mark.parametrize("place", [3442, 4341])
-def test_impulses_hidden_by_round_off_are_not_replaced(place: int) -> None:
+def test_impulses_hidden_by_round_off_are_not_replaced() -> None:
     random = np.random.default_rng(1)
-    for _ in range(place + 1):
-        snapshot, laws = random_scene(random)
-    with pytest.raises(NoConsistentMode, match="no plastic impulse of"):
-        impacts(snapshot, laws, [True] * len(laws), "plastic")
+    scenes = [random_scene(random) for _ in range(4342)]
+    for snapshot, laws in (scenes[3442], scenes[4341]):
+        with pytest.raises(NoConsistentMode, match="no plastic impulse of"):
+            impacts(snapshot, laws, [True] * len(laws), "plastic")
 
 
 def test_round_off_does_not_move_rods_flat_on_their_hinge() -> None:
@@ -515,7 +514,7 @@ def test_round_off_does_not_move_rods_flat_on_their_hinge() -> None:
 @pytest.mark.parametrize("choice", ["plastic", "capped"])
 def test_random_impacts_keep_energy_cones_and_separation(choice: Any) -> None:
     random = np.random.default_rng(17)
-    for _ in range(500):
+    for _ in range(200):
         snapshot, laws = random_scene(random)
         check(snapshot, laws, impacts(snapshot, laws, [True] * len(laws), choice))
 
