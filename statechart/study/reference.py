@@ -219,7 +219,7 @@ class References:
         Perturbations are up, down, and alternating, which separates coincident events.
         """
         alternating: Array = (-1.0) ** np.arange(len(run.trace.initial), dtype=np.float64)
-        found = _Separation(None, Errors(state=0.0))
+        found: _Separation | None = None
         for signs in (np.ones(len(alternating)), alternating):
             for sign in (1.0, -1.0):
                 off = with_shifted_start(self.automaton, part, sign * signs)
@@ -227,10 +227,11 @@ class References:
                     other = self._ended(run.setting, Observers(off).at(run.setting))
                 except DeclarationError:  # no valid initial state
                     continue
-                found = found.worse(self._pair(run, other).separation)
+                separation = self._pair(run, other).separation
+                found = separation if found is None else found.worse(separation)
                 if found.parted is not None:
                     return found
-        return found
+        return found or _Separation(None, Errors(state=0.0))
 
 
 def _method(setting: Setting) -> str | None:

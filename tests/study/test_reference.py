@@ -12,6 +12,7 @@ from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.running.runner import Runner
 from statechart.study.measurements import Errors, Third
+from statechart.study.reference import References, Run
 from statechart.study.study import Study
 from statechart.study.text import to_dict
 from statechart.study.trade import Bench
@@ -137,6 +138,24 @@ def test_two_of_three_runs_do_not_decide_an_unstable_start() -> None:
     assert "where its start is off by 3e-12: chaotic, or at a bifurcation" in said
     # A little below the edge every run reaches the top at once.
     assert referred(Runner(read_text(EDGE.replace("TOP", "0.999")))).third is None
+
+
+def test_a_perturbed_start_moves_times_and_outputs_more_than_the_state() -> None:
+    # At a rate of 1e-3 the event is late by a thousand times the shift; the end of the run is 2.
+    slow = (
+        "kind: chart\nname: slow\nvariables: {x: 1}\nstop: {time: 2}\n"
+        "regions:\n  r:\n    initial: s\n    states: {s: {flows: {x: 1e-3}}, t: {}}\n"
+        "    transitions: [{name: there, from: s, to: t, guard: x >= 1.001, updates: {x: 5}}]\n"
+    )
+    runner = Runner(read_text(slow))
+    observer = runner.observers.at(Setting("taylor"))
+
+    def run(one: Observer) -> Trace:
+        return one.simulator.run(until=2.0)
+
+    references = References(runner.model, runner.automaton, 2.0, run)
+    reference = Run.of(observer, run(observer), Setting("taylor"))
+    assert references._perturbed(reference, 1e-9).size == pytest.approx(5e-7, rel=1e-3)
 
 
 def test_three_different_runs_limit_the_resolution() -> None:
