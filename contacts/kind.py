@@ -15,8 +15,7 @@ from statechart.loading.kind import Kind
 if TYPE_CHECKING:
     from contacts.dynamics.mechanics import Mechanics
     from contacts.dynamics.setup_evaluation import SceneNumbers
-    from contacts.scene.modes import ContactSymbols
-    from statechart.automaton.regions import Margin, Region
+    from statechart.automaton.regions import Region, State
     from statechart.automaton.time_stepper import TimeStepper
     from statechart.automaton.trace import Role
     from statechart.pictures.stage import Stage
@@ -34,7 +33,6 @@ def automaton(scene: Scene) -> Automaton:
 def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     """Compose the automaton of a scene; return it and its setup of runs."""
     from contacts.dynamics.components import components
-    from contacts.dynamics.controllers import controlled_symbols
     from contacts.dynamics.mechanics import Mechanics
     from contacts.dynamics.minimal import coordinates
     from contacts.dynamics.setup_evaluation import SceneNumbers
@@ -74,7 +72,7 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
         observables=observables,
         setup=numbers.at,
         laws=laws,
-        controls=controlled_symbols(mechanics),
+        controls=mechanics.controls,
         # Rates of eliminated coordinates would depend on the memory as well.
         coordinates=None if mechanics.scene.leading else coordinates(mechanics),
         stepper=stepper,
@@ -87,54 +85,29 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
 def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
     """Return a region for every contact, then for every coupling, then for every controller."""
     from contacts.dynamics.controllers import controller
-    from contacts.scene.couplings import coupling_region, coupling_state
-    from contacts.scene.regions import edges, region
-    from contacts.states import OPEN
-    from statechart.automaton.regions import State
+    from contacts.scene.couplings import coupling_state
+    from contacts.scene.regions import contact_state
+    from contacts.states import INACTIVE
 
     scene = mechanics.scene
 
-    def symbols(contact: str) -> ContactSymbols:
-        return mechanics.contact(contact).symbols
+    def build(name: str, role: Role) -> State:
+        """Return a state of a contact or a coupling, with the margins of its conditions."""
+        symbols, gate = mechanics.contact(name).symbols, mechanics.gate(name)
+        if name in scene.couplings:
+            state = coupling_state(mechanics.coupling(name), role)
+        else:
+            state = contact_state(scene.contacts[name], symbols, role)
+        margins = state.margins
+        if role.state in INACTIVE:
+            margins += () if gate is None else gate.back(symbols.gap)
+        else:
+            margins += mechanics.hauled(name) + (() if gate is None else gate.margins)
+        return replace(state, margins=margins)
 
-    def gates(contact: str) -> tuple[Margin, ...]:
-        gate = mechanics.gate(contact)
-        return (*mechanics.hauled(contact), *(() if gate is None else gate.margins))
-
-    def back(contact: str) -> tuple[Margin, ...]:
-        gate = mechanics.gate(contact)
-        return () if gate is None else gate.back(symbols(contact).gap)
-
-    of_contacts = (
-        region(
-            name,
-            contact,
-            partial(symbols, name),
-            partial(gates, name),
-            partial(back, name),
-            edges(
-                contact, jams=scene.jams(name), bounces=scene.bounces(name), gate=scene.gate(name)
-            ),
-            scene.gate(name),
-            mechanics.forces[name],
-        )
-        for name, contact in scene.contacts.items()
-    )
-
-    def coupling(name: str, role: Role) -> State:
-        gate, symbols = mechanics.gate(name), mechanics.coupling(name)
-        if role.state in OPEN:
-            return State((mechanics.couples[name],), back(name))
-        built = coupling_state(symbols, role)
-        return built if gate is None else replace(built, margins=(*built.margins, *gate.margins))
-
-    of_couplings = (
-        coupling_region(name, one, partial(coupling, name), (mechanics.couples[name],))
-        for name, one in scene.couplings.items()
-    )
+    forces = mechanics.forces | {name: (couple,) for name, couple in mechanics.couples.items()}
     return (
-        *of_contacts,
-        *of_couplings,
+        *(scene.region(name, partial(build, name), forces[name]) for name in scene.frictional),
         *(controller(n, r, mechanics) for n, r in scene.controlled.flat.items()),
     )
 

@@ -120,6 +120,12 @@ class FormulaError(DeclarationError):
     name: str = ""
     text: str = ""
 
+    def problem(self, *loc: str | int) -> DeclarationProblem:
+        """Return the error as a problem of the field at `loc`."""
+        return DeclarationProblem(
+            self.message, advice=self.advice, loc=loc, offset=self.offset, text=self.text
+        )
+
 
 @dataclass(eq=False, repr=False)
 class DeclarationProblem(ValueError):

@@ -35,7 +35,7 @@ from contacts.dynamics.gates import (
     write_node_verdicts,
 )
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.snapshot import PerContact, Snapshot
+from contacts.dynamics.snapshot import EDGES, PerContact, Snapshot
 from contacts.states import INACTIVE
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.laws import roles_in
@@ -135,15 +135,12 @@ class Conditions:
         node_verdicts = np.empty(len(self.nodes), np.int64)
         write_node_verdicts(self.nodes, np.array(verdicts, np.int64), node_verdicts)
         top = -1
-        for k, (kind, above, contact) in enumerate(self.nodes.tolist()):
+        for k, (_, above, contact) in enumerate(self.nodes.tolist()):
             top = k if above < 0 else top
             # The parts of the topmost node are the relations.
             if above == top and node_verdicts[k] == FAILS and not result[contact]:
-                atom = kind
-                for below in range(k + 1, len(self.nodes)):
-                    if atom >= 0:
-                        break
-                    atom = int(self.nodes[below, 0])
+                # Parents come before children: the first atom from here on is its own.
+                atom = next(kind for kind in self.nodes[k:, 0].tolist() if kind >= 0)
                 result[contact] = self._conditions[atom].atom.words
         return tuple(result)
 
@@ -351,8 +348,7 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
             if snapshot.pushes is not None and contacts[i].gap == 0.0:
                 forces = forces - snapshot.pushes[i]
             jacobians[i] = biases[i] = 0.0
-            zeros = (0.0,) * len(PerContact._fields[1:-2])
-            contacts[i] = PerContact._make((math.inf, *zeros, jacobians[i], None))
+            contacts[i] = PerContact._make((math.inf, *[0.0] * (EDGES - 1), jacobians[i], None))
     reduction = snapshot.reduction
     if reduction is not None:
         reduction = replace(reduction, unreduced=hidden(reduction.unreduced, mode))

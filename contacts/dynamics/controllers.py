@@ -35,8 +35,6 @@ from statechart.charts.guard_watch import (
     values_after,
 )
 from statechart.errors import DeclarationProblem
-from statechart.formulas.formula import parse
-from statechart.formulas.linear import Definition
 from statechart.formulas.tape import Tape
 
 _T = TypeVar("_T")
@@ -51,7 +49,7 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
         return State(
             tuple(row.force if off else row.equation(mechanics.a) for row in joint),
             margins=guard_margins(flat, role.state, mechanics.observables),
-            values=mechanics.sets(name, role.state) | _region_flows(mechanics, name, role.state),
+            values=mechanics.sets(name, role.state),
             holds=() if off else tuple(row.hold(mechanics.a) for row in joint),
         )
 
@@ -80,38 +78,10 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
     )
 
 
-def _region_flows(mechanics: Mechanics, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
-    rates = mechanics.controller_rates
-    flows = mechanics.scene.controlled.flows(region, state)
-    return {rates[v]: parse(text).to_sympy(mechanics.known) for v, text in flows.items()}
-
-
-def flows_in(mechanics: Mechanics, states: Mapping[str, str]) -> list[sp.Expr]:
-    """Return the rates of the controllers' variables in these states."""
-    flows: dict[sp.Symbol, sp.Expr] = {}
-    for name, state in states.items():
-        flows |= _region_flows(mechanics, name, state)
-    return [flows.get(rate, sp.S.Zero) for rate in mechanics.controller_rates.values()]
-
-
-def controlled_symbols(mechanics: Mechanics) -> tuple[sp.Symbol, ...]:
-    """Return the symbols that states of controllers set: controls, and nonzero rates."""
-    return (
-        *mechanics.controls,
-        *(rate for rate in mechanics.controller_rates.values() if rate != 0),
-    )
-
-
-def control_values(mechanics: Mechanics, states: Mapping[str, str]) -> list[Definition]:
-    """Return the values of `controlled_symbols` in these states, in order of dependence."""
-    flows = zip(mechanics.controller_rates.values(), flows_in(mechanics, states), strict=True)
-    return [*mechanics.controlled(states), *((rate, flow) for rate, flow in flows if rate != 0)]
-
-
 def values_in(mechanics: Mechanics, states: Mapping[str, str]) -> dict[sp.Symbol, sp.Expr]:
-    """Return the values of `controlled_symbols` in these states, substituted into each other."""
+    """Return the values of `Mechanics.controls` in these states, substituted into each other."""
     values: dict[sp.Symbol, sp.Expr] = {}
-    for symbol, value in control_values(mechanics, states):
+    for symbol, value in mechanics.controlled(states):
         values[symbol] = value.xreplace(values)
     return values
 

@@ -22,6 +22,7 @@ from statechart.automaton.margin_derivatives import UNDERFLOW, derivative
 from statechart.automaton.regions import Margin
 from statechart.formulas.condition import And, Or, replaced
 from statechart.formulas.relation import States, parse_relation
+from statechart.formulas.writer import Max, Min
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
@@ -90,7 +91,7 @@ class Gate:
             # A coupling has none.
             margins_by_name.append((self.gap, gap))
             limits.insert(0, gap)
-        distance = -sp.Min(*limits, evaluate=False)
+        distance = -Min(*limits, evaluate=False)
         return tuple(
             Margin(name, -margin, relation=self.off, whole=distance)
             for name, margin in margins_by_name
@@ -111,11 +112,11 @@ class Gate:
 
         def margin(tree: Any) -> sp.Expr:
             if isinstance(tree, And | Or):
-                return (sp.Min if isinstance(tree, And) else sp.Max)(*map(margin, tree.parts))
+                return (Min if isinstance(tree, And) else Max)(*map(margin, tree.parts))
             atom = self.atoms[tree]
             value = atom.margin.xreplace(values)
             if atom.is_end:
-                return sp.Max(value, ignored[atom.words]) if atom.words in ignored else value
+                return Max(value, ignored[atom.words]) if atom.words in ignored else value
             moves = [
                 abs(derivative(value, symbol)) * sizes[symbol]
                 for symbol in sizes

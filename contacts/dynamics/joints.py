@@ -72,11 +72,7 @@ class JointNumbers(NamedTuple):
 
     def closed(self) -> JointNumbers:
         """Return the numbers of the joints that are closed."""
-        on = self.on
-        return JointNumbers(
-            self.gaps[on], self.rates[on], self.biases[on], self.jacobian[on],
-            self.redundant[on], on[on],
-        )  # fmt: skip
+        return JointNumbers._make([numbers[self.on] for numbers in self])
 
 
 @dataclass(frozen=True)

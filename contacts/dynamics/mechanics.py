@@ -26,7 +26,7 @@ from contacts.dynamics.parameters import (
     scene_parameters,
 )
 from contacts.scene.couplings import CouplingSymbols, Rolling
-from contacts.scene.expansion import Reach, Stop, is_switched, limit_contacts
+from contacts.scene.expansion import Stop, is_switched, limit_contacts, reach_of
 from contacts.scene.joints import Joint
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point, Surface
@@ -37,7 +37,7 @@ from statechart.errors import NoConsistentMode
 from statechart.formulas.linear import Definition
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
+from statechart.formulas.writer import Min, compile_tape
 
 _Row = tuple[sp.Expr, ...]
 
@@ -130,7 +130,8 @@ class Mechanics(Geometry):
             for symbols_of_rate in ((self.controller_state[name], rate), (rate, acceleration))
         )
         # Symbols that states of controllers set, in order of dependence: coefficients of contacts,
-        # the scene's controls, motions of surfaces, and friction that varies with the slip on them.
+        # the scene's controls, motions of surfaces, friction that varies with the slip on them, and
+        # rates of controllers' variables.
         self.controls = (
             *(symbol for name in self._switched for symbol in self._coefficients[name].values()),
             *controls.values(),
@@ -139,6 +140,7 @@ class Mechanics(Geometry):
             *(rate for rate, _ in self._led.values()),
             *(acceleration for _, acceleration in self._led.values()),
             *self.used_friction.values(),
+            *(rate for rate in self.controller_rates.values() if rate != 0),
         )
         self._contacts: dict[str, ContactGeometry] = {}
         self._gates: dict[str, Gate | None] = {}
@@ -348,8 +350,7 @@ class Mechanics(Geometry):
             if component in joint.components:
                 yield component, end - target, sp.diff(target, self.time)
         if joint.angle is not None:
-            ends = (joint.point, joint.to)
-            turns = [self.body_frame(e.body)[1] for e in ends if isinstance(e, Point)]
+            turns = [self.body_frame(end.body)[1] for end in joint.ends.values()]
             angle = self.known.get(f"{name}.turn", self.known.get(f"{name}.turn0"))
             yield "M", turns[0] - sp.Add(*turns[1:]) - angle, sp.S.Zero
 
@@ -379,9 +380,9 @@ class Mechanics(Geometry):
 
         A point that circles the end of a rope turns ever faster, as the square of its length.
         """
-        surface = self.scene.surfaces[self.scene.contacts[name].surface]
-        length = self._formula(surface.radius or 0)
-        if not isinstance(surface, Reach) or length.free_symbols <= {*self.parameters.ordered}:
+        rope = self.scene.surfaces.get(reach_of(name))
+        length = self._formula((rope and rope.radius) or 0)
+        if length.free_symbols <= {*self.parameters.ordered}:
             return ()
         controlled = self.scene.controlled
         texts = {**controlled.controller_state, **controlled.declared}
@@ -455,6 +456,7 @@ class Mechanics(Geometry):
         for control, text in self._controls.values(region, state).items():
             values[self.known[control]] = self._formula(text)
         flows = self._controls.flows(region, state)
+        values |= {self.controller_rates[v]: self._formula(text) for v, text in flows.items()}
         variables = {*self.scene.regions[region].variables, *self._controls.flat[region].timers}
         for name in variables & self._led.keys():
             rate, acceleration = self._led[name]
@@ -529,16 +531,10 @@ class Mechanics(Geometry):
                 length = sp.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2)
                 fraction = ((x1 - x0) * (x - x0) + (y1 - y0) * (y - y0)) / length
                 ends = {"begin of its edge": fraction, "end of its edge": length - fraction}
-            gated = contact.enabled or ends
+            off = f"{name}.{DISENGAGED if coupling else OFF}"
             self._gates[name] = (
-                gate_of(
-                    f"{name}.{DISENGAGED if coupling else OFF}",
-                    contact.enabled,
-                    known,
-                    self._asked,
-                    ends,
-                )
-                if gated
+                gate_of(off, contact.enabled, known, self._asked, ends)
+                if contact.enabled or ends
                 else None
             )
         return self._gates[name]
@@ -566,9 +562,9 @@ class Mechanics(Geometry):
             turns = ax * by - ay * bx
             back = (-ax * bx - ay * by,) if acute else ()
             if edge[1] == next_edge[0]:
-                valleys[f"{name}: end of its edge"] = sp.Min(turns, *back)
+                valleys[f"{name}: end of its edge"] = Min(turns, *back)
             if edge[0] == next_edge[1]:
-                valleys[f"{name}: begin of its edge"] = sp.Min(-turns, *back)
+                valleys[f"{name}: begin of its edge"] = Min(-turns, *back)
         return valleys
 
     def _stuck(
@@ -745,15 +741,9 @@ class Mechanics(Geometry):
         jacobian = list(
             zip(self.gradient(x), self.gradient(y), self.gradient(rim.turn), strict=True)
         )
-        jacobian_n = tuple(
-            normal[0] * dx + normal[1] * dy if dx != 0 or dy != 0 else sp.S.Zero
-            for dx, dy, _ in jacobian
-        )
+        jacobian_n = tuple(normal[0] * dx + normal[1] * dy for dx, dy, _ in jacobian)
         jacobian_t = tuple(
-            tangent[0] * dx + tangent[1] * dy + rim.radius * turn
-            if dx != 0 or dy != 0 or turn != 0
-            else sp.S.Zero
-            for dx, dy, turn in jacobian
+            tangent[0] * dx + tangent[1] * dy + rim.radius * turn for dx, dy, turn in jacobian
         )
         rolling = self.rate(rim.radius * rim.turn)
         slip = tangent[0] * rates[0] + tangent[1] * rates[1] + rolling

@@ -10,12 +10,12 @@ import sympy as sp
 from contacts.scene.checks import has_switches
 from contacts.scene.friction import FrictionLaw
 from contacts.scene.modes import FrictionSymbols
-from contacts.scene.parts import Point
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.documents.fields import FormulaText
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.parameters import Parameters
+from statechart.formulas.writer import Max
 
 COEFFICIENTS = ("friction", "cone_n", "cone_t")
 """Parameters of a contact with friction; ``tip.friction.ice`` where the state `ice` sets it."""
@@ -192,46 +192,31 @@ def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]
         # Set at the start of a run by `contacts.solvers.dependence.dependent_rows`.
         result |= {f"{name}.redundant_{c.lower()}": sp.S.Zero for c in joint.components}
         if joint.angle is not None and not joint.enabled:
-            ends = (joint.point, joint.to)
-            turns = [_turn(scene, e.body, known) for e in ends if isinstance(e, Point)]
+            turns = [_turn(scene, end.body, known) for end in joint.ends.values()]
             result[f"{name}.turn0"] = turns[0] - sp.Add(*turns[1:])
     return result
 
 
 def _initial(scene: Scene, known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
     """Return initial positions, rates and controllers' variables; then levers of the bodies."""
-    positions: list[sp.Expr] = []
-    rates: list[sp.Expr] = []
-    for coordinate in scene.coordinates.values():
-        positions.append(parse(coordinate.start).to_sympy(known))
-        rates.append(parse(coordinate.rate).to_sympy(known))
-    for body in scene.bodies.values():
-        for name in body.coordinates:
-            positions.append(parse(body.start.get(name, 0)).to_sympy(known))  # type: ignore[call-overload]
-            rates.append(parse(body.start.get(f"d{name}", 0)).to_sympy(known))  # type: ignore[call-overload]
-    memory = [parse(text).to_sympy(known) for text in scene.controlled.controller_state.values()]
-    return [*positions, *rates, *memory, *(_lever(scene, name, known) for name in scene.bodies)]
+    texts = [*scene.starts().values(), *scene.controlled.controller_state.values()]
+    begins = [parse(text).to_sympy(known) for text in texts]
+    return [*begins, *(_lever(scene, name, known) for name in scene.bodies)]
 
 
 def _turn(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
     """Return the angle of a body at the start."""
-    body = scene.bodies[name]
-    if body.position is None:
-        return parse(body.start.get("angle", 0)).to_sympy(known)
     starts = {n: parse(c.start).to_sympy(known) for n, c in scene.coordinates.items()}
-    return parse(body.angle or 0).to_sympy({**known, **starts})
+    return parse(scene.bodies[name].path[2]).to_sympy({**known, **starts})
 
 
 def _lever(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
     """Return mass times the longest arm squared of the body's contact points and joints."""
     points = [(contact.point, contact.radius or 0) for contact in scene.contacts.values()]
-    points += [(joint.point, 0) for joint in scene.joints.values()]
-    # A captured position is known when the joint closes.
-    points += [
-        (joint.to, 0)
-        for joint in scene.joints.values()
-        if isinstance(joint.to, Point) and joint.rest is None
-    ]
+    for joint in scene.joints.values():
+        # A captured position is known when the joint closes.
+        ends = joint.ends.values() if joint.rest is None else (joint.point,)
+        points += [(end, 0) for end in ends]
     arms = [
         sp.Add(*(parse(text).to_sympy(known) ** 2 for text in (*point.at, radius)))
         for point, radius in points
@@ -239,4 +224,4 @@ def _lever(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
     ]
     mass = parse(scene.bodies[name].mass).to_sympy(known)
     # Unevaluated: SymPy takes half a second to decide which arm is the longest.
-    return mass * (sp.Max(*arms, evaluate=False) if arms else sp.S.Zero)
+    return mass * (Max(*arms, evaluate=False) if arms else sp.S.Zero)

@@ -10,7 +10,7 @@ import sympy as sp
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.joints import JointNumbers, dependent
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.scales import Scales
+from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape, answer
 from contacts.scene.modes import Bearing
 from contacts.solvers.dependence import reduce_to_independent
@@ -77,13 +77,7 @@ class Projection:
         self._within: dict[Key, Tape | None] = {}
 
     def constraints(
-        self,
-        roles: Roles,
-        start: float,
-        anchor: Array,
-        values: Array,
-        tolerances: Mapping[str, float],
-        scales: Scales,
+        self, setup: SceneSetup, roles: Roles, start: float, anchor: Array
     ) -> Constraints:
         """Return the constraints of a flow (see `statechart.automaton.laws.Laws`).
 
@@ -91,20 +85,19 @@ class Projection:
         of the surface. `project` takes positions and rates; it raises `NoConsistentMode` if the
         joints cannot all hold, and `SingularMode` if their constraints have become dependent.
         """
+        began, tolerances, scales = setup.values, setup.tolerances, setup.scales
         gap_weight, speed_weight = 1.0 / tolerances["gap"], 1.0 / tolerances["speed"]
         flow = held_key(roles, self._soft)
         pinned = any(state in STICKING for state in flow)
         weights = self._weights(flow, gap_weight, speed_weight)
         targets = np.zeros(len(weights))
         if pinned:
-            pinned_at = self.tape.at(anchor, values, start)
+            pinned_at = self.tape.at(anchor, began, start)
             for i, name in enumerate(flow):
                 if name in STICKING:
                     targets[5 * i + 3 : 5 * i + 5] = pinned_at[5 * i + 3 : 5 * i + 5]
 
-        began = values
-
-        def project(state: Array, time: float, values: Array = values) -> Array:
+        def project(state: Array, time: float, values: Array = began) -> Array:
             snapshot, joints = self._snapshots.unreduced(values, state, time)
             pins = self._snapshots.unreduced(began, anchor, start)[0] if pinned else None
             projected = _brought(flow, snapshot, joints, state, pinned=pins)

@@ -50,6 +50,11 @@ class SceneSetup(Setup):
         return TIE * self.tolerances["force"] / self.scales.force
 
     @property
+    def slip_tolerance(self) -> float:
+        """Largest slip of a contact that counts as rest."""
+        return 2.0 * self.tolerances["speed"]
+
+    @property
     def force_uncertainty(self) -> float:
         """Uncertainty of forces in the scales: beyond it a force is certainly off its bound."""
         return self.capture / self.scales.speed

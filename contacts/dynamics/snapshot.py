@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -49,9 +49,6 @@ class PerContact(NamedTuple):
     # `tx`, `ty`: Unit tangent of the surface there
     tx: float
     ty: float
-    # `bias_n`, `bias_t`: Accelerations of the point at zero accelerations of the coordinates
-    bias_n: float
-    bias_t: float
     jacobian: Array  # (2, n): Rows: normal, tangential
     # Unit edges (n, t) of the friction cone in slide+ and slide- at the present slip; None: the
     # edges at rest
@@ -71,7 +68,8 @@ class Snapshot(NamedTuple):
     energy: float  # Kinetic plus gravity's
     contacts: tuple[PerContact, ...]  # In the order of the declaration
     jacobians: Array  # (c, 2, n)
-    biases: Array  # (c, 2): all contacts
+    # (c, 2): Accelerations of the points, normal and tangential, without those of the coordinates
+    biases: Array
     reduction: JointReduction | None = None  # None without joints
     # (k, 2): Static and kinetic limits of the couplings, which are the last of the contacts
     limits: Array = np.empty((0, 2))
@@ -92,6 +90,16 @@ class Snapshot(NamedTuple):
         on_pads = whole.jacobians[:, 0, len(whole.forces) - whole.pads :]
         return [bool(row.any()) for row in on_pads]
 
+    def approaching(self, closed: Sequence[bool], speed: float) -> list[int]:
+        """Return the closed contacts that approach their surfaces faster than `speed`."""
+        contacts = enumerate(self.contacts)
+        return [i for i, contact in contacts if closed[i] and contact.gap_rate < -speed]
+
+    def remaining(self, closed: Sequence[bool], speed: float) -> list[bool]:
+        """Return a mask of the closed contacts that leave their surfaces at most at `speed`."""
+        contacts = zip(closed, self.contacts, strict=True)
+        return [is_closed and contact.gap_rate <= speed for is_closed, contact in contacts]
+
     def moved(self, state: Array, velocity: Array) -> Array:
         """Return `state` (of the scene) after its velocity (n,) has jumped to `velocity`."""
         size = len(state) // 2
@@ -109,20 +117,10 @@ class Snapshot(NamedTuple):
             return accelerations[: len(accelerations) - self.pads], np.zeros(0)
         whole = self.unreduced
         full = self.reduction.basis @ accelerations + self.reduction.drift
-        joint_forces = self._joint_forces(whole.mass @ full - whole.forces, forces)
+        joint_forces = self.joint_forces(whole.mass @ full - whole.forces, forces)
         return full[: len(full) - whole.pads], joint_forces
 
-    def joint_impulses(self, before: Array, after: Array, impulses: Array) -> Array:
-        """Return the impulses of joint rows in a jump between states (2 n,) of the scene.
-
-        `impulses` (c, 2) are those of contacts. The impulses of redundant rows are zero.
-        """
-        if self.reduction is None:
-            return np.zeros(0)
-        mass, size = self.unreduced.mass, len(before) // 2
-        return self._joint_forces(mass[:, :size] @ (after - before)[size:], impulses)
-
-    def _joint_forces(self, total: Array, forces: Array) -> Array:
+    def joint_forces(self, total: Array, forces: Array) -> Array:
         """Return the forces of joint rows, which with those of contacts add up to `total` (n,)."""
         assert self.reduction is not None
         joints = self.reduction.joints
@@ -160,115 +158,102 @@ class SnapshotTape:
         forces = list(mechanics.generalised_forces)
         for i, place in enumerate(mechanics.held_forces):
             forces[i] += mechanics.parameters.ordered[place]
-        outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
-        outputs.append(mechanics.energy)
         names = [*mechanics.scene.frictional]
         contacts = [mechanics.contact(name) for name in names]
-        # Grouped by quantity, so that arrays are views of the outputs.
-        for geometry in contacts:
-            outputs += [*geometry.jacobian_n, *geometry.jacobian_t]
-        for geometry in contacts:
-            outputs += [geometry.bias_n, geometry.bias_t]
-        for geometry in contacts:
-            outputs += [geometry.symbols.gap, geometry.symbols.gap_rate, geometry.symbols.slip]
-            outputs += [*geometry.anchor, *geometry.slipping]
-            outputs += mechanics.sliding_edges(geometry.symbols)
+        scalars: list[sp.Expr] = []
+        for contact in contacts:
+            scalars += [contact.symbols.gap, contact.symbols.gap_rate, contact.symbols.slip]
+            scalars += [*contact.anchor, *contact.slipping]
+            scalars += mechanics.sliding_edges(contact.symbols)
         self._pads = tuple((names.index(name), pad) for name, pad in mechanics.pads.items())
-        n, count = self.size, self.count
-        lengths = n * n, n + 1, 2 * n * count, 2 * count, SCALARS * count
-        # Ends of mass matrix, forces and energy, Jacobians, biases and scalars.
-        self._ends = tuple(accumulate(lengths))
-        rows = mechanics.joint_rows
-        self.joints = len(rows)
-        self.joint_names = [f"{row.joint}.{row.component}" for row in rows]
-        self._blocks: tuple[JointGroup, ...] = joint_groups(
-            np.pad(
-                np.array([[j != 0 for j in row.jacobian] for row in rows], np.bool_).reshape(
-                    self.joints, self.size
-                ),
-                ((0, 0), (0, len(self._pads))),
-            )
-        )
-        for row in rows:
-            outputs += [row.gap, row.gap_rate, row.bias, row.status]
-        for row in rows:
-            outputs += row.jacobian
+        pads: list[sp.Expr] = []
         for name in mechanics.pads:
             body = mechanics.scene.contacts[name].point.body
             symbols = mechanics.contact(name).symbols
             mass, _ = mechanics.inertia(body, mechanics.scene.bodies[body])
-            outputs += [mass, symbols.compliance, symbols.gap_rate]
-        couplings = mechanics.scene.couplings
-        self._limits = 2 * len(couplings)
-        for name in couplings:
-            outputs += mechanics.limits(name)
-        self._end = len(outputs)
+            pads += [mass, symbols.compliance, symbols.gap_rate]
+        rows = mechanics.joint_rows
+        self.joint_names = [f"{row.joint}.{row.component}" for row in rows]
+        moved = np.array([[j != 0 for j in row.jacobian] for row in rows], np.bool_)
+        moved = np.pad(moved.reshape(len(rows), self.size), ((0, 0), (0, len(self._pads))))
+        self._groups: tuple[JointGroup, ...] = joint_groups(moved)
         self.signs = sign_frictions(mechanics, mechanics.controlled(states))
-        for sign in self.signs:
-            outputs += [sign.slip, sign.bias, sign.limit, *sign.row]
-        self.tape: Tape = mechanics.tape(outputs, definitions=mechanics.controlled(states))
+        # Grouped by quantity, so that arrays are views of the outputs.
+        quantities: list[list[sp.Expr]] = [
+            [*mechanics.mass_matrix],
+            forces,
+            [mechanics.energy],
+            [entry for c in contacts for entry in (*c.jacobian_n, *c.jacobian_t)],
+            [bias for c in contacts for bias in (c.bias_n, c.bias_t)],
+            scalars,
+            [number for r in rows for number in (r.gap, r.gap_rate, r.bias, r.status)],
+            [entry for row in rows for entry in row.jacobian],
+            pads,
+            [limit for name in mechanics.scene.couplings for limit in mechanics.limits(name)],
+            [e for sign in self.signs for e in (sign.slip, sign.bias, sign.limit, *sign.row)],
+        ]
+        ends = accumulate(map(len, quantities), initial=0)
+        self._slices = [slice(begin, end) for begin, end in pairwise(ends)]
+        self.tape: Tape = mechanics.tape(
+            [expression for quantity in quantities for expression in quantity],
+            definitions=mechanics.controlled(states),
+        )
 
     def joint_impulse(
         self, snapshot: Snapshot, before: Array, after: Array, impulses: Array
     ) -> dict[str, float]:
-        """Return the impulses of joints other than zero in a jump, by name.
+        """Return the impulses of joints other than zero in a jump between states (2 n,), by name.
 
-        See `Snapshot.joint_impulses`.
+        `impulses` (c, 2) are those of contacts. The impulses of redundant rows are zero.
         """
-        sizes = snapshot.joint_impulses(before, after, impulses).tolist()
+        if snapshot.reduction is None:
+            return {}
+        change = (after - before)[self.size :]
+        total = snapshot.unreduced.mass[:, : self.size] @ change
+        sizes = snapshot.joint_forces(total, impulses).tolist()
         return {name: size for name, size in zip(self.joint_names, sizes, strict=True) if size}
 
     def at(self, values: Array, state: Array, time: float) -> Snapshot:
         """Return the snapshot at `state` (2 n,), reduced to the motions that joints allow."""
         whole, joints = self.unreduced(values, state, time)
-        return whole if joints is None else _reduce(whole, joints, self._blocks)
+        return whole if joints is None else _reduce(whole, joints, self._groups)
 
     def unreduced(
         self, values: Array, state: Array, time: float
     ) -> tuple[Snapshot, JointNumbers | None]:
         """Return the snapshot without joints, and the joint rows."""
-        n, count = self.size, self.count
-        square, at, end, further, last = self._ends
-        found = self.tape.at(state, values, time)
-        numbers, signs = found[: self._end], found[self._end :]
-        jacobians = numbers[at:end].reshape(count, 2, n)
-        listed = numbers[end:last].tolist()
-        further -= end
+        n, count, numbers = self.size, self.count, self.tape.at(state, values, time)
+        (
+            mass, forces, energy, jacobians, biases, scalars, joints, joint_jacobian, pads, limits,
+            signs,
+        ) = (numbers[part] for part in self._slices)  # fmt: skip
+        jacobians = jacobians.reshape(count, 2, n)
+        contacts = zip(scalars.reshape(count, SCALARS).tolist(), jacobians, strict=True)
         whole = Snapshot(
-            numbers[:square].reshape(n, n),
-            numbers[square : at - 1],
+            mass.reshape(n, n),
+            forces,
             state[n:],
-            numbers.item(at - 1),
+            energy.item(),
             tuple(
                 [
-                    PerContact._make(
-                        (
-                            *listed[at : at + EDGES],
-                            *listed[2 * i : 2 * i + 2],
-                            jacobian,
-                            tuple(listed[at + EDGES : at + SCALARS]),
-                        )
-                    )
-                    for i, jacobian in enumerate(jacobians)
-                    for at in (further + SCALARS * i,)
+                    PerContact._make((*row[:EDGES], jacobian, tuple(row[EDGES:])))
+                    for row, jacobian in contacts
                 ]
             ),
             jacobians,
-            numbers[end : end + further].reshape(count, 2),
-            limits=numbers[len(numbers) - self._limits :].reshape(-1, 2),
+            biases.reshape(count, 2),
+            limits=limits.reshape(-1, 2),
         )
+        no_pads = (0, 0), (0, len(self._pads))
         if self.signs:
-            rows = np.pad(signs.reshape(-1, 3 + n), ((0, 0), (0, len(self._pads))))
+            rows = np.pad(signs.reshape(-1, 3 + n), no_pads)
             whole = whole._replace(signs=SignNumbers(self.signs, rows[:, :3], rows[:, 3:]))
         if self._pads:
-            end = len(numbers) - self._limits
-            whole = self._padded(whole, numbers[end - 3 * len(self._pads) : end])
-        if not self.joints:
+            whole = self._padded(whole, pads)
+        if not self.joint_names:
             return whole, None
-        gaps, rates, bias, status = numbers[last : last + 4 * self.joints].reshape(-1, 4).T
-        behind = last + 4 * self.joints
-        rows = numbers[behind : behind + self.joints * n].reshape(self.joints, n)
-        rows = np.pad(rows, ((0, 0), (0, len(self._pads))))
+        gaps, rates, bias, status = joints.reshape(-1, 4).T
+        rows = np.pad(joint_jacobian.reshape(len(self.joint_names), n), no_pads)
         return whole, JointNumbers(gaps, rates, bias, rows, status != 0.0, status < OFF_ROW)
 
     def _padded(self, whole: Snapshot, numbers: Array) -> Snapshot:
@@ -291,8 +276,7 @@ class SnapshotTape:
             acting[i] = contacts[i].gap <= 0.0
             jacobians[i, 0], biases[i, 0] = 0.0, 0.0
             jacobians[i, 0, n + pad] = 1.0
-            gap = max(contacts[i].gap, 0.0)
-            contacts[i] = contacts[i]._replace(gap=gap, gap_rate=0.0, bias_n=0.0)
+            contacts[i] = contacts[i]._replace(gap=max(contacts[i].gap, 0.0), gap_rate=0.0)
         return whole._replace(
             mass=mass,
             forces=np.concatenate([whole.forces, -pressed]) + acting @ pushes,
@@ -331,24 +315,18 @@ def _reduce(whole: Snapshot, joints: JointNumbers, groups: Sequence[JointGroup])
     largest = np.abs(whole.jacobians) @ np.abs(basis)
     jacobians[np.abs(jacobians) <= ROUND_OFF * largest] = 0.0
     biases = whole.biases + whole.jacobians @ allowed.acceleration
-    return Snapshot(
-        0.5 * (mass + mass.T),
-        basis.T @ (whole.forces - whole.mass @ allowed.acceleration),
-        allowed.left_inverse @ (whole.velocity - allowed.velocity),
-        whole.energy,
-        tuple(
-            contact._replace(bias_n=normal, bias_t=tangential, jacobian=jacobian)
-            for contact, jacobian, (normal, tangential) in zip(
-                whole.contacts, jacobians, biases.tolist(), strict=True
-            )
+    return whole._replace(
+        mass=0.5 * (mass + mass.T),
+        forces=basis.T @ (whole.forces - whole.mass @ allowed.acceleration),
+        velocity=allowed.left_inverse @ (whole.velocity - allowed.velocity),
+        contacts=tuple(
+            contact._replace(jacobian=jacobian)
+            for contact, jacobian in zip(whole.contacts, jacobians, strict=True)
         ),
-        jacobians,
-        biases,
-        JointReduction(whole, joints, basis, allowed.acceleration),
-        whole.limits,
-        whole.pads,
-        None if whole.pushes is None else whole.pushes @ basis,
-        whole.signs,
+        jacobians=jacobians,
+        biases=biases,
+        reduction=JointReduction(whole, joints, basis, allowed.acceleration),
+        pushes=None if whole.pushes is None else whole.pushes @ basis,
     )
 
 

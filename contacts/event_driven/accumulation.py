@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from contacts.dynamics.conditions import hidden
-from contacts.dynamics.contact_law import ContactLaw, sliding_edge
+from contacts.dynamics.contact_law import sliding_edge
 from contacts.dynamics.projection import held_key, landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot, answer
@@ -84,16 +84,13 @@ def close_immediately(
         warnings.append(sequence.warning)
         state = snapshot.moved(state, sequence.velocity)
         snapshot = at(state)
-    slip_tolerance = 2.0 * setup.tolerances["speed"]
-    settled_velocity = _velocity_after_impacts(
-        snapshot, setup.contacts, strike_jammed(setup.contacts, closing), slip_tolerance
-    )
+    settled_velocity = _velocity_after_impacts(setup, snapshot, closing)
     if settled_velocity is not None:
         state = snapshot.moved(state, settled_velocity)
     state = on_constraints(key, at(state), state)
     snapshot = hidden(at(state), flow.mode)
     slides = any(
-        abs(c.slip) > slip_tolerance
+        abs(c.slip) > setup.slip_tolerance
         for c, closes in zip(snapshot.contacts, strike_jammed(setup.contacts, closing), strict=True)
         if closes
     )
@@ -109,15 +106,13 @@ def close_immediately(
     choice = choose_mode(setup, snapshot, closing, paradox)
     if isinstance(choice, Jam):
         return None
-    roles = choice.taken.roles
+    roles = choice.roles
     after = landed(held_key(roles, snapshot.soft), snapshot, state, setup.tolerances)
-    warning = "; ".join(filter(None, (*warnings, choice.warning)))
+    warning = "; ".join(filter(None, warnings))
     # If no mode is left to change (a bar that rattles over a crest opens all contacts; the last of
     # several rods closes at this impact), there is no time to wait.
     wait = None if moving_mode(roles) == flow.mode else remaining
-    following = flow_in(
-        setup, flow.mode, roles, wait, warning, notes=choice.notes, tolerances=choice.tolerances
-    )
+    following = flow_in(setup, flow.mode, choice, wait, warning)
     energy = None if jump.energy is None else (jump.energy[0], snapshot.energy)
     return replace(jump, after=after, energy=energy, skipped=remaining), following
 
@@ -133,7 +128,7 @@ def _moves_tangentially(key: Key, snapshot: Snapshot, state: Array, setup: Scene
 
 
 def _velocity_after_impacts(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], closing: Sequence[bool], slip_tolerance: float
+    setup: SceneSetup, snapshot: Snapshot, closing: Sequence[bool]
 ) -> Array | None:
     """Return the velocity (n,) after all alternating impacts, without the effect of other forces.
 
@@ -146,13 +141,13 @@ def _velocity_after_impacts(
     columns: list[Array] = []
     rates: list[float] = []
     slides: list[PerContact] = []
-    for law, contact, closed in zip(laws, snapshot.contacts, closing, strict=True):
-        if not closed:
+    for law, contact, closes in zip(setup.contacts, snapshot.contacts, closing, strict=True):
+        if not closes or law.coupling:
             continue
         normal, tangent = contact.jacobian
         rows.append(normal)
         rates.append(-contact.gap_rate)
-        if abs(contact.slip) > slip_tolerance or "pin" not in law.states:
+        if abs(contact.slip) > setup.slip_tolerance or "pin" not in law.states:
             cone_n, cone_t = sliding_edge(law, contact)
             columns.append(cone_n * normal - np.sign(contact.slip) * cone_t * tangent)
             slides.append(contact)
@@ -166,7 +161,8 @@ def _velocity_after_impacts(
         return None
     sizes = [math.sqrt(float(dv @ snapshot.mass @ dv)) for dv in (change, frictionless)]
     reversed_slip = any(
-        (contact.slip + contact.jacobian[1] @ change) * np.sign(contact.slip) < -slip_tolerance
+        (contact.slip + contact.jacobian[1] @ change) * np.sign(contact.slip)
+        < -setup.slip_tolerance
         for contact in slides
     )
     return (

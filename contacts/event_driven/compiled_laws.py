@@ -158,10 +158,7 @@ class CompiledSceneLaws:
         after = hidden(self._snapshots.at(setup.values, event.after, event.t), event.source)
         speed_tolerance, gap_tolerance = setup.tolerances["speed"], setup.tolerances["gap"]
         closed = [contact.gap <= gap_tolerance for contact in after.contacts]
-        if any(
-            is_closed and contact.gap_rate <= speed_tolerance
-            for is_closed, contact in zip(closed, after.contacts, strict=True)
-        ):
+        if any(after.remaining(closed, speed_tolerance)):
             return None
         return explain_choice({}, setup.contacts, after.contacts, closed, [False] * len(closed), {})
 

@@ -116,16 +116,7 @@ class ControlledLaws:
                 watched = {name: following.tolerances[name] for name in names}
                 joined = {**flow_on.tolerances, **watched}
                 return None, flow_on._replace(settled=following.settled, tolerances=joined)
-            after = self._memory.joined(jump.after, state)
-            jump = replace(
-                jump,
-                source=flow.mode,
-                target=(*jump.target, *controllers),
-                before=self._memory.joined(jump.before, state),
-                after=after,
-            )
-            flow = flow._replace(pending=self._queues.pending_after(flow.pending, jump))
-            return jump, self._joined(setup, clock, following, controllers, after, flow)
+            return self._joined_jump(at, jump, following, controllers, state)
         truths, rows = self._guard_truths(setup, clock, flow, state, fired)
         true = set() if truths is None else truths.due()
         guarded = opening_first(true, self._names, controllers, self._joints)
@@ -188,14 +179,20 @@ class ControlledLaws:
         inner = self._within(at.setup, states, state)
         motion = self._memory.parted(state)
         parted = at._replace(setup=inner, flow=self._parted(at.flow), state=motion)
-        jump, flow = self._at(states).close(parted, joint, cause)
+        return self._joined_jump(at, *self._at(states).close(parted, joint, cause), states, state)
+
+    def _joined_jump(
+        self, at: Instant, jump: Jump, flow: Flow, states: Key, state: Array
+    ) -> tuple[Jump, Flow]:
+        """Return a jump of the contacts and its flow with controllers in `states`."""
+        assert isinstance(at.setup, SceneSetup)
+        before = self._memory.joined(jump.before, at.state)
         after = self._memory.joined(jump.after, state)
-        jump = replace(
-            jump, source=at.flow.mode, target=(*jump.target, *states), before=at.state, after=after
-        )
+        target = (*jump.target, *states)
+        jump = replace(jump, source=at.flow.mode, target=target, before=before, after=after)
         pending = self._queues.pending_after(at.flow.pending, jump)
-        before = at.flow._replace(pending=pending)
-        return jump, self._joined(at.setup, at.clock, flow, states, after, before)
+        source = at.flow._replace(pending=pending)
+        return jump, self._joined(at.setup, at.clock, flow, states, after, source)
 
     def accumulate(
         self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -40,30 +39,19 @@ def choose_mode(
     """
     check_listed(setup, snapshot, touching)
     snapshot = close_compliant(snapshot, touching)
-    slip_tolerance = 2.0 * setup.tolerances["speed"]
-    decide = partial(
-        choose,
-        laws=setup.contacts,
-        closed=touching,
-        scales=setup.scales,
-        tie=setup.tie,
-        slip_tolerance=slip_tolerance,
-        before=before,
-        uncertainty=uncertainty,
-    )
-    level, resting = _level_feet(setup, snapshot, touching, slip_tolerance)
+    level, resting = _level_feet(setup, snapshot, touching)
     try:
-        choice = decide(snapshot if resting else level)
+        choice = choose(setup, snapshot if resting else level, touching, before, uncertainty)
         if any(choice.taken.states[i] not in STICKING for i in resting):
-            choice = decide(level)
+            choice = choose(setup, level, touching, before, uncertainty)
     except NoConsistentMode as error:
-        jam = resolve_jam(snapshot, setup.contacts, touching, slip_tolerance)
+        jam = resolve_jam(setup, snapshot, touching)
         if paradox == "impact" and jam is not None:
             return replace(jam, considered=error.considered)
-        paradoxes_met = paradoxes(snapshot, setup.contacts, touching, slip_tolerance)
+        paradoxes_met = paradoxes(setup, snapshot, touching)
         reports = "".join(f"; {paradox_met}" for paradox_met in paradoxes_met.values())
         slides = [
-            t and abs(c.slip) > slip_tolerance
+            t and abs(c.slip) > setup.slip_tolerance
             for t, c in zip(touching, snapshot.contacts, strict=True)
         ]
         may_open = all(
@@ -73,18 +61,18 @@ def choose_mode(
             reports += "; where friction jams several contacts at once, take the engine impulse"
         raise NoConsistentMode(f"{error}{reports}", considered=error.considered) from None
     if np.abs(choice.taken.forces).max(initial=0.0) > ENDLESS * setup.scales.force:
-        jam = resolve_jam(snapshot, setup.contacts, touching, slip_tolerance)
+        jam = resolve_jam(setup, snapshot, touching)
         if paradox == "impact" and jam is not None:
             return replace(jam, considered=choice.considered)
     if choice.warning:
-        paradoxes_met = paradoxes(snapshot, setup.contacts, touching, slip_tolerance)
+        paradoxes_met = paradoxes(setup, snapshot, touching)
         warning = "; ".join([choice.warning, *map(str, paradoxes_met.values())])
         choice = choice._replace(warning=warning)
     return choice
 
 
 def _level_feet(
-    setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool], slip_tolerance: float
+    setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool]
 ) -> tuple[Snapshot, list[int]]:
     """Return the snapshot with dependent rows of nearly level feet, and the feet if they rest.
 
@@ -95,7 +83,7 @@ def _level_feet(
     sticking = [
         i
         for i in np.flatnonzero(snapshot.soft).tolist()
-        if touching[i] and abs(snapshot.contacts[i].slip) <= slip_tolerance
+        if touching[i] and abs(snapshot.contacts[i].slip) <= setup.slip_tolerance
     ]
     if len(sticking) < 2:
         return snapshot, []
@@ -113,11 +101,11 @@ def _level_feet(
             continue
         # The body moves along with this speed.
         if off <= USER_DIGITS or abs(weights @ slips[independent] - slips[i]) > (
-            off * slip_tolerance
+            off * setup.slip_tolerance
         ):
             resting = []
         jacobians[i, 1], biases[i, 1] = row, bias
-        contacts[i] = contacts[i]._replace(jacobian=jacobians[i], bias_t=float(bias))
+        contacts[i] = contacts[i]._replace(jacobian=jacobians[i])
     if len(independent) == len(sticking):
         return snapshot, []
     level = snapshot._replace(jacobians=jacobians, biases=biases, contacts=tuple(contacts))
@@ -157,7 +145,7 @@ def choose_at_rest(
     its slider in line): friction cannot hold the linkage there, and the point slips as the motion
     goes on. `at` gives the snapshot at a state after a time.
     """
-    slip_tolerance, half = 2.0 * setup.tolerances["speed"], len(state) // 2
+    slip_tolerance, half = setup.slip_tolerance, len(state) // 2
     sizes = setup.scales.sizes[:half]
     basis, levers = _motions(setup, snapshot)
     idle = [
@@ -219,7 +207,7 @@ def choose_at_rest(
 
 def check_listed(setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool]) -> None:
     """Raise `NoConsistentMode` if a contact opens or slips and does not list that mode."""
-    gap_tolerance, slip_tolerance = setup.tolerances["gap"], 2.0 * setup.tolerances["speed"]
+    gap_tolerance, slip_tolerance = setup.tolerances["gap"], setup.slip_tolerance
     for law, contact, is_touching in zip(setup.contacts, snapshot.contacts, touching, strict=True):
         if (
             law.coupling

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ from contacts.event_driven.decision import check_listed, choose_mode, explain_ch
 from contacts.impacts.bounces import correct_durations, remaining_bounces, stands_for_bounces
 from contacts.impacts.jamming import Jam, impact_without_collision, listed_mode, strike_jammed
 from contacts.impacts.simultaneous import Impacts, impacts
-from contacts.modes.classification import Before, ForceUncertainty
+from contacts.modes.classification import Before, Choice, ForceUncertainty
 from contacts.scene.modes import INSIDE, OUTSIDE
 from contacts.scene.parts import Resolution, Simultaneous
 from contacts.states import INACTIVE, OPEN
@@ -86,8 +85,7 @@ class Landing(NamedTuple):
     @property
     def hitting(self) -> list[int]:
         """The closed contacts that approach."""
-        contacts = enumerate(self.snapshot.contacts)
-        return [i for i, c in contacts if self.closed[i] and c.gap_rate < -self.slow]
+        return self.snapshot.approaching(self.closed, self.slow)
 
 
 class _Struck(NamedTuple):
@@ -100,35 +98,28 @@ class _Struck(NamedTuple):
     bounce_times: Mapping[int, float]  # Contact -> duration of the bounces that are summed.
 
 
-class _Entered(NamedTuple):
-    """Mode after an impact, its roles and its explanation."""
-
-    target: Key
-    roles: Roles
-    state: Array
-    settled: bool
-    considered: Mapping[str, str] = MappingProxyType({})
-    warnings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    tolerances: Mapping[str, float] = MappingProxyType({})
-    near_bound: bool = False
-
-
 def flow_in(
     setup: SceneSetup,
     mode: Key,
-    roles: Roles | None = None,
+    moved_by: Choice | Roles | None = None,
     bounce_time: float | None = None,
     warning: str = "",
     settled: bool = True,
-    notes: tuple[str, ...] = (),
-    tolerances: Mapping[str, float] = MappingProxyType({}),
 ) -> Flow:
-    """Return the flow in a mode; `bounce_time` is the duration of the bounces summed before it."""
+    """Return the flow shown as a mode, with the equations of a choice, of roles, or of the mode.
+
+    `bounce_time` is the duration of the bounces summed before it; the warning of the choice follows
+    `warning`.
+    """
     remaining = math.inf if bounce_time is None else bounce_time
-    moving = roles_in(mode) if roles is None else shown_roles(mode, roles)
-    bands = {**setup.bands, **tolerances} if tolerances else setup.bands
-    return Flow(mode, moving, remaining, warning, settled, notes, tolerances=bands)
+    if not isinstance(moved_by, Choice):
+        roles = roles_in(mode) if moved_by is None else shown_roles(mode, moved_by)
+        return Flow(mode, roles, remaining, warning, settled, tolerances=setup.bands)
+    warning = "; ".join(filter(None, (warning, moved_by.warning)))
+    tolerances = {**setup.bands, **moved_by.tolerances} if moved_by.tolerances else setup.bands
+    roles, notes = shown_roles(mode, moved_by.roles), moved_by.notes
+    flow = Flow(mode, roles, remaining, warning, settled, notes, tolerances=tolerances)
+    return flow._replace(near_bound=moved_by.near_bound)
 
 
 def shown_roles(mode: Key, roles: Roles) -> Roles:
@@ -156,23 +147,20 @@ def impact_jump(
     at, setup, closed, speed_tolerance = landing.at, landing.setup, landing.closed, landing.slow
     struck = _solve_struck(rules, landing, jam)
     laws, contacts, bounce_times = struck.laws, struck.snapshot.contacts, struck.bounce_times
-    touching = [
-        was_closed and contact.gap_rate <= speed_tolerance
-        for was_closed, contact in zip(closed, contacts, strict=True)
-    ]
-    entered = _choose_entered(rules, landing, struck, touching)
-    target = listed_mode(entered.target, laws, contacts, 2.0 * speed_tolerance)
-    energy = rules.tape.at(setup.values, entered.state, at.clock.high).energy
+    touching = struck.snapshot.remaining(closed, speed_tolerance)
+    mode, moved_by, after, settled = _choose_entered(rules, landing, struck, touching)
+    target = listed_mode(mode, setup, struck.snapshot)
+    energy = rules.tape.at(setup.values, after, at.clock.high).energy
     bounce_time = max(bounce_times.values(), default=None)
     impulses = struck.result.impulses
     joint_impulse = rules.tape.joint_impulse(
-        landing.snapshot, at.state if before is None else before, entered.state, impulses
+        landing.snapshot, at.state if before is None else before, after, impulses
     )
     couples = {f"{law.name}.M": impulses.item(i, 1) for i, law in rolling(laws)}
     jump = at.jump(
         *event,
         target,
-        entered.state,
+        after,
         impulse={
             law.name: (normal, tangential)
             for law, (normal, tangential) in zip(laws, impulses.tolist(), strict=True)
@@ -188,23 +176,18 @@ def impact_jump(
                 contacts,
                 closed,
                 touching,
-                entered.considered,
+                moved_by.considered if isinstance(moved_by, Choice) else {},
             )
         ),
         energy=(landing.snapshot.energy, energy),
         skipped=bounce_time or 0.0,
     )
-    warnings = ("" if jam is None else str(jam), struck.result.warning, *entered.warnings)
-    warning = "; ".join(filter(None, warnings))
-    flow = flow_in(
-        setup, target, entered.roles, bounce_time, warning, entered.settled, entered.notes,
-        entered.tolerances,
-    )  # fmt: skip
-    flow = flow._replace(near_bound=entered.near_bound)
+    warning = "; ".join(filter(None, ("" if jam is None else str(jam), struck.result.warning)))
+    flow = flow_in(setup, target, moved_by, bounce_time, warning, settled)
     # After a long flight the round-off of a gap can exceed its tolerance: it opens from there.
     penetrating = {
         f"{law.name}.gap": -2.0 * contact.gap
-        for law, contact, mode in zip(laws, contacts, moving_mode(entered.roles), strict=True)
+        for law, contact, mode in zip(laws, contacts, moving_mode(flow.roles), strict=True)
         if mode == "free" and contact.gap < -setup.tolerances["gap"]
     }
     if penetrating:
@@ -226,7 +209,7 @@ def _solve_struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
         result: Impacts,
         later: float = 0.0,
     ) -> _Struck:
-        result = apply_rolling_resistance(snapshot, laws, result, 2.0 * landing.slow)
+        result = apply_rolling_resistance(snapshot, laws, result, setup.slip_tolerance)
         after = snapshot.moved(state, result.velocity)
         return _Struck(laws, result, after, seen(after, later), {})
 
@@ -270,34 +253,30 @@ def _solve_struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
 
 def _choose_entered(
     rules: Rules, landing: Landing, struck: _Struck, touching: list[bool]
-) -> _Entered:
+) -> tuple[Key, Choice | Roles, Array, bool]:
+    """Return the mode after an impact, its choice or roles, the state, and if it is settled."""
     setup, following = landing.setup, struck.snapshot
     # If a contact still approaches after a sequence of impacts, the next jump is its impact.
-    settled = not any(
-        was_closed and contact.gap_rate < -landing.slow
-        for was_closed, contact in zip(landing.closed, following.contacts, strict=True)
-    )
+    settled = not following.approaching(landing.closed, landing.slow)
     check_listed(setup, following, touching)
     if not any(touching):
         flying = tuple(name if name in INACTIVE else "free" for name in landing.at.flow.mode)
-        return _Entered(flying, roles_in(flying), struck.state, settled)
+        return flying, roles_in(flying), struck.state, settled
     uncertainty = rules.uncertainty(landing, struck.state)
     before = Before.flow(landing.at.flow.roles)
     choice = choose_mode(setup, following, touching, rules.paradox, before, uncertainty)
-    roles = roles_in(choice.sliding) if isinstance(choice, Jam) else choice.taken.roles
-    moving = moving_mode(roles)
-    held = held_key(roles, following.soft)
-    state = landed(held, following, struck.state, setup.tolerances)
+    moving = moving_mode(choice.roles)
+    state = landed(
+        held_key(choice.roles, following.soft), following, struck.state, setup.tolerances
+    )
     # A contact whose bounces are skipped moves as closed and is shown as free.
     target = tuple(
         "free" if not struck.bounce_times.keys().isdisjoint((i, law.carrier)) else name
         for i, (name, law) in enumerate(zip(moving, struck.laws, strict=True))
     )
     if isinstance(choice, Jam):
-        return _Entered(target, roles, state, settled=False)
-    return _Entered(
-        target, roles, state, settled, choice.considered, (choice.warning,), *choice[3:]
-    )
+        return target, choice.roles, state, False
+    return target, choice, state, settled
 
 
 def apply_rolling_resistance(

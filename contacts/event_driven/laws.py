@@ -157,11 +157,11 @@ class SceneLaws:
         snapshot = hidden(snapshot, off)
         check_places(self._mechanics, snapshot)
         near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
-        touched = self._mechanics.scene.surface_of
-        for law, contact in list(zip(setup.contacts, snapshot.contacts, strict=True))[
-            : self._count
-        ]:
-            check_start(touched(law.name), law, contact[:3], depth, near, slow)
+        scene = self._mechanics.scene
+        for name, law, contact in zip(
+            scene.contacts, setup.contacts, snapshot.contacts, strict=False
+        ):
+            check_start(scene.surface_of(name), law, contact[:3], depth, near, slow)
         check_limits(self._names[self._count :], snapshot.limits)
         closed = [c.gap <= near for c in snapshot.contacts]
         touching = [
@@ -189,21 +189,13 @@ class SceneLaws:
             self._hidden_at(setup, 0.0, off),
             Before(),
         )
+        moving = moving_mode(choice.roles)
+        starts = listed_mode(moving, setup, snapshot)
         if isinstance(choice, Jam):
-            starts = listed_mode(choice.sliding, setup.contacts, snapshot.contacts, 2.0 * slow)
-            roles = roles_in(choice.sliding)
-            return flow_in(setup, starts, roles, None, above, settled=False), state
+            return flow_in(setup, starts, choice.roles, None, above, settled=False), state
         check_declared(self._modes, self._names, choice, snapshot, touching, failing)
-        taken = choice.taken
-        settled = not any(
-            shut and c.gap_rate < -slow for shut, c in zip(closed, snapshot.contacts, strict=True)
-        )
-        starts = listed_mode(taken.states, setup.contacts, snapshot.contacts, 2.0 * slow)
-        warning = "; ".join(filter(None, (above, choice.warning)))
-        flow = flow_in(
-            setup, starts, taken.roles, None, warning, settled, choice.notes, choice.tolerances
-        )
-        return flow, state
+        settled = not snapshot.approaching(closed, slow)
+        return flow_in(setup, starts, choice, None, above, settled), state
 
     def _hovering(self, setup: SceneSetup, state: Array, mode: Key) -> str:
         """Return warnings about contacts that start just off their surfaces."""
@@ -279,7 +271,6 @@ class SceneLaws:
         if switched:
             return self._switching.jump(at, setup, snapshot, switched)
         here = self._landing(at, setup, hidden(snapshot, flow.mode))
-        contacts, closed, slow = here.snapshot.contacts, here.closed, here.slow
         if fired == (UNBOUNDED,):
             return self._unbounded(here)
         for name in self._names:
@@ -288,7 +279,7 @@ class SceneLaws:
         hitting = here.hitting
         if hitting:
             return self._impact(here, hitting)
-        touching = [shut and c.gap_rate <= slow for shut, c in zip(closed, contacts, strict=True)]
+        touching = here.snapshot.remaining(here.closed, here.slow)
         uncertainty = self._rules.uncertainty(here)
         before = Before.flow(at.flow.roles, here.moving)
         around = self._hidden_at(setup, clock.high, flow.mode)
@@ -363,7 +354,7 @@ class SceneLaws:
         held = held_key(flow.roles, snapshot.soft)
         state = landed(held, snapshot, at.state, setup.tolerances)
         slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
-        rested = self._rested(flow, held, snapshot, at.fired, 2.0 * slow)
+        rested = self._rested(flow, held, snapshot, at.fired, setup.slip_tolerance)
         if rested != held:
             state = on_constraints(rested, snapshot, state)
         if state is not at.state:
@@ -403,7 +394,7 @@ class SceneLaws:
     def _grown(self, here: Landing) -> Jam | None:
         """Return the jam if a force grows without bound."""
         shut = [state not in OPEN for state in here.moving]
-        return unbounded_jam(here.snapshot, here.setup.contacts, shut, 2.0 * here.slow)
+        return unbounded_jam(here.setup, here.snapshot, shut)
 
     def _enter(self, at: Instant, here: Landing, choice: Choice) -> tuple[Jump | None, Flow] | None:
         """Return the jump to a mode; None if the flow already moves in it."""
@@ -439,11 +430,7 @@ class SceneLaws:
             considered=choice.considered,
             energy=(snapshot.energy, snapshot_after.energy),
         )
-        roles, warning, notes = choice.taken.roles, choice.warning, choice.notes
-        following = flow_in(
-            setup, target, roles, warning=warning, notes=notes, tolerances=choice.tolerances
-        )
-        return jump, following._replace(near_bound=choice.near_bound)
+        return jump, flow_in(setup, target, choice)
 
     def _of_forces(self, fired: tuple[str, ...]) -> bool:
         """Return whether only margins of contact forces fell."""
@@ -526,9 +513,7 @@ class SceneLaws:
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
         """Return the constraints of the closed contacts of `roles`, and of pinned points."""
         assert isinstance(setup, SceneSetup)
-        return self._projection.constraints(
-            roles, start, anchor, setup.values, setup.tolerances, setup.scales
-        )
+        return self._projection.constraints(setup, roles, start, anchor)
 
     def feasibility(
         self, regions: Sequence[Region], setup: Setup, state: Array, time: float

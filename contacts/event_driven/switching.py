@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +31,15 @@ Strike = Callable[[Key], tuple[Array, Snapshot] | None]
 """Mode -> state and snapshot after an impact of its contacts; None without one."""
 
 
+class _Place(NamedTuple):
+    """Contacts and conditions at a state."""
+
+    setup: SceneSetup
+    snapshot: Snapshot
+    conditions: ConditionsAt
+    near: list[float]  # Largest gap at which each contact is closed
+
+
 class Switching:
     """Disables and enables contacts (see `contacts.dynamics.conditions`)."""
 
@@ -41,23 +51,27 @@ class Switching:
         self, setup: SceneSetup, snapshot: Snapshot, state: Array, time: float
     ) -> tuple[str, ...]:
         """Return a failing condition of each contact, or ""; see `ConditionsAt`."""
-        here = self._conditions.at(setup, state, time)
-        near = _closing_gaps(setup, snapshot, here)
-        return self._conditions.first(self._judged(setup, snapshot, here, near))
+        return self._conditions.first(self._judged(self._place(setup, snapshot, state, time)))
+
+    def _place(self, setup: SceneSetup, snapshot: Snapshot, state: Array, time: float) -> _Place:
+        """Return the contacts and conditions at a state.
+
+        The zero of a gate is known to its round-off, and so is the gap of the contact that takes
+        over there.
+        """
+        conditions, gap_tolerance = self._conditions.at(setup, state, time), setup.tolerances["gap"]
+        contacts = snapshot.unreduced.contacts
+        near = [
+            gap_tolerance + _MORE * blur * float(np.linalg.norm(contact.jacobian[0]))
+            for blur, contact in zip(conditions.position_uncertainty, contacts, strict=True)
+        ]
+        return _Place(setup, snapshot, conditions, near)
 
     def _judged(
-        self,
-        setup: SceneSetup,
-        snapshot: Snapshot,
-        here: ConditionsAt,
-        near: Sequence[float],
-        fired: tuple[str, ...] = (),
-        on: Sequence[bool] = (),
+        self, place: _Place, fired: tuple[str, ...] = (), on: Sequence[bool] = ()
     ) -> list[int]:
-        """Return the verdicts of the atoms at a state, with contacts closed up to the gaps `near`.
-
-        `on`: contacts enabled in the flow that ends there.
-        """
+        """Return the verdicts of the atoms; `on`: contacts enabled in the flow that ends here."""
+        setup, snapshot, here, near = place
         slow = setup.tolerances["speed"]
 
         def motion(failing: Sequence[bool]) -> Roles | None:
@@ -82,18 +96,11 @@ class Switching:
             return None if isinstance(choice, Jam) else choice.taken.roles
 
         verdicts = here.verdicts(fired, motion, on)
-        certified = self._held_in_corners(setup, snapshot, here, near, verdicts, fired, on)
+        certified = self._held_in_corners(place, verdicts, fired, on)
         return here.with_boundary(verdicts, certified, fired)
 
     def _held_in_corners(
-        self,
-        setup: SceneSetup,
-        snapshot: Snapshot,
-        here: ConditionsAt,
-        near: Sequence[float],
-        verdicts: list[int],
-        fired: Collection[str],
-        on: Sequence[bool],
+        self, place: _Place, verdicts: list[int], fired: Collection[str], on: Sequence[bool]
     ) -> set[int]:
         """Return the contacts whose atoms hold on their boundary, as no other contact takes over.
 
@@ -105,13 +112,13 @@ class Switching:
         certified: set[int] = set()
         if not any(failing):
             return certified
-        contacts, points = snapshot.contacts, self._conditions.points
-        slow, every = setup.tolerances["speed"], range(len(points))
+        contacts, points = place.snapshot.contacts, self._conditions.points
+        slow, every = place.setup.tolerances["speed"], range(len(points))
         corners: dict[int, list[int]] = {}
         for i, point in enumerate(points):
-            if abs(contacts[i].gap) <= max(near[j] for j in every if points[j] == point):
+            if abs(contacts[i].gap) <= max(place.near[j] for j in every if points[j] == point):
                 corners.setdefault(point, []).append(i)
-        would = self._conditions.first(here.with_boundary(verdicts, every, fired))
+        would = self._conditions.first(place.conditions.with_boundary(verdicts, every, fired))
         on_boundary = [bool(why) and not then for why, then in zip(failing, would, strict=True)]
         for places in corners.values():
             if len(places) < 2 or not all(failing[i] for i in places):
@@ -128,13 +135,12 @@ class Switching:
         """Return the contacts that go off, with a failing condition, or come back, with ""."""
         if not self._conditions.present:
             return {}
-        here = self._conditions.at(setup, at.state, at.clock.high)
-        near = _closing_gaps(setup, snapshot, here)
+        place = self._place(setup, snapshot, at.state, at.clock.high)
         on = [state not in INACTIVE for state in at.flow.mode]
-        self._verdicts = self._judged(setup, snapshot, here, near, at.fired, on)
+        self._verdicts = self._judged(place, at.fired, on)
         failing = self._conditions.first(self._verdicts)
-        if any(failing) and here.on_boundary:
-            failing = self._struck_too(at, setup, snapshot, near, failing, strike)
+        if any(failing) and place.conditions.on_boundary:
+            failing = self._struck_too(at, place, failing, strike)
         result: dict[int, str] = {}
         for i, (why, now) in enumerate(zip(failing, at.flow.mode, strict=True)):
             gap = snapshot.contacts[i].gap
@@ -146,18 +152,12 @@ class Switching:
                         f"the conditions of contact {self._names[i]!r} hold where its surface "
                         "has no finite value; add a condition that fails there"
                     )
-                if gap >= -near[i]:
+                if gap >= -place.near[i]:
                     result[i] = why
         return result
 
     def _struck_too(
-        self,
-        at: Instant,
-        setup: SceneSetup,
-        snapshot: Snapshot,
-        near: Sequence[float],
-        failing: tuple[str, ...],
-        strike: Strike,
+        self, at: Instant, place: _Place, failing: tuple[str, ...], strike: Strike
     ) -> tuple[str, ...]:
         """Return the conditions that fail unless an impact sends the bodies back.
 
@@ -165,11 +165,12 @@ class Switching:
         valley an impact on one side sends the point to the other, whose contact is closed as well:
         both take part.
         """
+        setup, snapshot, _, near = place
         slow = setup.tolerances["speed"]
         mode = tuple(
             off_state(law)
             if why
-            else engaged_state(law, contact, 2.0 * slow)
+            else engaged_state(law, contact, setup.slip_tolerance)
             if state in INACTIVE and contact.gap >= -close
             else state
             for why, state, contact, close, law in zip(
@@ -200,8 +201,8 @@ class Switching:
         """
         if not self._conditions.present:
             return []
-        here, points = self._conditions.at(setup, state, time), self._conditions.points
-        near, every = _closing_gaps(setup, snapshot, here), range(len(points))
+        _, _, here, near = self._place(setup, snapshot, state, time)
+        points, every = self._conditions.points, range(len(self._conditions.points))
         fails = self._conditions.first(here.with_boundary(here.verdicts(), every, ()))
         gaps = zip(snapshot.contacts, near, strict=True)
         met = [abs(contact.gap) <= close for contact, close in gaps]
@@ -218,8 +219,9 @@ class Switching:
         mode, roles = list(flow.mode), list(flow.roles)
         for place, why in switched.items():
             law, contact = setup.contacts[place], snapshot.contacts[place]
-            still = 2.0 * setup.tolerances["speed"]
-            mode[place] = off_state(law) if why else engaged_state(law, contact, still)
+            mode[place] = off_state(law)
+            if not why:
+                mode[place] = engaged_state(law, contact, setup.slip_tolerance)
             roles[place] = Role(mode[place])
         place, why = next(iter(switched.items()))
         name = self._names[place]
@@ -273,20 +275,6 @@ class Switching:
         if alike(own, flow.tolerances):
             return None
         return None, flow._replace(tolerances={**flow.tolerances, **own})
-
-
-def _closing_gaps(setup: SceneSetup, snapshot: Snapshot, here: ConditionsAt) -> list[float]:
-    """Return the largest gap at which each contact is closed.
-
-    The zero of a gate is known to its round-off, and so is the gap of the contact that takes over
-    there.
-    """
-    return [
-        setup.tolerances["gap"] + _MORE * blur * float(np.linalg.norm(contact.jacobian[0]))
-        for blur, contact in zip(
-            here.position_uncertainty, snapshot.unreduced.contacts, strict=True
-        )
-    ]
 
 
 def alike(own: Mapping[str, float], tolerances: Mapping[str, float]) -> bool:

@@ -47,7 +47,7 @@ def remaining_bounces(
     """
     found: dict[int, Bounces] = {}
     speed_tolerance = setup.tolerances["speed"]
-    lying = _resting_contacts(setup, snapshot, closed)
+    lying = snapshot.remaining(closed, speed_tolerance)
     for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True)):
         rebound, e = contact.gap_rate, law.restitution
         if not closed[i] or not 0.0 < e < 1.0 or not speed_tolerance < rebound <= setup.capture:
@@ -92,9 +92,11 @@ def correct_durations(
     and `plastic` are the snapshots after the impact with and without rebounds; the plastic impact
     leads to `state`.
     """
-    lying = _resting_contacts(setup, resolved, closed)
+    speed_tolerance = setup.tolerances["speed"]
+    lying = resolved.remaining(closed, speed_tolerance)
+    resting = plastic.remaining(closed, speed_tolerance)
     try:
-        accelerations = _choose_resting(setup, plastic, _resting_contacts(setup, plastic, closed))
+        accelerations = _choose_resting(setup, plastic, resting)
     except SimulationError:
         return {i: one.duration for i, one in bounces.items()}
     resolved_fall, resting_fall = (
@@ -136,12 +138,11 @@ def reopens_immediately(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[
     energy than the projection of the gaps adds.
     """
     rates = np.array([contact.gap_rate for contact in snapshot.contacts])
+    lying = snapshot.remaining(closed, setup.tolerances["speed"])
     opening = np.asarray(closed) & (rates > setup.tolerances["speed"])
     if not opening.any():
         return False
-    fall = _closing_accelerations(setup, snapshot, _resting_contacts(setup, snapshot, closed))[
-        opening
-    ]
+    fall = _closing_accelerations(setup, snapshot, lying)[opening]
     heights = setup.tolerances["gap"] * 2.0 * fall
     return bool((fall > 0.0).all() and (rates[opening] ** 2 < heights).all())
 
@@ -195,18 +196,8 @@ def rest_of_passages(
     return total / (1.0 - ratio_of_cycle) if ratio_of_cycle < 1.0 else None
 
 
-def _resting_contacts(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> list[bool]:
-    speed_tolerance = setup.tolerances["speed"]
-    return [
-        is_closed and contact.gap_rate <= speed_tolerance
-        for is_closed, contact in zip(closed, snapshot.contacts, strict=True)
-    ]
-
-
 def _choose_resting(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Array:
-    slip_tolerance = 2.0 * setup.tolerances["speed"]
-    choice = choose(snapshot, setup.contacts, lying, setup.scales, setup.tie, slip_tolerance)
-    return choice.taken.accelerations
+    return choose(setup, snapshot, lying).taken.accelerations
 
 
 def _closing_accelerations(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Array:
@@ -218,7 +209,7 @@ def _closing_accelerations(setup: SceneSetup, snapshot: Snapshot, lying: Sequenc
 
 
 def _closing(snapshot: Snapshot, accelerations: Array) -> Array:
-    return np.array([-float(c.jacobian[0] @ accelerations) - c.bias_n for c in snapshot.contacts])
+    return -(snapshot.jacobians[:, 0] @ accelerations) - snapshot.biases[:, 0]
 
 
 def stands_for_bounces(

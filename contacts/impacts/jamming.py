@@ -17,11 +17,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw, sliding_edge
+from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot, answer, solve_kkt
 from contacts.impacts.impact import impact
 from contacts.impacts.simultaneous import Impacts, groups
 from contacts.states import DISENGAGED, OFF, SLIDING
-from statechart.automaton.trace import Key
+from statechart.automaton.laws import roles_in
+from statechart.automaton.trace import Key, Roles
 
 # Values of p below this part of the frictionless response are round-off; the corresponding force
 # stops the slip within the resolution of time.
@@ -56,22 +58,16 @@ class Paradox:
 
 
 def paradoxes(
-    snapshot: Snapshot,
-    laws: Sequence[ContactLaw],
-    touching: Sequence[bool],
-    slip_tolerance: float,
-    threshold: float = 0.0,
+    setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool], threshold: float = 0.0
 ) -> dict[int, Paradox]:
     """Return the touching contacts that slide with p <= 0, or pressed with next to none.
 
-    Slip speeds up to `slip_tolerance` are zero; p up to `threshold`, in parts of the response to a
-    normal force, is next to none.
+    p up to `threshold`, in parts of the response to a normal force, is next to none.
     """
     paradoxes_met: dict[int, Paradox] = {}
-    for i, (law, contact) in enumerate(zip(laws, snapshot.contacts, strict=True)):
-        if not touching[i] or abs(contact.slip) <= slip_tolerance or law.cone_t == 0.0:
-            continue
-        if law.coupling:
+    for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True)):
+        slides = touching[i] and abs(contact.slip) > setup.slip_tolerance
+        if not slides or law.cone_t == 0.0 or law.coupling:
             continue
         sign = math.copysign(1.0, contact.slip)
         cone_n, cone_t = sliding_edge(law, contact)
@@ -84,7 +80,7 @@ def paradoxes(
         b = (
             math.nan
             if unconstrained is None
-            else float(contact.jacobian[0] @ unconstrained[0]) + contact.bias_n
+            else float(contact.jacobian[0] @ unconstrained[0] + snapshot.biases[i, 0])
         )
         if p >= 0.0 and not b < 0.0:
             continue
@@ -125,6 +121,11 @@ class Jam:
     # Mode -> reason why it is not consistent
     considered: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def roles(self) -> Roles:
+        """The roles in which contacts move before the impact."""
+        return roles_in(self.sliding)
+
     def __str__(self) -> str:
         return f"{self.why}; an impact without collision resolves it"
 
@@ -152,40 +153,35 @@ def engaged_state(law: ContactLaw, contact: PerContact, slip_tolerance: float) -
     return closed_state(law, contact, slip_tolerance) if law.coupling else "free"
 
 
-def listed_mode(
-    key: Key, laws: Sequence[ContactLaw], contacts: Sequence[PerContact], slip_tolerance: float
-) -> Key:
+def listed_mode(key: Key, setup: SceneSetup, snapshot: Snapshot) -> Key:
     """Return the mode with closed states for contacts that do not list free."""
+    contacts = zip(key, setup.contacts, snapshot.contacts, strict=True)
     return tuple(
-        closed_state(law, contact, slip_tolerance) if name == "free" and name not in law.states
+        closed_state(law, contact, setup.slip_tolerance)
+        if name == "free" and name not in law.states
         else name
-        for name, law, contact in zip(key, laws, contacts, strict=True)
-    )  # fmt: skip
+        for name, law, contact in contacts
+    )
 
 
-def resolve_jam(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], touching: Sequence[bool], slip_tolerance: float
-) -> Jam | None:
+def resolve_jam(setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool]) -> Jam | None:
     """Return the jam of a state without a consistent mode; None if no impact resolves it."""
-    paradoxes_met = paradoxes(snapshot, laws, touching, slip_tolerance)
-    for group in groups(snapshot, strike_jammed(laws, touching)):
+    paradoxes_met = paradoxes(setup, snapshot, touching)
+    for group in groups(snapshot, strike_jammed(setup.contacts, touching)):
         if len(group) == 1 and group[0] in paradoxes_met:
             place = group[0]
-            sliding = _sliding(snapshot, laws, place, slip_tolerance)
-            return Jam(str(paradoxes_met[place]), place, sliding)
+            return Jam(str(paradoxes_met[place]), place, _sliding(setup, snapshot, place))
     return None
 
 
-def unbounded_jam(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], closed: Sequence[bool], slip_tolerance: float
-) -> Jam | None:
+def unbounded_jam(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> Jam | None:
     """Return the jam at the end of a flow in which p falls to zero with b < 0."""
-    paradoxes_met = paradoxes(snapshot, laws, closed, slip_tolerance, _UNBOUNDED_P)
-    for group in groups(snapshot, strike_jammed(laws, closed)):
+    paradoxes_met = paradoxes(setup, snapshot, closed, _UNBOUNDED_P)
+    for group in groups(snapshot, strike_jammed(setup.contacts, closed)):
         paradox = paradoxes_met.get(group[0])
         if len(group) == 1 and paradox is not None and paradox.b < 0.0:
             why = f"the force of {paradox.contact} grows without bound: {paradox}"
-            return Jam(why, group[0], _sliding(snapshot, laws, group[0], slip_tolerance))
+            return Jam(why, group[0], _sliding(setup, snapshot, group[0]))
     return None
 
 
@@ -209,12 +205,10 @@ def strike_jammed(laws: Sequence[ContactLaw], closed: Sequence[bool]) -> list[bo
     return [shut and not law.coupling for law, shut in zip(laws, closed, strict=True)]
 
 
-def _sliding(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], place: int, slip_tolerance: float
-) -> Key:
+def _sliding(setup: SceneSetup, snapshot: Snapshot, place: int) -> Key:
     return tuple(
-        closed_state(law, contact, slip_tolerance)
+        closed_state(law, contact, setup.slip_tolerance)
         if i == place or (law.coupling and contact.gap < np.inf and law.carrier in (-1, place))
         else off_state(law) if contact.gap == np.inf else "free"
-        for i, (law, contact) in enumerate(zip(laws, snapshot.contacts, strict=True))
+        for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True))
     )  # fmt: skip

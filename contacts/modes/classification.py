@@ -20,9 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw, bounds, cones
-from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import PerContact, Snapshot
+from contacts.dynamics.snapshot import EDGES, PerContact, Snapshot
 from contacts.modes.candidates import (
     OPEN_LOAD,
     SAME_MOTION,
@@ -223,6 +222,11 @@ class Choice(NamedTuple):
     tolerances: Mapping[str, float] = MappingProxyType({})
     near_bound: bool = False  # Forces may violate their bounds within the error of the run
 
+    @property
+    def roles(self) -> Roles:
+        """The roles in which contacts move."""
+        return self.taken.roles
+
 
 class Before(NamedTuple):
     """Mode and loads before the instant."""
@@ -244,24 +248,26 @@ class Before(NamedTuple):
 
 
 def choose(
+    setup: SceneSetup,
     snapshot: Snapshot,
-    laws: Sequence[ContactLaw],
     closed: Sequence[bool],
-    scales: Scales,
-    tie: float,
-    slip_tolerance: float,
     before: Before | None = None,
     uncertainty: ForceUncertainty | None = None,
 ) -> Choice:
     """Select the consistent mode of a state.
 
-    Relative violations up to `tie` are boundary cases, slips up to `slip_tolerance` are zero. If
-    contacts share a load, the mode of `before` continues as long as some forces of contacts that
+    If contacts share a load, the mode of `before` continues as long as some forces of contacts that
     were loaded explain it; without `before` all may be loaded.
 
     Raises `NoConsistentMode` or `AmbiguousMode` with every candidate and its reason, and
     `NonFinite` if the state has no finite forces.
     """
+    laws, scales, tie, slip_tolerance = (
+        setup.contacts,
+        setup.scales,
+        setup.tie,
+        setup.slip_tolerance,
+    )
     count, resting = len(laws), _signs_at_rest(snapshot, slip_tolerance)
     before = before or Before(bearing=frozenset(range(count)))
     if resting:
@@ -609,10 +615,7 @@ def _add_couplings(
     snapshot: Snapshot, rows: Array, biases: Array, limits: Array, effect: Array
 ) -> Snapshot:
     jacobians = np.stack([np.zeros_like(rows), rows], axis=1)
-    contacts = [
-        PerContact(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, bias, jacobian)
-        for bias, jacobian in zip(biases.tolist(), jacobians, strict=True)
-    ]
+    contacts = [PerContact._make((*[0.0] * EDGES, jacobian, None)) for jacobian in jacobians]
     return snapshot._replace(
         forces=snapshot.forces + effect @ rows,
         contacts=(*snapshot.contacts, *contacts),

@@ -105,30 +105,10 @@ def feasible_modes(
         )
     if names is None:
         names = [f"contact {i + 1}" for i in range(len(options))]
-    return _mode_verdicts(jacobians, product(*options), names)
-
-
-def without_direction(judged: Iterable[ModeVerdict]) -> dict[tuple[str, ...], str]:
-    """Return modes without directions of sliding -> reason, "" if one direction is feasible.
-
-    A reason independent of the direction stands alone, else those of all directions are joined.
-    """
-    groups: dict[tuple[str, ...], list[ModeVerdict]] = {}
-    for mode in judged:
-        groups.setdefault(tuple(map(declared_state, mode.states)), []).append(mode)
-    return {
-        key: "" if any(mode.feasible for mode in group) else _reason(group)
-        for key, group in groups.items()
-    }
-
-
-def _mode_verdicts(
-    jacobians: ArrayLike, modes: Iterable[tuple[str, ...]], names: Sequence[str]
-) -> tuple[ModeVerdict, ...]:
     rows = _scaled(np.asarray(jacobians, float))
     conflicts: set[frozenset[Condition]] = set()
     conditions_of: dict[tuple[str, ...], frozenset[Condition] | None] = {}
-    for states in modes:
+    for states in product(*options):
         conditions = _conditions(states, len(rows))
         conditions_of[states] = required = frozenset(conditions)
         # Most modes contain a conflict that has been found before.
@@ -155,6 +135,20 @@ def _mode_verdicts(
         )
         for states, conditions in conditions_of.items()
     )
+
+
+def without_direction(judged: Iterable[ModeVerdict]) -> dict[tuple[str, ...], str]:
+    """Return modes without directions of sliding -> reason, "" if one direction is feasible.
+
+    A reason independent of the direction stands alone, else those of all directions are joined.
+    """
+    groups: dict[tuple[str, ...], list[ModeVerdict]] = {}
+    for mode in judged:
+        groups.setdefault(tuple(map(declared_state, mode.states)), []).append(mode)
+    return {
+        key: "" if any(mode.feasible for mode in group) else _reason(group)
+        for key, group in groups.items()
+    }
 
 
 def _reason(directions: Iterable[ModeVerdict]) -> str:

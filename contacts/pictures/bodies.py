@@ -277,7 +277,7 @@ def disc_of(scene: Scene, contact: Contact, number: Callable[[str | int | float]
 
 
 def _held_by(joint: Joint) -> set[str]:
-    return {joint.point.body} | ({joint.to.body} if isinstance(joint.to, Point) else set())
+    return {end.body for end in joint.ends.values()}
 
 
 def _distinct(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:

@@ -19,7 +19,6 @@ from contacts.dynamics.conditions import undecided_couplings
 from contacts.dynamics.controllers import (
     Controllers,
     ControllerState,
-    controlled_symbols,
     controller,
 )
 from contacts.dynamics.parameters import with_sizes
@@ -40,7 +39,6 @@ from contacts.rigid_bodies.own_step import forced_speed, led_speed, own_step
 from contacts.rigid_bodies.prescribed_motion import Paths, PrescribedMotion
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts, RigidBodyRun
 from contacts.scene.checks import check_physical
-from contacts.scene.couplings import coupling_region
 from contacts.scene.expansion import start_problem
 from contacts.scene.lint import lint
 from contacts.scene.parts import Simultaneous
@@ -84,8 +82,8 @@ def bodies_automaton(scene: Scene) -> Automaton:
         for name in declared.moving()
     )
     of_couplings = (
-        coupling_region(name, coupling, lambda role: State(), (mechanics.couples[name],))
-        for name, coupling in scene.couplings.items()
+        scene.region(name, lambda role: State(), (mechanics.couples[name],))
+        for name in scene.couplings
     )
     controllers = scene.controlled.flat
     regions = (
@@ -114,7 +112,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
         observables=observables,
         setup=lambda overrides, _: stepper().setup(overrides),
         laws=None,
-        controls=controlled_symbols(mechanics),
+        controls=mechanics.controls,
         stepper=stepper,
         own_step=lambda: stepper().own_step(),
     )

@@ -12,13 +12,11 @@ import sympy as sp
 
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.midpoint import ForceProgram
-from contacts.dynamics.controllers import control_values, controlled_symbols, flows_in
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import body_parameters
 from contacts.dynamics.scales import check_range
 from contacts.rigid_bodies.declared_numbers import LinkedMechanics, linked_mechanics
-from contacts.scene.fields import copies
 from contacts.scene.parts import Body
 from contacts.scene.scene import Scene
 from contacts.scene.shapes import INDEX
@@ -108,7 +106,7 @@ class Starts:
         self._scene = scene
         counts = [
             0 if scene.bodies[name].coordinates == () else 1 if n is None else n
-            for name, n in copies(scene, scene.values()).items()
+            for name, n in scene.counted(scene.values()).items()
         ]
         # Declared body of each moving body, and index among its copies.
         self._kinds = np.repeat(np.arange(len(counts)), counts)
@@ -251,21 +249,20 @@ class BodyTapes:
     """Formulas in given controller states, compiled on first use."""
 
     def __init__(self, mechanics: BodyMechanics, states: Mapping[str, str]) -> None:
-        self._mechanics, self._states = mechanics, states
+        self._mechanics = mechanics
         self._definitions = mechanics.controlled(states)
 
     @cached_property
     def controls(self) -> Tape:
-        """The tape of `controlled_symbols`."""
-        mechanics, values = self._mechanics, control_values(self._mechanics, self._states)
-        return mechanics.whole_tape(controlled_symbols(mechanics), definitions=values)
+        """The tape of `Mechanics.controls`."""
+        return self._mechanics.whole_tape(self._mechanics.controls, definitions=self._definitions)
 
     @cached_property
     def flows(self) -> Tape:
         """Rates of the controller variables, over them and time."""
-        mechanics = self._mechanics
+        mechanics, values = self._mechanics, dict(self._definitions)
         return compile_tape(
-            flows_in(mechanics, self._states),
+            [values.get(rate, sp.S.Zero) for rate in mechanics.controller_rates.values()],
             variables=tuple(mechanics.controller_state.values()),
             parameters=mechanics.parameters.ordered,
             time=mechanics.time,

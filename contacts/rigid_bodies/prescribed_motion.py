@@ -10,7 +10,6 @@ import numpy as np
 import sympy as sp
 
 from contacts.collision_detection.midpoint import LimitProgram, Prescribed
-from contacts.dynamics.controllers import controlled_symbols
 from contacts.dynamics.geometry import surface_frame
 from contacts.rigid_bodies.declared_numbers import symbols_of, touchable_surfaces
 from contacts.rigid_bodies.mechanics import BodyMechanics
@@ -290,7 +289,7 @@ class PrescribedMotion:
     @property
     def count(self) -> int:
         """Number of controlled values."""
-        return len(controlled_symbols(self._mechanics))
+        return len(self._mechanics.controls)
 
     def control_values(self, start: float, h: float, states: Array) -> Array:
         """Return the controls (k, c) at the midpoints of steps between states (k + 1, w)."""

@@ -21,7 +21,7 @@ from contacts.scene.friction import (
     friction_texts,
 )
 from contacts.scene.joints import Path
-from contacts.scene.parts import Point, Surface
+from contacts.scene.parts import Surface, used_names
 from contacts.scene.shapes import INDEX
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import (
@@ -33,11 +33,10 @@ from statechart.documents.fields import (
     has_switch,
     value_of,
 )
-from statechart.errors import DeclarationProblem, Findings, Loc, close_matches
+from statechart.documents.outputs import check_member
+from statechart.errors import DeclarationProblem, Findings, Loc
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.tree import names_in
-
-_OF_CONTACTS = ("gap", "slip", "V", "H")
 
 # Advice on formulas that must not change along a run.
 _NEVER_SLIPS = (
@@ -207,7 +206,7 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
             "write {static: s, kinetic: k} with formulas of parameters",
         )
     owner, _, quantity = name.rpartition(".")
-    if loc[0] == "forces" and owner in scene.contacts and quantity in _OF_CONTACTS:
+    if loc[0] == "forces" and owner in scene.contacts and quantity in _OF_FORCES:
         return _OF_FORCES[quantity][0], _OF_FORCES[quantity][1].format(owner)
     if name == INDEX and loc[-2:-1] == ("start",):
         return "it is the number of a copy", "add copies: N to the body"
@@ -226,10 +225,7 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
 
 
 def _changing_names(scene: SceneFields) -> Collection[str]:
-    names = {f"{contact}.{quantity}" for contact in scene.contacts for quantity in _OF_CONTACTS}
-    names |= {f"{name}.{force}" for name, joint in scene.joints.items() for force in joint.forces}
-    names |= {f"{name}.{quantity}" for name in scene.coupled_names for quantity in ("M", "slip")}
-    return {*(scene.kinematic_names - {*scene.parameters}), *names, *scene.controls, "energy"}
+    return scene.kinematic_names - {*scene.parameters} | scene.quantity_names | {*scene.controls}
 
 
 class Limit(NamedTuple):
@@ -474,12 +470,7 @@ def has_switches(scene: SceneFields) -> bool:
     changing, texts = _force_formulas(scene)
     controls = scene.controlled
     changing = {*changing, TIME, *controls.controller_state}
-    flows = [
-        text
-        for name in scene.regions
-        for state, _ in controls.states(name)
-        for text in state.flows.values()
-    ]
+    flows = [text for _, _, text, _ in controls.declared_flows()]
     values = [text for _, _, _, text, _ in controls.sets()]
     formulas = [*(text for _, text in texts), *flows, *values]
     return any(has_switch(text, changing) for text in formulas)
@@ -492,7 +483,7 @@ def _force_formulas(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc
         texts += [(("forces", name, "force", i), text) for i, text in enumerate(force.force)]
         texts.append((("forces", name, "moment"), force.moment))
     texts += [(loc, text) for loc, text in scene_formulas(scene) if loc[0] == "couplings"]
-    used = set[str]().union(*(parse(text).names for _, text in texts))
+    used = used_names(text for _, text in texts)
     changing = set(scene.kinematic_names - scene.parameters.keys())
     controls = scene.controlled
     values: dict[str, list[tuple[Loc, FormulaText]]] = {
@@ -506,7 +497,7 @@ def _force_formulas(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc
     for name in reversed(controls.order):
         if name in used:
             texts += values[name]
-            used = used.union(*(parse(text).names for _, text in values[name]))
+            used |= used_names(text for _, text in values[name])
     return changing, texts
 
 
@@ -647,10 +638,9 @@ def check_turns(scene: SceneFields) -> None:
     """Check that bodies whose relative angle a joint holds or limits have an angle."""
     for name, joint in scene.joints.items():
         key = "angle" if joint.angle is not None else "limits"
-        for end in (joint.point, joint.to) if getattr(joint, key) is not None else ():
-            if not isinstance(end, Point) or scene.bodies[end.body].prescribed:
-                continue
-            if scene.bodies[end.body].inertia is None:
+        for end in joint.ends.values() if getattr(joint, key) is not None else ():
+            body = scene.bodies[end.body]
+            if body.inertia is None and not body.prescribed:
                 raise DeclarationProblem(
                     f"{end.body!r} is a particle, which has no angle",
                     advice=f"give it an inertia, or remove {key}",
@@ -720,7 +710,7 @@ def check_coupled(scene: SceneFields, name: str) -> None:
         )
 
 
-def check_carrier(scene: SceneFields, surface: str, body: str) -> None:
+def check_carrier(scene: SceneFields, surface: str, body: str | None) -> None:
     """Check that a surface is carried by one body, not by copies."""
     if body in scene.bodies and scene.bodies[body].copies is not None:
         raise DeclarationProblem(
@@ -785,10 +775,7 @@ def check_collisions(scene: SceneFields) -> None:
     for name, collision in scene.collisions.items():
         at = ("collisions", name)
         for place, name_of in enumerate(collision.bodies):
-            if name_of not in scene.bodies:
-                advice = close_matches(name_of, scene.bodies)
-                loc: tuple[str | int, ...] = (*at, "bodies", place)
-                raise DeclarationProblem(f"no body {name_of!r}", advice=advice, loc=loc)
+            check_member("body", name_of, scene.bodies, *at, "bodies", place)
             if not scene.bodies[name_of].shape:
                 raise DeclarationProblem(
                     f"body {name_of!r} has no shape",
@@ -805,10 +792,7 @@ def check_collisions(scene: SceneFields) -> None:
                 key=True,
             )
         for place, name_of in enumerate(collision.surfaces):
-            loc = (*at, "surfaces", place)
-            if name_of not in scene.surfaces:
-                advice = close_matches(name_of, scene.surfaces)
-                raise DeclarationProblem(f"no surface {name_of!r}", advice=advice, loc=loc)
+            check_member("surface", name_of, scene.surfaces, *at, "surfaces", place)
 
 
 def _check_path(scene: SceneFields, name: str) -> None:
@@ -816,8 +800,7 @@ def _check_path(scene: SceneFields, name: str) -> None:
     moving = _moving_names(scene)
     for key, text in zip(("x", "y", "angle"), scene.bodies[name].path, strict=True):
         for control in parse(text).names.intersection(scene.controls):
-            used = sorted({n for t in scene.controlled.texts(control) for n in parse(t).names})
-            if dependent := [n for n in used if n in moving]:
+            if dependent := sorted(used_names(scene.controlled.texts(control)) & moving):
                 raise DeclarationProblem(
                     f"the path uses {control!r}, which depends on {dependent[0]!r}, "
                     "on how bodies move",
@@ -832,8 +815,8 @@ def _check_path(scene: SceneFields, name: str) -> None:
                 loc=("forces", force, "body"),
             )
     for joint, declared_joint in scene.joints.items():
-        for key, point in (("point", declared_joint.point), ("to", declared_joint.to)):
-            if isinstance(point, Point) and scene.owners().get(point.body) == name:
+        for key, end in declared_joint.ends.items():
+            if scene.owners().get(end.body) == name:
                 raise DeclarationProblem(
                     f"{name!r} moves as prescribed, and joints hold bodies that move by themselves",
                     advice="hold the other body to the place, to: [0, 1], or along the path, "
@@ -845,8 +828,8 @@ def _check_path(scene: SceneFields, name: str) -> None:
 def _check_joined(scene: SceneFields) -> None:
     """Check that joints hold free bodies: coordinates place others where joints would."""
     for name, joint in scene.joints.items():
-        for key, point in (("point", joint.point), ("to", joint.to)):
-            body = scene.bodies.get(point.body) if isinstance(point, Point) else None
+        for key, end in joint.ends.items():
+            body = scene.bodies.get(end.body)
             if body is not None and body.linked:
                 raise DeclarationProblem(
                     "coordinates place this body, and joints of a scene with collisions hold free "
@@ -864,10 +847,8 @@ def check_led_surfaces(scene: SceneFields, findings: Findings) -> None:
     """Check that the motion of surfaces within a state depends on time and itself only."""
     leading, constant = scene.leading, {*scene.parameters}
     texts: list[tuple[Loc, FormulaText]] = [(("controls", n), t) for n, t in scene.controls.items()]
-    for region in scene.regions:
-        for state, at in scene.controlled.states(region):
-            texts += [((*at, "sets", name), text) for name, text in state.sets.items()]
-            texts += [((*at, "flows", name), text) for name, text in state.flows.items()]
+    texts += [(loc, text) for _, _, _, text, loc in scene.controlled.sets()]
+    texts += [(loc, text) for _, _, text, loc in scene.controlled.declared_flows()]
     for loc, text in texts:
         allowed = constant | ({TIME, *leading} if "flows" in loc else set())
         forbidden = sorted(parse(text).names - allowed)
@@ -905,19 +886,17 @@ def check_prescribed(scene: SceneFields, findings: Findings) -> None:
 def _check_controller_state(scene: SceneFields) -> None:
     """Check that the memory of controllers is known before the steps."""
     moving = _moving_names(scene)
-    for region in scene.regions:
-        for state, at in scene.controlled.states(region):
-            for variable, text in state.flows.items():
-                used = [n for n in parse(text).names if n in moving]
-                used += [
-                    n
-                    for n in parse(text).names.intersection(scene.controls)
-                    if any(parse(t).names & moving for t in scene.controlled.texts(n))
-                ]
-                if used:
-                    raise DeclarationProblem(
-                        f"the flow of {variable!r} depends on {min(used)!r}, on how bodies move: "
-                        "in a scene with collisions it may not",
-                        advice="let it depend on time, controls and variables",
-                        loc=(*at, "flows", variable),
-                    )
+    for _, variable, text, loc in scene.controlled.declared_flows():
+        used = [n for n in parse(text).names if n in moving]
+        used += [
+            n
+            for n in parse(text).names.intersection(scene.controls)
+            if used_names(scene.controlled.texts(n)) & moving
+        ]
+        if used:
+            raise DeclarationProblem(
+                f"the flow of {variable!r} depends on {min(used)!r}, on how bodies move: "
+                "in a scene with collisions it may not",
+                advice="let it depend on time, controls and variables",
+                loc=loc,
+            )

@@ -126,11 +126,9 @@ class Controls:
     def flowing(self) -> Mapping[str, str]:
         """Variable of a region that some of its states let flow -> the region."""
         return {
-            variable: name
-            for name, region in self.regions.items()
-            for state, _ in self.states(name)
-            for variable in state.flows
-            if variable in region.variables
+            variable: region
+            for region, variable, _, _ in self.declared_flows()
+            if variable in self.regions[region].variables
         }
 
     def flows(self, region: str, state: str) -> dict[str, FiniteText]:
@@ -293,3 +291,10 @@ class Controls:
             for state, at in self.states(region):
                 for control, text in state.sets.items():
                     yield region, str(at[-1]), control, text, (*at, "sets", control)
+
+    def declared_flows(self) -> Iterator[tuple[str, str, FiniteText, Loc]]:
+        """Yield region, variable, its flow and the place of that, of all states."""
+        for region in self.regions:
+            for state, at in self.states(region):
+                for variable, text in state.flows.items():
+                    yield region, variable, text, (*at, "flows", variable)

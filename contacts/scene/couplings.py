@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple, Self
 
 from pydantic import Field, model_validator
@@ -10,8 +9,8 @@ from pydantic import Field, model_validator
 from contacts.scene.friction import StaticKinetic, coefficients
 from contacts.scene.modes import Bearing, ContactSymbols, share_of
 from contacts.scene.parts import Relations
-from contacts.states import COUPLING_STATES, DISENGAGED, SLIPPING, superstates_of
-from statechart.automaton.regions import Claim, Edge, Margin, Region, State
+from contacts.states import COUPLING_STATES, DISENGAGED, OPEN, SLIPPING
+from statechart.automaton.regions import Edge, Margin, State
 from statechart.documents.documented import declare
 from statechart.documents.fields import FormulaText, Part
 from statechart.errors import DeclarationProblem
@@ -150,6 +149,8 @@ def coupling_state(symbols: CouplingSymbols, role: Role) -> State:
     """Return the equations and margins of a state; its conditions add theirs."""
     contact, static, kinetic = symbols
     name, couple = contact.name, contact.H
+    if role.state in OPEN:
+        return State((couple,), ())
     if role.state == "locked":
         margins = (
             Margin(f"{name}.{_UPPER}", static - couple, "force"),
@@ -166,30 +167,4 @@ def coupling_state(symbols: CouplingSymbols, role: Role) -> State:
             Margin(f"{name}.{_SLIP}", direction * contact.slip, "speed"),
             Margin(f"{name}.limit", kinetic, "force"),
         ),
-    )
-
-
-def coupling_region(
-    name: str, coupling: Coupling, build: Callable[[Role], State], forces: tuple[sp.Symbol, ...]
-) -> Region:
-    """Return the region of a coupling; `build` adds the margins of its conditions."""
-
-    def claims(state: str) -> tuple[Claim, ...]:
-        if not coupling.enabled:
-            return ()
-        if state == DISENGAGED:
-            return (Claim(f"{name} is enabled", coupling.enabled, holds=False),)
-        return tuple(Claim(f"{name}: {text}", (text,), holds=True) for text in coupling.enabled)
-
-    states = coupling_states(coupling)
-    return Region(
-        name,
-        states,
-        build,
-        coupling_edges(coupling),
-        superstates_of(states),
-        ("slipping",),
-        forces=forces,
-        default=next((state for state in (DISENGAGED, "free") if state in states), ""),
-        claims=claims,
     )

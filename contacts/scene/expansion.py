@@ -268,14 +268,7 @@ def holds_at_start(
 
 def _start(scene: SceneFields, values: Mapping[str, float] | None) -> dict[str, float]:
     known = scene.values() if values is None else values
-    texts: dict[str, Any] = {}
-    for name, coordinate in scene.coordinates.items():
-        texts |= {name: coordinate.start, scene.rate_name(name): coordinate.rate}
-    for name, body in scene.single_bodies().items():
-        for c in body.coordinates:
-            texts[f"{name}.{c}"] = body.start.get(c, 0)  # type: ignore[call-overload]
-            texts[f"{name}.d{c}"] = body.start.get(f"d{c}", 0)  # type: ignore[call-overload]
-    texts |= scene.controlled.controller_state
+    texts = {**scene.starts(), **scene.controlled.controller_state}
     start_values = {name: parse(text).value(known) for name, text in texts.items()}
     return {TIME: 0.0, **known, **start_values}
 

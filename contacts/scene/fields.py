@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
-from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Discriminator, Tag
 
 from contacts.scene.controls import Controller, Controls
-from contacts.scene.couplings import Coupling
+from contacts.scene.couplings import Coupling, coupling_edges, coupling_states
 from contacts.scene.friction import SLIP, FrictionLaw, friction_law
 from contacts.scene.joints import JOINT_WORDS, Force, Joint
 from contacts.scene.parts import (
@@ -18,12 +17,15 @@ from contacts.scene.parts import (
     Contact,
     Coordinate,
     Pair,
-    Point,
     Resolution,
     Simultaneous,
     Surface,
+    used_names,
 )
+from contacts.scene.regions import edges, states
 from contacts.scene.shapes import INDEX, Collision
+from contacts.states import DISENGAGED, INACTIVE, superstates_of
+from statechart.automaton.regions import Claim, Edge, Region, State
 from statechart.charts.flatten import timer_dimension
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.documented import declare
@@ -42,13 +44,21 @@ from statechart.formulas.formula import parse
 from statechart.formulas.relation import Member, conjunction, parse_relation
 from statechart.formulas.tree import Name
 
+if TYPE_CHECKING:
+    import sympy as sp
+
+    from statechart.automaton.trace import Role
+
 _OF_BODIES: Mapping[str, Dimension] = {"x": "length", "y": "length", "angle": "angle"}
 _OF_CONTACTS: Mapping[str, Dimension] = {
     "gap": "length", "slip": "length/time", "V": "force", "H": "force", "friction": "1",
 }  # fmt: skip
 _OF_COUPLINGS: Mapping[str, Dimension] = {"M": "moment", "slip": "angle/time"}
 _OF_GUIDES: Mapping[str, Dimension] = {"M": "force", "slip": "length/time"}
-_CAPTURED: Mapping[str, Dimension] = {"x": "length", "y": "length", "turn": "angle"}
+_OF_JOINTS: Mapping[str, Dimension] = {
+    **dict.fromkeys(("X", "Y", "T", "V", "H"), "force"), "M": "moment", "gap": "length",
+    "x": "length", "y": "length", "turn": "angle",  # Captured places
+}  # fmt: skip
 _MOST_COPIES = 10_000
 
 
@@ -211,8 +221,8 @@ class SceneFields(Declaration):
         Free bodies come first; with collisions, bodies placed by coordinates, led bodies and fixed
         bodies follow in this order.
         """
-        single = all(body.copies is None for body in self.bodies.values())
-        counts = dict.fromkeys(self.bodies) if single else copies(self, self.values())
+        several = any(body.copies is not None for body in self.bodies.values())
+        counts = self.counted(self.values()) if several else dict.fromkeys(self.bodies)
         result: dict[str, str] = {}
         groups = {
             name: 2 * body.prescribed + body.fixed + (body.linked and bool(self.collisions))
@@ -225,6 +235,14 @@ class SceneFields(Declaration):
             else:
                 result |= {f"{name}{index}": name for index in range(count)}
         return result
+
+    def starts(self) -> dict[str, FiniteText]:
+        """Return the starts of all coordinates, then of their rates, copies one by one."""
+        starts = {name: (one.start, one.rate) for name, one in self.coordinates.items()}
+        for name, body in self.single_bodies().items():
+            starts |= {f"{name}.{c}": body.start_of(c) for c in body.coordinates}
+        rates = {self.rate_name(name): starts[name][1] for name in self.variables}
+        return {name: starts[name][0] for name in self.variables} | rates
 
     def moving(self) -> list[str]:
         """Return the names of the bodies that forces and impulses move, copies one by one."""
@@ -242,27 +260,39 @@ class SceneFields(Declaration):
     def whole(self) -> frozenset[str]:
         """Parameters that count copies of bodies."""
         counts = [b.copies for b in self.bodies.values() if b.copies is not None]
-        used = frozenset[str]().union(*(parse(text).names for text in counts))
-        return used & frozenset(self.parameters)
+        return used_names(counts) & frozenset(self.parameters)
 
     @property
     def timers(self) -> frozenset[str]:
         """Undeclared variables: the timers of transitions of controllers."""
-        flat = self.controlled.flat.values()
-        return frozenset(timer for region in flat for timer in region.timers)
+        return frozenset(self.controlled.timers)
 
     def counted(self, values: Mapping[str, float]) -> dict[str, int | None]:
-        """Return the number of copies of every body; None for a single body."""
-        return copies(self, values)
+        """Return the number of copies of every body; None for a single body.
+
+        Raises `DeclarationProblem` if a number of copies is not whole, or too large.
+        """
+        counts: dict[str, int | None] = dict.fromkeys(self.bodies)
+        for name, body in self.bodies.items():
+            if body.copies is None:
+                continue
+            loc = ("bodies", name, "copies")
+            number = value_of(body.copies, values, *loc)
+            if not (1 <= number <= _MOST_COPIES and number == int(number)):
+                raise DeclarationProblem(
+                    f"must be a whole number from 1 to {_MOST_COPIES}, not {number:g}", loc=loc
+                )
+            counts[name] = int(number)
+        return counts
 
     def variant(self, overrides: Mapping[str, float]) -> Self:
         """Return the scene with the numbers of copies for these overrides, or itself."""
-        if not self.whole or copies(self, self.values()) == copies(self, self.values(overrides)):
+        if not self.whole or self.counted(self.values()) == self.counted(self.values(overrides)):
             return self
         deciding, further = set(self.whole), set(self.whole)
         while further:
-            further = set().union(*(parse(self.parameters[name]).names for name in further))
-            further = (further & {*self.parameters}) - deciding
+            texts = (self.parameters[name] for name in further)
+            further = {*used_names(texts)} & (self.parameters.keys() - deciding)
             deciding |= further
         chosen = {name: value for name, value in overrides.items() if name in deciding}
         return self.model_copy(update={"parameters": {**self.parameters, **chosen}})
@@ -275,21 +305,11 @@ class SceneFields(Declaration):
     def stated(self, name: str) -> Quantity:
         """Return the physical quantity of a name of the scene."""
         owner, _, quantity = name.rpartition(".")
-        description = f"{quantity} of {owner}"
-        if owner in self.contacts and quantity in _OF_CONTACTS:
-            return Quantity(description, _OF_CONTACTS[quantity])
-        if owner in self.coupled_names and quantity in _OF_COUPLINGS:
-            dimensions = _OF_GUIDES if self.along_guide(owner) else _OF_COUPLINGS
-            return Quantity(description, dimensions[quantity])
-        if owner in self.joints and quantity in self.joints[owner].forces:
-            return Quantity(description, "moment" if quantity == "M" else "force")
-        if owner in self.joints and quantity == "gap":
-            return Quantity(f"slack of {owner}", "length")
-        if owner in self.joints and quantity in _CAPTURED:
-            return Quantity(description, _CAPTURED[quantity])
-        if quantity in _OF_BODIES and owner and owner not in self.contacts:
-            return Quantity(description, _OF_BODIES[quantity])
-        if quantity.startswith("d") and quantity[1:] in _OF_BODIES and owner:
+        dimensions = self._dimensions(owner)
+        if quantity in dimensions:
+            kind = "slack" if owner in self.joints and quantity == "gap" else quantity
+            return Quantity(f"{kind} of {owner}", dimensions[quantity])
+        if owner and quantity.startswith("d") and quantity[1:] in _OF_BODIES:
             return Quantity(
                 f"rate of {quantity[1:]} of {owner}", per_time(_OF_BODIES[quantity[1:]])
             )
@@ -304,16 +324,26 @@ class SceneFields(Declaration):
             return Quantity("slip velocity", "length/time")
         return Quantity(name, "energy") if name == "energy" else super().stated(name)
 
+    def _dimensions(self, owner: str) -> Mapping[str, Dimension]:
+        """Return the dimensions of the quantities of a part, by name."""
+        if owner in self.contacts:
+            return _OF_CONTACTS
+        if owner in self.coupled_names:
+            return _OF_GUIDES if self.along_guide(owner) else _OF_COUPLINGS
+        if owner in self.joints:
+            return _OF_JOINTS
+        return _OF_BODIES if owner else {}
+
     def facts(self) -> Iterator[Fact]:
         """Yield the dimensions of formulas, of starts and rates, too.
 
         Positions of bodies come first: they determine the dimensions of coordinates before constant
         gains of controllers are taken for plain numbers.
         """
-        for body in self.bodies.values():
+        for name, body in self.bodies.items():
             yield from fields_of(body)
             for key, text in body.start.items():
-                yield parse(text).root, POWERS[self.stated(f"body.{key}").dimension]
+                yield parse(text).root, POWERS[self.stated(f"{name}.{key}").dimension]
         for name, coordinate in self.coordinates.items():
             rate = rate_of(name)
             yield Name(self.rate_name(name)), rate
@@ -347,23 +377,12 @@ class SceneFields(Declaration):
 
     def _moved_with(self, body: str) -> set[str]:
         """Return the bodies coupled to a body by joints, coordinates and contacts."""
-        pairs = [
-            (joint.point.body, joint.to.body)
-            for joint in self.joints.values()
-            if isinstance(joint.to, Point)
-        ]
+        pairs = [tuple(end.body for end in joint.ends.values()) for joint in self.joints.values()]
         for contact in self.contacts.values():
             carrier = self.surfaces[contact.surface].body
             pairs += [] if carrier is None else [(contact.point.body, carrier)]
         for coordinate in self.coordinates:
-            pairs += pairwise(
-                name
-                for name, declared in self.bodies.items()
-                if any(
-                    coordinate in parse(text).names
-                    for text in (*(declared.position or ()), declared.angle or 0)
-                )
-            )
+            pairs.append(tuple(n for n, body in self.bodies.items() if coordinate in body.placing))
         moved, pending = {body}, [body]
         while pending:
             current = pending.pop()
@@ -413,9 +432,7 @@ class SceneFields(Declaration):
         declared = self.couplings[coupling]
         if declared.bodies is not None:
             return declared.bodies
-        joint = self.joints[declared.joint or ""]
-        other = (joint.to.body,) if isinstance(joint.to, Point) else ()
-        return (joint.point.body, *other)
+        return tuple(end.body for end in self.joints[declared.joint or ""].ends.values())
 
     @property
     def kinematic_names(self) -> frozenset[str]:
@@ -423,6 +440,16 @@ class SceneFields(Declaration):
         rates = map(self.rate_name, self.variables)
         memory = self.controlled.controller_state
         return frozenset((TIME, *self.parameters, *self.variables, *rates, *memory))
+
+    @property
+    def quantity_names(self) -> frozenset[str]:
+        """Names of gaps, slips and forces of contacts, ropes, joints and couplings; energy."""
+        # Limits of joints have none: their gaps are angles times a length.
+        touching = [*self.contacts, *(n for n, x in self.joints.items() if x.rope is not None)]
+        names = {f"{c}.{quantity}" for c in touching for quantity in ("gap", "slip", "V", "H")}
+        names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.forces}
+        names |= {f"{name}.{quantity}" for name in self.coupled_names for quantity in ("M", "slip")}
+        return frozenset((*names, "energy"))
 
     @property
     def leading(self) -> frozenset[str]:
@@ -435,13 +462,8 @@ class SceneFields(Declaration):
         names, memory = set[str](), {*self.controlled.controller_state, *self.controls}
         while fresh := {n for text in texts for n in parse(text).names & memory} - names:
             names |= fresh
-            texts = [
-                text
-                for region in self.regions
-                for state, _ in self.controlled.states(region)
-                for variable, text in state.flows.items()
-                if variable in fresh
-            ]
+            flows = self.controlled.declared_flows()
+            texts = [text for _, variable, text, _ in flows if variable in fresh]
         return frozenset(names)
 
     @property
@@ -455,12 +477,10 @@ class SceneFields(Declaration):
             turns = body.prescribed or body.angle is not None
             places = ["x", "y", "angle"] if turns else ["x", "y"]
             names |= {f"{name}.{place}" for place in places}
-            texts = (*(body.position or ()), body.angle or 0)
-            used = frozenset[str]().union(*(parse(text).names for text in texts))
             # How a control changes within a state is not known.
             varying = {
                 control
-                for control in used.intersection(self.controls)
+                for control in body.placing.intersection(self.controls)
                 for text in self.controlled.texts(control)
                 if parse(text).names - self.parameters.keys()
             }
@@ -479,6 +499,48 @@ class SceneFields(Declaration):
         """Return the surface that a contact touches."""
         return self.surfaces[self.contacts[contact].surface]
 
+    def region_states(self, name: str) -> tuple[str, ...]:
+        """Return the states of the region of a contact or a coupling."""
+        if name in self.couplings:
+            return coupling_states(self.couplings[name])
+        return states(self.contacts[name], gate=self.gate(name))
+
+    def region_edges(self, name: str) -> tuple[Edge, ...]:
+        """Return the transitions of the region of a contact or a coupling."""
+        if name in self.couplings:
+            return coupling_edges(self.couplings[name])
+        jams, bounces, gate = self.jams(name), self.bounces(name), self.gate(name)
+        return edges(self.contacts[name], jams=jams, bounces=bounces, gate=gate)
+
+    def region(
+        self, name: str, build: Callable[[Role], State], forces: tuple[sp.Symbol, ...]
+    ) -> Region:
+        """Return the region of a contact or a coupling; `build` returns its states."""
+        coupling = self.couplings.get(name)
+        enabled = (coupling or self.contacts[name]).enabled
+
+        def claims(state: str) -> tuple[Claim, ...]:
+            if state not in INACTIVE:
+                return tuple(Claim(f"{name}: {text}", (text,), holds=True) for text in enabled)
+            if self.gate(name) != conjunction(enabled):
+                # The contact may also be off beyond the ends of its edge.
+                return ()
+            outside = () if coupling else (f"{name}.gap > 0",)
+            return (Claim(f"{name} is enabled", (*enabled, *outside), holds=False),)
+
+        names = self.region_states(name)
+        return Region(
+            name,
+            names,
+            build,
+            self.region_edges(name),
+            superstates_of(names),
+            ("slide", "slipping"),
+            forces=forces,
+            default=next((state for state in (DISENGAGED, "free") if state in names), ""),
+            claims=claims,
+        )
+
     def gate(self, contact: str) -> str:
         """Return the conditions without which a contact is off, as text; "" for none."""
         if contact in self.couplings:
@@ -486,23 +548,3 @@ class SceneFields(Declaration):
         declared = self.contacts[contact]
         ends = self.surface_of(contact).edge is not None
         return conjunction((*declared.enabled, *(["within its edge"] if ends else [])))
-
-
-def copies(scene: SceneFields, values: Mapping[str, float]) -> dict[str, int | None]:
-    """Return how many copies there are of every body; None where it is declared as one.
-
-    Raises `DeclarationProblem` if a number of copies is not whole, or too large.
-    """
-    counts: dict[str, int | None] = {}
-    for name, body in scene.bodies.items():
-        counts[name] = None
-        if body.copies is None:
-            continue
-        loc = ("bodies", name, "copies")
-        number = value_of(body.copies, values, *loc)
-        if not (1 <= number <= _MOST_COPIES and number == int(number)):
-            raise DeclarationProblem(
-                f"must be a whole number from 1 to {_MOST_COPIES}, not {number:g}", loc=loc
-            )
-        counts[name] = int(number)
-    return counts

@@ -11,7 +11,7 @@ from statechart.documents.documented import declare
 from statechart.documents.fields import KINKED, FiniteText, FormulaText, Part
 from statechart.errors import DeclarationProblem, Loc
 from statechart.formulas.formula import parse
-from statechart.formulas.tree import Binary, Call, Name, Node, Unary, names_in, nodes
+from statechart.formulas.tree import Binary, Name, Node, Unary, calls_in, names_in
 
 SLIP = "slip"
 """Name of the slip velocity of the contact in its own kinetic coefficient."""
@@ -128,10 +128,10 @@ def friction_texts(
 
 def check_sides(text: FormulaText, slips: Collection[str], loc: Loc) -> None:
     """Check that a kinetic coefficient has no kink but at slip 0, where the direction changes."""
-    for call in (node for node in nodes(parse(text).root) if isinstance(node, Call)):
+    for call in calls_in(parse(text).root, KINKED):
         used = {name.name for name in names_in(call)}.intersection(slips)
         side = call.function in ("abs", "sign") and _is_multiple(call.arguments[0], slips)
-        if call.function in KINKED and used and not side:
+        if used and not side:
             raise DeclarationProblem(
                 f"{call.function} of {min(used)} has no derivative where it switches",
                 advice="write a smooth formula of abs(slip) and sign(slip)",

@@ -202,6 +202,11 @@ class Joint(Part):
         return ("X" if self.to.y is None else "Y", *turn)
 
     @property
+    def ends(self) -> dict[str, Point]:
+        """The points of bodies that it holds, by key: `point`, and `to` unless that is a path."""
+        return {"point": self.point} | ({"to": self.to} if isinstance(self.to, Point) else {})
+
+    @property
     def forces(self) -> tuple[str, ...]:
         """Forces that formulas may use: one per component, and the moment M of limits."""
         return (*self.components, *(() if self.limits is None else ("M",)))

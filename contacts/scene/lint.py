@@ -9,7 +9,7 @@ from itertools import combinations, pairwise
 
 from contacts.scene.fields import SceneFields
 from contacts.scene.friction import Friction
-from contacts.scene.parts import MOREAU, Contact, Point
+from contacts.scene.parts import MOREAU, Contact
 from statechart.charts.transitions import declared_transitions
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText
@@ -18,7 +18,7 @@ from statechart.documents.quantities import fields_of
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.relation import parse_relation
-from statechart.formulas.tree import Call, Name, Node, Number, Unary, nodes
+from statechart.formulas.tree import Name, Node, Number, Unary, calls_in
 
 NEARLY_MEETING = 1e-3
 """Ends of edges closer than this part of the scene's length were probably meant to meet."""
@@ -65,11 +65,10 @@ def _warnings(scene: SceneFields) -> Iterator[str]:
     with suppress(DeclarationError, DeclarationProblem):
         yield from nearly_meeting_ends(scene)
     for formula, _ in fields_of(scene):
-        for node in nodes(formula):
-            if isinstance(node, Call) and node.function in _OF_ANGLES:
-                value = _constant_value(node.arguments[0], {})
-                if value is not None and abs(value) > _TURN:
-                    yield f"{node.function}({value:g}): {_degrees(value)}"
+        for call in calls_in(formula, _OF_ANGLES):
+            value = _constant_value(call.arguments[0], {})
+            if value is not None and abs(value) > _TURN:
+                yield f"{call.function}({value:g}): {_degrees(value)}"
 
 
 def _static_by_hand(scene: SceneFields) -> Iterator[str]:
@@ -152,8 +151,7 @@ def _starts_inside(scene: SceneFields) -> Iterator[str]:
             continue
         if scene.initial_modes.get(name) == "off":
             continue
-        start = (body.start.get("x", 0), body.start.get("y", 0))
-        x, y = numbers(body.position or start)
+        x, y = numbers(body.path[:2])
         (a, b), (c, d) = map(numbers, surface.line)
         depth = ((x - a) * (d - b) - (y - b) * (c - a)) / math.hypot(c - a, d - b)
         if depth > _GAP_ROUND_OFF * max(abs(x - a), abs(y - b)):
@@ -328,10 +326,7 @@ def _impact_laws_agree(scene: SceneFields, contact: Contact, values: Mapping[str
     name = contact.point.body
     body = scene.bodies[name]
     jointed = any(
-        end.body == name
-        for joint in scene.joints.values()
-        for end in (joint.point, joint.to)
-        if isinstance(end, Point)
+        end.body == name for joint in scene.joints.values() for end in joint.ends.values()
     )
     fixed = scene.surfaces[contact.surface].body is None
     return body.inertia is None and body.position is None and fixed and not jointed

@@ -76,16 +76,14 @@ class Free(Part):
 
     def state(self, contact: ContactSymbols, direction: int) -> State:
         """Return the equations and margins of the mode."""
-        import sympy as sp
-
-        from statechart.formulas.writer import Difference
+        from statechart.formulas.writer import Difference, Max
 
         gap = Difference(contact.gap, contact.gap_offset)
         margins = [Margin(f"{contact.name}.gap", gap, "gap")]
         if contact.compliance is not None:
             # A compliant contact may open while it is inside, and press again there.
             relation = f"{contact.name}.free"
-            whole_margin = sp.Max(contact.gap, -contact.compliance, evaluate=False)
+            whole_margin = Max(contact.gap, -contact.compliance, evaluate=False)
             margins = [
                 Margin(margins[0].name, gap, "gap", relation, whole_margin),
                 Margin(
@@ -136,11 +134,6 @@ class Pin(Part):
         holds = () if contact.compliance is not None else (contact.sticking,)
         values = contact.friction.used.get(0, {})
         return State(equations, tuple(margins), values=values, holds=holds)
-
-
-def off_state(contact: ContactSymbols, back: tuple[Margin, ...]) -> State:
-    """Return the state of a contact that is off: no force, until it may come `back`."""
-    return State((contact.V, contact.H), back, values=contact.friction.used.get(0, {}))
 
 
 class SignFriction(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, PlainSerializer, field_validator, model_validator
@@ -188,10 +188,15 @@ class Body(Part):
 
     @property
     def path(self) -> tuple[FiniteText, FiniteText, FiniteText]:
-        """The path of a `prescribed` body: x, y and angle."""
+        """Its x, y and angle: formulas, or the start of a body without a position."""
         if self.position is None:
             return self.start.get("x", 0), self.start.get("y", 0), self.start.get("angle", 0)
         return (*self.position, 0 if self.angle is None else self.angle)
+
+    @property
+    def placing(self) -> frozenset[str]:
+        """Names that its position and its angle are formulas of."""
+        return used_names((*(self.position or ()), self.angle or 0))
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -199,6 +204,11 @@ class Body(Part):
         if self.position is not None or self.fixed:
             return ()
         return ("x", "y") if self.inertia is None else ("x", "y", "angle")
+
+    def start_of(self, coordinate: str) -> tuple[FiniteText, FiniteText]:
+        """Return the start of one of its own coordinates, and of its rate."""
+        start: Mapping[str, FiniteText] = self.start  # type: ignore[assignment]
+        return start.get(coordinate, 0), start.get(f"d{coordinate}", 0)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -564,6 +574,11 @@ class Contact(Part):
         if self.friction is None:
             return {mode.mode for mode in self.modes} == {"free"}
         return not isinstance(self.friction, Friction) and _is_zero(self.friction)
+
+
+def used_names(texts: Iterable[FormulaText]) -> frozenset[str]:
+    """Return the names in formulas."""
+    return frozenset[str]().union(*(parse(text).names for text in texts))
 
 
 def _is_zero(text: str | int | float) -> bool:

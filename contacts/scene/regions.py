@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from contacts.scene.friction import Friction
-from contacts.scene.modes import Bearing, ContactSymbols, Free, Pin, Slide, off_state, shared_state
+from contacts.scene.modes import Bearing, ContactSymbols, shared_state
 from contacts.scene.parts import Contact
-from contacts.states import OFF, OPEN, declared_state, superstates_of
-from statechart.automaton.regions import Claim, Edge, Margin, Region, State
-from statechart.formulas.relation import conjunction
+from contacts.states import OFF, OPEN, declared_state
+from statechart.automaton.regions import Edge, State
 
 if TYPE_CHECKING:
-    import sympy as sp
-
     from statechart.automaton.trace import Role
 
 BODY_STATES = ("free", "slide", "pin")
@@ -50,56 +45,16 @@ def states(contact: Contact, *, gate: str) -> tuple[str, ...]:
     return (*state_names, OFF) if gate else state_names
 
 
-def region(
-    name: str,
-    contact: Contact,
-    symbols: Callable[[], ContactSymbols],
-    gates: Callable[[], tuple[Margin, ...]],
-    back: Callable[[], tuple[Margin, ...]],
-    arrows: tuple[Edge, ...],
-    gate: str,
-    forces: tuple[sp.Symbol, ...],
-) -> Region:
-    """Return the region of a contact.
-
-    Its `symbols`, and the margins that disable it or end the run (`gates`) and that enable it
-    (`back`), are evaluated when a state is built. `arrows` are its transitions (`edges`), `gate`
-    is `Scene.gate`.
-    """
-    modes = {mode.mode: mode for mode in contact.allowed}
-
-    def build(role: Role) -> State:
-        if role.state == OFF:
-            return off_state(symbols(), back())
-        mode: Free | Slide | Pin = modes[declared_state(role.state)]  # type: ignore[index]
-        direction = _DIRECTIONS.get(role.state, 0)
-        if isinstance(role.share, Bearing):
-            built = shared_state(mode, symbols(), direction, role.share)
-        else:
-            built = mode.state(symbols(), direction)
-        return replace(built, margins=(*built.margins, *gates()))
-
-    def claims(state: str) -> tuple[Claim, ...]:
-        if state != OFF:
-            return tuple(Claim(f"{name}: {text}", (text,), holds=True) for text in contact.enabled)
-        if gate != conjunction(contact.enabled):
-            # The contact may also be off beyond the ends of its edge.
-            return ()
-        outside = f"{name}.gap > 0"
-        return (Claim(f"{name} is enabled", (*contact.enabled, outside), holds=False),)
-
-    names = states(contact, gate=gate)
-    return Region(
-        name,
-        names,
-        build,
-        arrows,
-        superstates_of(names),
-        ("slide",),
-        forces=forces,
-        default="free",
-        claims=claims,
-    )
+def contact_state(contact: Contact, symbols: ContactSymbols, role: Role) -> State:
+    """Return the equations and margins of a state; its conditions add theirs."""
+    if role.state == OFF:
+        values = symbols.friction.used.get(0, {})
+        return State((symbols.V, symbols.H), (), values=values)
+    declared, direction = declared_state(role.state), _DIRECTIONS.get(role.state, 0)
+    mode = next(mode for mode in contact.allowed if mode.mode == declared)
+    if isinstance(role.share, Bearing):
+        return shared_state(mode, symbols, direction, role.share)
+    return mode.state(symbols, direction)
 
 
 def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Edge, ...]:

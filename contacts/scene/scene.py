@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any, Self, get_args
 
 from pydantic import model_validator
@@ -23,12 +23,11 @@ from contacts.scene.checks import (
     check_turns,
 )
 from contacts.scene.controls import Controller
-from contacts.scene.couplings import coupling_edges, coupling_states
 from contacts.scene.expansion import expansion
-from contacts.scene.fields import SceneFields, copies
+from contacts.scene.fields import SceneFields
 from contacts.scene.lint import replaced_laws
-from contacts.scene.parts import FREE_START, Contact, Point, Simultaneous
-from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
+from contacts.scene.parts import FREE_START, Contact, Simultaneous
+from contacts.scene.regions import BODY_CAUSES, BODY_STATES
 from contacts.states import declared_state, superstates_of
 from statechart.charts.flatten import causes_of
 from statechart.charts.transitions import check_listening, check_periods, declared_transitions
@@ -108,7 +107,7 @@ class Scene(SceneFields):
         # A pin by points has no impacts of its own: its path is smooth.
         pins = [] if self.collisions else [n for n, x in self.joints.items() if x.rope is None]
         check_wrapping(self, values, [("joints", name, "to") for name in pins])
-        copies(self, values)
+        self.counted(values)
         check_physical(self, values)
         check_finite(self, values)
         check_periods(self.regions, values, self.parameters)
@@ -170,52 +169,51 @@ class Scene(SceneFields):
         return self
 
     def _references_exist(self, findings: Findings) -> None:
-        for name, contact in self.contacts.items():
-            self._member(
-                findings, "body", contact.point.body, self.bodies, "contacts", name, "point", "body"
-            )
-            self._member(
-                findings, "surface", contact.surface, self.surfaces, "contacts", name, "surface"
-            )
+        for kind, referred, known, loc in self._references():
+            with findings:
+                world = referred in ("world", "ground") and referred not in known
+                if world and (kind, loc[0]) == ("body", "couplings"):
+                    advice = f"against the world write bodies: [{self.coupled(str(loc[1]))[0]}]"
+                    raise DeclarationProblem(f"no body {referred!r}", advice=advice, loc=loc)
+                check_member(kind, referred, known, *loc)
         for name, surface in self.surfaces.items():
-            if surface.body is not None:
-                self._member(findings, "body", surface.body, self.bodies, "surfaces", name, "body")
-                with findings:
-                    check_carrier(self, name, surface.body)
-        # Joints hold one copy of a body, by its number; forces act on one or on all.
-        single = self.owners()
-        for name, joint in self.joints.items():
-            at = ("joints", name)
-            self._member(findings, "body", joint.point.body, single, *at, "point", "body")
-            if isinstance(joint.to, Point):
-                self._member(findings, "body", joint.to.body, single, *at, "to", "body")
-        for name, force in self.forces.items():
-            several = {**self.bodies, **single}
-            self._member(findings, "body", force.body, several, "forces", name, "body")
-        for name, coupling in self.couplings.items():
-            at = ("couplings", name)
-            if coupling.joint is not None:
-                self._member(findings, "joint", coupling.joint, self.joints, *at, "joint")
-            for place, body in enumerate(coupling.bodies or ()):
-                with findings:
-                    if body in ("world", "ground") and body not in single:
-                        advice = f"against the world write bodies: [{self.coupled(name)[0]}]"
-                        loc = (*at, "bodies", place)
-                        raise DeclarationProblem(f"no body {body!r}", advice=advice, loc=loc)
-                    check_member("body", body, single, *at, "bodies", place)
+            with findings:
+                check_carrier(self, name, surface.body)
         for name, mode in self.initial_modes.items():
-            self._member(findings, "contact", name, self.contacts, "modes", name)
             if name not in self.contacts or not self._on_a_surface(name):
                 continue
-            present = states(self.contacts[name], gate=self.gate(name))
-            known = dict.fromkeys(map(declared_state, present)) | _active(present)
+            present = self.region_states(name)
+            listed = dict.fromkeys(map(declared_state, present)) | _active(present)
             with findings:
-                if mode not in known:
+                if mode not in listed:
                     raise DeclarationProblem(
                         f"contact {name!r} does not list the mode {mode!r}",
-                        advice="its modes: " + ", ".join(known),
+                        advice="its modes: " + ", ".join(listed),
                         loc=("modes", name),
                     )
+
+    def _references(self) -> Iterator[tuple[str, str, Collection[str], Loc]]:
+        """Yield the kind, the name, the declared names, and the place of what parts refer to."""
+        # Joints hold one copy of a body, by its number; forces act on one or on all.
+        single = self.owners()
+        for name, contact in self.contacts.items():
+            yield "body", contact.point.body, self.bodies, ("contacts", name, "point", "body")
+            yield "surface", contact.surface, self.surfaces, ("contacts", name, "surface")
+        for name, surface in self.surfaces.items():
+            if surface.body is not None:
+                yield "body", surface.body, self.bodies, ("surfaces", name, "body")
+        for name, joint in self.joints.items():
+            for key, end in joint.ends.items():
+                yield "body", end.body, single, ("joints", name, key, "body")
+        for name, force in self.forces.items():
+            yield "body", force.body, {**self.bodies, **single}, ("forces", name, "body")
+        for name, coupling in self.couplings.items():
+            if coupling.joint is not None:
+                yield "joint", coupling.joint, self.joints, ("couplings", name, "joint")
+            for place, body in enumerate(coupling.bodies or ()):
+                yield "body", body, single, ("couplings", name, "bodies", place)
+        for name in self.initial_modes:
+            yield "contact", name, self.contacts, ("modes", name)
 
     def _formulas_use_declared_names(self, findings: Findings) -> None:
         with findings:
@@ -302,9 +300,7 @@ class Scene(SceneFields):
                 check_relation(text, known, named, known - {*parameters}, *here)
 
     def _coordinates_move_bodies(self, findings: Findings) -> None:
-        texts = [text for body in self.bodies.values() for text in body.position or ()]
-        texts += [body.angle for body in self.bodies.values() if body.angle is not None]
-        used = frozenset[str]().union(*(parse(text).names for text in texts))
+        used = frozenset[str]().union(*(body.placing for body in self.bodies.values()))
         for name in self.coordinates:
             with findings:
                 if name not in used:
@@ -325,31 +321,16 @@ class Scene(SceneFields):
 
     @model_validator(mode="after")
     def _uses_exist(self) -> Self:
-        quantities = ("gap", "slip", "V", "H")
         expanded = self.expanded
-        # Those of limits are not: their gaps are angles times a length.
-        touching = [*self.contacts, *(n for n, x in self.joints.items() if x.rope is not None)]
-        names = self.kinematic_names | {f"{c}.{q}" for c in touching for q in quantities}
-        names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.forces}
-        names |= {f"{name}.{quantity}" for name in self.coupled_names for quantity in ("M", "slip")}
-        names |= {"energy", *self.controls} | self.placed_names
+        names = self.kinematic_names | self.quantity_names | self.placed_names | {*self.controls}
         variables = {v for region in self.regions.values() for v in region.variables}
         changing = names - {*self.parameters, *(variables - {*self.controlled.flowing})}
-        gates = {c: expanded.gate(c) for c in expanded.contacts}
-        found = {c: {*_active(states(x, gate=gates[c]))} for c, x in expanded.contacts.items()} | {
-            name: {*region.named} for name, region in expanded.controlled.flat.items()
-        }
-        found |= {c: {*_active(coupling_states(x))} for c, x in expanded.couplings.items()}
-        causes = {c: {e.cause for e in coupling_edges(x)} for c, x in expanded.couplings.items()}
-        causes |= {
-            c: {
-                edge.cause
-                for edge in edges(
-                    x, jams=expanded.jams(c), bounces=expanded.bounces(c), gate=gates[c]
-                )
-            }
-            for c, x in expanded.contacts.items()
-        } | {name: {*found} for name, found in causes_of(expanded.controlled.flat).items()}
+        flat = expanded.controlled.flat
+        found = {name: {*region.named} for name, region in flat.items()}
+        causes = {name: {*of_region} for name, of_region in causes_of(flat).items()}
+        for name in expanded.frictional:
+            found[name] = {*_active(expanded.region_states(name))}
+            causes[name] = {edge.cause for edge in expanded.region_edges(name)}
         if self.collisions:
             states_of_bodies, causes_of_bodies = {*_active(BODY_STATES)}, {*BODY_CAUSES}
             found |= dict.fromkeys(self.moving(), states_of_bodies)
@@ -377,12 +358,6 @@ class Scene(SceneFields):
     def _ranges_hold_models(self) -> Self:
         self.check_ranges()
         return self
-
-    @staticmethod
-    def _member(findings: Findings, kind: str, name: str, known: object, *loc: str | int) -> None:
-        assert isinstance(known, dict)
-        with findings:
-            check_member(kind, name, known, *loc)
 
 
 def _fields(scene: Scene) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.controllers import controlled_symbols, values_in
+from contacts.dynamics.controllers import values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import cone_edge
 from contacts.scene.couplings import Rolling
@@ -19,6 +19,7 @@ from statechart.arrays import Array, Ints
 from statechart.automaton.margin_derivatives import derivative
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
+from statechart.formulas.writer import Max
 
 
 class StateEquations(NamedTuple):
@@ -52,7 +53,7 @@ class SteppedTape:
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
         known = values_in(mechanics, states)
         forces = [force.xreplace(known) for force in mechanics.generalised_forces]
-        set_in = [known[symbol] for symbol in controlled_symbols(mechanics)]
+        set_in = [known[symbol] for symbol in mechanics.controls]
         signs = _Signs(forces, set_in, mechanics)
         forces, set_in = signs.middle[: len(forces)], signs.middle[len(forces) :]
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
@@ -103,7 +104,7 @@ class SteppedTape:
         # Disabled contacts and couplings are never passed over.
         self.gaps: Tape = mechanics.whole_tape(
             [
-                sp.Max(
+                Max(
                     mechanics.contact(name).symbols.gap.xreplace(known),
                     *(() if gate is None else (-gate.by_steps(known, sizes),)),
                 )
@@ -115,7 +116,7 @@ class SteppedTape:
         outputs += [*set_in, *signs.rows(len(forces))]
         used = mechanics.used_friction
         self.used = np.array(
-            [controlled_symbols(mechanics).index(used[n]) if n in used else -1 for n in self.names],
+            [mechanics.controls.index(used[n]) if n in used else -1 for n in self.names],
             np.int64,
         )
         self.tape: Tape = mechanics.whole_tape(outputs)
@@ -227,7 +228,7 @@ _TINY = 1e-300
 
 def _kinetic_edge(static: sp.Expr, kinetic: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
     """Return the unit edge of a slipping coupling: its normal force is the static limit."""
-    mu = sp.S.One if static == kinetic else kinetic / sp.Max(static, _TINY)
+    mu = sp.S.One if static == kinetic else kinetic / Max(static, _TINY)
     return cone_edge(mu)
 
 

@@ -37,7 +37,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.dynamics.controllers import Controllers, controlled_symbols
+from contacts.dynamics.controllers import Controllers
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.lint import replaced_laws
@@ -434,7 +434,7 @@ class Stepper(ABC):
         joints = (f"{row.joint}.{row.component}" for row in mechanics.joint_rows)
         self.joint_forces = (*joints, *(f"{name}.M" for name in turning))
         self.angles = np.array([name.endswith(".angle") for name in mechanics.names])
-        unknowns = (*mechanics.a, *mechanics.unknown_forces, *controlled_symbols(mechanics))
+        unknowns = (*mechanics.a, *mechanics.unknown_forces, *mechanics.controls)
         self.stops = StopTapes(mechanics, unknowns, regions)
         self.energy: Tape = mechanics.whole_tape([mechanics.energy])
 

@@ -66,9 +66,8 @@ def split(
     groups = [group for group in groups if group not in idle]
     if len(groups) < 2:
         return []
-    if any(
-        not _mentioned_names(event, owners) for event in _declared_events(data, "contacts" in data)
-    ):
+    shared_zeno = "contacts" in data
+    if any(not _mentioned_names(event, owners) for event in _declared_events(data, shared_zeno)):
         # An event without a region couples all regions.
         return []
     words = {*_reserved_words(schema), *_words_of_regions(data, regions)}
@@ -143,6 +142,16 @@ def _texts(value: Any) -> Iterator[str]:
             yield from _texts(entry)
 
 
+def _entries(value: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield the keys and values of all mappings in nested data."""
+    if isinstance(value, Mapping):
+        yield from value.items()
+        value = [*value.values()]
+    if isinstance(value, list | tuple):
+        for entry in value:
+            yield from _entries(entry)
+
+
 def _mentioned_names(value: Any, owners: Mapping[str, set[Entity]]) -> set[Entity]:
     names = {name for text in _texts(value) for name in _NAME.findall(text)}
     return set().union(*(owners[name] for name in names if name in owners))
@@ -150,36 +159,19 @@ def _mentioned_names(value: Any, owners: Mapping[str, set[Entity]]) -> set[Entit
 
 def _declared_events(value: Any, shared_zeno: bool) -> Iterator[str]:
     """Yield the events in `on:`, with `zeno` only if `shared_zeno`."""
-    if isinstance(value, Mapping):
-        for key, entry in value.items():
-            for text in _texts(entry) if key == "on" else ():
-                events = (event.strip() for event in re.split(r"\bor\b", text))
-                yield from (event for event in events if shared_zeno or event != "zeno")
-            yield from _declared_events(entry, shared_zeno)
-    elif isinstance(value, list | tuple):
-        for entry in value:
-            yield from _declared_events(entry, shared_zeno)
+    texts = (text for key, entry in _entries(value) if key == "on" for text in _texts(entry))
+    events = (event.strip() for text in texts for event in re.split(r"\bor\b", text))
+    return (event for event in events if shared_zeno or event != "zeno")
 
 
 def _words_of_regions(data: Data, regions: Collection[str]) -> set[str]:
     """Return the names of states and transitions."""
     names: set[str] = set()
-
-    def walk(value: Any) -> None:
-        if isinstance(value, Mapping):
-            for key, entry in value.items():
-                if key in ("states", "regions") and isinstance(entry, Mapping):
-                    names.update(map(str, entry))
-                if key in ("initial", "from", "to", "name"):
-                    names.update(_texts(entry))
-                walk(entry)
-        elif isinstance(value, list | tuple):
-            for entry in value:
-                walk(entry)
-
-    for section in regions:
-        for content in data.get(section, {}).values():
-            walk(content)
+    for key, entry in _entries([[*data.get(section, {}).values()] for section in regions]):
+        if key in ("states", "regions") and isinstance(entry, Mapping):
+            names.update(map(str, entry))
+        if key in ("initial", "from", "to", "name"):
+            names.update(_texts(entry))
     return names
 
 

@@ -282,13 +282,18 @@ class Region:
         """Return the declared name of a state."""
         return next((name for name in self.active(state) if name in self.listed), state)
 
-    def active(self, state: str) -> tuple[str, ...]:
-        """Return the active states of a configuration, each followed by its superstates."""
-        return self._actives(state)
-
     @cached_property
-    def _actives(self) -> Callable[[str], tuple[str, ...]]:
+    def active(self) -> Callable[[str], tuple[str, ...]]:
+        """Function of a configuration: its active states, each followed by its superstates."""
         return cache(partial(self.nesting.active, superstates=self.superstates))
+
+    def entered_with(self, name: str) -> set[str]:
+        """Return a state and the default states that are entered with it."""
+        if name in self.nesting.parallel:
+            inner = [state for state, outer in self.superstates.items() if outer == name]
+        else:
+            inner = [state for outer, state in self.nesting.initial.items() if outer == name]
+        return {name}.union(*map(self.entered_with, inner))
 
     @property
     def innermost(self) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import sympy as sp
@@ -273,20 +274,16 @@ class _Reader:
         self._automaton = automaton
         self._definitions = dict(mode.definitions)
         self._moving = {*automaton.variables, automaton.time}
-        self._read: dict[sp.Expr, sp.Expr] = {}
+        self.read = cache(self._rewritten)
         self._places: dict[sp.Expr, int] = {}
         self.signs: list[sp.Symbol] = []
         self.functions: list[sp.Expr] = []
         self.adds = True
 
-    def read(self, node: sp.Expr) -> sp.Expr:
-        """Return a formula with signs instead of nonsmooth functions."""
-        rewritten = self._read.get(node)
-        if rewritten is None:
-            rewritten = self._read[node] = self._rewritten(node) if node.has(*_KINKS) else node
-        return rewritten
-
     def _rewritten(self, node: sp.Expr) -> sp.Expr:
+        """Return a formula with signs instead of nonsmooth functions."""
+        if not node.has(*_KINKS):
+            return node
         arguments = [self.read(argument) for argument in node.args]
         if node.is_Pow and not node.exp.is_Integer and node.base.is_nonnegative:
             # Stages of a step may be beyond the surface.

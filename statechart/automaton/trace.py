@@ -6,6 +6,7 @@ import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from itertools import chain, groupby
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -350,11 +351,8 @@ class Trace:
         """The modes in the order visited, zero-length ones included, repeats merged."""
         if not self.regions:  # not recorded
             return ()
-        sequence = [self.start_mode]
-        for jump in self.jumps:
-            if jump.target != sequence[-1]:
-                sequence.append(jump.target)
-        return tuple(sequence)
+        sequence = chain([self.start_mode], (jump.target for jump in self.jumps))
+        return tuple(key for key, _ in groupby(sequence))
 
 
 def sizes(trace: Trace) -> Array:

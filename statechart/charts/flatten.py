@@ -8,7 +8,7 @@ atomic states by ``|``; contents of a history that differ from its default entry
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, product
@@ -35,15 +35,23 @@ def flatten(name: str, region: BaseRegion, *loc: str | int) -> FlatRegion:
     Raises `DeclarationProblem` if its states or transitions are inconsistent (see `tree`), or if
     there are more than `MAX_CONFIGURATIONS`.
     """
-    return _Flattening(name, tree(region, *loc), loc).region()
+    return FlatRegion(name, tree(region, *loc), loc)
 
 
-class _Flattening:
-    """Breadth-first enumeration of the configurations of a region and their transitions."""
+class FlatRegion:
+    """A flattened region: configurations and the transitions between them.
+
+    `initial` is the initial configuration, with the entry updates `begins`. `states` maps
+    configurations to their active states, outer first, and `triggers` to the arrows out of them, by
+    priority: inner states first, then in document order. Combined `transitions` are the last ones.
+    `clocks` are the entry times of the sources of timed transitions, `counts` the periods passed
+    since. `superstates` and `nesting` are as of a `statechart.automaton.regions.Region`.
+    """
 
     def __init__(self, name: str, found: Tree, loc: tuple[str | int, ...]) -> None:
-        self._name, self._tree, self._loc = name, found, loc
+        self.name, self._tree, self._loc = name, found, loc
         self._named: dict[str, tuple[Nodes, Histories]] = {}
+        self._taken: dict[tuple[str, tuple[int, ...]], FlatTransition] = {}
         self._clocks = {
             place: f"{name}.{arrow.declared.name}_clock"
             for place, arrow in enumerate(found.arrows)
@@ -56,7 +64,7 @@ class _Flattening:
             or declared.internal
             or found.arrows[place].target < 0
         }
-        # Priority of arrows: inner states first, then in document order.
+        self.clocks, self.counts = tuple(self._clocks.values()), tuple(self._counts.values())
         rank = {node: place for place, node in enumerate(found.inner_first)}
         self._ranks = sorted(
             range(len(found.arrows)), key=lambda place: (rank[found.arrows[place].source], place)
@@ -69,315 +77,25 @@ class _Flattening:
             and found.nodes[arrow.target].sort in HISTORIES
             and found.holds(found.nodes[arrow.target].parent, arrow.source)
         }
-
-    def region(self) -> FlatRegion:
-        """Follow all transitions from the initial configuration."""
-        found = self._tree
-        begin = initial_entry(found)
-        initial = self._name_of(begin.active, {})
-        if found.flat:
-            for node in found.nodes[ROOT].children:
-                self._name_of(frozenset((node,)), {})
-        transitions: dict[tuple[str, tuple[int, ...]], FlatTransition] = {}
-        done: set[str] = set()
-        while todo := [name for name in self._named if name not in done]:
-            for name in todo:
-                done.add(name)
-                for taken in self._arrow_sets(*self._named[name]):
-                    transitions[name, taken] = self.take(name, taken)
-        keys = list(transitions)
-        if found.flat:
-            # Without hierarchy the order of declaration alone decides.
-            keys.sort(key=lambda key: key[1])
-        ordered = tuple(transitions[key] for key in keys)
-        nodes = found.nodes
-        return FlatRegion(
-            self._name,
-            initial,
-            tuple(filter(None, (self._entry_updates(node, {}) for node in begin.entries))),
-            {name: self._contents(active) for name, (active, _) in self._named.items()},
-            ordered,
-            tuple(self._clocks.values()),
-            tuple(self._counts.values()),
-            {
-                node.name: nodes[node.parent].name
-                for node in nodes
-                if node.parent > ROOT and node.sort not in HISTORIES
-            },
-            self._nesting(initial, ordered),
-            found,
-            self._named,
-            {
-                name: tuple(
-                    Trigger(place, arrow.declared, arrow.declared.events, self._guard(place))
-                    for place in self._ranks
-                    if (arrow := found.arrows[place]).source in active
-                )
-                for name, (active, _) in self._named.items()
-            },
-            self,
-            transitions,
-        )
-
-    def take(self, name: str, taken: tuple[int, ...]) -> FlatTransition:
-        """Return the flat transition that takes arrows together out of a configuration."""
-        step = microstep(self._tree, *self._named[name], taken)
-        return self._transition(name, self._name_of(step.active, step.histories), step)
-
-    def _contents(self, active: Nodes) -> tuple[BaseState, ...]:
-        holders = (self._tree.nodes[node].declared for node in sorted(active))
-        return tuple(holder for holder in holders if isinstance(holder, BaseState))
-
-    def _arrow_sets(self, active: Nodes, memory: Histories) -> Iterable[tuple[int, ...]]:
-        """Yield the sets of arrows that may be taken together, single arrows first."""
-        arrows = self._tree.arrows
-        out = [i for i in self._ranks if arrows[i].source in active]
-        yield from ((i,) for i in out)
-        # The first enabled arrow of each atomic state decides the set.
-        choices = [
-            [(), *((i,) for i in out if arrows[i].declared.events and arrows[i].source in holders)]
-            for leaf in atomic_states(self._tree, active)
-            if (holders := {leaf, *self._tree.above[leaf]})
-        ]
-        if prod(map(len, choices)) > MAX_CONFIGURATIONS:
-            raise self._too_many("sets of transitions that one event may fire together")
-        together = (
-            select_transitions(self._tree, active, memory, set(chain.from_iterable(one)))
-            for one in product(*choices)
-        )
-        yield from dict.fromkeys(taken for taken in together if len(taken) > 1)
-
-    def _transition(self, source: str, target: str, step: Microstep) -> FlatTransition:
-        members = tuple(self._tree.arrows[place].declared for place in step.taken)
-        blocks: list[Updates] = []
-        for node in step.exits:
-            declared = self._tree.nodes[node].declared
-            blocks.append(declared.exit if isinstance(declared, BaseState) else {})
-        for place, member in zip(step.taken, members, strict=True):
-            updates = dict(member.updates)
-            count = self._counts.get(place)
-            if count is not None:
-                updates[count] = f"{count} + 1"
-            blocks.append(updates)
-        blocks += [self._entry_updates(node, step.histories) for node in step.entries]
-        return FlatTransition(
-            "+".join(member.name for member in members),
-            source,
-            target,
-            members,
-            self._guard(step.taken[0]),
-            tuple(filter(None, blocks)),
-        )
-
-    def _guard(self, place: int) -> str | None:
-        """Return the relation that fires an arrow; None where an event does."""
-        declared = self._tree.arrows[place].declared
-        if declared.on is not None:
-            return None
-        clock, count = self._clocks.get(place), self._counts.get(place)
-        if clock is None:
-            return declared.guard
-        if declared.every is not None:
-            # A multiple of the period, since a sum of periods accumulates round-off.
-            return f"{TIME} >= {clock} + ({count} + 1)*({declared.period})"
-        over = f"{TIME} >= {clock} + ({declared.period})"
-        if count is not None:
-            # It fires once per entry of the source: the count is zero before and one after.
-            over = f"(1 - {count})*({TIME} - {clock} - ({declared.period})) >= {count}"
-        return conjunction((over,) if declared.guard is None else (over, declared.guard))
-
-    def _entry_updates(self, node: int, memory: Histories) -> Updates:
-        declared = self._tree.nodes[node].declared
-        began: dict[str, FiniteText] = {}
-        for place, clock in self._clocks.items():
-            if self._tree.arrows[place].source == node:
-                began[clock] = TIME
-                if place in self._counts:
-                    began[self._counts[place]] = 0
-        return {**(declared.entry if isinstance(declared, BaseState) else {}), **began}
-
-    def _name_of(self, active: Nodes, memory: Histories) -> str:
-        """Register a configuration under its name, and return that."""
-        found = self._tree
-        shown = {
-            history: remembered
-            for history, remembered in sorted(memory.items())
-            if (found.nodes[history].parent not in active or history in self._remembered)
-            and remembered != self._default(history)
-        }
-        words = [
-            f"{found.nodes[history].name}={self._joined(remembered)}"
-            for history, remembered in shown.items()
-        ]
-        name = self._joined(atomic_states(found, active)) + (
-            f"[{', '.join(words)}]" if words else ""
-        )
-        self._named.setdefault(name, (active, shown))
-        if len(self._named) > MAX_CONFIGURATIONS:
-            raise self._too_many("configurations")
-        return name
-
-    def _default(self, history: int) -> Nodes:
-        """Return the contents of a history before its parent was ever exited."""
-        nodes, first = self._tree.nodes, self._tree.remembered_first(history)
-        deep = nodes[history].sort is Sort.DEEP
-        return first if all(nodes[n].sort is Sort.ATOMIC or not deep for n in first) else Nodes()
-
-    def _joined(self, nodes: Iterable[int]) -> str:
-        return "|".join(self._tree.nodes[node].name for node in sorted(nodes))
-
-    def _nesting(self, initial: str, transitions: Sequence[FlatTransition]) -> Nesting:
-        nodes = self._tree.nodes
-        states = {n.name: n.declared for n in nodes if isinstance(n.declared, BaseState)}
-        names = tuple(n.name for n in nodes[1:] if n.sort not in HISTORIES)
-        unreached = frozenset(names) - self._entered_names(initial, transitions)
-        entries = {name: state.entry for name, state in states.items() if state.entry}
-        exits = {name: state.exit for name, state in states.items() if state.exit}
-        # Only states of charts and of controllers have flows.
-        flows = {name: found for name, s in states.items() if (found := getattr(s, "flows", {}))}
-        flat = Nesting(
-            names,
-            entries=entries,
-            exits=exits,
-            edges=tuple(self._hierarchical_edges()),
-            unreached=unreached,
-            flows=flows,
-            final=frozenset(n.name for n in nodes if n.final),
-            done={
-                name: tuple(nodes[node].name or self._name for node in done)
-                for name, (active, _) in self._named.items()
-                if (done := self._tree.done(active))
-            },
-        )
-        if self._tree.flat:
-            return flat
-        return replace(
-            flat,
-            configurations={
-                name: tuple(nodes[leaf].name for leaf in atomic_states(self._tree, active))
-                for name, (active, _) in self._named.items()
-            },
-            initial={n.name: nodes[n.initial].name for n in nodes if n.sort is Sort.COMPOUND},
-            parallel=frozenset(n.name for n in nodes if n.sort is Sort.PARALLEL),
-            histories={
-                n.name: History(
-                    "deep" if n.sort is Sort.DEEP else "shallow",
-                    nodes[n.parent].name,
-                    nodes[n.initial if n.initial >= 0 else n.parent].name,
-                )
-                for n in nodes
-                if n.sort in HISTORIES
-            },
-        )
-
-    def _entered_names(self, initial: str, transitions: Sequence[FlatTransition]) -> set[str]:
-        """Return the names of the states reachable by transitions."""
-        targets: dict[str, list[str]] = {}
-        for transition in transitions:
-            targets.setdefault(transition.source, []).append(transition.target)
-        found = [initial]
-        for configuration in found:
-            found += (t for t in dict.fromkeys(targets.get(configuration, ())) if t not in found)
-        nodes = self._tree.nodes
-        return {nodes[node].name for name in found for node in self._named[name][0]}
-
-    def _hierarchical_edges(self) -> Iterable[HierarchicalEdge]:
-        for arrow in self._tree.arrows:
-            declared = arrow.declared
-            target = declared.target or declared.source
-            reset = ", ".join(f"{name} := {update}" for name, update in declared.updates.items())
-            choice = Choice(target, reset)
-            yield HierarchicalEdge(
-                declared.name,
-                declared.source,
-                target,
-                declared.trigger,
-                (choice,),
-                declared.on_zeno,
-                declared.updates,
-                tuple(".".join(filter(None, (e.region, e.cause))) for e in declared.events),
-                declared.guard if declared.events else None,
-                declared.target is None,
-                declared.internal or declared.target is None,
+        begin, nodes = initial_entry(found), found.nodes
+        self.initial = self._name_of(begin.active, {})
+        self.begins = tuple(filter(None, (self._entry_updates(node) for node in begin.entries)))
+        self.transitions = self._transitions()
+        self.states = {name: self._contents(active) for name, (active, _) in self._named.items()}
+        self.triggers = {
+            name: tuple(
+                Trigger(place, arrow.declared, arrow.declared.events, self._guard(place))
+                for place in self._ranks
+                if (arrow := found.arrows[place]).source in active
             )
-
-    def _too_many(self, what: str) -> DeclarationProblem:
-        return DeclarationProblem(
-            f"more than {MAX_CONFIGURATIONS} {what} of {self._name!r}",
-            advice="make regions of a state regions of the model: these are not multiplied",
-            loc=self._loc,
-            key=True,
-        )
-
-
-Updates = Mapping[str, FiniteText]
-
-
-@dataclass(frozen=True, eq=False)
-class FlatTransition:
-    """Transitions taken together, from one configuration to another."""
-
-    name: str  # names of the members, joined by ``+``
-    source: str  # configurations
-    target: str
-    members: tuple[Transition, ...]  # in the order of their updates
-    guard: str | None  # relation that fires it, for timed transitions too
-    # Updates in order: exits, transitions, entries. A block reads the values after the block
-    # before it.
-    blocks: tuple[Updates, ...]
-
-    @property
-    def on_zeno(self) -> bool:
-        """True if the accumulation of jumps fires it."""
-        return self.members[0].on_zeno
-
-    @property
-    def trigger(self) -> str:
-        """The trigger as text."""
-        return " and ".join(dict.fromkeys(member.trigger for member in self.members))
-
-    def reset(self, apart: Collection[str] = ()) -> str:
-        """Return the updates as text, without the variables `apart`."""
-        updates = (update for block in self.blocks for update in block.items())
-        return ", ".join(f"{name} := {to}" for name, to in updates if name not in apart)
-
-
-class Trigger(NamedTuple):
-    """An arrow out of a configuration with its events or guard."""
-
-    place: int  # among the arrows of the region
-    declared: Transition
-    events: tuple[Event, ...]
-    guard: str | None  # relation that fires it; None where events do
-
-
-class Shared(NamedTuple):
-    """A variable that two states both give a flow or value."""
-
-    what: str
-    one: str
-    other: str
-
-
-@dataclass(frozen=True, eq=False)
-class FlatRegion:
-    """A flattened region: configurations and the transitions between them."""
-
-    name: str
-    initial: str  # initial configuration
-    begins: tuple[Updates, ...]  # entry updates of the initial configuration
-    states: Mapping[str, tuple[BaseState, ...]]  # configuration -> active states, outer first
-    # By priority: inner states first, then in document order; combined transitions last.
-    transitions: tuple[FlatTransition, ...]
-    clocks: tuple[str, ...]  # entry times of the sources of timed transitions
-    counts: tuple[str, ...]  # periods passed since
-    superstates: Mapping[str, str]  # as of a `statechart.automaton.regions.Region`
-    nesting: Nesting
-    _tree: Tree
-    _configurations: Mapping[str, tuple[Nodes, Histories]]
-    triggers: Mapping[str, tuple[Trigger, ...]]  # configuration -> arrows out of it, inner first
-    _flattening: _Flattening
-    _taken: dict[tuple[str, tuple[int, ...]], FlatTransition]
+            for name, (active, _) in self._named.items()
+        }
+        self.superstates = {
+            node.name: nodes[node.parent].name
+            for node in nodes
+            if node.parent > ROOT and node.sort not in HISTORIES
+        }
+        self.nesting = self._nesting()
 
     @property
     def timers(self) -> tuple[str, ...]:
@@ -443,10 +161,264 @@ class FlatRegion:
 
     def answer(self, state: str, enabled: Collection[int]) -> FlatTransition:
         """Return the transition that enabled arrows take together (`select_transitions`)."""
-        key = state, select_transitions(self._tree, *self._configurations[state], enabled)
-        if key not in self._taken:
-            self._taken[key] = self._flattening.take(*key)
-        return self._taken[key]
+        return self._take(state, select_transitions(self._tree, *self._named[state], enabled))
+
+    def _transitions(self) -> tuple[FlatTransition, ...]:
+        """Enumerate the configurations breadth first, and the transitions between them."""
+        if self._tree.flat:
+            for node in self._tree.nodes[ROOT].children:
+                self._name_of(frozenset((node,)), {})
+        done: set[str] = set()
+        while todo := [name for name in self._named if name not in done]:
+            for name in todo:
+                done.add(name)
+                for taken in self._arrow_sets(*self._named[name]):
+                    self._take(name, taken)
+        keys = list(self._taken)
+        if self._tree.flat:
+            # Without hierarchy the order of declaration alone decides.
+            keys.sort(key=lambda key: key[1])
+        return tuple(self._taken[key] for key in keys)
+
+    def _take(self, name: str, taken: tuple[int, ...]) -> FlatTransition:
+        """Return the flat transition that takes arrows together out of a configuration."""
+        if (name, taken) not in self._taken:
+            step = microstep(self._tree, *self._named[name], taken)
+            target = self._name_of(step.active, step.histories)
+            self._taken[name, taken] = self._transition(name, target, step)
+        return self._taken[name, taken]
+
+    def _contents(self, active: Nodes) -> tuple[BaseState, ...]:
+        holders = (self._tree.nodes[node].declared for node in sorted(active))
+        return tuple(holder for holder in holders if isinstance(holder, BaseState))
+
+    def _arrow_sets(self, active: Nodes, memory: Histories) -> Iterable[tuple[int, ...]]:
+        """Yield the sets of arrows that may be taken together, single arrows first."""
+        arrows = self._tree.arrows
+        out = [i for i in self._ranks if arrows[i].source in active]
+        yield from ((i,) for i in out)
+        # The first enabled arrow of each atomic state decides the set.
+        choices = [
+            [(), *((i,) for i in out if arrows[i].declared.events and arrows[i].source in holders)]
+            for leaf in atomic_states(self._tree, active)
+            if (holders := {leaf, *self._tree.above[leaf]})
+        ]
+        if prod(map(len, choices)) > MAX_CONFIGURATIONS:
+            raise self._too_many("sets of transitions that one event may fire together")
+        together = (
+            select_transitions(self._tree, active, memory, set(chain.from_iterable(one)))
+            for one in product(*choices)
+        )
+        yield from dict.fromkeys(taken for taken in together if len(taken) > 1)
+
+    def _transition(self, source: str, target: str, step: Microstep) -> FlatTransition:
+        members = tuple(self._tree.arrows[place].declared for place in step.taken)
+        blocks: list[Updates] = [
+            getattr(self._tree.nodes[node].declared, "exit", {}) for node in step.exits
+        ]
+        for place, member in zip(step.taken, members, strict=True):
+            updates = dict(member.updates)
+            count = self._counts.get(place)
+            if count is not None:
+                updates[count] = f"{count} + 1"
+            blocks.append(updates)
+        blocks += [self._entry_updates(node) for node in step.entries]
+        return FlatTransition(
+            "+".join(member.name for member in members),
+            source,
+            target,
+            members,
+            self._guard(step.taken[0]),
+            tuple(filter(None, blocks)),
+        )
+
+    def _guard(self, place: int) -> str | None:
+        """Return the relation that fires an arrow; None where an event does."""
+        declared = self._tree.arrows[place].declared
+        if declared.on is not None:
+            return None
+        clock, count = self._clocks.get(place), self._counts.get(place)
+        if clock is None:
+            return declared.guard
+        if declared.every is not None:
+            # A multiple of the period, since a sum of periods accumulates round-off.
+            return f"{TIME} >= {clock} + ({count} + 1)*({declared.period})"
+        over = f"{TIME} >= {clock} + ({declared.period})"
+        if count is not None:
+            # It fires once per entry of the source: the count is zero before and one after.
+            over = f"(1 - {count})*({TIME} - {clock} - ({declared.period})) >= {count}"
+        return conjunction((over,) if declared.guard is None else (over, declared.guard))
+
+    def _entry_updates(self, node: int) -> Updates:
+        began: dict[str, FiniteText] = {}
+        for place, clock in self._clocks.items():
+            if self._tree.arrows[place].source == node:
+                began[clock] = TIME
+                if place in self._counts:
+                    began[self._counts[place]] = 0
+        return {**getattr(self._tree.nodes[node].declared, "entry", {}), **began}
+
+    def _name_of(self, active: Nodes, memory: Histories) -> str:
+        """Register a configuration under its name, and return that."""
+        found = self._tree
+        shown = {
+            history: remembered
+            for history, remembered in sorted(memory.items())
+            if (found.nodes[history].parent not in active or history in self._remembered)
+            and remembered != self._default(history)
+        }
+        words = [
+            f"{found.nodes[history].name}={self._joined(remembered)}"
+            for history, remembered in shown.items()
+        ]
+        name = self._joined(atomic_states(found, active)) + (
+            f"[{', '.join(words)}]" if words else ""
+        )
+        self._named.setdefault(name, (active, shown))
+        if len(self._named) > MAX_CONFIGURATIONS:
+            raise self._too_many("configurations")
+        return name
+
+    def _default(self, history: int) -> Nodes:
+        """Return the contents of a history before its parent was ever exited."""
+        nodes, first = self._tree.nodes, self._tree.remembered_first(history)
+        deep = nodes[history].sort is Sort.DEEP
+        return first if all(nodes[n].sort is Sort.ATOMIC or not deep for n in first) else Nodes()
+
+    def _joined(self, nodes: Iterable[int]) -> str:
+        return "|".join(self._tree.nodes[node].name for node in sorted(nodes))
+
+    def _nesting(self) -> Nesting:
+        nodes = self._tree.nodes
+        states = {n.name: n.declared for n in nodes if isinstance(n.declared, BaseState)}
+        names = tuple(n.name for n in nodes[1:] if n.sort not in HISTORIES)
+        unreached = frozenset(names) - self._entered_names()
+        entries = {name: state.entry for name, state in states.items() if state.entry}
+        exits = {name: state.exit for name, state in states.items() if state.exit}
+        # Only states of charts and of controllers have flows.
+        flows = {name: found for name, s in states.items() if (found := getattr(s, "flows", {}))}
+        flat = Nesting(
+            names,
+            entries=entries,
+            exits=exits,
+            edges=tuple(self._hierarchical_edges()),
+            unreached=unreached,
+            flows=flows,
+            final=frozenset(n.name for n in nodes if n.final),
+            done={
+                name: tuple(nodes[node].name or self.name for node in done)
+                for name, (active, _) in self._named.items()
+                if (done := self._tree.done(active))
+            },
+        )
+        if self._tree.flat:
+            return flat
+        return replace(
+            flat,
+            configurations={
+                name: tuple(nodes[leaf].name for leaf in atomic_states(self._tree, active))
+                for name, (active, _) in self._named.items()
+            },
+            initial={n.name: nodes[n.initial].name for n in nodes if n.sort is Sort.COMPOUND},
+            parallel=frozenset(n.name for n in nodes if n.sort is Sort.PARALLEL),
+            histories={
+                n.name: History(
+                    "deep" if n.sort is Sort.DEEP else "shallow",
+                    nodes[n.parent].name,
+                    nodes[n.initial if n.initial >= 0 else n.parent].name,
+                )
+                for n in nodes
+                if n.sort in HISTORIES
+            },
+        )
+
+    def _entered_names(self) -> set[str]:
+        """Return the names of the states reachable by transitions."""
+        targets: dict[str, list[str]] = {}
+        for transition in self.transitions:
+            targets.setdefault(transition.source, []).append(transition.target)
+        found = [self.initial]
+        for configuration in found:
+            found += (t for t in dict.fromkeys(targets.get(configuration, ())) if t not in found)
+        nodes = self._tree.nodes
+        return {nodes[node].name for name in found for node in self._named[name][0]}
+
+    def _hierarchical_edges(self) -> Iterable[HierarchicalEdge]:
+        for arrow in self._tree.arrows:
+            declared = arrow.declared
+            target = declared.target or declared.source
+            reset = ", ".join(f"{name} := {update}" for name, update in declared.updates.items())
+            choice = Choice(target, reset)
+            yield HierarchicalEdge(
+                declared.name,
+                declared.source,
+                target,
+                declared.trigger,
+                (choice,),
+                declared.on_zeno,
+                declared.updates,
+                tuple(".".join(filter(None, (e.region, e.cause))) for e in declared.events),
+                declared.guard if declared.events else None,
+                declared.target is None,
+                declared.internal or declared.target is None,
+            )
+
+    def _too_many(self, what: str) -> DeclarationProblem:
+        return DeclarationProblem(
+            f"more than {MAX_CONFIGURATIONS} {what} of {self.name!r}",
+            advice="make regions of a state regions of the model: these are not multiplied",
+            loc=self._loc,
+            key=True,
+        )
+
+
+Updates = Mapping[str, FiniteText]
+
+
+@dataclass(frozen=True, eq=False)
+class FlatTransition:
+    """Transitions taken together, from one configuration to another."""
+
+    name: str  # names of the members, joined by ``+``
+    source: str  # configurations
+    target: str
+    members: tuple[Transition, ...]  # in the order of their updates
+    guard: str | None  # relation that fires it, for timed transitions too
+    # Updates in order: exits, transitions, entries. A block reads the values after the block
+    # before it.
+    blocks: tuple[Updates, ...]
+
+    @property
+    def on_zeno(self) -> bool:
+        """True if the accumulation of jumps fires it."""
+        return self.members[0].on_zeno
+
+    @property
+    def trigger(self) -> str:
+        """The trigger as text."""
+        return " and ".join(dict.fromkeys(member.trigger for member in self.members))
+
+    def reset(self, apart: Collection[str] = ()) -> str:
+        """Return the updates as text, without the variables `apart`."""
+        updates = (update for block in self.blocks for update in block.items())
+        return ", ".join(f"{name} := {to}" for name, to in updates if name not in apart)
+
+
+class Trigger(NamedTuple):
+    """An arrow out of a configuration with its events or guard."""
+
+    place: int  # among the arrows of the region
+    declared: Transition
+    events: tuple[Event, ...]
+    guard: str | None  # relation that fires it; None where events do
+
+
+class Shared(NamedTuple):
+    """A variable that two states both give a flow or value."""
+
+    what: str
+    one: str
+    other: str
 
 
 def causes_of(regions: Mapping[str, FlatRegion]) -> dict[str, tuple[str, ...]]:

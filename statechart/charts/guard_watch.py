@@ -268,7 +268,13 @@ class GuardTruths:
             fresh = watch.tolerances(rows, relative).values()
             own = [one if one < math.inf else new for one, new in zip(own, fresh, strict=True)]
 
+        self._fell = [k for k, margin in enumerate(watch.margins) if margin in fired]
+        # An unbounded flow ends on the boundary of these atoms, where their rates do not exist.
+        final = self._fell if UNBOUNDED in fired else ()
+
         def direction(k: int) -> float:
+            if k in final:
+                return 0.0
             if watch.atoms[k].kinked:
                 return later(watch.margins[k])
             for order in (1, 2):
@@ -278,14 +284,6 @@ class GuardTruths:
                 if value != 0.0 and not abs(value) <= relative * size:
                     return float(value)
             return 0.0 if watch.atoms[k].rests else later(watch.margins[k])
-
-        self._fell = [k for k, margin in enumerate(watch.margins) if margin in fired]
-        if UNBOUNDED in fired:
-            # The flow ends on the boundary of these atoms, where their rates do not exist.
-            final, by_rates = frozenset(self._fell), direction
-
-            def direction(k: int) -> float:
-                return 0.0 if k in final else by_rates(k)
 
         self._atoms = AtomsAt(
             rows[:, 0].tolist(), own, watch.closed.tolist(), direction,

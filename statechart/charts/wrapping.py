@@ -21,7 +21,7 @@ from statechart.documents.fields import TIME, value_of
 from statechart.errors import DeclarationProblem, FormulaError, Loc
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.relation import parse_relation
-from statechart.formulas.tree import JUMPS, Call, names_in, nodes
+from statechart.formulas.tree import JUMPS, Call, calls_in, names_in
 
 Document = TypeVar("Document", bound=Declaration)
 
@@ -141,9 +141,7 @@ def periodic_calls(text: str) -> Iterator[Wrap]:
         if not formulas:
             with suppress(FormulaError):
                 formulas = parse_relation(text).formulas
-    for call in (node for formula in formulas for node in nodes(formula.root)):
-        if not (isinstance(call, Call) and call.function in JUMPS):
-            continue
+    for call in (call for formula in formulas for call in calls_in(formula.root, JUMPS)):
         if any(name.name == TIME for name in names_in(call.arguments[0])):
             parts = [text[a + 1 : b].strip() for a, b in pairwise(call.marks)]
             yield Wrap(call, *(*parts, "1")[:2])
@@ -174,8 +172,7 @@ def _check(document: Declaration, wrap: Wrap, loc: Loc, values: Mapping[str, flo
     call, function = wrap.call, wrap.call.function
     used = {name.name for name in names_in(call)}
     others = sorted(used - {TIME, *document.parameters})
-    inside = (node.function for node in nodes(call.arguments[0]) if isinstance(node, Call))
-    others += ["a formula that jumps"] if any(name in JUMPS for name in inside) else []
+    others += ["a formula that jumps"] if any(calls_in(call.arguments[0], JUMPS)) else []
     if others:
         raise DeclarationProblem(
             f"{function} of {others[0]} is not periodic in time",

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from statechart import compiling
@@ -28,25 +30,23 @@ _RUNS: tuple[tuple[str, dict[str, Any]], ...] = (
 
 def compile_kernels(*, quiet: bool) -> None:
     """Compile all kernels; say on stderr how far that is, and at the end how long it took."""
-    from statechart import Runner, sweep
+    from statechart import run, sweep
     from statechart.kernels.jit import ahead_of_time
 
-    start_time, total = time.perf_counter(), len(_RUNS) + 1
+    start_time = time.perf_counter()
+    parts: list[Callable[[], object]] = [
+        partial(run, model, throw=False, **options) for model, options in _RUNS
+    ]
+    parts.append(partial(sweep, "toppling_stick", {"mu": [0.2, 0.3]}))
     show = compiling.StderrLine() if not quiet else None
     # The runs have one line of progress in all.
     compiling.announce(None)
     with ahead_of_time():
-        for done in range(total):
+        for number, part in enumerate(parts, 1):
             if show is not None:
-                line = f"compiling {compiling.KERNELS}: part {done + 1} of {total}"
+                line = f"compiling {compiling.KERNELS}: part {number} of {len(parts)}"
                 show(compiling.KERNELS, line, False)
-            if done == len(_RUNS):
-                sweep("toppling_stick", {"mu": [0.2, 0.3]})
-                break
-            model, options = _RUNS[done]
-            certify = options.get("certify", False)
-            setting = {name: value for name, value in options.items() if name != "certify"}
-            Runner(model, **setting).run({}, certify=certify, throw=False)
+            part()
     if show is not None:
         show(compiling.KERNELS, "", True)
         seconds = time.perf_counter() - start_time

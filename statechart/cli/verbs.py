@@ -225,7 +225,6 @@ def _alternatives(
 
 def modes(arguments: argparse.Namespace) -> int:
     """List modes, which of them are possible at a configuration, and every region's chart."""
-    from statechart.automaton.product import feasibility
     from statechart.reporting.modes import check_variables, format_listing, list_modes
 
     parameters = _assigned_values("--set", arguments.parameters)
@@ -263,13 +262,7 @@ def modes(arguments: argparse.Namespace) -> int:
         state, time, built = trace.final.copy(), trace.t_end, trace.counts["modes_built"]
     for name, value in at.items():
         state[automaton.names.index(name)] = value
-    listed = list_modes(
-        automaton,
-        built=built,
-        time=time,
-        state=dict(zip(automaton.names, state.tolist(), strict=True)),
-        found=feasibility(automaton, setup, state, time),
-    )
+    listed = list_modes(automaton, setup, state, time, built)
     if arguments.json:
         print_json(listed)
     else:

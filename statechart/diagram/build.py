@@ -90,7 +90,7 @@ def _is_composed(region: Region) -> bool:
     A grid has no place for parallel states, histories, and declared frames around a single state.
     """
     leaves = region.innermost
-    around = Counter(name for leaf in leaves for name in _around(region, leaf))
+    around = Counter(name for leaf in leaves for name in region.active(leaf)[1:])
     return (
         bool(region.nesting.histories)
         or not {*region.states} <= {*leaves}
@@ -309,7 +309,7 @@ def _notes(automaton: Automaton) -> tuple[str, ...]:
     for region in automaton.regions:
         if region.nesting.names and region not in moving:
             (state,) = region.innermost
-            notes.append(f"always {' in '.join((state, *_around(region, state)))}: {region.name}")
+            notes.append(f"always {' in '.join(region.active(state))}: {region.name}")
     return tuple(notes)
 
 
@@ -338,7 +338,7 @@ def region_chart(
     leaves = region.innermost
     edges = hierarchical_edges(region)
     linked = {end for edge in edges for end in (edge.source, edge.target)}
-    inner = {n: [s for s in leaves if n in _around(region, s)] for n in region.frames}
+    inner = {n: [s for s in leaves if n in region.active(s)[1:]] for n in region.frames}
     # No frame around a single direction of sliding.
     frames = {
         name
@@ -349,11 +349,11 @@ def region_chart(
     begins = {*nesting.initial.values()}
     first = nesting.configurations.get(start or "", (start,))[0]
     initial = nesting.initial.get("")
-    if initial is None or first not in _initial_states(region, initial):
+    if initial is None or first not in region.entered_with(initial):
         initial = first
 
     def node(name: str) -> Node:
-        inside = next((outer for outer in _around(region, name) if outer in frames), None)
+        inside = next((outer for outer in region.active(name)[1:] if outer in frames), None)
         leaf = name not in frames
         return Node(
             prefix + name,
@@ -378,7 +378,7 @@ def region_chart(
         return Node(prefix + name, label, inside, infeasible=refused, history=True)
 
     # Enclosing states come before a state, outer first.
-    names = (n for s in leaves for n in reversed((s, *_around(region, s))) if n == s or n in frames)
+    names = (n for s in leaves for n in reversed(region.active(s)) if n == s or n in frames)
     links = (
         Link(
             prefix + e.source, prefix + e.target, e.cause, e.guard, _reset(region, e),
@@ -388,25 +388,6 @@ def region_chart(
     )  # fmt: skip
     nodes = (*map(node, dict.fromkeys(names)), *map(history, nesting.histories))
     return Chart(nodes, tuple(links), title)
-
-
-def _initial_states(region: Region, name: str) -> set[str]:
-    """Return a state and its default descendants."""
-    nesting, found = region.nesting, {name}
-    if name in nesting.parallel:
-        inner = [state for state, outer in region.superstates.items() if outer == name]
-    else:
-        inner = [nesting.initial[name]] if name in nesting.initial else []
-    for state in inner:
-        found |= _initial_states(region, state)
-    return found
-
-
-def _around(region: Region, name: str) -> list[str]:
-    found: list[str] = []
-    while (name := region.superstates.get(name, "")) and name not in found:
-        found.append(name)
-    return found
 
 
 def group_alike(regions: Iterable[Region]) -> Iterable[list[Region]]:

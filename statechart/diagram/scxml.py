@@ -71,19 +71,8 @@ def unexpressed_parts(machine: Machine) -> tuple[str, ...]:
 
 def _initially_entered(region: Region, start: str) -> set[str]:
     """Return the initial state of a region with its superstates and default substates."""
-    nesting = region.nesting
-    entered, found = [nesting.initial.get("", start)], set[str]()
-    while outer := region.superstates.get(entered[-1]):
-        entered.append(outer)
-    below = entered[:1]
-    while below:
-        name = below.pop()
-        found.add(name)
-        inside = [inner for inner, outer in region.superstates.items() if outer == name]
-        below += inside if name in nesting.parallel else []
-        if inside and name not in nesting.parallel:
-            below.append(nesting.initial.get(name, inside[0]))
-    return found | set(entered)
+    initial = region.nesting.initial.get("", start)
+    return {*region.active(initial)} | region.entered_with(initial)
 
 
 class _MachineWriter:

@@ -25,7 +25,6 @@ from statechart.documents.fields import (
     ValueName,
     check_names,
     check_relation,
-    problem,
     value_of,
 )
 from statechart.documents.outputs import Integral, Output, check_output, formula_of
@@ -395,7 +394,7 @@ class Declaration(Part):
         try:
             values = self.values()
         except FormulaError as error:
-            raise problem(error, "parameters", error.name) from None
+            raise error.problem("parameters", error.name) from None
         if self.stop.time is not None:
             check_names(parse(self.stop.time), self.parameters, "stop", "time")
         Declaration.check_values(self, values)

@@ -18,13 +18,6 @@ from statechart.formulas.relation import Relation, conjunction, parse_relation
 from statechart.formulas.syntax import NAME
 
 
-def problem(error: FormulaError, *loc: str | int) -> DeclarationProblem:
-    """Return the error of a formula as a problem at `loc`."""
-    return DeclarationProblem(
-        error.message, advice=error.advice, loc=loc, offset=error.offset, text=error.text
-    )
-
-
 def _constant(value: Any) -> Any:
     if getattr(value, "ndim", None) == 0:  # a NumPy scalar
         value = value.item()
@@ -33,7 +26,7 @@ def _constant(value: Any) -> Any:
     try:
         parse(value)
     except FormulaError as error:
-        raise problem(error) from None
+        raise error.problem() from None
     # One spelling of infinity, so that a model equals its YAML round trip.
     return str(value) if isinstance(value, float) and math.isinf(value) else value
 
@@ -54,16 +47,14 @@ def _check_jumps(*formulas: Formula) -> None:
     `statechart.charts.wrapping` replaces those by counting regions.
     """
     for formula in formulas:
-        for node in tree.nodes(formula.root):
-            if isinstance(node, tree.Call) and node.function in tree.JUMPS:
-                if any(name.name == TIME for name in tree.names_in(node.arguments[0])):
-                    continue
+        for call in tree.calls_in(formula.root, tree.JUMPS):
+            if all(name.name != TIME for name in tree.names_in(call.arguments[0])):
                 raise DeclarationProblem(
-                    f"formula {formula.text!r}: {node.function} jumps, and may stand only in "
+                    f"formula {formula.text!r}: {call.function} jumps, and may stand only in "
                     "parameters, starts and copies",
                     advice="write a parameter if its arguments are constant; along a run, write "
                     "mod(time, T), or a state for each piece",
-                    offset=node.offset,
+                    offset=call.offset,
                 )
 
 
@@ -89,7 +80,7 @@ def _relation(value: str) -> str:
     try:
         relation = parse_relation(value)
     except FormulaError as error:
-        raise problem(error) from None
+        raise error.problem() from None
     _check_jumps(*relation.formulas)
     for one in relation.comparisons:
         # On its boundary the derivatives of a margin decide.
@@ -195,7 +186,7 @@ def check_names(formula: Formula | Relation, known: Collection[str], *loc: str |
     try:
         formula.require(known)
     except FormulaError as error:
-        raise problem(error, *loc) from None
+        raise error.problem(*loc) from None
 
 
 def check_relation(
@@ -215,7 +206,7 @@ def check_relation(
         relation.require_states(states)
         relation.require_still(changing)
     except FormulaError as error:
-        raise problem(error, *loc) from None
+        raise error.problem(*loc) from None
 
 
 def value_of(text: str | int | float, values: Mapping[str, float], *loc: str | int) -> float:
@@ -223,7 +214,7 @@ def value_of(text: str | int | float, values: Mapping[str, float], *loc: str | i
     try:
         return parse(text).value(values)
     except FormulaError as error:
-        raise problem(error, *loc) from None
+        raise error.problem(*loc) from None
 
 
 KINKED = ("abs", "sign", "min", "max", "sat")
@@ -234,11 +225,8 @@ def has_switch(
     text: str | int | float, variables: Collection[str], functions: Collection[str] = KINKED
 ) -> bool:
     """Return whether a formula contains one of `functions` of any of `variables`."""
-    calls = (node for node in tree.nodes(parse(text).root) if isinstance(node, tree.Call))
-    return any(
-        call.function in functions and any(name.name in variables for name in tree.names_in(call))
-        for call in calls
-    )
+    calls = tree.calls_in(parse(text).root, functions)
+    return any(name.name in variables for call in calls for name in tree.names_in(call))
 
 
 def check_smooth(
@@ -255,9 +243,9 @@ def check_smooth(
     `lacks` and `advice` complete the message. With `roots` the root of a square counts as a kink.
     Raises `DeclarationProblem` at the first kink.
     """
-    for call in (node for node in tree.nodes(parse(text).root) if isinstance(node, tree.Call)):
+    for call in tree.calls_in(parse(text).root, KINKED):
         switched = {name.name for name in tree.names_in(call)}.intersection(variables)
-        if call.function in KINKED and switched:
+        if switched:
             raise DeclarationProblem(
                 f"{call.function} of {', '.join(sorted(switched))} has no {lacks} where it "
                 "switches",

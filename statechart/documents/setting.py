@@ -11,9 +11,17 @@ from typing import TypedDict
 
 from statechart.errors import DeclarationProblem
 
-_NUMBERS = (
-    "tolerance", "accuracy", "step", "budget", "max_step", "impulse_tolerance", "impulse_bound"
-)  # fmt: skip
+_BETWEEN, _POSITIVE = "{} must be above 0 and below 1", "the {} must be a positive time"
+# Number -> its least upper bound, and the message; the lower bound is 0.
+_BOUNDS = {
+    "tolerance": (1.0, _BETWEEN),
+    "accuracy": (1.0, _BETWEEN),
+    "impulse_tolerance": (1.0, _BETWEEN),
+    "impulse_bound": (math.nan, "{} must be above 0"),
+    "step": (math.inf, _POSITIVE),
+    "budget": (math.inf, f"{_POSITIVE} in seconds"),
+    "max_step": (math.inf, _POSITIVE),
+}
 
 OF_STEPS = "step", "impulse_tolerance", "impulse_bound"
 """Settings that only the engine impulse has."""
@@ -100,7 +108,7 @@ class Setting:
         DeclarationProblem
             At the first wrong setting.
         """
-        for what in _NUMBERS:
+        for what in _BOUNDS:
             value = getattr(self, what)
             if value is not None and not isinstance(value, Real):
                 raise DeclarationProblem(f"{what} must be a number, not {value!r}", loc=(what,))
@@ -125,9 +133,8 @@ class Setting:
                 "the engine impulse has no {}",
                 "give a step, which decides its error, or an accuracy",
             )
-        else:
-            if engine != "auto":  # the model decides which engine that is
-                self.check_no_steps()
+        elif engine != "auto":  # the model decides which engine that is
+            self.check_no_steps()
         if engine == "taylor" and self.method != LONG_DOUBLE:
             self._refuse(
                 ("method",),
@@ -156,16 +163,7 @@ class Setting:
                 raise DeclarationProblem(message.format(what), advice=advice, loc=(what,), key=True)
 
     def _check_bounds(self) -> None:
-        between, positive = "{} must be above 0 and below 1", "the {} must be a positive time"
-        for what, highest, words in (
-            ("tolerance", 1.0, between),
-            ("accuracy", 1.0, between),
-            ("impulse_tolerance", 1.0, between),
-            ("impulse_bound", math.nan, "{} must be above 0"),
-            ("step", math.inf, positive),
-            ("budget", math.inf, positive + " in seconds"),
-            ("max_step", math.inf, positive),
-        ):
+        for what, (highest, words) in _BOUNDS.items():
             value = getattr(self, what)
             if value is not None and (not value > 0.0 or value >= highest):
                 raise DeclarationProblem(f"{words.format(what)}, not {value:g}", loc=(what,))

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Field, StrictInt, model_validator
 
 from statechart.documents.documented import declare
-from statechart.documents.fields import FormulaText, Label, Part, Real, RelationText, problem
+from statechart.documents.fields import FormulaText, Label, Part, Real, RelationText
 from statechart.documents.setting import Setting
 from statechart.errors import FormulaError
 from statechart.formulas.formula import parse
@@ -20,7 +20,7 @@ def _constant_value(value: Any) -> Any:
     try:
         return parse(value).value({})
     except FormulaError as error:
-        raise problem(error) from None
+        raise error.problem() from None
 
 
 Written = Annotated[Real, BeforeValidator(_constant_value, json_schema_input_type=float | str)]

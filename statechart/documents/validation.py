@@ -63,12 +63,10 @@ def declaration_error(
 ) -> DeclarationError:
     """Return the errors of pydantic as one error with positions."""
     errors = error.errors(include_url=False)
-    empty = frozenset[Loc]() if isinstance(document, Built) else document.empty
     found = [
         one
         for details in errors
-        if not _is_implied(details, errors, model)
-        and not _follows_from_empty(details, empty, document)
+        if not _is_implied(details, errors, model) and not _follows_from_empty(details, document)
         for one in _errors_of(details, document, model)
     ]
     if isinstance(document, Document):
@@ -143,9 +141,7 @@ def _empty(
         )
 
 
-def _follows_from_empty(
-    details: ErrorDetails, empty: Collection[Loc], document: Document | Built
-) -> bool:
+def _follows_from_empty(details: ErrorDetails, document: Document | Built) -> bool:
     """Return whether an error may follow from an empty key at, above or beside its place."""
     if _key(details) is not None:
         return False
@@ -156,7 +152,7 @@ def _follows_from_empty(
         at[: len(place)] == place
         or place[: len(at)] == at
         or (len(place) > 1 and at[: len(place) - 1] == place[:-1])
-        for place in empty
+        for place in document.empty
     )
 
 
@@ -216,17 +212,14 @@ def _to_error(
             advice = f"it belongs below a name, such as NAME: {{{loc[-1]}: {given}}}"
         elif kind in _SHAPES and shown and not advice:
             advice = one_value(loc, details["input"]) or f"such as {shown}"
-    path = ".".join(str(part) for part in document.existing(loc))
+    # Missing and unknown keys have the path of their part, or a position alone.
+    of_part = kind in ("extra_forbidden", "missing")
+    place = document.existing(loc[:-1] if of_part else loc)
+    if place and not (of_part and isinstance(document, Document)):
+        message = f"{'.'.join(map(str, place))}: {message}"
     if isinstance(document, Built):
-        # Missing and unknown keys have the path of their part.
-        if kind in ("extra_forbidden", "missing"):
-            path = ".".join(str(part) for part in document.existing(loc[:-1]))
-        message = f"{path}: {message}" if path else message
         return DeclarationError(message, advice=advice, source=document.source)
-    at = document.position(loc, key=key).shifted(offset)
-    if kind not in ("extra_forbidden", "missing") and path:
-        message = f"{path}: {message}"
-    return at.error(message, advice)
+    return document.position(loc, key=key).shifted(offset).error(message, advice)
 
 
 def _key_advice(details: ErrorDetails, model: type[BaseModel], known: Collection[str]) -> str:
@@ -348,10 +341,7 @@ class located:  # noqa: N801 - a context manager, faster than a generator
                 loc = ("parameters", error.name)
             elif loc is None:
                 loc = self._document.where(error.text) if self._document else ()
-            problem = DeclarationProblem(
-                error.message, advice=error.advice, loc=loc, offset=error.offset, text=error.text
-            )
-            raise _locate(self._document, problem, {}) from None
+            raise _locate(self._document, error.problem(*loc), {}) from None
 
 
 def _path_parts(document: Document | None, loc: Loc) -> Iterator[str]:
@@ -466,6 +456,8 @@ class Document:
 
 class Built:
     """Keywords of a part built in Python, with the interface of a `Document`."""
+
+    empty = frozenset[Loc]()
 
     def __init__(self, model: type[BaseModel], data: Mapping[str, Any]) -> None:
         name = data.get("name")

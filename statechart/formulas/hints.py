@@ -119,15 +119,19 @@ _PARTS: Mapping[str, str] = {
 }  # fmt: skip
 # Quantities of contacts, not of bodies.
 _OF_CONTACTS = frozenset({"V", "H", "N", "gap", "slip", "normal", "force"})
-# Piecewise functions: each piece is a state with a formula.
-_PIECEWISE = frozenset({"if", "where", "piecewise", "heaviside", "step"})
-# Rounding functions, for constants only.
-_WHOLE: Mapping[str, str] = {
-    **dict.fromkeys(("ceil", "ceiling"), "-floor(-x)"), "round": "floor(x + 1/2)",
-    **dict.fromkeys(("int", "trunc"), "floor(x)"),
-    **dict.fromkeys(("fmod", "remainder"), "mod(x, y)"),
-}  # fmt: skip
-_HYBRID: Mapping[str, str] = {
+# Word of another program in small letters -> advice.
+_WORDS: Mapping[str, str] = {
+    **dict.fromkeys(("deg", "degrees", "radians", "deg2rad"), TOKENS["deg"]),
+    **dict.fromkeys(("delay", "delayed", "lag", "past", "transport", "transportdelay"), DELAY),
+    **dict.fromkeys(
+        ("if", "where", "piecewise", "heaviside", "step"),
+        "write a state of a region for each piece, which sets a control or has its own flows",
+    ),
+    **dict.fromkeys(("ceil", "ceiling"), "write -floor(-x)"),
+    "round": "write floor(x + 1/2)",
+    **dict.fromkeys(("int", "trunc"), "write floor(x)"),
+    **dict.fromkeys(("fmod", "remainder"), "write mod(x, y)"),
+    "nan": "nothing follows from what is not a number; write one",
     "in": "write in(REGION.STATE)",
     "der": "a rate stands in flows; of a coordinate x it is dx",
     **dict.fromkeys(("pre", "previous"), "updates see the values before; write the variable"),
@@ -149,8 +153,6 @@ _HYBRID: Mapping[str, str] = {
     "log10": "write log(x)/log(10)",
     **dict.fromkeys(("log2", "lb"), "write log(x)/log(2)"),
 }
-_DELAYED = frozenset({"delay", "delayed", "lag", "past", "transport", "transportdelay"})
-_CONVERTED = frozenset({"deg", "degrees", "radians", "deg2rad"})
 _MODULES = ("math.", "np.", "numpy.")
 
 
@@ -160,22 +162,12 @@ def meant(
     """Return advice on an unknown name or function."""
     names = frozenset(known)
     bare = next((name.removeprefix(room) for room in _MODULES if name.startswith(room)), name)
-    if bare.lower() in _CONVERTED:
-        return TOKENS["deg"]
-    if bare.lower() in _DELAYED:
-        return DELAY
-    if bare.lower() in _PIECEWISE:
-        return "write a state of a region for each piece, which sets a control or has its own flows"
-    if bare.lower() in _WHOLE:
-        return f"write {_WHOLE[bare.lower()]}"
-    if bare.lower() in _HYBRID:
-        return _HYBRID[bare.lower()]
+    if bare.lower() in _WORDS:
+        return _WORDS[bare.lower()]
     if name == "e":
         return "its power is exp(...); a number of your own stands in parameters"
     if name == "g":
         return "write 9.81, or declare parameters: {g: 9.81} and gravity: g"
-    if bare.lower() == "nan":
-        return "nothing follows from what is not a number; write one"
     if bare in ("pow", "power"):
         return TOKENS["^"]
     whole, dot, part = name.rpartition(".")

@@ -180,7 +180,7 @@ class Relation:
         ``a - b`` for ``a <= b`` and ``a < b``, ``b - a`` for ``a >= b`` and ``a > b``, the maximum
         for *and*, the minimum for *or*. Raises `FormulaError` as `Formula.to_sympy`.
         """
-        import sympy
+        from statechart.formulas.writer import Max, Min
 
         if any((member.region, member.state) not in states for member in self.members):
             self.require_states({})
@@ -188,8 +188,8 @@ class Relation:
             _normal(self.root),
             lambda comparison: comparison.margin(symbols),
             lambda within: _within(within, states).expression,
-            lambda parts: sympy.Max(*parts),
-            lambda parts: sympy.Min(*parts),
+            lambda parts: Max(*parts),
+            lambda parts: Min(*parts),
         )
 
     def condition(self, symbols: Mapping[str, sp.Expr], states: States = _NO_STATES) -> Condition:

@@ -153,14 +153,15 @@ class Reader:
     def _atom(self) -> tree.Node:
         token = self.advance()
         if token.kind == "number":
-            value = _literal(token.text)
-            if value is None:
+            value = float(token.text)
+            if not math.isfinite(value):
                 self.source.fail(
                     "the number is too large for a float",
                     token.offset,
                     "write inf where infinity is meant",
                 )
-            return self._checked(tree.Number(value, token.offset))
+            number = int(token.text) if token.text.isdigit() else value
+            return self._checked(tree.Number(number, token.offset))
         if token.kind == "name":
             if self.token.text == "(":
                 return self._call(token)
@@ -245,10 +246,3 @@ class Reader:
             key = "=>"
         otherwise = advice.get(key) or advice.get(token.kind, "")
         self.source.fail(message, token.offset, program(self.source.text) or otherwise)
-
-
-def _literal(text: str) -> int | float | None:
-    """Return the value of a literal, or None beyond the range of floats."""
-    if not math.isfinite(value := float(text)):
-        return None
-    return int(text) if text.isdigit() else value

@@ -10,8 +10,9 @@ Constants are exact float64 numbers: 1/3 is divided at run time, pi is rounded.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -77,38 +78,29 @@ class Tape:
             self.code, self.constants, self.outputs, self.n_fixed, states, parameters, times
         )
 
-    def coloured_sparsity(self, variables: int) -> tuple[Ints, Ints, Ints]:
-        """Return the sparsity pattern of the Jacobian with a column colouring.
+    @cached_property
+    def coloured_sparsity(self) -> Callable[[int], tuple[Ints, Ints, Ints]]:
+        """Function of a number of variables: sparsity of the Jacobian with a column colouring.
 
         Arrays (k,): output, variable, colour of the variable. No output reads two variables of one
         colour.
         """
-        if variables not in self._colourings:
-            self._colourings[variables] = _colour_columns(
-                self._read_by_outputs(variables), variables
-            )
-        return self._colourings[variables]
+        return cache(lambda variables: _colour_columns(self._read_by_outputs(variables), variables))
 
     @cached_property
-    def _colourings(self) -> dict[int, tuple[Ints, Ints, Ints]]:
-        return {}
+    def needed(self) -> Callable[[tuple[int, ...]], list[tuple[int, int, int, int]]]:
+        """Function of places: the operations (result and code) that outputs there need."""
+        return cache(self._operations)
 
-    def needed(self, places: tuple[int, ...]) -> list[tuple[int, int, int, int]]:
-        """Return the operations (result and code) that outputs at these places need."""
-        if places not in self._needed:
-            base = self.n_variables + 1 + self.n_parameters + len(self.constants)
-            wanted, operations = {self.outputs.item(place) for place in places}, []
-            for result in range(base + len(self.code) - 1, base - 1, -1):
-                if result in wanted:
-                    op, left, right = self.code[result - base].tolist()
-                    wanted |= {left, right} if op <= POW else {left}
-                    operations.append((result, op, left, right))
-            self._needed[places] = operations[::-1]
-        return self._needed[places]
-
-    @cached_property
-    def _needed(self) -> dict[tuple[int, ...], list[tuple[int, int, int, int]]]:
-        return {}
+    def _operations(self, places: tuple[int, ...]) -> list[tuple[int, int, int, int]]:
+        base = self.n_variables + 1 + self.n_parameters + len(self.constants)
+        wanted, operations = {self.outputs.item(place) for place in places}, []
+        for result in range(base + len(self.code) - 1, base - 1, -1):
+            if result in wanted:
+                op, left, right = self.code[result - base].tolist()
+                wanted |= {left, right} if op <= POW else {left}
+                operations.append((result, op, left, right))
+        return operations[::-1]
 
     def _read_by_outputs(self, variables: int) -> list[list[int]]:
         """Return the variables, of the first ones, that each output depends on."""

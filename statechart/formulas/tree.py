@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
@@ -80,60 +80,42 @@ class Function:
     build: Callable[..., Any]
 
 
-def _sign(x: float) -> float:
-    return float((x > 0) - (x < 0))
-
-
-def _sympy(name: str) -> Callable[..., Any]:
-    """Return SymPy's constructor `name`, imported when called, since that takes 0.4 s."""
+def _symbolic(name: str) -> Callable[..., Any]:
+    """Return a constructor of SymPy or `formulas.writer`, imported when called: it takes 0.4 s."""
 
     def build(*arguments: Any) -> Any:
         import sympy
 
-        return getattr(sympy, name)(*arguments)
+        from statechart.formulas import writer
+
+        return getattr(writer if name in ("Max", "Min", "Whole") else sympy, name)(*arguments)
 
     return build
-
-
-def _hypot(x: Any, y: Any) -> Any:
-    import sympy
-
-    return sympy.sqrt(x**2 + y**2)
-
-
-def _sat(x: Any, a: Any, b: Any) -> Any:
-    import sympy
-
-    return sympy.Min(sympy.Max(x, a), b)
-
-
-def _floor(x: Any) -> Any:
-    from statechart.formulas.writer import Whole
-
-    return Whole(x)
 
 
 def _mod(x: Any, y: Any) -> Any:
     import sympy
 
-    return sympy.nan if y.is_zero else x - y * _floor(x / y)
+    return sympy.nan if y.is_zero else x - y * _FLOOR(x / y)
 
 
-_SAME_IN_MATH_AND_SYMPY = (
+_SAME_NAMES = (
     *("sqrt", "exp", "log", "sin", "cos", "tan"),
     *("asin", "acos", "atan", "sinh", "cosh", "tanh"),
 )
 
+_MIN, _MAX, _FLOOR, _SQRT = map(_symbolic, ("Min", "Max", "Whole", "sqrt"))
+
 FUNCTIONS: Mapping[str, Function] = {
-    **{name: Function(1, 1, getattr(math, name), _sympy(name)) for name in _SAME_IN_MATH_AND_SYMPY},
-    "abs": Function(1, 1, abs, _sympy("Abs")),
-    "sign": Function(1, 1, _sign, _sympy("sign")),
-    "min": Function(2, None, min, _sympy("Min")),
-    "max": Function(2, None, max, _sympy("Max")),
-    "sat": Function(3, 3, lambda x, a, b: min(max(x, a), b), _sat),
-    "hypot": Function(2, 2, math.hypot, _hypot),
-    "atan2": Function(2, 2, math.atan2, _sympy("atan2")),
-    "floor": Function(1, 1, tolerant_floor, _floor),
+    **{name: Function(1, 1, getattr(math, name), _symbolic(name)) for name in _SAME_NAMES},
+    "abs": Function(1, 1, abs, _symbolic("Abs")),
+    "sign": Function(1, 1, lambda x: float((x > 0) - (x < 0)), _symbolic("sign")),
+    "min": Function(2, None, min, _MIN),
+    "max": Function(2, None, max, _MAX),
+    "sat": Function(3, 3, lambda x, a, b: min(max(x, a), b), lambda x, a, b: _MIN(_MAX(x, a), b)),
+    "hypot": Function(2, 2, math.hypot, lambda x, y: _SQRT(x**2 + y**2)),
+    "atan2": Function(2, 2, math.atan2, _symbolic("atan2")),
+    "floor": Function(1, 1, tolerant_floor, _FLOOR),
     "mod": Function(2, 2, lambda x, y: x - y * tolerant_floor(x / y), _mod),
 }
 
@@ -183,6 +165,12 @@ def children(node: Node) -> tuple[Node, ...]:
 def names_in(node: Node) -> Iterator[Name]:
     """Yield every name in `node`, left to right."""
     return (part for part in nodes(node) if isinstance(part, Name))
+
+
+def calls_in(node: Node, functions: Collection[str] = FUNCTIONS) -> Iterator[Call]:
+    """Yield every call of one of `functions` in `node`, left to right."""
+    calls = (part for part in nodes(node) if isinstance(part, Call))
+    return (call for call in calls if call.function in functions)
 
 
 def nodes(node: Node) -> Iterator[Node]:

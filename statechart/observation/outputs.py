@@ -184,12 +184,8 @@ class Outputs:
         self, values: OutputValues, marks: _Marks, totals: Sequence[int]
     ) -> tuple[list[list[list[float]]], list[list[int]]]:
         """Return values at events and counts of events, by run; `totals` (m,) count events."""
-        columns = marks.T[:-1]
-        if len(totals) == 1:
-            tallies = [[sum(column)] for column in columns.tolist()]
-        else:
-            runs, count = np.repeat(np.arange(len(totals)), totals), len(totals)
-            tallies = [np.bincount(runs[one > 0], minlength=count).tolist() for one in columns]
+        runs, count = np.repeat(np.arange(len(totals)), totals), len(totals)
+        tallies = [np.bincount(runs[one > 0], minlength=count).tolist() for one in marks.T[:-1]]
         listed = []
         for column, (_, _, moment) in zip(values.listed.tolist(), self.at, strict=True):
             ends = accumulate(tallies[self._waits.index(moment.events)], initial=0)
@@ -390,14 +386,10 @@ class Outputs:
         magnitudes[~np.isfinite(magnitudes)] = 0.0
         return np.maximum.accumulate(magnitudes)
 
-    def _happened(self, trace: Trace, events: Sequence[Event]) -> list[Jump]:
+    def _happened(self, trace: Trace, events: tuple[Event, ...]) -> list[Jump]:
         """Return the jumps at which one of these events happened."""
-        regions = self.observer.automaton.regions
-        return [
-            jump
-            for jump in trace.jumps
-            if any(has_happened(regions, jump, event) for event in events)
-        ]
+        place = self._waits.index(events)
+        return [jump for jump in trace.jumps if self.marks_of(jump)[place]]
 
 
 class OutputAccumulator:

@@ -127,12 +127,9 @@ class RunScales:
         if self._kind(symbol) != "force":
             return None
         if "force" not in self._kinds:
-            names = self._forces()
+            quantity = self._observer.automaton.declaration.quantity
+            names = [n for n in self._observer.names if quantity(n).dimension == "force"]
             table = self._observer.sample(self._trace, names, per_step=1).columns
             known = (np.abs(column[np.isfinite(column)]) for column in table.values())
             self._kinds["force"] = max((float(one.max(initial=0.0)) for one in known), default=0.0)
         return self._kinds["force"]
-
-    def _forces(self) -> tuple[str, ...]:
-        quantity = self._observer.automaton.declaration.quantity
-        return tuple(n for n in self._observer.names if quantity(n).dimension == "force")

@@ -37,7 +37,7 @@ _FORCE_TOLERANCES = 10.0
 # A curve that changes by less than this fraction of its range is constant.
 _CONSTANT = 2e-3
 # Fraction of a run shown after the last change; a cut saves at least the second fraction.
-_REST, _SAVED = 0.08, 0.25
+REST, _SAVED = 0.08, 0.25
 _STATES = {
     "length": "position",
     "angle": "angle",
@@ -113,7 +113,7 @@ def end_of_activity(trace: Trace, samples: Samples, panels: Iterable[Panel]) -> 
             moving = np.flatnonzero(np.abs(values - values[-1]) > _CONSTANT * span)
             if len(moving):
                 last = max(last, float(samples.t[min(moving[-1] + 1, len(values) - 1)]))
-    end = (1.0 + _REST) * last
+    end = (1.0 + REST) * last
     return end if 0.0 < end < (1.0 - _SAVED) * trace.t_end else trace.t_end
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import sympy as sp
@@ -310,13 +310,10 @@ def _short(expression: sp.Expr) -> sp.Expr:
     decimal = _decimal(expression)
     if decimal.count_ops() > _MAX_OPERATIONS:
         return decimal
-    forms: list[Callable[[sp.Expr], sp.Expr]] = [
-        lambda e: e,
-        lambda e: sp.trigsimp(sp.expand(e)),
-        sp.expand,
-    ]
+    expanded = sp.expand(expression)
+    forms = expression, sp.trigsimp(expanded), expanded
     # Exact factors would be large integers, as common denominators are.
-    factored = [sp.factor_terms(_decimal(form(expression))) for form in forms]
+    factored = [sp.factor_terms(_decimal(form)) for form in forms]
     return min(decimal, *factored, key=_length)
 
 

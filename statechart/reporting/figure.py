@@ -360,15 +360,9 @@ def band_remarks(trace: Trace, places: Sequence[int]) -> tuple[str, ...]:
 def _intervals(trace: Trace, row: int) -> Intervals:
     """Return state -> intervals of a region, adjacent ones joined."""
     result: Intervals = {}
-    last = ""
-    for arc in trace.arcs:
-        state, start, end = arc.mode[row], arc.start.high, arc.end.high
-        stretches = result.setdefault(state, [])
-        if state == last:
-            stretches[-1] = (stretches[-1][0], end)
-        else:
-            stretches.append((start, end))
-        last = state
+    for state, group in groupby(trace.arcs, key=lambda arc: arc.mode[row]):
+        arcs = list(group)
+        result.setdefault(state, []).append((arcs[0].start.high, arcs[-1].end.high))
     return result
 
 

@@ -18,10 +18,9 @@ from statechart.observation.observer import Observer
 from statechart.pictures import animation
 from statechart.pictures.film import Film
 from statechart.pictures.stage import Moments, Stage
-from statechart.reporting.curves import without_round_off
+from statechart.reporting.curves import REST, without_round_off
 
 _STILL = 2e-3  # motion below this fraction of the picture is rest
-_REST = 0.08  # fraction of the run shown after the last motion
 _INSTANTS = 400
 
 
@@ -67,7 +66,7 @@ def until_rest(stage: Stage, observer: Observer, trace: Trace) -> float:
     if not len(moving):
         return trace.t_end
     last = float(times[min(moving[-1] + 1, len(times) - 1)])
-    return min(trace.t_end, (1.0 + _REST) * last)
+    return min(trace.t_end, (1.0 + REST) * last)
 
 
 @dataclass(frozen=True)

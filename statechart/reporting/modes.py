@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import MAX_MODES, Feasibility
-from statechart.automaton.product import explore
-from statechart.automaton.regions import HierarchicalEdge, Region, hierarchical_edges
+from statechart.automaton.laws import MAX_MODES, Feasibility, Setup
+from statechart.automaton.product import explore, feasibility
+from statechart.automaton.regions import Edge, HierarchicalEdge, Region, hierarchical_edges
 from statechart.errors import DeclarationError, close_matches
 from statechart.tabular import (
     DIGITS,
@@ -23,17 +24,13 @@ from statechart.tabular import (
 
 
 def list_modes(
-    automaton: Automaton,
-    *,
-    built: int,
-    time: float,
-    state: Mapping[str, float],
-    found: Feasibility | None,
+    automaton: Automaton, setup: Setup, state: Array, time: float = 0.0, built: int = 0
 ) -> dict[str, Any]:
-    """Return the modes of a model as a JSON object.
+    """Return the modes of a model as a JSON object, with their feasibility at a state (n,).
 
-    `built` counts the modes built so far; `found` is their feasibility at `time` and `state`.
+    `built` counts the modes built so far.
     """
+    found = feasibility(automaton, setup, state, time)
     return {
         "model": automaton.name,
         "modes_declared": automaton.modes_declared,
@@ -41,7 +38,7 @@ def list_modes(
         "modes_built": built,
         "enumerated": automaton.modes_total <= MAX_MODES,
         "time": time,
-        "state": dict(state),
+        "state": dict(zip(automaton.names, state.tolist(), strict=True)),
         "feasibility": None if found is None else _feasibility(automaton, found),
         "regions": [_region(region) for region in automaton.regions],
     }
@@ -99,26 +96,23 @@ def _region(region: Region) -> dict[str, Any]:
         "states": [{"name": s, "declared": region.declared(s)} for s in region.states],
         "superstates": dict(region.superstates),
         "hierarchical_edges": [_arrow(edge) for edge in hierarchical_edges(region)],
-        "edges": [
-            {
-                "cause": edge.cause,
-                "from": edge.source,
-                "to": edge.target,
-                "guard": edge.guard,
-                "reset": edge.reset,
-            }
-            for edge in region.edges
-        ],
+        "edges": [_edge(edge) for edge in region.edges],
     }
 
 
-def _arrow(edge: HierarchicalEdge) -> dict[str, Any]:
+def _edge(edge: Edge | HierarchicalEdge) -> dict[str, Any]:
     return {
         "cause": edge.cause,
         "from": edge.source,
         "to": edge.target,
         "guard": edge.guard,
         "reset": edge.reset,
+    }
+
+
+def _arrow(edge: HierarchicalEdge) -> dict[str, Any]:
+    return {
+        **_edge(edge),
         "choices": [{"to": c.target, "reset": c.reset} for c in edge.choices],
         **({"internal": True} if edge.internal else {}),
     }
@@ -161,10 +155,8 @@ def _possible(listed: Mapping[str, Any], digits: int) -> list[TextBlock]:
     if not names:
         return ["".join(lines)]
     rows = [(f"  {names[0]}", *names[1:], "")]
-    for mode in plain["feasible"]:
-        rows.append(_mode_row(mode, "possible"))
-    for refused in plain["infeasible"]:
-        rows.append(_mode_row(refused["mode"], f"not: {refused['reason']}"))
+    rows += [_mode_row(mode, "possible") for mode in plain["feasible"]]
+    rows += [_mode_row(one["mode"], f"not: {one['reason']}") for one in plain["infeasible"]]
     return ["".join(lines), Table(rows, headed=True)]
 
 

@@ -132,16 +132,11 @@ def _event_blocks(report: Mapping[str, Any], digits: int) -> list[TextBlock]:
             event["cause"],
             change(event, ALIKE),
         )
-        for event in text_of_value(events)
+        for event in abridge(events, _SHOWN)
     ]
     times = align_numbers([row[0] for row in rows])
     rows = [(t, *row[1:]) for t, row in zip(times, rows, strict=True)]
     return [Table([("t", "region", "cause", "from -> to"), *rows], headed=True)]
-
-
-def text_of_value(events: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any] | int]:
-    """Return the events to list, with the number of omitted ones in their place."""
-    return abridge(events, _SHOWN)
 
 
 def change(event: Mapping[str, Any], most: int | None = None) -> str:
@@ -231,7 +226,7 @@ def explain_events(report: Mapping[str, Any], digits: int = DIGITS) -> list[Text
         [f"... {event} more: --json --explain or --output has all\n"]
         if isinstance(event, int)
         else _event(event, digits, _IMMEDIATE if report["step"] is None else _STEPPED)
-        for event in text_of_value(report["events"])
+        for event in abridge(report["events"], _SHOWN)
     )
 
 

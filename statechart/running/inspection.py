@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from statechart.automaton.product import feasibility
 from statechart.documents.declaration import Declaration
 from statechart.documents.hints import check_arguments
 from statechart.errors import SimulationError
@@ -80,10 +79,8 @@ def modes(model: Declaration | str | Path, parameters: Mapping[str, float] | Non
     # Modes are listed even if none is consistent with the initial state.
     with suppress(SimulationError):
         runner.start(parameters)
-    setup, automaton = runner.setup(parameters), runner.automaton
-    state = dict(zip(automaton.names, setup.initial.tolist(), strict=True))
-    found = feasibility(automaton, setup, setup.initial, 0.0)
-    return Modes(list_modes(automaton, built=0, time=0.0, state=state, found=found))
+    setup = runner.setup(parameters)
+    return Modes(list_modes(runner.automaton, setup, setup.initial))
 
 
 @check_arguments

@@ -51,9 +51,8 @@ def figure(study: Measurements) -> Figure:
         drawing = Figure(figsize=(9.0, 6.4), layout="constrained")
         axes = drawing.subplots(2, 2)
         (times, works), (promises, steps) = axes
-        for place, family in enumerate(dict.fromkeys(p.setting.family for p in study.points)):
+        for place, (family, points) in enumerate(study.families.items()):
             look = _LineStyle(LINES[place % len(LINES)], _MARKERS[place % len(_MARKERS)])
-            points = [p for p in study.points if p.setting.family == family]
             heights = [_height(study, p) for p in points]
             fineness = [p.setting.fineness for p in points]
             _draw(times, points, [p.seconds for p in points], heights, look, family)
@@ -105,16 +104,11 @@ def figure(study: Measurements) -> Figure:
 
 def write_study_figure(folder: Path | str, study: Measurements) -> None:
     """Write a study's figure (trade.svg, trade.png) and table (trade.csv) to a folder."""
-    from matplotlib import rc_context
-
-    folder = Path(folder)
-    drawing = figure(study)
+    folder, drawing = Path(folder), figure(study)
     with writing(f"to {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
-        for kind in ("svg", "png"):
-            # Text not as paths: half the file size.
-            with rc_context({"svg.fonttype": "none"}):
-                write_atomic(folder / f"trade.{kind}", render(drawing, kind))
+        write_atomic(folder / "trade.svg", _svg(drawing))
+        write_atomic(folder / "trade.png", render(drawing, "png"))
         write_atomic(folder / "trade.csv", _csv(study).encode())
 
 
@@ -134,11 +128,15 @@ def page_content(study: Measurements, label: str) -> dict[str, Any]:
 
 def svg(study: Measurements) -> bytes:
     """Return the figure as SVG."""
+    return _svg(figure(study))
+
+
+def _svg(drawing: Figure) -> bytes:
     from matplotlib import rc_context
 
     # Text not as paths: half the file size.
     with rc_context({"svg.fonttype": "none"}):
-        return render(figure(study), "svg")
+        return render(drawing, "svg")
 
 
 def _csv(study: Measurements) -> str:

@@ -56,12 +56,16 @@ class Errors(Record):
         return max(found, default=None)
 
     @property
-    def decides(self) -> str:
-        """The quantity with the largest error."""
+    def parts(self) -> dict[str, float]:
+        """The known errors by quantity."""
         parts = {"the final state": self.state, "the times of events": self.times}
         parts |= {"the path": self.path} | {f"output {n}": off for n, off in self.named.items()}
-        known = {what: off for what, off in parts.items() if off is not None}
-        return max(known, key=known.__getitem__, default="")
+        return {what: off for what, off in parts.items() if off is not None}
+
+    @property
+    def decides(self) -> str:
+        """The quantity with the largest error."""
+        return max(self.parts, key=self.parts.__getitem__, default="")
 
     def without(self, names: Collection[str]) -> Errors:
         """Return the errors without some outputs."""
@@ -152,6 +156,14 @@ class Measurements(Record):
     def complete(self) -> bool:
         """True if every setting was run or skipped for a reason."""
         return len(self.points) + len(self.left_out) >= self.planned
+
+    @property
+    def families(self) -> dict[str, list[Point]]:
+        """The points by family of their settings."""
+        found: dict[str, list[Point]] = {}
+        for point in self.points:
+            found.setdefault(point.setting.family, []).append(point)
+        return found
 
     @property
     def least(self) -> float:

@@ -104,16 +104,13 @@ def reasons_without_slope(study: Measurements) -> dict[str, str]:
 
 
 def _theories(study: Measurements) -> dict[str, Mapping[Quantity, float]]:
-    families = dict.fromkeys(point.setting.family for point in study.points)
-    names = {family: family.split()[0] for family in families}
+    names = {family: family.split()[0] for family in study.families}
     return {family: SLOPES[name] for family, name in names.items() if name in SLOPES}
 
 
 def _same(study: Measurements, family: str) -> list[Point]:
     """Return the points of a family with the modes of the reference, or of time stepping."""
-    return [
-        p for p in study.points if p.setting.family == family and (p.same_modes or p.setting.step)
-    ]
+    return [p for p in study.families[family] if p.same_modes or p.setting.step]
 
 
 def _grown(study: Measurements, family: str, of: Quantity) -> list[Point]:
@@ -175,11 +172,8 @@ def reasons(study: Measurements) -> dict[str, tuple[str, ...]]:
     A family deviates if its finest run has other modes, or an error does not converge with the
     step. Warnings of the reference are no reason.
     """
-    families: dict[str, list[Point]] = {}
-    for point in study.points:
-        families.setdefault(point.setting.family, []).append(point)
     found = {}
-    for family, points in families.items():
+    for family, points in study.families.items():
         finest = min(points, key=lambda point: point.setting.fineness)
         own = new_warnings(finest.warnings, study.warnings.get(study.reference, ()))
         if own and _deviates(study, points, finest):
@@ -189,13 +183,11 @@ def reasons(study: Measurements) -> dict[str, tuple[str, ...]]:
 
 def new_warnings(warnings: Sequence[str], known: Collection[str]) -> tuple[str, ...]:
     """Return the distinct warnings that are not known, apart from numbers."""
-    seen = set(map(_same_apart_from_numbers, known))
-    found = []
+    found: dict[str, str] = {}
     for text in warnings:
-        if _same_apart_from_numbers(text) not in seen:
-            seen.add(_same_apart_from_numbers(text))
-            found.append(text)
-    return tuple(found)
+        found.setdefault(_same_apart_from_numbers(text), text)
+    seen = set(map(_same_apart_from_numbers, known))
+    return tuple(text for form, text in found.items() if form not in seen)
 
 
 def _deviates(study: Measurements, points: Sequence[Point], finest: Point) -> bool:

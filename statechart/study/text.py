@@ -96,18 +96,12 @@ def _head(study: Measurements) -> list[str]:
 
 def _odd(third: Third, study: Measurements) -> str:
     """Describe the difference of the odd run of three."""
-    errors = third.errors
-    worst = errors.largest or 0.0
+    worst = third.errors.largest or 0.0
     parts = [
-        f"the {name} by {value:.2g}"
-        for name, value in (
-            ("final state", errors.state),
-            ("times of events", errors.times),
-            ("path", errors.path),
-        )
-        if value is not None and value >= _MUCH * worst > 0.0
+        f"{what.removeprefix('output ')} by {error:.2g}"
+        for what, error in third.errors.parts.items()
+        if error >= _MUCH * worst > 0.0
     ]
-    parts += [f"{name} by {e:.2g}" for name, e in errors.named.items() if e >= _MUCH * worst > 0.0]
     when = "" if third.parted is None else f"leaves both at t = {third.parted:.6g}, and "
     warned = new_warnings(
         study.warnings.get(third.setting, ()), study.warnings.get(study.reference, ())
@@ -252,11 +246,9 @@ def _footnote(texts: Sequence[str], listed: Sequence[Note]) -> str:
 
 def _list_settings(study: Measurements, labels: Sequence[str]) -> str:
     """Return settings by family, as ranges or one by one."""
-    families: dict[str, list[str]] = {}
-    for point in study.points:
-        families.setdefault(point.setting.family, []).append(point.setting.label)
     parts = []
-    for own in families.values():
+    for points in study.families.values():
+        own = [point.setting.label for point in points]
         places = [place for place, label in enumerate(own) if label in labels]
         if not places:
             continue

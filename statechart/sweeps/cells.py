@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cache, cached_property, lru_cache, partial
 from importlib.metadata import version
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -333,10 +334,7 @@ def _modes_of(batch: Batch) -> list[tuple[Key, ...]]:
         code = first, entered.tobytes()
         known = sequences.get(code)
         if known is None:
-            visited = [keys[first]]
-            for kind in entered.tolist():
-                if keys[kind] != visited[-1]:
-                    visited.append(keys[kind])
-            known = sequences[code] = tuple(visited)
+            visited = groupby(keys[kind] for kind in (first, *entered.tolist()))
+            known = sequences[code] = tuple(key for key, _ in visited)
         found.append(known)
     return found

@@ -52,7 +52,7 @@ _SUCCEEDED = [outcome.name for outcome in Outcome if outcome.succeeded]
 
 def check_drawable(plan: Plan) -> None:
     """Raise `DeclarationError` unless a sweep varies one or two parameters."""
-    varied = [name for name, column in plan.columns.items() if len(np.unique(column)) > 1]
+    varied = _varied(plan)
     if len(varied) not in (1, 2):
         fewer = "vary fewer, or draw what -o FILE.nc keeps"
         raise DeclarationError(
@@ -61,13 +61,17 @@ def check_drawable(plan: Plan) -> None:
         )
 
 
+def _varied(plan: Plan) -> list[str]:
+    return [name for name, column in plan.columns.items() if len(np.unique(column)) > 1]
+
+
 def figure(plan: Plan, data: xr.Dataset) -> Figure:
     """Draw a sweep over one or two parameters."""
     from matplotlib import rc_context
 
     check_drawable(plan)
     with rc_context(STYLE):
-        cells = _Cells.of(plan, data)
+        cells = _Cells(plan, data)
         if len(cells.names) < 2:
             return _lines(plan, data, cells)
         few, many = sorted(len(np.unique(column)) for column in cells.columns)
@@ -76,7 +80,6 @@ def figure(plan: Plan, data: xr.Dataset) -> Figure:
         return _maps(plan, data, cells)
 
 
-@dataclass(frozen=True, eq=False)
 class _Cells:
     """Cells of a sweep as flat arrays (n,).
 
@@ -85,48 +88,28 @@ class _Cells:
     `colours` by decreasing frequency, -1 for none.
     """
 
-    names: tuple[str, ...]
-    columns: tuple[Array, ...]
-    good: Bools
-    done: Bools
-    modes: NDArray[np.int32]
-    kinds: NDArray[np.int64]
-    labels: tuple[str, ...]
-    colours: tuple[str, ...]
-
-    @classmethod
-    def of(cls, plan: Plan, data: xr.Dataset) -> _Cells:
-        values = [
-            np.broadcast_to(grid, plan.shape).ravel()
-            for grid in (
-                np.meshgrid(*plan.columns.values(), indexing="ij")
-                if plan.grid
-                else plan.columns.values()
-            )
-        ]
-        varied = [
-            (name, column)
-            for name, column in zip(plan.columns, values, strict=True)
-            if len(np.unique(column)) > 1
-        ] or [(next(iter(plan.columns)), values[0])]
+    def __init__(self, plan: Plan, data: xr.Dataset) -> None:
+        columns = plan.columns.values()
+        cells = np.meshgrid(*columns, indexing="ij") if plan.grid else columns
+        values = dict(zip(plan.columns, cells, strict=True))
+        self.names = _varied(plan)
+        self.columns: list[Array] = [values[name].ravel() for name in self.names]
         outcome = data["outcome"].to_numpy().ravel().astype(object)
-        modes = data["modes"].to_numpy().ravel()
+        self.modes: NDArray[np.int32] = data["modes"].to_numpy().ravel()
         texts = data["sequence"].to_numpy()
-        good = np.isin(outcome.astype(str), _SUCCEEDED)
-        codes, counts = np.unique(modes[good], return_counts=True)
+        self.good: Bools = np.isin(outcome.astype(str), _SUCCEEDED)
+        self.done: Bools = outcome != ""
+        codes, counts = np.unique(self.modes[self.good], return_counts=True)
         order = codes[np.argsort(-counts, kind="stable")]
         shown = order if len(order) <= _MAX_COLOURS else order[: _MAX_COLOURS - 1]
         places = np.full(len(texts) + 1, len(shown), dtype=np.int64)
         places[shown] = np.arange(len(shown))
-        labels = shorten_alike([str(texts[code]) for code in shown])
-        colours = list(_COLOURS[: len(shown)])
+        self.labels = shorten_alike([str(texts[code]) for code in shown])
+        self.colours = list(_COLOURS[: len(shown)])
         if len(order) > len(shown):
-            labels.append(f"others ({len(order) - len(shown)})")
-            colours.append(_OTHERS)
-        kinds = np.where(good, places[modes], -1)
-        names, columns = zip(*varied, strict=True)
-        done = outcome != ""
-        return cls(names, columns, good, done, modes, kinds, tuple(labels), tuple(colours))
+            self.labels.append(f"others ({len(order) - len(shown)})")
+            self.colours.append(_OTHERS)
+        self.kinds = np.where(self.good, places[self.modes], -1)
 
     def handles(self, *, grid: bool = True, blank: bool = False) -> list[Patch | Line2D]:
         """Return the legend entries of modes, failed cells, and cells without a value."""
@@ -345,7 +328,7 @@ def _maps(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
         drawing.colorbar(_map(ax, x, y, values, plan, cells, cmap="viridis"), ax=ax, pad=0.02)
         ax.set_title(title, fontsize=9)
     ax = axes[len(outputs)]
-    colours = ListedColormap(list(cells.colours) or [_NOTHING])
+    colours = ListedColormap(cells.colours or [_NOTHING])
     kinds = np.where(cells.kinds >= 0, cells.kinds, math.nan)
     limits = {"vmin": -0.5, "vmax": max(len(cells.colours), 1) - 0.5}
     _map(ax, x, y, kinds, plan, cells, cmap=colours, **limits)

@@ -16,6 +16,7 @@ import shutil
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
 from itertools import product
 from pathlib import Path
 from types import EllipsisType
@@ -135,7 +136,7 @@ class Store:
         self._fresh = False
         self._codes: dict[str, int] = {}
         self._written = 0  # texts written
-        self._arrays: dict[str, zarr.Array[Any]] = {}
+        self._array = cache(self._opened_array)
         try:
             with self._explained():
                 self._group = self._opened(resume)
@@ -166,7 +167,7 @@ class Store:
         block = CellBlock.empty(tile.size, plan.numbers, plan.lists)
         if not self._done[tile.slices].any():
             return block
-        for name, column in self._columns(block):
+        for name, column in self._columns(block).items():
             column[:] = self._read(name, tile.slices).ravel()
         for name in plan.lists:
             variable = plan.variables[name]
@@ -188,7 +189,7 @@ class Store:
             self._write_sequences()
             for name, rows in block.lists.items():
                 self._write_list(name, tile, rows)
-            for name, column in self._columns(block):
+            for name, column in self._columns(block).items():
                 if name == "modes":
                     self._array(f"{UNFINISHED}/modes")[where] = column.reshape(tile.shape)
                 self._array(name)[where] = column.reshape(tile.shape)
@@ -354,13 +355,10 @@ class Store:
             *_sweep_variables(self._plan),
         ]
 
-    def _columns(self, block: CellBlock) -> Iterator[tuple[str, NDArray[Any]]]:
-        """Yield variables of one value per cell with their values (n,), the outcome last."""
-        values = [
-            *block.numbers.values(),
-            *(getattr(block, name) for name in _sweep_variables(self._plan)),
-        ]
-        yield from zip(self._single, values, strict=True)
+    def _columns(self, block: CellBlock) -> dict[str, NDArray[Any]]:
+        """Return variables of one value per cell -> their values (n,), the outcome last."""
+        found = {self._plan.variables[name]: values for name, values in block.numbers.items()}
+        return found | {name: getattr(block, name) for name in _sweep_variables(self._plan)}
 
     def _write_sequences(self) -> None:
         if len(self._codes) == self._written:
@@ -393,15 +391,11 @@ class Store:
             self._array(variable)[(*tile.slices, slice(0, longest))] = table.reshape(shape)
         self._array(f"{variable}_count")[tile.slices] = counts.reshape(tile.shape)
 
-    def _array(self, name: str) -> zarr.Array[Any]:
-        found = self._arrays.get(name)
-        if found is None:
-            import zarr
+    def _opened_array(self, name: str) -> zarr.Array[Any]:
+        import zarr
 
-            with self._whole(name), zarr.config.set(_ALL_CHUNKS):
-                found = zarr.open_array(self._group.store, path=name, mode="r+")
-            self._arrays[name] = found
-        return found
+        with self._whole(name), zarr.config.set(_ALL_CHUNKS):
+            return zarr.open_array(self._group.store, path=name, mode="r+")
 
     def _read(self, name: str, where: Slices | EllipsisType = ...) -> NDArray[Any]:
         with self._whole(name):

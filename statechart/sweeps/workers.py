@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,17 +33,11 @@ _POLL_INTERVAL, _PATIENCE = 5.0, 60.0
 _NAME = "contact-statecharts"
 
 
-@contextmanager
-def crew(count: int | None, address: str | None) -> Iterator[Executor | None]:
+def crew(count: int | None, address: str | None) -> AbstractContextManager[Executor | None]:
     """Start `count` processes, or connect to the scheduler at an address; None for neither."""
     if count is not None:
-        with processes(count) as executor:
-            yield executor
-    elif address is not None:
-        with cluster(address) as executor:
-            yield executor
-    else:
-        yield None
+        return processes(count)
+    return nullcontext() if address is None else cluster(address)
 
 
 @contextmanager

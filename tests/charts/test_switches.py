@@ -300,11 +300,13 @@ def test_super_twisting_control_slides_with_its_second_derivative_at_zero() -> N
     held = {n: rate.replace("d", "0.2*sin(time)") for n, rate in rates.items()}
     trace = run(flow({"s": 1, "w": 0}, **held), SCIPY, 5.0)
     assert trace.final == pytest.approx([0.0, -0.2 * math.sin(5.0)], abs=1e-8)
-    left = {n: rate.replace("d", "0.2*time**2") for n, rate in rates.items()}
-    trace = run(flow({"s": 0.1, "w": 0}, **left), SCIPY, 5.0)
-    assert breaks(trace)[-1] == pytest.approx(2.75, abs=1e-6)
-    # w' = -1.1 from then on. LSODA from (0, 0) at 2.75 gives s.
-    assert trace.final == pytest.approx([0.2085039, -0.2 * 2.75**2 - 1.1 * 2.25], abs=1e-6)
+    left = {n: rate.replace("d", "0.001*time**9") for n, rate in rates.items()}
+    trace = run(flow({"s": 0.1, "w": 0}, **left), SCIPY, 2.2)
+    leaves = (1.1 / 0.009) ** (1 / 8)
+    assert breaks(trace)[-1] == pytest.approx(leaves, abs=1e-6)
+    # w' = -1.1 from then on. LSODA from s = 0 at 1.8234496 gives s.
+    final_w = -0.001 * leaves**9 - 1.1 * (2.2 - leaves)
+    assert trace.final == pytest.approx([0.0298126, final_w], abs=1e-6)
 
 
 def test_rates_without_a_value_end_the_run() -> None:

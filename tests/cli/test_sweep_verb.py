@@ -25,6 +25,14 @@ STICK = "toppling_stick"
 OVER = ("--over", "mu=log:0.05:50:6", "--over", "I_G=0,1/3,1")
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The store of a sweep that was not interrupted."""
+    store = tmp_path_factory.mktemp("sweep") / "whole.zarr"
+    assert main(["sweep", STICK, *OVER, "-o", str(store)]) == 0
+    return store
+
+
 def test_a_sweep_prints_a_summary(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sweep", STICK, *OVER]) == 0
     reported = capsys.readouterr().out
@@ -190,8 +198,8 @@ sys.exit(main.program())
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
 @pytest.mark.usefixtures("default_signals")
 @pytest.mark.parametrize("number", ["SIGINT", "SIGTERM", "SIGHUP", "SIGKILL"])
-def test_terminated_sweep_resumes(tmp_path: Path, number: str) -> None:
-    store, whole = tmp_path / "a.zarr", tmp_path / "whole.zarr"
+def test_terminated_sweep_resumes(tmp_path: Path, whole: Path, number: str) -> None:
+    store = tmp_path / "a.zarr"
     arguments = ["sweep", STICK, *OVER, "-o"]
     ended = subprocess.run(
         [sys.executable, "-c", _KILLED, *arguments, str(store), number],
@@ -209,7 +217,6 @@ def test_terminated_sweep_resumes(tmp_path: Path, number: str) -> None:
     with xr.open_zarr(store, chunks=None) as part:
         assert 4 <= (part["outcome"].to_numpy() != "").sum() <= 5
     assert main([*arguments, str(store), "--resume"]) == 0
-    assert main([*arguments, str(whole)]) == 0
     same(store, whole)
 
 
@@ -218,12 +225,11 @@ def same(one: Path, other: Path) -> None:
         xr.testing.assert_identical(a.drop_vars("seconds").load(), b.drop_vars("seconds").load())
 
 
-def test_processes_give_the_same_bits(tmp_path: Path) -> None:
+def test_processes_give_the_same_bits(tmp_path: Path, whole: Path) -> None:
     script = Path(sys.executable).with_name("statechart")
     arguments: list[Any] = ["sweep", STICK, *OVER, "-o"]
     subprocess.run([script, *arguments, tmp_path / "two.zarr", "--workers", "2"], check=True)
-    assert main([*map(str, arguments), str(tmp_path / "one.zarr")]) == 0
-    same(tmp_path / "one.zarr", tmp_path / "two.zarr")
+    same(whole, tmp_path / "two.zarr")
 
 
 def test_no_more_processes_than_cells(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -264,7 +270,7 @@ def run(task, rows):
 """
 
 
-def test_a_killed_worker_loses_no_finished_cells(tmp_path: Path) -> None:
+def test_a_killed_worker_loses_no_finished_cells(tmp_path: Path, whole: Path) -> None:
     (tmp_path / "dead.py").write_text(_RUN)
     (tmp_path / "main.py").write_text(_DEAD)
     store = tmp_path / "a.zarr"
@@ -283,5 +289,4 @@ def test_a_killed_worker_loses_no_finished_cells(tmp_path: Path) -> None:
     with xr.open_zarr(store, chunks=None) as part:
         assert (part["outcome"].to_numpy() != "").sum() == 2
     assert main([*arguments, "--resume"]) == 0
-    assert main([*arguments[:-1], str(tmp_path / "whole.zarr")]) == 0
-    same(store, tmp_path / "whole.zarr")
+    same(store, whole)

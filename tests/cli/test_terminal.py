@@ -117,11 +117,10 @@ def test_the_completion_script_can_be_read_by_other_shells(
     subprocess.run((program, "-n", tmp_path / "script"), check=True)
 
 
-def test_a_run_is_a_table_on_a_terminal() -> None:
+def test_a_run_is_a_table_on_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     lines = on_a_terminal("modes", "painleve_rod").splitlines()
-    plain = subprocess.run(
-        (STATECHART, "modes", "painleve_rod"), capture_output=True, text=True, check=True
-    ).stdout
+    assert main(["modes", "painleve_rod"]) == 0
+    plain = capsys.readouterr().out
     assert max(map(len, plain.splitlines())) > 60
     cells = [line.split() for line in lines if line.strip().startswith(("free ", "slide ", "pin "))]
     assert ["free", "possible"] in cells
@@ -146,11 +145,12 @@ def bare(text: str) -> str:
         ),
     ],
 )
-def test_other_verbs_are_tables_on_a_terminal_too(arguments: str, head: list[str]) -> None:
+def test_other_verbs_are_tables_on_a_terminal_too(
+    arguments: str, head: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     shown = on_a_terminal(*arguments.split())
-    plain = subprocess.run(
-        (STATECHART, *arguments.split()), capture_output=True, text=True, check=True
-    ).stdout
+    assert main(arguments.split()) == 0
+    plain = capsys.readouterr().out
     assert head in [line.split() for line in plain.splitlines()]
     assert head in [line.split() for line in shown.splitlines()]
     assert bare(plain) == bare(shown)

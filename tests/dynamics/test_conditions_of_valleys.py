@@ -74,7 +74,7 @@ def _siblings(count: int) -> list[dict[str, float]]:
 
 def test_exclusive_conditions_move_like_ones_sharing_the_kink() -> None:
     shared, *others = (_runner(conditions) for conditions in CONDITIONS)
-    for values in _siblings(40):
+    for values in _siblings(16):
         final = shared.run(values).trace.final
         x, y = final[:2]
         assert y >= max(-values["a"] * x, values["b"] * x) - 1e-9

@@ -100,7 +100,7 @@ def test_scaling_masses_keeps_the_motion(scene: str, how: str) -> None:
     settings = _SETTINGS[how]
     one = run(interpret(read_text(_SCENES[scene])), **settings)  # type: ignore[arg-type]
     joined = how == "steps" and scene == "joined"
-    for mass in ("1e120", "1e160", "1e300") if joined else ("1e-279", "1e-160", "1e120", "1e300"):
+    for mass in ("1e160", "1e300") if joined else ("1e-279", "1e160", "1e300"):
         text = _SCENES[scene].replace("m: 1", f"m: {mass}", 1)
         other = run(interpret(read_text(text)), **settings)  # type: ignore[arg-type]
         assert _events(other.trace) == _events(one.trace)

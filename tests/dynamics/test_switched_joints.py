@@ -462,8 +462,7 @@ def test_a_rope_that_a_control_shortens_ends_the_run() -> None:
 
 
 @pytest.mark.parametrize(("settings", "near"), _ENGINES)
-@pytest.mark.parametrize("start", ["y: -2", "x: 1.2, y: -1.6"])
-@pytest.mark.parametrize("led", [True, False])
+@pytest.mark.parametrize(("start", "led"), [("y: -2", True), ("x: 1.2, y: -1.6", False)])
 def test_a_rope_that_is_hauled_in_to_its_end_ends_the_run(
     settings: dict[str, Any], near: float, start: str, led: bool
 ) -> None:

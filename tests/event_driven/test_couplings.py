@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -144,6 +145,7 @@ def _drive(t: float) -> float:
     return 10 * math.sin(10 * math.pi * t)
 
 
+@functools.cache
 def _clutch_events() -> tuple[list[tuple[str, float]], np.ndarray]:
     """Return lock, slip and open times of the clutches, and the last speeds, by quadratures.
 

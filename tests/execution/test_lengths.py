@@ -176,7 +176,7 @@ def test_too_many_steady_jumps_are_reported_early() -> None:
         "regions:\n  r:\n    initial: s\n    states: {s: {flows: {x: 1}}}\n"
         "    transitions: [{name: tick, from: s, to: s, guard: 'x >= 1', updates: {x: 0}}]\n"
     )
-    for until in (1e300, 1e100, 1e9):
+    for until in (1e300, 1e9):
         trace = run(clock, until=until, throw=False).trace
         assert trace.outcome is Outcome.TOO_LONG
         assert "4096 jumps took" in trace.message

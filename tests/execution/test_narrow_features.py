@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from strategies import examples
 
 from statechart import Outcome, Runner, run
 from statechart.documents.yaml_reader import read_text
@@ -70,6 +71,7 @@ def test_narrow_force_is_detected(
             )
 
 
+@examples(30)
 @given(
     shape=st.sampled_from(sorted(SHAPES)),
     power=st.floats(-4.0, -1.0),

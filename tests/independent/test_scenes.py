@@ -37,10 +37,17 @@ def assert_close(found: Any, wanted: Any, error: float, words: str) -> None:
     assert np.abs(found - wanted).max(initial=0.0) <= error * size, (words, found, wanted)
 
 
-@pytest.mark.parametrize("name", NAMES)
+# Radau takes many small steps in some.
+_METHODS = [("taylor", None, 1e-10), ("scipy", "DOP853", 1e-10), ("scipy", "Radau", 1e-7)]
+_LONG_BY_RADAU = (
+    *("gripper", "bang", "parabead", "latch"),
+    *("rim_rocker", "wallpend", "rim_bowl", "rim_drum"),
+)
+
+
 @pytest.mark.parametrize(
-    ("engine", "method", "error"),
-    [("taylor", None, 1e-10), ("scipy", "DOP853", 1e-10), ("scipy", "Radau", 1e-7)],
+    ("name", "engine", "method", "error"),
+    [(n, *m) for n in NAMES for m in _METHODS if m[1] != "Radau" or n not in _LONG_BY_RADAU],
 )
 def test_event_times_match_references(
     name: str, engine: str, method: str | None, error: float

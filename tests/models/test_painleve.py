@@ -71,7 +71,7 @@ def test_p_b_and_the_critical_friction_are_the_reference_ones(case: dict) -> Non
     setup = ROD.setup(start(case), 1e-15)
     assert isinstance(setup, SceneSetup)
     snapshot = laws.tape.at(setup.values, setup.initial, 0.0)
-    found = paradoxes(snapshot, setup.contacts, [True], 1e-12)
+    found = paradoxes(setup, snapshot, [True])
     assert bool(found) is (float(case["p"]) < 0.0)
     for paradox in found.values():
         assert paradox.kind == case["classification"]

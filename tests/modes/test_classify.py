@@ -65,9 +65,9 @@ def test_sliding_exactly_the_reference_modes_are_consistent(case: dict) -> None:
     assert tried.forces[0, 0] == pytest.approx(float(case["V_slide"]), rel=1e-9)
     if case["classification"] == "inconsistent":
         with pytest.raises(NoConsistentMode, match="tip:free"):
-            choose(snapshot, setup.contacts, [True], setup.scales, 0.0, 1e-12)
+            choose(setup, snapshot, [True])
     else:
-        choice = choose(snapshot, setup.contacts, [True], setup.scales, 0.0, 1e-12)
+        choice = choose(setup, snapshot, [True])
         indeterminate = case["classification"] == "indeterminate"
         assert ("indeterminate" in choice.warning) is indeterminate
         expected = "free" if indeterminate else names[case["consistent"][0]]

@@ -226,7 +226,7 @@ def test_accelerations_are_those_of_modes_whose_forces_are_determined(seed: int)
     closed = [True] * len(arms)
     expected = reference(snapshot, setup.contacts, [speed == 0.0] * len(arms))
     assert len(expected) == 1
-    choice = choose(snapshot, setup.contacts, closed, setup.scales, 5e-13, 1e-12)
+    choice = choose(setup, snapshot, closed)
     assert choice.taken.accelerations == pytest.approx(expected[0], abs=1e-8)
     # The forces explain the motion, and are in their cones.
     forces = choice.taken.forces
@@ -255,7 +255,7 @@ def test_above_four_contacts_the_mode_found_is_that_of_enumeration(seed: int) ->
     )
     snapshot, setup = numbers(scene)
     closed = [True] * count
-    choice = choose(snapshot, setup.contacts, closed, setup.scales, 5e-13, 1e-12)
+    choice = choose(setup, snapshot, closed)
     assert any("does not check that it is the only one" in note for note in choice.notes)
     still = [abs(contact.slip) < 1e-12 for contact in snapshot.contacts]
     options = [
