@@ -9,13 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence, Set
 from dataclasses import replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.states import CLOSED
+from contacts.scene.expansion import BROKEN, judged_at_start
+from contacts.states import CLOSED, OFF
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
@@ -32,7 +34,10 @@ from statechart.charts.guard_watch import (
     guards_at_events,
     values_after,
 )
+from statechart.errors import DeclarationProblem
 from statechart.formulas.tape import Tape
+
+_T = TypeVar("_T")
 
 
 def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
@@ -109,6 +114,7 @@ class Controllers:
         self._guards: dict[tuple[Key, bool], ControlGuards] = {}
         self.names = tuple(mechanics.scene.regions)
         self.initial: Key = tuple(mechanics.scene.controlled.initial.values())
+        self._judged = judged_at_start(mechanics.scene)
 
     def named(self, states: Key) -> dict[str, str]:
         """Return controller -> state."""
@@ -121,6 +127,48 @@ class Controllers:
             select = guards_at_events if at_events else guards
             self._guards[key] = ControlGuards(self._mechanics, self.named(states), select)
         return self._guards[key]
+
+    def settled(
+        self, begin: Callable[[Key], _T], due_in: Callable[[Key, _T], Set[tuple[int, int]]]
+    ) -> _T:
+        """Return the start with those joints closed whose relations hold there.
+
+        Relations on contacts and forces are judged at the start that `begin` makes of initial
+        states of controllers; `due_in` returns its due guards, by region and trigger. Both states
+        may agree with the relation of a joint: it starts closed then.
+        """
+        states, seen, refusal = self.initial, set[Key](), None
+        regions = self._mechanics.scene.controlled.flat
+        while True:
+            seen.add(states)
+            following = states
+            try:
+                start = begin(states)
+            except DeclarationProblem as problem:
+                place = self._judged.get(str(problem.loc[1])) if len(problem.loc) > 1 else None
+                if problem.loc[0] != "joints" or place is None or states[place] != CLOSED:
+                    raise refusal or problem from None
+                # A joint that cannot be closed is off, if its relation then fails.
+                refusal, following = problem, _with_state(states, place, OFF)
+            else:
+                due = due_in(states, start) if self._judged else frozenset()
+                for name, place in self._judged.items():
+                    triggers = [trigger for region, trigger in due if region == place]
+                    if not triggers:
+                        continue
+                    target = regions[name].answer(states[place], triggers).target
+                    if target != BROKEN:
+                        following = _with_state(states, place, target)
+                        break
+            if following == states or following in seen:
+                if refusal is not None and following != states:
+                    raise refusal
+                return start
+            states = following
+
+
+def _with_state(states: Key, place: int, state: str) -> Key:
+    return (*states[:place], state, *states[place + 1 :])
 
 
 class ControlGuards:
@@ -246,10 +294,18 @@ class ControllerState:
 
         return of_motion._replace(project=project)
 
-    def enter_initial_states(self, setup: SceneSetup, clock: Clock, state: Array) -> Array:
-        """Return the state after the controllers have entered their initial states."""
-        for name, region in self._mechanics.scene.controlled.flat.items():
-            state = self.updated(setup, clock, name, region.begins, state)
+    def enter_initial_states(
+        self, setup: SceneSetup, clock: Clock, state: Array, states: Key | None = None
+    ) -> Array:
+        """Return the state after the controllers have entered their initial `states`.
+
+        A joint that starts off although its region begins closed captures nothing.
+        """
+        regions = self._mechanics.scene.controlled.flat
+        begun = states or tuple(region.initial for region in regions.values())
+        for (name, region), entered in zip(regions.items(), begun, strict=True):
+            if entered == region.initial:
+                state = self.updated(setup, clock, name, region.begins, state)
         return state
 
     def updated(

@@ -8,7 +8,7 @@ new force can make a sticking foot slip.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import replace
 from functools import cache
 
@@ -72,8 +72,19 @@ class ControlledLaws:
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the first flow; transitions that are due there follow as jumps."""
         assert isinstance(setup, SceneSetup)
-        state = self._memory.enter_initial_states(setup, Clock(), setup.initial)
-        controllers = self._states.initial
+
+        def due_in(controllers: Key, start: tuple[Flow, Array]) -> Set[tuple[int, int]]:
+            flow, state = start
+            laws = self._at(controllers)
+            within = laws.held.within(setup, flow, state, 0.0, laws.tape)
+            truths, _ = self._guard_truths(within, Clock(), flow, state, ())
+            return frozenset() if truths is None else truths.due()
+
+        return self._states.settled(lambda states: self._begin(setup, states), due_in)
+
+    def _begin(self, setup: SceneSetup, controllers: Key) -> tuple[Flow, Array]:
+        """Return the first flow with initial states of controllers."""
+        state = self._memory.enter_initial_states(setup, Clock(), setup.initial, controllers)
         inner = self._within(setup, controllers, state)
         flow, motion = self._at(controllers).begin(
             replace(inner, initial=self._memory.parted(state))

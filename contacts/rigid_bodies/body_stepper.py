@@ -192,7 +192,8 @@ class BodyStepper(Stepper):
         if self._scene.couplings and failure is None:
             soon = _SOON * setup.scales.length / setup.scales.speed
             free = np.append(free, bodies.detect(setup.initial, 0.0, soon).couplings)
-        return RunInputs(setup, bodies, free, self._replaced_laws(setup), failure)
+        warnings = self._replaced_laws(setup)
+        return RunInputs(setup, bodies, free, warnings, self.controls, failure)
 
     def _new_run(
         self, overrides: Mapping[str, float], tolerance: float, forces: bool, step: float = 0.0

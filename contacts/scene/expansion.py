@@ -7,7 +7,6 @@ limit of an angle a contact whose gap is the remaining angle.
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
@@ -203,6 +202,26 @@ def _region(scene: SceneFields, name: str, joint: Joint) -> Controller:
     return region.model_copy(update={"variables": dict.fromkeys(captures, 0)})
 
 
+def judged_at_start(scene: SceneFields) -> dict[str, int]:
+    """Return the regions of joints that ask for contacts or other joints -> their places.
+
+    Their relations depend on the first mode of a run; the scene is expanded.
+    """
+    places = {name: place for place, name in enumerate(scene.controlled.flat)}
+    known = {*scene.frictional, *scene.joints}
+    found = {}
+    for name, joint in scene.joints.items():
+        region = name if name in places else f"{name}_{CLOSED}"
+        if not joint.enabled or region not in places:
+            continue
+        relation = parse_relation(conjunction(joint.enabled))
+        asked = {member.region for member in relation.members}
+        asked |= {used.rpartition(".")[0] for used in relation.names}
+        if asked & known - {name}:
+            found[region] = places[region]
+    return found
+
+
 def start_problem(
     scene: SceneFields, problem: DeclarationProblem, values: Mapping[str, float]
 ) -> DeclarationProblem:
@@ -214,12 +233,6 @@ def start_problem(
     enabled = scene.joints[name].enabled
     relation = parse_relation(conjunction(enabled)) if enabled else None
     holds = None if relation is None else holds_at_start(scene, relation.root, values)
-    if relation is not None and holds is None and relation.members:
-        return dataclasses.replace(
-            problem,
-            advice=f"{problem.advice}; if {name!r} is to start off, let a controller close it, "
-            "as in enabled: in(REGION.STATE)",
-        )
     if holds is not False:
         return problem
     return DeclarationProblem(
@@ -238,7 +251,10 @@ def holds_at_start(
         return None if operand is None else not operand
     if isinstance(term, Member):
         region = scene.controlled.flat.get(term.region)
-        return None if region is None else term.state in region.active(region.initial)
+        if region is not None:
+            return term.state in region.active(region.initial)
+        # Bodies with shapes start free.
+        return term.state == "free" if scene.collisions and term.region in scene.moving() else None
     if isinstance(term, Junction):
         operands = [holds_at_start(scene, operand, values) for operand in term.parts]
         decisive = term.word == "or"

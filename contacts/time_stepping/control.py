@@ -29,6 +29,7 @@ from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.stop_conditions import ActiveStates, first_undefined
 from statechart.arrays import Array, Bools, Ints
+from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Raised, Region
 from statechart.automaton.trace import Jump, Key
 from statechart.charts.guard_watch import EventQueues
@@ -59,6 +60,7 @@ class StepControl:
         setup: SceneSetup,
         scene: SteppedSystem,
         regions: Sequence[Region],
+        states: Key,
     ) -> None:
         self._controllers = mechanics.scene.controlled.flat
         self._names = tuple(self._controllers)
@@ -70,7 +72,7 @@ class StepControl:
         c = 2 * len(mechanics.scene.contacts) + len(mechanics.scene.couplings)
         # Guards read the forces of joints after those of contacts and couplings.
         self._order = [*range(n), *range(n + r, n + r + c), *range(n, n + r)]
-        self.states = controllers.initial
+        self.states = states
         self._begun = False
         # States of the controllers, and the atoms of their guards that were zero at the ends of the
         # last step but one and of the last step.
@@ -135,7 +137,9 @@ class StepControl:
         time = np.array([recorder.clock.high])
         if not self._begun:
             self._begun = True
-            state = self._memory.enter_initial_states(self._setup, recorder.clock, state)
+            state = self._memory.enter_initial_states(
+                self._setup, recorder.clock, state, self.states
+            )
         for _ in range(_MOST_TURNS):
             watched = self._states.guards(self.states).watch.guards
             at_end = time, state[None], solved[None]
@@ -186,6 +190,15 @@ class StepControl:
         raise EventLoop(
             f"more than {_MOST_TURNS} transitions of controllers at one instant: {', '.join(last)}"
         )
+
+    def due_at_start(
+        self, state: Array, solved: Array, codes: Ints, h: float
+    ) -> set[tuple[int, int]]:
+        """Return the guards due at the start, by region and trigger, in modes `codes` (r,)."""
+        state = self._memory.enter_initial_states(self._setup, Clock(), state, self.states)
+        due = self._due(np.zeros(1), state[None], solved[None], h, codes[None], None)[0][0]
+        watched = self._states.guards(self.states).watch.guards
+        return {(g.place, g.trigger) for g, now in zip(watched, due, strict=True) if now}
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
 
+from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.contact_law import ContactLaw, edge
 from contacts.dynamics.controllers import Controllers, ControllerState
 from contacts.dynamics.mechanics import Mechanics, winch_end_message
@@ -52,6 +53,7 @@ from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Region, StopCondition
+from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, NonFinite, SimulationError, SingularMode
 from statechart.kernels.boxes import Steps, bind_tape, bound_third_derivatives, enclose
 from statechart.kernels.jit import kernel
@@ -152,7 +154,8 @@ class SteppedTapes(Controllers):
 class SteppedScene(SteppedSystem):
     """One run of a scene of points on surfaces.
 
-    `off` (c,): contacts that are disabled at the start; `allowed`: residual of impulses.
+    `off` (c,): contacts that are disabled at the start; `allowed`: residual of impulses;
+    `controls`: initial states of controllers.
     """
 
     def __init__(
@@ -162,6 +165,7 @@ class SteppedScene(SteppedSystem):
         setup: SceneSetup,
         off: Bools,
         allowed: float,
+        controls: Key,
     ) -> None:
         self._tapes, self._numbers = tapes, numbers
         count = len(setup.contacts)
@@ -170,7 +174,7 @@ class SteppedScene(SteppedSystem):
         self._nearly = NEARLY_MEETING * setup.scales.length
         self._speed, self._allowed = setup.scales.speed, allowed
         self._negligible = _NEGLIGIBLE * setup.scales.force * setup.scales.length
-        self._use(tapes.at(tapes.initial), setup.contacts)
+        self._use(tapes.at(controls), setup.contacts)
         self._step_state = _StepState(
             ContactHistory.of(off, self._source.size),
             np.full(count, FREE),
@@ -529,6 +533,10 @@ def _failure(status: int) -> SingularMode | NonFinite:
 _TRIAL = 1e-6
 
 
+def _trial_step(setup: SceneSetup) -> float:
+    return _TRIAL * setup.scales.length / setup.scales.speed
+
+
 class SceneStepper(Stepper):
     """Steps a scene of points on surfaces."""
 
@@ -561,35 +569,55 @@ class SceneStepper(Stepper):
         self, overrides: Mapping[str, float], step: float, allowed: float, forces: bool
     ) -> RunInputs:
         setup = self._numbers.at(overrides, RELATIVE, stepped=True)
-        failure, warnings = None, tuple[str, ...]()
-        off = np.zeros(len(setup.contacts), np.bool_)
-        codes = np.full(len(off), FREE)
-        try:
-            codes, off, warnings = self._checked(setup, allowed)
-        except SimulationError as error:
-            failure = error
-        scene = SteppedScene(self._tapes, self._numbers, setup, off, allowed)
-        change = None if self._scene.regions else scene.change
-        return RunInputs(setup, scene, codes, warnings, failure, change)
 
-    def _checked(self, setup: SceneSetup, allowed: float) -> tuple[Ints, Bools, tuple[str, ...]]:
-        """Check the initial state; return initial modes, disabled contacts, warnings."""
+        def begin(controls: Key) -> tuple[RunInputs, Array]:
+            failure, warnings = None, tuple[str, ...]()
+            off = np.zeros(len(setup.contacts), np.bool_)
+            codes, solved = np.full(len(off), FREE), np.zeros(0)
+            try:
+                codes, off, warnings, solved = self._checked(setup, allowed, controls)
+            except SimulationError as error:
+                failure = error
+            scene = SteppedScene(self._tapes, self._numbers, setup, off, allowed, controls)
+            change = None if self._scene.regions else scene.change
+            return RunInputs(setup, scene, codes, warnings, controls, failure, change), solved
+
+        def due_in(_: Key, start: tuple[RunInputs, Array]) -> Set[tuple[int, int]]:
+            inputs, solved = start
+            control = self.control(inputs)
+            if control is None or inputs.failure is not None:
+                return frozenset()
+            return control.due_at_start(setup.initial, solved, inputs.codes, _trial_step(setup))
+
+        return self._tapes.settled(begin, due_in)[0]
+
+    def _checked(
+        self, setup: SceneSetup, allowed: float, controls: Key
+    ) -> tuple[Ints, Bools, tuple[str, ...], Array]:
+        """Check the initial state.
+
+        Returns initial modes, disabled contacts, warnings, and unknowns of a short step.
+        """
         warnings = [*self._replaced_laws(setup), *self._cut(setup)]
         memory = ControllerState(self._mechanics)
-        setup = replace(setup, initial=memory.enter_initial_states(setup, Clock(), setup.initial))
+        entered = memory.enter_initial_states(setup, Clock(), setup.initial, controls)
+        setup = replace(setup, initial=entered)
+        named = self._tapes.named(controls)
         within = memory.within(setup, setup.initial)
         within = replace(within, initial=memory.parted(setup.initial))
         if self._mechanics.joint_rows:
-            check_joints(self._mechanics, SnapshotTape(self._mechanics), within, RELATIVE)
+            check_joints(self._mechanics, SnapshotTape(self._mechanics, named), within, RELATIVE)
         if self._scene.couplings:
-            snapshot = SnapshotTape(self._mechanics).at(within.values, within.initial, 0.0)
+            snapshot = SnapshotTape(self._mechanics, named).at(within.values, within.initial, 0.0)
             check_limits([*self._scene.couplings], snapshot.limits)
-        tape = self._tapes.at(self._tapes.initial)
+        tape = self._tapes.at(controls)
         near = setup.tolerances["gap"]
         closed = max(ROUNDING * setup.scales.length, setup.scales.rounding)
         off = np.zeros(len(setup.contacts), dtype=np.bool_)
         measured = tape.contacts(setup.values, setup.initial)
         conditions = self._numbers.conditions
+        if controls != self._tapes.initial:
+            conditions = Conditions(self._mechanics, named)
         here = conditions.at(within, within.initial, 0.0)
         # Both edges of a valley hold a point at the kink.
         kinks = np.flatnonzero((np.abs(measured[:, 0]) <= near) & (measured[:, 4] > 0.0)).tolist()
@@ -603,15 +631,14 @@ class SceneStepper(Stepper):
                 surface, slow = self._scene.surface_of(law.name), setup.tolerances["speed"]
                 check_start(surface, law, row[:3], near, near, slow)
                 warnings += hovering_warnings(self._scene, setup.scales, closed, [law.name], [row])
-        h = _TRIAL * setup.scales.length / setup.scales.speed
-
+        h = _trial_step(setup)
         slow, sticks = (np.abs(measured[:, 1:3]) <= setup.tolerances["speed"]).T
         # A contact that could slide may have another motion as good.
         sliding = slow & ~sticks & (np.abs(measured[:, 0]) <= near) & ~off
         sliding[len(self._scene.contacts) :] = False
 
         def try_step(closed: Bools) -> tuple[SteppedScene, Chunk]:
-            trial = SteppedScene(self._tapes, self._numbers, setup, off, allowed)
+            trial = SteppedScene(self._tapes, self._numbers, setup, off, allowed, controls)
             trial.press(closed)
             return trial, trial.steps(0.0, h, setup.initial, 1)
 
@@ -628,7 +655,7 @@ class SceneStepper(Stepper):
                 "coordinates without an inertia of their own are computed with 1e-9 of the bodies' "
                 "at the contacts"
             )
-        return codes, off, tuple(warnings)
+        return codes, off, tuple(warnings), first.solved[0]
 
     def _cut(self, setup: SceneSetup) -> Iterator[str]:
         """Yield a warning for each friction coefficient that is reduced."""

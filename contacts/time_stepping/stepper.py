@@ -89,6 +89,7 @@ class RunInputs(NamedTuple):
     system: SteppedSystem
     codes: Ints  # (r,): initial modes, codes of `contacts.states`.
     warnings: tuple[str, ...]  # Besides those of the setup.
+    controls: Key  # Initial states of controllers.
     failure: SimulationError | None = None  # Why no step can be taken.
     # Changes values of parameters and returns the setup; None if unsupported.
     change: Callable[[Mapping[str, float]], SceneSetup] | None = None
@@ -121,7 +122,7 @@ class SteppedRun:
         self.recorder = Recorder(
             stepper.regions[: len(inputs.codes)],
             inputs.codes,
-            stepper.controls,
+            inputs.controls,
             stepper.sticks,
             stepper.again,
             stepper.joint_forces,
@@ -349,7 +350,7 @@ class SteppedRun:
         regions, start, final = stepper.regions, recorder.start_key, recorder.key
         if record is Record.POSES:
             controlled = len(regions) - len(stepper.controls)
-            regions, start, final = regions[controlled:], stepper.controls, recorder.controls
+            regions, start, final = regions[controlled:], self._inputs.controls, recorder.controls
         elif record is Record.NOTHING:
             regions, start, final = (), (), ()
         tolerances = dict(self.setup.tolerances)
@@ -443,7 +444,7 @@ class Stepper(ABC):
         if inputs.failure is not None:
             raise inputs.failure
         states = tuple(STATES[code] for code in inputs.codes.tolist())
-        return (*states, *self.controls), (*inputs.setup.warnings, *inputs.warnings)
+        return (*states, *inputs.controls), (*inputs.setup.warnings, *inputs.warnings)
 
     def run(self, overrides: Mapping[str, float], request: StepRequest) -> Trace:
         """Run from the declared initial state; see `TimeStepper.run`."""
@@ -508,7 +509,9 @@ class Stepper(ABC):
         if not self.controls:
             return None
         system, regions = inputs.system, self._regions
-        return StepControl(self._mechanics, self._controllers, inputs.setup, system, regions)
+        return StepControl(
+            self._mechanics, self._controllers, inputs.setup, system, regions, inputs.controls
+        )
 
     @abstractmethod
     def _begin(

@@ -252,21 +252,6 @@ def test_initially_redundant_joint_is_reported() -> None:
         statechart.run(interpret(read_text(text, "joint.yaml")))
 
 
-def test_a_joint_that_contacts_decide_about_at_the_start_has_advice() -> None:
-    text = """
-kind: scene
-name: glued
-gravity: 10
-bodies: {a: {mass: 1, start: {dx: 2}}, b: {mass: 1, start: {x: 5, y: 3, dx: 1}}}
-surfaces: {floor: {height: 0}}
-contacts: {foot: {point: {body: a}, surface: floor, friction: 0.2, restitution: 0}}
-joints: {glue: {point: {body: b}, to: {body: a}, rest: captured, enabled: in(foot.pin)}}
-stop: {time: 1}
-"""
-    with pytest.raises(DeclarationError, match=r"start off, let a controller close it"):
-        statechart.run(interpret(read_text(text)))
-
-
 _SWAP = """
 kind: scene
 name: swap
