@@ -107,7 +107,10 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
 
     forces = mechanics.forces | {name: (couple,) for name, couple in mechanics.couples.items()}
     return (
-        *(scene.region(name, partial(build, name), forces[name]) for name in scene.frictional),
+        *(
+            scene.contact_region(name, partial(build, name), forces[name])
+            for name in scene.frictional
+        ),
         *(controller(n, r, mechanics) for n, r in scene.controlled.flat.items()),
     )
 

@@ -9,7 +9,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
+from statechart.formulas.writer import Max, Min, compile_tape
 
 
 def examples(count: int) -> settings:
@@ -54,8 +54,8 @@ def operators(children: st.SearchStrategy[sp.Expr]) -> st.SearchStrategy[sp.Expr
         pair.map(lambda c: c[0] + c[1]),
         pair.map(lambda c: c[0] - 3 * c[1]),
         pair.map(lambda c: c[0] * c[1]),
-        pair.map(lambda c: sp.Min(c[0], c[1])),
-        pair.map(lambda c: sp.Max(c[0], c[1])),
+        pair.map(lambda c: Min(c[0], c[1])),
+        pair.map(lambda c: Max(c[0], c[1])),
         pair.map(lambda c: sp.atan2(c[0], 2 + c[1] ** 2)),
         pair.map(lambda c: sp.sqrt(c[0] ** 2 + (1 + c[1] ** 2) ** 2)),
         pair.map(lambda c: c[0] / (2 + sp.cos(c[1]))),

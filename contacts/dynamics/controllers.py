@@ -114,7 +114,7 @@ class Controllers:
         self._guards: dict[tuple[Key, bool], ControlGuards] = {}
         self.names = tuple(mechanics.scene.regions)
         self.initial: Key = tuple(mechanics.scene.controlled.initial.values())
-        self._judged = judged_at_start(mechanics.scene)
+        self._decided_at_start = judged_at_start(mechanics.scene)
 
     def named(self, states: Key) -> dict[str, str]:
         """Return controller -> state."""
@@ -128,7 +128,7 @@ class Controllers:
             self._guards[key] = ControlGuards(self._mechanics, self.named(states), select)
         return self._guards[key]
 
-    def settled(
+    def settle_start(
         self, begin: Callable[[Key], _T], due_in: Callable[[Key, _T], Set[tuple[int, int]]]
     ) -> _T:
         """Return the start with those joints closed whose relations hold there.
@@ -137,38 +137,43 @@ class Controllers:
         states of controllers; `due_in` returns its due guards, by region and trigger. Both states
         may agree with the relation of a joint: it starts closed then.
         """
-        states, seen, refusal = self.initial, set[Key](), None
-        regions = self._mechanics.scene.controlled.flat
+        states, seen, refused = self.initial, set[Key](), dict[Key, DeclarationProblem]()
         while True:
             seen.add(states)
-            following = states
             try:
                 start = begin(states)
             except DeclarationProblem as problem:
-                place = self._judged.get(str(problem.loc[1])) if len(problem.loc) > 1 else None
-                if problem.loc[0] != "joints" or place is None or states[place] != CLOSED:
-                    raise refusal or problem from None
                 # A joint that cannot be closed is off, if its relation then fails.
-                refusal, following = problem, _with_state(states, place, OFF)
+                following = self._opened(states, problem)
+                if following is None or following in seen:
+                    raise next(iter(refused.values()), problem) from None
+                refused[states] = problem
             else:
-                due = due_in(states, start) if self._judged else frozenset()
-                for name, place in self._judged.items():
-                    triggers = [trigger for region, trigger in due if region == place]
-                    if not triggers:
-                        continue
-                    target = regions[name].answer(states[place], triggers).target
-                    if target != BROKEN:
-                        following = _with_state(states, place, target)
-                        break
-            if following == states or following in seen:
-                if refusal is not None and following != states:
-                    raise refusal
-                return start
+                due = due_in(states, start) if self._decided_at_start else frozenset()
+                following = self._switched(states, due)
+                if following in refused:
+                    raise refused[following]
+                if following in seen:
+                    return start
             states = following
 
+    def _opened(self, states: Key, problem: DeclarationProblem) -> Key | None:
+        """Return the states with the closed joint of a problem off, None if it stays closed."""
+        joint = str(problem.loc[1]) if problem.loc[:1] == ("joints",) else ""
+        place = self._decided_at_start.get(joint)
+        if place is None or states[place] != CLOSED:
+            return None
+        return (*states[:place], OFF, *states[place + 1 :])
 
-def _with_state(states: Key, place: int, state: str) -> Key:
-    return (*states[:place], state, *states[place + 1 :])
+    def _switched(self, states: Key, due: Set[tuple[int, int]]) -> Key:
+        """Return the states with the first joint switched whose guard is due."""
+        regions = [*self._mechanics.scene.controlled.flat.values()]
+        for place in self._decided_at_start.values():
+            if triggers := [trigger for region, trigger in due if region == place]:
+                target = regions[place].answer(states[place], triggers).target
+                if target != BROKEN:
+                    return (*states[:place], target, *states[place + 1 :])
+        return states
 
 
 class ControlGuards:

@@ -80,7 +80,7 @@ class ControlledLaws:
             truths, _ = self._guard_truths(within, Clock(), flow, state, ())
             return frozenset() if truths is None else truths.due()
 
-        return self._states.settled(lambda states: self._begin(setup, states), due_in)
+        return self._states.settle_start(lambda states: self._begin(setup, states), due_in)
 
     def _begin(self, setup: SceneSetup, controllers: Key) -> tuple[Flow, Array]:
         """Return the first flow with initial states of controllers."""

@@ -31,7 +31,7 @@ Strike = Callable[[Key], tuple[Array, Snapshot] | None]
 """Mode -> state and snapshot after an impact of its contacts; None without one."""
 
 
-class _Place(NamedTuple):
+class _Site(NamedTuple):
     """Contacts and conditions at a state."""
 
     setup: SceneSetup
@@ -51,9 +51,9 @@ class Switching:
         self, setup: SceneSetup, snapshot: Snapshot, state: Array, time: float
     ) -> tuple[str, ...]:
         """Return a failing condition of each contact, or ""; see `ConditionsAt`."""
-        return self._conditions.first(self._judged(self._place(setup, snapshot, state, time)))
+        return self._conditions.first(self._judged(self._site(setup, snapshot, state, time)))
 
-    def _place(self, setup: SceneSetup, snapshot: Snapshot, state: Array, time: float) -> _Place:
+    def _site(self, setup: SceneSetup, snapshot: Snapshot, state: Array, time: float) -> _Site:
         """Return the contacts and conditions at a state.
 
         The zero of a gate is known to its round-off, and so is the gap of the contact that takes
@@ -65,13 +65,13 @@ class Switching:
             gap_tolerance + _MORE * blur * float(np.linalg.norm(contact.jacobian[0]))
             for blur, contact in zip(conditions.position_uncertainty, contacts, strict=True)
         ]
-        return _Place(setup, snapshot, conditions, near)
+        return _Site(setup, snapshot, conditions, near)
 
     def _judged(
-        self, place: _Place, fired: tuple[str, ...] = (), on: Sequence[bool] = ()
+        self, site: _Site, fired: tuple[str, ...] = (), on: Sequence[bool] = ()
     ) -> list[int]:
         """Return the verdicts of the atoms; `on`: contacts enabled in the flow that ends here."""
-        setup, snapshot, here, near = place
+        setup, snapshot, here, near = site
         slow = setup.tolerances["speed"]
 
         def motion(failing: Sequence[bool]) -> Roles | None:
@@ -96,11 +96,11 @@ class Switching:
             return None if isinstance(choice, Jam) else choice.taken.roles
 
         verdicts = here.verdicts(fired, motion, on)
-        certified = self._held_in_corners(place, verdicts, fired, on)
+        certified = self._held_in_corners(site, verdicts, fired, on)
         return here.with_boundary(verdicts, certified, fired)
 
     def _held_in_corners(
-        self, place: _Place, verdicts: list[int], fired: Collection[str], on: Sequence[bool]
+        self, site: _Site, verdicts: list[int], fired: Collection[str], on: Sequence[bool]
     ) -> set[int]:
         """Return the contacts whose atoms hold on their boundary, as no other contact takes over.
 
@@ -112,13 +112,13 @@ class Switching:
         certified: set[int] = set()
         if not any(failing):
             return certified
-        contacts, points = place.snapshot.contacts, self._conditions.points
-        slow, every = place.setup.tolerances["speed"], range(len(points))
+        contacts, points = site.snapshot.contacts, self._conditions.points
+        slow, every = site.setup.tolerances["speed"], range(len(points))
         corners: dict[int, list[int]] = {}
         for i, point in enumerate(points):
-            if abs(contacts[i].gap) <= max(place.near[j] for j in every if points[j] == point):
+            if abs(contacts[i].gap) <= max(site.near[j] for j in every if points[j] == point):
                 corners.setdefault(point, []).append(i)
-        would = self._conditions.first(place.conditions.with_boundary(verdicts, every, fired))
+        would = self._conditions.first(site.conditions.with_boundary(verdicts, every, fired))
         on_boundary = [bool(why) and not then for why, then in zip(failing, would, strict=True)]
         for places in corners.values():
             if len(places) < 2 or not all(failing[i] for i in places):
@@ -135,12 +135,12 @@ class Switching:
         """Return the contacts that go off, with a failing condition, or come back, with ""."""
         if not self._conditions.present:
             return {}
-        place = self._place(setup, snapshot, at.state, at.clock.high)
+        site = self._site(setup, snapshot, at.state, at.clock.high)
         on = [state not in INACTIVE for state in at.flow.mode]
-        self._verdicts = self._judged(place, at.fired, on)
+        self._verdicts = self._judged(site, at.fired, on)
         failing = self._conditions.first(self._verdicts)
-        if any(failing) and place.conditions.on_boundary:
-            failing = self._struck_too(at, place, failing, strike)
+        if any(failing) and site.conditions.on_boundary:
+            failing = self._struck_too(at, site, failing, strike)
         result: dict[int, str] = {}
         for i, (why, now) in enumerate(zip(failing, at.flow.mode, strict=True)):
             gap = snapshot.contacts[i].gap
@@ -152,12 +152,12 @@ class Switching:
                         f"the conditions of contact {self._names[i]!r} hold where its surface "
                         "has no finite value; add a condition that fails there"
                     )
-                if gap >= -place.near[i]:
+                if gap >= -site.near[i]:
                     result[i] = why
         return result
 
     def _struck_too(
-        self, at: Instant, place: _Place, failing: tuple[str, ...], strike: Strike
+        self, at: Instant, site: _Site, failing: tuple[str, ...], strike: Strike
     ) -> tuple[str, ...]:
         """Return the conditions that fail unless an impact sends the bodies back.
 
@@ -165,7 +165,7 @@ class Switching:
         valley an impact on one side sends the point to the other, whose contact is closed as well:
         both take part.
         """
-        setup, snapshot, _, near = place
+        setup, snapshot, _, near = site
         slow = setup.tolerances["speed"]
         mode = tuple(
             off_state(law)
@@ -201,7 +201,7 @@ class Switching:
         """
         if not self._conditions.present:
             return []
-        _, _, here, near = self._place(setup, snapshot, state, time)
+        _, _, here, near = self._site(setup, snapshot, state, time)
         points, every = self._conditions.points, range(len(self._conditions.points))
         fails = self._conditions.first(here.with_boundary(here.verdicts(), every, ()))
         gaps = zip(snapshot.contacts, near, strict=True)

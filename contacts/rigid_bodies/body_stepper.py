@@ -82,7 +82,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
         for name in declared.moving()
     )
     of_couplings = (
-        scene.region(name, lambda role: State(), (mechanics.couples[name],))
+        scene.contact_region(name, lambda role: State(), (mechanics.couples[name],))
         for name in scene.couplings
     )
     controllers = scene.controlled.flat

@@ -203,7 +203,7 @@ def _region(scene: SceneFields, name: str, joint: Joint) -> Controller:
 
 
 def judged_at_start(scene: SceneFields) -> dict[str, int]:
-    """Return the regions of joints that ask for contacts or other joints -> their places.
+    """Return joints that ask for contacts or other joints -> the places of their regions.
 
     Their relations depend on the first mode of a run; the scene is expanded.
     """
@@ -218,7 +218,7 @@ def judged_at_start(scene: SceneFields) -> dict[str, int]:
         asked = {member.region for member in relation.members}
         asked |= {used.rpartition(".")[0] for used in relation.names}
         if asked & known - {name}:
-            found[region] = places[region]
+            found[name] = places[region]
     return found
 
 

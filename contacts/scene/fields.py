@@ -512,7 +512,7 @@ class SceneFields(Declaration):
         jams, bounces, gate = self.jams(name), self.bounces(name), self.gate(name)
         return edges(self.contacts[name], jams=jams, bounces=bounces, gate=gate)
 
-    def region(
+    def contact_region(
         self, name: str, build: Callable[[Role], State], forces: tuple[sp.Symbol, ...]
     ) -> Region:
         """Return the region of a contact or a coupling; `build` returns its states."""

@@ -149,6 +149,7 @@ class SteppedTapes(Controllers):
     def __init__(self, mechanics: Mechanics) -> None:
         super().__init__(mechanics)
         self.at = cache(lambda states: SteppedTape(mechanics, self.named(states)))
+        self.conditions = cache(lambda states: Conditions(mechanics, self.named(states)))
 
 
 class SteppedScene(SteppedSystem):
@@ -589,7 +590,7 @@ class SceneStepper(Stepper):
                 return frozenset()
             return control.due_at_start(setup.initial, solved, inputs.codes, _trial_step(setup))
 
-        return self._tapes.settled(begin, due_in)[0]
+        return self._tapes.settle_start(begin, due_in)[0]
 
     def _checked(
         self, setup: SceneSetup, allowed: float, controls: Key
@@ -617,7 +618,7 @@ class SceneStepper(Stepper):
         measured = tape.contacts(setup.values, setup.initial)
         conditions = self._numbers.conditions
         if controls != self._tapes.initial:
-            conditions = Conditions(self._mechanics, named)
+            conditions = self._tapes.conditions(controls)
         here = conditions.at(within, within.initial, 0.0)
         # Both edges of a valley hold a point at the kink.
         kinks = np.flatnonzero((np.abs(measured[:, 0]) <= near) & (measured[:, 4] > 0.0)).tolist()

@@ -361,6 +361,7 @@ def sweep(arguments: argparse.Namespace) -> int:
     )
     names = {part.name for part in fields(Setting)} & set(vars(arguments))
     setting = Setting(**{name: getattr(arguments, name) for name in names})
+    _collect_garbage()
     plan = make_plan(
         arguments.file, over, samples, setting, until=arguments.until, outputs=arguments.outputs
     )
@@ -481,14 +482,19 @@ def completion(arguments: argparse.Namespace) -> int:
 
 
 def _runner(file: str, **options: Any) -> Runner:
-    """Return the runner of a model, and turn garbage collection on."""
+    """Return the runner of a model; its runs need garbage collection."""
     from statechart.running.runner import Runner
 
     runner = Runner(file, **options)
+    _collect_garbage()
+    return runner
+
+
+def _collect_garbage() -> None:
+    """Turn garbage collection on, except for what is loaded by now."""
     if not gc.isenabled():
         gc.freeze()
         gc.enable()
-    return runner
 
 
 def _assigned_values(option: str, pairs: Iterable[tuple[str, Value]]) -> dict[str, Value]:

@@ -165,9 +165,9 @@ class AtomsAt:
     """Truth of atoms at the start of a flow.
 
     For margins within their tolerance, the sign `way(k)` of the first nonzero time derivative
-    decides; if all vanish, closed atoms are true. `holds(k)` is the truth of an atom just after
-    this instant, None for NaN. Atoms that the flow does not change are `still`. Atoms whose margin
-    `fell` are true unless it rises, or stays and the atom is not `alone` in its relation.
+    decides; if all vanish, closed atoms are true. Atoms that the flow does not change are `still`.
+    Atoms whose margin `fell` are true unless it rises, or stays and the atom is not `alone` in its
+    relation.
     """
 
     def __init__(
@@ -184,11 +184,18 @@ class AtomsAt:
         self.tolerances = tolerances
         self._margins, self._closed, self._still = margins, closed, still
         self._fell, self._sure = fell, {*fell}.intersection(alone)
-        self.way, self.holds = cache(way), cache(self._holds)
+        self.way = cache(way)
+        self._truths: dict[int, bool | None] = {}
 
     def near(self, k: int) -> bool:
         """Return whether a margin is within its tolerance."""
         return abs(self._margins[k]) <= self.tolerances[k]
+
+    def holds(self, k: int) -> bool | None:
+        """Return the truth of an atom just after this instant, None for NaN."""
+        if k not in self._truths:
+            self._truths[k] = self._holds(k)
+        return self._truths[k]
 
     def _holds(self, k: int) -> bool | None:
         margin, near, fell = self._margins[k], self.near(k), k in self._fell

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import random
+import weakref
 
 import pytest
 import sympy as sp
 
 from statechart.errors import FormulaError
-from statechart.formulas.condition import MAX_ATOMS
+from statechart.formulas.condition import MAX_ATOMS, AtomsAt
 from statechart.formulas.relation import conjunction, parse_relation
 from statechart.formulas.tree import evaluate
 
@@ -193,3 +194,11 @@ def test_formulas_of_comparisons_keep_their_places():
     with pytest.raises(FormulaError) as caught:
         relation.require({"a", "b"})
     assert caught.value.offset == 17
+
+
+def test_truths_of_atoms_are_freed_without_the_garbage_collector():
+    atoms = AtomsAt([0.0], [1e-12], [True], lambda k: -1.0)
+    assert atoms.holds(0)
+    alive = weakref.ref(atoms)
+    del atoms
+    assert alive() is None

@@ -7,16 +7,18 @@ from hypothesis import strategies as st
 from strategies import P, Q, T, X, Y, examples, expressions, tape_of
 
 from statechart.errors import StatechartError
-from statechart.formulas.writer import compile_tape
+from statechart.formulas.writer import Max, Min, compile_tape
 from statechart.kernels.search import search
 from statechart.kernels.tapes import OPCODES, tape_table, tape_values
+
+POSITIVE = sp.Symbol("p", positive=True)
 
 numbers = st.floats(-2.0, 2.0)
 
 
 @examples(200)
 @given(expressions, numbers, numbers, numbers, numbers)
-@example(sp.Min(X, sp.atan(sp.log(sp.sqrt(T**2 + 1)) / (2 + (sp.pi - 3 * T) ** 2))), 1, 0, 0, 4e-85)
+@example(Min(X, sp.atan(sp.log(sp.sqrt(T**2 + 1)) / (2 + (sp.pi - 3 * T) ** 2))), 1, 0, 0, 4e-85)
 def test_values_agree_with_sympy(expression, x, y, p, t):
     # SymPy cannot always compare fractions.
     exact = expression.subs(
@@ -160,3 +162,22 @@ def test_tapes_share_compiled_code(monkeypatch):
     second.table(frozen[0, :, :1], np.array([3, 4]), [0])
     first_crossing(second, [0, 0], range(4), frozen, (3, 4), 1)
     assert compiled() == before
+
+
+@pytest.mark.parametrize(
+    ("extremum", "expected"),
+    [
+        (Max(X, X + 1), X + 1),
+        (Min(X, X + 1), X),
+        (Max(POSITIVE, 2 * POSITIVE), 2 * POSITIVE),
+        (Min(X, sp.oo), X),
+        (Max(X, Max(Y, X)), Max(X, Y)),
+        (Max(X, Y).xreplace({Y: X - 1}), X),
+    ],
+)
+def test_an_extremum_omits_terms_that_a_sign_excludes(extremum, expected):
+    assert extremum == expected
+
+
+def test_an_extremum_of_terms_of_unknown_order_keeps_both():
+    assert {*Min(X * Y, X + Y).args} == {X * Y, X + Y}
