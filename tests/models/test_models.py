@@ -16,7 +16,7 @@ from statechart.testing.checking import check
 from statechart.testing.subject import Subject
 
 NAMES = EVENT_BASED
-EXAMPLES = 6
+EXAMPLES = 4
 # Runs whose small errors grow too large: from bounce to bounce, and where a restitution just below
 # 1 parts balls that at 1 stay together.
 GROWING = ("bouncing_ball_hills", "newtons_cradle")
