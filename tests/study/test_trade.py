@@ -53,7 +53,7 @@ def test_slopes_are_those_of_theory(model: str) -> None:
 def test_the_error_of_time_stepping_falls_with_the_step(model: str) -> None:
     # The ball's bounces accumulate: its modes are never those of the reference, its path is.
     runner = Runner(model)
-    steps = [Setting(engine="impulse", step=runner.end() * 1e-3 * 0.5**k) for k in range(6)]
+    steps = [Setting(engine="impulse", step=runner.end() * 1e-3 * 0.5**k) for k in range(7)]
     found = traded(runner, settings=steps)
     assert found.points[-1].same_modes is (model != "bouncing_ball")
     (slope,) = slopes(found)
