@@ -16,7 +16,7 @@ import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.scene.expansion import BROKEN, judged_at_start
+from contacts.scene.expansion import BROKEN, joints_judged_at_start
 from contacts.states import CLOSED, OFF
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
@@ -114,7 +114,7 @@ class Controllers:
         self._guards: dict[tuple[Key, bool], ControlGuards] = {}
         self.names = tuple(mechanics.scene.regions)
         self.initial: Key = tuple(mechanics.scene.controlled.initial.values())
-        self._decided_at_start = judged_at_start(mechanics.scene)
+        self._joints_judged_at_start = joints_judged_at_start(mechanics.scene)
 
     def named(self, states: Key) -> dict[str, str]:
         """Return controller -> state."""
@@ -149,7 +149,7 @@ class Controllers:
                     raise next(iter(refused.values()), problem) from None
                 refused[states] = problem
             else:
-                due = due_in(states, start) if self._decided_at_start else frozenset()
+                due = due_in(states, start) if self._joints_judged_at_start else frozenset()
                 following = self._switched(states, due)
                 if following in refused:
                     raise refused[following]
@@ -160,7 +160,7 @@ class Controllers:
     def _opened(self, states: Key, problem: DeclarationProblem) -> Key | None:
         """Return the states with the closed joint of a problem off, None if it stays closed."""
         joint = str(problem.loc[1]) if problem.loc[:1] == ("joints",) else ""
-        place = self._decided_at_start.get(joint)
+        place = self._joints_judged_at_start.get(joint)
         if place is None or states[place] != CLOSED:
             return None
         return (*states[:place], OFF, *states[place + 1 :])
@@ -168,7 +168,7 @@ class Controllers:
     def _switched(self, states: Key, due: Set[tuple[int, int]]) -> Key:
         """Return the states with the first joint switched whose guard is due."""
         regions = [*self._mechanics.scene.controlled.flat.values()]
-        for place in self._decided_at_start.values():
+        for place in self._joints_judged_at_start.values():
             if triggers := [trigger for region, trigger in due if region == place]:
                 target = regions[place].answer(states[place], triggers).target
                 if target != BROKEN:
@@ -300,15 +300,14 @@ class ControllerState:
         return of_motion._replace(project=project)
 
     def enter_initial_states(
-        self, setup: SceneSetup, clock: Clock, state: Array, states: Key | None = None
+        self, setup: SceneSetup, clock: Clock, state: Array, states: Key
     ) -> Array:
         """Return the state after the controllers have entered their initial `states`.
 
         A joint that starts off although its region begins closed captures nothing.
         """
         regions = self._mechanics.scene.controlled.flat
-        begun = states or tuple(region.initial for region in regions.values())
-        for (name, region), entered in zip(regions.items(), begun, strict=True):
+        for (name, region), entered in zip(regions.items(), states, strict=True):
             if entered == region.initial:
                 state = self.updated(setup, clock, name, region.begins, state)
         return state

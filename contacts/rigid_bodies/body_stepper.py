@@ -296,7 +296,7 @@ class BodyStepper(Stepper):
         """
         scene, owners = self._scene, self._bodies.owners
         memory = ControllerState(self._mechanics)
-        initial = memory.enter_initial_states(setup, Clock(), setup.initial)
+        initial = memory.enter_initial_states(setup, Clock(), setup.initial, self.controls)
         placed, remembered = np.split(initial, [2 * bodies.size])
         run_of(bodies).capture(remembered)
         length, speed = setup.scales.length, setup.scales.speed

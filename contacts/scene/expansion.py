@@ -202,7 +202,7 @@ def _region(scene: SceneFields, name: str, joint: Joint) -> Controller:
     return region.model_copy(update={"variables": dict.fromkeys(captures, 0)})
 
 
-def judged_at_start(scene: SceneFields) -> dict[str, int]:
+def joints_judged_at_start(scene: SceneFields) -> dict[str, int]:
     """Return joints that ask for contacts or other joints -> the places of their regions.
 
     Their relations depend on the first mode of a run; the scene is expanded.

@@ -43,7 +43,7 @@ class Difference(sp.Function):
 class _Extremum:
     """Extremum without the terms that a sign of a difference excludes.
 
-    SymPy also factors all differences, which took half of the time of scenes with conditions.
+    SymPy also factors all differences: two fifths of the time of scenes gated by states.
     """
 
     @classmethod
