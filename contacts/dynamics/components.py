@@ -53,7 +53,6 @@ def components(
         automaton,
         lambda made: partial(_restrict, numbers[id(made)]),
         _shown,
-        joint=True,
     )
 
 
