@@ -47,7 +47,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ModelFile 
 
 
 def _is_model(path: Path) -> bool:
-    """Return whether a YAML file declares that it is a model."""
+    """Return whether a YAML file declares the kind of a model."""
     from statechart.documents.files import read_bounded
     from statechart.documents.yaml_reader import MAX_BYTES
     from statechart.errors import DeclarationError
@@ -96,7 +96,7 @@ class ModelItem(pytest.Item):
         return str(super().repr_failure(excinfo, style))
 
     def reportinfo(self) -> tuple[Path, int | None, str]:
-        """Return where the item is."""
+        """Return the location of the item."""
         return self.path, None, f"model {self.name}"
 
 

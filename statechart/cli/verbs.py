@@ -101,7 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _deliver(
     runner: Runner, result: Result, parameters: Mapping[str, float], arguments: argparse.Namespace
 ) -> bool:
-    """Save and print a run; return whether all of it could be."""
+    """Save and print a run; return whether no part failed."""
     pieces, failure = PartialReport(), ""
     result = replace(result, trace=result.trace.at_hand())
 
@@ -271,7 +271,7 @@ def modes(arguments: argparse.Namespace) -> int:
 
 
 def draw(arguments: argparse.Namespace) -> int:
-    """Draw the statechart, with the path of a run where asked for or needed; or the scene."""
+    """Draw the scene or the statechart, with the path of a run if requested or needed."""
     from statechart.diagram.scxml import unexpressed_parts
     from statechart.diagram.write import SUFFIXES, write
     from statechart.reporting.figure import SUFFIXES as FIGURES
@@ -419,7 +419,7 @@ def check(arguments: argparse.Namespace) -> int:
 
 @contextmanager
 def _hypothesis_folder() -> Iterator[None]:
-    """Let Hypothesis keep its notes elsewhere: in the user's folder nothing is left behind."""
+    """Store the example database of Hypothesis in a temporary folder."""
     from hypothesis.configuration import set_hypothesis_home_dir
 
     with tempfile.TemporaryDirectory() as folder:
@@ -439,7 +439,7 @@ def schema(arguments: argparse.Namespace) -> int:
 
 
 def compile(arguments: argparse.Namespace) -> int:
-    """Compile all kernels; say on stderr how far that is, and at the end how long it took."""
+    """Compile all kernels, with a progress line and the total time on stderr."""
     from statechart.cli.ahead_of_time import compile_kernels
 
     compile_kernels(quiet=arguments.quiet)

@@ -116,7 +116,7 @@ NEAR = 0.05
 
 
 class Begin(Enum):
-    """Continuation of a call for steps."""
+    """Start of a call for steps, relative to the last call."""
 
     NEW = "another flow, or another run"
     MOVED = "the same flow, its state projected since"

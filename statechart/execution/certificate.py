@@ -170,7 +170,7 @@ class Certificate:
             return states
 
     def _arrived(self, instant: Instant) -> list[Array]:
-        """Return the state of an event, displaced states at theirs, and one along the flow."""
+        """Return the event state, displaced states at their own events, and one along the flow."""
         before, size = instant.state, len(self._scale)
         self._later, self._early, flow = np.zeros(size), 0.0, np.zeros(size)
         if self._before is None:
@@ -246,7 +246,7 @@ class Certificate:
 
 
 def _jump_target(laws: Laws, instant: Instant, jump: Jump) -> Array | None:
-    """Return the state after a jump from a nearby instant; None if another jump is made there."""
+    """Return the state after a jump from a nearby instant; None for a different jump."""
     for _ in range(_MAX_REARRANGEMENTS):
         try:
             result = laws.jump(instant)

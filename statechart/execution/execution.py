@@ -541,7 +541,7 @@ class Execution:
         return self.outcome is Outcome.STOPPED
 
     def _pass(self) -> None:
-        """Keep how a mode that ends without an arc shares its load."""
+        """Record the load sharing of a mode that ends without an arc."""
         arcs, jumps, roles = self.record.arcs, len(self.record.jumps), self.flow.moving
         if roles != roles_in(self.flow.mode) and not (len(arcs) and arcs[-1].j == jumps):
             self.passed_roles[jumps] = roles

@@ -16,7 +16,7 @@ from statechart.pictures.film import Film
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Instants of a run, as a stage wants them."""
+    """Instants of a run for a film."""
 
     times: Array  # (k,), in order
     jumps: NDArray[np.int64]  # (k,), how many precede each instant
@@ -32,7 +32,7 @@ class Moments:
 
 
 class Stage(Protocol):
-    """A model as something to look at."""
+    """Geometry of a model for pictures and films."""
 
     @property
     def wanted(self) -> tuple[str, ...]:
