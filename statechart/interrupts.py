@@ -2,7 +2,7 @@
 
 SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt where they arrive. Inside a loop that writes a
 trace they would leave it half-written, and inside compiled code they raise another error. Such code
-holds them back (`held`), and the loop calls `check` between its steps. Compilation is long and has
+defers them (`deferred`), and the loop calls `check` between its steps. Compilation is long and has
 no result to lose: `let_through` lets signals interrupt it.
 """
 
@@ -63,7 +63,7 @@ def check() -> None:
 
 
 @contextmanager
-def held(*, firmly: bool = False) -> Iterator[None]:
+def deferred(*, firmly: bool = False) -> Iterator[None]:
     """Defer signals: only `check` raises.
 
     In a process that does not `listen` that holds for SIGINT, and for the main thread.
@@ -94,7 +94,7 @@ def held(*, firmly: bool = False) -> Iterator[None]:
 
 @contextmanager
 def let_through() -> Iterator[None]:
-    """Let signals raise KeyboardInterrupt at once, inside `held`."""
+    """Let signals raise KeyboardInterrupt at once, inside `deferred`."""
     outer = _now.hold
     if outer == _FIRM:
         yield

@@ -85,13 +85,13 @@ class ModelItem(pytest.Item):
         if not report.passed:
             place = self.path.with_name(f"{self.path.stem}{_FAILURE}.yaml")
             write_atomic(place, report.reproduction.encode())
-            raise NotHeld(report, place)
+            raise PropertyViolated(report, place)
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> str:
         """Report the violated property, or the error of the file, without internal frames."""
         from statechart.errors import StatechartError
 
-        if isinstance(excinfo.value, NotHeld | StatechartError):
+        if isinstance(excinfo.value, PropertyViolated | StatechartError):
             return str(excinfo.value)
         return str(super().repr_failure(excinfo, style))
 
@@ -100,7 +100,7 @@ class ModelItem(pytest.Item):
         return self.path, None, f"model {self.name}"
 
 
-class NotHeld(Exception):  # noqa: N818 - what happened, as users read it
+class PropertyViolated(Exception):  # noqa: N818 - what happened, as users read it
     """A property that does not hold."""
 
     def __init__(self, report: CheckReport, written: Path) -> None:

@@ -15,7 +15,7 @@ from statechart.pictures.film import Film
 
 
 @dataclass(frozen=True, eq=False)
-class Moments:
+class FilmInstants:
     """Instants of a run for a film."""
 
     times: Array  # (k,), in order
@@ -35,8 +35,8 @@ class Stage(Protocol):
     """Geometry of a model for pictures and films."""
 
     @property
-    def wanted(self) -> tuple[str, ...]:
+    def observables(self) -> tuple[str, ...]:
         """Observables that a film needs beside the variables."""
 
-    def film(self, moments: Moments) -> Film:
+    def film(self, moments: FilmInstants) -> Film:
         """Return the look of the model at instants of a run."""

@@ -80,7 +80,7 @@ def stored_study(arguments: argparse.Namespace) -> Study | None:
     return load(arguments.output)
 
 
-def shown_study(
+def study_for_page(
     model: Declaration, page: str | None, output: str | None = None
 ) -> tuple[Study | None, tuple[str, ...]]:
     """Return the study that `trade` stored in the folder of a page, and warnings."""
@@ -123,10 +123,10 @@ def check_animation(runner: Runner, arguments: argparse.Namespace) -> None:
             )
         return
     from statechart.pictures.animation import check
-    from statechart.reporting.film import Showing, stage_of
+    from statechart.reporting.film import AnimationOptions, stage_of
 
     check_file("--animate", output)
-    shown = Showing(**options)
+    shown = AnimationOptions(**options)
     check(Path(output), shown.size, shown.speed, shown.trail)
     stage_of(runner.automaton)
 
