@@ -15,8 +15,8 @@ from contacts.dynamics.held_forces import HeldForces
 from contacts.dynamics.mechanics import HAULED, Mechanics, winch_end_message
 from contacts.dynamics.projection import (
     Projection,
+    constraint_key,
     dead_point,
-    held_key,
     in_contact,
     landed,
     on_constraints,
@@ -36,7 +36,13 @@ from contacts.event_driven.accumulation import close_immediately
 from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from contacts.event_driven.decision import cause, check_declared, choose_at_rest
 from contacts.event_driven.handovers import Handovers
-from contacts.event_driven.impact_jump import Landing, Rules, flow_in, impact_jump, shown_roles
+from contacts.event_driven.impact_jump import (
+    Landing,
+    Rules,
+    flow_in,
+    impact_jump,
+    mark_captured_roles,
+)
 from contacts.event_driven.switching import Switching, alike
 from contacts.impacts.bounces import reopens_immediately, rest_of_passages
 from contacts.impacts.jamming import Jam, listed_mode, off_state, strike_jammed, unbounded_jam
@@ -238,9 +244,7 @@ class SceneLaws:
         if result is None or (jump := result[0]) is None:
             return result
         flow, setup, offsets = result[1], at.setup, self.numbers.gap_offsets
-        # Controller variables precede the parameters.
-        parameters = setup.values[len(setup.values) - len(self.numbers.places) :]
-        known = parameters if at.flow.values is None else at.flow.values
+        known = setup.values if at.flow.values is None else at.flow.values
         count = self._count
         before, moving = moving_mode(at.flow.roles)[:count], moving_mode(flow.roles)[:count]
         began = [
@@ -258,7 +262,7 @@ class SceneLaws:
             new_offsets = np.where(began, np.where(near, gaps, 0.0), new_offsets)
         values = None
         if new_offsets.any():
-            values = parameters.copy()
+            values = setup.values.copy()
             values[offsets] = new_offsets
         return jump, flow._replace(values=values)
 
@@ -351,7 +355,7 @@ class SceneLaws:
         closed.
         """
         flow, moving = at.flow, moving_mode(at.flow.roles)
-        held = held_key(flow.roles, snapshot.soft)
+        held = constraint_key(flow.roles, snapshot.soft)
         state = landed(held, snapshot, at.state, setup.tolerances)
         slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
         rested = self._rested(flow, held, snapshot, at.fired, setup.slip_tolerance)
@@ -380,8 +384,7 @@ class SceneLaws:
         setup, snapshot, moving = here.setup, here.snapshot, here.moving
         jam = self._grown(here)
         if jam is None:
-            sizes = setup.scales.sizes[: len(here.at.state) // 2]
-            sizes = np.append(sizes, np.ones(snapshot.unreduced.pads))
+            sizes = np.append(setup.scales.coordinates, np.ones(snapshot.unreduced.pads))
             # Contacts that share a load have dependent constraints by design.
             why = dead_point(snapshot, setup.contacts, moving, sizes)
             if why and roles_in(moving) == uncaptured(here.at.flow.roles):
@@ -402,7 +405,7 @@ class SceneLaws:
         target = choice.taken.states
         skipping = moving != flow.mode
         if target == moving and not (skipping and fired == ("zeno",)):
-            goes_on = shown_roles(flow.mode, choice.taken.roles)
+            goes_on = mark_captured_roles(flow.mode, choice.taken.roles)
             if goes_on != flow.roles:
                 # Zones that change may leave or come to the boundary of a cone.
                 own = {n: t for n, t in flow.tolerances.items() if not self._of_forces((n,))}
@@ -414,11 +417,11 @@ class SceneLaws:
             # The force fell off the constraints by their error: on them it may not have. Projected
             # once per instant (`settled`): twice changes the last bits.
             if state is at.state and self._of_forces(fired):
-                state = on_constraints(held_key(flow.roles, snapshot.soft), snapshot, state)
+                state = on_constraints(constraint_key(flow.roles, snapshot.soft), snapshot, state)
             if np.array_equal(state, at.state):
                 return None
             return None, flow._replace(settled=True, start=state)
-        held = held_key(choice.taken.roles, snapshot.soft)
+        held = constraint_key(choice.taken.roles, snapshot.soft)
         after = landed(held, snapshot, state, setup.tolerances)
         snapshot_after = (
             snapshot if after is state else self.tape.at(setup.values, after, clock.high)
@@ -448,8 +451,8 @@ class SceneLaws:
         if flow.sizes is None:
             return moving
         # Round-off of the rates of coordinates; rates of pads of compliant contacts come after.
-        rounding = EPS * flow.sizes[len(flow.sizes) // 2 :]
-        n = len(rounding)
+        n = snapshot.size
+        rounding = EPS * flow.sizes[n : 2 * n]
         return tuple(
             ("locked" if state in SLIPPING else "pin")
             if f"{name}.slip" in fired
