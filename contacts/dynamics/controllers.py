@@ -7,7 +7,6 @@ parameters.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence, Set
-from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
@@ -20,7 +19,6 @@ from contacts.scene.expansion import BROKEN, joints_judged_at_start
 from contacts.states import CLOSED, OFF
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
-from statechart.automaton.constraints import Constraints
 from statechart.automaton.regions import Edge, Region, State
 from statechart.automaton.trace import Key, Role
 from statechart.charts.flatten import FlatRegion, FlatTransition, Updates
@@ -209,7 +207,7 @@ class ControlGuards:
                 **dict(zip(forces, unknown, strict=True)),
                 **memory,
             },
-            inputs=(*mechanics.variables, *memory, *mechanics.a, *forces, *unknown),
+            inputs=(*mechanics.state, *mechanics.a, *forces, *unknown),
             parameters=mechanics.parameters.ordered,
             time=mechanics.time,
             timers=[
@@ -273,32 +271,6 @@ class ControllerState:
         self._size = len(mechanics.variables)
         self._updates: dict[tuple[tuple[tuple[str, object], ...], ...], Tape] = {}
 
-    def parted(self, state: Array) -> Array:
-        """Return positions and rates: the state without the controllers' variables."""
-        return state[: self._size] if self._names else state
-
-    def joined(self, motion: Array, state: Array) -> Array:
-        """Return positions and rates with the controllers' variables of `state`."""
-        return np.concatenate([motion, state[self._size :]]) if self._names else motion
-
-    def within(self, setup: SceneSetup, state: Array) -> SceneSetup:
-        """Return the setup with the controllers' variables as the first parameters."""
-        if not self._names:
-            return setup
-        return replace(setup, values=np.concatenate([state[self._size :], setup.values]))
-
-    def constraints(self, of_motion: Constraints, setup: SceneSetup) -> Constraints:
-        """Return constraints of positions and rates as those of the whole state."""
-        if not self._names:
-            return of_motion
-
-        def project(state: Array, time: float) -> Array:
-            motion = self.parted(state)
-            projected = of_motion.project(motion, time, self.within(setup, state).values)
-            return state if projected is motion else self.joined(projected, state)
-
-        return of_motion._replace(project=project)
-
     def enter_initial_states(
         self, setup: SceneSetup, clock: Clock, state: Array, states: Key
     ) -> Array:
@@ -326,7 +298,7 @@ class ControllerState:
         if tape is None:
             mechanics = self._mechanics
             values = values_after(blocks, mechanics.controller_state, mechanics.known)
-            tape = self._updates[key] = mechanics.whole_tape(values)
+            tape = self._updates[key] = mechanics.tape(values)
         remembered = tape.at(state, setup.values, clock.high)
         check_updated(cause, self._names, remembered)
         return np.concatenate([state[: self._size], remembered])

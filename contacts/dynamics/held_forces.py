@@ -39,7 +39,7 @@ class HeldForces:
             # The controls of the contact laws, not those that the mode solves for.
             controlled = {} if tape.states is None else values_in(mechanics, tape.states)
             motion = mechanics.equations[: len(mechanics.q)]
-            self._tapes[mode] = mechanics.whole_tape(
+            self._tapes[mode] = mechanics.tape(
                 [equation.xreplace(controlled) for equation in motion], definitions=mode.definitions
             )
         values = setup.values.copy()

@@ -119,7 +119,7 @@ def close_immediately(
 
 def _moves_tangentially(key: Key, snapshot: Snapshot, state: Array, setup: SceneSetup) -> bool:
     """Return whether projecting the gaps of `key` to zero would move a contact tangentially."""
-    displacement = (on_constraints(key, snapshot, state) - state)[: len(state) // 2]
+    displacement = (on_constraints(key, snapshot, state) - state)[: snapshot.size]
     return any(
         abs(float(contact.jacobian[1] @ displacement)) > setup.tolerances["gap"]
         for contact, mode in zip(snapshot.unreduced.contacts, key, strict=True)

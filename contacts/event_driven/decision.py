@@ -114,8 +114,7 @@ def _level_feet(
 
 def _motions(setup: SceneSetup, snapshot: Snapshot) -> tuple[Array, Array]:
     """Return the independent motions (coordinates, n) that joints allow, and their sizes (n,)."""
-    sizes = setup.scales.sizes[: len(setup.scales.sizes) // 2]
-    whole = np.append(sizes, np.ones(snapshot.unreduced.pads))
+    whole = np.append(setup.scales.coordinates, np.ones(snapshot.unreduced.pads))
     basis = np.eye(len(whole)) if snapshot.reduction is None else snapshot.reduction.basis
     return basis, 1.0 / np.abs(basis / whole[:, None]).max(axis=0)
 
@@ -145,8 +144,8 @@ def choose_at_rest(
     its slider in line): friction cannot hold the linkage there, and the point slips as the motion
     goes on. `at` gives the snapshot at a state after a time.
     """
-    slip_tolerance, half = setup.slip_tolerance, len(state) // 2
-    sizes = setup.scales.sizes[:half]
+    slip_tolerance, sizes = setup.slip_tolerance, setup.scales.coordinates
+    half = len(sizes)
     basis, levers = _motions(setup, snapshot)
     idle = [
         i
@@ -179,8 +178,9 @@ def choose_at_rest(
 
     def slips(later: float) -> Array:
         """Return the slips of the points after a time."""
-        rates = later * accelerations
-        moved = np.append(state[:half] + 0.5 * later * rates, rates)
+        rates, moved = later * accelerations, state.copy()
+        moved[:half] += 0.5 * later * rates
+        moved[half : 2 * half] = rates
         moved = on_constraints(("free",) * len(touching), at(moved, later), moved)
         contacts = at(moved, later).contacts
         return np.array([contacts[i].slip for i in idle])

@@ -244,9 +244,7 @@ class SceneLaws:
         if result is None or (jump := result[0]) is None:
             return result
         flow, setup, offsets = result[1], at.setup, self.numbers.gap_offsets
-        # Controller variables precede the parameters.
-        parameters = setup.values[len(setup.values) - len(self.numbers.places) :]
-        known = parameters if at.flow.values is None else at.flow.values
+        known = setup.values if at.flow.values is None else at.flow.values
         count = self._count
         before, moving = moving_mode(at.flow.roles)[:count], moving_mode(flow.roles)[:count]
         began = [
@@ -264,7 +262,7 @@ class SceneLaws:
             new_offsets = np.where(began, np.where(near, gaps, 0.0), new_offsets)
         values = None
         if new_offsets.any():
-            values = parameters.copy()
+            values = setup.values.copy()
             values[offsets] = new_offsets
         return jump, flow._replace(values=values)
 
@@ -386,8 +384,7 @@ class SceneLaws:
         setup, snapshot, moving = here.setup, here.snapshot, here.moving
         jam = self._grown(here)
         if jam is None:
-            sizes = setup.scales.sizes[: len(here.at.state) // 2]
-            sizes = np.append(sizes, np.ones(snapshot.unreduced.pads))
+            sizes = np.append(setup.scales.coordinates, np.ones(snapshot.unreduced.pads))
             # Contacts that share a load have dependent constraints by design.
             why = dead_point(snapshot, setup.contacts, moving, sizes)
             if why and roles_in(moving) == uncaptured(here.at.flow.roles):
@@ -454,8 +451,8 @@ class SceneLaws:
         if flow.sizes is None:
             return moving
         # Round-off of the rates of coordinates; rates of pads of compliant contacts come after.
-        rounding = EPS * flow.sizes[len(flow.sizes) // 2 :]
-        n = len(rounding)
+        n = snapshot.size
+        rounding = EPS * flow.sizes[n : 2 * n]
         return tuple(
             ("locked" if state in SLIPPING else "pin")
             if f"{name}.slip" in fired

@@ -121,13 +121,15 @@ class ForceUncertainty(NamedTuple):
         """Return the uncertainty of the violation of a mode, in the scales."""
         setup, tolerance, total = self.setup, self.setup.force_uncertainty, 0.0
         speed_tolerance = setup.tolerances["speed"]
+        sizes = setup.scales.sizes
         state_errors = (
             speed_tolerance
             / setup.scales.speed
-            * np.maximum(setup.scales.sizes, np.abs(self.state))
+            * np.maximum(sizes, np.abs(self.state[: len(sizes)]))
         )
         time_error = speed_tolerance / setup.scales.acceleration
-        shifted_states = [(self.state + step, 0.0) for step in np.diag(state_errors)]
+        steps = state_errors[:, None] * np.eye(len(sizes), len(self.state))
+        shifted_states = [(self.state + step, 0.0) for step in steps]
         for state, time in [*shifted_states, (self.state, time_error)]:
             shifted = case._replace(snapshot=self.at(state, time), tie=tolerance)
             (solved,) = candidates(shifted, [(role,) for role in candidate.states])

@@ -99,8 +99,8 @@ def bodies_automaton(scene: Scene) -> Automaton:
     return Automaton(
         name=scene.name,
         declaration=scene,
-        names=(*mechanics.variable_names, *mechanics.controller_state),
-        variables=(*mechanics.variables, *mechanics.controller_state.values()),
+        names=mechanics.state_names,
+        variables=mechanics.state,
         parameter_names=mechanics.parameters.names,
         parameters=mechanics.parameters.ordered,
         time=mechanics.time,

@@ -227,14 +227,14 @@ class StepControl:
         Raises `NoConsistentMode` if its points are farther apart than a step moves them, and
         `UnsolvedImpulses` if no impulses stop the contacts.
         """
-        setup, time = self._memory.within(self._setup, state), recorder.clock.high
-        motion, named = self._memory.parted(state), self._states.named(self.states)
+        setup, time, before = self._setup, recorder.clock.high, state
+        named = self._states.named(self.states)
         tape, contacts = SnapshotTape(self._mechanics, named), setup.contacts
         held, impulses = dict[int, int](), np.zeros((len(contacts), 2))
-        before, snapshot = motion, tape.at(setup.values, motion, time)
+        snapshot = tape.at(setup.values, state, time)
         check_closing(self._mechanics, snapshot, joint, setup.tolerances["gap"], 2.0 * h)
-        motion = on_constraints(("free",) * len(contacts), snapshot, motion)
-        snapshot = tape.at(setup.values, motion, time)
+        state = on_constraints(("free",) * len(contacts), snapshot, state)
+        snapshot = tape.at(setup.values, state, time)
         touching = [
             i
             for i, code in enumerate(recorder.row[: len(contacts)].tolist())
@@ -254,7 +254,7 @@ class StepControl:
             push = np.einsum("ckn,ck->n", jacobians, pushes)
             change = np.linalg.lstsq(snapshot.mass, push)[0]
             velocity, impulses[touching] = snapshot.velocity + change, pushes
-            motion, slips = snapshot.moved(motion, velocity), jacobians[:, 1] @ velocity
+            state, slips = snapshot.moved(state, velocity), jacobians[:, 1] @ velocity
             held = self._scene.hold(
                 {
                     i: (snapshot.contacts[i].gap, float(slip))
@@ -264,10 +264,10 @@ class StepControl:
             )
         pairs = zip(contacts, impulses.tolist(), strict=True)
         return ClosingImpact(
-            self._memory.joined(motion, state),
+            state,
             held,
             {law.name: (V, H) for law, (V, H) in pairs if (V or H) and not law.coupling},
-            tape.joint_impulse(snapshot, before, motion, impulses),
+            tape.joint_impulse(snapshot, before, state, impulses),
         )
 
     def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:

@@ -604,12 +604,10 @@ class SceneStepper(Stepper):
         entered = memory.enter_initial_states(setup, Clock(), setup.initial, controls)
         setup = replace(setup, initial=entered)
         named = self._tapes.named(controls)
-        within = memory.within(setup, setup.initial)
-        within = replace(within, initial=memory.parted(setup.initial))
         if self._mechanics.joint_rows:
-            check_joints(self._mechanics, SnapshotTape(self._mechanics, named), within, RELATIVE)
+            check_joints(self._mechanics, SnapshotTape(self._mechanics, named), setup, RELATIVE)
         if self._scene.couplings:
-            snapshot = SnapshotTape(self._mechanics, named).at(within.values, within.initial, 0.0)
+            snapshot = SnapshotTape(self._mechanics, named).at(setup.values, entered, 0.0)
             check_limits([*self._scene.couplings], snapshot.limits)
         tape = self._tapes.at(controls)
         near = setup.tolerances["gap"]
@@ -619,7 +617,7 @@ class SceneStepper(Stepper):
         conditions = self._numbers.conditions
         if controls != self._tapes.initial:
             conditions = self._tapes.conditions(controls)
-        here = conditions.at(within, within.initial, 0.0)
+        here = conditions.at(setup, entered, 0.0)
         # Both edges of a valley hold a point at the kink.
         kinks = np.flatnonzero((np.abs(measured[:, 0]) <= near) & (measured[:, 4] > 0.0)).tolist()
         failing = conditions.first(here.with_boundary(here.verdicts(), kinks, ()))
