@@ -101,7 +101,7 @@ def close_immediately(
         return None
     if settled_velocity is None and slides:
         warnings.append(
-            "the friction impulse of the summed bounces is undetermined, and is left out"
+            "the friction impulse of the summed bounces is undetermined and set to zero"
         )
     choice = choose_mode(setup, snapshot, closing, paradox)
     if isinstance(choice, Jam):
