@@ -51,7 +51,7 @@ from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 from statechart.kernels.tapes import tape_values
 
-# A margin is zero below this fraction of its terms, whatever the tolerance of the run.
+# A margin is zero below this fraction of its terms, for any tolerance of the run.
 _ZERO_MARGIN = 2.0**-40
 _TIME_ROUND_OFF = 8.0 * EPS
 _NO_VALUES: Mapping[sp.Symbol, sp.Expr] = MappingProxyType({})
