@@ -272,6 +272,8 @@ class BodyStepper(Stepper):
                         "force": 0.0, "plain": 0.0},
             scales=scales,
             contacts=(),
+            simultaneous=self._scene.simultaneous,
+            paradox=self._scene.paradox,
             capture=0.0,
             bands={},
             sizes=scales.state(remembered),
