@@ -196,7 +196,7 @@ KINDS: dict[str, Kind] = {
         lambda known: known["k"] * max(abs(known["v"]), math.sqrt(9.81 / known["k"])),
     ),
 }  # fmt: skip
-"""What takes turns."""
+"""Scenes that are drawn in turn."""
 
 # An error is plainly wrong from so many steps of the run on, and from so many times what is done
 # in a step; below the least never, above the most always.

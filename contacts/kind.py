@@ -116,7 +116,7 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
 
 
 def stage(automaton: Automaton) -> Stage:
-    """Return a scene as something to look at."""
+    """Return the stage of a scene, which makes its pictures and films."""
     from contacts.pictures.stage import SceneStage
 
     return SceneStage(automaton)

@@ -1,4 +1,4 @@
-"""States of a contact: the one place for their words, and the numbers that kernels know them by."""
+"""States of a contact: their names in documents, and their codes in kernels."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ class Projection:
         """
         values, tolerances, scales = setup.values, setup.tolerances, setup.scales
         gap_weight, speed_weight = 1.0 / tolerances["gap"], 1.0 / tolerances["speed"]
-        flow = held_key(roles, self._soft)
+        flow = constraint_key(roles, self._soft)
         pinned = any(state in STICKING for state in flow)
         weights = self._weights(flow, gap_weight, speed_weight)
         targets = np.zeros(len(weights))
@@ -128,7 +128,7 @@ class Projection:
 
         # At a loose tolerance a state that is not projected may be off by the gap's tolerance.
         blind_gap = max(BLIND_GAP * scales.length, tolerances["gap"])
-        missed = self.passed_over(flow)
+        missed = self.missed_surface_tape(flow)
         constraints = Constraints(self.tape, targets, weights, project, missed, blind_gap)
         return constraints
 
@@ -142,7 +142,7 @@ class Projection:
         moves = np.abs(np.array(rows[1:]) - rows[0]).sum(axis=0)
         return (EPS / _SHIFT) * moves[5 * len(self._gaps) :].reshape(-1, 2)
 
-    def passed_over(self, flow: Key) -> Tape | None:
+    def missed_surface_tape(self, flow: Key) -> Tape | None:
         """Return a tape of the gaps to curved surfaces, which detects bumps that a step missed."""
         if flow not in self._within:
             contacts = zip(self._gaps, flow, self._curved, strict=False)
@@ -188,7 +188,7 @@ class Projection:
         )
 
 
-def held_key(roles: Roles, soft: Sequence[bool]) -> Key:
+def constraint_key(roles: Roles, soft: Sequence[bool]) -> Key:
     """Return the states of roles, `slide` for a pinned compliant contact that others imply.
 
     Its tangential constraint holds within a tolerance only (`contacts.scene.modes.share_of`):

@@ -10,7 +10,7 @@ import numpy as np
 
 from contacts.dynamics.conditions import hidden
 from contacts.dynamics.contact_law import sliding_edge
-from contacts.dynamics.projection import held_key, landed, on_constraints
+from contacts.dynamics.projection import constraint_key, landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot, answer
 from contacts.event_driven.decision import choose_mode
@@ -105,7 +105,7 @@ def close_immediately(
     if isinstance(choice, Jam):
         return None
     roles = choice.roles
-    after = landed(held_key(roles, snapshot.soft), snapshot, state, setup.tolerances)
+    after = landed(constraint_key(roles, snapshot.soft), snapshot, state, setup.tolerances)
     warning = "; ".join(filter(None, warnings))
     # If no mode is left to change (a bar that rattles over a crest opens all contacts; the last of
     # several rods closes at this impact), there is no time to wait.

@@ -12,7 +12,7 @@ import numpy as np
 
 from contacts.dynamics.conditions import hidden
 from contacts.dynamics.contact_law import ContactLaw, sliding_edge
-from contacts.dynamics.projection import held_key, landed
+from contacts.dynamics.projection import constraint_key, landed
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape, answer, solve_kkt
 from contacts.event_driven.decision import check_listed, choose_mode, explain_choice
@@ -107,16 +107,16 @@ def flow_in(
     """
     remaining = math.inf if bounce_time is None else bounce_time
     if not isinstance(moved_by, Choice):
-        roles = roles_in(mode) if moved_by is None else shown_roles(mode, moved_by)
+        roles = roles_in(mode) if moved_by is None else mark_captured_roles(mode, moved_by)
         return Flow(mode, roles, remaining, warning, settled, tolerances=setup.bands)
     warning = "; ".join(filter(None, (warning, moved_by.warning)))
     tolerances = {**setup.bands, **moved_by.tolerances} if moved_by.tolerances else setup.bands
-    roles, notes = shown_roles(mode, moved_by.roles), moved_by.notes
+    roles, notes = mark_captured_roles(mode, moved_by.roles), moved_by.notes
     flow = Flow(mode, roles, remaining, warning, settled, notes, tolerances=tolerances)
     return flow._replace(near_bound=moved_by.near_bound)
 
 
-def shown_roles(mode: Key, roles: Roles) -> Roles:
+def mark_captured_roles(mode: Key, roles: Roles) -> Roles:
     """Mark contacts as captured that move as closed and are shown as free (skipped bounces)."""
     return tuple(
         [
@@ -261,7 +261,7 @@ def _choose_entered(
     choice = choose_mode(setup, following, touching, before, uncertainty)
     moving = moving_mode(choice.roles)
     state = landed(
-        held_key(choice.roles, following.soft), following, struck.state, setup.tolerances
+        constraint_key(choice.roles, following.soft), following, struck.state, setup.tolerances
     )
     # A contact whose bounces are skipped moves as closed and is shown as free.
     target = tuple(

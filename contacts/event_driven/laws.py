@@ -15,8 +15,8 @@ from contacts.dynamics.held_forces import HeldForces
 from contacts.dynamics.mechanics import HAULED, Mechanics, winch_end_message
 from contacts.dynamics.projection import (
     Projection,
+    constraint_key,
     dead_point,
-    held_key,
     in_contact,
     landed,
     on_constraints,
@@ -40,7 +40,7 @@ from contacts.event_driven.impact_jump import (
     Landing,
     flow_in,
     impact_jump,
-    shown_roles,
+    mark_captured_roles,
     uncertainty_at,
 )
 from contacts.event_driven.switching import Switching, alike
@@ -340,7 +340,7 @@ class SceneLaws:
         closed.
         """
         flow, moving = at.flow, moving_mode(at.flow.roles)
-        held = held_key(flow.roles, snapshot.soft)
+        held = constraint_key(flow.roles, snapshot.soft)
         state = landed(held, snapshot, at.state, setup.tolerances)
         slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
         rested = self._rested(flow, held, snapshot, at.fired, setup.slip_tolerance)
@@ -390,7 +390,7 @@ class SceneLaws:
         target = choice.taken.states
         skipping = moving != flow.mode
         if target == moving and not (skipping and fired == ("zeno",)):
-            goes_on = shown_roles(flow.mode, choice.taken.roles)
+            goes_on = mark_captured_roles(flow.mode, choice.taken.roles)
             if goes_on != flow.roles:
                 # Zones that change may leave or come to the boundary of a cone.
                 own = {n: t for n, t in flow.tolerances.items() if not self._of_forces((n,))}
@@ -402,11 +402,11 @@ class SceneLaws:
             # The force fell off the constraints by their error: on them it may not have. Projected
             # once per instant (`settled`): twice changes the last bits.
             if state is at.state and self._of_forces(fired):
-                state = on_constraints(held_key(flow.roles, snapshot.soft), snapshot, state)
+                state = on_constraints(constraint_key(flow.roles, snapshot.soft), snapshot, state)
             if np.array_equal(state, at.state):
                 return None
             return None, flow._replace(settled=True, start=state)
-        held = held_key(choice.taken.roles, snapshot.soft)
+        held = constraint_key(choice.taken.roles, snapshot.soft)
         after = landed(held, snapshot, state, setup.tolerances)
         snapshot_after = (
             snapshot if after is state else self.tape.at(setup.values, after, clock.high)

@@ -208,7 +208,7 @@ class BodyShapes:
                 (
                     one
                     for key, one in scene.joints.items()
-                    if key == own or (own is None and {*bodies} == _held_by(one))
+                    if key == own or (own is None and {*bodies} == _bodies_of(one))
                 ),
                 None,
             )
@@ -276,7 +276,7 @@ def disc_of(scene: Scene, contact: Contact, number: Callable[[str | int | float]
     return 0.0
 
 
-def _held_by(joint: Joint) -> set[str]:
+def _bodies_of(joint: Joint) -> set[str]:
     return {end.body for end in joint.ends.values()}
 
 

@@ -29,9 +29,9 @@ from contacts.rigid_bodies.declared_numbers import (
     link_numbers,
     touchable_surfaces,
 )
+from contacts.rigid_bodies.default_step import default_step, forced_speed, led_speed
 from contacts.rigid_bodies.initial_penetration import check_containers, check_penetration
 from contacts.rigid_bodies.mechanics import BodyMechanics
-from contacts.rigid_bodies.own_step import forced_speed, led_speed, own_step
 from contacts.rigid_bodies.prescribed_motion import Paths, PrescribedMotion
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts, RigidBodyRun
 from contacts.scene.checks import check_physical
@@ -110,7 +110,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
         laws=None,
         controls=mechanics.controls,
         stepper=stepper,
-        own_step=lambda: stepper().own_step(),
+        default_step=lambda: stepper().default_step(),
     )
 
 
@@ -144,8 +144,8 @@ class BodyStepper(Stepper):
         self._surfaces = touchable_surfaces(mechanics.scene)
         self._warnings = (*lint(declared), *undecided_couplings(mechanics))
 
-    def own_step(self) -> float:
-        """Return the default step size at the declared parameters; see `own_step`."""
+    def default_step(self) -> float:
+        """Return the default step size at the declared parameters; see `default_step`."""
         setup, bodies = self._new_run({}, DEFAULT_IMPULSES.tolerance, False)
         controlled, end = self._scene.controlled, self._scene.stop.time
         each = [controlled.initial]
@@ -162,7 +162,7 @@ class BodyStepper(Stepper):
         )
         remembered = setup.initial[len(self._mechanics.variables) :]
         led = led_speed(self._paths, bodies.numbers, known, remembered, until)
-        return own_step(bodies.numbers, setup.scales, max(forced, led))
+        return default_step(bodies.numbers, setup.scales, max(forced, led))
 
     def setup(self, overrides: Mapping[str, float]) -> SceneSetup:
         """Return the setup of a run.

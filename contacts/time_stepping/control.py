@@ -89,7 +89,7 @@ class StepControl:
         """Return the steps until a controller may act, and whether one may."""
         if not len(chunk.codes):
             return chunk, False
-        shown = recorder.shown(chunk)
+        shown = recorder.recorded_modes(chunk)
         known, _, last = self._zero
         before = last if known == self.states else None
         due, zero = self._due(

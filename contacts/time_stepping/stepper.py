@@ -152,7 +152,7 @@ class SteppedRun:
                 raise self._inputs.failure
             steps = self._steps()
             while True:
-                with interrupts.held():
+                with interrupts.deferred():
                     going = next(steps, False)
                 if not going:
                     return
@@ -286,8 +286,8 @@ class SteppedRun:
         """Pass finished arcs and jumps to the watcher, and drop them if they are not recorded."""
         record, watch = self.request.policy
         if record is not Record.MODES:
-            looked_at = watch is not None and (ended or watch.motion)
-            arcs, jumps = self.recorder.taken(looked_at=looked_at)
+            watched = watch is not None and (ended or watch.motion)
+            arcs, jumps = self.recorder.take_finished(watched=watched)
             if watch is not None and (arcs or jumps):
                 watch.add(replace(self._piece, arcs=arcs, jumps=jumps))
 

@@ -66,7 +66,9 @@ class Automaton:
     # Set by states of regions (`State.values`), exactly once in every mode, in order of evaluation.
     controls: tuple[sp.Symbol, ...] = ()
     stepper: Callable[[], TimeStepper] | None = None  # creates the time stepper, if any
-    own_step: Callable[[], float] | None = None  # default time step from the scales of the model
+    default_step: Callable[[], float] | None = (
+        None  # default time step from the scales of the model
+    )
     coordinates: Coordinates | None = None  # of mechanics, for minimal coordinates
     components: Callable[[], tuple[Component, ...]] = tuple  # uncoupled parts; none if connected
 

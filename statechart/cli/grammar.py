@@ -384,7 +384,7 @@ def _positive(text: str) -> int:
 
 
 def script(shell: str) -> str:
-    """Return the script by which a shell completes verbs, options, files, and shipped models."""
+    """Return the completion script of a shell: verbs, options, files, shipped models."""
     import shtab
 
     whole = parser()

@@ -30,7 +30,7 @@ _SETTINGS = {
 
 
 def program() -> int:
-    """Be the process `statechart`: `main` with its signals, streams and garbage looked after."""
+    """Run `main` as the process `statechart`: set up signals, streams and garbage collection."""
     try:
         interrupts.listen()
         for name, value in _SETTINGS.items():

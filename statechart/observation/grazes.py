@@ -18,7 +18,11 @@ from statechart.automaton.regions import whole_margins
 from statechart.automaton.trace import Arc, Jump, Roles, Trace, sizes
 from statechart.engines.compiled_flow import EVALUATION_ROUND_OFF
 from statechart.execution.compiled_modes import CompiledMode
-from statechart.execution.finding import STATE_ROUND_OFF, STATE_TOLERANCES, margin_errors
+from statechart.execution.event_classification import (
+    STATE_ROUND_OFF,
+    STATE_TOLERANCES,
+    margin_errors,
+)
 from statechart.execution.simulator import Simulator
 from statechart.formulas.tape import contiguous
 from statechart.kernels.polynomials import sample_states

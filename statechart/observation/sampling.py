@@ -188,7 +188,7 @@ def _solved_rows(trace: Trace, endpoints: Sequence[Endpoint], width: int) -> Arr
     return rows
 
 
-def passed_modes(trace: Trace) -> list[Jump]:
+def instantaneous_modes(trace: Trace) -> list[Jump]:
     """Return the jumps into modes of zero duration, and the last jump; none for time stepping."""
     if trace.step is not None:
         return []

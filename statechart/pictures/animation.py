@@ -71,7 +71,7 @@ def _round(end: float) -> float:
 
 
 def check(path: Path, size: int, speed: float | None = None, trail: float | None = None) -> None:
-    """Check that an animation can be written, before the work that leads to it.
+    """Check that an animation can be written, before its run is made.
 
     A wrong suffix, size, speed or trail raises a DeclarationError, a missing ffmpeg a
     StatechartError.
@@ -104,7 +104,7 @@ def write_animation(
     trail: float | None = None,
     progress: bool = False,
 ) -> None:
-    """Write a film as an animation, whole or not at all, in the format of the path's suffix.
+    """Write a film as an animation, atomically, in the format of the path's suffix.
 
     The instants of the film are evenly spaced, `speed` units of its time pass in a second, and
     `size` is the number of pixels of the longer side; `trail` as in `Drawing`. With `progress`
@@ -158,7 +158,7 @@ def _pictures(film: Film, clock: str, size: int, trail: float | None) -> Iterato
 
 
 def _write_clock(picture: Image.Image, words: str, font: ImageFont.FreeTypeFont) -> None:
-    """Write the time on paper, by Pillow: matplotlib took a third of a picture for it."""
+    """Write the time into a picture by Pillow; matplotlib spends a third of a picture on it."""
     from PIL import ImageDraw
 
     drawn = ImageDraw.Draw(picture)

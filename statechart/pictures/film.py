@@ -1,4 +1,4 @@
-"""A picture that moves, as plain values: shapes in frames, where these are at instants, forces."""
+"""Film of a run as plain values: shapes in frames, poses of the frames over time, forces."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Touch:
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """The look of a run at k instants, the shapes from back to front."""
+    """Pictures of a run at k instants, the shapes from back to front."""
 
     title: str
     times: Array  # (k,), in order
@@ -102,7 +102,7 @@ class Film:
 
     @property
     def unit(self) -> float:
-        """A length that marks of a fixed size are measured by: the width of the larger side."""
+        """Unit length of marks of fixed size: the larger side of the picture."""
         return 2.0 * max(self.half)
 
     @property
@@ -112,7 +112,7 @@ class Film:
 
     @property
     def spacing(self) -> float:
-        """Between the strokes of a hatching."""
+        """Distance between the strokes of a hatching."""
         return HATCH * self.unit
 
     def clock(self, instant: int) -> str:

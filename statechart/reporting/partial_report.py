@@ -68,7 +68,7 @@ class PartialReport:
             del self.failed[name]
         self._signals, before = interrupts.signal_count(), self._signals
         try:
-            with interrupts.held(firmly=True):
+            with interrupts.deferred(firmly=True):
                 return self.attempt(name, partial(work, True), otherwise)
         finally:
             self._signals = before

@@ -279,9 +279,9 @@ class Result:
         progress : bool
             Whether to report progress to stderr.
         """
-        from statechart.reporting.film import Showing, animate
+        from statechart.reporting.film import AnimationOptions, animate
 
-        showing = Showing(speed, size, trail)
+        showing = AnimationOptions(speed, size, trail)
         return animate(self.observer, self.trace, path, showing, progress=progress)
 
     @check_arguments

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from contacts.rigid_bodies.own_step import inscribed_radius
+from contacts.rigid_bodies.default_step import inscribed_radius
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
