@@ -32,7 +32,8 @@ SCALARS, EDGES = 11, 7
 `EDGES` on the unit edges of its cone in slide+ and slide-, at the size of its slip."""
 
 INEXACT_SYSTEM = (
-    "the equations of a mode cannot be solved to 1e-8: masses or lengths differ too much"
+    "the equations of a mode cannot be solved to 1e-8: masses or lengths differ too much; "
+    "use more similar ones"
 )
 
 

@@ -99,7 +99,7 @@ def close_immediately(
         return None
     if settled_velocity is None and slides:
         warnings.append(
-            "the friction impulse of the summed bounces is undetermined, and is left out"
+            "the friction impulse of the summed bounces is undetermined and set to zero"
         )
     choice = choose_mode(setup, snapshot, closing)
     if isinstance(choice, Jam):

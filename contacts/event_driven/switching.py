@@ -254,7 +254,10 @@ class Switching:
             goes_off = before[i] not in INACTIVE and i in corner
             if goes_off and len(corner) > 1 and all(after[j] in INACTIVE for j in corner):
                 names = ", ".join(self._names[j] for j in corner)
-                return f"{names} meet here, and all are off: the point may fall between them"
+                return (
+                    f"{names} meet here, and all are off: the point may fall through; "
+                    "let their conditions overlap"
+                )
         return ""
 
     def watched(

@@ -423,8 +423,8 @@ def _select_candidate(
     ]
     if not opened:
         raise AmbiguousMode(
-            f"nothing declared decides between {labels}; leave one of them out of the modes of "
-            "its contact, or change friction or the start"
+            f"the declaration does not decide between {labels}; remove one of them from the modes "
+            "of its contact, or change friction or the start"
         )
     # Painleve's indeterminate case: a contact could also stay closed with a force without cause.
     # The candidates with the smallest sets of loaded contacts do without.

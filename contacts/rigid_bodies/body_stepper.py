@@ -233,7 +233,7 @@ class BodyStepper(Stepper):
         if not sizes[0] > _NO_INERTIA:
             name = list(self._declared.coordinates)[int(np.argmax(np.abs(shapes[:, 0])))]
             raise DeclarationProblem(
-                "it moves without an inertia where the run starts, or as other coordinates do",
+                "it has no inertia at the start, or moves the same bodies as other coordinates",
                 advice="let it move a body that has a mass or an inertia there",
                 loc=("coordinates", name),
             )

@@ -507,7 +507,7 @@ class RigidBodyRun(SteppedSystem):
             name = self._names[int(np.argmin(chunk.gaps[k, : self._moving]))]
             self._gain_error = UnsolvedImpulses(
                 f"no impulses keep {name} out of what it touches while joints hold; prescribed "
-                "motions or constraints leave it no room"
+                "motions or constraints squeeze it"
             )
         return chunk.first(k)
 

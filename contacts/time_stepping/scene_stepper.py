@@ -482,7 +482,7 @@ class SteppedScene(SteppedSystem):
                 "without collision resolves this"
             )
         return NoConsistentMode(
-            f"contact {name!r} would be {state} by t = {end:.9g}, and {state.rstrip('+-')} is not "
+            f"contact {name!r} would be {state} by t = {end:.7g}, and {state.rstrip('+-')} is not "
             "among its modes; add it, or end the run before"
         )
 

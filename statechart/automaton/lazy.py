@@ -61,7 +61,7 @@ class LazySequence(Sequence[T], Generic[T]):
             return tuple([self._at(i) for i in range(*place.indices(len(self)))])
         count = len(self)
         if not -count <= place < count:
-            raise IndexError(f"there are {count} of them, and none at {place}")
+            raise IndexError(f"index {place} is out of range: there are {count} items")
         return self._at(place % count)
 
     def __iter__(self) -> Iterator[T]:

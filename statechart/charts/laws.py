@@ -392,7 +392,6 @@ def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Com
             lambda part: {**part, "variables": list(part.get("variables", ()))},
             composed,
             lambda _: _restricted,
-            joint=False,
         )
     except (StatechartError, ValidationError):
         return ()

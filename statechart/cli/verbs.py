@@ -322,7 +322,7 @@ def _open(path: Path) -> None:
     import webbrowser
 
     if not webbrowser.open(path.resolve().as_uri()):
-        print("no browser was found; open this file in one", file=sys.stderr)
+        print("no browser was found; open the file yourself", file=sys.stderr)
 
 
 def trade(arguments: argparse.Namespace) -> int:

@@ -689,6 +689,6 @@ class RunPlanner:
         if plan.chosen is not None:
             found = replay(once, plan.chosen)
             if found is not None:
-                return found, f"{basis}, as that run"
-            basis += ", which runs otherwise here"
+                return found, f"{basis}, with the same result"
+            basis += ", which gives another result here"
         return tighten(once, setting.accuracy, first=first, floor=floor), basis

@@ -460,7 +460,7 @@ class RunInputs:
             if self._end is None:
                 raise DeclarationProblem(
                     "the run has no end",
-                    advice="write stop: {time: 10}, or say until when",
+                    advice="write stop: {time: 10}, or pass until",
                     loc=("stop",),
                 )
             end = self._end.value(self.values(overrides) if self._end.names else {})
