@@ -170,6 +170,8 @@ class SceneNumbers:
             horizon=LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
             contacts=self.contacts(values),
+            simultaneous=self.scene.simultaneous,
+            paradox=self.scene.paradox,
             capture=force_uncertainty(relative) * scales.speed,
             bands={
                 n: ROUNDING * abs(v) if math.isfinite(v) else 0.0

@@ -17,7 +17,6 @@ from contacts.event_driven.decision import choose_mode
 from contacts.event_driven.impact_jump import flow_in
 from contacts.impacts.jamming import Jam, strike_jammed
 from contacts.impacts.simultaneous import impacts
-from contacts.scene.parts import Resolution
 from contacts.states import INACTIVE, OPEN
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, moving_mode
@@ -40,7 +39,6 @@ def close_immediately(
     participating: Sequence[bool],
     period: float,
     remaining: float,
-    paradox: Resolution,
 ) -> tuple[Jump, Flow] | None:
     """Close the participating contacts at once; return the last jump and the flow after it.
 
@@ -103,7 +101,7 @@ def close_immediately(
         warnings.append(
             "the friction impulse of the summed bounces is undetermined and set to zero"
         )
-    choice = choose_mode(setup, snapshot, closing, paradox)
+    choice = choose_mode(setup, snapshot, closing)
     if isinstance(choice, Jam):
         return None
     roles = choice.roles

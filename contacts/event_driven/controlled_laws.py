@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 
 from contacts.dynamics.conditions import Conditions
-from contacts.dynamics.controllers import Controllers, ControllerState, opening_first
+from contacts.dynamics.controllers import Controllers
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape, close_compliant
@@ -43,14 +43,11 @@ class ControlledLaws:
         self, contacts: SceneLaws, mechanics: Mechanics, regions: Sequence[Region]
     ) -> None:
         self._contacts = contacts
-        self._mechanics = mechanics
-        self._controllers = mechanics.scene.controlled.flat
-        self._names = tuple(self._controllers)
+        self._mechanics, self._states = mechanics, Controllers(mechanics)
+        self._controllers, self._names = self._states.flat, self._states.names
         self._regions = regions
         self._count = len(regions) - len(self._names)
         self._at = cache(self._laws_in)
-        self._states = Controllers(mechanics)
-        self._memory = ControllerState(mechanics)
         self._derivatives = MarginDerivatives(
             mechanics.state, mechanics.parameters.ordered, mechanics.time
         )
@@ -61,7 +58,6 @@ class ControlledLaws:
             for law in (scene.friction_of(name),)
             for text in (law and law.both, contact.restitution)
         )
-        self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
         self._leads = bool(mechanics.scene.leading)
         self._considered = {
             r.name: transition_outcomes(r) for r in regions if r.name in self._controllers
@@ -83,7 +79,7 @@ class ControlledLaws:
 
     def _begin(self, setup: SceneSetup, controllers: Key) -> tuple[Flow, Array]:
         """Return the first flow with initial states of controllers."""
-        state = self._memory.enter_initial_states(setup, Clock(), setup.initial, controllers)
+        state = self._states.enter_initial_states(setup, Clock(), setup.initial, controllers)
         inner = replace(self._within(setup, controllers), initial=state)
         flow, state = self._at(controllers).begin(inner)
         return self._joined(setup, Clock(), flow, controllers, state), state
@@ -111,9 +107,8 @@ class ControlledLaws:
             return self._joined_jump(at, jump, following, controllers)
         truths, rows = self._guard_truths(setup, clock, flow, state, fired)
         true = set() if truths is None else truths.due()
-        guarded = opening_first(true, self._names, controllers, self._joints)
+        guarded = self._states.opening_first(true, controllers)
         firing = self._queues.first(
-            self._controllers,
             controllers,
             flow.pending,
             guarded,
@@ -126,8 +121,8 @@ class ControlledLaws:
             return None, flow._replace(tolerances=tolerances)
         name, edge = self._names[firing.place], firing.taken
         states = (*controllers[: firing.place], edge.target, *controllers[firing.place + 1 :])
-        after = self._memory.updated(setup, clock, edge.name, edge.blocks, state)
-        if name in self._joints and edge.target == CLOSED:
+        after = self._states.updated(setup, clock, edge.name, edge.blocks, state)
+        if name in self._states.joints and edge.target == CLOSED:
             return self._closed(at, name, edge.name, states, after)
         before_update = laws.snapshot(inner, state, clock.high)
         contacts = flow.mode[: self._count]
@@ -198,7 +193,7 @@ class ControlledLaws:
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
         """Return the constraints of the closed contacts of `roles`, and of pinned points."""
         # Switched joints and led surfaces depend on the states of controllers.
-        depends_on_states = self._joints or self._leads
+        depends_on_states = self._states.joints or self._leads
         laws = self._at(moving_mode(roles[self._count :])) if depends_on_states else self._contacts
         return laws.constraints(setup, roles[: self._count], start, anchor)
 

@@ -16,7 +16,6 @@ from contacts.dynamics.snapshot import PerContact, Snapshot, close_compliant
 from contacts.impacts.jamming import Jam, paradoxes, resolve_jam
 from contacts.modes.classification import Before, Choice, ForceUncertainty, choose
 from contacts.modes.compiled_classification import ENDLESS
-from contacts.scene.parts import Resolution
 from contacts.solvers.dependence import DEAD_POINT, USER_DIGITS
 from contacts.states import INACTIVE, OFF, STICKING, cause_of, superstates_of
 from statechart.arrays import Array
@@ -28,7 +27,6 @@ def choose_mode(
     setup: SceneSetup,
     snapshot: Snapshot,
     touching: Sequence[bool],
-    paradox: Resolution,
     before: Before | None = None,
     uncertainty: ForceUncertainty | None = None,
 ) -> Choice | Jam:
@@ -46,7 +44,7 @@ def choose_mode(
             choice = choose(setup, level, touching, before, uncertainty)
     except NoConsistentMode as error:
         jam = resolve_jam(setup, snapshot, touching)
-        if paradox == "impact" and jam is not None:
+        if setup.paradox == "impact" and jam is not None:
             return replace(jam, considered=error.considered)
         paradoxes_met = paradoxes(setup, snapshot, touching)
         reports = "".join(f"; {paradox_met}" for paradox_met in paradoxes_met.values())
@@ -57,12 +55,12 @@ def choose_mode(
         may_open = all(
             "free" in law.states or not t for law, t in zip(setup.contacts, touching, strict=True)
         )
-        if sum(touching) > 1 and any(slides) and may_open and paradox == "impact":
+        if sum(touching) > 1 and any(slides) and may_open and setup.paradox == "impact":
             reports += "; where friction jams several contacts at once, take the engine impulse"
         raise NoConsistentMode(f"{error}{reports}", considered=error.considered) from None
     if np.abs(choice.taken.forces).max(initial=0.0) > ENDLESS * setup.scales.force:
         jam = resolve_jam(setup, snapshot, touching)
-        if paradox == "impact" and jam is not None:
+        if setup.paradox == "impact" and jam is not None:
             return replace(jam, considered=choice.considered)
     if choice.warning:
         paradoxes_met = paradoxes(setup, snapshot, touching)
@@ -132,7 +130,6 @@ def choose_at_rest(
     setup: SceneSetup,
     snapshot: Snapshot,
     touching: Sequence[bool],
-    paradox: Resolution,
     state: Array,
     at: Callable[[Array, float], Snapshot],
     before: Before | None = None,
@@ -162,7 +159,7 @@ def choose_at_rest(
         exact = zip(snapshot.contacts, jacobians, strict=True)
         contacts = tuple(contact._replace(jacobian=rows) for contact, rows in exact)
         snapshot = snapshot._replace(jacobians=jacobians, contacts=contacts)
-    choice = choose_mode(setup, snapshot, touching, paradox, before, uncertainty)
+    choice = choose_mode(setup, snapshot, touching, before, uncertainty)
     if not idle or isinstance(choice, Jam):
         return choice
     accelerations = snapshot.solved(choice.taken.accelerations, choice.taken.forces)[0][:half]
@@ -202,7 +199,7 @@ def choose_at_rest(
     if not turned:
         return choice
     snapshot = snapshot._replace(contacts=tuple(moving))
-    return choose_mode(setup, snapshot, touching, paradox, before, uncertainty)
+    return choose_mode(setup, snapshot, touching, before, uncertainty)
 
 
 def check_listed(setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool]) -> None:

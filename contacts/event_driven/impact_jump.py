@@ -20,7 +20,6 @@ from contacts.impacts.jamming import Jam, impact_without_collision, listed_mode,
 from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.modes.classification import Before, Choice, ForceUncertainty
 from contacts.scene.modes import INSIDE, OUTSIDE
-from contacts.scene.parts import Resolution, Simultaneous
 from contacts.states import INACTIVE, OPEN
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, Instant, moving_mode, roles_in
@@ -30,41 +29,6 @@ from statechart.errors import NoConsistentMode
 
 # Margins of a contact other than those of its forces.
 _KINEMATIC_MARGINS = ("gap", "slip", INSIDE, OUTSIDE)
-
-
-class Rules(NamedTuple):
-    """Impact laws of a scene, and its snapshots."""
-
-    tape: SnapshotTape
-    simultaneous: Simultaneous
-    paradox: Resolution
-
-    def uncertainty(self, landing: Landing, after: Array | None = None) -> ForceUncertainty | None:
-        """Return the uncertainty of forces at the end of a flow, or after an impact there.
-
-        Returns None if a mode has been chosen since.
-        """
-        at, names = landing.at, [law.name for law in landing.setup.contacts]
-        if not at.fired and not at.flow.near_bound:
-            return None
-
-        def numbers(state: Array, later: float) -> Snapshot:
-            snapshot = self.tape.at(landing.setup.values, state, at.clock.high + later)
-            return hidden(snapshot, at.flow.mode)
-
-        certain_modes = tuple(["free"] * len(names)) if at.flow.near_bound else landing.moving
-        off_margins = tuple(f"{name}.{state}:" for name in names for state in INACTIVE)
-        kinematic = tuple(f"{name}.{kind}" for name in names for kind in _KINEMATIC_MARGINS)
-        uncertain = [
-            i
-            for i, name in enumerate(names)
-            if any(
-                f.startswith(f"{name}.") and f not in kinematic and not f.startswith(off_margins)
-                for f in at.fired
-            )
-        ]
-        state = at.state if after is None else after
-        return ForceUncertainty(numbers, landing.setup, state, certain_modes, uncertain)
 
 
 class Landing(NamedTuple):
@@ -85,6 +49,36 @@ class Landing(NamedTuple):
     def hitting(self) -> list[int]:
         """The closed contacts that approach."""
         return self.snapshot.approaching(self.closed, self.slow)
+
+
+def uncertainty_at(
+    tape: SnapshotTape, landing: Landing, after: Array | None = None
+) -> ForceUncertainty | None:
+    """Return the uncertainty of forces at the end of a flow, or after an impact there.
+
+    Returns None if a mode has been chosen since.
+    """
+    at, names = landing.at, [law.name for law in landing.setup.contacts]
+    if not at.fired and not at.flow.near_bound:
+        return None
+
+    def numbers(state: Array, later: float) -> Snapshot:
+        snapshot = tape.at(landing.setup.values, state, at.clock.high + later)
+        return hidden(snapshot, at.flow.mode)
+
+    certain_modes = tuple(["free"] * len(names)) if at.flow.near_bound else landing.moving
+    off_margins = tuple(f"{name}.{state}:" for name in names for state in INACTIVE)
+    kinematic = tuple(f"{name}.{kind}" for name in names for kind in _KINEMATIC_MARGINS)
+    uncertain = [
+        i
+        for i, name in enumerate(names)
+        if any(
+            f.startswith(f"{name}.") and f not in kinematic and not f.startswith(off_margins)
+            for f in at.fired
+        )
+    ]
+    state = at.state if after is None else after
+    return ForceUncertainty(numbers, landing.setup, state, certain_modes, uncertain)
 
 
 class _Struck(NamedTuple):
@@ -132,7 +126,7 @@ def mark_captured_roles(mode: Key, roles: Roles) -> Roles:
 
 
 def impact_jump(
-    rules: Rules,
+    tape: SnapshotTape,
     landing: Landing,
     event: tuple[str, str],
     jam: Jam | None = None,
@@ -144,15 +138,15 @@ def impact_jump(
     meets, whose velocity it does not allow.
     """
     at, setup, closed, speed_tolerance = landing.at, landing.setup, landing.closed, landing.slow
-    struck = _solve_struck(rules, landing, jam)
+    struck = _solve_struck(tape, landing, jam)
     laws, contacts, bounce_times = struck.laws, struck.snapshot.contacts, struck.bounce_times
     touching = struck.snapshot.remaining(closed, speed_tolerance)
-    mode, moved_by, after, settled = _choose_entered(rules, landing, struck, touching)
+    mode, moved_by, after, settled = _choose_entered(tape, landing, struck, touching)
     target = listed_mode(mode, setup, struck.snapshot)
-    energy = rules.tape.at(setup.values, after, at.clock.high).energy
+    energy = tape.at(setup.values, after, at.clock.high).energy
     bounce_time = max(bounce_times.values(), default=None)
     impulses = struck.result.impulses
-    joint_impulse = rules.tape.joint_impulse(
+    joint_impulse = tape.joint_impulse(
         landing.snapshot, at.state if before is None else before, after, impulses
     )
     jump = at.jump(
@@ -193,12 +187,12 @@ def impact_jump(
     return jump, flow, struck.snapshot
 
 
-def _solve_struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
+def _solve_struck(tape: SnapshotTape, landing: Landing, jam: Jam | None) -> _Struck:
     """Compute an impact, and sum the bounces that follow it if that is possible."""
     (_, clock, _, flow, state, _), setup, snapshot, _, closed = landing
 
     def seen(state: Array, later: float = 0.0) -> Snapshot:
-        return hidden(rules.tape.at(setup.values, state, clock.high + later), flow.mode)
+        return hidden(tape.at(setup.values, state, clock.high + later), flow.mode)
 
     def apply(
         laws: Sequence[ContactLaw],
@@ -218,12 +212,12 @@ def _solve_struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
         if jam is not None:
             result = impact_without_collision(snapshot, laws, jam.place)
         else:
-            result = impacts(snapshot, laws, strike_jammed(laws, closed), rules.simultaneous)
+            result = impacts(snapshot, laws, strike_jammed(laws, closed), setup.simultaneous)
         return apply(laws, snapshot, state, result)
 
     def strike_again(state: Array, later: float, hit: Sequence[bool]) -> tuple[Snapshot, Snapshot]:
         laws, again = setup.contacts, seen(state, later)
-        result = impacts(again, laws, strike_jammed(laws, hit), rules.simultaneous)
+        result = impacts(again, laws, strike_jammed(laws, hit), setup.simultaneous)
         return again, apply(laws, again, state, result, later).snapshot
 
     elastic = under(setup.contacts)
@@ -253,7 +247,7 @@ def _solve_struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
 
 
 def _choose_entered(
-    rules: Rules, landing: Landing, struck: _Struck, touching: list[bool]
+    tape: SnapshotTape, landing: Landing, struck: _Struck, touching: list[bool]
 ) -> tuple[Key, Choice | Roles, Array, bool]:
     """Return the mode after an impact, its choice or roles, the state, and if it is settled."""
     setup, following = landing.setup, struck.snapshot
@@ -263,9 +257,9 @@ def _choose_entered(
     if not any(touching):
         flying = tuple(name if name in INACTIVE else "free" for name in landing.at.flow.mode)
         return flying, roles_in(flying), struck.state, settled
-    uncertainty = rules.uncertainty(landing, struck.state)
+    uncertainty = uncertainty_at(tape, landing, struck.state)
     before = Before.flow(landing.at.flow.roles)
-    choice = choose_mode(setup, following, touching, rules.paradox, before, uncertainty)
+    choice = choose_mode(setup, following, touching, before, uncertainty)
     moving = moving_mode(choice.roles)
     state = landed(
         constraint_key(choice.roles, following.soft), following, struck.state, setup.tolerances

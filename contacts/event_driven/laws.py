@@ -38,10 +38,10 @@ from contacts.event_driven.decision import cause, check_declared, choose_at_rest
 from contacts.event_driven.handovers import Handovers
 from contacts.event_driven.impact_jump import (
     Landing,
-    Rules,
     flow_in,
     impact_jump,
     mark_captured_roles,
+    uncertainty_at,
 )
 from contacts.event_driven.switching import Switching, alike
 from contacts.impacts.bounces import reopens_immediately, rest_of_passages
@@ -81,12 +81,11 @@ class SceneLaws:
     def __init__(self, mechanics: Mechanics, numbers: SceneNumbers) -> None:
         self._mechanics = mechanics
         self._modes = mechanics.scene.initial_modes
-        self._paradox = mechanics.scene.paradox
         self._names = mechanics.scene.frictional
         self._count = len(mechanics.scene.contacts)
         self.numbers = numbers
         self.conditions = self.numbers.conditions
-        self._switching = Switching(self._names, self.conditions, self._paradox)
+        self._switching = Switching(self._names, self.conditions)
         self.held = HeldForces(mechanics)
         self.compliance = Compliance(mechanics, None) if mechanics.pads else None
         self.remarks = Handovers(mechanics).remarks
@@ -104,10 +103,6 @@ class SceneLaws:
         return Projection(self._mechanics, self.tape)
 
     @cached_property
-    def _rules(self) -> Rules:
-        return Rules(self.tape, self._mechanics.scene.simultaneous, self._paradox)
-
-    @cached_property
     def compiled_laws(self) -> CompiledLaws | None:
         """The compiled part of the laws; None with joints, and if stop conditions overlap."""
         scene = self._mechanics.scene
@@ -118,7 +113,6 @@ class SceneLaws:
 
     def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:
         """Return the laws with the forces of a tape, under other conditions."""
-        rules = self._rules
         laws = copy.copy(self)
         joints = any(row.closed is not None for row in self._mechanics.joint_rows)
         if joints or self._mechanics.scene.leading:
@@ -128,8 +122,7 @@ class SceneLaws:
         laws.tape, laws.conditions = tape, conditions
         if laws.compliance is not None:
             laws.compliance = Compliance(laws._mechanics, tape.states)
-        laws._switching = Switching(self._names, conditions, self._paradox)
-        laws._rules = rules._replace(tape=tape)
+        laws._switching = Switching(self._names, conditions)
         laws.compiled_laws = None
         return laws
 
@@ -190,7 +183,6 @@ class SceneLaws:
             setup,
             snapshot,
             touching,
-            self._paradox,
             state,
             self._hidden_at(setup, 0.0, off),
             Before(),
@@ -284,18 +276,11 @@ class SceneLaws:
         if hitting:
             return self._impact(here, hitting)
         touching = here.snapshot.remaining(here.closed, here.slow)
-        uncertainty = self._rules.uncertainty(here)
+        uncertainty = uncertainty_at(self.tape, here)
         before = Before.flow(at.flow.roles, here.moving)
         around = self._hidden_at(setup, clock.high, flow.mode)
         choice = choose_at_rest(
-            setup,
-            here.snapshot,
-            touching,
-            self._paradox,
-            here.at.state,
-            around,
-            before,
-            uncertainty,
+            setup, here.snapshot, touching, here.at.state, around, before, uncertainty
         )
         if isinstance(choice, Jam):
             if choice.sliding[choice.place] == here.moving[choice.place]:
@@ -332,7 +317,7 @@ class SceneLaws:
             moving_mode(at.flow.roles),
             [c.gap <= near for c in after.contacts],
         )
-        jump, flow, _ = impact_jump(self._rules, here, (joint, cause), before=at.state)
+        jump, flow, _ = impact_jump(self.tape, here, (joint, cause), before=at.state)
         _, energy_after = jump.energy or (0.0, 0.0)
         energy = snapshot.energy, energy_after
         return dataclasses.replace(jump, before=at.state, energy=energy), flow
@@ -345,7 +330,7 @@ class SceneLaws:
         here = self._landing(at, setup, hidden(snapshot, mode))
         if not here.hitting:
             return None
-        after = impact_jump(self._rules, here, self._struck(here.hitting))[0].after
+        after = impact_jump(self.tape, here, self._struck(here.hitting))[0].after
         return after, self.tape.at(setup.values, after, at.clock.high)
 
     def _landing(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> Landing:
@@ -390,7 +375,7 @@ class SceneLaws:
             if why and roles_in(moving) == uncaptured(here.at.flow.roles):
                 raise SingularMode(why)
             return None
-        if self._paradox == "stop":
+        if setup.paradox == "stop":
             raise NoConsistentMode(jam.why)
         return self._impact(here, [jam.place], jam)
 
@@ -511,7 +496,7 @@ class SceneLaws:
         period: float, rest: float,
     ) -> tuple[Jump, Flow] | None:  # fmt: skip
         at = partial(self.tape.at, setup.values, time=clock.high)
-        return close_immediately(setup, at, flow, jump, took_part, period, rest, self._paradox)
+        return close_immediately(setup, at, flow, jump, took_part, period, rest)
 
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
         """Return the constraints of the closed contacts of `roles`, and of pinned points."""
@@ -533,7 +518,7 @@ class SceneLaws:
     def _impact(
         self, here: Landing, hitting: list[int], jam: Jam | None = None
     ) -> tuple[Jump, Flow]:
-        jump, flow, following = impact_jump(self._rules, here, self._struck(hitting, jam), jam)
+        jump, flow, following = impact_jump(self.tape, here, self._struck(hitting, jam), jam)
         setup, closed, (before, after) = here.setup, here.closed, jump.energy or (0.0, 0.0)
         idle = jam is None and sum(closed) > 1 and after >= before
         if idle and reopens_immediately(setup, following, closed):
@@ -562,7 +547,7 @@ class SceneLaws:
 
         def strike(snapshot: Snapshot, closed: Sequence[bool]) -> Array:
             closed = strike_jammed(setup.contacts, closed)
-            return impacts(snapshot, setup.contacts, closed, self._rules.simultaneous).velocity
+            return impacts(snapshot, setup.contacts, closed, setup.simultaneous).velocity
 
         for on in (i for i in shut if points[i] == points[other]):
             rest = rest_of_passages(setup, at, strike, jump.after, on, other)

@@ -16,11 +16,7 @@ import numpy as np
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.couplings import ENABLED
 from contacts.dynamics.conditions import undecided_couplings
-from contacts.dynamics.controllers import (
-    Controllers,
-    ControllerState,
-    controller,
-)
+from contacts.dynamics.controllers import Controllers, controller
 from contacts.dynamics.parameters import with_sizes
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
@@ -272,6 +268,8 @@ class BodyStepper(Stepper):
                         "force": 0.0, "plain": 0.0},
             scales=scales,
             contacts=(),
+            simultaneous=self._scene.simultaneous,
+            paradox=self._scene.paradox,
             capture=0.0,
             bands={},
             sizes=scales.state(remembered),
@@ -295,8 +293,8 @@ class BodyStepper(Stepper):
         it.
         """
         scene, owners = self._scene, self._bodies.owners
-        memory = ControllerState(self._mechanics)
-        initial = memory.enter_initial_states(setup, Clock(), setup.initial, self.controls)
+        enter = self._controllers.enter_initial_states
+        initial = enter(setup, Clock(), setup.initial, self.controls)
         placed, remembered = np.split(initial, [2 * bodies.size])
         run_of(bodies).capture(remembered)
         length, speed = setup.scales.length, setup.scales.speed

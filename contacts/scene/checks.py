@@ -466,7 +466,7 @@ def check_kinks(scene: SceneFields) -> None:
 
 
 def has_switches(scene: SceneFields) -> bool:
-    """Return whether forces, flows or controls have abs, sign, min, max or sat of what changes."""
+    """Return whether forces, flows or controls have abs, sign, min, max or sat of variables."""
     changing, texts = _force_formulas(scene)
     controls = scene.controlled
     changing = {*changing, TIME, *controls.controller_state}

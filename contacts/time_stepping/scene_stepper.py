@@ -11,7 +11,7 @@ import numpy as np
 
 from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.contact_law import ContactLaw, edge
-from contacts.dynamics.controllers import Controllers, ControllerState
+from contacts.dynamics.controllers import Controllers
 from contacts.dynamics.mechanics import Mechanics, winch_end_message
 from contacts.dynamics.setup import ROUNDING, SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
@@ -600,8 +600,7 @@ class SceneStepper(Stepper):
         Returns initial modes, disabled contacts, warnings, and unknowns of a short step.
         """
         warnings = [*self._replaced_laws(setup), *self._cut(setup)]
-        memory = ControllerState(self._mechanics)
-        entered = memory.enter_initial_states(setup, Clock(), setup.initial, controls)
+        entered = self._tapes.enter_initial_states(setup, Clock(), setup.initial, controls)
         setup = replace(setup, initial=entered)
         named = self._tapes.named(controls)
         if self._mechanics.joint_rows:

@@ -217,7 +217,7 @@ class ChartLaws:
             truths = GuardTruths(
                 watch, rows, rate, flow.tolerances, fired, setup.precision, later, active
             )
-            firing = self._queues.first(self._flat, flow.mode, pending, truths.due(), holding)
+            firing = self._queues.first(flow.mode, pending, truths.due(), holding)
             if firing is None:
                 tolerances = truths.watched()
                 if tolerances == flow.tolerances:

@@ -278,7 +278,7 @@ class Advance:
         self.state, self._last_defect = following, math.inf
         steps, since = self._mark
         if self._proved - steps >= _PACE_STEPS:
-            # The root of what comes to zero has no series there.
+            # The root of an expression that reaches zero has no series there.
             self._check_method(self._reached, self._proved - 1)
             if self.engine.gives_way:
                 self._check_stiffness(self._proved - steps, self._reached - since)
