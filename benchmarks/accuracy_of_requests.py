@@ -53,7 +53,7 @@ OUTPUTS = {
         "when": Value(value="time", at="each A.touchdown"),
     },
 }
-# Engine and method, and the tightest accuracy that it is asked for, as a power of ten.
+# Engine and method, and the tightest requested accuracy, as a power of ten.
 ENGINES: dict[str, tuple[dict[str, str], int]] = {
     "auto": ({}, 10),
     "taylor": ({"engine": "taylor"}, 10),

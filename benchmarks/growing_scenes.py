@@ -104,7 +104,7 @@ def measured(text: str, engine: str, step: float | None) -> dict[str, object]:
         path = Path(folder) / "scene.yaml"
         path.write_text(text)
         command = [sys.executable, __file__, "--one", str(path), engine, str(step or 0)]
-        # heyoka keeps what it has compiled in XDG_CACHE_HOME: an empty one is a cold start.
+        # heyoka caches compiled code in XDG_CACHE_HOME: an empty one is a cold start.
         environment = os.environ | {"XDG_CACHE_HOME": folder}
         began = time.perf_counter()
         done = subprocess.run(

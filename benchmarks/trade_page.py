@@ -36,7 +36,7 @@ SYSTEMS: dict[str, tuple[str, str]] = {
     "Block on an incline": ("block_on_incline", "models/block_on_incline.yaml"),
     "Block under a harmonic force": ("stick_slip_block", "models/stick_slip_block.yaml"),
 }
-# Random scenes to which the accuracy is asked for.
+# Random scenes with a requested accuracy.
 COUNT, SEED = 200, 1
 # Warm runs of a setting: the first of a process are interpreted.
 REPEATS = 25

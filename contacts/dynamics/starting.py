@@ -180,7 +180,7 @@ def check_joints(
         _check_joints(mechanics, snapshots, setup, allowed)
     except DeclarationProblem as problem:
         declared = mechanics.parameters.names
-        values = dict(zip(declared, setup.values[-len(declared) :].tolist(), strict=True))
+        values = dict(zip(declared, setup.values.tolist(), strict=True))
         raise start_problem(mechanics.scene, problem, values) from None
 
 
@@ -211,7 +211,7 @@ def _check_joints(
     worst = max(speeds, key=lambda name: speeds[name])
     if speeds[worst] > speed_tolerance:
         size = len(change)
-        rates = setup.initial[size:] + change
+        rates = setup.initial[size : 2 * size] + change
         rate_names = [mechanics.scene.rate_name(name) for name in mechanics.names]
         raise DeclarationProblem(
             f"joint {worst!r} does not hold at the start: {_ends(mechanics, worst)} moving apart "
@@ -307,9 +307,7 @@ def _joints_at(snapshots: SnapshotTape, setup: SceneSetup, state: Array) -> Join
 
 
 def _nearest(mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup) -> str:
-    size = len(setup.initial) // 2
-    state = setup.initial.copy()
-    closest = np.inf
+    size, state, closest = snapshots.size, setup.initial.copy(), np.inf
     for _ in range(_MAX_ITERATIONS):
         joints = _joints_at(snapshots, setup, state).closed()
         gaps = joints.gaps

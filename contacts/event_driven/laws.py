@@ -15,8 +15,8 @@ from contacts.dynamics.held_forces import HeldForces
 from contacts.dynamics.mechanics import HAULED, Mechanics, winch_end_message
 from contacts.dynamics.projection import (
     Projection,
+    constraint_key,
     dead_point,
-    held_key,
     in_contact,
     landed,
     on_constraints,
@@ -36,7 +36,13 @@ from contacts.event_driven.accumulation import close_immediately
 from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from contacts.event_driven.decision import cause, check_declared, choose_at_rest
 from contacts.event_driven.handovers import Handovers
-from contacts.event_driven.impact_jump import Landing, Rules, flow_in, impact_jump, shown_roles
+from contacts.event_driven.impact_jump import (
+    Landing,
+    flow_in,
+    impact_jump,
+    mark_captured_roles,
+    uncertainty_at,
+)
 from contacts.event_driven.switching import Switching, alike
 from contacts.impacts.bounces import reopens_immediately, rest_of_passages
 from contacts.impacts.jamming import Jam, listed_mode, off_state, strike_jammed, unbounded_jam
@@ -75,12 +81,11 @@ class SceneLaws:
     def __init__(self, mechanics: Mechanics, numbers: SceneNumbers) -> None:
         self._mechanics = mechanics
         self._modes = mechanics.scene.initial_modes
-        self._paradox = mechanics.scene.paradox
         self._names = mechanics.scene.frictional
         self._count = len(mechanics.scene.contacts)
         self.numbers = numbers
         self.conditions = self.numbers.conditions
-        self._switching = Switching(self._names, self.conditions, self._paradox)
+        self._switching = Switching(self._names, self.conditions)
         self.held = HeldForces(mechanics)
         self.compliance = Compliance(mechanics, None) if mechanics.pads else None
         self.remarks = Handovers(mechanics).remarks
@@ -98,10 +103,6 @@ class SceneLaws:
         return Projection(self._mechanics, self.tape)
 
     @cached_property
-    def _rules(self) -> Rules:
-        return Rules(self.tape, self._mechanics.scene.simultaneous, self._paradox)
-
-    @cached_property
     def compiled_laws(self) -> CompiledLaws | None:
         """The compiled part of the laws; None with joints, and if stop conditions overlap."""
         scene = self._mechanics.scene
@@ -112,7 +113,6 @@ class SceneLaws:
 
     def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:
         """Return the laws with the forces of a tape, under other conditions."""
-        rules = self._rules
         laws = copy.copy(self)
         joints = any(row.closed is not None for row in self._mechanics.joint_rows)
         if joints or self._mechanics.scene.leading:
@@ -122,8 +122,7 @@ class SceneLaws:
         laws.tape, laws.conditions = tape, conditions
         if laws.compliance is not None:
             laws.compliance = Compliance(laws._mechanics, tape.states)
-        laws._switching = Switching(self._names, conditions, self._paradox)
-        laws._rules = rules._replace(tape=tape)
+        laws._switching = Switching(self._names, conditions)
         laws.compiled_laws = None
         return laws
 
@@ -184,7 +183,6 @@ class SceneLaws:
             setup,
             snapshot,
             touching,
-            self._paradox,
             state,
             self._hidden_at(setup, 0.0, off),
             Before(),
@@ -238,9 +236,7 @@ class SceneLaws:
         if result is None or (jump := result[0]) is None:
             return result
         flow, setup, offsets = result[1], at.setup, self.numbers.gap_offsets
-        # Controller variables precede the parameters.
-        parameters = setup.values[len(setup.values) - len(self.numbers.places) :]
-        known = parameters if at.flow.values is None else at.flow.values
+        known = setup.values if at.flow.values is None else at.flow.values
         count = self._count
         before, moving = moving_mode(at.flow.roles)[:count], moving_mode(flow.roles)[:count]
         began = [
@@ -258,7 +254,7 @@ class SceneLaws:
             new_offsets = np.where(began, np.where(near, gaps, 0.0), new_offsets)
         values = None
         if new_offsets.any():
-            values = parameters.copy()
+            values = setup.values.copy()
             values[offsets] = new_offsets
         return jump, flow._replace(values=values)
 
@@ -280,18 +276,11 @@ class SceneLaws:
         if hitting:
             return self._impact(here, hitting)
         touching = here.snapshot.remaining(here.closed, here.slow)
-        uncertainty = self._rules.uncertainty(here)
+        uncertainty = uncertainty_at(self.tape, here)
         before = Before.flow(at.flow.roles, here.moving)
         around = self._hidden_at(setup, clock.high, flow.mode)
         choice = choose_at_rest(
-            setup,
-            here.snapshot,
-            touching,
-            self._paradox,
-            here.at.state,
-            around,
-            before,
-            uncertainty,
+            setup, here.snapshot, touching, here.at.state, around, before, uncertainty
         )
         if isinstance(choice, Jam):
             if choice.sliding[choice.place] == here.moving[choice.place]:
@@ -328,7 +317,7 @@ class SceneLaws:
             moving_mode(at.flow.roles),
             [c.gap <= near for c in after.contacts],
         )
-        jump, flow, _ = impact_jump(self._rules, here, (joint, cause), before=at.state)
+        jump, flow, _ = impact_jump(self.tape, here, (joint, cause), before=at.state)
         _, energy_after = jump.energy or (0.0, 0.0)
         energy = snapshot.energy, energy_after
         return dataclasses.replace(jump, before=at.state, energy=energy), flow
@@ -341,7 +330,7 @@ class SceneLaws:
         here = self._landing(at, setup, hidden(snapshot, mode))
         if not here.hitting:
             return None
-        after = impact_jump(self._rules, here, self._struck(here.hitting))[0].after
+        after = impact_jump(self.tape, here, self._struck(here.hitting))[0].after
         return after, self.tape.at(setup.values, after, at.clock.high)
 
     def _landing(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> Landing:
@@ -351,7 +340,7 @@ class SceneLaws:
         closed.
         """
         flow, moving = at.flow, moving_mode(at.flow.roles)
-        held = held_key(flow.roles, snapshot.soft)
+        held = constraint_key(flow.roles, snapshot.soft)
         state = landed(held, snapshot, at.state, setup.tolerances)
         slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
         rested = self._rested(flow, held, snapshot, at.fired, setup.slip_tolerance)
@@ -380,14 +369,13 @@ class SceneLaws:
         setup, snapshot, moving = here.setup, here.snapshot, here.moving
         jam = self._grown(here)
         if jam is None:
-            sizes = setup.scales.sizes[: len(here.at.state) // 2]
-            sizes = np.append(sizes, np.ones(snapshot.unreduced.pads))
+            sizes = np.append(setup.scales.coordinates, np.ones(snapshot.unreduced.pads))
             # Contacts that share a load have dependent constraints by design.
             why = dead_point(snapshot, setup.contacts, moving, sizes)
             if why and roles_in(moving) == uncaptured(here.at.flow.roles):
                 raise SingularMode(why)
             return None
-        if self._paradox == "stop":
+        if setup.paradox == "stop":
             raise NoConsistentMode(jam.why)
         return self._impact(here, [jam.place], jam)
 
@@ -402,7 +390,7 @@ class SceneLaws:
         target = choice.taken.states
         skipping = moving != flow.mode
         if target == moving and not (skipping and fired == ("zeno",)):
-            goes_on = shown_roles(flow.mode, choice.taken.roles)
+            goes_on = mark_captured_roles(flow.mode, choice.taken.roles)
             if goes_on != flow.roles:
                 # Zones that change may leave or come to the boundary of a cone.
                 own = {n: t for n, t in flow.tolerances.items() if not self._of_forces((n,))}
@@ -414,11 +402,11 @@ class SceneLaws:
             # The force fell off the constraints by their error: on them it may not have. Projected
             # once per instant (`settled`): twice changes the last bits.
             if state is at.state and self._of_forces(fired):
-                state = on_constraints(held_key(flow.roles, snapshot.soft), snapshot, state)
+                state = on_constraints(constraint_key(flow.roles, snapshot.soft), snapshot, state)
             if np.array_equal(state, at.state):
                 return None
             return None, flow._replace(settled=True, start=state)
-        held = held_key(choice.taken.roles, snapshot.soft)
+        held = constraint_key(choice.taken.roles, snapshot.soft)
         after = landed(held, snapshot, state, setup.tolerances)
         snapshot_after = (
             snapshot if after is state else self.tape.at(setup.values, after, clock.high)
@@ -448,8 +436,8 @@ class SceneLaws:
         if flow.sizes is None:
             return moving
         # Round-off of the rates of coordinates; rates of pads of compliant contacts come after.
-        rounding = EPS * flow.sizes[len(flow.sizes) // 2 :]
-        n = len(rounding)
+        n = snapshot.size
+        rounding = EPS * flow.sizes[n : 2 * n]
         return tuple(
             ("locked" if state in SLIPPING else "pin")
             if f"{name}.slip" in fired
@@ -508,7 +496,7 @@ class SceneLaws:
         period: float, rest: float,
     ) -> tuple[Jump, Flow] | None:  # fmt: skip
         at = partial(self.tape.at, setup.values, time=clock.high)
-        return close_immediately(setup, at, flow, jump, took_part, period, rest, self._paradox)
+        return close_immediately(setup, at, flow, jump, took_part, period, rest)
 
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
         """Return the constraints of the closed contacts of `roles`, and of pinned points."""
@@ -530,7 +518,7 @@ class SceneLaws:
     def _impact(
         self, here: Landing, hitting: list[int], jam: Jam | None = None
     ) -> tuple[Jump, Flow]:
-        jump, flow, following = impact_jump(self._rules, here, self._struck(hitting, jam), jam)
+        jump, flow, following = impact_jump(self.tape, here, self._struck(hitting, jam), jam)
         setup, closed, (before, after) = here.setup, here.closed, jump.energy or (0.0, 0.0)
         idle = jam is None and sum(closed) > 1 and after >= before
         if idle and reopens_immediately(setup, following, closed):
@@ -559,7 +547,7 @@ class SceneLaws:
 
         def strike(snapshot: Snapshot, closed: Sequence[bool]) -> Array:
             closed = strike_jammed(setup.contacts, closed)
-            return impacts(snapshot, setup.contacts, closed, self._rules.simultaneous).velocity
+            return impacts(snapshot, setup.contacts, closed, setup.simultaneous).velocity
 
         for on in (i for i in shut if points[i] == points[other]):
             rest = rest_of_passages(setup, at, strike, jump.after, on, other)

@@ -182,7 +182,7 @@ def share(
         )
         all_rows = np.vstack([contact_rows, snapshot.reduction.joints.jacobian[joints]])
         _, order, _ = independent_rows(np.ascontiguousarray(all_rows.T))
-        # The rank of all rows is this sum, whatever the round-off.
+        # The rank of all rows is this sum, independent of round-off.
         coordinates = np.sort(order[: motion_rank + len(joints)])
     return Share(
         shared_forces,

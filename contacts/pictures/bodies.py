@@ -208,7 +208,7 @@ class BodyShapes:
                 (
                     one
                     for key, one in scene.joints.items()
-                    if key == own or (own is None and {*bodies} == _held_by(one))
+                    if key == own or (own is None and {*bodies} == _bodies_of(one))
                 ),
                 None,
             )
@@ -259,7 +259,7 @@ def _side_by_side(shapes: Sequence[Shape]) -> list[Shape]:
     coordinates = {}
     for lane in lanes.values():
         for place, shape in enumerate(lane):
-            # To the left of the first one, whichever end this one begins at.
+            # To the left of the first one, for either direction of this one.
             side = 1.0 if shape.frame == lane[0].frame else -1.0
             coordinates[id(shape)] = replace(shape, aside=side * (len(lane) - 1.0 - 2.0 * place))
     return [coordinates.get(id(shape), shape) for shape in shapes]
@@ -276,7 +276,7 @@ def disc_of(scene: Scene, contact: Contact, number: Callable[[str | int | float]
     return 0.0
 
 
-def _held_by(joint: Joint) -> set[str]:
+def _bodies_of(joint: Joint) -> set[str]:
     return {end.body for end in joint.ends.values()}
 
 

@@ -104,8 +104,8 @@ class Links:
         if not self._along(terms, states):
             # Coordinates that the force does not use are equal: a spring along an axis.
             states[:, self._unused(terms)] = 0.0
-            return self._found(terms, states) if self._along(terms, states) else []
-        return self._found(terms, states) or ["reaction"]
+            return self._link_kinds(terms, states) if self._along(terms, states) else []
+        return self._link_kinds(terms, states) or ["reaction"]
 
     def _terms(self, one: Force, other: Force) -> list[list[sp.Expr]]:
         return [[*force, *self._between(one, other)] for force in self._alternatives(one)]
@@ -114,7 +114,7 @@ class Links:
         still = self._at_rest(states)
         return not any(_off(self.sample_values(each, still)) for each in terms)
 
-    def _found(self, terms: Sequence[Sequence[sp.Expr]], states: Array) -> list[ShapeKind]:
+    def _link_kinds(self, terms: Sequence[Sequence[sp.Expr]], states: Array) -> list[ShapeKind]:
         kinds: list[ShapeKind] = []
         if any(self._stiff(each, self._at_rest(states)) for each in terms):
             kinds.append("spring")

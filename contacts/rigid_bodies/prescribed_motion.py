@@ -107,15 +107,15 @@ class Paths:
         return Positions(frames, places, poses)
 
 
-def _previous_frames(now: Array, look: Array) -> Array:
-    """Return frames (m, 3) half a step before `now` by mirroring `look`, half a step after it.
+def _previous_frames(now: Array, later: Array) -> Array:
+    """Return frames (m, 3) half a step before `now` by mirroring `later`, half a step after it.
 
     Rotation about a point continues uniformly.
     """
-    before = 2.0 * now - look
+    before = 2.0 * now - later
     turned = before[:, 2] - now[:, 2]
     cos, sin = np.cos(turned), np.sin(turned)
-    dx, dy = (now - look)[:, :2].T
+    dx, dy = (now - later)[:, :2].T
     before[:, :2] = now[:, :2] + np.stack([cos * dx - sin * dy, sin * dx + cos * dy], -1)
     return before
 

@@ -147,7 +147,7 @@ def names_for(scene: SceneFields, loc: Loc) -> frozenset[str]:
 
 
 def check_formulas(scene: SceneFields, findings: Findings) -> None:
-    """Check that formulas use names that mean something where they stand."""
+    """Check that formulas use only names that are defined at their place."""
     for loc, text in scene_formulas(scene):
         with findings:
             known, formula = names_for(scene, loc), parse(text)
@@ -229,7 +229,7 @@ def _changing_names(scene: SceneFields) -> Collection[str]:
 
 
 class Limit(NamedTuple):
-    """Least and greatest value of a formula, and the sentence where it is beyond."""
+    """Bounds of the value of a formula, and the message for a value beyond them."""
 
     loc: Loc
     text: FormulaText
@@ -410,7 +410,7 @@ def check_finite(scene: SceneFields, values: Mapping[str, float]) -> None:
 
 
 def check_rim(surface: Surface, loc: Loc) -> None:
-    """Check that a disc touches a surface where there is a formula for it."""
+    """Check that the contact of a disc with a surface has a closed form."""
     if surface.height is not None and "x" in parse(surface.height).names:
         raise DeclarationProblem(
             "a disc (a contact with a radius) cannot touch a height that depends on x",
@@ -466,7 +466,7 @@ def check_kinks(scene: SceneFields) -> None:
 
 
 def has_switches(scene: SceneFields) -> bool:
-    """Return whether forces, flows or controls have abs, sign, min, max or sat of what changes."""
+    """Return whether forces, flows or controls have abs, sign, min, max or sat of variables."""
     changing, texts = _force_formulas(scene)
     controls = scene.controlled
     changing = {*changing, TIME, *controls.controller_state}
@@ -676,7 +676,7 @@ def check_copies(scene: SceneFields) -> None:
 
 
 def check_coupled(scene: SceneFields, name: str) -> None:
-    """Check that the bodies of a coupling turn, and that something can be known of its limit."""
+    """Check that the bodies of a coupling can turn, and that its limit is determined."""
     coupling = scene.couplings[name]
     if coupling.joint is not None and coupling.joint not in scene.joints:
         return
@@ -796,7 +796,7 @@ def check_collisions(scene: SceneFields) -> None:
 
 
 def _check_path(scene: SceneFields, name: str) -> None:
-    """Check that the path of a fixed or led body is known ahead, and that nothing pulls at it."""
+    """Check that the path of a fixed or led body is prescribed, and that no force acts on it."""
     moving = _moving_names(scene)
     for key, text in zip(("x", "y", "angle"), scene.bodies[name].path, strict=True):
         for control in parse(text).names.intersection(scene.controls):
@@ -884,7 +884,7 @@ def check_prescribed(scene: SceneFields, findings: Findings) -> None:
 
 
 def _check_controller_state(scene: SceneFields) -> None:
-    """Check that the memory of controllers is known before the steps."""
+    """Check that variables of controllers do not depend on the motion of bodies."""
     moving = _moving_names(scene)
     for _, variable, text, loc in scene.controlled.declared_flows():
         used = [n for n in parse(text).names if n in moving]

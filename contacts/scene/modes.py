@@ -186,7 +186,7 @@ def share_of(
 
     zone, places = bearing.zone, bearing.coordinates
     if contact.compliance is not None and pinned and "t" not in bearing.rows:
-        # Feet that sink differently turn the body: what implied the constraint no longer does.
+        # Feet that sink differently turn the body: the other constraints imply this one no longer.
         slips = (("slip +", contact.slip), ("slip -", -contact.slip))
         implied = (Margin(f"{contact.name}.{side}", slip, "implied") for side, slip in slips)
         state = replace(state, margins=(*state.margins, *implied))

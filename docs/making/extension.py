@@ -11,7 +11,7 @@ from making import changelog, formats, gallery, tutorial, verbs
 from making.links import dead_links
 
 MADE = "made"
-"""Where in the folder of the pages what is made here goes."""
+"""Folder of the generated files, relative to the folder of the pages."""
 
 _log = logging.getLogger(__name__)
 

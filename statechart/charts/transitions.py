@@ -74,7 +74,7 @@ class Transition(fields.Part):
         default=None,
     )
     internal: StrictBool = declare(
-        "Whether the source, which holds the target, is neither left nor entered.",
+        "Keeps the source, which holds the target, active: it is neither exited nor entered.",
         True,
         default=False,
     )
@@ -181,7 +181,7 @@ class BaseState(fields.Part):
         default={},
     )
     transitions: tuple[Transition, ...] = declare(
-        "Ways between the states in it.",
+        "Transitions between the states in it.",
         [{"name": "begin", "from": "waiting", "to": "working", "after": 1}],
         default=(),
     )
@@ -192,8 +192,8 @@ class BaseState(fields.Part):
         default=None,
     )
     final: StrictBool = declare(
-        "Whether the state that holds it is done with it: entering it makes the event "
-        "STATE.done, of a state with regions once all of them are done.",
+        "Marks a final state: entering it completes the state that holds it and raises the event "
+        "STATE.done; a state with regions is complete once all of them are.",
         True,
         default=False,
     )
@@ -229,7 +229,7 @@ class BaseRegion(fields.Part):
     initial: str = declare("State at the start.", "flight")
     states: Mapping[str, BaseState] = declare("Name to state.", {"flight": {}, "stance": {}})
     transitions: tuple[Transition, ...] = declare(
-        "Ways between its states.",
+        "Transitions between its states.",
         [{"name": "land", "from": "flight", "to": "stance", "on": "foot.touchdown"}],
         default=(),
     )

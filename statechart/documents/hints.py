@@ -157,7 +157,7 @@ def known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> dict[str, st
 
 
 def other_word(model: type[BaseModel], loc: Sequence[str | int]) -> str:
-    """Return our notation for a key of another program, or an empty text."""
+    """Return the key that corresponds to one of another program, or an empty text."""
     members = _models(_annotations_at(model, loc[:-1]))
     key = _plain(str(loc[-1]))
     return next(

@@ -102,12 +102,13 @@ def _is_implied(
     if details["type"] == "missing":
         # A misspelt key, or one of another program, is also missing.
         *above, name = details["loc"]
+        # Advice on the latter may replace the mapping, as `friction: 0.5` does {mu: 0.5}.
         return any(
             other["type"] == "extra_forbidden"
             and list(other["loc"][:-1]) == above
             and (
                 difflib.get_close_matches(str(other["loc"][-1]), [str(name)])
-                or other_word(model, other["loc"]).partition(":")[0] == name
+                or other_word(model, other["loc"]).partition(":")[0] in (*above, name)
             )
             for other in errors
         )
@@ -390,7 +391,7 @@ def _locate(
     message = _message(document, problem)
     message = f"{path}: {message}" if path else message
     if overrides:
-        message += " with " + ", ".join(f"{k}={v:g}" for k, v in overrides.items()) + " set"
+        message += " (with " + ", ".join(f"{k} = {v:.7g}" for k, v in overrides.items()) + ")"
     if document is None:
         return DeclarationError(message, advice=problem.advice)
     at = document.position(problem.loc, key=problem.key).shifted(problem.offset)

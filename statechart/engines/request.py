@@ -136,7 +136,7 @@ def plan_request(
     settings, given = model.settings, requested
     # A requested method implies scipy, and overrides the file.
     engine = requested.engine or ("scipy" if requested.method is not None else settings.engine)
-    steps_only = engine == "auto" and automaton.own_step is not None
+    steps_only = engine == "auto" and automaton.default_step is not None
     requested = replace(requested, engine="impulse" if steps_only else engine)
     missing = (name for name in OF_STEPS if getattr(requested, name) is None)
     declared = {name: getattr(settings, name) for name in missing}
@@ -224,8 +224,8 @@ def _plan_steps(
     )
     step, basis = requested.step or model.settings.step, "as given"
     searched = requested.accuracy is not None
-    if step is None and automaton.own_step is not None and (steps_only or searched):
-        step, basis = automaton.own_step(), "chosen by the size and speeds of the scene"
+    if step is None and automaton.default_step is not None and (steps_only or searched):
+        step, basis = automaton.default_step(), "chosen by the size and speeds of the scene"
     if step is None and searched:
         basis = "a thousandth of the run"
     elif step is None:

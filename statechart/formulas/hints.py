@@ -131,7 +131,7 @@ _WORDS: Mapping[str, str] = {
     "round": "write floor(x + 1/2)",
     **dict.fromkeys(("int", "trunc"), "write floor(x)"),
     **dict.fromkeys(("fmod", "remainder"), "write mod(x, y)"),
-    "nan": "nothing follows from what is not a number; write one",
+    "nan": "nan is not a value; write a number",
     "in": "write in(REGION.STATE)",
     "der": "a rate stands in flows; of a coordinate x it is dx",
     **dict.fromkeys(("pre", "previous"), "updates see the values before; write the variable"),

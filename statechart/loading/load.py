@@ -142,7 +142,7 @@ def schema(name: str | None = None) -> str:
         result["oneOf"] = [references[model, "validation"] for model in models]
     for model in models:
         key = str(references[model, "validation"]["$ref"]).rpartition("/")[2]
-        # In Python the class says which kind it is; a document has to.
+        # In Python the class determines the kind; a document must name it.
         definitions[key]["required"] = ["kind", *definitions[key].get("required", [])]
         if name is not None:
             result |= definitions.pop(key)

@@ -166,7 +166,7 @@ def separation_time(reference: Trace, trace: Trace, *, brief: float = 0.0) -> fl
 
 
 def distance(reference: Trace, trace: Trace) -> float:
-    """Return the L1 distance of two runs, whatever their modes, the largest of all variables.
+    """Return the L1 distance of two runs, the largest of all variables, for any modes.
 
     The mean of the difference of a variable over the common time, relative to its largest value. In
     this norm runs converge in spite of late events, and time stepping in spite of other modes

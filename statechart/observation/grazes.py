@@ -18,7 +18,11 @@ from statechart.automaton.regions import whole_margins
 from statechart.automaton.trace import Arc, Jump, Roles, Trace, sizes
 from statechart.engines.compiled_flow import EVALUATION_ROUND_OFF
 from statechart.execution.compiled_modes import CompiledMode
-from statechart.execution.finding import STATE_ROUND_OFF, STATE_TOLERANCES, margin_errors
+from statechart.execution.event_classification import (
+    STATE_ROUND_OFF,
+    STATE_TOLERANCES,
+    margin_errors,
+)
 from statechart.execution.simulator import Simulator
 from statechart.formulas.tape import contiguous
 from statechart.kernels.polynomials import sample_states
@@ -61,11 +65,11 @@ def graze_warnings(found: Sequence[Graze]) -> tuple[str, ...]:
 
 def _sentence(several: Sequence[Graze]) -> str:
     graze, count = several[0], len(several) - 1
-    further = f"; so {count} time{'s' if count > 1 else ''} more" if count else ""
+    further = f"; {count} further time{'s' if count > 1 else ''}" if count else ""
     if graze.turned:
         return (
-            f"{graze.guard} comes to its boundary at t = {graze.t:.6g}, where another event turns "
-            f"it back, and does not fire{further}"
+            f"{graze.guard} reaches its boundary at t = {graze.t:.6g}, where another event "
+            f"reverses it, and does not fire{further}"
         )
     if graze.least < -graze.uncertainty:
         return (
@@ -73,12 +77,12 @@ def _sentence(several: Sequence[Graze]) -> str:
             "less than its tolerance at the start of the flow, and does not fire; start the "
             "flow farther from the boundary"
         )
-    description = "fires" if graze.fired else "comes to its boundary"
-    would = "would have been" if graze.fired else "is"
+    description = "fires" if graze.fired else "grazes its boundary"
+    would = "would be" if graze.fired else "is"
     return (
-        f"{graze.guard} {description} at t = {graze.t:.6g}, where its least value {would} "
-        f"{graze.least:.2g} and the run leaves {graze.uncertainty:.2g} open: whether it passes is "
-        f"not known{further}"
+        f"{graze.guard} {description} at t = {graze.t:.6g}: its least value {would} "
+        f"{graze.least:.2g}, within the error of the run, {graze.uncertainty:.2g}, so that it "
+        f"{'might not fire' if graze.fired else 'might fire'}{further}"
     )
 
 

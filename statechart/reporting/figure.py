@@ -230,7 +230,7 @@ def _limits(curves: Sequence[Array]) -> tuple[float, float]:
 def _time(unit: str, trace: Trace, end: float) -> str:
     label = axis_label("time", unit)
     if end < trace.t_end:
-        label += f"; until the end at {trace.t_end:.6g} nothing happens any more"
+        label += f"; no change until the end at {trace.t_end:.6g}"
     return label
 
 

@@ -19,7 +19,7 @@ from statechart.documents.hints import check_arguments, unknown_parameter
 from statechart.documents.setting import Record, Setting, SettingWords
 from statechart.documents.settings import LATE_END
 from statechart.documents.validation import Document, located
-from statechart.engines.engine import Allowance
+from statechart.engines.engine import TimeBudget
 from statechart.engines.request import Measured, plan_request
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
 from statechart.execution.outcome import error_of
@@ -110,9 +110,9 @@ class Runner:
         with located(document, {}):
             self._plan = plan_request(self._asked, model, self.automaton, study, once=once)
         budget = self._plan.setting.budget
-        allowance = None if budget is None else Allowance(budget)
-        self.observers = Observers(self.automaton, allowance=allowance, progress=progress)
-        self._planner = RunPlanner(self.observers, self._plan, allowance)
+        time_budget = None if budget is None else TimeBudget(budget)
+        self.observers = Observers(self.automaton, time_budget=time_budget, progress=progress)
+        self._planner = RunPlanner(self.observers, self._plan, time_budget)
 
     @property
     def document(self) -> Document | None:
@@ -460,7 +460,7 @@ class RunInputs:
             if self._end is None:
                 raise DeclarationProblem(
                     "the run has no end",
-                    advice="write stop: {time: 10}, or say until when",
+                    advice="write stop: {time: 10}, or pass until",
                     loc=("stop",),
                 )
             end = self._end.value(self.values(overrides) if self._end.names else {})

@@ -85,7 +85,7 @@ def reasons_without_slope(study: Measurements) -> dict[str, str]:
             if (family, of) in known or (study.parted is not None and of == "error"):
                 continue
             if family in deviating and of == "error":
-                why = "its runs differ for the reason that they warn of"
+                why = "its runs deviate from the reference, as their warnings explain"
             elif len(points_to_fit(study, family, of)) >= MIN_POINTS:
                 why = "it does not fall: it is round-off, or the runs take other modes"
             elif len(_same(study, family)) < MIN_POINTS:

@@ -107,7 +107,7 @@ def _odd(third: Third, study: Measurements) -> str:
         study.warnings.get(third.setting, ()), study.warnings.get(study.reference, ())
     )
     return (
-        f"{third.setting} is the odd one out and not relied on: it {when}is off in "
+        f"{third.setting} disagrees with both and is not used: it {when}is off in "
         + (", ".join(parts) or "its modes")
         + f", more than a start that is off by {third.shift:.0e} explains"
         + "".join(f"; it warns: {text}" for text in warned)
@@ -147,7 +147,7 @@ def _foot(study: Measurements) -> str:
     missed = study.missed()
     if missed:
         parts = (f"{family} {few} of {many}" for family, (few, many) in missed.items())
-        lines.append("missed what they promised: " + ", ".join(parts))
+        lines.append("error above the tolerance: " + ", ".join(parts))
     refused = [p.setting.label for p in study.points if p.refused]
     if refused:
         lines.append("did not reach their accuracy:" + ", ".join(refused))

@@ -186,7 +186,7 @@ def run_plan(
         left = kept.left
         shown = _Progress(plan.size, plan.size - left) if progress else None
         try:
-            with interrupts.held():
+            with interrupts.deferred():
                 work = _Work(plan, kept, shown, shared=executor is not None)
                 ended = _ended(work, executor)
                 kept.finish()

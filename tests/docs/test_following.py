@@ -78,7 +78,7 @@ def test_numbers_may_differ_in_their_last_digits_and_columns_in_width(
 
 
 @pytest.mark.parametrize("printed", ["a 0.3823", "b 0.382263", "a 0.382263 m", "a"])
-def test_other_numbers_and_other_words_are_refused(printed: str, tmp_path: Path) -> None:
+def test_different_numbers_and_text_are_refused(printed: str, tmp_path: Path) -> None:
     text = f"```console\n$ echo '{printed}'\na  0.382263\n```\n"
     with pytest.raises(AssertionError, match="echo"):
         follow(page(tmp_path, text), tmp_path)

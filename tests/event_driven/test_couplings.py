@@ -924,7 +924,7 @@ stop: {time: 2}
 """
 
 
-def test_brakes_written_as_signs_beside_a_locked_clutch_are_better_couplings() -> None:
+def test_signs_for_brakes_near_a_locked_clutch_suggest_couplings() -> None:
     signs = _WHEELS.replace("BRAKES", "").replace("SIGN0", "- 0.591*sign(dp0)")
     with pytest.raises(EventLoop, match="instead of sign write couplings"):
         statechart.run(read_text(signs.replace("SIGN1", "- 0.531*sign(dp1)")))

@@ -243,7 +243,7 @@ def test_accelerations_are_those_of_modes_whose_forces_are_determined(seed: int)
 
 
 @pytest.mark.parametrize("seed", range(24))
-def test_above_four_contacts_the_mode_found_is_that_of_enumeration(seed: int) -> None:
+def test_lemke_selects_the_mode_of_enumeration_above_four_contacts(seed: int) -> None:
     generator = np.random.default_rng(seed)
     count = 5 + seed % 2
     scene = standing(

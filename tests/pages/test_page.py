@@ -186,7 +186,7 @@ def test_clicking_a_curve_selects_its_time(browser, result):
 
 @in_browser
 @pytest.mark.parametrize("name", ["compass_walker", "hopper", "sampled_balance", "dragged_stick"])
-def test_words_are_large_enough_and_inside_at_a_thousand_pixels(name, tmp_path):
+def test_labels_are_legible_and_inside_at_a_thousand_pixels(name, tmp_path):
     shown = statechart.run(name, throw=False).report(tmp_path / "page.html")
     with Browser(tmp_path / "browser", width=1000) as opened:
         opened.open(shown)

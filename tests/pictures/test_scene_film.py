@@ -300,7 +300,7 @@ def test_a_bowl_of_edges_is_whole_where_bodies_start():
         assert (np.abs(edge.points - film.centres[0]) < film.half).all()
 
 
-def test_the_ground_below_a_body_with_a_shape_is_seen(tmp_path, monkeypatch):
+def test_the_ground_below_a_body_with_a_shape_is_in_the_picture(tmp_path, monkeypatch):
     path = tmp_path / "fall.yaml"
     path.write_text(
         "kind: scene\nname: fall\ngravity: 9.81\n"

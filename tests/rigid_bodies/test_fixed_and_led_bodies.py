@@ -350,7 +350,7 @@ def test_a_spring_pulls_a_body_to_a_led_one() -> None:
     assert x == pytest.approx(0.3 - 0.3 / 5 * math.sin(5), abs=1e-4)
 
 
-def test_the_own_step_follows_led_bodies_and_not_thin_fixed_ones() -> None:
+def test_the_default_step_follows_led_bodies_and_not_thin_fixed_ones() -> None:
     bodies = f"""
   box: {{{MOVED}, start: {{y: 0.1}}}}
   wall: {{fixed: true, shape: {{polygon: [[3, 0], [3.001, 0], [3.001, 1], [3, 1]]}}}}
@@ -362,7 +362,7 @@ def test_the_own_step_follows_led_bodies_and_not_thin_fixed_ones() -> None:
         text = f"kind: scene\nname: n\ngravity: {G}\nbodies:\n{bodies}\ncollisions:\n{law}\n"
         model = interpret(read_text(text))
         assert isinstance(model, Scene)
-        found = bodies_automaton(model).own_step
+        found = bodies_automaton(model).default_step
         assert found is not None
         return found()
 

@@ -32,7 +32,7 @@ def test_another_law_is_the_reason_why_steps_do_not_converge() -> None:
     assert "not converge" not in said
     assert "outputs that stay off by that" in said
     assert said.count("impulse step 0.02 to 0.002: simultaneous: sequential") == 1
-    assert "no slope for error of impulse: its runs differ for the reason that they warn of" in said
+    assert "no slope for error of impulse: its runs deviate from the reference" in said
     shown = to_dict(found)
     assert shown["reasons"] == reasons(found)
     assert shown["notes"][0]["text"] == note.text

@@ -110,7 +110,7 @@ def led_speed(
     return float(speeds.max(where=np.isfinite(speeds), initial=0.0))
 
 
-def own_step(numbers: BodyNumbers, scales: Scales, forced: float) -> float:
+def default_step(numbers: BodyNumbers, scales: Scales, forced: float) -> float:
     """Return the default step size, rounded to a digit."""
     radius = float(inner_radii(numbers)[: len(numbers.inverse)].min())
     step = _CROSSED * radius / max(scales.speed, forced)
