@@ -246,12 +246,12 @@ class _GuardScan:
             last = end - arc.times.item(-2)
             if bend > 0.0 > fall:
                 graze = self._open(arc, k, end, -0.5 * fall * (fall / bend), fired=True)
-            ahead = last * (_EXTRAPOLATED if soon > now else _AHEAD)
+            extrapolated = last * (_EXTRAPOLATED if soon > now else _AHEAD)
             if graze is None and max(soon, beyond) > now:
                 # One relation makes the guard true, and another one ends that.
-                at = self._least(arc, k, end, end + ahead)
+                at = self._least(arc, k, end, end + extrapolated)
                 graze = self._open(arc, k, at, 0.0, fired=True)
-            if graze and self._shifts(arc, k, end - last, end + ahead, graze.t):
+            if graze and self._shifts(arc, k, end - last, end + extrapolated, graze.t):
                 yield graze
 
     def _shifts(self, arc: Arc, k: int, left: float, right: float, t: float) -> bool:
