@@ -80,9 +80,9 @@ def _sentence(several: Sequence[Graze]) -> str:
     description = "fires" if graze.fired else "grazes its boundary"
     would = "would be" if graze.fired else "is"
     return (
-        f"{graze.guard} {description} at t = {graze.t:.6g}: its least value {would} "
-        f"{graze.least:.2g}, within the error of the run, {graze.uncertainty:.2g}, so that it "
-        f"{'might not fire' if graze.fired else 'might fire'}{further}"
+        f"{graze.guard} {description} at t = {graze.t:.6g}, where its least value {would} "
+        f"{graze.least:.2g}, within the error of the run, {graze.uncertainty:.2g}: it might "
+        f"{'not fire' if graze.fired else 'fire'}{further}"
     )
 
 

@@ -178,13 +178,13 @@ def count_overlaps(block: LayoutBlock) -> int:
 
 def samples(curves: str) -> Array:
     """Return dense samples of curves."""
-    curves = [
+    controls = [
         curve[k : k + 4]
         for piece in curves.split(";")
         for curve in [[(float(x), float(y)) for x, y in _POINT.findall(_ENDS.sub("", piece))]]
         for k in range(0, len(curve) - 3, 3)
     ]
-    points = np.array(curves)
+    points = np.array(controls)
     # No curve is faster than thrice its longest control leg.
     legs = 3 * np.hypot(*np.diff(points, axis=1).T).max()
     t = np.linspace(0.0, 1.0, 2 + int(legs / _STEP))
