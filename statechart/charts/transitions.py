@@ -114,20 +114,20 @@ class Transition(fields.Part):
 
     @model_validator(mode="before")
     @classmethod
-    def _one_source(cls, given: Any) -> Any:
+    def _one_source(cls, value: Any) -> Any:
         """Explain spellings of other programs: lists of states, and guards that always hold."""
-        if isinstance(given, Mapping):
+        if isinstance(value, Mapping):
             for key in ("from", "to"):
-                if isinstance(given.get(key), list):
+                if isinstance(value.get(key), list):
                     advice = SEVERAL_SOURCES if key == "from" else "write the state it enters"
                     raise DeclarationProblem("is one state, not a list", advice=advice, loc=(key,))
-            if isinstance(given.get("guard"), bool):
+            if isinstance(value.get("guard"), bool):
                 raise DeclarationProblem(
-                    f"is a relation, not {str(given['guard']).lower()}",
+                    f"is a relation, not {str(value['guard']).lower()}",
                     advice="write x <= 0; time >= 0 always holds",
                     loc=("guard",),
                 )
-        return given
+        return value
 
     @model_validator(mode="after")
     def _one_trigger(self) -> Self:
