@@ -240,7 +240,7 @@ class SceneLaws:
         count = self._count
         before, moving = moving_mode(at.flow.roles)[:count], moving_mode(flow.roles)[:count]
         began = [
-            now == "free" and (name in jump.impulse or was not in OPEN)
+            now == "free" and (name in jump.impulse or was != "free")
             for name, was, now in zip(self._names[:count], before, moving, strict=True)
         ]
         flying = [state == "free" for state in moving]
