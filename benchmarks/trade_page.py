@@ -21,7 +21,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.running.runner import Runner
 from statechart.study.figure import figure
 from statechart.study.measurements import Point
-from statechart.study.slopes import notes, slopes
+from statechart.study.slopes import distinct_warnings, slopes
 from statechart.study.study import Study
 from statechart.study.text import marks, omitted
 from statechart.study.trade import trade
@@ -190,7 +190,7 @@ def section(title: str, source: str, study: Study) -> str:
     if powers:
         lines.append(f"Fitted slopes: {powers}.")
     lines += [f"Left out: {line}." for line in omitted(study)]
-    lines += [f"Warning: {note.text}." for note in notes(study)]
+    lines += [f"Warning: {note.text}." for note in distinct_warnings(study)]
     return "\n".join([*lines, "", "</details>"]) + "\n"
 
 
