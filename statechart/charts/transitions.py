@@ -78,7 +78,7 @@ class Transition(fields.Part):
         True,
         default=False,
     )
-    updates: dict[str, fields.FiniteText] = declare(
+    updates: dict[str, fields.FiniteConstantText] = declare(
         "New values of variables, as formulas of the values before.",
         {"v": "-k*v"},
         unit="that of the variable",
@@ -197,13 +197,13 @@ class BaseState(fields.Part):
         True,
         default=False,
     )
-    entry: dict[str, fields.FiniteText] = declare(
+    entry: dict[str, fields.FiniteConstantText] = declare(
         "Values of variables when the state is entered.",
         {"count": "count + 1"},
         unit="that of the variable",
         default={},
     )
-    exit: dict[str, fields.FiniteText] = declare(
+    exit: dict[str, fields.FiniteConstantText] = declare(
         "Values of variables when the state is left.",
         {"count": 0},
         unit="that of the variable",
