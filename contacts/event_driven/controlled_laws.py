@@ -230,7 +230,7 @@ class ControlledLaws:
         controllers = flow.mode[self._count :]
         guarded = self._states.guards(controllers)
         tolerances = np.array([flow.tolerances[margin] for margin in guarded.watch.margins])
-        rows = guarded.rows(setup, clock.high, state)
+        rows = guarded.atoms_at(setup, clock.high, state)
         watched = tolerances < np.inf
         # The first flow in a mode watches all atoms of a guard, and is evaluated in any case.
         # A margin that jumps as its mode starts (an angle at the origin) has its value behind.
@@ -241,7 +241,7 @@ class ControlledLaws:
         ):
             return None, rows
         solved = self._solved(setup, clock, flow, state)
-        rows = guarded.rows(setup, clock.high, state, solved)
+        rows = guarded.atoms_at(setup, clock.high, state, solved)
         relative = setup.precision
 
         assert setup.sizes is not None
@@ -266,7 +266,7 @@ class ControlledLaws:
     ) -> set[tuple[int, int]]:
         """Return the guards of event transitions that hold."""
         guarded = self._states.guards(flow.mode[self._count :], at_events=True)
-        rows = guarded.rows(setup, clock.high, state, self._solved(setup, clock, flow, state))
+        rows = guarded.atoms_at(setup, clock.high, state, self._solved(setup, clock, flow, state))
         return guarded.watch.holding(rows, setup.precision, active_in(self._regions, flow.mode))
 
     def _solved(self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array) -> Array | None:
@@ -304,7 +304,7 @@ class ControlledLaws:
         """Return the unsettled flow of contacts and controllers; `source` is the last flow."""
         guarded = self._states.guards(states)
         # Only the sizes of a guard's terms are needed: forces of typical size suffice.
-        rows = guarded.rows(setup, clock.high, state, guarded.typical(setup))
+        rows = guarded.atoms_at(setup, clock.high, state, guarded.typical(setup))
         tolerances = guarded.watch.tolerances(rows, setup.precision)
         laws = self._at(states)
         condition_tolerances = laws.conditions.at(setup, state, clock.high).tolerances()

@@ -160,9 +160,9 @@ def share(
         zones[k] = _ZONES[place]
     edges, limited = problem[0], np.isfinite(couple_limits)
     loads = np.abs(least_forces)
-    room = edges[:, 1] * loads[:, 0] - edges[:, 0] * loads[:, 1]
-    room[limited] = (couple_limits - loads[:, 1])[limited]
-    bounded = (places == INSIDE) & (room <= _ON_BOUNDARY * loads.max(initial=0.0))
+    slack = edges[:, 1] * loads[:, 0] - edges[:, 0] * loads[:, 1]
+    slack[limited] = (couple_limits - loads[:, 1])[limited]
+    bounded = (places == INSIDE) & (slack <= _ON_BOUNDARY * loads.max(initial=0.0))
     determined = ~np.isin(np.arange(len(code)), shared)
     verdict = np.array([violation, 0.0, 0.0, 0.0])
     judge_forces(verdict, forces[determined], cones[determined], code[determined], 1.0)

@@ -61,8 +61,8 @@ class GuardWatch:
     """The guards of a mode, evaluated together at an instant.
 
     `rates` are expressions of inputs, parameters and time; inputs without one are constant.
-    `timers` are inputs as exact as time: instants or whole numbers. `given` substitutes symbols of
-    `known` in the mode.
+    `timers` are inputs as exact as time: instants or whole numbers. `substitutions` replaces
+    symbols of `known` in the mode.
 
     `margins` names the atoms of all guards, `firsts` is the place of the first atom of each guard.
     `timed` atoms depend smoothly on time alone, `closed` atoms include their boundary. `single` is
@@ -79,7 +79,7 @@ class GuardWatch:
         parameters: Sequence[sp.Symbol],
         time: sp.Symbol,
         timers: Collection[sp.Symbol] = (),
-        given: Mapping[sp.Symbol, sp.Expr] = _NO_VALUES,
+        substitutions: Mapping[sp.Symbol, sp.Expr] = _NO_VALUES,
     ) -> None:
         self.guards = tuple(watched)
         self.conditions = tuple(guard.relation.condition(known) for guard in self.guards)
@@ -93,7 +93,7 @@ class GuardWatch:
             firsts.append(len(names))
             names += condition.names(guard.name)
             for atom in condition.atoms:
-                margin = atom.expression.xreplace(given)
+                margin = atom.expression.xreplace(substitutions)
                 near = {v for v in margin.free_symbols if v in rates}
                 near |= {w for v in near for w in rates[v].free_symbols if w in rates}
                 moving = tuple((v, rates[v]) for v in rates if v in near)

@@ -242,8 +242,12 @@ class Advance:
                 self._cut(found.undecided.time, ended)
             raise
         self.graze = found.verdict is not Verdict.CROSSING
-        late = self.graze or self.compiled.kind(crossing.guard) in ("force", "hold", "implied")
-        at = crossing.crossed if late else crossing.time
+        at_crossing = self.graze or self.compiled.kind(crossing.guard) in (
+            "force",
+            "hold",
+            "implied",
+        )
+        at = crossing.crossed if at_crossing else crossing.time
         if self.compiled.plain[crossing.guard] and self._above(crossing.guard, at):
             # A discontinuous margin (an angle at its branch cut) is positive up to its jump.
             ulp = math.ulp(abs(self.watch.start) + crossing.crossed)

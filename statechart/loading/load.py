@@ -25,8 +25,8 @@ def interpret(document: Document) -> Declaration:
     if offered is not None:
         return validate(document, load_kind(offered).model)
     at = document.position(("kind",))
-    given, known = name is not None, close_matches(str(name), kinds())
-    if given:
+    named, known = name is not None, close_matches(str(name), kinds())
+    if named:
         raise at.error(f"unknown kind {name!r}", known)
     wrong = "kind: nothing is written" if "kind" in document.data else "'kind' is missing"
     raise at.error(wrong, f"begin with kind: scene (bodies) or kind: chart (states alone); {known}")

@@ -157,11 +157,11 @@ def separation_time(reference: Trace, trace: Trace, *, brief: float = 0.0) -> fl
         return diverged
     scale = _scales(reference, trace)
     with np.errstate(invalid="ignore"):
-        apart = (
+        differing = (
             np.abs(_sampled_states(reference, times) - _sampled_states(trace, times))
             > _PARTED_PART * scale
         )
-    where = np.flatnonzero(apart.any(axis=1))
+    where = np.flatnonzero(differing.any(axis=1))
     return float(times[where[0]]) if len(where) else diverged
 
 
@@ -183,8 +183,8 @@ def distance(reference: Trace, trace: Trace) -> float:
     weights = np.repeat(lengths / counts, counts)
     times = np.minimum(np.repeat(marks[:-1], counts) + (place + 0.5) * weights, end)
     with np.errstate(invalid="ignore"):
-        apart = np.abs(_sampled_states(reference, times) - _sampled_states(trace, times))
-    return float((weights @ apart / (end * _scales(reference, trace))).max(initial=0.0))
+        differences = np.abs(_sampled_states(reference, times) - _sampled_states(trace, times))
+    return float((weights @ differences / (end * _scales(reference, trace))).max(initial=0.0))
 
 
 def mode_disagreement(reference: Trace, trace: Trace) -> float:

@@ -68,15 +68,15 @@ def shorten_alike(texts: Sequence[str]) -> list[str]:
     if max(map(len, texts), default=0) <= _LISTED:
         return list(texts)
     # Only the regions with a state that differs; a digest is unreadable.
-    usual: dict[str, Counter[str]] = {}
+    counts: dict[str, Counter[str]] = {}
     for region, state in _STATE.findall(" ".join(texts)):
-        usual.setdefault(region, Counter())[state] += 1
+        counts.setdefault(region, Counter())[state] += 1
 
     def short(word: str) -> str:
         states = _STATE.findall(word)
         if len(states) < _MANY_REGIONS:
             return word
-        own = [s for s in states if s[1] != usual[s[0]].most_common(1)[0][0]] or states[:1]
+        own = [s for s in states if s[1] != counts[s[0]].most_common(1)[0][0]] or states[:1]
         kept = _STATE.sub(lambda found: found[0] if found.groups() in own else "", word)
         return re.sub(" +", " ", kept).replace("( ", "(").replace(" )", ")").strip()
 
