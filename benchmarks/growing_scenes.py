@@ -47,7 +47,7 @@ stop: {{time: 1}}
 """
 
 
-def heap(count: int) -> str:
+def discs_above_ground(count: int) -> str:
     """Return `count` discs, four in a row, above the ground."""
     return f"""\
 kind: scene
@@ -172,7 +172,7 @@ def page() -> str:
     lines += ["", "## Steps of 1e-3: a heap of N bodies", "", HEADER]
     heaps: dict[int, float] = {}
     for count in BODIES:
-        found = measured(heap(count), "impulse", 1e-3)
+        found = measured(discs_above_ground(count), "impulse", 1e-3)
         heaps[count] = float(found["again"])  # type: ignore[arg-type]
         lines.append(row(count, found, base["impulse"]))
         print(lines[-1], file=sys.stderr)

@@ -243,7 +243,7 @@ def _kilobytes(name: str) -> int:
     return int(status.split(f"{name}:")[1].split()[0])
 
 
-def memory(count: int, record: str) -> None:
+def print_memory(count: int, record: str) -> None:
     """Print how much more than after its imports a run takes at most, in this process."""
     runner = Runner("granular_column", record=record)
     # Loads the compiled kernels.
@@ -272,7 +272,7 @@ def main() -> None:
     chosen = parser.parse_args()
     if chosen.record:
         for count in chosen.memory:
-            memory(count, chosen.record)
+            print_memory(count, chosen.record)
         return
     if chosen.peer:
         for count in chosen.discs:

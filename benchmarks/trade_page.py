@@ -194,7 +194,7 @@ def section(title: str, source: str, study: Study) -> str:
     return "\n".join([*lines, "", "</details>"]) + "\n"
 
 
-def asked(kept: Path) -> str:
+def accuracy_table(kept: Path) -> str:
     """Return the table of accuracies asked for, made once."""
     if not kept.exists():
         write_atomic(kept, table(requests(COUNT, SEED)).encode())
@@ -242,7 +242,7 @@ def main() -> None:
         picture(study, DOCS / "images" / f"trade_{study.model}.png")
         studies[title] = study
         parts.append(section(title, source, study))
-    parts.append(REQUESTS + asked(folder / "requests.md"))
+    parts.append(REQUESTS + accuracy_table(folder / "requests.md"))
     write_atomic(DOCS / "speed-and-accuracy.md", "\n".join([head(studies), *parts]).encode())
 
 

@@ -615,7 +615,7 @@ stop: {time: 1}
 
 
 @pytest.mark.parametrize("setting", [{}, {"engine": "scipy"}, {"engine": "impulse", "step": 1e-3}])
-def test_a_latch_at_the_far_end_of_a_hinged_door_names_what_to_write(
+def test_a_latch_at_the_far_end_of_a_hinged_door_gives_advice(
     setting: dict[str, Any],
 ) -> None:
     """Hinge and latch hold four components of a body with three coordinates."""
