@@ -59,8 +59,8 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     made = Automaton(
         name=scene.name,
         declaration=scene,
-        names=(*mechanics.variable_names, *mechanics.controller_state),
-        variables=(*mechanics.variables, *mechanics.controller_state.values()),
+        names=mechanics.state_names,
+        variables=mechanics.state,
         parameter_names=parameters.names,
         parameters=parameters.ordered,
         time=mechanics.time,

@@ -32,7 +32,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )  # fmt: skip
     group.addoption(
         "--statechart-seed", type=int, default=_SEED, metavar="S",
-        help=f"which choices; {_SEED}: the same ones every time",
+        help=f"seed of the choices (default {_SEED}); the same seed draws the same ones",
     )  # fmt: skip
 
 

@@ -53,7 +53,6 @@ def components(
         automaton,
         lambda part: partial(_restrict, numbers[id(part)]),
         _renumber_share,
-        joint=True,
     )
 
 

@@ -32,7 +32,8 @@ SCALARS, EDGES = 11, 7
 `EDGES` on the unit edges of its cone in slide+ and slide-, at the size of its slip."""
 
 INEXACT_SYSTEM = (
-    "the equations of a mode cannot be solved to 1e-8: masses or lengths differ too much"
+    "the equations of a mode cannot be solved to 1e-8: masses or lengths differ too much; "
+    "use more similar ones"
 )
 
 
@@ -84,10 +85,15 @@ class Snapshot(NamedTuple):
         return self if self.reduction is None else self.reduction.unreduced
 
     @property
+    def size(self) -> int:
+        """Number n of the scene's coordinates, without pads."""
+        return len(self.unreduced.forces) - self.pads
+
+    @property
     def soft(self) -> list[bool]:
         """Marks of the compliant contacts."""
         whole = self.unreduced
-        on_pads = whole.jacobians[:, 0, len(whole.forces) - whole.pads :]
+        on_pads = whole.jacobians[:, 0, self.size :]
         return [bool(row.any()) for row in on_pads]
 
     def approaching(self, closed: Sequence[bool], speed: float) -> list[int]:
@@ -102,11 +108,12 @@ class Snapshot(NamedTuple):
 
     def moved(self, state: Array, velocity: Array) -> Array:
         """Return `state` (of the scene) after its velocity (n,) has jumped to `velocity`."""
-        size = len(state) // 2
+        moved, n = state.copy(), self.size
         if self.reduction is None:
-            return np.concatenate([state[:size], velocity[:size]])
-        change = (self.reduction.basis @ (velocity - self.velocity))[:size]
-        return np.concatenate([state[:size], state[size:] + change])
+            moved[n : 2 * n] = velocity[:n]
+        else:
+            moved[n : 2 * n] += (self.reduction.basis @ (velocity - self.velocity))[:n]
+        return moved
 
     def solved(self, accelerations: Array, forces: Array) -> tuple[Array, Array]:
         """Return the accelerations of the scene's coordinates and the forces of joint rows.
@@ -202,19 +209,19 @@ class SnapshotTape:
     def joint_impulse(
         self, snapshot: Snapshot, before: Array, after: Array, impulses: Array
     ) -> dict[str, float]:
-        """Return the impulses of joints other than zero in a jump between states (2 n,), by name.
+        """Return the impulses of joints other than zero in a jump between states, by name.
 
         `impulses` (c, 2) are those of contacts. The impulses of redundant rows are zero.
         """
         if snapshot.reduction is None:
             return {}
-        change = (after - before)[self.size :]
+        change = (after - before)[self.size : 2 * self.size]
         total = snapshot.unreduced.mass[:, : self.size] @ change
         sizes = snapshot.joint_forces(total, impulses).tolist()
         return {name: size for name, size in zip(self.joint_names, sizes, strict=True) if size}
 
     def at(self, values: Array, state: Array, time: float) -> Snapshot:
-        """Return the snapshot at `state` (2 n,), reduced to the motions that joints allow."""
+        """Return the snapshot at `state`, reduced to the motions that joints allow."""
         whole, joints = self.unreduced(values, state, time)
         return whole if joints is None else _reduce(whole, joints, self._groups)
 
@@ -232,7 +239,7 @@ class SnapshotTape:
         whole = Snapshot(
             mass.reshape(n, n),
             forces,
-            state[n:],
+            state[n : 2 * n],
             energy.item(),
             tuple(
                 [

@@ -80,8 +80,10 @@ class Handovers:
                         if -first > gap_tolerance:
                             depths += (-first, -gap)
             end()
-        late = (stays_off_warning(self._mechanics.scene, name, d) for name, d in missed.items())
-        return (*early, *missed_ends, *late)
+        stays_off = (
+            stays_off_warning(self._mechanics.scene, name, d) for name, d in missed.items()
+        )
+        return (*early, *missed_ends, *stays_off)
 
     def _past_ends(
         self, setup: SceneSetup, arcs: Sequence[Arc], tables: Mapping[int, Array], near: float
@@ -165,7 +167,7 @@ class Handovers:
                 assert gate is not None
                 outputs.append(gate.by_steps(controlled, {}))
                 outputs.append(self._mechanics.contact(name).symbols.gap.xreplace(controlled))
-            self._tapes[states] = self._mechanics.whole_tape(outputs)
+            self._tapes[states] = self._mechanics.tape(outputs)
         return self._tapes[states]
 
     def _at_crossing(

@@ -14,7 +14,6 @@ from contacts.dynamics.snapshot import Snapshot
 from contacts.event_driven.decision import choose_mode
 from contacts.impacts.jamming import Jam, engaged_state, off_state
 from contacts.modes.classification import Before
-from contacts.scene.parts import Resolution
 from contacts.states import INACTIVE, OFF, cause_of
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, Instant
@@ -43,8 +42,8 @@ class _Site(NamedTuple):
 class Switching:
     """Disables and enables contacts (see `contacts.dynamics.conditions`)."""
 
-    def __init__(self, names: Sequence[str], conditions: Conditions, paradox: Resolution) -> None:
-        self._names, self._conditions, self._paradox = names, conditions, paradox
+    def __init__(self, names: Sequence[str], conditions: Conditions) -> None:
+        self._names, self._conditions = names, conditions
         self._verdicts: list[int] = []  # Of the last instant in `switched`.
 
     def failing(
@@ -90,7 +89,7 @@ class Switching:
                 for c, close in zip(shown.contacts, near, strict=True)
             ]
             try:
-                choice = choose_mode(setup, shown, touching, self._paradox, Before())
+                choice = choose_mode(setup, shown, touching, Before())
             except SimulationError:
                 return None
             return None if isinstance(choice, Jam) else choice.taken.roles
@@ -248,14 +247,17 @@ class Switching:
         self, setup: SceneSetup, snapshot: Snapshot, before: Key, after: Key
     ) -> str:
         """Return a warning if all contacts of a point go off in a corner."""
-        points, room = self._conditions.points, _CORNER * setup.tolerances["gap"]
-        nearby = [abs(contact.gap) <= room for contact in snapshot.contacts]
+        points, corner_size = self._conditions.points, _CORNER * setup.tolerances["gap"]
+        nearby = [abs(contact.gap) <= corner_size for contact in snapshot.contacts]
         for i, point in enumerate(points):
             corner = [j for j, other in enumerate(points) if other == point and nearby[j]]
             goes_off = before[i] not in INACTIVE and i in corner
             if goes_off and len(corner) > 1 and all(after[j] in INACTIVE for j in corner):
                 names = ", ".join(self._names[j] for j in corner)
-                return f"{names} meet here, and all are off: the point may fall between them"
+                return (
+                    f"{names} meet here, and all are off: the point may fall through; "
+                    "let their conditions overlap"
+                )
         return ""
 
     def watched(

@@ -121,13 +121,15 @@ class ForceUncertainty(NamedTuple):
         """Return the uncertainty of the violation of a mode, in the scales."""
         setup, tolerance, total = self.setup, self.setup.force_uncertainty, 0.0
         speed_tolerance = setup.tolerances["speed"]
+        sizes = setup.scales.sizes
         state_errors = (
             speed_tolerance
             / setup.scales.speed
-            * np.maximum(setup.scales.sizes, np.abs(self.state))
+            * np.maximum(sizes, np.abs(self.state[: len(sizes)]))
         )
         time_error = speed_tolerance / setup.scales.acceleration
-        shifted_states = [(self.state + step, 0.0) for step in np.diag(state_errors)]
+        steps = state_errors[:, None] * np.eye(len(sizes), len(self.state))
+        shifted_states = [(self.state + step, 0.0) for step in steps]
         for state, time in [*shifted_states, (self.state, time_error)]:
             shifted = case._replace(snapshot=self.at(state, time), tie=tolerance)
             (solved,) = candidates(shifted, [(role,) for role in candidate.states])
@@ -198,7 +200,7 @@ def _coefficients(case: Case) -> Callable[[Sequence[str]], str]:
     edges = cones(case.laws, case.snapshot.contacts)
     split = [k for k, row in enumerate(edges) if not (row[:2] == row[2:].reshape(2, 2)).all()]
 
-    def words(states: Sequence[str]) -> str:
+    def format_coefficients(states: Sequence[str]) -> str:
         phrases = []
         for k in split:
             if states[k] in ("pin", "slide+", "slide-"):
@@ -208,7 +210,7 @@ def _coefficients(case: Case) -> Callable[[Sequence[str]], str]:
                 phrases.append(f"{case.laws[k].name}: {kind} friction {mu:.7g}")
         return f" ({', '.join(phrases)})" if phrases else ""
 
-    return words
+    return format_coefficients
 
 
 class Choice(NamedTuple):
@@ -316,7 +318,7 @@ def choose(
         and taken.violation >= -tie
         and any(_opens_more(taken, rejected, closed) for rejected in tried)
     ):
-        warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken.states)} taken"
+        warning = f"indeterminate: {OPEN_LOAD}; the run takes {_label(laws, taken.states)}"
     notes: tuple[str, ...] = (_UNCHECKED,) if by_pivoting else ()
     if taken.share is not None:
         zones = zip(laws, taken.share.zones, strict=True)
@@ -421,8 +423,8 @@ def _select_candidate(
     ]
     if not opened:
         raise AmbiguousMode(
-            f"nothing declared decides between {labels}; leave one of them out of the modes of "
-            "its contact, or change friction or the start"
+            f"the declaration does not decide between {labels}; remove one of them from the modes "
+            "of its contact, or change friction or the start"
         )
     # Painleve's indeterminate case: a contact could also stay closed with a force without cause.
     # The candidates with the smallest sets of loaded contacts do without.
@@ -433,7 +435,8 @@ def _select_candidate(
     taken = min(minimal, key=closedness_key)
     return (
         taken,
-        f"indeterminate: {labels} all agree with the state; {_label(laws, taken.states)} taken",
+        f"indeterminate: {labels} all agree with the state; "
+        f"the run takes {_label(laws, taken.states)}",
     )
 
 

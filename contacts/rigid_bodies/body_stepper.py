@@ -16,11 +16,7 @@ import numpy as np
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.couplings import ENABLED
 from contacts.dynamics.conditions import undecided_couplings
-from contacts.dynamics.controllers import (
-    Controllers,
-    ControllerState,
-    controller,
-)
+from contacts.dynamics.controllers import Controllers, controller
 from contacts.dynamics.parameters import with_sizes
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
@@ -99,8 +95,8 @@ def bodies_automaton(scene: Scene) -> Automaton:
     return Automaton(
         name=scene.name,
         declaration=scene,
-        names=(*mechanics.variable_names, *mechanics.controller_state),
-        variables=(*mechanics.variables, *mechanics.controller_state.values()),
+        names=mechanics.state_names,
+        variables=mechanics.state,
         parameter_names=mechanics.parameters.names,
         parameters=mechanics.parameters.ordered,
         time=mechanics.time,
@@ -237,7 +233,7 @@ class BodyStepper(Stepper):
         if not sizes[0] > _NO_INERTIA:
             name = list(self._declared.coordinates)[int(np.argmax(np.abs(shapes[:, 0])))]
             raise DeclarationProblem(
-                "it moves without an inertia where the run starts, or as other coordinates do",
+                "it has no inertia at the start, or moves the same bodies as other coordinates",
                 advice="let it move a body that has a mass or an inertia there",
                 loc=("coordinates", name),
             )
@@ -272,6 +268,8 @@ class BodyStepper(Stepper):
                         "force": 0.0, "plain": 0.0},
             scales=scales,
             contacts=(),
+            simultaneous=self._scene.simultaneous,
+            paradox=self._scene.paradox,
             capture=0.0,
             bands={},
             sizes=scales.state(remembered),
@@ -295,8 +293,8 @@ class BodyStepper(Stepper):
         it.
         """
         scene, owners = self._scene, self._bodies.owners
-        memory = ControllerState(self._mechanics)
-        initial = memory.enter_initial_states(setup, Clock(), setup.initial, self.controls)
+        enter = self._controllers.enter_initial_states
+        initial = enter(setup, Clock(), setup.initial, self.controls)
         placed, remembered = np.split(initial, [2 * bodies.size])
         run_of(bodies).capture(remembered)
         length, speed = setup.scales.length, setup.scales.speed

@@ -255,7 +255,7 @@ class BodyTapes:
     @cached_property
     def controls(self) -> Tape:
         """The tape of `Mechanics.controls`."""
-        return self._mechanics.whole_tape(self._mechanics.controls, definitions=self._definitions)
+        return self._mechanics.tape(self._mechanics.controls, definitions=self._definitions)
 
     @cached_property
     def flows(self) -> Tape:
@@ -277,7 +277,7 @@ class BodyTapes:
             gate = mechanics.gate(name)
             holds = sp.S.One if gate is None else gate.by_steps({}, mechanics.sizes)
             found += [*mechanics.limits(name), holds]
-        return mechanics.whole_tape(found, definitions=self._definitions)
+        return mechanics.tape(found, definitions=self._definitions)
 
     def forces(self, values: Array) -> Forces:
         """Return the forces on bodies."""
@@ -298,7 +298,7 @@ class BodyTapes:
                 before = found.get(place, [sp.S.Zero] * 3)
                 found[place] = [a + b for a, b in zip(before, (fx, fy, turn), strict=True)]
         expressions = [expression for three in found.values() for expression in three]
-        tape = mechanics.whole_tape(expressions, definitions=self._definitions)
+        tape = mechanics.tape(expressions, definitions=self._definitions)
         return np.array([*found], dtype=np.int64), tape
 
     def _each(self, body: str) -> Iterator[tuple[int, Mapping[str, sp.Expr]]]:

@@ -427,7 +427,7 @@ class Stepper(ABC):
         self.name = mechanics.scene.name
         self._controllers, self.controls = controllers, controllers.initial
         self.couplings = tuple(mechanics.scene.couplings)
-        self.names = (*mechanics.variable_names, *mechanics.controller_state)
+        self.names = mechanics.state_names
         self.parameter_names = mechanics.parameters.names
         self.regions = tuple(region.name for region in regions)
         self.again, self.forces, self.sticks = again, forces, sticks
@@ -436,7 +436,7 @@ class Stepper(ABC):
         self.angles = np.array([name.endswith(".angle") for name in mechanics.names])
         unknowns = (*mechanics.a, *mechanics.unknown_forces, *mechanics.controls)
         self.stops = StopTapes(mechanics, unknowns, regions)
-        self.energy: Tape = mechanics.whole_tape([mechanics.energy])
+        self.energy: Tape = mechanics.tape([mechanics.energy])
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         """Check the initial state; see `TimeStepper.start`."""

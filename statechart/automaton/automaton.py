@@ -183,7 +183,7 @@ class Component:
     names: Mapping[str, str]  # neutral name -> name
     restricted: Callable[[Setup, Places], Setup]  # setup of the whole -> setup of the component
     shown: Callable[[Role, Places], Role]  # role in the component -> role in the whole
-    joint: bool  # simultaneous jumps of components are one jump
+    joint: frozenset[str]  # regions whose simultaneous jumps are one jump
 
     def named(self, text: str) -> str:
         """Return a text with declared instead of neutral names."""

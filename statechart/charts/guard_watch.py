@@ -51,7 +51,7 @@ from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 from statechart.kernels.tapes import tape_values
 
-# A margin is zero below this fraction of its terms, whatever the tolerance of the run.
+# A margin is zero below this fraction of its terms, for any tolerance of the run.
 _ZERO_MARGIN = 2.0**-40
 _TIME_ROUND_OFF = 8.0 * EPS
 _NO_VALUES: Mapping[sp.Symbol, sp.Expr] = MappingProxyType({})
@@ -61,8 +61,8 @@ class GuardWatch:
     """The guards of a mode, evaluated together at an instant.
 
     `rates` are expressions of inputs, parameters and time; inputs without one are constant.
-    `timers` are inputs as exact as time: instants or whole numbers. `given` substitutes symbols of
-    `known` in the mode.
+    `timers` are inputs as exact as time: instants or whole numbers. `substitutions` replaces
+    symbols of `known` in the mode.
 
     `margins` names the atoms of all guards, `firsts` is the place of the first atom of each guard.
     `timed` atoms depend smoothly on time alone, `closed` atoms include their boundary. `single` is
@@ -79,7 +79,7 @@ class GuardWatch:
         parameters: Sequence[sp.Symbol],
         time: sp.Symbol,
         timers: Collection[sp.Symbol] = (),
-        given: Mapping[sp.Symbol, sp.Expr] = _NO_VALUES,
+        substitutions: Mapping[sp.Symbol, sp.Expr] = _NO_VALUES,
     ) -> None:
         self.guards = tuple(watched)
         self.conditions = tuple(guard.relation.condition(known) for guard in self.guards)
@@ -93,7 +93,7 @@ class GuardWatch:
             firsts.append(len(names))
             names += condition.names(guard.name)
             for atom in condition.atoms:
-                margin = atom.expression.xreplace(given)
+                margin = atom.expression.xreplace(substitutions)
                 near = {v for v in margin.free_symbols if v in rates}
                 near |= {w for v in near for w in rates[v].free_symbols if w in rates}
                 moving = tuple((v, rates[v]) for v in rates if v in near)
@@ -429,7 +429,7 @@ class EventQueues:
     """Event queues of the regions in `declared` that wait for events of `regions`."""
 
     def __init__(self, regions: Sequence[Region], declared: Mapping[str, FlatRegion]) -> None:
-        self._regions = regions
+        self._regions, self._declared = regions, declared
         # Region -> the events that it waits for in some state.
         self._waiting = {
             name: region.awaited for name, region in declared.items() if region.awaited
@@ -447,18 +447,16 @@ class EventQueues:
             for name, causes in self._waiting.items()
         }
 
-    @staticmethod
-    def waits(declared: Mapping[str, FlatRegion], mode: Key) -> bool:
+    def waits(self, mode: Key) -> bool:
         """Return whether a region waits for an event in its state of `mode`."""
         return any(
             trigger.events
-            for region, state in zip(declared.values(), mode, strict=True)
+            for region, state in zip(self._declared.values(), mode, strict=True)
             for trigger in region.triggers[state]
         )
 
     def first(
         self,
-        declared: Mapping[str, FlatRegion],
         mode: Key,
         pending: Mapping[str, tuple[Raised, ...]],
         guarded: Collection[tuple[int, int]],
@@ -468,7 +466,8 @@ class EventQueues:
 
         `guarded` are the guards that are due; `holding` returns the true guards at events.
         """
-        for place, ((name, region), state) in enumerate(zip(declared.items(), mode, strict=True)):
+        declared = zip(self._declared.items(), mode, strict=True)
+        for place, ((name, region), state) in enumerate(declared):
             queue = pending.get(name, ())
             for k, event in enumerate(queue):
                 enabled = [

@@ -217,7 +217,7 @@ class ChartLaws:
             truths = GuardTruths(
                 watch, rows, rate, flow.tolerances, fired, setup.precision, later, active
             )
-            firing = self._queues.first(self._flat, flow.mode, pending, truths.due(), holding)
+            firing = self._queues.first(flow.mode, pending, truths.due(), holding)
             if firing is None:
                 tolerances = truths.watched()
                 if tolerances == flow.tolerances:
@@ -392,7 +392,6 @@ def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Com
             lambda part: {**part, "variables": list(part.get("variables", ()))},
             composed,
             lambda _: _restricted,
-            joint=False,
         )
     except (StatechartError, ValidationError):
         return ()

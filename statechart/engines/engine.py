@@ -118,10 +118,10 @@ NEAR = 0.05
 class Continuation(Enum):
     """Start of a call for steps, relative to the last call."""
 
-    NEW = "another flow, or another run"
-    MOVED = "the same flow, its state projected since"
-    ON = "the same flow, where it was left"
-    BACK = "the same flow, from before where it was left"
+    NEW = "a new flow, or a new run"
+    MOVED = "the same flow; its state was projected"
+    ON = "the same flow, from its last state"
+    BACK = "the same flow, from an earlier state"
 
 
 class FlowWatch(NamedTuple):

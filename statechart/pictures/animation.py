@@ -79,7 +79,7 @@ def check(path: Path, size: int, speed: float | None = None, trail: float | None
     if path.suffix.lower() not in SUFFIXES:
         raise DeclarationError(
             f"an animation is .gif or .mp4, not {path.suffix or path.name!r}",
-            advice="a GIF is seen everywhere",
+            advice="a GIF needs no further program",
         )
     if not _NARROWEST <= size <= _WIDEST:
         raise DeclarationError(
@@ -89,7 +89,7 @@ def check(path: Path, size: int, speed: float | None = None, trail: float | None
         _check_speed(speed)
     if trail is not None and not trail >= 0.0:
         raise DeclarationError(
-            f"a trail reaches back a time from 0 on, not {trail:g}", advice="0 is for none"
+            f"a trail must be a time of 0 or more, not {trail:g}", advice="0 is for none"
         )
     if path.suffix.lower() == ".mp4" and shutil.which("ffmpeg") is None:
         raise StatechartError("an mp4 needs the program ffmpeg, which is not here; write a .gif")

@@ -48,13 +48,13 @@ def striking(work: Callable[..., object], at: int) -> Callable[..., object]:
 
 
 def test_these_tests_pass_where_a_shell_ignores_signals_in_the_background() -> None:
-    one = f"{__file__}::test_a_held_signal_waits_for_the_next_check"
+    one = f"{__file__}::test_a_deferred_signal_waits_for_the_next_check"
     command = f"trap '' INT TERM HUP; '{sys.executable}' -m pytest -q '{one}'"
     done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
 
 
-def test_a_held_signal_waits_for_the_next_check() -> None:
+def test_a_deferred_signal_waits_for_the_next_check() -> None:
     with interrupts.deferred():
         strike()
         assert interrupts.signal_count() == 1
@@ -63,7 +63,7 @@ def test_a_held_signal_waits_for_the_next_check() -> None:
     assert interrupts.signal_count() == 0
 
 
-def test_a_held_signal_without_a_check_is_delivered_at_the_end() -> None:
+def test_a_deferred_signal_without_a_check_is_delivered_at_the_end() -> None:
     done = []
 
     def work() -> None:
@@ -131,7 +131,7 @@ def test_after_a_signal_only_required_files_are_written() -> None:
     assert pieces.text() == "b, c, e (interrupted)"
 
 
-def test_signals_shorten_held_blocks_without_ending_them() -> None:
+def test_signals_shorten_deferred_blocks_without_ending_them() -> None:
     pieces = PartialReport()
     with interrupts.deferred():
         assert pieces.keep("a", lambda short: short or strike(), False) is True
@@ -273,7 +273,7 @@ def test_unprintable_results_give_one_sentence(
     assert (done.returncode, done.stderr) == (1, f"cannot write to stdout: {words}\n")
 
 
-def test_without_stderr_results_are_printed_alone(tmp_path: Path) -> None:
+def test_without_stderr_only_results_are_printed(tmp_path: Path) -> None:
     command = f"{sys.executable} -m statechart.cli.main schema chart 2>&- | head -c 2"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr) == ("{\n", "")
