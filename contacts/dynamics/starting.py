@@ -249,7 +249,7 @@ def _check_joints(
             name = np.array(names)[~joints.redundant][spare][0].item()
             raise DeclarationProblem(
                 f"joint {name!r} starts closed, and other closed joints imply a component of it",
-                advice="hold fewer components",
+                advice=_fewer_components(mechanics, name),
                 loc=("joints", name),
             )
 
@@ -281,8 +281,16 @@ def check_closing(
     if spare.any():
         raise NoConsistentMode(
             f"joint {joint!r} closes, and closed joints imply a component of "
-            f"{' and '.join(dict.fromkeys(names[spare].tolist()))}; hold fewer components"
+            f"{' and '.join(dict.fromkeys(names[spare].tolist()))}; "
+            f"{_fewer_components(mechanics, joint)}"
         )
+
+
+def _fewer_components(mechanics: Mechanics, joint: str) -> str:
+    advice = "hold fewer components"
+    if mechanics.scene.joints[joint].angle is not None:
+        advice += ", and the angle alone by a coupling with a limit that it never reaches"
+    return advice
 
 
 def _distances(names: Sequence[str], gaps: Array) -> dict[str, float]:

@@ -635,3 +635,27 @@ outputs: {a: {value: d.angle}}
     held = text.replace("to: [0, 1]", "to: {x: 0}")
     outputs = statechart.run(read_text(held), **setting).outputs
     assert outputs["a"] == pytest.approx(1, abs=1e-9 if not setting.get("step") else 3e-3)
+
+
+def test_a_dog_clutch_is_a_coupling_with_a_high_limit() -> None:
+    """Two wheels on one axle turn alike once the clutch closes: J w stays."""
+    text = """
+kind: scene
+name: dog_clutch
+bodies:
+  a: {mass: 1, inertia: 1, start: {dangle: 12}}
+  b: {mass: 1, inertia: 3}
+joints:
+  axle: {point: {body: a}, to: [0, 0]}
+  bearing: {point: {body: b}, to: {body: a}}
+"""
+    dog = "point: {body: b}, to: {body: a}, angle: held, rest: captured, enabled: time >= 0.5"
+    message = statechart.run(
+        read_text(f"{text}  dog: {{{dog}}}\nstop: {{time: 1}}"), throw=False
+    ).trace.message
+    assert message.endswith("and the angle alone by a coupling with a limit that it never reaches")
+    coupled = f"{text}couplings: {{dog: {{bodies: [a, b], limit: 1e9, enabled: time >= 0.5}}}}\n"
+    outputs = "outputs: {w: {value: b.dangle}, turned: {value: a.angle}}\nstop: {time: 1}"
+    result = statechart.run(read_text(coupled + outputs))
+    assert result.outputs["w"] == pytest.approx(3.0, rel=1e-12)
+    assert result.outputs["turned"] == pytest.approx(7.5, abs=1e-6)
