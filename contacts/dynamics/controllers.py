@@ -258,20 +258,7 @@ class ControlGuards:
         self, setup: SceneSetup, time: float, state: Array, solved: Array | None = None
     ) -> Array:
         """Evaluate `GuardWatch.at`; `solved` are accelerations and forces."""
-        return self.watch.at(setup, self._inputs(state, solved), self._sizes(setup), time)
-
-    def rate(
-        self,
-        k: int,
-        order: int,
-        setup: SceneSetup,
-        time: float,
-        state: Array,
-        solved: Array | None,
-    ) -> Array:
-        """Evaluate `GuardWatch.rate`."""
-        inputs = self._inputs(state, solved)
-        return self.watch.rate(k, order, setup, inputs, self._sizes(setup), time)
+        return self.watch.at(setup, self.inputs(state, solved), self.sizes(setup), time)
 
     def table(
         self,
@@ -284,11 +271,13 @@ class ControlGuards:
     ) -> Array:
         """Return `GuardWatch.table` for instants (m,), states (m, 2 n) and unknowns (m, u)."""
         inputs = np.hstack([states, solved, np.tile(self._unknown, (len(states), 1))])
-        return self.watch.table(setup, inputs, self._sizes(setup), times, order=order)
+        return self.watch.table(setup, inputs, self.sizes(setup), times, order=order)
 
-    def _inputs(self, state: Array, solved: Array | None) -> Array:
+    def inputs(self, state: Array, solved: Array | None) -> Array:
+        """Return the inputs of the watch."""
         return np.concatenate([state, self._unsolved if solved is None else solved, self._unknown])
 
-    def _sizes(self, setup: SceneSetup) -> Array:
+    def sizes(self, setup: SceneSetup) -> Array:
+        """Return the sizes of the inputs."""
         assert setup.sizes is not None
         return np.concatenate([setup.sizes, self.typical(setup), np.zeros_like(self._unknown)])
