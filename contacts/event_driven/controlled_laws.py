@@ -14,11 +14,10 @@ from functools import cache
 
 import numpy as np
 
-from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.controllers import Controllers
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import SnapshotTape, close_compliant
+from contacts.dynamics.snapshot import close_compliant
 from contacts.dynamics.surface_jumps import modes_after_jump
 from contacts.event_driven.laws import SceneLaws
 from contacts.modes.candidates import Case, candidates
@@ -204,12 +203,8 @@ class ControlledLaws:
 
     def _laws_in(self, states: Key) -> SceneLaws:
         """Return the contacts' laws with the controllers in `states`."""
-        names = self._states.named(states)
-        snapshots, conditions = (
-            SnapshotTape(self._mechanics, names),
-            Conditions(self._mechanics, names),
-        )
-        return self._contacts.under(snapshots, conditions)
+        start, named = self._contacts, self._states.named(states)
+        return SceneLaws(self._mechanics, start.numbers, named, start)
 
     def _within(self, setup: SceneSetup, states: Key) -> SceneSetup:
         """Return the setup with the coefficients of `states`."""
