@@ -76,22 +76,6 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
     )
 
 
-def values_in(mechanics: Mechanics, states: Mapping[str, str]) -> dict[sp.Symbol, sp.Expr]:
-    """Return the values of `Mechanics.controls` in these states, substituted into each other."""
-    values: dict[sp.Symbol, sp.Expr] = {}
-    for symbol, value in mechanics.controlled(states):
-        values[symbol] = value.xreplace(values)
-    return values
-
-
-def controller_rates_in(
-    mechanics: Mechanics, known: Mapping[sp.Symbol, sp.Expr]
-) -> dict[sp.Symbol, sp.Expr]:
-    """Return the rates of the controllers' variables, with the values of `values_in`."""
-    rates = mechanics.controller_rates
-    return {mechanics.controller_state[name]: rate.xreplace(known) for name, rate in rates.items()}
-
-
 class Controllers:
     """States and variables of a scene's controllers; guards and updates are built when needed."""
 
@@ -220,8 +204,8 @@ class ControlGuards:
         states: Mapping[str, str],
         select: Callable[[int, FlatRegion, str], list[Guard]],
     ) -> None:
-        known = values_in(mechanics, states)
-        memory = controller_rates_in(mechanics, known)
+        known = mechanics.values_in(states)
+        memory = mechanics.controller_rates_in(known)
         watched: list[Guard] = []
         for place, (name, region) in enumerate(mechanics.scene.controlled.flat.items()):
             watched += select(place, region, states[name])
