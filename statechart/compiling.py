@@ -20,7 +20,7 @@ KERNELS = "numerical kernels"
 """The name of numba's work in messages."""
 
 Say = Callable[[str, str, bool], None]
-"""Takes what is compiled, a line, and whether it is the last one of a compilation."""
+"""Takes the subject of a compilation, a line, and True for its last line."""
 
 
 class _State:

@@ -46,7 +46,7 @@ def listen() -> None:
 
 
 def forget() -> None:
-    """Begin anew: no signal has arrived."""
+    """Reset the counts of signals."""
     _now.count = _now.reported = 0
 
 

@@ -37,7 +37,7 @@ TextBlock = str | Table
 
 
 def write_plain(blocks: Iterable[TextBlock]) -> str:
-    """Return a text as it is written to a file."""
+    """Return blocks as plain text for a file."""
     return "".join(block if isinstance(block, str) else table(block.rows) for block in blocks)
 
 

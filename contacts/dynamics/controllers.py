@@ -229,7 +229,7 @@ class ControlGuards:
             timers=[
                 mechanics.controller_state[timer] for timer in mechanics.scene.controlled.timers
             ],
-            given=known,
+            substitutions=known,
         )
         self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)
         self._unknown = np.full(len(forces), np.nan)
@@ -238,7 +238,7 @@ class ControlGuards:
         """Return the typical sizes of accelerations and forces."""
         return setup.scales.solved(len(self._unsolved))
 
-    def rows(
+    def atoms_at(
         self, setup: SceneSetup, time: float, state: Array, solved: Array | None = None
     ) -> Array:
         """Evaluate `GuardWatch.at`; `solved` are accelerations and forces."""

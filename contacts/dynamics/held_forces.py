@@ -30,7 +30,7 @@ class HeldForces:
         self, setup: SceneSetup, flow: Flow, state: Array, time: float, tape: SnapshotTape
     ) -> SceneSetup:
         """Return the setup with the forces of sign functions of a flow in a state."""
-        # The laws know signs that are dry friction by their limits.
+        # The laws treat signs that are dry friction by their limits.
         if setup.modes is None or tape.signs or not any(map(slides, flow.signs)):
             return setup
         mechanics, mode = self._mechanics, setup.modes(flow.moving)

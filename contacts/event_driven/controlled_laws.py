@@ -219,7 +219,7 @@ class ControlledLaws:
         assert isinstance(setup, SceneSetup)
         guarded = self._states.guards(flow.mode[self._count :])
         tolerances = np.array([flow.tolerances[margin] for margin in guarded.watch.margins])
-        rows = guarded.rows(setup, clock.high, state)
+        rows = guarded.atoms_at(setup, clock.high, state)
         watched = tolerances < np.inf
         # The first flow in a mode watches all atoms of a guard, and is evaluated in any case.
         # A margin that jumps as its mode starts (an angle at the origin) has its value behind.
@@ -229,11 +229,8 @@ class ControlledLaws:
             and not {*fired}.intersection(guarded.watch.margins)
         ):
             return None, rows
-        inputs, active = (
-            guarded.inputs(state, self._solved(at)),
-            active_in(self._regions, flow.mode),
-        )
-        sizes = guarded.sizes(setup)
+        inputs, sizes = guarded.inputs(state, self._solved(at)), guarded.sizes(setup)
+        active = active_in(self._regions, flow.mode)
         truths = GuardTruths(guarded.watch, at, inputs, sizes, self._derivatives, active)
         return truths, truths.rows
 
@@ -242,7 +239,7 @@ class ControlledLaws:
         setup, clock, _, flow, state, _ = at
         assert isinstance(setup, SceneSetup)
         guarded = self._states.guards(flow.mode[self._count :], at_events=True)
-        rows = guarded.rows(setup, clock.high, state, self._solved(at))
+        rows = guarded.atoms_at(setup, clock.high, state, self._solved(at))
         return guarded.watch.holding(rows, setup.precision, active_in(self._regions, flow.mode))
 
     def _solved(self, at: Instant) -> Array | None:
@@ -282,7 +279,7 @@ class ControlledLaws:
         """Return the unsettled flow of contacts and controllers; `source` is the last flow."""
         guarded = self._states.guards(states)
         # Only the sizes of a guard's terms are needed: forces of typical size suffice.
-        rows = guarded.rows(setup, clock.high, state, guarded.typical(setup))
+        rows = guarded.atoms_at(setup, clock.high, state, guarded.typical(setup))
         tolerances = guarded.watch.tolerances(rows, setup.precision)
         laws = self._at(states)
         condition_tolerances = laws.conditions.at(setup, state, clock.high).tolerances()

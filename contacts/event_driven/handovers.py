@@ -79,8 +79,10 @@ class Handovers:
                         if -first > gap_tolerance:
                             depths += (-first, -gap)
             end()
-        late = (stays_off_warning(self._mechanics.scene, name, d) for name, d in missed.items())
-        return (*early, *missed_ends, *late)
+        stays_off = (
+            stays_off_warning(self._mechanics.scene, name, d) for name, d in missed.items()
+        )
+        return (*early, *missed_ends, *stays_off)
 
     def _past_ends(
         self, setup: SceneSetup, arcs: Sequence[Arc], tables: Mapping[int, Array], near: float

@@ -8,13 +8,12 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
-import numpy as np
-
 from contacts.dynamics.conditions import hidden
-from contacts.dynamics.contact_law import ContactLaw, sliding_edge
+from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import constraint_key, landed
+from contacts.dynamics.rolling_resistance import apply_rolling_resistance, couples
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import Snapshot, SnapshotTape, answer, solve_kkt
+from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.event_driven.decision import check_listed, choose_mode, explain_choice
 from contacts.impacts.bounces import correct_durations, remaining_bounces, stands_for_bounces
 from contacts.impacts.jamming import Jam, impact_without_collision, listed_mode, strike_jammed
@@ -150,7 +149,6 @@ def impact_jump(
     joint_impulse = tape.joint_impulse(
         landing.snapshot, at.state if before is None else before, after, impulses
     )
-    couples = {f"{law.name}.M": impulses.item(i, 1) for i, law in rolling(laws)}
     jump = at.jump(
         *event,
         target,
@@ -160,7 +158,7 @@ def impact_jump(
             for law, (normal, tangential) in zip(laws, impulses.tolist(), strict=True)
             if law.carrier < 0 and (normal != 0.0 or tangential != 0.0)
         },
-        joint_impulse=joint_impulse | {name: size for name, size in couples.items() if size},
+        joint_impulse=joint_impulse | couples(laws, impulses),
         path=struck.result.path,
         considered=LazyMapping(
             partial(
@@ -203,8 +201,11 @@ def _solve_struck(tape: SnapshotTape, landing: Landing, jam: Jam | None) -> _Str
         result: Impacts,
         later: float = 0.0,
     ) -> _Struck:
-        result = apply_rolling_resistance(snapshot, laws, result, setup.slip_tolerance)
-        after = snapshot.moved(state, result.velocity)
+        velocity, impulses = apply_rolling_resistance(
+            snapshot, laws, result.velocity, result.impulses, setup.slip_tolerance
+        )
+        result = replace(result, velocity=velocity, impulses=impulses)
+        after = snapshot.moved(state, velocity)
         return _Struck(laws, result, after, seen(after, later), {})
 
     def under(laws: Sequence[ContactLaw]) -> _Struck:
@@ -271,88 +272,3 @@ def _choose_entered(
     if isinstance(choice, Jam):
         return target, choice.roles, state, False
     return target, choice, state, settled
-
-
-def apply_rolling_resistance(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], result: Impacts, slip_tolerance: float
-) -> Impacts:
-    """Return the impacts of an instant with the angular impulses of rolling resistance.
-
-    The angular impulse is at most a length times the normal impulse, opposes the rotation after the
-    impact and does not reverse it. A contact that sticks after the impact still sticks if friction
-    suffices, kinetic friction where it slipped before; else the slip goes on, and friction is on
-    the edge of its cone. One that does not rebound remains closed.
-    """
-    for place, law in rolling(laws):
-        if not result.impulses[law.carrier, 0] > 0.0:
-            continue
-        limit = float(snapshot.limits[place - len(laws)][1])
-        bound = limit * float(result.impulses[law.carrier, 0])
-        touching, cone = snapshot.contacts[law.carrier], laws[law.carrier]
-        change, couple = result.velocity - snapshot.velocity, snapshot.jacobians[place, 1]
-        slip = snapshot.contacts[place].slip + float(couple @ change)
-        if not abs(slip) > slip_tolerance or bound == 0.0:
-            continue
-        after = [
-            rate + float(row @ change)
-            for rate, row in zip((touching.gap_rate, touching.slip), touching.jacobian, strict=True)
-        ]
-        sticking = [d for d in range(2) if abs(after[d]) <= slip_tolerance]
-        rows = np.array([couple, *(touching.jacobian[d] for d in sticking)])
-        solved = answer(snapshot, rows, rows, np.array([-slip, *(0.0 for _ in sticking)]))
-        if solved is None:
-            continue
-        share = min(1.0, bound / abs(solved[1][0])) if solved[1][0] != 0.0 else 1.0
-        impulses = result.impulses.copy()
-        impulses[place, 1] = share * solved[1][0]
-        for d, impulse in zip(sticking, solved[1][1:].tolist(), strict=True):
-            impulses[law.carrier, d] += share * impulse
-        normal, tangential = impulses[law.carrier].tolist()
-        slipped = abs(touching.slip) > slip_tolerance
-        edge = sliding_edge(cone, touching) if slipped else (cone.cone_n, cone.cone_t)
-        if 1 not in sticking or edge[0] * abs(tangential) <= edge[1] * normal:
-            velocity = result.velocity + share * solved[0]
-            result = replace(result, velocity=velocity, impulses=impulses)
-            continue
-        edge = edge[0], math.copysign(edge[1], tangential)
-        result = _continue_slip(snapshot, result, place, law.carrier, slip, limit, edge)
-    return result
-
-
-def rolling(laws: Sequence[ContactLaw]) -> list[tuple[int, ContactLaw]]:
-    """Return the places and laws of rolling resistance."""
-    return [(place, law) for place, law in enumerate(laws) if law.carrier >= 0]
-
-
-def _continue_slip(
-    snapshot: Snapshot,
-    result: Impacts,
-    couple_place: int,
-    place: int,
-    slip: float,
-    limit: float,
-    edge: tuple[float, float],
-) -> Impacts:
-    """Return the impacts of an instant where a contact that rolling resists goes on to slip.
-
-    Its impulse along the `edge` of its cone leaves its gap rate as it is; the angular impulse stops
-    the rotation `slip`, or is `limit` times the normal impulse.
-    """
-    couple, jacobian = snapshot.jacobians[couple_place, 1], snapshot.jacobians[place]
-    rates = np.array([-slip, 0.0])
-    push, rows = np.array(edge) @ jacobian, np.array([couple, jacobian[0]])
-    solve = partial(solve_kkt, snapshot.mass, -jacobian.T @ result.impulses[place])
-    solved = solve(rows, np.array([couple, push]), rates)
-    if solved is None:
-        return result
-    stop, size = solved[1].tolist()
-    if abs(stop) > limit * edge[0] * size:
-        push = push + math.copysign(limit * edge[0], stop) * couple
-        solved = solve(rows[1:], push[None], rates[1:])
-        if solved is None:
-            return result
-        size = float(solved[1][0])
-        stop = math.copysign(limit * edge[0] * size, stop)
-    impulses = result.impulses.copy()
-    impulses[place], impulses[couple_place, 1] = size * np.array(edge), stop
-    return replace(result, velocity=result.velocity + solved[0], impulses=impulses)

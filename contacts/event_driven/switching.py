@@ -247,8 +247,8 @@ class Switching:
         self, setup: SceneSetup, snapshot: Snapshot, before: Key, after: Key
     ) -> str:
         """Return a warning if all contacts of a point go off in a corner."""
-        points, room = self._conditions.points, _CORNER * setup.tolerances["gap"]
-        nearby = [abs(contact.gap) <= room for contact in snapshot.contacts]
+        points, corner_size = self._conditions.points, _CORNER * setup.tolerances["gap"]
+        nearby = [abs(contact.gap) <= corner_size for contact in snapshot.contacts]
         for i, point in enumerate(points):
             corner = [j for j, other in enumerate(points) if other == point and nearby[j]]
             goes_off = before[i] not in INACTIVE and i in corner

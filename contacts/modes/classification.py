@@ -200,7 +200,7 @@ def _coefficients(case: Case) -> Callable[[Sequence[str]], str]:
     edges = cones(case.laws, case.snapshot.contacts)
     split = [k for k, row in enumerate(edges) if not (row[:2] == row[2:].reshape(2, 2)).all()]
 
-    def words(states: Sequence[str]) -> str:
+    def format_coefficients(states: Sequence[str]) -> str:
         phrases = []
         for k in split:
             if states[k] in ("pin", "slide+", "slide-"):
@@ -210,7 +210,7 @@ def _coefficients(case: Case) -> Callable[[Sequence[str]], str]:
                 phrases.append(f"{case.laws[k].name}: {kind} friction {mu:.7g}")
         return f" ({', '.join(phrases)})" if phrases else ""
 
-    return words
+    return format_coefficients
 
 
 class Choice(NamedTuple):

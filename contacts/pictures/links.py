@@ -92,7 +92,7 @@ class Links:
         for one, other in combinations(forces, 2):
             if one.body == other.body or not self._opposite(one, other):
                 continue
-            ends = np.array([self._pair(one.at), self._pair(other.at)])
+            ends = np.array([self._vector(one.at), self._vector(other.at)])
             pair = self._frames[one.body], self._frames[other.body]
             kinds = self._kinds(one, other)
             shapes_found += [Shape(kind, ends, *pair, name=one.body) for kind in kinds]
@@ -160,13 +160,13 @@ class Links:
     def _alternatives(self, force: Force) -> Iterator[tuple[sp.Expr, sp.Expr]]:
         """Yield the components of a force in each controller state."""
         mechanics = self._mechanics
-        usual = dict(mechanics.controlled())
+        initial_values = dict(mechanics.controlled())
         regions = self._scene.controlled.flat.items()
         states = [(name, state) for name, region in regions for state in region.states]
         for sets in [mechanics.sets(*state) for state in states] or [{}]:
             x, y = (parse(text).to_sympy(mechanics.known) for text in force.force)
             for symbol in reversed(mechanics.controls):
-                value = {**usual, **sets}[symbol]
+                value = {**initial_values, **sets}[symbol]
                 x, y = x.subs(symbol, value), y.subs(symbol, value)
             yield x, y
 
@@ -181,7 +181,7 @@ class Links:
             for a, b in zip(one.force, other.force, strict=True)
         )
 
-    def _pair(self, pair: tuple[str | int | float, str | int | float]) -> tuple[float, float]:
+    def _vector(self, pair: tuple[str | int | float, str | int | float]) -> tuple[float, float]:
         axial, transverse = (parse(text).value(self._values) for text in pair)
         return axial, transverse
 

@@ -381,25 +381,25 @@ def grounds(
             if not scene.bodies[surface.body].shape:
                 shapes.append(_carried(name, surface, frame, unit, known))
             continue
-        lift = _rim_offset(scene, name, number)
+        offset = _rim_offset(scene, name, number)
         if surface.edge is not None:
             points = np.array([[number(x), number(y)] for x, y in surface.edge])
         elif surface.circle is not None:
             side = -1.0 if surface.hollow else 1.0
             turn = -side * np.linspace(0.0, 2.0 * np.pi, _CIRCLE_POINTS + 1)
-            radius = number(surface.radius or 0) - side * lift
+            radius = number(surface.radius or 0) - side * offset
             centre = [number(text) for text in surface.circle]
             points = centre + radius * np.column_stack([np.cos(turn), np.sin(turn)])
-            lift = 0.0
+            offset = 0.0
         elif not surface.straight:
             points = _graph(surface.height or 0, known, box, unit)
         else:
             start, direction = np.array(surface.point_and_direction(number))
-            start = start + lift * np.array([direction[1], -direction[0]])
+            start = start + offset * np.array([direction[1], -direction[0]])
             straight.append((len(shapes), start, direction))
             shapes.append(_ground(name, _line_through(start, direction, box), frame))
             continue
-        shapes.append(_ground(name, _shift(points, lift), frame))
+        shapes.append(_ground(name, _shift(points, offset), frame))
     return tuple(_clip_line(shapes, straight))
 
 

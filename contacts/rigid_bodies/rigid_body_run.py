@@ -339,14 +339,14 @@ class RigidBodyRun(SteppedSystem):
         way = np.abs(ends[0] - ends[1])
         holds = int(joints.kinds[j])
         if holds == ROD:
-            apart = abs(math.hypot(*way) - float(joints.sizes[j, 0]))
+            distance = abs(math.hypot(*way) - float(joints.sizes[j, 0]))
         else:
-            apart = float({ALONG_X: way[0], ALONG_Y: way[1]}.get(holds, math.hypot(*way)))
+            distance = float({ALONG_X: way[0], ALONG_Y: way[1]}.get(holds, math.hypot(*way)))
         size = float(self.numbers.sizes[: self._moving].max())
-        if apart > 2.0 * self._length * speed + _JUMPED_INTO * size:
+        if distance > 2.0 * self._length * speed + _JUMPED_INTO * size:
             raise NoConsistentMode(
-                f"joint {joint!r} closes at t = {time:.6g} while its points are {apart:.3g} apart; "
-                "write rest: captured, or let enabled hold where they meet"
+                f"joint {joint!r} closes at t = {time:.6g} while its points are {distance:.3g} "
+                "apart; write rest: captured, or let enabled hold where they meet"
             )
 
     def forget(self) -> None:

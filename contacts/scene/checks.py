@@ -448,7 +448,7 @@ def check_kinks(scene: SceneFields) -> None:
 
 
 def has_switches(scene: SceneFields) -> bool:
-    """Return whether forces, flows or controls have abs, sign, min, max or sat of what changes."""
+    """Return whether forces, flows or controls have abs, sign, min, max or sat of variables."""
     changing, texts = _force_formulas(scene)
     controls = scene.controlled
     changing = {*changing, TIME, *controls.controller_state}
@@ -518,24 +518,24 @@ def check_polygon(corners: _Corners) -> None:
 def _check_places(corners: _Corners) -> None:
     """Check that corners are apart, and not all on one line."""
     size = max(math.dist(one, other) for one, other in combinations(corners, 2))
-    apart: list[_Corner] = []
+    distinct: list[_Corner] = []
     twice: tuple[int, int] | None = None
     for k, corner in enumerate(corners):
         same = [
             i for i, one in enumerate(corners[:k]) if math.dist(one, corner) <= _STRAIGHT * size
         ]
         if not same:
-            apart.append(corner)
+            distinct.append(corner)
         elif twice is None:
             twice = same[0], k
-    if len(apart) < 2:
+    if len(distinct) < 2:
         raise DeclarationProblem(
             f"all corners are at {_format_corner(corners[0])}: a polygon has an area",
             advice="place them around it, or write disc: RADIUS",
         )
     # Those farthest from each other have the line between them that all others might lie on.
-    a, b = max(combinations(apart, 2), key=lambda pair: math.dist(*pair))
-    away = [_cross(a, b, corner) / math.dist(a, b) for corner in apart]
+    a, b = max(combinations(distinct, 2), key=lambda pair: math.dist(*pair))
+    away = [_cross(a, b, corner) / math.dist(a, b) for corner in distinct]
     if max(map(abs, away)) <= _STRAIGHT * size:
         raise DeclarationProblem(
             f"all corners lie on the line from {_format_corner(a)} to {_format_corner(b)}: "

@@ -20,6 +20,7 @@ from contacts.dynamics.contact_law import cones
 from contacts.dynamics.controllers import Controllers
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.projection import on_constraints
+from contacts.dynamics.rolling_resistance import apply_rolling_resistance, couples
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.dynamics.starting import check_closing
@@ -248,12 +249,15 @@ class StepControl:
                 )
             push = np.einsum("ckn,ck->n", jacobians, pushes)
             change = np.linalg.lstsq(snapshot.mass, push)[0]
-            velocity, impulses[touching] = snapshot.velocity + change, pushes
+            impulses[touching] = pushes
+            velocity, impulses = apply_rolling_resistance(
+                snapshot, contacts, snapshot.velocity + change, impulses, setup.slip_tolerance
+            )
             state, slips = snapshot.moved(state, velocity), jacobians[:, 1] @ velocity
             held = self._scene.hold(
                 {
                     i: (snapshot.contacts[i].gap, float(slip))
-                    for i, push, slip in zip(touching, pushes, slips, strict=True)
+                    for i, push, slip in zip(touching, impulses[touching], slips, strict=True)
                     if push[0] > 0.0 and STATES[recorder.row[i]] in OPEN
                 }
             )
@@ -262,7 +266,7 @@ class StepControl:
             state,
             held,
             {law.name: (V, H) for law, (V, H) in pairs if (V or H) and not law.coupling},
-            tape.joint_impulse(snapshot, before, state, impulses),
+            tape.joint_impulse(snapshot, before, state, impulses) | couples(contacts, impulses),
         )
 
     def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:

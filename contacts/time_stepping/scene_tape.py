@@ -112,7 +112,7 @@ class SteppedTape:
             + [sp.S.One] * self.couplings
         )
         self.given, self.signs = len(set_in), len(signs.functions)
-        outputs += [*set_in, *signs.rows(len(forces))]
+        outputs += [*set_in, *signs.inputs(len(forces))]
         used = mechanics.used_friction
         self.used = np.array(
             [mechanics.controls.index(used[n]) if n in used else -1 for n in self.names],
@@ -211,7 +211,7 @@ class _Signs:
         # The formulas with all signs zero.
         self.middle = [form.xreplace(none) for form in forms]
 
-    def rows(self, count: int) -> list[sp.Expr]:
+    def inputs(self, count: int) -> list[sp.Expr]:
         """Return the inputs of `hold_signs`; the first `count` formulas are forces."""
         mechanics, outputs = self._mechanics, list[sp.Expr]()
         for function, acts in zip(self.functions, self._acts, strict=True):

@@ -7,7 +7,7 @@ from pathlib import Path
 from sphinx.application import Sphinx
 from sphinx.util import logging
 
-from making import formats, gallery, tutorial, verbs
+from making import changelog, formats, gallery, tutorial, verbs
 from making.links import dead_links
 
 MADE = "made"
@@ -29,6 +29,7 @@ def _make(app: Sphinx) -> None:
     folder = Path(app.srcdir) / MADE
     formats.make(folder)
     verbs.make(folder)
+    changelog.make(Path(app.srcdir).parent / "CHANGELOG.md", folder)
     tutorial.make(Path(app.srcdir) / "tutorial.md", folder)
     for name in gallery.make(folder):
         _log.info("made the page of %s", name)

@@ -20,7 +20,7 @@ class LazyMapping(Mapping[str, T], Generic[T]):
     @cached_property
     def _mapping(self) -> Mapping[str, T]:
         mapping = self._make()
-        del self._make  # and what it holds
+        del self._make  # frees the objects that it refers to
         return mapping
 
     def __getitem__(self, label: str) -> T:

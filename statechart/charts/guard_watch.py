@@ -56,7 +56,7 @@ from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 from statechart.kernels.tapes import tape_values
 
-# A margin is zero below this fraction of its terms, whatever the tolerance of the run.
+# A margin is zero below this fraction of its terms, for any tolerance of the run.
 _ZERO_MARGIN = 2.0**-40
 _TIME_ROUND_OFF = 8.0 * EPS
 _NO_VALUES: Mapping[sp.Symbol, sp.Expr] = MappingProxyType({})
@@ -66,8 +66,8 @@ class GuardWatch:
     """The guards of a mode, evaluated together at an instant.
 
     `rates` are expressions of inputs, parameters and time; inputs without one are constant.
-    `timers` are inputs as exact as time: instants or whole numbers. `given` substitutes symbols of
-    `known` in the mode.
+    `timers` are inputs as exact as time: instants or whole numbers. `substitutions` replaces
+    symbols of `known` in the mode.
 
     `margins` names the atoms of all guards, `firsts` is the place of the first atom of each guard.
     `timed` atoms depend smoothly on time alone, `closed` atoms include their boundary. `single` is
@@ -84,7 +84,7 @@ class GuardWatch:
         parameters: Sequence[sp.Symbol],
         time: sp.Symbol,
         timers: Collection[sp.Symbol] = (),
-        given: Mapping[sp.Symbol, sp.Expr] = _NO_VALUES,
+        substitutions: Mapping[sp.Symbol, sp.Expr] = _NO_VALUES,
     ) -> None:
         self.guards = tuple(watched)
         self.conditions = tuple(guard.relation.condition(known) for guard in self.guards)
@@ -98,7 +98,7 @@ class GuardWatch:
             firsts.append(len(names))
             names += condition.names(guard.name)
             for atom in condition.atoms:
-                margin = atom.expression.xreplace(given)
+                margin = atom.expression.xreplace(substitutions)
                 near = {v for v in margin.free_symbols if v in rates}
                 near |= {w for v in near for w in rates[v].free_symbols if w in rates}
                 moving = tuple((v, rates[v]) for v in rates if v in near)

@@ -78,7 +78,7 @@ class Transition(fields.Part):
         True,
         default=False,
     )
-    updates: dict[str, fields.FiniteText] = declare(
+    updates: dict[str, fields.FiniteConstantText] = declare(
         "New values of variables, as formulas of the values before.",
         {"v": "-k*v"},
         unit="that of the variable",
@@ -114,20 +114,20 @@ class Transition(fields.Part):
 
     @model_validator(mode="before")
     @classmethod
-    def _one_source(cls, given: Any) -> Any:
+    def _one_source(cls, value: Any) -> Any:
         """Explain spellings of other programs: lists of states, and guards that always hold."""
-        if isinstance(given, Mapping):
+        if isinstance(value, Mapping):
             for key in ("from", "to"):
-                if isinstance(given.get(key), list):
+                if isinstance(value.get(key), list):
                     advice = SEVERAL_SOURCES if key == "from" else "write the state it enters"
                     raise DeclarationProblem("is one state, not a list", advice=advice, loc=(key,))
-            if isinstance(given.get("guard"), bool):
+            if isinstance(value.get("guard"), bool):
                 raise DeclarationProblem(
-                    f"is a relation, not {str(given['guard']).lower()}",
+                    f"is a relation, not {str(value['guard']).lower()}",
                     advice="write x <= 0; time >= 0 always holds",
                     loc=("guard",),
                 )
-        return given
+        return value
 
     @model_validator(mode="after")
     def _one_trigger(self) -> Self:
@@ -197,13 +197,13 @@ class BaseState(fields.Part):
         True,
         default=False,
     )
-    entry: dict[str, fields.FiniteText] = declare(
+    entry: dict[str, fields.FiniteConstantText] = declare(
         "Values of variables when the state is entered.",
         {"count": "count + 1"},
         unit="that of the variable",
         default={},
     )
-    exit: dict[str, fields.FiniteText] = declare(
+    exit: dict[str, fields.FiniteConstantText] = declare(
         "Values of variables when the state is left.",
         {"count": 0},
         unit="that of the variable",

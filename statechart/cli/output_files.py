@@ -107,8 +107,8 @@ def study_for_page(
 
 def film_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the options of an animation on the command line."""
-    given = {name: getattr(arguments, name) for name in ("speed", "size", "trail")}
-    return {name: value for name, value in given.items() if value is not None}
+    options = {name: getattr(arguments, name) for name in ("speed", "size", "trail")}
+    return {name: value for name, value in options.items() if value is not None}
 
 
 def check_animation(runner: Runner, arguments: argparse.Namespace) -> None:

@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output is not None:
         import xarray  # noqa: F401, it takes a second that a signal does not leave
     result = runner.run(parameters, until=arguments.until, certify=arguments.certify, throw=False)
-    # From here on nothing is lost: a part that fails is left out, with a message.
+    # From here on a part that fails is omitted with a message, and the others are written.
     with interrupts.deferred(), interrupts.limit_time(output_files.PATIENCE):
         complete = _deliver(runner, result, parameters, arguments)
     request = result.asked
@@ -496,7 +496,7 @@ def _runner(file: str, **options: Any) -> Runner:
 
 
 def _collect_garbage() -> None:
-    """Turn garbage collection on, except for what is loaded by now."""
+    """Turn garbage collection on, except for objects that exist already."""
     if not gc.isenabled():
         gc.freeze()
         gc.enable()

@@ -42,8 +42,8 @@ def declare(
     A document may use any consistent units; angles are in rad, ratios in 1.
     """
     extra: dict[str, JsonValue] | None = {"unit": unit} if unit else None
-    given: dict[str, Any] = {"examples": [*examples]} if examples else {}
-    return Field(default, description=description, json_schema_extra=extra, **given, **limits)
+    keywords: dict[str, Any] = {"examples": [*examples]} if examples else {}
+    return Field(default, description=description, json_schema_extra=extra, **keywords, **limits)
 
 
 def leaves(

@@ -182,6 +182,10 @@ class Certificate:
         if instant.fired and instant.fired[0] in compiled.names:
             guard = compiled.names.index(instant.fired[0])
             slope, rates, guard_rate = self._falling(compiled, guard, before, time)
+            if guard_rate == 0.0:
+                # The time of an event at which the guard stands still is not linear in the error.
+                self._linear = False
+                return self._displaced(projected[0], np.column_stack([tangents, flow]))
             self._later = -(slope / guard_rate) @ tangents
             margin = compiled.guards.values(before, self._setup.values, time)[guard]
             flow, self._early = rates, -float(margin) / guard_rate

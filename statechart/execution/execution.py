@@ -384,7 +384,7 @@ class Execution:
     ) -> tuple[str, ...]:
         """Return the margins that fired; a stop ends the run if no other event coincides."""
         margin, self.grazed = compiled.mode.margins[guard], graze
-        # A guard that falls where a smooth piece ends is judged in the next piece.
+        # A guard that falls at the end of a smooth piece is evaluated in the next piece.
         if switch := self._switch_margin(compiled, margin):
             return (switch,)
         # Stop margins are the last ones.

@@ -242,8 +242,12 @@ class Advance:
                 self._cut(found.undecided.time, ended)
             raise
         self.graze = found.verdict is not Verdict.CROSSING
-        late = self.graze or self.compiled.kind(crossing.guard) in ("force", "hold", "implied")
-        at = crossing.crossed if late else crossing.time
+        at_crossing = self.graze or self.compiled.kind(crossing.guard) in (
+            "force",
+            "hold",
+            "implied",
+        )
+        at = crossing.crossed if at_crossing else crossing.time
         if self.compiled.plain[crossing.guard] and self._above(crossing.guard, at):
             # A discontinuous margin (an angle at its branch cut) is positive up to its jump.
             ulp = math.ulp(abs(self.watch.start) + crossing.crossed)
@@ -278,7 +282,7 @@ class Advance:
         self.state, self._last_defect = following, math.inf
         steps, since = self._mark
         if self._proved - steps >= _PACE_STEPS:
-            # The root of what comes to zero has no series there.
+            # The root of an expression that reaches zero has no series there.
             self._check_method(self._reached, self._proved - 1)
             if self.engine.gives_way:
                 self._check_stiffness(self._proved - steps, self._reached - since)

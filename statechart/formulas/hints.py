@@ -161,7 +161,7 @@ def meant(
 ) -> str:
     """Return advice on an unknown name or function."""
     names = frozenset(known)
-    bare = next((name.removeprefix(room) for room in _MODULES if name.startswith(room)), name)
+    bare = next((name.removeprefix(module) for module in _MODULES if name.startswith(module)), name)
     if bare.lower() in _WORDS:
         return _WORDS[bare.lower()]
     if name == "e":

@@ -80,9 +80,9 @@ def _sentence(several: Sequence[Graze]) -> str:
     description = "fires" if graze.fired else "grazes its boundary"
     would = "would be" if graze.fired else "is"
     return (
-        f"{graze.guard} {description} at t = {graze.t:.6g}: its least value {would} "
-        f"{graze.least:.2g}, within the error of the run, {graze.uncertainty:.2g}, so that it "
-        f"{'might not fire' if graze.fired else 'might fire'}{further}"
+        f"{graze.guard} {description} at t = {graze.t:.6g}, where its least value {would} "
+        f"{graze.least:.2g}, within the error of the run, {graze.uncertainty:.2g}: it might "
+        f"{'not fire' if graze.fired else 'fire'}{further}"
     )
 
 
@@ -246,12 +246,12 @@ class _GuardScan:
             last = end - arc.times.item(-2)
             if bend > 0.0 > fall:
                 graze = self._open(arc, k, end, -0.5 * fall * (fall / bend), fired=True)
-            ahead = last * (_EXTRAPOLATED if soon > now else _AHEAD)
+            extrapolated = last * (_EXTRAPOLATED if soon > now else _AHEAD)
             if graze is None and max(soon, beyond) > now:
                 # One relation makes the guard true, and another one ends that.
-                at = self._least(arc, k, end, end + ahead)
+                at = self._least(arc, k, end, end + extrapolated)
                 graze = self._open(arc, k, at, 0.0, fired=True)
-            if graze and self._shifts(arc, k, end - last, end + ahead, graze.t):
+            if graze and self._shifts(arc, k, end - last, end + extrapolated, graze.t):
                 yield graze
 
     def _shifts(self, arc: Arc, k: int, left: float, right: float, t: float) -> bool:

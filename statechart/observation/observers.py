@@ -68,12 +68,12 @@ class Observers:
 
     def _simulator(self, setting: Setting, start: Start) -> Simulator | SteppingSimulator:
         if setting.step is not None:
-            asked = Impulses(
+            bounds = Impulses(
                 setting.impulse_tolerance or DEFAULT_IMPULSES.tolerance,
                 setting.impulse_bound or DEFAULT_IMPULSES.bound,
             )
             return SteppingSimulator(
-                self._automaton, setting.step, asked, setting.recorded, progress=self._progress
+                self._automaton, setting.step, bounds, setting.recorded, progress=self._progress
             )
         automaton = self._automaton
         if start is not Start.DECLARED:

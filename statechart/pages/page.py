@@ -41,7 +41,7 @@ from statechart.reporting.curves import (
 )
 from statechart.reporting.figure import band_remarks, regions_with_bands
 from statechart.reporting.film import film_at, stage_of
-from statechart.reporting.text import ALIKE, change, computation_lines, explanation
+from statechart.reporting.text import ALIKE, change, computation_lines, explained
 from statechart.tabular import MAX_LISTED, number
 
 # Pictures that a page has at most and at least, and numbers that all of them have.
@@ -252,12 +252,14 @@ def _sample_rows(samples: Samples, end: float) -> NDArray[np.intp]:
 
 
 def _event(event: Mapping[str, Any], times: Array, step: float | None) -> dict[str, Any]:
+    title, reasons = explained(event, step)
     return {
         "t": event["t"],
         "instant": int(np.searchsorted(times, event["t"])),
         "what": " ".join(filter(None, (event["contact"], event["cause"]))),
         "change": change(event, ALIKE),
-        "why": explanation({"events": [event], "step": step}),
+        "why": title,
+        "reasons": reasons,
     }
 
 

@@ -47,10 +47,10 @@ WORLD = 0
 class Shape:
     """A shape in a frame that moves; its points (m, 2) are in that frame.
 
-    The last point of what joins two frames is in the frame `other`; `radius` is that of a disc. The
-    state of `region` (a number in the film, -1 for none) colours it, and `name` is its owner's. A
-    spring or damper is drawn `aside` of its line, in half widths of a spring, to the left; `slack`
-    (k,) is where a rope is dashed. A disc that `turns` has a radius.
+    The last point of a link between two frames is in the frame `other`; `radius` is that of a disc.
+    The state of `region` (a number in the film, -1 for none) colours it, and `name` is its owner's.
+    A spring or damper is drawn `aside` of its line, in half widths of a spring, to the left;
+    `slack` (k,) is where a rope is dashed. A disc that `turns` has a radius.
     """
 
     kind: ShapeKind

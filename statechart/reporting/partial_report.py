@@ -14,7 +14,7 @@ T = TypeVar("T")
 SOME = 4_000
 """Events, or rows of samples, in a short form; some tenths of a second."""
 
-_NUMBERS = 2**17  # values in a short form, whatever the number of variables
+_NUMBERS = 2**17  # values in a short form, for any number of variables
 
 _INTERRUPTED = "interrupted"
 

@@ -449,12 +449,12 @@ def run_within_budget(
     taken, warnings = spent + runs.seconds, best.warnings
     over = taken > max(_OVERRUN * budget, budget + _MOMENT)
     if best.error is None and best.trace.outcome not in WITHOUT_ERROR:
-        late = (
+        exceeded = (
             f", of {taken:.2g} s, as the compilation of a mode is not interrupted" if over else ""
         )
         warnings = (
             (
-                f"the budget of {budget:g} s allowed one run{late}; for an error estimate take "
+                f"the budget of {budget:g} s allowed one run{exceeded}; for an error estimate take "
                 f"--budget {_ADVISED * taken:.2g}"
             ),
         )

@@ -336,12 +336,12 @@ class Result:
         """Return the run as the JSON object of ``statechart run --json``."""
         from statechart.reporting.report import Computation, report
 
-        asked, estimate = self.asked, self.error_estimate
+        request, estimate = self.asked, self.error_estimate
         computation = Computation(
             estimate,
             self.timings,
-            None if asked is None else asked.to_dict(estimate),
-            () if asked is None else self.conditions,
+            None if request is None else request.to_dict(estimate),
+            () if request is None else self.conditions,
         )
         return report(
             self.observer, self.trace, computation, explain=explain, most=most, pieces=pieces
@@ -375,8 +375,8 @@ class Result:
 
 
 def _restored(source: Callable[[], Outputs], trace: Trace, *parts: Any) -> Result:
-    estimate, timings, asked, study = parts
-    return Result(trace, source().observer, estimate, timings, source, asked, study)
+    estimate, timings, request, study = parts
+    return Result(trace, source().observer, estimate, timings, source, request, study)
 
 
 def _page_content(result: Result, study: Measured | None) -> dict[str, Any]:

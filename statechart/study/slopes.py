@@ -150,7 +150,7 @@ class Note:
         return _same_apart_from_numbers(self.text) in map(_same_apart_from_numbers, texts)
 
 
-def notes(study: Measurements) -> tuple[Note, ...]:
+def distinct_warnings(study: Measurements) -> tuple[Note, ...]:
     """Return the distinct warnings of all points."""
     found: dict[str, list[tuple[str, Point]]] = {}
     for point in study.points:

@@ -281,14 +281,14 @@ def invariants_of(automaton: Automaton, mode: Key) -> list[Invariant]:
 
 def _grids(trace: Trace) -> Iterator[tuple[Arc, Array]]:
     """Yield every arc with local times, evenly spaced and graded towards both ends."""
-    late = _TIME_ERROR * trace.t_end
+    margin_of_time = _TIME_ERROR * trace.t_end
     count = int(np.clip(_ALL // max(len(trace.arcs), 1), _FEWEST, _UNIFORM))
     even = (np.arange(count) + 0.5) / count
     halved = 0.5 ** np.arange(1, min(count, _HALVINGS) + 1)
     places = np.unique(np.concatenate([even, halved, 1.0 - halved]))
     for arc in trace.arcs:
         tau = places * arc.duration
-        yield arc, tau[(tau > late) & (tau < arc.duration - late)]
+        yield arc, tau[(tau > margin_of_time) & (tau < arc.duration - margin_of_time)]
 
 
 def _state_errors(trace: Trace) -> Array:

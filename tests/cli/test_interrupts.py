@@ -273,7 +273,7 @@ def test_unprintable_results_give_one_sentence(
     assert (done.returncode, done.stderr) == (1, f"cannot write to stdout: {words}\n")
 
 
-def test_without_stderr_results_are_printed_alone(tmp_path: Path) -> None:
+def test_without_stderr_only_results_are_printed(tmp_path: Path) -> None:
     command = f"{sys.executable} -m statechart.cli.main schema chart 2>&- | head -c 2"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr) == ("{\n", "")

@@ -82,7 +82,7 @@ def reported(result: Any) -> list[str]:
 def test_graze_fires_no_event_and_gives_a_warning(engine: str, tolerance: float) -> None:
     result = ran(_THROWN, engine, tolerance)
     assert result.outputs["hits"] == 0
-    assert [warning.split(":")[0] for warning in reported(result)] == [
+    assert [warning.split(",")[0] for warning in reported(result)] == [
         "c.gap grazes its boundary at t = 1"
     ]
     assert result.to_dict()["warnings"] == list(result.warnings)
