@@ -30,6 +30,7 @@ from contacts.dynamics.starting import (
     check_places,
     check_start,
     hovering_warnings,
+    weak_coupling_warnings,
 )
 from contacts.event_driven.accumulation import close_immediately
 from contacts.event_driven.compiled_laws import CompiledSceneLaws
@@ -174,7 +175,7 @@ class SceneLaws:
             state = landed(key, snapshot, state, setup.tolerances)
         if state is not setup.initial:
             snapshot = hidden(self.tape.at(setup.values, state, 0.0), off)
-        above = self._hovering(setup, state, off)
+        warnings = self._start_warnings(setup, state, off)
         choice = choose_at_rest(
             setup,
             snapshot,
@@ -186,21 +187,22 @@ class SceneLaws:
         moving = moving_mode(choice.roles)
         starts = listed_mode(moving, setup, snapshot)
         if isinstance(choice, Jam):
-            return flow_in(setup, starts, choice.roles, None, above, settled=False), state
+            return flow_in(setup, starts, choice.roles, None, warnings, settled=False), state
         check_declared(self._modes, self._names, choice, snapshot, touching, failing)
         settled = not snapshot.approaching(closed, slow)
-        return flow_in(setup, starts, choice, None, above, settled), state
+        return flow_in(setup, starts, choice, None, warnings, settled), state
 
-    def _hovering(self, setup: SceneSetup, state: Array, mode: Key) -> str:
-        """Return warnings about contacts that start just off their surfaces."""
-        contacts = self.tape.at(setup.values, state, 0.0).contacts
+    def _start_warnings(self, setup: SceneSetup, state: Array, mode: Key) -> str:
+        """Return warnings about hovering contacts, and about couplings with tiny limits."""
+        snapshot = self.tape.at(setup.values, state, 0.0)
+        contacts = snapshot.contacts
         on = [i for i, name in enumerate(mode[: self._count]) if name != OFF]
-        return "; ".join(
-            hovering_warnings(
-                self._mechanics.scene, setup.scales, setup.tolerances["gap"],
-                [self._names[i] for i in on], [contacts[i][:2] for i in on],
-            )
+        hovering = hovering_warnings(
+            self._mechanics.scene, setup.scales, setup.tolerances["gap"],
+            [self._names[i] for i in on], [contacts[i][:2] for i in on],
         )  # fmt: skip
+        weak = weak_coupling_warnings(setup.contacts, snapshot.limits, setup.tolerances["force"])
+        return "; ".join([*hovering, *weak])
 
     def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         """Classify every contact; see `contacts.modes.classification`."""
@@ -236,7 +238,7 @@ class SceneLaws:
         count = self._count
         before, moving = moving_mode(at.flow.roles)[:count], moving_mode(flow.roles)[:count]
         began = [
-            now == "free" and (name in jump.impulse or was not in OPEN)
+            now == "free" and (name in jump.impulse or was != "free")
             for name, was, now in zip(self._names[:count], before, moving, strict=True)
         ]
         flying = [state == "free" for state in moving]
