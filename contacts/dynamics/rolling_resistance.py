@@ -44,15 +44,15 @@ def apply_rolling_resistance(
         if solved is None:
             continue
         share = min(1.0, bound / abs(solved[1][0])) if solved[1][0] != 0.0 else 1.0
-        impulses = impulses.copy()
-        impulses[place, 1] = share * solved[1][0]
+        rolled = impulses.copy()
+        rolled[place, 1] = share * solved[1][0]
         for d, impulse in zip(sticking, solved[1][1:].tolist(), strict=True):
-            impulses[law.carrier, d] += share * impulse
-        normal, tangential = impulses[law.carrier].tolist()
+            rolled[law.carrier, d] += share * impulse
+        normal, tangential = rolled[law.carrier].tolist()
         slipped = abs(touching.slip) > slip_tolerance
         edge = sliding_edge(cone, touching) if slipped else (cone.cone_n, cone.cone_t)
         if 1 not in sticking or edge[0] * abs(tangential) <= edge[1] * normal:
-            velocity = velocity + share * solved[0]
+            velocity, impulses = velocity + share * solved[0], rolled
             continue
         edge = edge[0], math.copysign(edge[1], tangential)
         change, impulses = _continue_slip(snapshot, impulses, place, law.carrier, slip, limit, edge)

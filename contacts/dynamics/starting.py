@@ -32,6 +32,8 @@ _MAX_NAMED = 6
 # A gap below this part of the length, with a speed that would not raise the contact higher, is
 # probably a rounded coordinate.
 _HOVERING = 1e-6
+# Part of its limit by which a coupling may slip late without a warning.
+_WEAK = 1e-6
 
 
 @kernel
@@ -59,6 +61,23 @@ def hovering_warnings(
         "write the exact coordinate if it should rest there"
         for name, (gap, rate, *_) in zip(names, gaps_and_rates, strict=True)
         if starts_hovering(gap, rate, gap_tolerance, scales.length, scales.speed)
+    ]
+
+
+def weak_coupling_warnings(
+    laws: Sequence[ContactLaw], limits: Array, force_tolerance: float
+) -> list[str]:
+    """Return a warning for each coupling whose static limit is near the tolerance of forces.
+
+    `limits` (k, 2) are those of the last k `laws`; those of rolling resistance are lengths.
+    """
+    couplings = laws[len(laws) - len(limits) :]
+    return [
+        f"coupling {law.name!r} slips up to {force_tolerance / static:.1g} of its limit too late, "
+        f"as {static:.3g} is tiny beside the forces of the scene: write lengths in a smaller unit, "
+        "or heavy bodies in another scene"
+        for law, static in zip(couplings, limits[:, 0].tolist(), strict=True)
+        if law.carrier < 0 and 0.0 < _WEAK * static < force_tolerance
     ]
 
 

@@ -318,7 +318,7 @@ def choose(
         and taken.violation >= -tie
         and any(_opens_more(taken, rejected, closed) for rejected in tried)
     ):
-        warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken.states)} taken"
+        warning = f"indeterminate: {OPEN_LOAD}; the run takes {_label(laws, taken.states)}"
     notes: tuple[str, ...] = (_UNCHECKED,) if by_pivoting else ()
     if taken.share is not None:
         zones = zip(laws, taken.share.zones, strict=True)
@@ -435,7 +435,8 @@ def _select_candidate(
     taken = min(minimal, key=closedness_key)
     return (
         taken,
-        f"indeterminate: {labels} all agree with the state; {_label(laws, taken.states)} taken",
+        f"indeterminate: {labels} all agree with the state; "
+        f"the run takes {_label(laws, taken.states)}",
     )
 
 

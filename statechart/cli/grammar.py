@@ -52,11 +52,11 @@ def parser() -> argparse.ArgumentParser:
     _add_report_options(run)
     view = verb("view", "run a model, write the run as a page and open it in the browser")
     _settable(view)
-    _value(view, "--until", "T", "end of the run", type=_number_argument)
+    _value(view, "--until", "T", "end time of the run", type=_number_argument)
     _value(view, "-o --output", "PAGE", "file of the page; a temporary one by default")
     trade = verb("trade", "run a model at many settings, and compare error with run time")
     _json(trade)
-    words = "folder for table, data and figure; an interrupted study goes on from there"
+    words = "folder for table, data and figure; an interrupted study continues there"
     _value(trade, "-o --output", "DIR", words)
     _add_sweep_options(verb("sweep", "run a model over its parameters: grids, tables, samples"))
     _add_list_options(
@@ -171,7 +171,7 @@ def _flag(parser: argparse._ActionsContainer, names: str, words: str) -> None:
 
 
 def _add_run_options(parser: argparse.ArgumentParser) -> None:
-    _value(parser, "--until", "T", "end of the run", type=_number_argument)
+    _value(parser, "--until", "T", "end time of the run", type=_number_argument)
     _engine(parser)
     words = (
         "allowed residual of the contact impulses, relative to the fastest approach velocity in "
@@ -182,7 +182,7 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
         parser,
         "--impulse-bound",
         "R",
-        "residual of the contact impulses above which the run ends",
+        "residual of the contact impulses above which the run ends (engine impulse)",
         type=_number_argument,
     )
     parser.add_argument(
@@ -191,7 +191,7 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
         help="data that the engine impulse records: modes and events, the states at every step, "
         "or start, end and outputs",
     )
-    words = "longest time step of the other engines"
+    words = "longest time step of the engines taylor and scipy"
     _value(parser, "--max-step", "H", words, type=_number_argument)
     words = "RK45, DOP853, Radau or LSODA (engine scipy), 'long double' (engine taylor)"
     _value(parser, "--method", "M", words)
@@ -240,7 +240,7 @@ def _add_report_options(parser: argparse.ArgumentParser) -> None:
 def _json(parser: argparse.ArgumentParser, *, digits: bool = False) -> None:
     _flag(parser, "--json", "print one JSON object")
     if digits:
-        words = f"significant digits of printed numbers; {DIGITS}, and {ALL_DIGITS} for all"
+        words = f"significant digits of printed numbers (default {DIGITS}; {ALL_DIGITS} for all)"
         _value(parser, "--digits", "N", words, type=_positive, default=DIGITS)
 
 
@@ -292,7 +292,12 @@ def _add_sweep_options(parser: argparse.ArgumentParser) -> None:
     cells = parser.add_mutually_exclusive_group()
     words = "points of a Sobol sequence over NAME=lin:A:B, a power of two"
     _value(cells, "--sobol", "N", words, type=_positive)
-    _value(cells, "--samples", "TABLE.csv", "a column for every parameter, a row for every run")
+    _value(
+        cells,
+        "--samples",
+        "TABLE.csv",
+        "table of values: a column for every parameter, a row for every run",
+    )
     _value(
         parser,
         "--outputs",

@@ -38,7 +38,7 @@ class Compared(NamedTuple):
     def __str__(self) -> str:
         one, other = f"{self.coarse:.7g}", f"{self.fine:.7g}"
         if one == other:
-            one, other = f"{self.coarse:.17g}", f"{self.fine:.17g}"
+            return f"{self.what} ({one}, difference {abs(self.fine - self.coarse):.2g})"
         return f"{self.what} ({one} and {other})"
 
 

@@ -462,7 +462,7 @@ class RunInputs:
             if self._end is None:
                 raise DeclarationProblem(
                     "the run has no end",
-                    advice="write stop: {time: 10}, or pass until",
+                    advice="write stop: {time: 10}, or --until T (in Python until=T)",
                     loc=("stop",),
                 )
             end = self._end.value(self.values(overrides) if self._end.names else {})
