@@ -85,8 +85,9 @@ def assert_start(case: Case) -> None:
         worst = int(np.argmax(off))
         if off[worst] > _START * size + projection:
             raise AssertionError(
-                f"{trace.engine}: {trace.variables[worst]} starts {off[worst]:.3g} off "
-                f"its declared value, {declared[worst]:.7g}"
+                f"{trace.engine}: {trace.variables[worst]} starts at "
+                f"{trace.initial[worst]:.7g}, declared is {declared[worst]:.7g} "
+                f"(difference {off[worst]:.2g})"
             )
 
 
