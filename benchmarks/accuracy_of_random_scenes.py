@@ -163,11 +163,11 @@ class Judges:
             reason = result.trace.message
             return Judgement(scene, parameters, "refused", math.nan, estimate, reason)
         references = [r.run(parameters, throw=False) for r in (one, other)]
-        unsure = _apart(*references)
+        unsure = _relative_difference(*references)
         # The engine that the run was not made with judges it.
         ours = result.trace.engine.split()[0]
         judge = next(r for r in references if r.trace.engine.split()[0] != ours)
-        error = _apart(judge, result)
+        error = _relative_difference(judge, result)
         verdict, reason = "unjudged", f"the references differ by {unsure:.2g}"
         if error + unsure <= ACCURACY:
             verdict, reason = "delivered", ""
@@ -187,7 +187,7 @@ class Judges:
         return self._runners[scene]
 
 
-def _apart(one: Result, other: Result) -> float:
+def _relative_difference(one: Result, other: Result) -> float:
     first, second = (EvaluatedRun.of(run.observer, run.trace) for run in (one, other))
     return first.difference(second, first.scales, brief=ACCURACY).largest
 

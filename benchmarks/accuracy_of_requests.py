@@ -53,7 +53,7 @@ OUTPUTS = {
         "when": Value(value="time", at="each A.touchdown"),
     },
 }
-# Engine and method, and the tightest accuracy that it is asked for, as a power of ten.
+# Engine and method, and the tightest requested accuracy, as a power of ten.
 ENGINES: dict[str, tuple[dict[str, str], int]] = {
     "auto": ({}, 10),
     "taylor": ({"engine": "taylor"}, 10),
@@ -85,7 +85,7 @@ def references(scene: str) -> tuple[Runner, Runner]:
     return one, other
 
 
-def apart(one: Result, other: Result, accuracy: float) -> float:
+def relative_difference(one: Result, other: Result, accuracy: float) -> float:
     first, second = (EvaluatedRun.of(run.observer, run.trace) for run in (one, other))
     return first.difference(second, first.scales, brief=accuracy).largest
 
@@ -110,10 +110,10 @@ def judged(
         reason = result.warnings[-1] if result.warnings else result.trace.message
         return "refused", math.nan, estimate or math.nan, reason
     one, other = (r.run(parameters, throw=False) for r in references(scene))
-    unsure = apart(one, other, accuracy)
+    unsure = relative_difference(one, other, accuracy)
     ours = result.trace.engine.split()[0]
     judge = next((r for r in (one, other) if r.trace.engine.split()[0] != ours), other)
-    error = apart(judge, result, accuracy)
+    error = relative_difference(judge, result, accuracy)
     if error + unsure <= accuracy:
         # What the references do not resolve is no error.
         return "delivered", error if error > 3.0 * unsure else 0.0, estimate, ""
@@ -135,7 +135,7 @@ def cost(scene: str, parameters: dict[str, float], engine: str, accuracy: float)
         except StatechartError:
             continue
         found, single = timed(lambda one=one: one.run(parameters, throw=False))  # type: ignore[misc]
-        if apart(reference, found, accuracy) <= accuracy:
+        if relative_difference(reference, found, accuracy) <= accuracy:
             return seconds / single
     return None
 

@@ -24,7 +24,7 @@ def main() -> None:
     assert place is not None
     text = place.read_text(encoding="utf-8") + f"\nsettings: {{max_jumps: {2 * COUNTS[-1]}}}\n"
     runner = Runner(read_text(text))
-    # Compiles what runs of many bounces use.
+    # Compiles the kernels that runs of many bounces use.
     runner.run({"k": 1.0}, until=4000.0)
     base = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10
     print(f"load {os.getloadavg()[0]:.1f}; imports and compiled code take {base} MB")

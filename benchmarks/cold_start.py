@@ -41,7 +41,7 @@ def seconds(verb: str, model: str, folder: str) -> float:
     # That a run ends before its time, or cannot be certified, is no failure here.
     subprocess.run(
         [*command, *(option.format(folder=folder) for option in options)],
-        # As after an installation: Python keeps what it compiled of the sources, too.
+        # As after an installation: Python's byte code is cached, too.
         env={
             **{name: value for name, value in os.environ.items() if name != _NO_BYTECODE},
             "NUMBA_CACHE_DIR": f"{folder}/numba",

@@ -114,8 +114,8 @@ def steps_of(
 def of_shapes(name: str, runner: Runner, values: Mapping[str, float]) -> Iterator[Problem]:
     """Yield the problems of islands of bodies with shapes."""
     known: dict[tuple[int, ...], Array] = {}
-    assert runner.automaton.own_step is not None
-    h = float(runner.model.settings.step or runner.automaton.own_step())
+    assert runner.automaton.default_step is not None
+    h = float(runner.model.settings.step or runner.automaton.default_step())
     for stepped, *_ in steps_of(runner, values, h):
         assert isinstance(stepped, RigidBodyRun)
         touches, inverse = stepped._workspace.active, stepped.numbers.inverse

@@ -47,7 +47,7 @@ stop: {{time: 1}}
 """
 
 
-def heap(count: int) -> str:
+def discs_above_ground(count: int) -> str:
     """Return `count` discs, four in a row, above the ground."""
     return f"""\
 kind: scene
@@ -104,7 +104,7 @@ def measured(text: str, engine: str, step: float | None) -> dict[str, object]:
         path = Path(folder) / "scene.yaml"
         path.write_text(text)
         command = [sys.executable, __file__, "--one", str(path), engine, str(step or 0)]
-        # heyoka keeps what it has compiled in XDG_CACHE_HOME: an empty one is a cold start.
+        # heyoka caches compiled code in XDG_CACHE_HOME: an empty one is a cold start.
         environment = os.environ | {"XDG_CACHE_HOME": folder}
         began = time.perf_counter()
         done = subprocess.run(
@@ -172,7 +172,7 @@ def page() -> str:
     lines += ["", "## Steps of 1e-3: a heap of N bodies", "", HEADER]
     heaps: dict[int, float] = {}
     for count in BODIES:
-        found = measured(heap(count), "impulse", 1e-3)
+        found = measured(discs_above_ground(count), "impulse", 1e-3)
         heaps[count] = float(found["again"])  # type: ignore[arg-type]
         lines.append(row(count, found, base["impulse"]))
         print(lines[-1], file=sys.stderr)

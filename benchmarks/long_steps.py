@@ -196,14 +196,14 @@ KINDS: dict[str, Kind] = {
         lambda known: known["k"] * max(abs(known["v"]), math.sqrt(9.81 / known["k"])),
     ),
 }  # fmt: skip
-"""What takes turns."""
+"""Scenes that are drawn in turn."""
 
-# An error is plainly wrong from so many steps of the run on, and from so many times what is done
-# in a step; below the least never, above the most always.
+# An error is wrong above _ALLOWED steps of the run and _ORDER changes in a step; below _MIN_ERROR
+# never, above _MAX_ERROR always.
 _ALLOWED, _ORDER, _MIN_ERROR, _MAX_ERROR = 20.0, 5.0, 0.05, 0.5
-# In steps in which no more than this is done a run is to come to its end.
+# A run whose steps change less than this must reach its end.
 _FOLLOWED = 0.1
-# So much of the energy is gained by no rounding and no first order.
+# A relative energy gain above this is neither round-off nor first-order error.
 _GAIN = 0.05
 
 
@@ -251,12 +251,12 @@ def judge(
     end = exact.trace.t_end
     scale = np.maximum(_sizes(exact), _sizes(coarse))
     error = float((np.abs(ours - theirs) / scale).max())
-    # Where shorter steps do not come nearer, the motion itself is one that no step tells.
+    # Where shorter steps do not converge, the motion is too sensitive for a comparison.
     unclear = (
         not half.trace.outcome.succeeded
         or float((np.abs(_numbers(half) - theirs) / scale).max()) > 0.3
     )
-    # Of a bounce off what is crossed in a step, nothing but its side is reported.
+    # A bounce off an obstacle that a step crosses is compared by its side only.
     allowed = max(_ALLOWED * step / end, _ORDER * step * kind.rate(known), _MIN_ERROR)
     wrong = error > min(allowed, _MAX_ERROR) or gained > _GAIN
     if not wrong and not (said and error > _MIN_ERROR):

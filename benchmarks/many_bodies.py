@@ -243,14 +243,14 @@ def _kilobytes(name: str) -> int:
     return int(status.split(f"{name}:")[1].split()[0])
 
 
-def memory(count: int, record: str) -> None:
+def print_memory(count: int, record: str) -> None:
     """Print how much more than after its imports a run takes at most, in this process."""
     runner = Runner("granular_column", record=record)
-    # Loads what is compiled.
+    # Loads the compiled kernels.
     runner.run({"n": 4}, until=STEP)
     before = _kilobytes("VmRSS")
     trace = runner.run({"n": count}, until=_LONG, throw=False).trace
-    # What `getrusage` tells is at least what the process that made this one took.
+    # `getrusage` reports at least the memory of the parent process.
     most = _kilobytes("VmHWM")
     print(
         f"{record:16}{count:6}{trace.counts['steps']:10} steps{(most - before) / 1024:10.0f} MB "
@@ -272,7 +272,7 @@ def main() -> None:
     chosen = parser.parse_args()
     if chosen.record:
         for count in chosen.memory:
-            memory(count, chosen.record)
+            print_memory(count, chosen.record)
         return
     if chosen.peer:
         for count in chosen.discs:

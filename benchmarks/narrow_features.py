@@ -148,7 +148,7 @@ def _in_state(
     z, t = np.array([0.0, 1000.0, speed, 0.0]), 0.0
     sign = 1.0 if i == 0 else -1.0
     for edge in (-100, -30, -10, -3, -1, 0, 1, 3, 10, 30, 100, None):
-        # Left to itself the reference passes over what it is to find.
+        # With its own step size control the reference misses the feature.
         ahead = math.inf if edge is None else edge - sign * (z[i] - where) / width
         longest = min(0.2, 0.1 * w * max(ahead, 1.0))
 

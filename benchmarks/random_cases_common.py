@@ -17,7 +17,7 @@ from statechart.running.result import Result
 
 G = 9.81
 Values = dict[str, float]
-Check = Callable[[Result], float]  # error in parts of what is allowed
+Check = Callable[[Result], float]  # error relative to the allowed one
 Sibling = tuple[Values, Check]
 Family = Callable[[random.Random], tuple[Runner, Callable[[], Sibling]]]
 Signal = Callable[[np.ndarray, list[float]], np.ndarray]

@@ -17,10 +17,10 @@ from statechart import Runner
 from statechart.documents.yaml_reader import read_text
 from statechart.running.result import Result
 
-STEPS = (1e-4, 2.5e-5, 6.25e-6)
+STEPS = (1e-4, 2.5e-5, 6.25e-6, 1.5625e-6)
 # Times may be off by so many steps: a landing comes up to one late, and a stick after it some.
 LATE = 40.0
-# Events that repeat within so many steps may be missing.
+# Events that repeat, or follow a landing of their contact, within so many steps may be missing.
 SHORT = 32.0
 
 HEAD = """\
@@ -188,7 +188,10 @@ Event = tuple[tuple[str, str], float, float]
 
 
 def events(result: Result) -> list[Event]:
-    """Return regions with causes or new modes, times, and times since the last of the same name."""
+    """Return regions with causes or new modes, times, and times since what they repeat or end.
+
+    That is the last event of the same name, or the last landing of the same contact.
+    """
     trace, last = result.trace, dict[tuple[str, str], float]()
     found = list[Event]()
     for jump in trace.jumps:
@@ -200,7 +203,8 @@ def events(result: Result) -> list[Event]:
         if jump.cause == "touchdown" and (jump.region, "lands") not in changed:
             changed.append((jump.region, "lands"))
         for name in changed:
-            found.append((name, jump.t, jump.t - last.get(name, -np.inf)))
+            before = max(last.get(key, -np.inf) for key in (name, (name[0], "lands")))
+            found.append((name, jump.t, jump.t - before))
             last[name] = jump.t
     return found
 
@@ -208,7 +212,8 @@ def events(result: Result) -> list[Event]:
 def lateness(wanted: Result, result: Result, short: float) -> float:
     """Return how late events are; infinity if there are others.
 
-    Of events that repeat within `short`, such as the last bounces, any number may be missing.
+    Of events that repeat within `short`, such as the last bounces, any number may be missing, and
+    so may the stick that ends them.
     Events of two regions in less than a step may change places.
     """
     late = 0.0

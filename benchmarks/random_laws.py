@@ -281,7 +281,7 @@ def shapes(draw: Draw) -> Scene:
     rolls = draw.choice(["", f", rolling_resistance: {draw.number(0.001, 0.02)}"])
     start = f"x: 0.3, y: {draw.choice(['0.05', '0.08'])}, dx: {draw.number(-1, 1)}"
     ground = f"friction: {draw.friction(False)}, {draw.closing(False)}{rolls}"
-    # A led body presses what is held in the world: the run ends.
+    # A led body presses a body that a joint fixes: the run ends.
     path = draw.choice(["0.1*sin(5*time)", "0.4*time", "s"][: 1 if "x:" in link else 3])
     return {
         "bodies": [

@@ -43,7 +43,7 @@ from statechart.running.runner import Runner
 
 STEPS = round(END / STEP)
 FELT = np.array([1.0, 1.0, 2.0 / RADIUS**2]) / MASS
-"""What a unit of force or torque does to the rates of a disc."""
+"""Change of the rates of a disc by a unit force or torque."""
 
 
 class Step(NamedTuple):

@@ -34,7 +34,7 @@ def grid(count: int) -> dict[str, np.ndarray]:
     return {"mu": np.geomspace(0.03, 100.0, count), "I_G": np.geomspace(1e-4, 1.0, count)}
 
 
-def rows() -> np.ndarray:
+def parameter_table() -> np.ndarray:
     # Of all the map, in an order without pattern.
     table = np.stack(np.meshgrid(*grid(100).values(), indexing="ij"), axis=-1).reshape(-1, 2)
     return np.random.default_rng(0).permutation(table)[: BLOCK * REPEATS]
@@ -42,7 +42,7 @@ def rows() -> np.ndarray:
 
 def in_one_process() -> None:
     plan = Plan(Runner(MODEL).model, Setting(), grid(2))
-    table = rows().reshape(REPEATS, BLOCK, 2)
+    table = parameter_table().reshape(REPEATS, BLOCK, 2)
     run_block(plan.task, table[0])
     runner = Runner(MODEL)
     runner.run({"mu": 0.2})
@@ -84,7 +84,7 @@ def arithmetic() -> float:
     return total
 
 
-def given(executor: Executor) -> float:
+def speedup_of_two_processes(executor: Executor) -> float:
     """Return how many times as much two processes do as one, as the machine is."""
     taken = []
     for count in (1, 2):
@@ -109,7 +109,7 @@ def maps(count: int) -> None:
             sweep(MODEL, grid(count), store=Path(folder) / "two.zarr", executor=executor)
             two, here = time.perf_counter() - began, time.process_time() - busy
             there = computed(executor) - before
-            most = given(executor)
+            most = speedup_of_two_processes(executor)
     print(f"figure 10 at {count} x {count}, to a store, s        {one:10.2f}")
     print(f"the same by two processes, s                 {two:10.2f}")
     print(f"two processes against one                    {one / two:10.2f}")

@@ -33,7 +33,7 @@ _G, _UNTIL = 9.81, 1.0
 _HILLS, _BUMP = "A*sin(k*x + phase)", "A*exp(-((x - c)/w)**2)"
 # Of the scene's lengths of about 1: how far the ball may be off where its impact is reported.
 _OFF = 1e-9
-# A run that is timed goes on for so long behind its first impact.
+# Duration of a timed run after its first impact.
 _JUST = 1e-3
 # Flights rise so far at least; lower ones are captured.
 _LOW = 1e-8

@@ -37,10 +37,10 @@ from statechart.observation.outputs import Outputs
 
 GOLDEN = Path(__file__).parents[1] / "tests" / "golden" / "toppling_stick.json"
 ROUNDS, SLOW, TURN = 40, 3, 10
-Found = tuple[float, float, float, float, float]  # critical angle, slips, omega, time
+Measures = tuple[float, float, float, float, float]  # critical angle, slips, omega, time
 
 
-def hand_written_heyoka(mu: float, inertia: float) -> Callable[[float], Found]:
+def hand_written_heyoka(mu: float, inertia: float) -> Callable[[float], Measures]:
     """Return a function of theta0 that runs the stick on three compiled integrators."""
     theta, omega, x, u = hy.make_vars("theta", "omega", "x", "u")
     I, m = hy.par[0], hy.par[1]  # noqa: E741
@@ -78,7 +78,7 @@ def hand_written_heyoka(mu: float, inertia: float) -> Callable[[float], Found]:
         alpha = s / (inertia + 1.0)
         return alpha * c - omega**2 * s, 1.0 - alpha * s - omega**2 * c
 
-    def run(theta0: float) -> Found:
+    def run(theta0: float) -> Measures:
         angle, rate = theta0, 2.0 * math.sin(theta0 / 2) / math.sqrt(1.0 + inertia)
         place = speed = now = backward = forward = 0.0
         critical, sign = math.nan, 0.0
@@ -119,7 +119,7 @@ def hand_written_heyoka(mu: float, inertia: float) -> Callable[[float], Found]:
 
 def hand_written_scipy(
     mu: float, inertia: float, method: str, rtol: float
-) -> Callable[[float], Found]:
+) -> Callable[[float], Measures]:
     """Return the same loop on `solve_ivp`."""
 
     def forces(y: np.ndarray) -> tuple[float, float]:
@@ -157,7 +157,7 @@ def hand_written_scipy(
 
     stops = {sign: stop(sign) for sign in (1.0, -1.0)}
 
-    def run(theta0: float) -> Found:
+    def run(theta0: float) -> Measures:
         y = np.array([theta0, 2.0 * math.sin(theta0 / 2) / math.sqrt(1.0 + inertia), 0.0, 0.0])
         now = backward = forward = sign = 0.0
         critical = math.nan
@@ -214,7 +214,7 @@ def ratio(times: Sequence[float], others: Sequence[float]) -> float:
     return statistics.median(a / b for a, b in zip(times, others, strict=True))
 
 
-def error(found: Found, cell: dict[str, float]) -> float:
+def error(found: Measures, cell: dict[str, float]) -> float:
     """Return the largest error of the outputs against the reference."""
     names = ("critical_angle_rad", "slip_backward", "slip_forward", "omega_impact", "t_impact")
     return max(abs(f - cell[name]) for f, name in zip(found, names, strict=True))
@@ -234,7 +234,7 @@ def main() -> None:
 
     read = Outputs(Observer(simulator))
 
-    def framework() -> Found:
+    def framework() -> Measures:
         return tuple(read.of(simulator.run({"theta0": theta0}, until=1000.0)).values())  # type: ignore[return-value]
 
     heyoka = hand_written_heyoka(mu, inertia)

@@ -21,7 +21,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.running.runner import Runner
 from statechart.study.figure import figure
 from statechart.study.measurements import Point
-from statechart.study.slopes import notes, slopes
+from statechart.study.slopes import distinct_warnings, slopes
 from statechart.study.study import Study
 from statechart.study.text import marks, omitted
 from statechart.study.trade import trade
@@ -36,7 +36,7 @@ SYSTEMS: dict[str, tuple[str, str]] = {
     "Block on an incline": ("block_on_incline", "models/block_on_incline.yaml"),
     "Block under a harmonic force": ("stick_slip_block", "models/stick_slip_block.yaml"),
 }
-# Random scenes to which the accuracy is asked for.
+# Random scenes with a requested accuracy.
 COUNT, SEED = 200, 1
 # Warm runs of a setting: the first of a process are interpreted.
 REPEATS = 25
@@ -190,11 +190,11 @@ def section(title: str, source: str, study: Study) -> str:
     if powers:
         lines.append(f"Fitted slopes: {powers}.")
     lines += [f"Left out: {line}." for line in omitted(study)]
-    lines += [f"Warning: {note.text}." for note in notes(study)]
+    lines += [f"Warning: {note.text}." for note in distinct_warnings(study)]
     return "\n".join([*lines, "", "</details>"]) + "\n"
 
 
-def asked(kept: Path) -> str:
+def accuracy_table(kept: Path) -> str:
     """Return the table of accuracies asked for, made once."""
     if not kept.exists():
         write_atomic(kept, table(requests(COUNT, SEED)).encode())
@@ -242,7 +242,7 @@ def main() -> None:
         picture(study, DOCS / "images" / f"trade_{study.model}.png")
         studies[title] = study
         parts.append(section(title, source, study))
-    parts.append(REQUESTS + asked(folder / "requests.md"))
+    parts.append(REQUESTS + accuracy_table(folder / "requests.md"))
     write_atomic(DOCS / "speed-and-accuracy.md", "\n".join([head(studies), *parts]).encode())
 
 

@@ -59,8 +59,8 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     made = Automaton(
         name=scene.name,
         declaration=scene,
-        names=(*mechanics.variable_names, *mechanics.controller_state),
-        variables=(*mechanics.variables, *mechanics.controller_state.values()),
+        names=mechanics.state_names,
+        variables=mechanics.state,
         parameter_names=parameters.names,
         parameters=parameters.ordered,
         time=mechanics.time,
@@ -116,7 +116,7 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
 
 
 def stage(automaton: Automaton) -> Stage:
-    """Return a scene as something to look at."""
+    """Return the stage of a scene, which makes its pictures and films."""
     from contacts.pictures.stage import SceneStage
 
     return SceneStage(automaton)

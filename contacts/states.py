@@ -1,4 +1,4 @@
-"""States of a contact: the one place for their words, and the numbers that kernels know them by."""
+"""States of a contact: their names in documents, and their codes in kernels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DISENGAGED = "open"
 
 
 INACTIVE = (OFF, DISENGAGED)
-"""States of what its conditions have taken off."""
+"""States of contacts and couplings whose conditions fail."""
 
 
 CODES = {
@@ -65,7 +65,7 @@ SUPERSTATES = {
     "slide": CLOSED,
     "pin": CLOSED,
 } | dict.fromkeys(SLIPPING, "slipping")
-"""State -> what it is in: ``free | closed { pin | slide { slide+ | slide- } }`` of a contact,
+"""State -> superstate: ``free | closed { pin | slide { slide+ | slide- } }`` of a contact,
 ``open | locked | slipping { slip+ | slip- }`` of a coupling."""
 
 
@@ -80,7 +80,7 @@ def superstates_of(states: Iterable[str]) -> dict[str, str]:
 
 
 def declared_state(state: str) -> str:
-    """Return a state as a contact lists it: `slide`, or `slipping`, whatever its direction."""
+    """Return a state as a contact lists it: `slide` or `slipping`, without direction."""
     return "slide" if state in SLIDING else "slipping" if state in SLIPPING else state
 
 

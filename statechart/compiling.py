@@ -20,11 +20,11 @@ KERNELS = "numerical kernels"
 """The name of numba's work in messages."""
 
 Say = Callable[[str, str, bool], None]
-"""Takes what is compiled, a line, and whether it is the last one of a compilation."""
+"""Takes the subject of a compilation, a line, and True for its last line."""
 
 
 class _State:
-    """The compilation under way: since when, and when it was last reported."""
+    """State of the current compilation: start, last report, numbers of functions."""
 
     name, done, total = "", 0, 0
     depth = 0
@@ -74,7 +74,7 @@ def working_time() -> float:
 
 
 def begin(name: str, count: Callable[[], int]) -> None:
-    """Note that a compilation begins, maybe inside another."""
+    """Start the clock of a compilation, possibly inside another."""
     _now.depth += 1
     if _now.depth > 1:
         return
@@ -85,7 +85,7 @@ def begin(name: str, count: Callable[[], int]) -> None:
 
 @contextmanager
 def whole(name: str, count: Callable[[], int] = lambda: 1) -> Iterator[None]:
-    """Time a compilation of so many functions, maybe inside another."""
+    """Time a compilation of `count` functions, possibly inside another."""
     begin(name, count)
     try:
         yield
@@ -94,7 +94,7 @@ def whole(name: str, count: Callable[[], int] = lambda: 1) -> Iterator[None]:
 
 
 def end(counts: bool = True) -> None:
-    """End the latest compilation, which `counts` as one of those that were expected."""
+    """Stop the clock of the latest compilation; add it to the expected ones if it `counts`."""
     _now.depth -= 1
     _now.done += counts
     now = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Everything that can go wrong, as one tree.
+"""Errors of this project, as one tree of exceptions.
 
 ::
 
@@ -169,7 +169,7 @@ class DeclarationProblem(ValueError):
 
 
 class Findings:
-    """Gathers problems that have nothing to do with each other, to be raised as one.
+    """Collects independent problems, and raises them as one error.
 
     ::
 
@@ -193,7 +193,7 @@ class Findings:
         return True
 
     def check(self) -> None:
-        """Raise the first of the problems, with the others; nothing where there are none."""
+        """Raise the first problem with the others attached, if there are any."""
         if self._found:
             first, *others = self._found
             first.others = tuple(others)
@@ -276,11 +276,11 @@ class OutOfBudget(SimulationError):
 
 
 class Undecided(SimulationError):
-    """A guard could be neither found nor excluded within the search's budget."""
+    """The event search could neither locate nor exclude a crossing within its budget."""
 
 
 class StepTooLarge(SimulationError):
-    """A fixed time step does not see the model."""
+    """The fixed time step is too long for the model."""
 
 
 class UnsolvedImpulses(SimulationError):
@@ -292,7 +292,7 @@ class TooLong(SimulationError):
 
 
 class Unsupported(SimulationError):
-    """The model has what the engine lacks."""
+    """The engine cannot run a feature of the model."""
 
 
 _NUMBERS = re.compile(r"(\D*)(\d*)")
@@ -325,7 +325,7 @@ def owner_or_matches(region: str, name: str, owners: Mapping[str, Collection[str
 
 
 def _with_other_number(name: str, names: Sequence[str]) -> str:
-    """Return which names there are that differ from `name` in a number; "" for none."""
+    """Return advice on names that differ from `name` in their number; "" for none."""
     split = re.fullmatch(r"(.+?)\d*((?:\.\w+)?)", name)
     if split is None:
         return ""

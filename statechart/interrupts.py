@@ -2,7 +2,7 @@
 
 SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt where they arrive. Inside a loop that writes a
 trace they would leave it half-written, and inside compiled code they raise another error. Such code
-holds them back (`held`), and the loop calls `check` between its steps. Compilation is long and has
+defers them (`deferred`), and the loop calls `check` between its steps. Compilation is long and has
 no result to lose: `let_through` lets signals interrupt it.
 """
 
@@ -23,7 +23,7 @@ _OPEN, _HELD, _FIRM = range(3)
 
 
 class _State:
-    """Numbers of signals that arrived and that `check` reported, and which are held back."""
+    """Counts of received and of reported signals, and the signals that are deferred."""
 
     count = reported = 0
     # Whether SIGINT comes to this module already; asking the process for that takes long.
@@ -36,7 +36,7 @@ _now = _State()
 
 
 def listen() -> None:
-    """Let all three signals end this process as SIGINT does; those that are ignored stay so."""
+    """Handle all three signals as SIGINT; ignored signals stay ignored."""
     for number in _SIGNALS:
         # A process that is to outlive its terminal (nohup) ignores SIGHUP.
         if signal.getsignal(number) is not signal.SIG_IGN:
@@ -46,12 +46,12 @@ def listen() -> None:
 
 
 def forget() -> None:
-    """Begin anew: no signal has arrived."""
+    """Reset the counts of signals."""
     _now.count = _now.reported = 0
 
 
 def signal_count() -> int:
-    """Return how many signals to end have arrived."""
+    """Return the number of received signals."""
     return _now.count
 
 
@@ -63,8 +63,8 @@ def check() -> None:
 
 
 @contextmanager
-def held(*, firmly: bool = False) -> Iterator[None]:
-    """Only note signals, for `check` to find.
+def deferred(*, firmly: bool = False) -> Iterator[None]:
+    """Defer signals: only `check` raises.
 
     In a process that does not `listen` that holds for SIGINT, and for the main thread.
     """
@@ -94,7 +94,7 @@ def held(*, firmly: bool = False) -> Iterator[None]:
 
 @contextmanager
 def let_through() -> Iterator[None]:
-    """Let signals raise KeyboardInterrupt at once, inside `held`."""
+    """Let signals raise KeyboardInterrupt at once, inside `deferred`."""
     outer = _now.hold
     if outer == _FIRM:
         yield
@@ -110,7 +110,7 @@ def let_through() -> Iterator[None]:
 
 @contextmanager
 def limit_time(seconds: float) -> Iterator[None]:
-    """Raise KeyboardInterrupt so long after the first signal, as a further signal does."""
+    """Raise KeyboardInterrupt this many seconds after the first signal, or at a further one."""
     if not (signal_count() and hasattr(signal, "setitimer")):
         yield
         return

@@ -16,7 +16,7 @@ RUN = LINES[0]
 PAPER, CLOSED = "#FFFFFF", "#F6F8FA"
 """Colours of the background, and of boxes that hold others."""
 
-# A state keeps its colour from picture to picture, whatever the others of its region are.
+# A state has the same colour in all pictures, independent of the other states of its region.
 _NAMED = {
     "free": "#A6D8F5",
     "slide+": "#F3C14B",

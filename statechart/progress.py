@@ -10,7 +10,7 @@ T = TypeVar("T")
 
 
 class Bar:
-    """A bar on stderr that is gone once it is closed."""
+    """Progress bar on stderr; `close` removes it."""
 
     def __init__(self, total: float) -> None:
         from rich.console import Console
@@ -31,7 +31,7 @@ class Bar:
         self._shown.update(self._task, completed=done, description=words)
 
     def close(self) -> None:
-        """Leave the terminal as it was."""
+        """Remove the bar from the terminal."""
         self._shown.stop()
 
 

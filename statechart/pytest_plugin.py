@@ -32,7 +32,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )  # fmt: skip
     group.addoption(
         "--statechart-seed", type=int, default=_SEED, metavar="S",
-        help=f"which choices; {_SEED}: the same ones every time",
+        help=f"seed of the choices (default {_SEED}); the same seed draws the same ones",
     )  # fmt: skip
 
 
@@ -47,7 +47,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ModelFile 
 
 
 def _is_model(path: Path) -> bool:
-    """Return whether a YAML file declares that it is a model."""
+    """Return whether a YAML file declares the kind of a model."""
     from statechart.documents.files import read_bounded
     from statechart.documents.yaml_reader import MAX_BYTES
     from statechart.errors import DeclarationError
@@ -85,22 +85,22 @@ class ModelItem(pytest.Item):
         if not report.passed:
             place = self.path.with_name(f"{self.path.stem}{_FAILURE}.yaml")
             write_atomic(place, report.reproduction.encode())
-            raise NotHeld(report, place)
+            raise PropertyViolated(report, place)
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> str:
         """Report the violated property, or the error of the file, without internal frames."""
         from statechart.errors import StatechartError
 
-        if isinstance(excinfo.value, NotHeld | StatechartError):
+        if isinstance(excinfo.value, PropertyViolated | StatechartError):
             return str(excinfo.value)
         return str(super().repr_failure(excinfo, style))
 
     def reportinfo(self) -> tuple[Path, int | None, str]:
-        """Return where the item is."""
+        """Return the location of the item."""
         return self.path, None, f"model {self.name}"
 
 
-class NotHeld(Exception):  # noqa: N818 - what happened, as users read it
+class PropertyViolated(Exception):  # noqa: N818 - what happened, as users read it
     """A property that does not hold."""
 
     def __init__(self, report: CheckReport, written: Path) -> None:

@@ -1,4 +1,4 @@
-"""Texts for people: lines, and tables that a terminal may set to its width."""
+"""Plain-text output: lines, and tables that a terminal may fit to its width."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _COUNTED = 10**9
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of a text that belong under each other."""
+    """Rows of aligned columns in a text."""
 
     rows: Sequence[Sequence[str]]  # Those of one table are of one length.
     headed: bool = False  # Whether the first row is the head.
@@ -37,7 +37,7 @@ TextBlock = str | Table
 
 
 def write_plain(blocks: Iterable[TextBlock]) -> str:
-    """Return a text as it is written to a file."""
+    """Return blocks as plain text for a file."""
     return "".join(block if isinstance(block, str) else table(block.rows) for block in blocks)
 
 
@@ -62,7 +62,7 @@ def table(rows: Sequence[Sequence[str]]) -> str:
 
 
 def number(value: Any, digits: int = DIGITS) -> str:
-    """Return a value as people read it: rounded, a list of more than a few values in summary."""
+    """Return a value as rounded text, a list of more than a few values in summary."""
     if value is None:
         return "none"
     if isinstance(value, float):
@@ -89,18 +89,18 @@ def align_numbers(texts: Sequence[str]) -> list[str]:
 
 
 def readable_count(number: int) -> str:
-    """Return a number of things as people read it: a huge one as a power, such as about 1.4e143."""
+    """Return a count as text, a huge one as a power, such as about 1.4e143."""
     # A float ends at 1e308, and Python writes no integer of more than 4300 digits.
     return str(number) if number < _COUNTED else f"about {Decimal(number):.1e}".replace("e+", "e")
 
 
 def pluralise(count: int, noun: str) -> str:
-    """Return how many of something there are: ``1 step``, ``2 steps``."""
+    """Return a number with its noun: ``1 step``, ``2 steps``."""
     return f"{readable_count(count)} {noun}{'' if count == 1 else 's'}"
 
 
 def abridge(items: Sequence[T], half: int = FEW) -> list[T | int]:
-    """Return the items that people are shown, in the place of many the number left out."""
+    """Return the first and last of many items, and between them the number of omitted ones."""
     left_out = len(items) - 2 * half
     if left_out <= 0:
         return list(items)

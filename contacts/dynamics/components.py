@@ -51,9 +51,8 @@ def components(
         parts,
         _scene_form,
         automaton,
-        lambda made: partial(_restrict, numbers[id(made)]),
-        _shown,
-        joint=True,
+        lambda part: partial(_restrict, numbers[id(part)]),
+        _renumber_share,
     )
 
 
@@ -99,7 +98,7 @@ def _restrict(numbers: SceneNumbers, setup: Setup, places: Places) -> SceneSetup
     )
 
 
-def _shown(role: Role, places: Places) -> Role:
+def _renumber_share(role: Role, places: Places) -> Role:
     """Renumber the coordinates and joint rows of a shared load from component to scene."""
     share = role.share
     if not isinstance(share, Bearing):

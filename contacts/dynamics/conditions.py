@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.controllers import controller_rates_in, values_in
 from contacts.dynamics.gates import (
     FAILS,
     HOLDS,
@@ -67,7 +66,7 @@ class _Condition(NamedTuple):
 class Conditions:
     """Conditions of a scene's contacts as one tape.
 
-    From the state (2 n,) and the sizes of its entries the `tape` computes `PER_CONDITION` numbers
+    From the state and the sizes of its entries the `tape` computes `PER_CONDITION` numbers
     per atom, then as many per contact, of which the first is its gap.
     """
 
@@ -75,7 +74,7 @@ class Conditions:
         contacts = mechanics.scene.frictional
         self._count = len(contacts)
         initial = mechanics.scene.controlled.initial
-        controlled = values_in(mechanics, initial if states is None else states)
+        controlled = mechanics.values_in(states)
         gates = [mechanics.gate(name) for name in contacts]
         self._conditions = tuple(
             _Condition(place, atom, atom.margin.xreplace(controlled))
@@ -94,9 +93,8 @@ class Conditions:
         self.gaps = tuple("" if gate is None else gate.gap for gate in gates)
         self.nodes = gate_trees(gates)
         self._roles = roles_in(tuple((initial if states is None else states).values()))
-        self._memory = len(mechanics.controller_state)
         self._places = {*mechanics.q}
-        memory = controller_rates_in(mechanics, controlled)
+        memory = mechanics.controller_rates_in(controlled)
         rates = {**dict(zip(mechanics.q, mechanics.v, strict=True)), **memory}
         sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in mechanics.variables}
         outputs: list[sp.Expr] = []
@@ -114,11 +112,12 @@ class Conditions:
         for name, gate in zip(contacts, gates, strict=True):
             gap = sp.S.Zero if gate is None else mechanics.contact(name).symbols.gap
             outputs += [gap, *[sp.S.Zero] * (PER_CONDITION - 1)]
+        unknowns = [sizes.get(v, sp.Symbol(f"size_{v}", real=True)) for v in mechanics.state]
         self.tape = mechanics.tape(
-            outputs, unknowns=tuple(sizes.values()), definitions=mechanics.controlled(states)
+            outputs, unknowns=unknowns, definitions=mechanics.controlled(states)
         )
         self._derivatives = MarginDerivatives(
-            (*mechanics.variables, *mechanics.controller_state.values()),
+            mechanics.state,
             mechanics.parameters.ordered,
             mechanics.time,
         )
@@ -163,7 +162,8 @@ class ConditionsAt:
         if not self._of.present:
             return np.empty(0)
         setup = self._setup
-        sizes = setup.scales.with_time
+        assert setup.sizes is not None
+        sizes = np.append(setup.sizes, setup.scales.length / setup.scales.speed)
         return conditions_at(
             *self._of.tape.program, sizes, setup.precision, state, setup.values, self._time
         )
@@ -214,10 +214,11 @@ class ConditionsAt:
         places = np.flatnonzero(np.abs(margins) <= 2.0 * bands)
         if not places.size:
             return uncertainties
-        gradients = np.empty((len(margins), len(state) // 2))
-        for i in range(len(state) // 2):
+        sizes = self._setup.scales.coordinates
+        gradients = np.empty((len(margins), len(sizes)))
+        for i in range(len(sizes)):
             displaced = state.copy()
-            displaced[i] += _DIFFERENCE * max(abs(state[i]), self._setup.scales.sizes[i])
+            displaced[i] += _DIFFERENCE * max(abs(state[i]), sizes[i])
             shifted_margins = self._numbers(displaced)[
                 : PER_CONDITION * len(margins) : PER_CONDITION
             ]
@@ -311,14 +312,11 @@ class ConditionsAt:
     def _derivative_sign(self, roles: Roles, k: int) -> float:
         """Return the sign of the first nonzero derivative of an atom's margin in a mode."""
         of, setup = self._of, self._setup
-        memory, values = np.split(setup.values, [of._memory])
-        full_state = np.concatenate([self._state, memory])
         assert setup.sizes is not None
-        sizes = np.maximum(np.abs(full_state), setup.sizes)
-        inner, roles = replace(setup, values=values), (*roles, *of._roles)
-        margin = of._conditions[k].margin
+        sizes = np.maximum(np.abs(self._state), setup.sizes)
+        margin, moving = of._conditions[k].margin, (*roles, *of._roles)
         return of._derivatives.sign(
-            inner, roles, margin, full_state, sizes, self._time, setup.precision
+            setup, moving, margin, self._state, sizes, self._time, setup.precision
         )
 
 

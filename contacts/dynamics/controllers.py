@@ -6,8 +6,7 @@ parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence, Set
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Set
 from functools import partial
 from typing import TypeVar
 
@@ -20,7 +19,6 @@ from contacts.scene.expansion import BROKEN, joints_judged_at_start
 from contacts.states import CLOSED, OFF
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
-from statechart.automaton.constraints import Constraints
 from statechart.automaton.regions import Edge, Region, State
 from statechart.automaton.trace import Key, Role
 from statechart.charts.flatten import FlatRegion, FlatTransition, Updates
@@ -78,41 +76,17 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
     )
 
 
-def values_in(mechanics: Mechanics, states: Mapping[str, str]) -> dict[sp.Symbol, sp.Expr]:
-    """Return the values of `Mechanics.controls` in these states, substituted into each other."""
-    values: dict[sp.Symbol, sp.Expr] = {}
-    for symbol, value in mechanics.controlled(states):
-        values[symbol] = value.xreplace(values)
-    return values
-
-
-def controller_rates_in(
-    mechanics: Mechanics, known: Mapping[sp.Symbol, sp.Expr]
-) -> dict[sp.Symbol, sp.Expr]:
-    """Return the rates of the controllers' variables, with the values of `values_in`."""
-    rates = mechanics.controller_rates
-    return {mechanics.controller_state[name]: rate.xreplace(known) for name, rate in rates.items()}
-
-
-def opening_first(
-    due: Set[tuple[int, int]], regions: Sequence[str], states: Key, joints: Collection[str]
-) -> Set[tuple[int, int]]:
-    """Return the due guards, by region and trigger; where joints close, first those that open one.
-
-    A joint that closes stops a body against the joints that still hold it.
-    """
-    of_joints = {one for one in due if regions[one[0]] in joints}
-    opening = {one for one in of_joints if states[one[0]] == CLOSED}
-    return opening if opening and opening != of_joints else due
-
-
 class Controllers:
-    """States of a scene's controllers, and the guards of these states, built when needed."""
+    """States and variables of a scene's controllers; guards and updates are built when needed."""
 
     def __init__(self, mechanics: Mechanics) -> None:
         self._mechanics = mechanics
         self._guards: dict[tuple[Key, bool], ControlGuards] = {}
-        self.names = tuple(mechanics.scene.regions)
+        self._updates: dict[tuple[tuple[tuple[str, object], ...], ...], Tape] = {}
+        self.flat = mechanics.scene.controlled.flat
+        self.names = tuple(self.flat)
+        # Joints that controllers switch.
+        self.joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
         self.initial: Key = tuple(mechanics.scene.controlled.initial.values())
         self._joints_judged_at_start = joints_judged_at_start(mechanics.scene)
 
@@ -167,7 +141,7 @@ class Controllers:
 
     def _switched(self, states: Key, due: Set[tuple[int, int]]) -> Key:
         """Return the states with the first joint switched whose guard is due."""
-        regions = [*self._mechanics.scene.controlled.flat.values()]
+        regions = [*self.flat.values()]
         for place in self._joints_judged_at_start.values():
             if triggers := [trigger for region, trigger in due if region == place]:
                 target = regions[place].answer(states[place], triggers).target
@@ -175,129 +149,14 @@ class Controllers:
                     return (*states[:place], target, *states[place + 1 :])
         return states
 
+    def opening_first(self, due: Set[tuple[int, int]], states: Key) -> Set[tuple[int, int]]:
+        """Return the due guards, by region and trigger; where joints close, first those that open.
 
-class ControlGuards:
-    """Guards of the controllers in given states, and the quantities that they depend on.
-
-    Accelerations and contact forces are inputs, solved for when a guard is on its boundary, so
-    that no mode is built for them. Accelerations count as constant there. The rates of forces are
-    unknown: a guard on forces waits for its margin to fall.
-    """
-
-    def __init__(
-        self,
-        mechanics: Mechanics,
-        states: Mapping[str, str],
-        select: Callable[[int, FlatRegion, str], list[Guard]],
-    ) -> None:
-        known = values_in(mechanics, states)
-        memory = controller_rates_in(mechanics, known)
-        watched: list[Guard] = []
-        for place, (name, region) in enumerate(mechanics.scene.controlled.flat.items()):
-            watched += select(place, region, states[name])
-        names = set().union(*(guard.relation.names for guard in watched))
-        forces = [force for pair in mechanics.forces.values() for force in pair]
-        forces += [*mechanics.couples.values(), *(row.force for row in mechanics.joint_rows)]
-        # A symbol for each force: the unknown rates of two do not cancel.
-        unknown = sp.symbols(f"unknown:{len(forces)}", real=True)
-        self.watch = GuardWatch(
-            watched,
-            {n: e for n, e in mechanics.observables.items() if n in names},
-            {
-                **dict(zip(mechanics.q, mechanics.v, strict=True)),
-                **dict(zip(mechanics.v, mechanics.a, strict=True)),
-                **dict(zip(forces, unknown, strict=True)),
-                **memory,
-            },
-            inputs=(*mechanics.variables, *memory, *mechanics.a, *forces, *unknown),
-            parameters=mechanics.parameters.ordered,
-            time=mechanics.time,
-            timers=[
-                mechanics.controller_state[timer] for timer in mechanics.scene.controlled.timers
-            ],
-            given=known,
-        )
-        self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)
-        self._unknown = np.full(len(forces), np.nan)
-
-    def typical(self, setup: SceneSetup) -> Array:
-        """Return the typical sizes of accelerations and forces."""
-        return setup.scales.solved(len(self._unsolved))
-
-    def rows(
-        self, setup: SceneSetup, time: float, state: Array, solved: Array | None = None
-    ) -> Array:
-        """Evaluate `GuardWatch.at`; `solved` are accelerations and forces."""
-        return self.watch.at(setup, self._inputs(state, solved), self._sizes(setup), time)
-
-    def rate(
-        self,
-        k: int,
-        order: int,
-        setup: SceneSetup,
-        time: float,
-        state: Array,
-        solved: Array | None,
-    ) -> Array:
-        """Evaluate `GuardWatch.rate`."""
-        inputs = self._inputs(state, solved)
-        return self.watch.rate(k, order, setup, inputs, self._sizes(setup), time)
-
-    def table(
-        self,
-        setup: SceneSetup,
-        times: Array,
-        states: Array,
-        solved: Array,
-        *,
-        order: int = 0,
-    ) -> Array:
-        """Return `GuardWatch.table` for instants (m,), states (m, 2 n) and unknowns (m, u)."""
-        inputs = np.hstack([states, solved, np.tile(self._unknown, (len(states), 1))])
-        return self.watch.table(setup, inputs, self._sizes(setup), times, order=order)
-
-    def _inputs(self, state: Array, solved: Array | None) -> Array:
-        return np.concatenate([state, self._unsolved if solved is None else solved, self._unknown])
-
-    def _sizes(self, setup: SceneSetup) -> Array:
-        assert setup.sizes is not None
-        return np.concatenate([setup.sizes, self.typical(setup), np.zeros_like(self._unknown)])
-
-
-class ControllerState:
-    """Variables of a scene's controllers, appended to the state of the motion."""
-
-    def __init__(self, mechanics: Mechanics) -> None:
-        self._mechanics = mechanics
-        self._names = tuple(mechanics.controller_state)
-        self._size = len(mechanics.variables)
-        self._updates: dict[tuple[tuple[tuple[str, object], ...], ...], Tape] = {}
-
-    def parted(self, state: Array) -> Array:
-        """Return positions and rates: the state without the controllers' variables."""
-        return state[: self._size] if self._names else state
-
-    def joined(self, motion: Array, state: Array) -> Array:
-        """Return positions and rates with the controllers' variables of `state`."""
-        return np.concatenate([motion, state[self._size :]]) if self._names else motion
-
-    def within(self, setup: SceneSetup, state: Array) -> SceneSetup:
-        """Return the setup with the controllers' variables as the first parameters."""
-        if not self._names:
-            return setup
-        return replace(setup, values=np.concatenate([state[self._size :], setup.values]))
-
-    def constraints(self, of_motion: Constraints, setup: SceneSetup) -> Constraints:
-        """Return constraints of positions and rates as those of the whole state."""
-        if not self._names:
-            return of_motion
-
-        def project(state: Array, time: float) -> Array:
-            motion = self.parted(state)
-            projected = of_motion.project(motion, time, self.within(setup, state).values)
-            return state if projected is motion else self.joined(projected, state)
-
-        return of_motion._replace(project=project)
+        A joint that closes stops a body against the joints that still hold it.
+        """
+        of_joints = {one for one in due if self.names[one[0]] in self.joints}
+        opening = {one for one in of_joints if states[one[0]] == CLOSED}
+        return opening if opening and opening != of_joints else due
 
     def enter_initial_states(
         self, setup: SceneSetup, clock: Clock, state: Array, states: Key
@@ -306,8 +165,7 @@ class ControllerState:
 
         A joint that starts off although its region begins closed captures nothing.
         """
-        regions = self._mechanics.scene.controlled.flat
-        for (name, region), entered in zip(regions.items(), states, strict=True):
+        for (name, region), entered in zip(self.flat.items(), states, strict=True):
             if entered == region.initial:
                 state = self.updated(setup, clock, name, region.begins, state)
         return state
@@ -326,7 +184,84 @@ class ControllerState:
         if tape is None:
             mechanics = self._mechanics
             values = values_after(blocks, mechanics.controller_state, mechanics.known)
-            tape = self._updates[key] = mechanics.whole_tape(values)
+            tape = self._updates[key] = mechanics.tape(values)
         remembered = tape.at(state, setup.values, clock.high)
-        check_updated(cause, self._names, remembered)
-        return np.concatenate([state[: self._size], remembered])
+        check_updated(cause, self._mechanics.controller_state, remembered)
+        return np.concatenate([state[: len(state) - len(remembered)], remembered])
+
+
+class ControlGuards:
+    """Guards of the controllers in given states, and the quantities that they depend on.
+
+    Accelerations and contact forces are inputs, solved for when a guard is on its boundary, so
+    that no mode is built for them. Accelerations count as constant there. The rates of forces are
+    unknown: a guard on forces waits for its margin to fall.
+    """
+
+    def __init__(
+        self,
+        mechanics: Mechanics,
+        states: Mapping[str, str],
+        select: Callable[[int, FlatRegion, str], list[Guard]],
+    ) -> None:
+        known = mechanics.values_in(states)
+        memory = mechanics.controller_rates_in(known)
+        watched: list[Guard] = []
+        for place, (name, region) in enumerate(mechanics.scene.controlled.flat.items()):
+            watched += select(place, region, states[name])
+        names = set().union(*(guard.relation.names for guard in watched))
+        forces = [force for pair in mechanics.forces.values() for force in pair]
+        forces += [*mechanics.couples.values(), *(row.force for row in mechanics.joint_rows)]
+        # A symbol for each force: the unknown rates of two do not cancel.
+        unknown = sp.symbols(f"unknown:{len(forces)}", real=True)
+        self.watch = GuardWatch(
+            watched,
+            {n: e for n, e in mechanics.observables.items() if n in names},
+            {
+                **dict(zip(mechanics.q, mechanics.v, strict=True)),
+                **dict(zip(mechanics.v, mechanics.a, strict=True)),
+                **dict(zip(forces, unknown, strict=True)),
+                **memory,
+            },
+            inputs=(*mechanics.state, *mechanics.a, *forces, *unknown),
+            parameters=mechanics.parameters.ordered,
+            time=mechanics.time,
+            timers=[
+                mechanics.controller_state[timer] for timer in mechanics.scene.controlled.timers
+            ],
+            substitutions=known,
+        )
+        self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)
+        self._unknown = np.full(len(forces), np.nan)
+
+    def typical(self, setup: SceneSetup) -> Array:
+        """Return the typical sizes of accelerations and forces."""
+        return setup.scales.solved(len(self._unsolved))
+
+    def atoms_at(
+        self, setup: SceneSetup, time: float, state: Array, solved: Array | None = None
+    ) -> Array:
+        """Evaluate `GuardWatch.at`; `solved` are accelerations and forces."""
+        return self.watch.at(setup, self.inputs(state, solved), self.sizes(setup), time)
+
+    def table(
+        self,
+        setup: SceneSetup,
+        times: Array,
+        states: Array,
+        solved: Array,
+        *,
+        order: int = 0,
+    ) -> Array:
+        """Return `GuardWatch.table` for instants (m,), states (m, 2 n) and unknowns (m, u)."""
+        inputs = np.hstack([states, solved, np.tile(self._unknown, (len(states), 1))])
+        return self.watch.table(setup, inputs, self.sizes(setup), times, order=order)
+
+    def inputs(self, state: Array, solved: Array | None) -> Array:
+        """Return the inputs of the watch."""
+        return np.concatenate([state, self._unsolved if solved is None else solved, self._unknown])
+
+    def sizes(self, setup: SceneSetup) -> Array:
+        """Return the sizes of the inputs."""
+        assert setup.sizes is not None
+        return np.concatenate([setup.sizes, self.typical(setup), np.zeros_like(self._unknown)])

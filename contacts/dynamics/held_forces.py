@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from contacts.dynamics.controllers import values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
@@ -31,15 +30,15 @@ class HeldForces:
         self, setup: SceneSetup, flow: Flow, state: Array, time: float, tape: SnapshotTape
     ) -> SceneSetup:
         """Return the setup with the forces of sign functions of a flow in a state."""
-        # The laws know signs that are dry friction by their limits.
+        # The laws treat signs that are dry friction by their limits.
         if setup.modes is None or tape.signs or not any(map(slides, flow.signs)):
             return setup
         mechanics, mode = self._mechanics, setup.modes(flow.moving)
         if mode not in self._tapes:
             # The controls of the contact laws, not those that the mode solves for.
-            controlled = {} if tape.states is None else values_in(mechanics, tape.states)
+            controlled = {} if tape.states is None else mechanics.values_in(tape.states)
             motion = mechanics.equations[: len(mechanics.q)]
-            self._tapes[mode] = mechanics.whole_tape(
+            self._tapes[mode] = mechanics.tape(
                 [equation.xreplace(controlled) for equation in motion], definitions=mode.definitions
             )
         values = setup.values.copy()

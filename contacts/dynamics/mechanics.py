@@ -7,7 +7,7 @@ simplified.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property, partialmethod
+from functools import cached_property
 from typing import NamedTuple
 
 import sympy as sp
@@ -84,6 +84,8 @@ class Mechanics(Geometry):
             n: sp.Symbol(f"w{i}", real=True) for i, n in enumerate(controlled.controller_state)
         }
         super().__init__(scene, {**symbols, **controls, **self.controller_state})
+        self.state_names = (*self.variable_names, *self.controller_state)
+        self.state = (*self.variables, *self.controller_state.values())
         self.parameters = declared
         self.forces = {
             name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
@@ -157,22 +159,15 @@ class Mechanics(Geometry):
         *,
         unknowns: Sequence[sp.Symbol] = (),
         definitions: Sequence[Definition] = (),
-        whole: bool = False,
     ) -> Tape:
-        """Compile expressions of the state followed by `unknowns`, the parameters, and time.
-
-        The controllers' variables precede the parameters, or follow the rates in the `whole` state.
-        """
-        memory, parameters = tuple(self.controller_state.values()), self.parameters.ordered
+        """Compile expressions of the state followed by `unknowns`, the parameters, and time."""
         return compile_tape(
             outputs,
-            variables=(*self.variables, *(memory if whole else ()), *unknowns),
-            parameters=parameters if whole else (*memory, *parameters),
+            variables=(*self.state, *unknowns),
+            parameters=self.parameters.ordered,
             time=self.time,
             definitions=definitions,
         )
-
-    whole_tape = partialmethod(tape, whole=True)
 
     @cached_property
     def mass_matrix(self) -> sp.Matrix:
@@ -478,6 +473,18 @@ class Mechanics(Geometry):
         for region, state in (states or self._controls.initial).items():
             values |= self.sets(region, state)
         return [(symbol, values[symbol]) for symbol in self.controls]
+
+    def values_in(self, states: Mapping[str, str] | None) -> dict[sp.Symbol, sp.Expr]:
+        """Return the values of `controlled`, substituted into each other."""
+        values: dict[sp.Symbol, sp.Expr] = {}
+        for symbol, value in self.controlled(states):
+            values[symbol] = value.xreplace(values)
+        return values
+
+    def controller_rates_in(self, known: Mapping[sp.Symbol, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
+        """Return the rates of the controllers' variables, with the values of `values_in`."""
+        rates = self.controller_rates.items()
+        return {self.controller_state[name]: rate.xreplace(known) for name, rate in rates}
 
     @property
     def observables(self) -> dict[str, sp.Expr]:

@@ -62,12 +62,8 @@ class Projection:
         closed = [row.closed for row in mechanics.joint_rows]
         self._on = [on is None or states[on] != 0 for on in closed]
         self._snapshots = snapshots
-        self._compile = mechanics.whole_tape
+        self._compile = mechanics.tape
         self.tape = mechanics.tape(outputs, definitions=[*states.items()])
-        # Takes the state with the controllers' variables.
-        self._whole = self.tape
-        if mechanics.controller_state:
-            self._whole = mechanics.whole_tape(outputs, definitions=[*states.items()])
         self._gaps = tuple(outputs[: 5 * len(mechanics.scene.frictional) : 5])
         self._soft = tuple(name in mechanics.pads for name in mechanics.scene.frictional)
         self._curved = tuple(
@@ -82,24 +78,24 @@ class Projection:
         """Return the constraints of a flow (see `statechart.automaton.laws.Laws`).
 
         Pinned points keep their positions of the state `anchor` at the time `start`, in the frame
-        of the surface. `project` takes positions and rates; it raises `NoConsistentMode` if the
-        joints cannot all hold, and `SingularMode` if their constraints have become dependent.
+        of the surface. `project` raises `NoConsistentMode` if the joints cannot all hold, and
+        `SingularMode` if their constraints have become dependent.
         """
-        began, tolerances, scales = setup.values, setup.tolerances, setup.scales
+        values, tolerances, scales = setup.values, setup.tolerances, setup.scales
         gap_weight, speed_weight = 1.0 / tolerances["gap"], 1.0 / tolerances["speed"]
-        flow = held_key(roles, self._soft)
+        flow = constraint_key(roles, self._soft)
         pinned = any(state in STICKING for state in flow)
         weights = self._weights(flow, gap_weight, speed_weight)
         targets = np.zeros(len(weights))
         if pinned:
-            pinned_at = self.tape.at(anchor, began, start)
+            pinned_at = self.tape.at(anchor, values, start)
             for i, name in enumerate(flow):
                 if name in STICKING:
                     targets[5 * i + 3 : 5 * i + 5] = pinned_at[5 * i + 3 : 5 * i + 5]
 
-        def project(state: Array, time: float, values: Array = began) -> Array:
+        def project(state: Array, time: float) -> Array:
             snapshot, joints = self._snapshots.unreduced(values, state, time)
-            pins = self._snapshots.unreduced(began, anchor, start)[0] if pinned else None
+            pins = self._snapshots.unreduced(values, anchor, start)[0] if pinned else None
             projected = _brought(flow, snapshot, joints, state, pinned=pins)
             if joints is None:
                 return projected
@@ -120,7 +116,7 @@ class Projection:
                 ):
                     return state
                 if residual > 1.0:
-                    rows = joints.jacobian[:, : len(state) // 2] * scales.sizes[: len(state) // 2]
+                    rows = joints.jacobian[:, : snapshot.size] * scales.coordinates
                     independent = np.flatnonzero(~joints.redundant).tolist()
                     reason = dependent([(self._joints[i], rows[i]) for i in independent])
                     if reason:
@@ -132,10 +128,9 @@ class Projection:
 
         # At a loose tolerance a state that is not projected may be off by the gap's tolerance.
         blind_gap = max(BLIND_GAP * scales.length, tolerances["gap"])
-        constraints = Constraints(
-            self.tape, targets, weights, project, self.passed_over(flow), blind_gap
-        )
-        return constraints._replace(tape=self._whole)
+        missed = self.missed_surface_tape(flow)
+        constraints = Constraints(self.tape, targets, weights, project, missed, blind_gap)
+        return constraints
 
     def _rounding(self, state: Array, values: Array, time: float) -> Array:
         """Return the effect of the last bits of the state on the joint rows (rows, 2)."""
@@ -147,7 +142,7 @@ class Projection:
         moves = np.abs(np.array(rows[1:]) - rows[0]).sum(axis=0)
         return (EPS / _SHIFT) * moves[5 * len(self._gaps) :].reshape(-1, 2)
 
-    def passed_over(self, flow: Key) -> Tape | None:
+    def missed_surface_tape(self, flow: Key) -> Tape | None:
         """Return a tape of the gaps to curved surfaces, which detects bumps that a step missed."""
         if flow not in self._within:
             contacts = zip(self._gaps, flow, self._curved, strict=False)
@@ -193,7 +188,7 @@ class Projection:
         )
 
 
-def held_key(roles: Roles, soft: Sequence[bool]) -> Key:
+def constraint_key(roles: Roles, soft: Sequence[bool]) -> Key:
     """Return the states of roles, `slide` for a pinned compliant contact that others imply.
 
     Its tangential constraint holds within a tolerance only (`contacts.scene.modes.share_of`):
@@ -245,7 +240,7 @@ def in_contact(key: Key, snapshot: Snapshot, state: Array, speed_tolerance: floa
     ]
     if not any(abs(rate) > speed_tolerance for rate in rates):
         return state
-    half = len(state) // 2
+    half = snapshot.size
     return np.append(state[:half], on_constraints(key, snapshot, state)[half:])
 
 
@@ -287,8 +282,9 @@ def _brought(
     change = answer(snapshot, jacobian, jacobian, sides[:, 1].copy())
     if shift is None or change is None:
         return state
-    half = len(state) // 2
-    return state + np.concatenate([shift[0][:half], change[0][:half]])
+    moved, half = state.copy(), snapshot.size
+    moved[: 2 * half] += np.concatenate([shift[0][:half], change[0][:half]])
+    return moved
 
 
 def dead_point(snapshot: Snapshot, laws: Sequence[ContactLaw], moving: Key, sizes: Array) -> str:

@@ -47,9 +47,9 @@ class Scales:
     sizes: Array
 
     @property
-    def with_time(self) -> Array:
-        """The sizes of coordinates and rates, and of time behind them."""
-        return np.append(self.sizes, self.length / self.speed)
+    def coordinates(self) -> Array:
+        """The sizes (n,) of the coordinates."""
+        return self.sizes[: len(self.sizes) // 2]
 
     def state(self, memory: Array) -> Array:
         """Return the sizes of coordinates, rates and controllers' variables."""
@@ -161,20 +161,20 @@ class ScaleTape:
         driven = [push for push in pushes if mechanics.time in push.free_symbols]
         if any(g != 0 for g in mechanics.gravity):
             driven = []
-        self.paths = len(moved)
+        self.paths, self.size = len(moved), len(mechanics.variables)
         self.motions = mechanics.tape(
             [motion for k in range(3) for motion in _derived(moved, mechanics.time, k)] + driven,
             definitions=mechanics.controlled(),
         )
 
     def at(self, values: Array, state: Array) -> Scales:
-        """Return the scales of a run that starts at `state` (2 n,).
+        """Return the scales of a run that starts at `state`.
 
         Raises `DeclarationProblem` if a place or the gravity there is not finite.
         """
         numbers = self.tape.at(state, values, 0.0)
         ranges = np.empty((len(self.motions.outputs), 2))
-        scales, sizes = np.empty(5), np.empty(len(state))
+        scales, sizes = np.empty(5), np.empty(self.size)
         duration = horizon(numbers, self.begins)
         tape_ranges(*self.motions.program, state, values, duration, ranges)
         counts = self.places, self.gravity, self.paths

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.scales import Scales
+from contacts.scene.parts import Resolution, Simultaneous
 from statechart.automaton.laws import Setup
 
 # Hysteresis of force margins, relative to the force scale: a mode is left below -FORCE_BAND and
@@ -35,6 +36,9 @@ class SceneSetup(Setup):
 
     scales: Scales  # Scales of this run
     contacts: tuple[ContactLaw, ...]  # With this run's coefficients
+    # `simultaneous`, `paradox`: Laws of simultaneous impacts and of Painleve's paradox
+    simultaneous: Simultaneous
+    paradox: Resolution
     capture: float  # Rebounds slower than this are summed instead of simulated
     # Stop condition -> the tolerance of its margin, from its initial value
     bands: Mapping[str, float]

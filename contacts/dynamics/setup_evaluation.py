@@ -61,7 +61,6 @@ class SceneNumbers:
         scene = mechanics.scene
         self.scene = scene
         self.parameters = mechanics.parameters
-        self._remembered = len(mechanics.controller_state)
         # Parameter -> its index among the values.
         self.places = {name: i for i, name in enumerate(mechanics.parameters.names)}
         offsets = [self.places.get(f"{name}.{GAP_OFFSET}", -1) for name in mechanics.scene.contacts]
@@ -125,18 +124,15 @@ class SceneNumbers:
         """
         values, further = self.parameters.values(overrides)
         values, warnings = self._point_masses(values, further[-len(self.inertias) :])
-        begins = further[: -len(self.inertias)]
-        initial = begins[: len(begins) - self._remembered]
-        memory = begins[len(initial) :]
-        if overrides and not self._physical(_known(memory, values), initial):
+        initial = further[: -len(self.inertias)]
+        if overrides and not self._physical(values, initial):
             check_physical(self.scene, self.scene.values(overrides))
-        if not all(map(math.isfinite, initial.tolist())):
+        if not all(map(math.isfinite, initial[: self.scale_tape.size].tolist())):
             check_finite(self.scene, self.scene.values(overrides))
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
-        values, implied = self._implied(values, initial, memory)
-        inputs = _known(memory, values)
+        values, implied = self._implied(values, initial)
         try:
-            scales = self.scale_tape.at(inputs, initial)
+            scales = self.scale_tape.at(values, initial)
         except DeclarationProblem:
             # Blame a formula that has no finite value first.
             check_finite(self.scene, self.scene.values(overrides))
@@ -144,11 +140,9 @@ class SceneNumbers:
         if MASS_UNIT in self.places:
             values = values.copy()
             values[self.places[MASS_UNIT]] = mass_unit(scales.acceleration, scales.force)
-            inputs = _known(memory, values)
         if stepped:
             values = with_sizes(values, self.places, scales.sizes)
-            inputs = _known(memory, values)
-        margins = self.stop_tape.at(initial, inputs, 0.0).tolist()
+        margins = self.stop_tape.at(initial, values, 0.0).tolist()
         for name, margin in zip(self.stops, margins, strict=True):
             if math.isnan(margin) and name in self._single - self.of_forces:
                 raise DeclarationProblem(
@@ -167,15 +161,17 @@ class SceneNumbers:
         }
         return SceneSetup(
             values=values,
-            initial=begins,
+            initial=initial,
             tolerances=tolerances,
             short=SHORT,
             warnings=(*self.lint, *warnings, *implied, *_far(scales, self.far)),
-            sizes=scales.state(memory),
+            sizes=scales.state(initial[self.scale_tape.size :]),
             precision=gap,
             horizon=LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
             contacts=self.contacts(values),
+            simultaneous=self.scene.simultaneous,
+            paradox=self.scene.paradox,
             capture=force_uncertainty(relative) * scales.speed,
             bands={
                 n: ROUNDING * abs(v) if math.isfinite(v) else 0.0
@@ -203,14 +199,11 @@ class SceneNumbers:
                 values[place] = 0.0
         return values, tuple(warnings)
 
-    def _implied(
-        self, values: Array, initial: Array, memory: Array
-    ) -> tuple[Array, tuple[str, ...]]:
+    def _implied(self, values: Array, initial: Array) -> tuple[Array, tuple[str, ...]]:
         """Mark redundant joint rows, whose forces are not determined."""
         if not self._redundant:
             return values, ()
-        rows = self._joint_tape.at(initial, _known(memory, values), 0.0)
-        rows = rows.reshape(len(self._redundant), -1)
+        rows = self._joint_tape.at(initial, values, 0.0).reshape(len(self._redundant), -1)
         redundant = dependent_rows(rows)
         if not redundant.any():
             return values, ()
@@ -294,10 +287,6 @@ def _far(scales: Scales, limit: float) -> Iterator[str]:
             f"the scene is {scales.length:.3g} in size, and so far from the origin that "
             f"round-off of positions is {scales.rounding:.2g}; put the origin nearer"
         )
-
-
-def _known(memory: Array, values: Array) -> Array:
-    return np.concatenate([memory, values]) if len(memory) else values
 
 
 def _unpressed(mechanics: Mechanics) -> Iterator[str]:

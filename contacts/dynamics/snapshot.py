@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from typing import NamedTuple
@@ -23,7 +23,6 @@ from contacts.scene.modes import SignFriction
 from contacts.solvers.saddle_point import INEXACT, SINGULAR, saddle
 from statechart.arrays import Array
 from statechart.errors import SingularMode
-from statechart.formulas.linear import Definition
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import to_text
 
@@ -32,7 +31,8 @@ SCALARS, EDGES = 11, 7
 `EDGES` on the unit edges of its cone in slide+ and slide-, at the size of its slip."""
 
 INEXACT_SYSTEM = (
-    "the equations of a mode cannot be solved to 1e-8: masses or lengths differ too much"
+    "the equations of a mode cannot be solved to 1e-8: masses or lengths differ too much; "
+    "use more similar ones"
 )
 
 
@@ -84,10 +84,15 @@ class Snapshot(NamedTuple):
         return self if self.reduction is None else self.reduction.unreduced
 
     @property
+    def size(self) -> int:
+        """Number n of the scene's coordinates, without pads."""
+        return len(self.unreduced.forces) - self.pads
+
+    @property
     def soft(self) -> list[bool]:
         """Marks of the compliant contacts."""
         whole = self.unreduced
-        on_pads = whole.jacobians[:, 0, len(whole.forces) - whole.pads :]
+        on_pads = whole.jacobians[:, 0, self.size :]
         return [bool(row.any()) for row in on_pads]
 
     def approaching(self, closed: Sequence[bool], speed: float) -> list[int]:
@@ -102,11 +107,12 @@ class Snapshot(NamedTuple):
 
     def moved(self, state: Array, velocity: Array) -> Array:
         """Return `state` (of the scene) after its velocity (n,) has jumped to `velocity`."""
-        size = len(state) // 2
+        moved, n = state.copy(), self.size
         if self.reduction is None:
-            return np.concatenate([state[:size], velocity[:size]])
-        change = (self.reduction.basis @ (velocity - self.velocity))[:size]
-        return np.concatenate([state[:size], state[size:] + change])
+            moved[n : 2 * n] = velocity[:n]
+        else:
+            moved[n : 2 * n] += (self.reduction.basis @ (velocity - self.velocity))[:n]
+        return moved
 
     def solved(self, accelerations: Array, forces: Array) -> tuple[Array, Array]:
         """Return the accelerations of the scene's coordinates and the forces of joint rows.
@@ -177,7 +183,7 @@ class SnapshotTape:
         moved = np.array([[j != 0 for j in row.jacobian] for row in rows], np.bool_)
         moved = np.pad(moved.reshape(len(rows), self.size), ((0, 0), (0, len(self._pads))))
         self._groups: tuple[JointGroup, ...] = joint_groups(moved)
-        self.signs = sign_frictions(mechanics, mechanics.controlled(states))
+        self.signs = sign_frictions(mechanics, mechanics.values_in(states))
         # Grouped by quantity, so that arrays are views of the outputs.
         quantities: list[list[sp.Expr]] = [
             [*mechanics.mass_matrix],
@@ -202,19 +208,19 @@ class SnapshotTape:
     def joint_impulse(
         self, snapshot: Snapshot, before: Array, after: Array, impulses: Array
     ) -> dict[str, float]:
-        """Return the impulses of joints other than zero in a jump between states (2 n,), by name.
+        """Return the impulses of joints other than zero in a jump between states, by name.
 
         `impulses` (c, 2) are those of contacts. The impulses of redundant rows are zero.
         """
         if snapshot.reduction is None:
             return {}
-        change = (after - before)[self.size :]
+        change = (after - before)[self.size : 2 * self.size]
         total = snapshot.unreduced.mass[:, : self.size] @ change
         sizes = snapshot.joint_forces(total, impulses).tolist()
         return {name: size for name, size in zip(self.joint_names, sizes, strict=True) if size}
 
     def at(self, values: Array, state: Array, time: float) -> Snapshot:
-        """Return the snapshot at `state` (2 n,), reduced to the motions that joints allow."""
+        """Return the snapshot at `state`, reduced to the motions that joints allow."""
         whole, joints = self.unreduced(values, state, time)
         return whole if joints is None else _reduce(whole, joints, self._groups)
 
@@ -232,7 +238,7 @@ class SnapshotTape:
         whole = Snapshot(
             mass.reshape(n, n),
             forces,
-            state[n:],
+            state[n : 2 * n],
             energy.item(),
             tuple(
                 [
@@ -362,20 +368,17 @@ def answer(
 
 
 def sign_frictions(
-    mechanics: Mechanics, controlled: Iterable[Definition]
+    mechanics: Mechanics, known: Mapping[sp.Symbol, sp.Expr]
 ) -> tuple[SignFriction, ...]:
     """Return the signs of speeds in the forces of a scene, where all are dry friction; else none.
 
     Forces ``-limit sign(s) ds/dv`` of rates of change s: where s is zero the force is any up to the
     limit, as that of a locked coupling (Moreau 1988).
 
-    `controlled` are the values of what states of controllers set, in order.
+    `known` are the values of what states of controllers set.
     """
     if not mechanics.held_forces:
         return ()
-    known: dict[sp.Symbol, sp.Expr] = {}
-    for symbol, value in controlled:
-        known[symbol] = value.xreplace(known)
     forces = [force.xreplace(known) for force in mechanics.generalised_forces]
     names = dict(zip(mechanics.variables, map(sp.Symbol, mechanics.variable_names), strict=True))
     at_rest = dict.fromkeys(mechanics.a, sp.S.Zero)

@@ -32,6 +32,8 @@ _MAX_NAMED = 6
 # A gap below this part of the length, with a speed that would not raise the contact higher, is
 # probably a rounded coordinate.
 _HOVERING = 1e-6
+# Part of its limit by which a coupling may slip late without a warning.
+_WEAK = 1e-6
 
 
 @kernel
@@ -59,6 +61,23 @@ def hovering_warnings(
         "write the exact coordinate if it should rest there"
         for name, (gap, rate, *_) in zip(names, gaps_and_rates, strict=True)
         if starts_hovering(gap, rate, gap_tolerance, scales.length, scales.speed)
+    ]
+
+
+def weak_coupling_warnings(
+    laws: Sequence[ContactLaw], limits: Array, force_tolerance: float
+) -> list[str]:
+    """Return a warning for each coupling whose static limit is near the tolerance of forces.
+
+    `limits` (k, 2) are those of the last k `laws`; those of rolling resistance are lengths.
+    """
+    couplings = laws[len(laws) - len(limits) :]
+    return [
+        f"coupling {law.name!r} slips up to {force_tolerance / static:.1g} of its limit too late, "
+        f"as {static:.3g} is tiny beside the forces of the scene: write lengths in a smaller unit, "
+        "or heavy bodies in another scene"
+        for law, static in zip(couplings, limits[:, 0].tolist(), strict=True)
+        if law.carrier < 0 and 0.0 < _WEAK * static < force_tolerance
     ]
 
 
@@ -180,7 +199,7 @@ def check_joints(
         _check_joints(mechanics, snapshots, setup, allowed)
     except DeclarationProblem as problem:
         declared = mechanics.parameters.names
-        values = dict(zip(declared, setup.values[-len(declared) :].tolist(), strict=True))
+        values = dict(zip(declared, setup.values.tolist(), strict=True))
         raise start_problem(mechanics.scene, problem, values) from None
 
 
@@ -211,7 +230,7 @@ def _check_joints(
     worst = max(speeds, key=lambda name: speeds[name])
     if speeds[worst] > speed_tolerance:
         size = len(change)
-        rates = setup.initial[size:] + change
+        rates = setup.initial[size : 2 * size] + change
         rate_names = [mechanics.scene.rate_name(name) for name in mechanics.names]
         raise DeclarationProblem(
             f"joint {worst!r} does not hold at the start: {_ends(mechanics, worst)} moving apart "
@@ -307,9 +326,7 @@ def _joints_at(snapshots: SnapshotTape, setup: SceneSetup, state: Array) -> Join
 
 
 def _nearest(mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup) -> str:
-    size = len(setup.initial) // 2
-    state = setup.initial.copy()
-    closest = np.inf
+    size, state, closest = snapshots.size, setup.initial.copy(), np.inf
     for _ in range(_MAX_ITERATIONS):
         joints = _joints_at(snapshots, setup, state).closed()
         gaps = joints.gaps

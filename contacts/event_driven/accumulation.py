@@ -10,14 +10,13 @@ import numpy as np
 
 from contacts.dynamics.conditions import hidden
 from contacts.dynamics.contact_law import sliding_edge
-from contacts.dynamics.projection import held_key, landed, on_constraints
+from contacts.dynamics.projection import constraint_key, landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot, answer
 from contacts.event_driven.decision import choose_mode
 from contacts.event_driven.impact_jump import flow_in
 from contacts.impacts.jamming import Jam, strike_jammed
 from contacts.impacts.simultaneous import impacts
-from contacts.scene.parts import Resolution
 from contacts.states import INACTIVE, OPEN
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, moving_mode
@@ -40,7 +39,6 @@ def close_immediately(
     participating: Sequence[bool],
     period: float,
     remaining: float,
-    paradox: Resolution,
 ) -> tuple[Jump, Flow] | None:
     """Close the participating contacts at once; return the last jump and the flow after it.
 
@@ -101,13 +99,13 @@ def close_immediately(
         return None
     if settled_velocity is None and slides:
         warnings.append(
-            "the friction impulse of the summed bounces is undetermined, and is left out"
+            "the friction impulse of the summed bounces is undetermined and set to zero"
         )
-    choice = choose_mode(setup, snapshot, closing, paradox)
+    choice = choose_mode(setup, snapshot, closing)
     if isinstance(choice, Jam):
         return None
     roles = choice.roles
-    after = landed(held_key(roles, snapshot.soft), snapshot, state, setup.tolerances)
+    after = landed(constraint_key(roles, snapshot.soft), snapshot, state, setup.tolerances)
     warning = "; ".join(filter(None, warnings))
     # If no mode is left to change (a bar that rattles over a crest opens all contacts; the last of
     # several rods closes at this impact), there is no time to wait.
@@ -119,7 +117,7 @@ def close_immediately(
 
 def _moves_tangentially(key: Key, snapshot: Snapshot, state: Array, setup: SceneSetup) -> bool:
     """Return whether projecting the gaps of `key` to zero would move a contact tangentially."""
-    displacement = (on_constraints(key, snapshot, state) - state)[: len(state) // 2]
+    displacement = (on_constraints(key, snapshot, state) - state)[: snapshot.size]
     return any(
         abs(float(contact.jacobian[1] @ displacement)) > setup.tolerances["gap"]
         for contact, mode in zip(snapshot.unreduced.contacts, key, strict=True)

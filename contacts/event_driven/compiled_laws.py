@@ -94,7 +94,7 @@ class CompiledSceneLaws:
 
     def within(self, mode: Key) -> Tape | None:
         """Return the tape that detects bumps of a surface that a step missed."""
-        return self._projection.passed_over(mode)
+        return self._projection.missed_surface_tape(mode)
 
     def call(self, loop: Loop, relative: float) -> SceneLoop:
         """Return calls of the loop."""

@@ -14,11 +14,10 @@ from functools import cache
 
 import numpy as np
 
-from contacts.dynamics.conditions import Conditions
-from contacts.dynamics.controllers import Controllers, ControllerState, opening_first
+from contacts.dynamics.controllers import Controllers
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import SnapshotTape, close_compliant
+from contacts.dynamics.snapshot import close_compliant
 from contacts.dynamics.surface_jumps import modes_after_jump
 from contacts.event_driven.laws import SceneLaws
 from contacts.modes.candidates import Case, candidates
@@ -43,17 +42,13 @@ class ControlledLaws:
         self, contacts: SceneLaws, mechanics: Mechanics, regions: Sequence[Region]
     ) -> None:
         self._contacts = contacts
-        self._mechanics = mechanics
-        self._controllers = mechanics.scene.controlled.flat
-        self._names = tuple(self._controllers)
+        self._mechanics, self._states = mechanics, Controllers(mechanics)
+        self._controllers, self._names = self._states.flat, self._states.names
         self._regions = regions
         self._count = len(regions) - len(self._names)
         self._at = cache(self._laws_in)
-        self._states = Controllers(mechanics)
-        self._memory = ControllerState(mechanics)
-        variables = (*mechanics.variables, *mechanics.controller_state.values())
         self._derivatives = MarginDerivatives(
-            variables, mechanics.parameters.ordered, mechanics.time
+            mechanics.state, mechanics.parameters.ordered, mechanics.time
         )
         scene = mechanics.scene
         self._varying = any(
@@ -62,7 +57,6 @@ class ControlledLaws:
             for law in (scene.friction_of(name),)
             for text in (law and law.both, contact.restitution)
         )
-        self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
         self._leads = bool(mechanics.scene.leading)
         self._considered = {
             r.name: transition_outcomes(r) for r in regions if r.name in self._controllers
@@ -77,19 +71,16 @@ class ControlledLaws:
             flow, state = start
             laws = self._at(controllers)
             within = laws.held.within(setup, flow, state, 0.0, laws.tape)
-            truths, _ = self._guard_truths(within, Clock(), flow, state, ())
+            truths, _ = self._guard_truths(Instant(within, Clock(), 0, flow, state))
             return frozenset() if truths is None else truths.due()
 
         return self._states.settle_start(lambda states: self._begin(setup, states), due_in)
 
     def _begin(self, setup: SceneSetup, controllers: Key) -> tuple[Flow, Array]:
         """Return the first flow with initial states of controllers."""
-        state = self._memory.enter_initial_states(setup, Clock(), setup.initial, controllers)
-        inner = self._within(setup, controllers, state)
-        flow, motion = self._at(controllers).begin(
-            replace(inner, initial=self._memory.parted(state))
-        )
-        state = self._memory.joined(motion, state)
+        state = self._states.enter_initial_states(setup, Clock(), setup.initial, controllers)
+        inner = replace(self._within(setup, controllers), initial=state)
+        flow, state = self._at(controllers).begin(inner)
         return self._joined(setup, Clock(), flow, controllers, state), state
 
     def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
@@ -100,14 +91,10 @@ class ControlledLaws:
         laws = self._at(controllers)
         setup = laws.held.within(setup, flow, state, clock.high, laws.tape)
         at = at._replace(setup=setup)
-        inner = self._within(setup, controllers, state)
-        motion = self._memory.parted(state)
-        result = laws.jump(at._replace(setup=inner, flow=self._parted(flow), state=motion))
+        inner = self._within(setup, controllers)
+        result = laws.jump(at._replace(setup=inner, flow=self._parted(flow)))
         if result is not None:
             jump, following = result
-            if following.start is not None:
-                start = self._memory.joined(following.start, state)
-                following = following._replace(start=start)
             if jump is None:
                 flow_on = self._joined(setup, clock, following, controllers, state, flow)
                 # The contacts' laws have decided which conditions of contacts are watched.
@@ -116,17 +103,11 @@ class ControlledLaws:
                 watched = {name: following.tolerances[name] for name in names}
                 joined = {**flow_on.tolerances, **watched}
                 return None, flow_on._replace(settled=following.settled, tolerances=joined)
-            return self._joined_jump(at, jump, following, controllers, state)
-        truths, rows = self._guard_truths(setup, clock, flow, state, fired)
+            return self._joined_jump(at, jump, following, controllers)
+        truths, rows = self._guard_truths(at)
         true = set() if truths is None else truths.due()
-        guarded = opening_first(true, self._names, controllers, self._joints)
-        firing = self._queues.first(
-            self._controllers,
-            controllers,
-            flow.pending,
-            guarded,
-            lambda: self._holding(setup, clock, flow, state),
-        )
+        guarded = self._states.opening_first(true, controllers)
+        firing = self._queues.first(controllers, flow.pending, guarded, lambda: self._holding(at))
         if firing is None:
             tolerances = flow.tolerances if truths is None else truths.watched()
             if tolerances == flow.tolerances:
@@ -134,15 +115,14 @@ class ControlledLaws:
             return None, flow._replace(tolerances=tolerances)
         name, edge = self._names[firing.place], firing.taken
         states = (*controllers[: firing.place], edge.target, *controllers[firing.place + 1 :])
-        after = self._memory.updated(setup, clock, edge.name, edge.blocks, state)
-        if name in self._joints and edge.target == CLOSED:
+        after = self._states.updated(setup, clock, edge.name, edge.blocks, state)
+        if name in self._states.joints and edge.target == CLOSED:
             return self._closed(at, name, edge.name, states, after)
-        energy = laws.snapshot(inner, motion, clock.high).energy
+        before_update = laws.snapshot(inner, state, clock.high)
         contacts = flow.mode[: self._count]
         if self._leads:
-            setup_after = self._within(setup, states, after)
-            after_update = self._at(states).snapshot(setup_after, motion, clock.high)
-            before_update = laws.snapshot(inner, motion, clock.high)
+            setup_after = self._within(setup, states)
+            after_update = self._at(states).snapshot(setup_after, after, clock.high)
             rates = (
                 np.array([contact[:3] for contact in update.contacts]).reshape(-1, 3)
                 for update in (before_update, after_update)
@@ -157,7 +137,7 @@ class ControlledLaws:
             after,
             path=() if edge.guard is not None else (edge.trigger,),
             considered=self._considered[name](edge),
-            energy=(energy, energy),
+            energy=(before_update.energy,) * 2,
         )
         flow = flow._replace(pending=self._queues.pending_after(firing.pending, jump))
         following = self._parted(flow)
@@ -176,23 +156,18 @@ class ControlledLaws:
     ) -> tuple[Jump, Flow]:
         """Close a joint that is on in `states`; `state` includes the captured values."""
         assert isinstance(at.setup, SceneSetup)
-        inner = self._within(at.setup, states, state)
-        motion = self._memory.parted(state)
-        parted = at._replace(setup=inner, flow=self._parted(at.flow), state=motion)
-        return self._joined_jump(at, *self._at(states).close(parted, joint, cause), states, state)
+        inner = self._within(at.setup, states)
+        parted = at._replace(setup=inner, flow=self._parted(at.flow), state=state)
+        jump, flow = self._at(states).close(parted, joint, cause)
+        return self._joined_jump(at, replace(jump, before=at.state), flow, states)
 
-    def _joined_jump(
-        self, at: Instant, jump: Jump, flow: Flow, states: Key, state: Array
-    ) -> tuple[Jump, Flow]:
+    def _joined_jump(self, at: Instant, jump: Jump, flow: Flow, states: Key) -> tuple[Jump, Flow]:
         """Return a jump of the contacts and its flow with controllers in `states`."""
         assert isinstance(at.setup, SceneSetup)
-        before = self._memory.joined(jump.before, at.state)
-        after = self._memory.joined(jump.after, state)
-        target = (*jump.target, *states)
-        jump = replace(jump, source=at.flow.mode, target=target, before=before, after=after)
+        jump = replace(jump, source=at.flow.mode, target=(*jump.target, *states))
         pending = self._queues.pending_after(at.flow.pending, jump)
         source = at.flow._replace(pending=pending)
-        return jump, self._joined(at.setup, at.clock, flow, states, after, source)
+        return jump, self._joined(at.setup, at.clock, flow, states, jump.after, source)
 
     def accumulate(
         self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
@@ -202,36 +177,25 @@ class ControlledLaws:
         if jumps[-1].region in self._controllers:
             return None
         controllers = flow.mode[self._count :]
-        last = jumps[-1].after
-        inner = self._within(setup, controllers, last)
-        parted = self._memory.parted
-        motions = [replace(j, before=parted(j.before), after=parted(j.after)) for j in jumps]
-        result = self._at(controllers).accumulate(inner, clock, self._parted(flow), motions, rest)
+        inner = self._within(setup, controllers)
+        result = self._at(controllers).accumulate(inner, clock, self._parted(flow), jumps, rest)
         if result is None:
             return None
         jump, following = result
-        joined = self._memory.joined
-        jump = replace(jump, before=joined(jump.before, last), after=joined(jump.after, last))
         return jump, self._joined(setup, clock, following, controllers, jump.after, flow)
 
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
         """Return the constraints of the closed contacts of `roles`, and of pinned points."""
-        assert isinstance(setup, SceneSetup)
-        inner = self._memory.within(setup, anchor)
-        motion = self._memory.parted(anchor)
         # Switched joints and led surfaces depend on the states of controllers.
-        depends_on_states = self._joints or self._leads
+        depends_on_states = self._states.joints or self._leads
         laws = self._at(moving_mode(roles[self._count :])) if depends_on_states else self._contacts
-        of_motion = laws.constraints(inner, roles[: self._count], start, motion)
-        return self._memory.constraints(of_motion, setup)
+        return laws.constraints(setup, roles[: self._count], start, anchor)
 
     def feasibility(
         self, regions: Sequence[Region], setup: Setup, state: Array, time: float
     ) -> Feasibility:
         """Judge every product mode by the velocities that its contacts require."""
-        assert isinstance(setup, SceneSetup)
-        inner, motion = self._memory.within(setup, state), self._memory.parted(state)
-        return self._contacts.feasibility(regions, inner, motion, time)
+        return self._contacts.feasibility(regions, setup, state, time)
 
     def remarks(self, setup: Setup, arcs: Sequence[Arc]) -> tuple[str, ...]:
         """Return warnings about contacts that stay off, see `handovers`."""
@@ -239,31 +203,23 @@ class ControlledLaws:
 
     def _laws_in(self, states: Key) -> SceneLaws:
         """Return the contacts' laws with the controllers in `states`."""
-        names = self._states.named(states)
-        snapshots, conditions = (
-            SnapshotTape(self._mechanics, names),
-            Conditions(self._mechanics, names),
-        )
-        return self._contacts.under(snapshots, conditions)
+        start, named = self._contacts, self._states.named(states)
+        return SceneLaws(self._mechanics, start.numbers, named, start)
 
-    def _within(self, setup: SceneSetup, states: Key, state: Array) -> SceneSetup:
-        """Return the setup with the coefficients and controllers' variables of `states`."""
-        inner = self._memory.within(setup, state)
+    def _within(self, setup: SceneSetup, states: Key) -> SceneSetup:
+        """Return the setup with the coefficients of `states`."""
         if not self._varying:
-            return inner
-        states_by_name = self._states.named(states)
-        return replace(
-            inner, contacts=self._contacts.numbers.contacts(setup.values, states_by_name)
-        )
+            return setup
+        laws = self._contacts.numbers.contacts(setup.values, self._states.named(states))
+        return replace(setup, contacts=laws)
 
-    def _guard_truths(
-        self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array, fired: tuple[str, ...]
-    ) -> tuple[GuardTruths | None, Array]:
+    def _guard_truths(self, at: Instant) -> tuple[GuardTruths | None, Array]:
         """Return the judgement of the guards, or None far from all boundaries; and their rows."""
-        controllers = flow.mode[self._count :]
-        guarded = self._states.guards(controllers)
+        setup, clock, _, flow, state, fired = at
+        assert isinstance(setup, SceneSetup)
+        guarded = self._states.guards(flow.mode[self._count :])
         tolerances = np.array([flow.tolerances[margin] for margin in guarded.watch.margins])
-        rows = guarded.rows(setup, clock.high, state)
+        rows = guarded.atoms_at(setup, clock.high, state)
         watched = tolerances < np.inf
         # The first flow in a mode watches all atoms of a guard, and is evaluated in any case.
         # A margin that jumps as its mode starts (an angle at the origin) has its value behind.
@@ -273,40 +229,26 @@ class ControlledLaws:
             and not {*fired}.intersection(guarded.watch.margins)
         ):
             return None, rows
-        solved = self._solved(setup, clock, flow, state)
-        rows = guarded.rows(setup, clock.high, state, solved)
-        relative = setup.precision
-
-        assert setup.sizes is not None
-        sizes = setup.sizes
-
-        def rate(k: int, order: int) -> Array:
-            return guarded.rate(k, order, setup, clock.high, state, solved)
-
-        def later(margin: str) -> float:
-            return self._derivatives.sign(
-                setup, flow.moving, margin, state, sizes, clock.high, relative
-            )
-
+        inputs, sizes = guarded.inputs(state, self._solved(at)), guarded.sizes(setup)
         active = active_in(self._regions, flow.mode)
-        truths = GuardTruths(
-            guarded.watch, rows, rate, flow.tolerances, fired, relative, later, active
-        )
-        return truths, rows
+        truths = GuardTruths(guarded.watch, at, inputs, sizes, self._derivatives, active)
+        return truths, truths.rows
 
-    def _holding(
-        self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array
-    ) -> set[tuple[int, int]]:
+    def _holding(self, at: Instant) -> set[tuple[int, int]]:
         """Return the guards of event transitions that hold."""
+        setup, clock, _, flow, state, _ = at
+        assert isinstance(setup, SceneSetup)
         guarded = self._states.guards(flow.mode[self._count :], at_events=True)
-        rows = guarded.rows(setup, clock.high, state, self._solved(setup, clock, flow, state))
+        rows = guarded.atoms_at(setup, clock.high, state, self._solved(at))
         return guarded.watch.holding(rows, setup.precision, active_in(self._regions, flow.mode))
 
-    def _solved(self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array) -> Array | None:
+    def _solved(self, at: Instant) -> Array | None:
         """Return accelerations and forces in the mode; None if they are undetermined."""
+        setup, clock, _, flow, state, _ = at
+        assert isinstance(setup, SceneSetup)
         controllers = flow.mode[self._count :]
-        inner = self._within(setup, controllers, state)
-        snapshot = self._at(controllers).snapshot(inner, self._memory.parted(state), clock.high)
+        inner = self._within(setup, controllers)
+        snapshot = self._at(controllers).snapshot(inner, state, clock.high)
         modes = moving_mode(flow.roles[: self._count])
         closed = [mode not in OPEN for mode in modes]
         snapshot = close_compliant(snapshot, closed)
@@ -323,11 +265,7 @@ class ControlledLaws:
 
     def _parted(self, flow: Flow) -> Flow:
         """Return the flow of the contacts alone."""
-        return flow._replace(
-            mode=flow.mode[: self._count],
-            roles=flow.roles[: self._count],
-            terms=None if flow.terms is None else self._memory.parted(flow.terms),
-        )
+        return flow._replace(mode=flow.mode[: self._count], roles=flow.roles[: self._count])
 
     def _joined(
         self,
@@ -341,14 +279,13 @@ class ControlledLaws:
         """Return the unsettled flow of contacts and controllers; `source` is the last flow."""
         guarded = self._states.guards(states)
         # Only the sizes of a guard's terms are needed: forces of typical size suffice.
-        rows = guarded.rows(setup, clock.high, state, guarded.typical(setup))
+        rows = guarded.atoms_at(setup, clock.high, state, guarded.typical(setup))
         tolerances = guarded.watch.tolerances(rows, setup.precision)
-        inner, motion = self._memory.within(setup, state), self._memory.parted(state)
         laws = self._at(states)
-        condition_tolerances = laws.conditions.at(inner, motion, clock.high).tolerances()
+        condition_tolerances = laws.conditions.at(setup, state, clock.high).tolerances()
         if laws.compliance is not None:
             mode = moving_mode(flow.roles)
-            condition_tolerances |= laws.compliance.tolerances(inner, mode, motion, clock.high)
+            condition_tolerances |= laws.compliance.tolerances(setup, mode, state, clock.high)
         return flow._replace(
             mode=(*flow.mode, *states),
             roles=(*flow.roles, *roles_in(states)),

@@ -16,7 +16,6 @@ from contacts.dynamics.snapshot import PerContact, Snapshot, close_compliant
 from contacts.impacts.jamming import Jam, paradoxes, resolve_jam
 from contacts.modes.classification import Before, Choice, ForceUncertainty, choose
 from contacts.modes.compiled_classification import ENDLESS
-from contacts.scene.parts import Resolution
 from contacts.solvers.dependence import DEAD_POINT, USER_DIGITS
 from contacts.states import INACTIVE, OFF, STICKING, cause_of, superstates_of
 from statechart.arrays import Array
@@ -28,7 +27,6 @@ def choose_mode(
     setup: SceneSetup,
     snapshot: Snapshot,
     touching: Sequence[bool],
-    paradox: Resolution,
     before: Before | None = None,
     uncertainty: ForceUncertainty | None = None,
 ) -> Choice | Jam:
@@ -46,7 +44,7 @@ def choose_mode(
             choice = choose(setup, level, touching, before, uncertainty)
     except NoConsistentMode as error:
         jam = resolve_jam(setup, snapshot, touching)
-        if paradox == "impact" and jam is not None:
+        if setup.paradox == "impact" and jam is not None:
             return replace(jam, considered=error.considered)
         paradoxes_met = paradoxes(setup, snapshot, touching)
         reports = "".join(f"; {paradox_met}" for paradox_met in paradoxes_met.values())
@@ -57,12 +55,12 @@ def choose_mode(
         may_open = all(
             "free" in law.states or not t for law, t in zip(setup.contacts, touching, strict=True)
         )
-        if sum(touching) > 1 and any(slides) and may_open and paradox == "impact":
+        if sum(touching) > 1 and any(slides) and may_open and setup.paradox == "impact":
             reports += "; where friction jams several contacts at once, take the engine impulse"
         raise NoConsistentMode(f"{error}{reports}", considered=error.considered) from None
     if np.abs(choice.taken.forces).max(initial=0.0) > ENDLESS * setup.scales.force:
         jam = resolve_jam(setup, snapshot, touching)
-        if paradox == "impact" and jam is not None:
+        if setup.paradox == "impact" and jam is not None:
             return replace(jam, considered=choice.considered)
     if choice.warning:
         paradoxes_met = paradoxes(setup, snapshot, touching)
@@ -114,8 +112,7 @@ def _level_feet(
 
 def _motions(setup: SceneSetup, snapshot: Snapshot) -> tuple[Array, Array]:
     """Return the independent motions (coordinates, n) that joints allow, and their sizes (n,)."""
-    sizes = setup.scales.sizes[: len(setup.scales.sizes) // 2]
-    whole = np.append(sizes, np.ones(snapshot.unreduced.pads))
+    whole = np.append(setup.scales.coordinates, np.ones(snapshot.unreduced.pads))
     basis = np.eye(len(whole)) if snapshot.reduction is None else snapshot.reduction.basis
     return basis, 1.0 / np.abs(basis / whole[:, None]).max(axis=0)
 
@@ -133,7 +130,6 @@ def choose_at_rest(
     setup: SceneSetup,
     snapshot: Snapshot,
     touching: Sequence[bool],
-    paradox: Resolution,
     state: Array,
     at: Callable[[Array, float], Snapshot],
     before: Before | None = None,
@@ -145,8 +141,8 @@ def choose_at_rest(
     its slider in line): friction cannot hold the linkage there, and the point slips as the motion
     goes on. `at` gives the snapshot at a state after a time.
     """
-    slip_tolerance, half = setup.slip_tolerance, len(state) // 2
-    sizes = setup.scales.sizes[:half]
+    slip_tolerance, sizes = setup.slip_tolerance, setup.scales.coordinates
+    half = len(sizes)
     basis, levers = _motions(setup, snapshot)
     idle = [
         i
@@ -163,7 +159,7 @@ def choose_at_rest(
         exact = zip(snapshot.contacts, jacobians, strict=True)
         contacts = tuple(contact._replace(jacobian=rows) for contact, rows in exact)
         snapshot = snapshot._replace(jacobians=jacobians, contacts=contacts)
-    choice = choose_mode(setup, snapshot, touching, paradox, before, uncertainty)
+    choice = choose_mode(setup, snapshot, touching, before, uncertainty)
     if not idle or isinstance(choice, Jam):
         return choice
     accelerations = snapshot.solved(choice.taken.accelerations, choice.taken.forces)[0][:half]
@@ -179,8 +175,9 @@ def choose_at_rest(
 
     def slips(later: float) -> Array:
         """Return the slips of the points after a time."""
-        rates = later * accelerations
-        moved = np.append(state[:half] + 0.5 * later * rates, rates)
+        rates, moved = later * accelerations, state.copy()
+        moved[:half] += 0.5 * later * rates
+        moved[half : 2 * half] = rates
         moved = on_constraints(("free",) * len(touching), at(moved, later), moved)
         contacts = at(moved, later).contacts
         return np.array([contacts[i].slip for i in idle])
@@ -202,7 +199,7 @@ def choose_at_rest(
     if not turned:
         return choice
     snapshot = snapshot._replace(contacts=tuple(moving))
-    return choose_mode(setup, snapshot, touching, paradox, before, uncertainty)
+    return choose_mode(setup, snapshot, touching, before, uncertainty)
 
 
 def check_listed(setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool]) -> None:

@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.controllers import values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.lint import (
@@ -80,8 +79,10 @@ class Handovers:
                         if -first > gap_tolerance:
                             depths += (-first, -gap)
             end()
-        late = (stays_off_warning(self._mechanics.scene, name, d) for name, d in missed.items())
-        return (*early, *missed_ends, *late)
+        stays_off = (
+            stays_off_warning(self._mechanics.scene, name, d) for name, d in missed.items()
+        )
+        return (*early, *missed_ends, *stays_off)
 
     def _past_ends(
         self, setup: SceneSetup, arcs: Sequence[Arc], tables: Mapping[int, Array], near: float
@@ -158,14 +159,14 @@ class Handovers:
     def _tape(self, states: Key) -> Tape:
         if states not in self._tapes:
             controllers = self._mechanics.scene.controlled.flat
-            controlled = values_in(self._mechanics, dict(zip(controllers, states, strict=True)))
+            controlled = self._mechanics.values_in(dict(zip(controllers, states, strict=True)))
             outputs: list[sp.Expr] = []
             for name in self._gated.values():
                 gate = self._mechanics.gate(name)
                 assert gate is not None
                 outputs.append(gate.by_steps(controlled, {}))
                 outputs.append(self._mechanics.contact(name).symbols.gap.xreplace(controlled))
-            self._tapes[states] = self._mechanics.whole_tape(outputs)
+            self._tapes[states] = self._mechanics.tape(outputs)
         return self._tapes[states]
 
     def _at_crossing(

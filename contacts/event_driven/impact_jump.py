@@ -8,20 +8,18 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
-import numpy as np
-
 from contacts.dynamics.conditions import hidden
-from contacts.dynamics.contact_law import ContactLaw, sliding_edge
-from contacts.dynamics.projection import held_key, landed
+from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.projection import constraint_key, landed
+from contacts.dynamics.rolling_resistance import apply_rolling_resistance, couples
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import Snapshot, SnapshotTape, answer, solve_kkt
+from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.event_driven.decision import check_listed, choose_mode, explain_choice
 from contacts.impacts.bounces import correct_durations, remaining_bounces, stands_for_bounces
 from contacts.impacts.jamming import Jam, impact_without_collision, listed_mode, strike_jammed
 from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.modes.classification import Before, Choice, ForceUncertainty
 from contacts.scene.modes import INSIDE, OUTSIDE
-from contacts.scene.parts import Resolution, Simultaneous
 from contacts.states import INACTIVE, OPEN
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, Instant, moving_mode, roles_in
@@ -31,41 +29,6 @@ from statechart.errors import NoConsistentMode
 
 # Margins of a contact other than those of its forces.
 _KINEMATIC_MARGINS = ("gap", "slip", INSIDE, OUTSIDE)
-
-
-class Rules(NamedTuple):
-    """Impact laws of a scene, and its snapshots."""
-
-    tape: SnapshotTape
-    simultaneous: Simultaneous
-    paradox: Resolution
-
-    def uncertainty(self, landing: Landing, after: Array | None = None) -> ForceUncertainty | None:
-        """Return the uncertainty of forces at the end of a flow, or after an impact there.
-
-        Returns None if a mode has been chosen since.
-        """
-        at, names = landing.at, [law.name for law in landing.setup.contacts]
-        if not at.fired and not at.flow.near_bound:
-            return None
-
-        def numbers(state: Array, later: float) -> Snapshot:
-            snapshot = self.tape.at(landing.setup.values, state, at.clock.high + later)
-            return hidden(snapshot, at.flow.mode)
-
-        certain_modes = tuple(["free"] * len(names)) if at.flow.near_bound else landing.moving
-        off_margins = tuple(f"{name}.{state}:" for name in names for state in INACTIVE)
-        kinematic = tuple(f"{name}.{kind}" for name in names for kind in _KINEMATIC_MARGINS)
-        uncertain = [
-            i
-            for i, name in enumerate(names)
-            if any(
-                f.startswith(f"{name}.") and f not in kinematic and not f.startswith(off_margins)
-                for f in at.fired
-            )
-        ]
-        state = at.state if after is None else after
-        return ForceUncertainty(numbers, landing.setup, state, certain_modes, uncertain)
 
 
 class Landing(NamedTuple):
@@ -86,6 +49,36 @@ class Landing(NamedTuple):
     def hitting(self) -> list[int]:
         """The closed contacts that approach."""
         return self.snapshot.approaching(self.closed, self.slow)
+
+
+def uncertainty_at(
+    tape: SnapshotTape, landing: Landing, after: Array | None = None
+) -> ForceUncertainty | None:
+    """Return the uncertainty of forces at the end of a flow, or after an impact there.
+
+    Returns None if a mode has been chosen since.
+    """
+    at, names = landing.at, [law.name for law in landing.setup.contacts]
+    if not at.fired and not at.flow.near_bound:
+        return None
+
+    def numbers(state: Array, later: float) -> Snapshot:
+        snapshot = tape.at(landing.setup.values, state, at.clock.high + later)
+        return hidden(snapshot, at.flow.mode)
+
+    certain_modes = tuple(["free"] * len(names)) if at.flow.near_bound else landing.moving
+    off_margins = tuple(f"{name}.{state}:" for name in names for state in INACTIVE)
+    kinematic = tuple(f"{name}.{kind}" for name in names for kind in _KINEMATIC_MARGINS)
+    uncertain = [
+        i
+        for i, name in enumerate(names)
+        if any(
+            f.startswith(f"{name}.") and f not in kinematic and not f.startswith(off_margins)
+            for f in at.fired
+        )
+    ]
+    state = at.state if after is None else after
+    return ForceUncertainty(numbers, landing.setup, state, certain_modes, uncertain)
 
 
 class _Struck(NamedTuple):
@@ -113,16 +106,16 @@ def flow_in(
     """
     remaining = math.inf if bounce_time is None else bounce_time
     if not isinstance(moved_by, Choice):
-        roles = roles_in(mode) if moved_by is None else shown_roles(mode, moved_by)
+        roles = roles_in(mode) if moved_by is None else mark_captured_roles(mode, moved_by)
         return Flow(mode, roles, remaining, warning, settled, tolerances=setup.bands)
     warning = "; ".join(filter(None, (warning, moved_by.warning)))
     tolerances = {**setup.bands, **moved_by.tolerances} if moved_by.tolerances else setup.bands
-    roles, notes = shown_roles(mode, moved_by.roles), moved_by.notes
+    roles, notes = mark_captured_roles(mode, moved_by.roles), moved_by.notes
     flow = Flow(mode, roles, remaining, warning, settled, notes, tolerances=tolerances)
     return flow._replace(near_bound=moved_by.near_bound)
 
 
-def shown_roles(mode: Key, roles: Roles) -> Roles:
+def mark_captured_roles(mode: Key, roles: Roles) -> Roles:
     """Mark contacts as captured that move as closed and are shown as free (skipped bounces)."""
     return tuple(
         [
@@ -133,7 +126,7 @@ def shown_roles(mode: Key, roles: Roles) -> Roles:
 
 
 def impact_jump(
-    rules: Rules,
+    tape: SnapshotTape,
     landing: Landing,
     event: tuple[str, str],
     jam: Jam | None = None,
@@ -145,18 +138,17 @@ def impact_jump(
     meets, whose velocity it does not allow.
     """
     at, setup, closed, speed_tolerance = landing.at, landing.setup, landing.closed, landing.slow
-    struck = _solve_struck(rules, landing, jam)
+    struck = _solve_struck(tape, landing, jam)
     laws, contacts, bounce_times = struck.laws, struck.snapshot.contacts, struck.bounce_times
     touching = struck.snapshot.remaining(closed, speed_tolerance)
-    mode, moved_by, after, settled = _choose_entered(rules, landing, struck, touching)
+    mode, moved_by, after, settled = _choose_entered(tape, landing, struck, touching)
     target = listed_mode(mode, setup, struck.snapshot)
-    energy = rules.tape.at(setup.values, after, at.clock.high).energy
+    energy = tape.at(setup.values, after, at.clock.high).energy
     bounce_time = max(bounce_times.values(), default=None)
     impulses = struck.result.impulses
-    joint_impulse = rules.tape.joint_impulse(
+    joint_impulse = tape.joint_impulse(
         landing.snapshot, at.state if before is None else before, after, impulses
     )
-    couples = {f"{law.name}.M": impulses.item(i, 1) for i, law in rolling(laws)}
     jump = at.jump(
         *event,
         target,
@@ -166,7 +158,7 @@ def impact_jump(
             for law, (normal, tangential) in zip(laws, impulses.tolist(), strict=True)
             if law.carrier < 0 and (normal != 0.0 or tangential != 0.0)
         },
-        joint_impulse=joint_impulse | {name: size for name, size in couples.items() if size},
+        joint_impulse=joint_impulse | couples(laws, impulses),
         path=struck.result.path,
         considered=LazyMapping(
             partial(
@@ -195,12 +187,12 @@ def impact_jump(
     return jump, flow, struck.snapshot
 
 
-def _solve_struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
+def _solve_struck(tape: SnapshotTape, landing: Landing, jam: Jam | None) -> _Struck:
     """Compute an impact, and sum the bounces that follow it if that is possible."""
     (_, clock, _, flow, state, _), setup, snapshot, _, closed = landing
 
     def seen(state: Array, later: float = 0.0) -> Snapshot:
-        return hidden(rules.tape.at(setup.values, state, clock.high + later), flow.mode)
+        return hidden(tape.at(setup.values, state, clock.high + later), flow.mode)
 
     def apply(
         laws: Sequence[ContactLaw],
@@ -209,20 +201,23 @@ def _solve_struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
         result: Impacts,
         later: float = 0.0,
     ) -> _Struck:
-        result = apply_rolling_resistance(snapshot, laws, result, setup.slip_tolerance)
-        after = snapshot.moved(state, result.velocity)
+        velocity, impulses = apply_rolling_resistance(
+            snapshot, laws, result.velocity, result.impulses, setup.slip_tolerance
+        )
+        result = replace(result, velocity=velocity, impulses=impulses)
+        after = snapshot.moved(state, velocity)
         return _Struck(laws, result, after, seen(after, later), {})
 
     def under(laws: Sequence[ContactLaw]) -> _Struck:
         if jam is not None:
             result = impact_without_collision(snapshot, laws, jam.place)
         else:
-            result = impacts(snapshot, laws, strike_jammed(laws, closed), rules.simultaneous)
+            result = impacts(snapshot, laws, strike_jammed(laws, closed), setup.simultaneous)
         return apply(laws, snapshot, state, result)
 
     def strike_again(state: Array, later: float, hit: Sequence[bool]) -> tuple[Snapshot, Snapshot]:
         laws, again = setup.contacts, seen(state, later)
-        result = impacts(again, laws, strike_jammed(laws, hit), rules.simultaneous)
+        result = impacts(again, laws, strike_jammed(laws, hit), setup.simultaneous)
         return again, apply(laws, again, state, result, later).snapshot
 
     elastic = under(setup.contacts)
@@ -252,7 +247,7 @@ def _solve_struck(rules: Rules, landing: Landing, jam: Jam | None) -> _Struck:
 
 
 def _choose_entered(
-    rules: Rules, landing: Landing, struck: _Struck, touching: list[bool]
+    tape: SnapshotTape, landing: Landing, struck: _Struck, touching: list[bool]
 ) -> tuple[Key, Choice | Roles, Array, bool]:
     """Return the mode after an impact, its choice or roles, the state, and if it is settled."""
     setup, following = landing.setup, struck.snapshot
@@ -262,12 +257,12 @@ def _choose_entered(
     if not any(touching):
         flying = tuple(name if name in INACTIVE else "free" for name in landing.at.flow.mode)
         return flying, roles_in(flying), struck.state, settled
-    uncertainty = rules.uncertainty(landing, struck.state)
+    uncertainty = uncertainty_at(tape, landing, struck.state)
     before = Before.flow(landing.at.flow.roles)
-    choice = choose_mode(setup, following, touching, rules.paradox, before, uncertainty)
+    choice = choose_mode(setup, following, touching, before, uncertainty)
     moving = moving_mode(choice.roles)
     state = landed(
-        held_key(choice.roles, following.soft), following, struck.state, setup.tolerances
+        constraint_key(choice.roles, following.soft), following, struck.state, setup.tolerances
     )
     # A contact whose bounces are skipped moves as closed and is shown as free.
     target = tuple(
@@ -277,88 +272,3 @@ def _choose_entered(
     if isinstance(choice, Jam):
         return target, choice.roles, state, False
     return target, choice, state, settled
-
-
-def apply_rolling_resistance(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], result: Impacts, slip_tolerance: float
-) -> Impacts:
-    """Return the impacts of an instant with the angular impulses of rolling resistance.
-
-    The angular impulse is at most a length times the normal impulse, opposes the rotation after the
-    impact and does not reverse it. A contact that sticks after the impact still sticks if friction
-    suffices, kinetic friction where it slipped before; else the slip goes on, and friction is on
-    the edge of its cone. One that does not rebound remains closed.
-    """
-    for place, law in rolling(laws):
-        if not result.impulses[law.carrier, 0] > 0.0:
-            continue
-        limit = float(snapshot.limits[place - len(laws)][1])
-        bound = limit * float(result.impulses[law.carrier, 0])
-        touching, cone = snapshot.contacts[law.carrier], laws[law.carrier]
-        change, couple = result.velocity - snapshot.velocity, snapshot.jacobians[place, 1]
-        slip = snapshot.contacts[place].slip + float(couple @ change)
-        if not abs(slip) > slip_tolerance or bound == 0.0:
-            continue
-        after = [
-            rate + float(row @ change)
-            for rate, row in zip((touching.gap_rate, touching.slip), touching.jacobian, strict=True)
-        ]
-        sticking = [d for d in range(2) if abs(after[d]) <= slip_tolerance]
-        rows = np.array([couple, *(touching.jacobian[d] for d in sticking)])
-        solved = answer(snapshot, rows, rows, np.array([-slip, *(0.0 for _ in sticking)]))
-        if solved is None:
-            continue
-        share = min(1.0, bound / abs(solved[1][0])) if solved[1][0] != 0.0 else 1.0
-        impulses = result.impulses.copy()
-        impulses[place, 1] = share * solved[1][0]
-        for d, impulse in zip(sticking, solved[1][1:].tolist(), strict=True):
-            impulses[law.carrier, d] += share * impulse
-        normal, tangential = impulses[law.carrier].tolist()
-        slipped = abs(touching.slip) > slip_tolerance
-        edge = sliding_edge(cone, touching) if slipped else (cone.cone_n, cone.cone_t)
-        if 1 not in sticking or edge[0] * abs(tangential) <= edge[1] * normal:
-            velocity = result.velocity + share * solved[0]
-            result = replace(result, velocity=velocity, impulses=impulses)
-            continue
-        edge = edge[0], math.copysign(edge[1], tangential)
-        result = _continue_slip(snapshot, result, place, law.carrier, slip, limit, edge)
-    return result
-
-
-def rolling(laws: Sequence[ContactLaw]) -> list[tuple[int, ContactLaw]]:
-    """Return the places and laws of rolling resistance."""
-    return [(place, law) for place, law in enumerate(laws) if law.carrier >= 0]
-
-
-def _continue_slip(
-    snapshot: Snapshot,
-    result: Impacts,
-    couple_place: int,
-    place: int,
-    slip: float,
-    limit: float,
-    edge: tuple[float, float],
-) -> Impacts:
-    """Return the impacts of an instant where a contact that rolling resists goes on to slip.
-
-    Its impulse along the `edge` of its cone leaves its gap rate as it is; the angular impulse stops
-    the rotation `slip`, or is `limit` times the normal impulse.
-    """
-    couple, jacobian = snapshot.jacobians[couple_place, 1], snapshot.jacobians[place]
-    rates = np.array([-slip, 0.0])
-    push, rows = np.array(edge) @ jacobian, np.array([couple, jacobian[0]])
-    solve = partial(solve_kkt, snapshot.mass, -jacobian.T @ result.impulses[place])
-    solved = solve(rows, np.array([couple, push]), rates)
-    if solved is None:
-        return result
-    stop, size = solved[1].tolist()
-    if abs(stop) > limit * edge[0] * size:
-        push = push + math.copysign(limit * edge[0], stop) * couple
-        solved = solve(rows[1:], push[None], rates[1:])
-        if solved is None:
-            return result
-        size = float(solved[1][0])
-        stop = math.copysign(limit * edge[0] * size, stop)
-    impulses = result.impulses.copy()
-    impulses[place], impulses[couple_place, 1] = size * np.array(edge), stop
-    return replace(result, velocity=result.velocity + solved[0], impulses=impulses)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -15,8 +14,8 @@ from contacts.dynamics.held_forces import HeldForces
 from contacts.dynamics.mechanics import HAULED, Mechanics, winch_end_message
 from contacts.dynamics.projection import (
     Projection,
+    constraint_key,
     dead_point,
-    held_key,
     in_contact,
     landed,
     on_constraints,
@@ -31,12 +30,19 @@ from contacts.dynamics.starting import (
     check_places,
     check_start,
     hovering_warnings,
+    weak_coupling_warnings,
 )
 from contacts.event_driven.accumulation import close_immediately
 from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from contacts.event_driven.decision import cause, check_declared, choose_at_rest
 from contacts.event_driven.handovers import Handovers
-from contacts.event_driven.impact_jump import Landing, Rules, flow_in, impact_jump, shown_roles
+from contacts.event_driven.impact_jump import (
+    Landing,
+    flow_in,
+    impact_jump,
+    mark_captured_roles,
+    uncertainty_at,
+)
 from contacts.event_driven.switching import Switching, alike
 from contacts.impacts.bounces import reopens_immediately, rest_of_passages
 from contacts.impacts.jamming import Jam, listed_mode, off_state, strike_jammed, unbounded_jam
@@ -70,19 +76,27 @@ _START_DEPTH = 1e-9
 
 
 class SceneLaws:
-    """The laws of a scene (see `statechart.automaton.laws.Laws`)."""
+    """The laws of a scene (see `statechart.automaton.laws.Laws`).
 
-    def __init__(self, mechanics: Mechanics, numbers: SceneNumbers) -> None:
-        self._mechanics = mechanics
+    Controllers are in `states`, by default those at the start; `start` are the laws with these.
+    """
+
+    def __init__(
+        self,
+        mechanics: Mechanics,
+        numbers: SceneNumbers,
+        states: Mapping[str, str] | None = None,
+        start: SceneLaws | None = None,
+    ) -> None:
+        self._mechanics, self._states, self._start = mechanics, states, start
         self._modes = mechanics.scene.initial_modes
-        self._paradox = mechanics.scene.paradox
         self._names = mechanics.scene.frictional
         self._count = len(mechanics.scene.contacts)
         self.numbers = numbers
-        self.conditions = self.numbers.conditions
-        self._switching = Switching(self._names, self.conditions, self._paradox)
+        self.conditions = numbers.conditions if states is None else Conditions(mechanics, states)
+        self._switching = Switching(self._names, self.conditions)
         self.held = HeldForces(mechanics)
-        self.compliance = Compliance(mechanics, None) if mechanics.pads else None
+        self.compliance = Compliance(mechanics, states) if mechanics.pads else None
         self.remarks = Handovers(mechanics).remarks
 
     # Compiled on demand: a scene that runs by components needs no arrays of all bodies times all
@@ -91,15 +105,14 @@ class SceneLaws:
     @cached_property
     def tape(self) -> SnapshotTape:
         """The tape of snapshots."""
-        return SnapshotTape(self._mechanics)
+        return SnapshotTape(self._mechanics, self._states)
 
     @cached_property
     def _projection(self) -> Projection:
+        joints = any(row.closed is not None for row in self._mechanics.joint_rows)
+        if self._start is not None and not (joints or self._mechanics.scene.leading):
+            return self._start._projection
         return Projection(self._mechanics, self.tape)
-
-    @cached_property
-    def _rules(self) -> Rules:
-        return Rules(self.tape, self._mechanics.scene.simultaneous, self._paradox)
 
     @cached_property
     def compiled_laws(self) -> CompiledLaws | None:
@@ -109,23 +122,6 @@ class SceneLaws:
         if slow or not self.numbers.disjoint:
             return None
         return CompiledSceneLaws(self._names, self.numbers, self.tape, self._projection, self.jump)
-
-    def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:
-        """Return the laws with the forces of a tape, under other conditions."""
-        rules = self._rules
-        laws = copy.copy(self)
-        joints = any(row.closed is not None for row in self._mechanics.joint_rows)
-        if joints or self._mechanics.scene.leading:
-            laws._projection = Projection(self._mechanics, tape)
-        else:
-            laws._projection = self._projection
-        laws.tape, laws.conditions = tape, conditions
-        if laws.compliance is not None:
-            laws.compliance = Compliance(laws._mechanics, tape.states)
-        laws._switching = Switching(self._names, conditions, self._paradox)
-        laws._rules = rules._replace(tape=tape)
-        laws.compiled_laws = None
-        return laws
 
     def snapshot(self, setup: Setup, state: Array, time: float) -> Snapshot:
         """Return the snapshot at a state."""
@@ -179,12 +175,11 @@ class SceneLaws:
             state = landed(key, snapshot, state, setup.tolerances)
         if state is not setup.initial:
             snapshot = hidden(self.tape.at(setup.values, state, 0.0), off)
-        above = self._hovering(setup, state, off)
+        warnings = self._start_warnings(setup, state, off)
         choice = choose_at_rest(
             setup,
             snapshot,
             touching,
-            self._paradox,
             state,
             self._hidden_at(setup, 0.0, off),
             Before(),
@@ -192,21 +187,22 @@ class SceneLaws:
         moving = moving_mode(choice.roles)
         starts = listed_mode(moving, setup, snapshot)
         if isinstance(choice, Jam):
-            return flow_in(setup, starts, choice.roles, None, above, settled=False), state
+            return flow_in(setup, starts, choice.roles, None, warnings, settled=False), state
         check_declared(self._modes, self._names, choice, snapshot, touching, failing)
         settled = not snapshot.approaching(closed, slow)
-        return flow_in(setup, starts, choice, None, above, settled), state
+        return flow_in(setup, starts, choice, None, warnings, settled), state
 
-    def _hovering(self, setup: SceneSetup, state: Array, mode: Key) -> str:
-        """Return warnings about contacts that start just off their surfaces."""
-        contacts = self.tape.at(setup.values, state, 0.0).contacts
+    def _start_warnings(self, setup: SceneSetup, state: Array, mode: Key) -> str:
+        """Return warnings about hovering contacts, and about couplings with tiny limits."""
+        snapshot = self.tape.at(setup.values, state, 0.0)
+        contacts = snapshot.contacts
         on = [i for i, name in enumerate(mode[: self._count]) if name != OFF]
-        return "; ".join(
-            hovering_warnings(
-                self._mechanics.scene, setup.scales, setup.tolerances["gap"],
-                [self._names[i] for i in on], [contacts[i][:2] for i in on],
-            )
+        hovering = hovering_warnings(
+            self._mechanics.scene, setup.scales, setup.tolerances["gap"],
+            [self._names[i] for i in on], [contacts[i][:2] for i in on],
         )  # fmt: skip
+        weak = weak_coupling_warnings(setup.contacts, snapshot.limits, setup.tolerances["force"])
+        return "; ".join([*hovering, *weak])
 
     def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         """Classify every contact; see `contacts.modes.classification`."""
@@ -238,13 +234,11 @@ class SceneLaws:
         if result is None or (jump := result[0]) is None:
             return result
         flow, setup, offsets = result[1], at.setup, self.numbers.gap_offsets
-        # Controller variables precede the parameters.
-        parameters = setup.values[len(setup.values) - len(self.numbers.places) :]
-        known = parameters if at.flow.values is None else at.flow.values
+        known = setup.values if at.flow.values is None else at.flow.values
         count = self._count
         before, moving = moving_mode(at.flow.roles)[:count], moving_mode(flow.roles)[:count]
         began = [
-            now == "free" and (name in jump.impulse or was not in OPEN)
+            now == "free" and (name in jump.impulse or was != "free")
             for name, was, now in zip(self._names[:count], before, moving, strict=True)
         ]
         flying = [state == "free" for state in moving]
@@ -258,7 +252,7 @@ class SceneLaws:
             new_offsets = np.where(began, np.where(near, gaps, 0.0), new_offsets)
         values = None
         if new_offsets.any():
-            values = parameters.copy()
+            values = setup.values.copy()
             values[offsets] = new_offsets
         return jump, flow._replace(values=values)
 
@@ -280,18 +274,11 @@ class SceneLaws:
         if hitting:
             return self._impact(here, hitting)
         touching = here.snapshot.remaining(here.closed, here.slow)
-        uncertainty = self._rules.uncertainty(here)
+        uncertainty = uncertainty_at(self.tape, here)
         before = Before.flow(at.flow.roles, here.moving)
         around = self._hidden_at(setup, clock.high, flow.mode)
         choice = choose_at_rest(
-            setup,
-            here.snapshot,
-            touching,
-            self._paradox,
-            here.at.state,
-            around,
-            before,
-            uncertainty,
+            setup, here.snapshot, touching, here.at.state, around, before, uncertainty
         )
         if isinstance(choice, Jam):
             if choice.sliding[choice.place] == here.moving[choice.place]:
@@ -328,7 +315,7 @@ class SceneLaws:
             moving_mode(at.flow.roles),
             [c.gap <= near for c in after.contacts],
         )
-        jump, flow, _ = impact_jump(self._rules, here, (joint, cause), before=at.state)
+        jump, flow, _ = impact_jump(self.tape, here, (joint, cause), before=at.state)
         _, energy_after = jump.energy or (0.0, 0.0)
         energy = snapshot.energy, energy_after
         return dataclasses.replace(jump, before=at.state, energy=energy), flow
@@ -341,7 +328,7 @@ class SceneLaws:
         here = self._landing(at, setup, hidden(snapshot, mode))
         if not here.hitting:
             return None
-        after = impact_jump(self._rules, here, self._struck(here.hitting))[0].after
+        after = impact_jump(self.tape, here, self._struck(here.hitting))[0].after
         return after, self.tape.at(setup.values, after, at.clock.high)
 
     def _landing(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> Landing:
@@ -351,7 +338,7 @@ class SceneLaws:
         closed.
         """
         flow, moving = at.flow, moving_mode(at.flow.roles)
-        held = held_key(flow.roles, snapshot.soft)
+        held = constraint_key(flow.roles, snapshot.soft)
         state = landed(held, snapshot, at.state, setup.tolerances)
         slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
         rested = self._rested(flow, held, snapshot, at.fired, setup.slip_tolerance)
@@ -380,14 +367,13 @@ class SceneLaws:
         setup, snapshot, moving = here.setup, here.snapshot, here.moving
         jam = self._grown(here)
         if jam is None:
-            sizes = setup.scales.sizes[: len(here.at.state) // 2]
-            sizes = np.append(sizes, np.ones(snapshot.unreduced.pads))
+            sizes = np.append(setup.scales.coordinates, np.ones(snapshot.unreduced.pads))
             # Contacts that share a load have dependent constraints by design.
             why = dead_point(snapshot, setup.contacts, moving, sizes)
             if why and roles_in(moving) == uncaptured(here.at.flow.roles):
                 raise SingularMode(why)
             return None
-        if self._paradox == "stop":
+        if setup.paradox == "stop":
             raise NoConsistentMode(jam.why)
         return self._impact(here, [jam.place], jam)
 
@@ -402,7 +388,7 @@ class SceneLaws:
         target = choice.taken.states
         skipping = moving != flow.mode
         if target == moving and not (skipping and fired == ("zeno",)):
-            goes_on = shown_roles(flow.mode, choice.taken.roles)
+            goes_on = mark_captured_roles(flow.mode, choice.taken.roles)
             if goes_on != flow.roles:
                 # Zones that change may leave or come to the boundary of a cone.
                 own = {n: t for n, t in flow.tolerances.items() if not self._of_forces((n,))}
@@ -414,11 +400,11 @@ class SceneLaws:
             # The force fell off the constraints by their error: on them it may not have. Projected
             # once per instant (`settled`): twice changes the last bits.
             if state is at.state and self._of_forces(fired):
-                state = on_constraints(held_key(flow.roles, snapshot.soft), snapshot, state)
+                state = on_constraints(constraint_key(flow.roles, snapshot.soft), snapshot, state)
             if np.array_equal(state, at.state):
                 return None
             return None, flow._replace(settled=True, start=state)
-        held = held_key(choice.taken.roles, snapshot.soft)
+        held = constraint_key(choice.taken.roles, snapshot.soft)
         after = landed(held, snapshot, state, setup.tolerances)
         snapshot_after = (
             snapshot if after is state else self.tape.at(setup.values, after, clock.high)
@@ -448,8 +434,8 @@ class SceneLaws:
         if flow.sizes is None:
             return moving
         # Round-off of the rates of coordinates; rates of pads of compliant contacts come after.
-        rounding = EPS * flow.sizes[len(flow.sizes) // 2 :]
-        n = len(rounding)
+        n = snapshot.size
+        rounding = EPS * flow.sizes[n : 2 * n]
         return tuple(
             ("locked" if state in SLIPPING else "pin")
             if f"{name}.slip" in fired
@@ -508,7 +494,7 @@ class SceneLaws:
         period: float, rest: float,
     ) -> tuple[Jump, Flow] | None:  # fmt: skip
         at = partial(self.tape.at, setup.values, time=clock.high)
-        return close_immediately(setup, at, flow, jump, took_part, period, rest, self._paradox)
+        return close_immediately(setup, at, flow, jump, took_part, period, rest)
 
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
         """Return the constraints of the closed contacts of `roles`, and of pinned points."""
@@ -530,7 +516,7 @@ class SceneLaws:
     def _impact(
         self, here: Landing, hitting: list[int], jam: Jam | None = None
     ) -> tuple[Jump, Flow]:
-        jump, flow, following = impact_jump(self._rules, here, self._struck(hitting, jam), jam)
+        jump, flow, following = impact_jump(self.tape, here, self._struck(hitting, jam), jam)
         setup, closed, (before, after) = here.setup, here.closed, jump.energy or (0.0, 0.0)
         idle = jam is None and sum(closed) > 1 and after >= before
         if idle and reopens_immediately(setup, following, closed):
@@ -559,7 +545,7 @@ class SceneLaws:
 
         def strike(snapshot: Snapshot, closed: Sequence[bool]) -> Array:
             closed = strike_jammed(setup.contacts, closed)
-            return impacts(snapshot, setup.contacts, closed, self._rules.simultaneous).velocity
+            return impacts(snapshot, setup.contacts, closed, setup.simultaneous).velocity
 
         for on in (i for i in shut if points[i] == points[other]):
             rest = rest_of_passages(setup, at, strike, jump.after, on, other)

@@ -73,8 +73,8 @@ from statechart.engines.compiled_flow import (
 from statechart.execution import compiled_loop as runs
 from statechart.execution.compiled_loop import LOOK_AHEAD as NEXT_LOOK
 from statechart.execution.compiled_loop import BatchInputs, BatchResult, Loop
+from statechart.execution.event_classification import AT_END
 from statechart.execution.execution import FARTHEST
-from statechart.execution.finding import AT_END
 from statechart.execution.flow import LEAST
 from statechart.kernels.accumulation import HIGH, WIDTH
 from statechart.kernels.copies import copy_counts, copy_numbers
@@ -195,7 +195,7 @@ def _end_outcome(
     """Return the outcome of a run of the batch after its loop has ended.
 
     Events at the instant of a stop precede it. For events at the end of time see
-    `statechart.execution.finding.closing`.
+    `statechart.execution.event_classification.closing`.
     """
     row = program.modes[mode]
     stopped = reason == runs.FELL and margin >= row[FIRST_STOP]

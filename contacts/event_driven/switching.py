@@ -14,7 +14,6 @@ from contacts.dynamics.snapshot import Snapshot
 from contacts.event_driven.decision import choose_mode
 from contacts.impacts.jamming import Jam, engaged_state, off_state
 from contacts.modes.classification import Before
-from contacts.scene.parts import Resolution
 from contacts.states import INACTIVE, OFF, cause_of
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, Instant
@@ -43,15 +42,15 @@ class _Site(NamedTuple):
 class Switching:
     """Disables and enables contacts (see `contacts.dynamics.conditions`)."""
 
-    def __init__(self, names: Sequence[str], conditions: Conditions, paradox: Resolution) -> None:
-        self._names, self._conditions, self._paradox = names, conditions, paradox
+    def __init__(self, names: Sequence[str], conditions: Conditions) -> None:
+        self._names, self._conditions = names, conditions
         self._verdicts: list[int] = []  # Of the last instant in `switched`.
 
     def failing(
         self, setup: SceneSetup, snapshot: Snapshot, state: Array, time: float
     ) -> tuple[str, ...]:
         """Return a failing condition of each contact, or ""; see `ConditionsAt`."""
-        return self._conditions.first(self._judged(self._site(setup, snapshot, state, time)))
+        return self._conditions.first(self._atom_verdicts(self._site(setup, snapshot, state, time)))
 
     def _site(self, setup: SceneSetup, snapshot: Snapshot, state: Array, time: float) -> _Site:
         """Return the contacts and conditions at a state.
@@ -67,7 +66,7 @@ class Switching:
         ]
         return _Site(setup, snapshot, conditions, near)
 
-    def _judged(
+    def _atom_verdicts(
         self, site: _Site, fired: tuple[str, ...] = (), on: Sequence[bool] = ()
     ) -> list[int]:
         """Return the verdicts of the atoms; `on`: contacts enabled in the flow that ends here."""
@@ -90,16 +89,16 @@ class Switching:
                 for c, close in zip(shown.contacts, near, strict=True)
             ]
             try:
-                choice = choose_mode(setup, shown, touching, self._paradox, Before())
+                choice = choose_mode(setup, shown, touching, Before())
             except SimulationError:
                 return None
             return None if isinstance(choice, Jam) else choice.taken.roles
 
         verdicts = here.verdicts(fired, motion, on)
-        certified = self._held_in_corners(site, verdicts, fired, on)
+        certified = self._certified_in_corners(site, verdicts, fired, on)
         return here.with_boundary(verdicts, certified, fired)
 
-    def _held_in_corners(
+    def _certified_in_corners(
         self, site: _Site, verdicts: list[int], fired: Collection[str], on: Sequence[bool]
     ) -> set[int]:
         """Return the contacts whose atoms hold on their boundary, as no other contact takes over.
@@ -137,7 +136,7 @@ class Switching:
             return {}
         site = self._site(setup, snapshot, at.state, at.clock.high)
         on = [state not in INACTIVE for state in at.flow.mode]
-        self._verdicts = self._judged(site, at.fired, on)
+        self._verdicts = self._atom_verdicts(site, at.fired, on)
         failing = self._conditions.first(self._verdicts)
         if any(failing) and site.conditions.on_boundary:
             failing = self._struck_too(at, site, failing, strike)
@@ -240,18 +239,25 @@ class Switching:
         if not any(role.captured for role in roles):
             # The skipped bounces belonged to a contact that is off now.
             following = following._replace(remaining=math.inf)
-        return jump, following._replace(warning=self._lost(setup, snapshot, flow.mode, tuple(mode)))
+        return jump, following._replace(
+            warning=self._corner_warning(setup, snapshot, flow.mode, tuple(mode))
+        )
 
-    def _lost(self, setup: SceneSetup, snapshot: Snapshot, before: Key, after: Key) -> str:
+    def _corner_warning(
+        self, setup: SceneSetup, snapshot: Snapshot, before: Key, after: Key
+    ) -> str:
         """Return a warning if all contacts of a point go off in a corner."""
-        points, room = self._conditions.points, _CORNER * setup.tolerances["gap"]
-        nearby = [abs(contact.gap) <= room for contact in snapshot.contacts]
+        points, corner_size = self._conditions.points, _CORNER * setup.tolerances["gap"]
+        nearby = [abs(contact.gap) <= corner_size for contact in snapshot.contacts]
         for i, point in enumerate(points):
             corner = [j for j, other in enumerate(points) if other == point and nearby[j]]
             goes_off = before[i] not in INACTIVE and i in corner
             if goes_off and len(corner) > 1 and all(after[j] in INACTIVE for j in corner):
                 names = ", ".join(self._names[j] for j in corner)
-                return f"{names} meet here, and all are off: the point may fall between them"
+                return (
+                    f"{names} meet here, and all are off: the point may fall through; "
+                    "let their conditions overlap"
+                )
         return ""
 
     def watched(

@@ -123,11 +123,11 @@ def _moved(snapshot: Snapshot, state: Array, accelerations: Array, duration: flo
     """Return a state after a time under the accelerations of its snapshot."""
     if snapshot.reduction is not None:
         accelerations = snapshot.reduction.basis @ accelerations + snapshot.reduction.drift
-    n, later = len(state) // 2, state.copy()
+    n, later = snapshot.size, state.copy()
     # Without the pads of compliant contacts, which are no coordinates of the scene.
     accelerations = accelerations[:n]
-    later[:n] += duration * (state[n:] + 0.5 * duration * accelerations)
-    later[n:] += duration * accelerations
+    later[:n] += duration * (state[n : 2 * n] + 0.5 * duration * accelerations)
+    later[n : 2 * n] += duration * accelerations
     return later
 
 
@@ -163,10 +163,11 @@ def rest_of_passages(
     returns the velocities after an impact of contacts.
     """
     rates, total = [at(state).contacts[opening].gap_rate], 0.0
-    size = len(state) // 2
+    size = len(setup.scales.coordinates)
     for _ in range(2):
         snapshot, count = at(state), len(setup.contacts)
-        reversed_state = np.concatenate([state[:size], -state[size:]])
+        reversed_state = state.copy()
+        reversed_state[size : 2 * size] *= -1.0
         resting = [i == supporting for i in range(count)]
         a, b = (
             float(_closing_accelerations(setup, shifted, resting)[opening])
@@ -179,7 +180,7 @@ def rest_of_passages(
             return None
         ratio = math.sqrt(b / a)
         total += rates[-1] / a * (1.0 + 1.0 / ratio)
-        reversed_state[size:] *= ratio
+        reversed_state[size : 2 * size] *= ratio
         try:
             velocity = strike(
                 at(reversed_state), [i in (supporting, opening) for i in range(count)]

@@ -148,7 +148,7 @@ def _solve_simultaneously(
         several = plastic if len(plastic) > 1 else elastic_solutions
         modes = " | ".join(", ".join(solution.states[i] for i in group) for solution in several)
         warnings.append(
-            f"{names}: several impulses satisfy the impact law ({modes}); the first is taken"
+            f"{names}: several impulses satisfy the impact law ({modes}); the run takes the first"
         )
     change = plastic_share * base.change + share * target.change
     impulses = plastic_share * base.impulses + share * target.impulses

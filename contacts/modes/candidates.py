@@ -60,10 +60,10 @@ _REASONS = {
 }
 SINGULAR = "its equations do not determine the motion"
 """Reason of a mode in which a body without mass or inertia is free."""
-OPEN_LOAD = "how the contacts share the load changes the motion"
+OPEN_LOAD = "its motion depends on how the contacts share the load"
 """Reason of a mode whose motion depends on the load sharing (feet of different friction)."""
 _UNSOLVED = {
-    CONTRADICTORY: "its contacts cannot move together like that",
+    CONTRADICTORY: "no motion of the bodies moves all its contacts like that",
     UNDETERMINED: OPEN_LOAD,
 }
 _DETERMINED = (SOLVED, REDUNDANT)

@@ -96,7 +96,7 @@ class ForceUncertainty(NamedTuple):
             is_close = (
                 rests
                 and abs(candidate.violation) <= tolerance
-                and not self._passed(case, candidate)
+                and not self._has_just_failed(case, candidate)
             )
             if is_close and max(abs(candidate.violation), case.tie) <= self._spread(
                 case, candidate
@@ -104,7 +104,7 @@ class ForceUncertainty(NamedTuple):
                 return candidate
         return None
 
-    def _passed(self, case: Case, candidate: Candidate) -> bool:
+    def _has_just_failed(self, case: Case, candidate: Candidate) -> bool:
         """Return whether a mode is violated by a force that has just passed its bound."""
         fell = [*self.fell]
         if not fell:
@@ -121,13 +121,15 @@ class ForceUncertainty(NamedTuple):
         """Return the uncertainty of the violation of a mode, in the scales."""
         setup, tolerance, total = self.setup, self.setup.force_uncertainty, 0.0
         speed_tolerance = setup.tolerances["speed"]
+        sizes = setup.scales.sizes
         state_errors = (
             speed_tolerance
             / setup.scales.speed
-            * np.maximum(setup.scales.sizes, np.abs(self.state))
+            * np.maximum(sizes, np.abs(self.state[: len(sizes)]))
         )
         time_error = speed_tolerance / setup.scales.acceleration
-        shifted_states = [(self.state + step, 0.0) for step in np.diag(state_errors)]
+        steps = state_errors[:, None] * np.eye(len(sizes), len(self.state))
+        shifted_states = [(self.state + step, 0.0) for step in steps]
         for state, time in [*shifted_states, (self.state, time_error)]:
             shifted = case._replace(snapshot=self.at(state, time), tie=tolerance)
             (solved,) = candidates(shifted, [(role,) for role in candidate.states])
@@ -177,7 +179,7 @@ def _verdicts(case: Case, tried: Iterable[Candidate], taken: Candidate | None) -
         verdicts |= {
             _label(laws, c.states): c.reason + coefficients(c.states)
             for c in tried
-            if c.violation > _NEGLIGIBLE_TIE * case.tie and _held(c, taken, firmer)
+            if c.violation > _NEGLIGIBLE_TIE * case.tie and _is_held_by_friction(c, taken, firmer)
         }
         verdicts[_label(laws, taken.states)] = "taken" + coefficients(taken.states)
     return verdicts
@@ -198,7 +200,7 @@ def _coefficients(case: Case) -> Callable[[Sequence[str]], str]:
     edges = cones(case.laws, case.snapshot.contacts)
     split = [k for k, row in enumerate(edges) if not (row[:2] == row[2:].reshape(2, 2)).all()]
 
-    def words(states: Sequence[str]) -> str:
+    def format_coefficients(states: Sequence[str]) -> str:
         phrases = []
         for k in split:
             if states[k] in ("pin", "slide+", "slide-"):
@@ -208,7 +210,7 @@ def _coefficients(case: Case) -> Callable[[Sequence[str]], str]:
                 phrases.append(f"{case.laws[k].name}: {kind} friction {mu:.7g}")
         return f" ({', '.join(phrases)})" if phrases else ""
 
-    return words
+    return format_coefficients
 
 
 class Choice(NamedTuple):
@@ -316,7 +318,7 @@ def choose(
         and taken.violation >= -tie
         and any(_opens_more(taken, rejected, closed) for rejected in tried)
     ):
-        warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken.states)} taken"
+        warning = f"indeterminate: {OPEN_LOAD}; the run takes {_label(laws, taken.states)}"
     notes: tuple[str, ...] = (_UNCHECKED,) if by_pivoting else ()
     if taken.share is not None:
         zones = zip(laws, taken.share.zones, strict=True)
@@ -361,7 +363,7 @@ def _continuing_candidates(
         return agreeing
     if previous.violation > _NEGLIGIBLE_TIE * case.tie:
         firmer = _more_sticking(case)
-        if any(_held(previous, c, firmer) for c in agreeing):
+        if any(_is_held_by_friction(previous, c, firmer) for c in agreeing):
             # Static friction has just been exceeded, and kinetic friction is less.
             return agreeing
     return [c for c in agreeing if same_motion(c, previous, case.scales, _CONTINUES)] or agreeing
@@ -385,7 +387,13 @@ def _select_candidate(
     # A contact held by static friction does not start to slip because another does.
     firmer, holding = _more_sticking(case), clear
     if firmer:
-        lost = [any(_held(d, c, firmer) > _held(c, d, firmer) for d in clear) for c in clear]
+        lost = [
+            any(
+                _is_held_by_friction(d, c, firmer) > _is_held_by_friction(c, d, firmer)
+                for d in clear
+            )
+            for c in clear
+        ]
         holding = [c for c, slips in zip(clear, lost, strict=True) if not slips]
     taken = min(holding or clear or agreeing, key=closedness_key)
     # A candidate on the boundary of its inequalities (an unloaded massless body) is no rival.
@@ -396,7 +404,7 @@ def _select_candidate(
         for c in certain
         if c is not taken
         and not same_motion(c, taken, scales, same)
-        and not _held(taken, c, firmer)
+        and not _is_held_by_friction(taken, c, firmer)
     ]
     if not rivals and taken.share is not None:
         # With a shared load, candidates on the boundary are rivals, too.
@@ -415,8 +423,8 @@ def _select_candidate(
     ]
     if not opened:
         raise AmbiguousMode(
-            f"nothing declared decides between {labels}; leave one of them out of the modes of "
-            "its contact, or change friction or the start"
+            f"the declaration does not decide between {labels}; remove one of them from the modes "
+            "of its contact, or change friction or the start"
         )
     # Painleve's indeterminate case: a contact could also stay closed with a force without cause.
     # The candidates with the smallest sets of loaded contacts do without.
@@ -427,11 +435,12 @@ def _select_candidate(
     taken = min(minimal, key=closedness_key)
     return (
         taken,
-        f"indeterminate: {labels} all agree with the state; {_label(laws, taken.states)} taken",
+        f"indeterminate: {labels} all agree with the state; "
+        f"the run takes {_label(laws, taken.states)}",
     )
 
 
-def _held(taken: Candidate, other: Candidate, firmer: Sequence[int]) -> bool:
+def _is_held_by_friction(taken: Candidate, other: Candidate, firmer: Sequence[int]) -> bool:
     """Return whether static friction holds a contact that slips in the other mode."""
     return any(
         taken.states[k] in STICKING and other.states[k] not in (*STICKING, *OPEN) for k in firmer

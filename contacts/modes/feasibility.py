@@ -306,7 +306,7 @@ def scene_feasibility(
         names, options = [*names, DRIVEN], [*options, ("free",)]
     if not np.isfinite(jacobians).all():
         raise StatechartError(
-            "the contacts have no direction at this configuration: give another one"
+            "the contacts have no direction at this configuration; choose another configuration"
         )
     verdicts = feasible_modes(jacobians, options, names)
     count = len(setup.contacts)

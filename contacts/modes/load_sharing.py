@@ -160,9 +160,9 @@ def share(
         zones[k] = _ZONES[place]
     edges, limited = problem[0], np.isfinite(couple_limits)
     loads = np.abs(least_forces)
-    room = edges[:, 1] * loads[:, 0] - edges[:, 0] * loads[:, 1]
-    room[limited] = (couple_limits - loads[:, 1])[limited]
-    bounded = (places == INSIDE) & (room <= _ON_BOUNDARY * loads.max(initial=0.0))
+    slack = edges[:, 1] * loads[:, 0] - edges[:, 0] * loads[:, 1]
+    slack[limited] = (couple_limits - loads[:, 1])[limited]
+    bounded = (places == INSIDE) & (slack <= _ON_BOUNDARY * loads.max(initial=0.0))
     determined = ~np.isin(np.arange(len(code)), shared)
     verdict = np.array([violation, 0.0, 0.0, 0.0])
     judge_forces(verdict, forces[determined], cones[determined], code[determined], 1.0)
@@ -182,7 +182,7 @@ def share(
         )
         all_rows = np.vstack([contact_rows, snapshot.reduction.joints.jacobian[joints]])
         _, order, _ = independent_rows(np.ascontiguousarray(all_rows.T))
-        # The rank of all rows is this sum, whatever the round-off.
+        # The rank of all rows is this sum, independent of round-off.
         coordinates = np.sort(order[: motion_rank + len(joints)])
     return Share(
         shared_forces,

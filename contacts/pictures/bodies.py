@@ -64,7 +64,7 @@ class BodyShapes:
                 shapes_found += [self._shape(name, part, region, shown) for part in body.shape]
             elif name in fixed:
                 points = self._points(name, idle) or self._points(name, frozenset())
-                rims = self._rims(name)
+                rims = self._rolling_discs(name)
                 shapes_found += [*rims, *self._inferred(name, body, [*points, *fixed[name]], rims)]
         return (
             *_side_by_side(self._links.shapes()),
@@ -76,11 +76,11 @@ class BodyShapes:
     def _shape(self, name: str, part: declared.Shape, region: int, shown: str) -> Shape:
         frame = self._frames[name]
         if part.disc is not None:
-            centre, radius = np.array([self._pair(part.at)]), self._number(part.disc)
+            centre, radius = np.array([self._vector(part.at)]), self._number(part.disc)
             _, angle = self._mechanics.body_frame(name)
             turns = angle.has(*self._mechanics.q, self._mechanics.time)
             return Shape("disc", centre, frame, frame, radius, region, shown, turns=turns)
-        points = np.array([self._pair(corner) for corner in part.polygon or ()])
+        points = np.array([self._vector(corner) for corner in part.polygon or ()])
         return Shape("outline", points, frame, frame, region=region, name=shown)
 
     def _points(self, name: str, idle: frozenset[str]) -> list[tuple[float, float]]:
@@ -89,17 +89,17 @@ class BodyShapes:
         points = [c.point for key, c in touching if key not in idle and c.radius is None]
         points += [joint.point for joint in scene.joints.values()]
         points += [joint.to for joint in scene.joints.values() if isinstance(joint.to, Point)]
-        places = [self._pair(point.at) for point in points if point.body == name]
+        places = [self._vector(point.at) for point in points if point.body == name]
         for surface in scene.surfaces.values():
             if surface.body == name and surface.edge is not None:
-                places += [self._pair(corner) for corner in surface.edge]
+                places += [self._vector(corner) for corner in surface.edge]
         return places
 
-    def _rims(self, name: str) -> list[Shape]:
+    def _rolling_discs(self, name: str) -> list[Shape]:
         """Return the discs of a body whose rims are in contact, each once."""
         frame = self._frames[name]
         discs = {
-            (self._pair(contact.point.at), self._number(contact.radius)): None
+            (self._vector(contact.point.at), self._number(contact.radius)): None
             for contact in self._scene.contacts.values()
             if contact.point.body == name and contact.radius is not None
         }
@@ -190,7 +190,7 @@ class BodyShapes:
             kind: ShapeKind = "joint"
             if isinstance(joint.to, Path) and None not in (joint.to.x, joint.to.y):
                 kind = "joint" if _is_led(self._scene, joint.to) else "pivot"
-            at = self._pair(joint.point.at)
+            at = self._vector(joint.point.at)
             if joint.rod is not None or joint.rope is not None:
                 shapes += self._line(name, joint, at, frame)
                 kind = "joint"
@@ -208,14 +208,14 @@ class BodyShapes:
                 (
                     one
                     for key, one in scene.joints.items()
-                    if key == own or (own is None and {*bodies} == _held_by(one))
+                    if key == own or (own is None and {*bodies} == _bodies_of(one))
                 ),
                 None,
             )
             first = self._frames[bodies[0] if joint is None else joint.point.body]
             ends, other = np.zeros((2, 2)), self._frames[bodies[-1]]
             if joint is not None:
-                ends, other = np.array([self._pair(joint.point.at)] * 2), first
+                ends, other = np.array([self._vector(joint.point.at)] * 2), first
             shapes.append(Shape("coupling", ends, first, other, region=region, name=name))
         return shapes
 
@@ -224,7 +224,7 @@ class BodyShapes:
         kind: ShapeKind = "link" if joint.rope is None else "rope"
         end, other = (0.0, 0.0), self._led.get(name, WORLD)
         if isinstance(joint.to, Point):
-            end, other = self._pair(joint.to.at), self._frames[joint.to.body]
+            end, other = self._vector(joint.to.at), self._frames[joint.to.body]
         elif other == WORLD:
             end = self._number(joint.to.x or 0), self._number(joint.to.y or 0)
         line = Shape(kind, np.array([at, end]), frame, other, name=name)
@@ -235,7 +235,7 @@ class BodyShapes:
     def _number(self, text: str | int | float) -> float:
         return parse(text).value(self._values)
 
-    def _pair(self, pair: tuple[str | int | float, str | int | float]) -> tuple[float, float]:
+    def _vector(self, pair: tuple[str | int | float, str | int | float]) -> tuple[float, float]:
         return self._number(pair[0]), self._number(pair[1])
 
 
@@ -259,7 +259,7 @@ def _side_by_side(shapes: Sequence[Shape]) -> list[Shape]:
     coordinates = {}
     for lane in lanes.values():
         for place, shape in enumerate(lane):
-            # To the left of the first one, whichever end this one begins at.
+            # To the left of the first one, for either direction of this one.
             side = 1.0 if shape.frame == lane[0].frame else -1.0
             coordinates[id(shape)] = replace(shape, aside=side * (len(lane) - 1.0 - 2.0 * place))
     return [coordinates.get(id(shape), shape) for shape in shapes]
@@ -276,7 +276,7 @@ def disc_of(scene: Scene, contact: Contact, number: Callable[[str | int | float]
     return 0.0
 
 
-def _held_by(joint: Joint) -> set[str]:
+def _bodies_of(joint: Joint) -> set[str]:
     return {end.body for end in joint.ends.values()}
 
 

@@ -92,7 +92,7 @@ class Links:
         for one, other in combinations(forces, 2):
             if one.body == other.body or not self._opposite(one, other):
                 continue
-            ends = np.array([self._pair(one.at), self._pair(other.at)])
+            ends = np.array([self._vector(one.at), self._vector(other.at)])
             pair = self._frames[one.body], self._frames[other.body]
             kinds = self._kinds(one, other)
             shapes_found += [Shape(kind, ends, *pair, name=one.body) for kind in kinds]
@@ -104,8 +104,8 @@ class Links:
         if not self._along(terms, states):
             # Coordinates that the force does not use are equal: a spring along an axis.
             states[:, self._unused(terms)] = 0.0
-            return self._found(terms, states) if self._along(terms, states) else []
-        return self._found(terms, states) or ["reaction"]
+            return self._link_kinds(terms, states) if self._along(terms, states) else []
+        return self._link_kinds(terms, states) or ["reaction"]
 
     def _terms(self, one: Force, other: Force) -> list[list[sp.Expr]]:
         return [[*force, *self._between(one, other)] for force in self._alternatives(one)]
@@ -114,7 +114,7 @@ class Links:
         still = self._at_rest(states)
         return not any(_off(self.sample_values(each, still)) for each in terms)
 
-    def _found(self, terms: Sequence[Sequence[sp.Expr]], states: Array) -> list[ShapeKind]:
+    def _link_kinds(self, terms: Sequence[Sequence[sp.Expr]], states: Array) -> list[ShapeKind]:
         kinds: list[ShapeKind] = []
         if any(self._stiff(each, self._at_rest(states)) for each in terms):
             kinds.append("spring")
@@ -160,13 +160,13 @@ class Links:
     def _alternatives(self, force: Force) -> Iterator[tuple[sp.Expr, sp.Expr]]:
         """Yield the components of a force in each controller state."""
         mechanics = self._mechanics
-        usual = dict(mechanics.controlled())
+        initial_values = dict(mechanics.controlled())
         regions = self._scene.controlled.flat.items()
         states = [(name, state) for name, region in regions for state in region.states]
         for sets in [mechanics.sets(*state) for state in states] or [{}]:
             x, y = (parse(text).to_sympy(mechanics.known) for text in force.force)
             for symbol in reversed(mechanics.controls):
-                value = {**usual, **sets}[symbol]
+                value = {**initial_values, **sets}[symbol]
                 x, y = x.subs(symbol, value), y.subs(symbol, value)
             yield x, y
 
@@ -181,7 +181,7 @@ class Links:
             for a, b in zip(one.force, other.force, strict=True)
         )
 
-    def _pair(self, pair: tuple[str | int | float, str | int | float]) -> tuple[float, float]:
+    def _vector(self, pair: tuple[str | int | float, str | int | float]) -> tuple[float, float]:
         axial, transverse = (parse(text).value(self._values) for text in pair)
         return axial, transverse
 

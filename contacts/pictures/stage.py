@@ -32,7 +32,7 @@ from statechart.pictures.film import (
     ends_of,
     place_points,
 )
-from statechart.pictures.stage import Moments
+from statechart.pictures.stage import FilmInstants
 
 # Number of bodies above which there are no trails.
 _MOST_TRAILS = 5
@@ -57,13 +57,13 @@ class SceneStage:
         self._moved = {name: first + k for k, name in enumerate(moving_surfaces)}
 
     @property
-    def wanted(self) -> tuple[str, ...]:
+    def observables(self) -> tuple[str, ...]:
         """Gaps and forces of contacts, coefficients of friction that change, gaps of ropes."""
         names = [f"{c}.{q}" for c in self._scene.contacts for q in ("gap", "V", "H", "friction")]
         names += [f"{name}.gap" for name in self._scene.joints]
         return tuple(name for name in names if name in self._automaton.observables)
 
-    def film(self, moments: Moments) -> Film:
+    def film(self, moments: FilmInstants) -> Film:
         """Return the film of a scene at instants of a run; see `Stage`."""
         scene, regions = self._scene, self._automaton.regions
         key = moments.keys[0]
@@ -89,7 +89,7 @@ class SceneStage:
         ]
         centres, half = self._window(moments, shapes, poses, touches, closed, force)
         unit = 2.0 * max(half)
-        poses = self._held(poses, moments, HATCH * unit)
+        poses = self._wrap_straight_surfaces(poses, moments, HATCH * unit)
         carried = self._grounds(moments, poses, centres, 1.05 * np.array(half))
         trails = tuple(self._bodies.values()) if len(self._bodies) <= _MOST_TRAILS else ()
         names = tuple(region.name for region in regions)
@@ -100,7 +100,7 @@ class SceneStage:
 
     def _window(
         self,
-        moments: Moments,
+        moments: FilmInstants,
         shapes: Sequence[Shape],
         poses: Array,
         touches: Sequence[Touch],
@@ -126,7 +126,7 @@ class SceneStage:
         return window(np.concatenate([cloud, *tips, *rims], axis=1))
 
     def _grounds(
-        self, moments: Moments, poses: Array, centres: Array, reach: Array
+        self, moments: FilmInstants, poses: Array, centres: Array, reach: Array
     ) -> tuple[Shape, ...]:
         """Return the visible parts of surfaces, for the reach of a picture."""
         shift = np.abs(poses[:, [WORLD, *self._moved.values()], :2]).max(axis=(0, 1))
@@ -137,7 +137,7 @@ class SceneStage:
         }
         return grounds(self._scene, moments.parameters, frames, box, 2.0 * float(reach.max()))
 
-    def _below(self, touch: Touch, moments: Moments) -> Array:
+    def _below(self, touch: Touch, moments: FilmInstants) -> Array:
         """Return the surface point of a contact: vertically below it on a graph."""
         surface = self._scene.surfaces[self._scene.contacts[touch.name].surface]
         gap = moments.columns[f"{touch.name}.gap"][:, None]
@@ -182,12 +182,12 @@ class SceneStage:
         c, s = sp.cos(angle), sp.sin(angle)
         return c * x - s * y, s * x + c * y
 
-    def _poses(self, moments: Moments) -> Array:
+    def _poses(self, moments: FilmInstants) -> Array:
         moving = self._frames.table(moments.states, moments.values, moments.times)
         still = np.zeros((len(moments.times), 1, 3))
         return np.concatenate([still, moving.reshape(len(moments.times), -1, 3)], axis=1)
 
-    def _slackened(self, shape: Shape, moments: Moments, poses: Array) -> Shape:
+    def _slackened(self, shape: Shape, moments: FilmInstants, poses: Array) -> Shape:
         """Return a rope with the instants at which it is longer than the distance of its ends."""
         if shape.kind != "rope":
             return shape
@@ -199,7 +199,7 @@ class SceneStage:
             slack = length - distance
         return replace(shape, slack=slack > _SLACK * distance)
 
-    def _held(self, poses: Array, moments: Moments, spacing: float) -> Array:
+    def _wrap_straight_surfaces(self, poses: Array, moments: FilmInstants, spacing: float) -> Array:
         """Return the poses with straight surfaces moved along themselves by less than a stroke.
 
         Their hatching looks the same.
@@ -217,7 +217,7 @@ class SceneStage:
             result[:, frame, :2] -= whole[:, None] * direction
         return result
 
-    def _touch(self, name: str, moments: Moments, poses: Array) -> Touch:
+    def _touch(self, name: str, moments: FilmInstants, poses: Array) -> Touch:
         contact = self._scene.contacts[name]
         values = self._contact_tapes[name].table(moments.states, moments.values, moments.times)
         places, normals = values[:, :2], values[:, 2:]
@@ -381,25 +381,25 @@ def grounds(
             if not scene.bodies[surface.body].shape:
                 shapes.append(_carried(name, surface, frame, unit, known))
             continue
-        lift = _rim_offset(scene, name, number)
+        offset = _rim_offset(scene, name, number)
         if surface.edge is not None:
             points = np.array([[number(x), number(y)] for x, y in surface.edge])
         elif surface.circle is not None:
             side = -1.0 if surface.hollow else 1.0
             turn = -side * np.linspace(0.0, 2.0 * np.pi, _CIRCLE_POINTS + 1)
-            radius = number(surface.radius or 0) - side * lift
+            radius = number(surface.radius or 0) - side * offset
             centre = [number(text) for text in surface.circle]
             points = centre + radius * np.column_stack([np.cos(turn), np.sin(turn)])
-            lift = 0.0
+            offset = 0.0
         elif not surface.straight:
             points = _graph(surface.height or 0, known, box, unit)
         else:
             start, direction = np.array(surface.point_and_direction(number))
-            start = start + lift * np.array([direction[1], -direction[0]])
+            start = start + offset * np.array([direction[1], -direction[0]])
             straight.append((len(shapes), start, direction))
             shapes.append(_ground(name, _line_through(start, direction, box), frame))
             continue
-        shapes.append(_ground(name, _shift(points, lift), frame))
+        shapes.append(_ground(name, _shift(points, offset), frame))
     return tuple(_clip_line(shapes, straight))
 
 

@@ -17,11 +17,7 @@ from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.couplings import ENABLED
 from contacts.collision_detection.surfaces import GRAPH, LINE, PLATE
 from contacts.dynamics.conditions import undecided_couplings
-from contacts.dynamics.controllers import (
-    Controllers,
-    ControllerState,
-    controller,
-)
+from contacts.dynamics.controllers import Controllers, controller
 from contacts.dynamics.parameters import with_sizes
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
@@ -34,9 +30,9 @@ from contacts.rigid_bodies.declared_numbers import (
     link_numbers,
     touchable_surfaces,
 )
+from contacts.rigid_bodies.default_step import default_step, forced_speed, led_speed
 from contacts.rigid_bodies.initial_penetration import check_containers, check_penetration
 from contacts.rigid_bodies.mechanics import BodyMechanics
-from contacts.rigid_bodies.own_step import forced_speed, led_speed, own_step
 from contacts.rigid_bodies.prescribed_motion import Paths, Positions, PrescribedMotion
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts, RigidBodyRun
 from contacts.scene.checks import check_physical
@@ -102,8 +98,8 @@ def bodies_automaton(scene: Scene) -> Automaton:
     return Automaton(
         name=scene.name,
         declaration=scene,
-        names=(*mechanics.variable_names, *mechanics.controller_state),
-        variables=(*mechanics.variables, *mechanics.controller_state.values()),
+        names=mechanics.state_names,
+        variables=mechanics.state,
         parameter_names=mechanics.parameters.names,
         parameters=mechanics.parameters.ordered,
         time=mechanics.time,
@@ -117,7 +113,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
         laws=None,
         controls=mechanics.controls,
         stepper=stepper,
-        own_step=lambda: stepper().own_step(),
+        default_step=lambda: stepper().default_step(),
     )
 
 
@@ -168,15 +164,15 @@ class BodyStepper(Stepper):
         )
         self._resisted = len(resisted)
         self._declared, self._bodies = declared, mechanics
-        self._paths = Paths(mechanics.scene)
+        self._paths = Paths(mechanics)
         self._constants = declared.constants()
         self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
         self._names = list(mechanics.scene.bodies)
         self._surfaces = touchable_surfaces(mechanics.scene)
         self._warnings = (*lint(declared), *undecided_couplings(mechanics))
 
-    def own_step(self) -> float:
-        """Return the default step size at the declared parameters; see `own_step`."""
+    def default_step(self) -> float:
+        """Return the default step size at the declared parameters; see `default_step`."""
         setup, bodies = self._new_run({}, DEFAULT_IMPULSES.tolerance, False)
         controlled, end = self._scene.controlled, self._scene.stop.time
         each = [controlled.initial]
@@ -192,8 +188,8 @@ class BodyStepper(Stepper):
             setup.scales.length,
         )
         remembered = setup.initial[len(self._mechanics.variables) :]
-        led = led_speed(self._paths, bodies.numbers, known, remembered, until)
-        return own_step(bodies.numbers, setup.scales, max(forced, led))
+        led = led_speed(self._paths, bodies.numbers, setup.values, remembered, until)
+        return default_step(bodies.numbers, setup.scales, max(forced, led))
 
     def setup(self, overrides: Mapping[str, float]) -> SceneSetup:
         """Return the setup of a run.
@@ -239,7 +235,7 @@ class BodyStepper(Stepper):
         def run_of(
             bodies: BodyNumbers, options: StepOptions = defaults, start_depth: float = 0.0
         ) -> RigidBodyRun:
-            prescribed = PrescribedMotion(self._bodies, self._paths, known, setup.values)
+            prescribed = PrescribedMotion(self._bodies, self._paths, setup.values)
             names, surfaces = self._names, self._surfaces
             return RigidBodyRun(
                 names, surfaces, bodies, prescribed, options, start_depth, step, self._resisted
@@ -264,7 +260,7 @@ class BodyStepper(Stepper):
         if not sizes[0] > _NO_INERTIA:
             name = list(self._declared.coordinates)[int(np.argmax(np.abs(shapes[:, 0])))]
             raise DeclarationProblem(
-                "it moves without an inertia where the run starts, or as other coordinates do",
+                "it has no inertia at the start, or moves the same bodies as other coordinates",
                 advice="let it move a body that has a mass or an inertia there",
                 loc=("coordinates", name),
             )
@@ -302,6 +298,8 @@ class BodyStepper(Stepper):
                         "force": 0.0, "plain": 0.0},
             scales=scales,
             contacts=(),
+            simultaneous=self._scene.simultaneous,
+            paradox=self._scene.paradox,
             capture=0.0,
             bands={},
             sizes=scales.state(remembered),
@@ -325,13 +323,13 @@ class BodyStepper(Stepper):
         it.
         """
         scene, owners = self._scene, self._bodies.owners
-        memory = ControllerState(self._mechanics)
-        initial = memory.enter_initial_states(setup, Clock(), setup.initial, self.controls)
+        enter = self._controllers.enter_initial_states
+        initial = enter(setup, Clock(), setup.initial, self.controls)
         placed, remembered = np.split(initial, [2 * bodies.size])
         run_of(bodies).capture(remembered)
         length, speed = setup.scales.length, setup.scales.speed
         soon = 1e-6 * length / speed
-        positions = self._paths.at(known, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
+        positions = self._paths.at(setup.values, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
         led = [owners[self._names.index(name)] for name in self._paths.led]
         for part, names, frames, angle, place in (
             ("surfaces", self._surfaces, positions.frames[0], "turn", "displacement"),

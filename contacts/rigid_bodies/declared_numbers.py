@@ -233,8 +233,8 @@ def closed_joints(
             _check_distance(joints, j, name, ends, moving, near, slow)
             continue
         components = _COMPONENTS[int(joints.kinds[j])]
-        apart = float(np.hypot.reduce((ends[0] - ends[1])[components]))
-        if apart > near:
+        distance = float(np.hypot.reduce((ends[0] - ends[1])[components]))
+        if distance > near:
             u, v = ends[0].tolist()
             x, y = ends[1].tolist()
             raise DeclarationProblem(
@@ -365,7 +365,7 @@ def body_numbers(
     kinds, laws, materials = _laws(scene, [*owners.values()], number)
     # Evaluated once per kind.
     outlines = [_outline(body, number) for body in scene.bodies.values()]
-    pieces = _pieces(outlines, kinds)
+    pieces = _concatenate_pieces(outlines, kinds)
     sizes = [max((piece.span for piece in outline), default=0.0) for outline in outlines]
     inverse = [
         [0.0] * 3 if body.prescribed else _inverse(owner, body, number)
@@ -438,7 +438,7 @@ def link_numbers(mechanics: LinkedMechanics | None, known: Mapping[str, float]) 
     )  # fmt: skip
 
 
-class _Piece(NamedTuple):
+class _ConvexPiece(NamedTuple):
     """A convex piece of a body: see `PieceNumbers`."""
 
     corners: Array
@@ -449,24 +449,24 @@ class _Piece(NamedTuple):
     span: float
 
 
-def _outline(body: Body, number: Number) -> list[_Piece]:
+def _outline(body: Body, number: Number) -> list[_ConvexPiece]:
     pieces = []
     for shape in body.shape:
         if shape.disc is not None:
             radius, middle = number(shape.disc), np.array([number(text) for text in shape.at])
             span = radius + float(np.hypot(*middle))
-            pieces.append(_Piece(np.empty((0, 2)), middle, radius, radius, radius, span))
+            pieces.append(_ConvexPiece(np.empty((0, 2)), middle, radius, radius, radius, span))
             continue
         corners = np.array([[number(x), number(y)] for x, y in shape.polygon or ()])
         # A single piece is described about the centre of mass.
         middle = np.zeros(2) if len(body.shape) == 1 else corners.mean(axis=0)
         own = corners - middle
         size, span = (float(np.hypot(*c.T).max()) for c in (own, corners))
-        pieces.append(_Piece(corners, middle, 0.0, size, _core(own.tolist()), span))
+        pieces.append(_ConvexPiece(corners, middle, 0.0, size, _core(own.tolist()), span))
     return pieces
 
 
-def _pieces(outlines: Sequence[Sequence[_Piece]], kinds: Ints) -> PieceNumbers:
+def _concatenate_pieces(outlines: Sequence[Sequence[_ConvexPiece]], kinds: Ints) -> PieceNumbers:
     """Return the pieces of all bodies, with the outlines of their kinds."""
     counts = np.array([len(outline) for outline in outlines], dtype=np.int64)
     pieces = [piece for outline in outlines for piece in outline]

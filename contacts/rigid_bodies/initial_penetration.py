@@ -151,11 +151,11 @@ def _check_crowd(
 def _row_formulas(numbers: BodyNumbers, b: int) -> str:
     """Return start formulas that separate the copies of a body."""
     count = int(np.count_nonzero(numbers.kinds == numbers.kinds[b]))
-    apart = f"{float(f'{2.1 * numbers.sizes[b]:.2g}'):g}"
+    spacing = f"{float(f'{2.1 * numbers.sizes[b]:.2g}'):g}"
     if count < _CROWD:
-        return f"such as x: {apart}*index"
+        return f"such as x: {spacing}*index"
     row = math.isqrt(count)
-    return f'such as x: "{apart}*mod(index, {row})" and y: {apart}*floor(index/{row})'
+    return f'such as x: "{spacing}*mod(index, {row})" and y: {spacing}*floor(index/{row})'
 
 
 def _way_out(
@@ -206,7 +206,7 @@ def _covering_pieces(
     """
     moving, kinds = len(numbers.inverse), len(numbers.laws)
     places = numbers.motion(initial[None])[0][0, :, :2]
-    apart = np.ptp(places[:, 0]) + 4.0 * numbers.sizes.max()
+    spacing = np.ptp(places[:, 0]) + 4.0 * numbers.sizes.max()
     reach = numbers.sizes[b] + numbers.sizes
 
     def as_deep(obstacles: Sequence[int] | Ints, other: int = b) -> bool:
@@ -215,7 +215,7 @@ def _covering_pieces(
         laws[:, obstacles] = numbers.laws[:, obstacles]
         for i in range(numbers.free):
             if i not in (b, other):
-                state[3 * i] += (i + 2.0) * apart
+                state[3 * i] += (i + 2.0) * spacing
         gap = detect(numbers._replace(laws=laws), state).gaps[b]
         return bool(gap <= (1.0 - _SAME_GAP) * margin)
 

@@ -23,8 +23,8 @@ from contacts.collision_detection.find_contacts import LANDED
 from contacts.collision_detection.joints import joint_forces
 from contacts.collision_detection.surfaces import GRAPH
 from contacts.rigid_bodies.body_step import StepOptions, step_bodies
+from contacts.rigid_bodies.default_step import inner_radii
 from contacts.rigid_bodies.mechanics import energy_root
-from contacts.rigid_bodies.own_step import inner_radii
 from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.states import CLOSED
@@ -339,14 +339,14 @@ class RigidBodyRun(SteppedSystem):
         way = np.abs(ends[0] - ends[1])
         holds = int(joints.kinds[j])
         if holds == ROD:
-            apart = abs(math.hypot(*way) - float(joints.sizes[j, 0]))
+            distance = abs(math.hypot(*way) - float(joints.sizes[j, 0]))
         else:
-            apart = float({ALONG_X: way[0], ALONG_Y: way[1]}.get(holds, math.hypot(*way)))
+            distance = float({ALONG_X: way[0], ALONG_Y: way[1]}.get(holds, math.hypot(*way)))
         size = float(self.numbers.sizes[: self._moving].max())
-        if apart > 2.0 * self._length * speed + _JUMPED_INTO * size:
+        if distance > 2.0 * self._length * speed + _JUMPED_INTO * size:
             raise NoConsistentMode(
-                f"joint {joint!r} closes at t = {time:.6g} while its points are {apart:.3g} apart; "
-                "write rest: captured, or let enabled hold where they meet"
+                f"joint {joint!r} closes at t = {time:.6g} while its points are {distance:.3g} "
+                "apart; write rest: captured, or let enabled hold where they meet"
             )
 
     def forget(self) -> None:
@@ -393,7 +393,7 @@ class RigidBodyRun(SteppedSystem):
         """Return the contacts of a step of `h` from a state; the run itself does not change."""
         before, prescribed = self._warm, self._prescribed
         self._warm, self._prescribed = WarmStart.allocate(self.numbers), copy(prescribed)
-        chunk, status = self._taken(time, h, state, 1, math.inf)
+        chunk, status = self._accepted_steps(time, h, state, 1, math.inf)
         self._check_finite(chunk, status)
         holds, gaps = self.numbers.joints.kinds, self._workspace.mid.gaps.copy()
         modes = chunk.codes[0, self._moving :]
@@ -454,12 +454,12 @@ class RigidBodyRun(SteppedSystem):
             raise self._gain_error
         self._check_forces(start, h, state)
         self._check_jumps(start, state)
-        chunk, status = self._taken(start, h, state, count, self._options.deepest)
+        chunk, status = self._accepted_steps(start, h, state, count, self._options.deepest)
         parts = iter(_PARTS)
         while status == COARSE and not len(chunk.codes):
             before, most = self._warm.copy(), next(parts)
             deepest = math.inf if most == _PARTS[-1] else self._options.deepest
-            chunk, status = self._taken(start, h / most, state, most, deepest)
+            chunk, status = self._accepted_steps(start, h / most, state, most, deepest)
             if status == COARSE:
                 self._warm = before
                 chunk = chunk.first(0)
@@ -507,7 +507,7 @@ class RigidBodyRun(SteppedSystem):
             name = self._names[int(np.argmin(chunk.gaps[k, : self._moving]))]
             self._gain_error = UnsolvedImpulses(
                 f"no impulses keep {name} out of what it touches while joints hold; prescribed "
-                "motions or constraints leave it no room"
+                "motions or constraints squeeze it"
             )
         return chunk.first(k)
 
@@ -543,7 +543,7 @@ class RigidBodyRun(SteppedSystem):
             rows = rows * np.sqrt(self.numbers.inverse).ravel()
         check_stiffness(stiff, rows, h)
 
-    def _taken(
+    def _accepted_steps(
         self, start: float, h: float, state: Array, count: int, deepest: float
     ) -> tuple[Chunk, int]:
         """Return the accepted steps, and the status of their end."""

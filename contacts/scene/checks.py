@@ -7,7 +7,7 @@ import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import combinations, pairwise, product
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from pydantic import BaseModel
 
@@ -20,10 +20,10 @@ from contacts.scene.friction import (
     friction_law,
     friction_texts,
 )
-from contacts.scene.joints import Path
 from contacts.scene.parts import Surface, used_names
 from contacts.scene.shapes import INDEX
 from statechart.documents.declaration import TIME
+from statechart.documents.documented import leaves
 from statechart.documents.fields import (
     FormulaText,
     check_derived,
@@ -64,31 +64,13 @@ _FRICTION = (
 _OF_FORCES = {"gap": _PUSH, "slip": _PUSH, "V": _FRICTION, "H": _FRICTION}
 
 
-def formulas(part: BaseModel, loc: Loc = ()) -> Iterator[tuple[Loc, FormulaText]]:
+def formulas(part: BaseModel) -> Iterator[tuple[Loc, FormulaText]]:
     """Yield the formulas of a part of a scene with their places: all fields with a unit."""
-    for name, info in type(part).model_fields.items():
-        yield from _formulas_in(
-            getattr(part, name), (*loc, name), isinstance(info.json_schema_extra, dict)
-        )
-
-
-def _formulas_in(value: Any, loc: Loc, measured: bool) -> Iterator[tuple[Loc, FormulaText]]:
-    match value:
-        case Path():
-            # Declared as a list or as a mapping; anything else is skipped.
-            for place, axis in enumerate(("x", "y")):
-                yield from _formulas_in(getattr(value, axis), (*loc, place, axis), True)
-        case BaseModel():
-            yield from formulas(value, loc)
-        case Mapping():
-            for key, item in value.items():
-                yield from _formulas_in(item, (*loc, key), measured)
-        case list() | tuple():
-            for place, item in enumerate(value):
-                # A single shape is declared as itself.
-                single = loc[-1] == "shape" and len(value) == 1
-                yield from _formulas_in(item, loc if single else (*loc, place), measured)
-        case str() | int() | float() if measured and not isinstance(value, bool):
+    for loc, value, unit in leaves(part, single="shape"):
+        if unit and isinstance(value, str | int | float) and not isinstance(value, bool):
+            if loc[-2:] in (("to", "x"), ("to", "y")):
+                # A path may be declared as a list or as a mapping.
+                loc = (*loc[:-1], "xy".index(str(loc[-1])), loc[-1])
             yield loc, value
 
 
@@ -147,7 +129,7 @@ def names_for(scene: SceneFields, loc: Loc) -> frozenset[str]:
 
 
 def check_formulas(scene: SceneFields, findings: Findings) -> None:
-    """Check that formulas use names that mean something where they stand."""
+    """Check that formulas use only names that are defined at their place."""
     for loc, text in scene_formulas(scene):
         with findings:
             known, formula = names_for(scene, loc), parse(text)
@@ -229,7 +211,7 @@ def _changing_names(scene: SceneFields) -> Collection[str]:
 
 
 class Limit(NamedTuple):
-    """Least and greatest value of a formula, and the sentence where it is beyond."""
+    """Bounds of the value of a formula, and the message for a value beyond them."""
 
     loc: Loc
     text: FormulaText
@@ -410,7 +392,7 @@ def check_finite(scene: SceneFields, values: Mapping[str, float]) -> None:
 
 
 def check_rim(surface: Surface, loc: Loc) -> None:
-    """Check that a disc touches a surface where there is a formula for it."""
+    """Check that the contact of a disc with a surface has a closed form."""
     if surface.height is not None and "x" in parse(surface.height).names:
         raise DeclarationProblem(
             "a disc (a contact with a radius) cannot touch a height that depends on x",
@@ -466,7 +448,7 @@ def check_kinks(scene: SceneFields) -> None:
 
 
 def has_switches(scene: SceneFields) -> bool:
-    """Return whether forces, flows or controls have abs, sign, min, max or sat of what changes."""
+    """Return whether forces, flows or controls have abs, sign, min, max or sat of variables."""
     changing, texts = _force_formulas(scene)
     controls = scene.controlled
     changing = {*changing, TIME, *controls.controller_state}
@@ -536,24 +518,24 @@ def check_polygon(corners: _Corners) -> None:
 def _check_places(corners: _Corners) -> None:
     """Check that corners are apart, and not all on one line."""
     size = max(math.dist(one, other) for one, other in combinations(corners, 2))
-    apart: list[_Corner] = []
+    distinct: list[_Corner] = []
     twice: tuple[int, int] | None = None
     for k, corner in enumerate(corners):
         same = [
             i for i, one in enumerate(corners[:k]) if math.dist(one, corner) <= _STRAIGHT * size
         ]
         if not same:
-            apart.append(corner)
+            distinct.append(corner)
         elif twice is None:
             twice = same[0], k
-    if len(apart) < 2:
+    if len(distinct) < 2:
         raise DeclarationProblem(
             f"all corners are at {_format_corner(corners[0])}: a polygon has an area",
             advice="place them around it, or write disc: RADIUS",
         )
     # Those farthest from each other have the line between them that all others might lie on.
-    a, b = max(combinations(apart, 2), key=lambda pair: math.dist(*pair))
-    away = [_cross(a, b, corner) / math.dist(a, b) for corner in apart]
+    a, b = max(combinations(distinct, 2), key=lambda pair: math.dist(*pair))
+    away = [_cross(a, b, corner) / math.dist(a, b) for corner in distinct]
     if max(map(abs, away)) <= _STRAIGHT * size:
         raise DeclarationProblem(
             f"all corners lie on the line from {_format_corner(a)} to {_format_corner(b)}: "
@@ -676,7 +658,7 @@ def check_copies(scene: SceneFields) -> None:
 
 
 def check_coupled(scene: SceneFields, name: str) -> None:
-    """Check that the bodies of a coupling turn, and that something can be known of its limit."""
+    """Check that the bodies of a coupling can turn, and that its limit is determined."""
     coupling = scene.couplings[name]
     if coupling.joint is not None and coupling.joint not in scene.joints:
         return
@@ -796,7 +778,7 @@ def check_collisions(scene: SceneFields) -> None:
 
 
 def _check_path(scene: SceneFields, name: str) -> None:
-    """Check that the path of a fixed or led body is known ahead, and that nothing pulls at it."""
+    """Check that the path of a fixed or led body is prescribed, and that no force acts on it."""
     moving = _moving_names(scene)
     for key, text in zip(("x", "y", "angle"), scene.bodies[name].path, strict=True):
         for control in parse(text).names.intersection(scene.controls):
@@ -884,7 +866,7 @@ def check_prescribed(scene: SceneFields, findings: Findings) -> None:
 
 
 def _check_controller_state(scene: SceneFields) -> None:
-    """Check that the memory of controllers is known before the steps."""
+    """Check that variables of controllers do not depend on the motion of bodies."""
     moving = _moving_names(scene)
     for _, variable, text, loc in scene.controlled.declared_flows():
         used = [n for n in parse(text).names if n in moving]

@@ -114,12 +114,12 @@ class Controls:
 
     @property
     def clocks(self) -> tuple[str, ...]:
-        """Those of `controller_state` that are instants of time."""
+        """Variables of `controller_state` that store instants of time."""
         return tuple(clock for region in self.flat.values() for clock in region.clocks)
 
     @property
     def timers(self) -> tuple[str, ...]:
-        """Those of `controller_state` that are timers of transitions."""
+        """Variables of `controller_state` that are timers of transitions."""
         return tuple(timer for region in self.flat.values() for timer in region.timers)
 
     @cached_property
@@ -137,7 +137,7 @@ class Controls:
         return {v: flows.get(v, 0) for v, owner in self.flowing.items() if owner == region}
 
     def states(self, region: str) -> Iterator[tuple[ControlState, Loc]]:
-        """Yield the states of a region, those in others too, and their places."""
+        """Yield the states of a region, nested ones included, and their places."""
         for _, state, at in nested(self.regions[region], "regions", region):
             if isinstance(state, ControlState):
                 yield state, at
@@ -279,21 +279,21 @@ class Controls:
                     )
 
     def texts(self, control: str) -> list[FormulaText]:
-        """Return every formula that a control may be."""
+        """Return all formulas that set a control."""
         return [
             self.declared[control],
             *(text for _, _, other, text, _ in self.sets() if other == control),
         ]
 
     def sets(self) -> Iterator[tuple[str, str, str, FormulaText, Loc]]:
-        """Yield region, state, control, its value and the place of that, of all that are set."""
+        """Yield region, state, control, value and its place for every control that a state sets."""
         for region in self.regions:
             for state, at in self.states(region):
                 for control, text in state.sets.items():
                     yield region, str(at[-1]), control, text, (*at, "sets", control)
 
     def declared_flows(self) -> Iterator[tuple[str, str, FiniteText, Loc]]:
-        """Yield region, variable, its flow and the place of that, of all states."""
+        """Yield region, variable, flow and its place for every flow of a state."""
         for region in self.regions:
             for state, at in self.states(region):
                 for variable, text in state.flows.items():

@@ -215,9 +215,9 @@ def joints_judged_at_start(scene: SceneFields) -> dict[str, int]:
         if not joint.enabled or region not in places:
             continue
         relation = parse_relation(conjunction(joint.enabled))
-        asked = {member.region for member in relation.members}
-        asked |= {used.rpartition(".")[0] for used in relation.names}
-        if asked & known - {name}:
+        referred = {member.region for member in relation.members}
+        referred |= {used.rpartition(".")[0] for used in relation.names}
+        if referred & known - {name}:
             found[name] = places[region]
     return found
 

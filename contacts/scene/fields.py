@@ -109,7 +109,7 @@ class SceneFields(Declaration):
         ),
     }
 
-    kind: Literal["scene"] = declare("What is declared.", "scene", default="scene")
+    kind: Literal["scene"] = declare("Kind of the document.", "scene", default="scene")
     gravity: Gravity = declare(
         "Acceleration downwards, or its components: [0, -9.81] is downwards.",
         9.81,

@@ -41,7 +41,7 @@ class Force(Part):
         **dict.fromkeys(("point", "application_point", "position"), "at: [x, y], in its frame"),
     }
 
-    body: str = declare("What it acts on.", "rod")
+    body: str = declare("Body on which it acts.", "rod")
     force: Pair = declare(
         "Components along x and y.", ["-k*rod.x", 0], unit="force", default=(0, 0)
     )

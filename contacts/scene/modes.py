@@ -186,7 +186,7 @@ def share_of(
 
     zone, places = bearing.zone, bearing.coordinates
     if contact.compliance is not None and pinned and "t" not in bearing.rows:
-        # Feet that sink differently turn the body: what implied the constraint no longer does.
+        # Feet that sink differently turn the body: the other constraints imply this one no longer.
         slips = (("slip +", contact.slip), ("slip -", -contact.slip))
         implied = (Margin(f"{contact.name}.{side}", slip, "implied") for side, slip in slips)
         state = replace(state, margins=(*state.margins, *implied))
@@ -240,8 +240,10 @@ def share_of(
         known[sp.sign(slip)] = sp.Integer(-side)
         for i in places:
             balances[y[i]] += row[i] * spring if side == 0 and i < len(row) else 0
-        rooms = (side * spring - most,) if side else (most - spring, most + spring)
-        margins += tuple(Margin(f"{name}.{k}", room, "force") for k, room in enumerate(rooms))
+        clearances = (side * spring - most,) if side else (most - spring, most + spring)
+        margins += tuple(
+            Margin(f"{name}.{k}", clearance, "force") for k, clearance in enumerate(clearances)
+        )
     loads = Loads(carried, tuple(carriers.values()), laws, balances, known)
     if contact.compliance is not None:
         independent = tuple(equation.xreplace(carried) for equation in independent)

@@ -113,7 +113,7 @@ class Body(Part):
     )
     position: Pair | None = declare(
         "Position of the centre of mass: x and y as formulas of the scene's coordinates; of a body "
-        "that collides, its path: formulas of time, controls and what controllers remember.",
+        "that collides, its path: formulas of time, controls and variables of controllers.",
         ["-l*sin(theta)", "l*cos(theta)"],
         ["v*time", 0],
         unit="length",
@@ -127,8 +127,8 @@ class Body(Part):
         default=None,
     )
     fixed: bool = declare(
-        "Whether a body that collides stands where it starts, whatever touches it: a crate, a "
-        "wall, a funnel. It has a shape and no mass.",
+        "Holds a body that collides in the place where it starts: a crate, a wall, a funnel. "
+        "It has a shape and no mass.",
         True,
         default=False,
     )
@@ -340,15 +340,13 @@ class Surface(Part):
         "Centre of a circle; the solid is inside.", [0, 0], unit="length", default=None
     )
     radius: FiniteText | None = declare("Of the circle.", "r", unit="length", default=None)
-    hollow: bool = declare(
-        "Whether the solid is outside the circle, as in a drum.", True, default=False
-    )
+    hollow: bool = declare("Puts the solid outside the circle, as in a drum.", True, default=False)
     body: str | None = declare(
         "Body that carries the surface; the surface is given in its frame.", "cart", default=None
     )
     displacement: Pair = declare(
-        "Displacement of the surface: two formulas of time, and of what controllers remember "
-        "(of points, also of what they set).",
+        "Displacement of the surface: two formulas of time and of variables of "
+        "controllers (for points, also of controls).",
         ["v*time", 0],
         unit="length",
         default=(0, 0),
@@ -460,13 +458,13 @@ class Contact(Part):
         default=None,
     )
     rolling_resistance: FiniteText | None = declare(
-        "Of a disc that rolls: a couple against its rolling of at most this length times the "
-        "normal force V.",
+        "Rolling resistance of a disc: a couple against its rolling of at most this length "
+        "times the normal force V.",
         "0.02*r",
         unit="length",
         default=None,
     )
-    surface: str = declare("What it may touch.", "floor")
+    surface: str = declare("Surface that the point may touch.", "floor")
     modes: Annotated[tuple[_DeclaredMode, ...], Field(min_length=1)] = declare(
         "Allowed modes among free, slide and pin; all by default, but no pin with friction: 0.",
         ["slide", "pin"],
@@ -494,7 +492,7 @@ class Contact(Part):
         default=None,
     )
     damping: FormulaText | None = declare(
-        "Of a compliant contact, 0 by default.", "d", unit="force time/length", default=None
+        "Damping of a compliant contact; 0 by default.", "d", unit="force time/length", default=None
     )
     impact: ImpactLaw = declare(
         "Impact law: restitution is a ratio of energies (stronge), impulses "

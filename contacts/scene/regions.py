@@ -92,8 +92,8 @@ def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Ed
         for state in sliding:
             for target in present:
                 if target != state:
-                    guard = "no V >= 0 prevents penetration"
-                    result.append(Edge("jam", state, target, guard, "impact without collision"))
+                    guard, reset = "no V >= 0 prevents penetration", "impact without collision"
+                    result.append(Edge("jam", state, target, guard, reset, alone=True))
     if len(sliding) == 2:
         result.append(Edge("reverse", "slide+", "slide-", f"slip = 0, H > {mu} V"))
         result.append(Edge("reverse", "slide-", "slide+", f"slip = 0, H < -{mu} V"))

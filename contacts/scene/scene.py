@@ -193,7 +193,7 @@ class Scene(SceneFields):
                     )
 
     def _references(self) -> Iterator[tuple[str, str, Collection[str], Loc]]:
-        """Yield the kind, the name, the declared names, and the place of what parts refer to."""
+        """Yield kind, name, declared names, and place of every reference between parts."""
         # Joints hold one copy of a body, by its number; forces act on one or on all.
         single = self.owners()
         for name, contact in self.contacts.items():

@@ -147,7 +147,7 @@ class Collision(Part):
         default=None,
     )
     rolling_resistance: FormulaText | None = declare(
-        "Of discs: a couple against the relative rotation of what touches, of at most this "
+        "Rolling resistance of discs: a couple against their relative rotation of at most this "
         "length times the normal force.",
         "0.02*r",
         unit="length",
@@ -161,7 +161,7 @@ class Collision(Part):
         default=None,
     )
     damping: FormulaText | None = declare(
-        "Of compliant contacts, 0 by default.", "d", unit="force time/length", default=None
+        "Damping of compliant contacts; 0 by default.", "d", unit="force time/length", default=None
     )
 
     @model_validator(mode="after")

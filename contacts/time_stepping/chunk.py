@@ -170,7 +170,7 @@ def contact_role(
         if above < 0.0 and not lasting:
             return LASTING, gap, 0.0
         return LASTING, level, above
-    if above <= max(reached, near) and nearing > slow:
+    if above <= reached and nearing > slow:
         # It rests where it has landed: above zero it would fall and land again in every few steps.
         return HIT, min(gap, near), above
     return SEPARATED, level, above

@@ -17,9 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.dynamics.contact_law import cones
-from contacts.dynamics.controllers import Controllers, ControllerState, opening_first
+from contacts.dynamics.controllers import Controllers
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.projection import on_constraints
+from contacts.dynamics.rolling_resistance import apply_rolling_resistance, couples
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.dynamics.starting import check_closing
@@ -62,11 +63,8 @@ class StepControl:
         regions: Sequence[Region],
         states: Key,
     ) -> None:
-        self._controllers = mechanics.scene.controlled.flat
-        self._names = tuple(self._controllers)
         self._states, self._setup, self._scene = controllers, setup, scene
-        self._memory = ControllerState(mechanics)
-        self._queues = EventQueues(regions, self._controllers)
+        self._queues = EventQueues(regions, controllers.flat)
         self._active = ActiveStates(regions)
         n, r = len(mechanics.q), len(mechanics.joint_rows)
         c = 2 * len(mechanics.scene.contacts) + len(mechanics.scene.couplings)
@@ -87,20 +85,19 @@ class StepControl:
         # Transition -> warning of bounces shorter than a step that it waits for.
         self._left_out = dict[str, str]()
         self._rigid = {law.name for law in setup.contacts if not law.coupling}
-        self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
 
     def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
         """Return the steps until a controller may act, and whether one may."""
         if not len(chunk.codes):
             return chunk, False
-        shown = recorder.shown(chunk)
+        shown = recorder.recorded_modes(chunk)
         known, _, last = self._zero
         before = last if known == self.states else None
         due, zero = self._due(
             chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h, shown, before
         )
         may_act: Bools = np.any(due, axis=1)
-        if self._queues.waits(self._controllers, self.states):
+        if self._queues.waits(self.states):
             may_act |= recorder.changes(chunk)
         may_act[:1] |= self._strikes
         acts = bool(may_act.any())
@@ -137,7 +134,7 @@ class StepControl:
         time = np.array([recorder.clock.high])
         if not self._begun:
             self._begun = True
-            state = self._memory.enter_initial_states(
+            state = self._states.enter_initial_states(
                 self._setup, recorder.clock, state, self.states
             )
         for _ in range(_MOST_TURNS):
@@ -148,28 +145,27 @@ class StepControl:
             due = self._due(*at_end, h, recorder.row[None], before)[0][0]
             true = {(g.place, g.trigger) for g, now in zip(watched, due, strict=True) if now}
             firing = self._queues.first(
-                self._controllers,
                 self.states,
                 pending,
-                opening_first(true, self._names, self.states, self._joints),
+                self._states.opening_first(true, self.states),
                 partial(self._holding, *at_end, recorder.row[None]),
             )
             if firing is None:
                 for jump in last_bounces:
                     self._warn_of(jump, (*at_end, recorder.row[None]), h)
                 return state
-            name, taken = self._names[firing.place], firing.taken
+            name, taken = self._states.names[firing.place], firing.taken
             fired = tuple(g.name for g in watched if (g.place, g.trigger) in firing.due)
             self.states = (
                 *self.states[: firing.place],
                 taken.target,
                 *self.states[firing.place + 1 :],
             )
-            after = self._memory.updated(
+            after = self._states.updated(
                 self._setup, recorder.clock, taken.name, taken.blocks, state
             )
             closing = ClosingImpact(after, {}, {}, {})
-            if name in self._joints and taken.target == CLOSED:
+            if name in self._states.joints and taken.target == CLOSED:
                 closing = self._closed(name, after, recorder, h, struck)
                 after = closing.state
             switched, strikes = self._scene.switch(
@@ -195,7 +191,7 @@ class StepControl:
         self, state: Array, solved: Array, codes: Ints, h: float
     ) -> set[tuple[int, int]]:
         """Return the guards due at the start, by region and trigger, in modes `codes` (r,)."""
-        state = self._memory.enter_initial_states(self._setup, Clock(), state, self.states)
+        state = self._states.enter_initial_states(self._setup, Clock(), state, self.states)
         due = self._due(np.zeros(1), state[None], solved[None], h, codes[None], None)[0][0]
         watched = self._states.guards(self.states).watch.guards
         return {(g.place, g.trigger) for g, now in zip(watched, due, strict=True) if now}
@@ -208,9 +204,9 @@ class StepControl:
     def _warn_of(self, jump: Jump, at_end: tuple[Array, Array, Array, Ints], h: float) -> None:
         """Warn if a transition still waits for the touchdown in a jump."""
         pending, holding = self._queues.pending_after({}, jump), partial(self._holding, *at_end)
-        firing = self._queues.first(self._controllers, self.states, pending, (), holding)
+        firing = self._queues.first(self.states, pending, (), holding)
         if firing is not None:
-            name = f"{self._names[firing.place]}.{firing.taken.name}"
+            name = f"{self._states.names[firing.place]}.{firing.taken.name}"
             self._left_out.setdefault(
                 name,
                 f"{jump.region}: from t = {jump.t:.6g} on bounces are shorter than a step of {h:g} "
@@ -227,14 +223,14 @@ class StepControl:
         Raises `NoConsistentMode` if its points are farther apart than a step moves them, and
         `UnsolvedImpulses` if no impulses stop the contacts.
         """
-        setup, time = self._memory.within(self._setup, state), recorder.clock.high
-        motion, named = self._memory.parted(state), self._states.named(self.states)
+        setup, time, before = self._setup, recorder.clock.high, state
+        named = self._states.named(self.states)
         tape, contacts = SnapshotTape(self._mechanics, named), setup.contacts
         held, impulses = dict[int, int](), np.zeros((len(contacts), 2))
-        before, snapshot = motion, tape.at(setup.values, motion, time)
+        snapshot = tape.at(setup.values, state, time)
         check_closing(self._mechanics, snapshot, joint, setup.tolerances["gap"], 2.0 * h)
-        motion = on_constraints(("free",) * len(contacts), snapshot, motion)
-        snapshot = tape.at(setup.values, motion, time)
+        state = on_constraints(("free",) * len(contacts), snapshot, state)
+        snapshot = tape.at(setup.values, state, time)
         touching = [
             i
             for i, code in enumerate(recorder.row[: len(contacts)].tolist())
@@ -253,21 +249,24 @@ class StepControl:
                 )
             push = np.einsum("ckn,ck->n", jacobians, pushes)
             change = np.linalg.lstsq(snapshot.mass, push)[0]
-            velocity, impulses[touching] = snapshot.velocity + change, pushes
-            motion, slips = snapshot.moved(motion, velocity), jacobians[:, 1] @ velocity
+            impulses[touching] = pushes
+            velocity, impulses = apply_rolling_resistance(
+                snapshot, contacts, snapshot.velocity + change, impulses, setup.slip_tolerance
+            )
+            state, slips = snapshot.moved(state, velocity), jacobians[:, 1] @ velocity
             held = self._scene.hold(
                 {
                     i: (snapshot.contacts[i].gap, float(slip))
-                    for i, push, slip in zip(touching, pushes, slips, strict=True)
+                    for i, push, slip in zip(touching, impulses[touching], slips, strict=True)
                     if push[0] > 0.0 and STATES[recorder.row[i]] in OPEN
                 }
             )
         pairs = zip(contacts, impulses.tolist(), strict=True)
         return ClosingImpact(
-            self._memory.joined(motion, state),
+            state,
             held,
             {law.name: (V, H) for law, (V, H) in pairs if (V or H) and not law.coupling},
-            tape.joint_impulse(snapshot, before, motion, impulses),
+            tape.joint_impulse(snapshot, before, state, impulses) | couples(contacts, impulses),
         )
 
     def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:

@@ -66,17 +66,17 @@ def struck(
 
 
 def step_polynomials(
-    states: Array, acceleration: Array, h: Array, late: Array, hit: Bools, n: int
+    states: Array, acceleration: Array, h: Array, delay: Array, hit: Bools, n: int
 ) -> Array:
     """Return the coefficients (p, w, TERMS) of steps of sizes `h` (k, 1) between states (k + 1, w).
 
-    One polynomial per step, two per step `hit` (k,), whose impact is `late` (k,) after its middle;
+    One polynomial per step, two per step `hit` (k,), whose impact is `delay` (k,) after its middle;
     acceleration, `n`: see `struck`.
     """
     left, right = states[:-1], states[1:]
     if not hit.any():
         return smooth(left, right, h, n)
-    before = 0.5 * h[hit] + late[hit, None]
+    before = 0.5 * h[hit] + delay[hit, None]
     parts = struck(left[hit], right[hit], acceleration[hit], (before, h[hit] - before), n)
     pieces = np.concatenate([smooth(left[~hit], right[~hit], h[~hit], n), *parts])
     # Gathering rows is ten times as fast as scattering them.
@@ -179,8 +179,8 @@ class Steps(NamedTuple):
     def at(self, step: int, half: int) -> Clock:
         """Return when a step, or its second part, begins; all steps have one size."""
         ((h, _),) = self.spans
-        late = 0.5 * h + float(self.impact_delay[step]) if half else 0.0
-        return self.begin.later(h * step + late).short
+        delay = 0.5 * h + float(self.impact_delay[step]) if half else 0.0
+        return self.begin.later(h * step + delay).short
 
     @property
     def lengths(self) -> Array:
@@ -238,8 +238,8 @@ class _Polynomials:
 
     def __init__(self, steps: Steps, energy: Callable[[Array, Array], Array] | None) -> None:
         n, hit, h = steps.coordinates, np.asarray(steps.hit), steps.lengths
-        late, halves = np.asarray(steps.impact_delay), steps.halves
-        self.terms = step_polynomials(steps.states, steps.solved[:, :n], h[:, None], late, hit, n)
+        delay, halves = np.asarray(steps.impact_delay), steps.halves
+        self.terms = step_polynomials(steps.states, steps.solved[:, :n], h[:, None], delay, hit, n)
         self.ends = steps.ends(h)
         self.unknowns = np.repeat(steps.solved, 1 + hit, axis=0) if halves is None else halves
         self.steps, self._energy = steps, energy
@@ -290,11 +290,13 @@ class ArcMaker:
             return lazy
         whole, steps = self._of(lazy.steps), lazy.steps
         first = int(steps.places[lazy.step])
-        felt = steps.impulses[lazy.step]
-        places = np.flatnonzero(felt.any(axis=1))
+        of_regions = steps.impulses[lazy.step]
+        places = np.flatnonzero(of_regions.any(axis=1))
         impulses = {
             self._regions[i]: (normal, tangential)
-            for i, (normal, tangential) in zip(places.tolist(), felt[places].tolist(), strict=True)
+            for i, (normal, tangential) in zip(
+                places.tolist(), of_regions[places].tolist(), strict=True
+            )
         }
         of_joints = zip(self._joint_forces, steps.joint_impulses[lazy.step].tolist(), strict=True)
         return Jump(

@@ -89,7 +89,7 @@ class Recorder:
 
     def add(self, chunk: Chunk) -> None:
         """Append steps."""
-        shown = self.shown(chunk)
+        shown = self.recorded_modes(chunk)
         hit: Bools = np.any(chunk.struck, axis=1)
         steps = Steps.of(chunk, hit, self.coordinates, self.clock)
         if self.forces is not None:
@@ -120,11 +120,11 @@ class Recorder:
 
     def changes(self, chunk: Chunk) -> Bools:
         """Return the steps (k,) in which `add` will record jumps."""
-        return self._changed(self.shown(chunk)) | np.any(chunk.struck, axis=1)
+        return self._changed(self.recorded_modes(chunk)) | np.any(chunk.struck, axis=1)
 
-    def taken(self, *, looked_at: bool) -> tuple[Sequence[Arc], Sequence[Jump]]:
-        """Remove and return finished arcs and jumps; empty unless `looked_at`."""
-        finished = (tuple(self.arcs), tuple(self.jumps)) if looked_at else ((), ())
+    def take_finished(self, *, watched: bool) -> tuple[Sequence[Arc], Sequence[Jump]]:
+        """Remove and return finished arcs and jumps; empty unless `watched`."""
+        finished = (tuple(self.arcs), tuple(self.jumps)) if watched else ((), ())
         self._arcs.clear()
         self._jumps.clear()
         return finished
@@ -200,7 +200,7 @@ class Recorder:
             states = self._keys[row.tobytes()] = tuple(map(STATES.__getitem__, row.tolist()))
         return (*states, *self.controls) if self.controls else states
 
-    def shown(self, chunk: Chunk) -> Ints:
+    def recorded_modes(self, chunk: Chunk) -> Ints:
         """Return the recorded modes: a slip lasts to the end of the step in which it stops.
 
         Not if an impact stops it.

@@ -11,7 +11,7 @@ import numpy as np
 
 from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.contact_law import ContactLaw, edge
-from contacts.dynamics.controllers import Controllers, ControllerState
+from contacts.dynamics.controllers import Controllers
 from contacts.dynamics.mechanics import Mechanics, winch_end_message
 from contacts.dynamics.setup import ROUNDING, SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
@@ -482,7 +482,7 @@ class SteppedScene(SteppedSystem):
                 "without collision resolves this"
             )
         return NoConsistentMode(
-            f"contact {name!r} would be {state} by t = {end:.9g}, and {state.rstrip('+-')} is not "
+            f"contact {name!r} would be {state} by t = {end:.7g}, and {state.rstrip('+-')} is not "
             "among its modes; add it, or end the run before"
         )
 
@@ -600,16 +600,13 @@ class SceneStepper(Stepper):
         Returns initial modes, disabled contacts, warnings, and unknowns of a short step.
         """
         warnings = [*self._replaced_laws(setup), *self._cut(setup)]
-        memory = ControllerState(self._mechanics)
-        entered = memory.enter_initial_states(setup, Clock(), setup.initial, controls)
+        entered = self._tapes.enter_initial_states(setup, Clock(), setup.initial, controls)
         setup = replace(setup, initial=entered)
         named = self._tapes.named(controls)
-        within = memory.within(setup, setup.initial)
-        within = replace(within, initial=memory.parted(setup.initial))
         if self._mechanics.joint_rows:
-            check_joints(self._mechanics, SnapshotTape(self._mechanics, named), within, RELATIVE)
+            check_joints(self._mechanics, SnapshotTape(self._mechanics, named), setup, RELATIVE)
         if self._scene.couplings:
-            snapshot = SnapshotTape(self._mechanics, named).at(within.values, within.initial, 0.0)
+            snapshot = SnapshotTape(self._mechanics, named).at(setup.values, entered, 0.0)
             check_limits([*self._scene.couplings], snapshot.limits)
         tape = self._tapes.at(controls)
         near = setup.tolerances["gap"]
@@ -619,7 +616,7 @@ class SceneStepper(Stepper):
         conditions = self._numbers.conditions
         if controls != self._tapes.initial:
             conditions = self._tapes.conditions(controls)
-        here = conditions.at(within, within.initial, 0.0)
+        here = conditions.at(setup, entered, 0.0)
         # Both edges of a valley hold a point at the kink.
         kinks = np.flatnonzero((np.abs(measured[:, 0]) <= near) & (measured[:, 4] > 0.0)).tolist()
         failing = conditions.first(here.with_boundary(here.verdicts(), kinks, ()))

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.controllers import values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import cone_edge
 from contacts.scene.couplings import Rolling
@@ -51,7 +50,7 @@ class SteppedTape:
     """Tape of the equations that a step evaluates."""
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
-        known = values_in(mechanics, states)
+        known = mechanics.values_in(states)
         forces = [force.xreplace(known) for force in mechanics.generalised_forces]
         set_in = [known[symbol] for symbol in mechanics.controls]
         signs = _Signs(forces, set_in, mechanics)
@@ -102,7 +101,7 @@ class SteppedTape:
         self.joint_rows = len(rows)
         self.limits = StepLimits(mechanics, forces)
         # Disabled contacts and couplings are never passed over.
-        self.gaps: Tape = mechanics.whole_tape(
+        self.gaps: Tape = mechanics.tape(
             [
                 Max(
                     mechanics.contact(name).symbols.gap.xreplace(known),
@@ -113,15 +112,15 @@ class SteppedTape:
             + [sp.S.One] * self.couplings
         )
         self.given, self.signs = len(set_in), len(signs.functions)
-        outputs += [*set_in, *signs.rows(len(forces))]
+        outputs += [*set_in, *signs.inputs(len(forces))]
         used = mechanics.used_friction
         self.used = np.array(
             [mechanics.controls.index(used[n]) if n in used else -1 for n in self.names],
             np.int64,
         )
-        self.tape: Tape = mechanics.whole_tape(outputs)
+        self.tape: Tape = mechanics.tape(outputs)
         flows = [known.get(rate, rate) for rate in mechanics.controller_rates.values()]
-        self.flows: Tape = mechanics.whole_tape(flows)
+        self.flows: Tape = mechanics.tape(flows)
         # Pins constrain the velocity, frictionless slides its normal component.
         none = [0] * self.couplings
         self.held = np.array(
@@ -142,7 +141,7 @@ class SteppedTape:
             dtype=np.int64,
         )
         # (c, 2): stiffness and damping, 0 if rigid.
-        self.soft: Tape = mechanics.whole_tape(
+        self.soft: Tape = mechanics.tape(
             [
                 parse(text or 0).to_sympy(mechanics.known)
                 for contact in declared
@@ -152,7 +151,7 @@ class SteppedTape:
         )
         lengths = {i: mechanics.hauled(name) for i, name in enumerate(rigid)}
         self.hauled = np.array([i for i, margins in lengths.items() if margins], np.int64)
-        self.lengths: Tape = mechanics.whole_tape(
+        self.lengths: Tape = mechanics.tape(
             [m.expression.xreplace(known) for margins in lengths.values() for m in margins]
         )
         self.size = len(mechanics.q)
@@ -212,7 +211,7 @@ class _Signs:
         # The formulas with all signs zero.
         self.middle = [form.xreplace(none) for form in forms]
 
-    def rows(self, count: int) -> list[sp.Expr]:
+    def inputs(self, count: int) -> list[sp.Expr]:
         """Return the inputs of `hold_signs`; the first `count` formulas are forces."""
         mechanics, outputs = self._mechanics, list[sp.Expr]()
         for function, acts in zip(self.functions, self._acts, strict=True):

@@ -139,11 +139,11 @@ class StepLimits:
         self._size = len(mechanics.q)
         stiffness = [-derivative(force, place) for force in forces for place in mechanics.q]
         self._stiffness = (
-            mechanics.whole_tape([*mechanics.mass_matrix, *stiffness])
+            mechanics.tape([*mechanics.mass_matrix, *stiffness])
             if any(entry != 0 for entry in stiffness)
             else None
         )
-        self._mass = mechanics.whole_tape([*mechanics.mass_matrix])
+        self._mass = mechanics.tape([*mechanics.mass_matrix])
         changing = {
             *mechanics.q,
             *mechanics.v,
@@ -151,7 +151,7 @@ class StepLimits:
             mechanics.time,
         }
         varies = any(force.free_symbols & changing for force in forces)
-        self._forces = mechanics.whole_tape(forces) if varies else None
+        self._forces = mechanics.tape(forces) if varies else None
 
     def swings(self, values: Array, state: Array, time: float, held: Array) -> Swings | None:
         """Return the oscillations of springs orthogonal to the rows `held`; None without any."""

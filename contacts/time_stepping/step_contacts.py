@@ -196,6 +196,8 @@ def find_active(
         nearing, slow = -before[0], _slow(scene, memory, tape, met, i, h)
         bias = 0.5 * h * numbers[row + 2 * n]
         closing, reached = h * (slow - (free[0] + bias)), TIME_MARGIN * h * nearing
+        # No more than half a step early: bounces within the gap tolerance would sink, not end.
+        reached = max(reached, min(scene.gap_tolerance, 0.5 * h * nearing))
         role, level[i], above = contact_role(
             gap, level[i], memory.closed[i], nearing, slow, closing, reached, scene.gap_tolerance
         )

@@ -132,7 +132,7 @@ class SqueezeCheck:
 def _squeeze_error(name: str, depth: float) -> UnsolvedImpulses:
     return UnsolvedImpulses(
         f"{name} cannot get out of what it touches: some penetration of {depth:.3g} always "
-        "remains; prescribed motions or constraints leave it no room"
+        "remains; prescribed motions or constraints squeeze it"
     )
 
 

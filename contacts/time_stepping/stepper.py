@@ -152,7 +152,7 @@ class SteppedRun:
                 raise self._inputs.failure
             steps = self._steps()
             while True:
-                with interrupts.held():
+                with interrupts.deferred():
                     going = next(steps, False)
                 if not going:
                     return
@@ -286,8 +286,8 @@ class SteppedRun:
         """Pass finished arcs and jumps to the watcher, and drop them if they are not recorded."""
         record, watch = self.request.policy
         if record is not Record.MODES:
-            looked_at = watch is not None and (ended or watch.motion)
-            arcs, jumps = self.recorder.taken(looked_at=looked_at)
+            watched = watch is not None and (ended or watch.motion)
+            arcs, jumps = self.recorder.take_finished(watched=watched)
             if watch is not None and (arcs or jumps):
                 watch.add(replace(self._piece, arcs=arcs, jumps=jumps))
 
@@ -427,7 +427,7 @@ class Stepper(ABC):
         self.name = mechanics.scene.name
         self._controllers, self.controls = controllers, controllers.initial
         self.couplings = tuple(mechanics.scene.couplings)
-        self.names = (*mechanics.variable_names, *mechanics.controller_state)
+        self.names = mechanics.state_names
         self.parameter_names = mechanics.parameters.names
         self.regions = tuple(region.name for region in regions)
         self.again, self.forces, self.sticks = again, forces, sticks
@@ -436,7 +436,7 @@ class Stepper(ABC):
         self.angles = np.array([name.endswith(".angle") for name in mechanics.names])
         unknowns = (*mechanics.a, *mechanics.unknown_forces, *mechanics.controls)
         self.stops = StopTapes(mechanics, unknowns, regions)
-        self.energy: Tape = mechanics.whole_tape([mechanics.energy])
+        self.energy: Tape = mechanics.tape([mechanics.energy])
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         """Check the initial state; see `TimeStepper.start`."""

@@ -58,7 +58,7 @@ class StopTapes:
             ],
             mechanics.observables if texts else {},
             {},
-            inputs=(*mechanics.variables, *mechanics.controller_state.values(), *unknowns),
+            inputs=(*mechanics.state, *unknowns),
             parameters=mechanics.parameters.ordered,
             time=mechanics.time,
         )

@@ -7,11 +7,11 @@ from pathlib import Path
 from sphinx.application import Sphinx
 from sphinx.util import logging
 
-from making import formats, gallery, tutorial, verbs
+from making import changelog, formats, gallery, tutorial, verbs
 from making.links import dead_links
 
 MADE = "made"
-"""Where in the folder of the pages what is made here goes."""
+"""Folder of the generated files, relative to the folder of the pages."""
 
 _log = logging.getLogger(__name__)
 
@@ -29,6 +29,7 @@ def _make(app: Sphinx) -> None:
     folder = Path(app.srcdir) / MADE
     formats.make(folder)
     verbs.make(folder)
+    changelog.make(Path(app.srcdir).parent / "CHANGELOG.md", folder)
     tutorial.make(Path(app.srcdir) / "tutorial.md", folder)
     for name in gallery.make(folder):
         _log.info("made the page of %s", name)

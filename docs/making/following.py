@@ -5,8 +5,10 @@
 A block that a line ending in "into `NAME`:" introduces is written to that file; one after "to the
 end of `NAME`:" is added to it. In a `console` block the lines after `$ ` are commands, the others
 are what they print. Words must agree; numbers may differ in their last digits, and by 1e-8, since
-machines round differently. `...` stands for a part of a line, alone on a line for any lines.
-Only Python's own library is needed, so that an installation can be tried from anywhere.
+machines round differently. `...` alone on a line stands for any lines. Parts that differ from run
+to run, such as times, stand in a comment on the line before the block, which readers do not see:
+``<!-- varies: `1.2 s`, `0.31` -->``. Only Python's own library is needed, so that an installation
+can be tried from anywhere.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,6 +31,7 @@ _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w|\.\d|\.\.\.)
 
 _FENCE = re.compile(r"^```(\S*)[^\n]*\n(.*?)^```$", re.M | re.S)
 _TYPED = re.compile(r"(into|to the end of) `([\w./-]+)`:$")
+_VARIES = re.compile(r"<!-- varies: (.*) -->$")
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,12 @@ class Block:
         """The file that it is written to, and whether at its end; None for what is not."""
         found = _TYPED.search(self.before)
         return None if found is None else (found[2], found[1] != "into")
+
+    @property
+    def varying(self) -> tuple[str, ...]:
+        """The parts of its text that differ from run to run."""
+        found = _VARIES.search(self.before)
+        return () if found is None else tuple(re.findall(r"`([^`]+)`", found[1]))
 
 
 def blocks(page: Path) -> Iterator[Block]:
@@ -112,8 +121,8 @@ def follow(
                 file.write(block.text)
         elif block.language == "console":
             for command, expected in _commands(block.text):
-                command = change(command)
-                _check(command, run(command, folder), expected, f"{page.name}:{block.line}")
+                command, place = change(command), f"{page.name}:{block.line}"
+                _check(command, run(command, folder), expected, block.varying, place)
 
 
 def _commands(text: str) -> Iterator[tuple[str, str]]:
@@ -122,31 +131,38 @@ def _commands(text: str) -> Iterator[tuple[str, str]]:
         yield command, expected
 
 
-def _check(command: str, done: subprocess.CompletedProcess[str], expected: str, place: str) -> None:
+def _check(
+    command: str,
+    done: subprocess.CompletedProcess[str],
+    expected: str,
+    varying: Sequence[str],
+    place: str,
+) -> None:
     printed = f"{place}: $ {command}\n{done.stdout}{done.stderr}"
     if not expected.strip():
         assert done.returncode == 0, printed
     else:
-        assert _agree(expected.rstrip().splitlines(), done.stdout.rstrip().splitlines()), printed
+        lines = expected.rstrip().splitlines(), done.stdout.rstrip().splitlines()
+        assert _agree(*lines, varying), printed
 
 
-def _agree(expected: list[str], printed: list[str]) -> bool:
+def _agree(expected: list[str], printed: list[str], varying: Sequence[str]) -> bool:
     """Return whether the expected lines are printed in order; `...` stands for any between."""
     reached = {0}  # numbers of printed lines that the expected ones so far may account for
     for line in expected:
         if line.strip() == "...":
             reached = set(range(min(reached), len(printed) + 1)) if reached else reached
         else:
-            reached = {n + 1 for n in reached if n < len(printed) and _same_line(line, printed[n])}
+            here = [n for n in reached if n < len(printed)]
+            reached = {n + 1 for n in here if _same_line(line, printed[n], varying)}
     return len(printed) in reached
 
 
-def _same_line(expected: str, printed: str) -> bool:
+def _same_line(expected: str, printed: str, varying: Sequence[str]) -> bool:
     """Return whether two lines have the same words and nearly the same numbers."""
-    numbers = _NUMBER.findall(expected)
-    words = re.split(rf"({_NUMBER.pattern}|\.\.\.)", expected.strip())
-    special = {"...": ".*"} | dict.fromkeys(numbers, f"({_NUMBER.pattern})")
-    pattern = "".join(special.get(word) or _spaced(word) for word in words)
+    parts = re.split("|".join([*map(re.escape, varying), "(?!)"]), expected.strip())
+    numbers = [number for part in parts for number in _NUMBER.findall(part)]
+    pattern = ".+".join(map(_pattern, parts))
     found = re.fullmatch(pattern, printed.strip())
     return found is not None and all(
         math.isclose(float(one), float(other), rel_tol=_RELATIVE, abs_tol=_ABSOLUTE)
@@ -154,9 +170,12 @@ def _same_line(expected: str, printed: str) -> bool:
     )
 
 
-def _spaced(words: str) -> str:
-    """Pattern of words between which columns may be wider or narrower."""
-    return r"\s+".join(re.escape(word) for word in re.split(r"\s+", words))
+def _pattern(text: str) -> str:
+    """Pattern of a text with a group for each number; columns may be wider or narrower."""
+    words = re.split(rf"({_NUMBER.pattern})", text)
+    spaced = [r"\s+".join(re.escape(word) for word in re.split(r"\s+", part)) for part in words]
+    spaced[1::2] = [f"({_NUMBER.pattern})"] * (len(words) // 2)
+    return "".join(spaced)
 
 
 if __name__ == "__main__":

@@ -66,7 +66,9 @@ class Automaton:
     # Set by states of regions (`State.values`), exactly once in every mode, in order of evaluation.
     controls: tuple[sp.Symbol, ...] = ()
     stepper: Callable[[], TimeStepper] | None = None  # creates the time stepper, if any
-    own_step: Callable[[], float] | None = None  # default time step from the scales of the model
+    default_step: Callable[[], float] | None = (
+        None  # default time step from the scales of the model
+    )
     coordinates: Coordinates | None = None  # of mechanics, for minimal coordinates
     components: Callable[[], tuple[Component, ...]] = tuple  # uncoupled parts; none if connected
 
@@ -181,7 +183,7 @@ class Component:
     names: Mapping[str, str]  # neutral name -> name
     restricted: Callable[[Setup, Places], Setup]  # setup of the whole -> setup of the component
     shown: Callable[[Role, Places], Role]  # role in the component -> role in the whole
-    joint: bool  # simultaneous jumps of components are one jump
+    joint: frozenset[str]  # regions whose simultaneous jumps are one jump
 
     def named(self, text: str) -> str:
         """Return a text with declared instead of neutral names."""

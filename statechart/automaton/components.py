@@ -201,10 +201,11 @@ def compose_components(
     compose: Callable[[Data], Automaton],
     restricted: Callable[[Automaton], Callable[[Setup, Places], Setup]],
     shown: Callable[[Role, Places], Role] = lambda role, _: role,
-    *,
-    joint: bool,
 ) -> tuple[Component, ...]:
-    """Return the components of parts, with one automaton per form."""
+    """Return the components of parts, with one automaton per form.
+
+    Declared regions jump one after another; those of contacts and couplings together.
+    """
     automata: dict[str, Automaton] = {}
     components = []
     for data, names in parts:
@@ -212,5 +213,6 @@ def compose_components(
         automaton = automata.get(key)
         if automaton is None:
             automaton = automata[key] = compose(data)
+        joint = frozenset(automaton.region_names).difference(data.get("regions", ()))
         components.append(Component(automaton, names, restricted(automaton), shown, joint))
     return tuple(components)

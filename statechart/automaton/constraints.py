@@ -20,8 +20,8 @@ class Constraints(NamedTuple):
     tape: Tape  # outputs: the constraint functions
     targets: Array  # (k,)
     weights: Array  # (k,) inverse tolerances, 0 for inactive constraints
-    # (state, absolute time[, parameters]) -> projected state; the same object if not improved
-    project: Callable[..., Array]
+    # (state, absolute time) -> projected state; the same object if not improved
+    project: Callable[[Array, float], Array]
     # Outputs below -max_depth show that a step jumped over an obstacle (a narrow bump).
     within: Tape | None = None
     max_depth: float = 0.0

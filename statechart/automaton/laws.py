@@ -172,8 +172,8 @@ class Laws(Protocol):
         """Skip the rest of a Zeno sequence.
 
         `jumps` are the last ones; the remaining ones take the time `rest`. Returns the changed last
-        jump and the flow after it, or None if the sequence has to go on. Raises `Zeno` if the model
-        does not declare what follows.
+        jump and the flow after it, or None if the sequence must be resolved further. Raises `Zeno`
+        if the model does not declare what follows.
         """
         ...
 

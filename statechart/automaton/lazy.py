@@ -20,7 +20,7 @@ class LazyMapping(Mapping[str, T], Generic[T]):
     @cached_property
     def _mapping(self) -> Mapping[str, T]:
         mapping = self._make()
-        del self._make  # and what it holds
+        del self._make  # frees the objects that it refers to
         return mapping
 
     def __getitem__(self, label: str) -> T:
@@ -61,7 +61,7 @@ class LazySequence(Sequence[T], Generic[T]):
             return tuple([self._at(i) for i in range(*place.indices(len(self)))])
         count = len(self)
         if not -count <= place < count:
-            raise IndexError(f"there are {count} of them, and none at {place}")
+            raise IndexError(f"index {place} is out of range: there are {count} items")
         return self._at(place % count)
 
     def __iter__(self) -> Iterator[T]:

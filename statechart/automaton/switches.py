@@ -226,7 +226,7 @@ def is_of_switch(margin: str) -> bool:
 def switches_of(automaton: Automaton, mode: Mode) -> Switches | None:
     """Return the switches of a mode, or None."""
     reader = _Reader(automaton, mode)
-    # Guards end smooth pieces, too: one that stays on its boundary is judged where that begins.
+    # Guards end smooth pieces, too: a guard that stays on its boundary is evaluated at their start.
     guards = [margin.expression for margin in mode.margins if margin.kind == "plain"]
     needed = set[sp.Symbol]().union(*(e.free_symbols for e in (*mode.rates, *guards)))
     for symbol, e in reversed(mode.definitions):

@@ -79,7 +79,7 @@ class Chart(Declaration):
         ),
     }
 
-    kind: Literal["chart"] = declare("What is declared.", "chart", default="chart")
+    kind: Literal["chart"] = declare("Kind of the document.", "chart", default="chart")
     variables: dict[fields.ValueName, fields.FiniteText] = declare(
         "Variable to its initial value.", {"x": "height", "v": 0}, unit="that of each", default={}
     )

@@ -192,7 +192,7 @@ class FlatRegion:
         holders = (self._tree.nodes[node].declared for node in sorted(active))
         return tuple(holder for holder in holders if isinstance(holder, BaseState))
 
-    def _arrow_sets(self, active: Nodes, memory: Histories) -> Iterable[tuple[int, ...]]:
+    def _arrow_sets(self, active: Nodes, histories: Histories) -> Iterable[tuple[int, ...]]:
         """Yield the sets of arrows that may be taken together, single arrows first."""
         arrows = self._tree.arrows
         out = [i for i in self._ranks if arrows[i].source in active]
@@ -206,7 +206,7 @@ class FlatRegion:
         if prod(map(len, choices)) > MAX_CONFIGURATIONS:
             raise self._too_many("sets of transitions that one event may fire together")
         together = (
-            select_transitions(self._tree, active, memory, set(chain.from_iterable(one)))
+            select_transitions(self._tree, active, histories, set(chain.from_iterable(one)))
             for one in product(*choices)
         )
         yield from dict.fromkeys(taken for taken in together if len(taken) > 1)
@@ -258,12 +258,12 @@ class FlatRegion:
                     began[self._counts[place]] = 0
         return {**getattr(self._tree.nodes[node].declared, "entry", {}), **began}
 
-    def _name_of(self, active: Nodes, memory: Histories) -> str:
+    def _name_of(self, active: Nodes, histories: Histories) -> str:
         """Register a configuration under its name, and return that."""
         found = self._tree
         shown = {
             history: remembered
-            for history, remembered in sorted(memory.items())
+            for history, remembered in sorted(histories.items())
             if (found.nodes[history].parent not in active or history in self._remembered)
             and remembered != self._default(history)
         }
@@ -466,7 +466,7 @@ def atomic_states(tree: Tree, active: Collection[int]) -> list[int]:
 
 
 def select_transitions(
-    tree: Tree, active: Nodes, memory: Histories, enabled: Collection[int]
+    tree: Tree, active: Nodes, histories: Histories, enabled: Collection[int]
 ) -> tuple[int, ...]:
     """Return the optimal transition set (SCXML, `removeConflictingTransitions`).
 
@@ -485,15 +485,15 @@ def select_transitions(
             chosen[first] = None
     filtered: list[int] = []
     for one in chosen:
-        exits = _exit_set(tree, active, memory, one)
-        rivals = [other for other in filtered if exits & _exit_set(tree, active, memory, other)]
+        exits = _exit_set(tree, active, histories, one)
+        rivals = [other for other in filtered if exits & _exit_set(tree, active, histories, other)]
         source = tree.arrows[one].source
         if all(tree.holds(tree.arrows[other].source, source) for other in rivals):
             filtered = [other for other in filtered if other not in rivals] + [one]
     return tuple(filtered)
 
 
-def microstep(tree: Tree, active: Nodes, memory: Histories, taken: Iterable[int]) -> Microstep:
+def microstep(tree: Tree, active: Nodes, histories: Histories, taken: Iterable[int]) -> Microstep:
     """Return the microstep of arrows taken together (SCXML, appendix D).
 
     An arrow exits its source and ancestors below the innermost compound state that contains source
@@ -501,12 +501,12 @@ def microstep(tree: Tree, active: Nodes, memory: Histories, taken: Iterable[int]
     first. An internal arrow exits the states inside its source.
     """
     taken = tuple(taken)
-    exited = frozenset[int]().union(*(_exit_set(tree, active, memory, place) for place in taken))
-    histories = dict(memory)
+    exited = frozenset[int]().union(*(_exit_set(tree, active, histories, place) for place in taken))
+    updated = dict(histories)
     for node in exited:
         for history in tree.nodes[node].histories:
             deep = tree.nodes[history].sort is Sort.DEEP
-            histories[history] = frozenset(
+            updated[history] = frozenset(
                 n
                 for n in (atomic_states(tree, active) if deep else active)
                 if (tree.holds(node, n) if deep else tree.nodes[n].parent == node)
@@ -516,32 +516,32 @@ def microstep(tree: Tree, active: Nodes, memory: Histories, taken: Iterable[int]
         arrow = tree.arrows[place]
         if arrow.target >= 0:
             # Histories are read before the exits (domain) and after them (entries).
-            domain = _domain(tree, memory, place)
-            _add_descendants(tree, arrow.target, entered, histories)
-            for target in _effective_targets(tree, histories, arrow.target):
-                _add_ancestors(tree, target, domain, entered, histories)
+            domain = _domain(tree, histories, place)
+            _add_descendants(tree, arrow.target, entered, updated)
+            for target in _effective_targets(tree, updated, arrow.target):
+                _add_ancestors(tree, target, domain, entered, updated)
     return Microstep(
         taken,
         tuple(sorted(exited, reverse=True)),
         tuple(sorted(entered)),
         (active - exited) | entered,
-        histories,
+        updated,
     )
 
 
-def _exit_set(tree: Tree, active: Nodes, memory: Histories, place: int) -> Nodes:
+def _exit_set(tree: Tree, active: Nodes, histories: Histories, place: int) -> Nodes:
     if tree.arrows[place].target < 0:
         return frozenset()
-    domain = _domain(tree, memory, place)
+    domain = _domain(tree, histories, place)
     return frozenset(node for node in active if tree.holds(domain, node))
 
 
-def _domain(tree: Tree, memory: Histories, place: int) -> int:
+def _domain(tree: Tree, histories: Histories, place: int) -> int:
     """Return the transition domain: the innermost compound state with source and targets."""
     arrow = tree.arrows[place]
     if arrow.declared.internal:
         return arrow.source
-    ends = _effective_targets(tree, memory, arrow.target)
+    ends = _effective_targets(tree, histories, arrow.target)
     return next(
         node
         for node in tree.above[arrow.source]
@@ -549,43 +549,45 @@ def _domain(tree: Tree, memory: Histories, place: int) -> int:
     )
 
 
-def _effective_targets(tree: Tree, memory: Histories, target: int) -> Nodes:
+def _effective_targets(tree: Tree, histories: Histories, target: int) -> Nodes:
     """Return a target, or the contents of a history."""
     node = tree.nodes[target]
     if node.sort not in HISTORIES:
         return frozenset((target,))
-    return memory.get(target, tree.remembered_first(target))
+    return histories.get(target, tree.remembered_first(target))
 
 
-def _add_descendants(tree: Tree, state: int, found: set[int], memory: Histories) -> None:
+def _add_descendants(tree: Tree, state: int, found: set[int], histories: Histories) -> None:
     """Add a state and the descendants that it enters (SCXML, `addDescendantStatesToEnter`)."""
     node = tree.nodes[state]
     if node.sort in HISTORIES:
-        remembered = sorted(_effective_targets(tree, memory, state))
+        remembered = sorted(_effective_targets(tree, histories, state))
         for each in remembered:
-            _add_descendants(tree, each, found, memory)
+            _add_descendants(tree, each, found, histories)
         for each in remembered:
-            _add_ancestors(tree, each, node.parent, found, memory)
+            _add_ancestors(tree, each, node.parent, found, histories)
         return
     found.add(state)
     if node.sort is Sort.COMPOUND:
-        _add_descendants(tree, node.initial, found, memory)
-        _add_ancestors(tree, node.initial, state, found, memory)
+        _add_descendants(tree, node.initial, found, histories)
+        _add_ancestors(tree, node.initial, state, found, histories)
     elif node.sort is Sort.PARALLEL:
-        _enter_regions(tree, state, found, memory)
+        _enter_regions(tree, state, found, histories)
 
 
-def _add_ancestors(tree: Tree, state: int, outer: int, found: set[int], memory: Histories) -> None:
+def _add_ancestors(
+    tree: Tree, state: int, outer: int, found: set[int], histories: Histories
+) -> None:
     """Add the ancestors of a state below `outer` with their regions."""
     for node in tree.above[state]:
         if node == outer:
             return
         found.add(node)
         if tree.nodes[node].sort is Sort.PARALLEL:
-            _enter_regions(tree, node, found, memory)
+            _enter_regions(tree, node, found, histories)
 
 
-def _enter_regions(tree: Tree, parallel: int, found: set[int], memory: Histories) -> None:
+def _enter_regions(tree: Tree, parallel: int, found: set[int], histories: Histories) -> None:
     for child in tree.nodes[parallel].children:
         if not any(tree.holds(child, node) for node in found):
-            _add_descendants(tree, child, found, memory)
+            _add_descendants(tree, child, found, histories)

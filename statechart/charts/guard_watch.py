@@ -30,8 +30,13 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import EPS, Array, Bools
-from statechart.automaton.laws import UNBOUNDED, Setup
-from statechart.automaton.margin_derivatives import UNDERFLOW, rounding_scale, time_derivative
+from statechart.automaton.laws import UNBOUNDED, Instant, Setup
+from statechart.automaton.margin_derivatives import (
+    UNDERFLOW,
+    MarginDerivatives,
+    rounding_scale,
+    time_derivative,
+)
 from statechart.automaton.regions import (
     Claim,
     Edge,
@@ -51,7 +56,7 @@ from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 from statechart.kernels.tapes import tape_values
 
-# A margin is zero below this fraction of its terms, whatever the tolerance of the run.
+# A margin is zero below this fraction of its terms, for any tolerance of the run.
 _ZERO_MARGIN = 2.0**-40
 _TIME_ROUND_OFF = 8.0 * EPS
 _NO_VALUES: Mapping[sp.Symbol, sp.Expr] = MappingProxyType({})
@@ -61,8 +66,8 @@ class GuardWatch:
     """The guards of a mode, evaluated together at an instant.
 
     `rates` are expressions of inputs, parameters and time; inputs without one are constant.
-    `timers` are inputs as exact as time: instants or whole numbers. `given` substitutes symbols of
-    `known` in the mode.
+    `timers` are inputs as exact as time: instants or whole numbers. `substitutions` replaces
+    symbols of `known` in the mode.
 
     `margins` names the atoms of all guards, `firsts` is the place of the first atom of each guard.
     `timed` atoms depend smoothly on time alone, `closed` atoms include their boundary. `single` is
@@ -79,7 +84,7 @@ class GuardWatch:
         parameters: Sequence[sp.Symbol],
         time: sp.Symbol,
         timers: Collection[sp.Symbol] = (),
-        given: Mapping[sp.Symbol, sp.Expr] = _NO_VALUES,
+        substitutions: Mapping[sp.Symbol, sp.Expr] = _NO_VALUES,
     ) -> None:
         self.guards = tuple(watched)
         self.conditions = tuple(guard.relation.condition(known) for guard in self.guards)
@@ -93,7 +98,7 @@ class GuardWatch:
             firsts.append(len(names))
             names += condition.names(guard.name)
             for atom in condition.atoms:
-                margin = atom.expression.xreplace(given)
+                margin = atom.expression.xreplace(substitutions)
                 near = {v for v in margin.free_symbols if v in rates}
                 near |= {w for v in near for w in rates[v].free_symbols if w in rates}
                 moving = tuple((v, rates[v]) for v in rates if v in near)
@@ -245,23 +250,23 @@ _atom_tapes = lru_cache(4096)(_AtomTapes)
 class GuardTruths:
     """Truth of the guards of a mode at an instant, and the atoms that certify it.
 
-    `rows` (a, 2) are from `GuardWatch.at`, `rate` is `GuardWatch.rate` of an atom and an order. An
-    atom with a NaN rate fires on its boundary only when its margin falls. `tolerances` are infinite
-    for margins that the flow did not watch; the margins `fired` fell. Rates below `relative` times
-    their terms are zero; `later` returns the sign of the first nonzero derivative.
+    `inputs` are those of the watch, the state first, with terms of `sizes`; `rows` (a, 2) are from
+    `GuardWatch.at`. An atom with a NaN rate fires on its boundary only when its margin falls. The
+    tolerances of the flow are infinite for margins that it did not watch.
     """
 
     def __init__(
         self,
         watch: GuardWatch,
-        rows: Array,
-        rate: Callable[[int, int], Array],
-        tolerances: Mapping[str, float],
-        fired: Collection[str],
-        relative: float,
-        later: Callable[[str], float],
+        at: Instant,
+        inputs: Array,
+        sizes: Array,
+        derivatives: MarginDerivatives,
         active: Active,
     ) -> None:
+        setup, time, fired, tolerances = at.setup, at.clock.high, at.fired, at.flow.tolerances
+        relative = setup.precision
+        self.rows = rows = watch.at(setup, inputs, sizes, time)
         self._watch, self._flow, self._active = watch, tolerances, active
         own = [tolerances[margin] for margin in watch.margins]
         if math.inf in own:
@@ -272,18 +277,24 @@ class GuardTruths:
         # An unbounded flow ends on the boundary of these atoms, where their rates do not exist.
         final = self._fell if UNBOUNDED in fired else ()
 
+        def later(k: int) -> float:
+            """Return the sign of the first nonzero derivative."""
+            state, margin = at.state, watch.margins[k]
+            own_sizes = sizes[: len(state)]
+            return derivatives.sign(setup, at.flow.moving, margin, state, own_sizes, time, relative)
+
         def direction(k: int) -> float:
             if k in final:
                 return 0.0
             if watch.atoms[k].kinked:
-                return later(watch.margins[k])
+                return later(k)
             for order in (1, 2):
-                value, size = rate(k, order).tolist()
+                value, size = watch.rate(k, order, setup, inputs, sizes, time).tolist()
                 if math.isnan(value):
-                    return later(watch.margins[k])
+                    return later(k)
                 if value != 0.0 and not abs(value) <= relative * size:
                     return float(value)
-            return 0.0 if watch.atoms[k].rests else later(watch.margins[k])
+            return 0.0 if watch.atoms[k].rests else later(k)
 
         self._atoms = AtomsAt(
             rows[:, 0].tolist(), own, watch.closed.tolist(), direction,
@@ -429,7 +440,7 @@ class EventQueues:
     """Event queues of the regions in `declared` that wait for events of `regions`."""
 
     def __init__(self, regions: Sequence[Region], declared: Mapping[str, FlatRegion]) -> None:
-        self._regions = regions
+        self._regions, self._declared = regions, declared
         # Region -> the events that it waits for in some state.
         self._waiting = {
             name: region.awaited for name, region in declared.items() if region.awaited
@@ -447,18 +458,16 @@ class EventQueues:
             for name, causes in self._waiting.items()
         }
 
-    @staticmethod
-    def waits(declared: Mapping[str, FlatRegion], mode: Key) -> bool:
+    def waits(self, mode: Key) -> bool:
         """Return whether a region waits for an event in its state of `mode`."""
         return any(
             trigger.events
-            for region, state in zip(declared.values(), mode, strict=True)
+            for region, state in zip(self._declared.values(), mode, strict=True)
             for trigger in region.triggers[state]
         )
 
     def first(
         self,
-        declared: Mapping[str, FlatRegion],
         mode: Key,
         pending: Mapping[str, tuple[Raised, ...]],
         guarded: Collection[tuple[int, int]],
@@ -468,7 +477,8 @@ class EventQueues:
 
         `guarded` are the guards that are due; `holding` returns the true guards at events.
         """
-        for place, ((name, region), state) in enumerate(zip(declared.items(), mode, strict=True)):
+        declared = zip(self._declared.items(), mode, strict=True)
+        for place, ((name, region), state) in enumerate(declared):
             queue = pending.get(name, ())
             for k, event in enumerate(queue):
                 enabled = [

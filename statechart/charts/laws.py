@@ -205,19 +205,8 @@ class ChartLaws:
                 found = conditions.at(setup, state, sizes, clock.high)
                 return conditions.holding(found, setup.precision, active)
 
-            def rate(k: int, order: int) -> Array:
-                return watch.rate(k, order, setup, state, sizes, clock.high)
-
-            def later(margin: str) -> float:
-                return self._derivatives.sign(
-                    setup, flow.moving, margin, state, sizes, clock.high, setup.precision
-                )
-
-            rows = watch.at(setup, state, sizes, clock.high)
-            truths = GuardTruths(
-                watch, rows, rate, flow.tolerances, fired, setup.precision, later, active
-            )
-            firing = self._queues.first(self._flat, flow.mode, pending, truths.due(), holding)
+            truths = GuardTruths(watch, at, state, sizes, self._derivatives, active)
+            firing = self._queues.first(flow.mode, pending, truths.due(), holding)
             if firing is None:
                 tolerances = truths.watched()
                 if tolerances == flow.tolerances:
@@ -392,7 +381,6 @@ def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Com
             lambda part: {**part, "variables": list(part.get("variables", ()))},
             composed,
             lambda _: _restricted,
-            joint=False,
         )
     except (StatechartError, ValidationError):
         return ()

@@ -74,11 +74,11 @@ class Transition(fields.Part):
         default=None,
     )
     internal: StrictBool = declare(
-        "Whether the source, which holds the target, is neither left nor entered.",
+        "Keeps the source, which holds the target, active: it is neither exited nor entered.",
         True,
         default=False,
     )
-    updates: dict[str, fields.FiniteText] = declare(
+    updates: dict[str, fields.FiniteConstantText] = declare(
         "New values of variables, as formulas of the values before.",
         {"v": "-k*v"},
         unit="that of the variable",
@@ -114,20 +114,20 @@ class Transition(fields.Part):
 
     @model_validator(mode="before")
     @classmethod
-    def _one_source(cls, given: Any) -> Any:
+    def _one_source(cls, value: Any) -> Any:
         """Explain spellings of other programs: lists of states, and guards that always hold."""
-        if isinstance(given, Mapping):
+        if isinstance(value, Mapping):
             for key in ("from", "to"):
-                if isinstance(given.get(key), list):
+                if isinstance(value.get(key), list):
                     advice = SEVERAL_SOURCES if key == "from" else "write the state it enters"
                     raise DeclarationProblem("is one state, not a list", advice=advice, loc=(key,))
-            if isinstance(given.get("guard"), bool):
+            if isinstance(value.get("guard"), bool):
                 raise DeclarationProblem(
-                    f"is a relation, not {str(given['guard']).lower()}",
+                    f"is a relation, not {str(value['guard']).lower()}",
                     advice="write x <= 0; time >= 0 always holds",
                     loc=("guard",),
                 )
-        return given
+        return value
 
     @model_validator(mode="after")
     def _one_trigger(self) -> Self:
@@ -181,7 +181,7 @@ class BaseState(fields.Part):
         default={},
     )
     transitions: tuple[Transition, ...] = declare(
-        "Ways between the states in it.",
+        "Transitions between the states in it.",
         [{"name": "begin", "from": "waiting", "to": "working", "after": 1}],
         default=(),
     )
@@ -192,18 +192,18 @@ class BaseState(fields.Part):
         default=None,
     )
     final: StrictBool = declare(
-        "Whether the state that holds it is done with it: entering it makes the event "
-        "STATE.done, of a state with regions once all of them are done.",
+        "Marks a final state: entering it completes the state that holds it and raises the event "
+        "STATE.done; a state with regions is complete once all of them are.",
         True,
         default=False,
     )
-    entry: dict[str, fields.FiniteText] = declare(
+    entry: dict[str, fields.FiniteConstantText] = declare(
         "Values of variables when the state is entered.",
         {"count": "count + 1"},
         unit="that of the variable",
         default={},
     )
-    exit: dict[str, fields.FiniteText] = declare(
+    exit: dict[str, fields.FiniteConstantText] = declare(
         "Values of variables when the state is left.",
         {"count": 0},
         unit="that of the variable",
@@ -229,7 +229,7 @@ class BaseRegion(fields.Part):
     initial: str = declare("State at the start.", "flight")
     states: Mapping[str, BaseState] = declare("Name to state.", {"flight": {}, "stance": {}})
     transitions: tuple[Transition, ...] = declare(
-        "Ways between its states.",
+        "Transitions between its states.",
         [{"name": "land", "from": "flight", "to": "stance", "on": "foot.touchdown"}],
         default=(),
     )

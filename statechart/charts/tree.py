@@ -160,7 +160,7 @@ def tree(region: BaseRegion, *loc: str | int) -> Tree:
     for index, (name, holder, at) in enumerate(entries):
         if sorts[index] in HISTORIES and parents[index] == ROOT:
             raise DeclarationProblem(
-                f"the history {name!r} has no state whose states it remembers",
+                f"the history {name!r} is in no state with states",
                 advice="put it among the states of that state, or of a region in a state",
                 loc=(*at, "history"),
             )
@@ -228,14 +228,14 @@ def _check_state(name: str, state: BaseState, at: Loc) -> None:
         )
     if state.states and not state.regions and state.initial is None:
         raise DeclarationProblem(
-            f"{name!r} holds states and does not say with which it begins",
+            f"{name!r} has states, and no initial one",
             advice=f"write initial: {next(iter(state.states))}",
             loc=at,
             key=True,
         )
     if (state.regions or not state.states) and state.initial is not None:
         raise DeclarationProblem(
-            f"{name!r} holds no states of its own to begin with",
+            f"{name!r} has an initial state, and no states",
             advice="write it in its regions" if state.regions else "add states, or remove it",
             loc=(*at, "initial"),
             key=True,
@@ -264,7 +264,7 @@ def _with_initial(bare: Tree, index: int, places: Mapping[str, int], at: Loc) ->
         found = places[initial]
         if bare.nodes[found].sort in HISTORIES:
             raise DeclarationProblem(
-                f"{initial!r} is a history, and nothing begins with one",
+                f"{initial!r} is a history, which cannot be initial",
                 advice="write a state",
                 loc=(*at, "initial"),
             )

@@ -29,7 +29,7 @@ _RUNS: tuple[tuple[str, dict[str, Any]], ...] = (
 
 
 def compile_kernels(*, quiet: bool) -> None:
-    """Compile all kernels; say on stderr how far that is, and at the end how long it took."""
+    """Compile all kernels, with a progress line and the total time on stderr."""
     from statechart import run, sweep
     from statechart.kernels.jit import ahead_of_time
 

@@ -52,11 +52,11 @@ def parser() -> argparse.ArgumentParser:
     _add_report_options(run)
     view = verb("view", "run a model, write the run as a page and open it in the browser")
     _settable(view)
-    _value(view, "--until", "T", "end of the run", type=_number_argument)
+    _value(view, "--until", "T", "end time of the run", type=_number_argument)
     _value(view, "-o --output", "PAGE", "file of the page; a temporary one by default")
-    trade = verb("trade", "measure what speed costs in accuracy")
+    trade = verb("trade", "run a model at many settings, and compare error with run time")
     _json(trade)
-    words = "folder for table, data and figure; an interrupted study goes on from there"
+    words = "folder for table, data and figure; an interrupted study continues there"
     _value(trade, "-o --output", "DIR", words)
     _add_sweep_options(verb("sweep", "run a model over its parameters: grids, tables, samples"))
     _add_list_options(
@@ -64,21 +64,29 @@ def parser() -> argparse.ArgumentParser:
     )
     _add_draw_options(verb("draw", "draw the statechart of a model, or its scene"))
     check = verb("check", "test a model's invariants over its ranges of parameters")
-    _value(check, "--examples", "N", "examples per property; 50", type=_positive, default=50)
-    _value(check, "--seed", "S", "repeats a check exactly", type=_count)
+    _value(
+        check, "--examples", "N", "examples per property (default 50)", type=_positive, default=50
+    )
+    _value(
+        check,
+        "--seed",
+        "S",
+        "seed of the examples; the same one repeats a check exactly",
+        type=_count,
+    )
     _json(check)
     ahead = verb("compile", "compile all numerical kernels, once per machine", file=False)
     ahead.add_argument("-q", "--quiet", action="store_true", help="show no progress")
     schema = verb("schema", "print the JSON Schema of the documents", file=False)
-    schema.add_argument("kind", nargs="?", metavar="KIND", help="scene or chart; else both")
+    schema.add_argument("kind", nargs="?", metavar="KIND", help="scene or chart; both by default")
     new = verb("new", "write a commented scene to start from", file=False)
-    new.add_argument("name", metavar="NAME", help="of the model; NAME.yaml is written")
+    new.add_argument("name", metavar="NAME", help="name of the model; the file is NAME.yaml")
     completion = verb("completion", "print the completion script of a shell", file=False)
     completion.epilog = (
         'source <(statechart completion bash); eval "$(statechart completion zsh)"; '
         "statechart completion fish | source"
     )
-    completion.add_argument("shell", choices=SHELLS, help="the shell that is to complete")
+    completion.add_argument("shell", choices=SHELLS, help="shell that runs the script")
     return whole
 
 
@@ -136,11 +144,11 @@ def _unknown(argument: str, verb: argparse.ArgumentParser) -> str:
     name = argument.partition("=")[0]
     assigned = [a.option_strings[0] for a in verb._actions if str(a.metavar).startswith("NAME=")]
     if name != argument and assigned and not name.startswith("-"):
-        return f"{argument!r} is left over; write {assigned[0]} before each"
+        return f"unexpected argument {argument!r}; write {assigned[0]} before each"
     if not name.startswith("-"):
         files = [a.metavar for a in verb._actions if not a.option_strings and a.metavar]
         takes = f"one {files[0]}, with blanks in quotes" if files else "options only"
-        return f"{argument!r} is left over; {verb.prog} takes {takes}"
+        return f"unexpected argument {argument!r}; {verb.prog} takes {takes}"
     if name in verb._option_string_actions:
         return f"write {name} after the verb"
     if (written := _OPTIONS.get(name, "")) in verb._option_string_actions:
@@ -163,7 +171,7 @@ def _flag(parser: argparse._ActionsContainer, names: str, words: str) -> None:
 
 
 def _add_run_options(parser: argparse.ArgumentParser) -> None:
-    _value(parser, "--until", "T", "end of the run", type=_number_argument)
+    _value(parser, "--until", "T", "end time of the run", type=_number_argument)
     _engine(parser)
     words = (
         "allowed residual of the contact impulses, relative to the fastest approach velocity in "
@@ -171,25 +179,35 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
     )
     _value(parser, "--impulse-tolerance", "R", words, type=_number_argument)
     _value(
-        parser, "--impulse-bound", "R", "residual above which the run ends", type=_number_argument
+        parser,
+        "--impulse-bound",
+        "R",
+        "residual of the contact impulses above which the run ends (engine impulse)",
+        type=_number_argument,
     )
     parser.add_argument(
         "--record",
         choices=("modes", "poses", "nothing"),
-        help="what a run of the engine impulse keeps: modes and events, the states at every step, "
+        help="data that the engine impulse records: modes and events, the states at every step, "
         "or start, end and outputs",
     )
-    words = "longest time step of the other engines"
+    words = "longest time step of the engines taylor and scipy"
     _value(parser, "--max-step", "H", words, type=_number_argument)
     words = "RK45, DOP853, Radau or LSODA (engine scipy), 'long double' (engine taylor)"
     _value(parser, "--method", "M", words)
     error = parser.add_mutually_exclusive_group()
     _errors(error)
-    _value(error, "--budget", "S", "best accuracy within so many seconds", type=_number_argument)
+    _value(
+        error,
+        "--budget",
+        "S",
+        "time budget in seconds, used for the best accuracy",
+        type=_number_argument,
+    )
 
 
 def _errors(group: argparse._ActionsContainer) -> None:
-    _value(group, "--accuracy", "A", "relative error allowed", type=_number_argument)
+    _value(group, "--accuracy", "A", "allowed relative error of the result", type=_number_argument)
     _value(group, "--tolerance", "R", "relative tolerance of every step", type=_number_argument)
 
 
@@ -208,10 +226,12 @@ def _add_report_options(parser: argparse.ArgumentParser) -> None:
         help="also write samples.csv, with the data of trace.nc",
     )
     _value(parser, "--animate", "FILM", "draw the bodies in motion: .gif, or .mp4 with ffmpeg")
-    words = "run time that passes in a second of the film"
+    words = "simulated time per second of the film"
     _value(parser, "--speed", "V", words, type=_number_argument)
-    _value(parser, "--size", "PIXELS", "longer side of the film; 720", type=_count)
-    words = "time that trails of the film reach back; 0 for none"
+    _value(
+        parser, "--size", "PIXELS", "longer side of the film in pixels (default 720)", type=_count
+    )
+    words = "length of the trails in simulated time; 0 for none"
     _value(parser, "--trail", "T", words, type=_number_argument)
     _value(parser, "--report", "PAGE", "write the run as one page: .html")
     _json(parser, digits=True)
@@ -220,7 +240,7 @@ def _add_report_options(parser: argparse.ArgumentParser) -> None:
 def _json(parser: argparse.ArgumentParser, *, digits: bool = False) -> None:
     _flag(parser, "--json", "print one JSON object")
     if digits:
-        words = f"significant digits of printed numbers; {DIGITS}, and {ALL_DIGITS} for all"
+        words = f"significant digits of printed numbers (default {DIGITS}; {ALL_DIGITS} for all)"
         _value(parser, "--digits", "N", words, type=_positive, default=DIGITS)
 
 
@@ -233,7 +253,7 @@ def _add_list_options(parser: argparse.ArgumentParser) -> None:
     _json(parser, digits=True)
     words = "print the equations of motion of a mode, such as 'tip:pin' or 'A:free B:slide+'"
     _value(parser, "--equations", "MODE", words)
-    _flag(parser, "--latex", "print them in LaTeX")
+    _flag(parser, "--latex", "print the equations in LaTeX")
 
 
 def _add_draw_options(parser: argparse.ArgumentParser) -> None:
@@ -243,14 +263,14 @@ def _add_draw_options(parser: argparse.ArgumentParser) -> None:
     )
     _value(parser, "-o --output", "PATH", words)
     what = parser.add_mutually_exclusive_group()
-    _flag(what, "--visited", "run, and draw the modes and the path it took")
+    _flag(what, "--visited", "run the model, and draw the visited modes and the path through them")
     words = "draw bodies, surfaces and contacts where a run starts: .svg .png .pdf"
     _flag(what, "--scene", words)
     parser.add_argument(
         "--guards",
         choices=("legend", "inline"),
         default="legend",
-        help="guards and resets once below, or at every arrow; legend",
+        help="place of guards and resets: the legend (default), or every arrow",
     )
 
 
@@ -272,7 +292,12 @@ def _add_sweep_options(parser: argparse.ArgumentParser) -> None:
     cells = parser.add_mutually_exclusive_group()
     words = "points of a Sobol sequence over NAME=lin:A:B, a power of two"
     _value(cells, "--sobol", "N", words, type=_positive)
-    _value(cells, "--samples", "TABLE.csv", "a column for every parameter, a row for every run")
+    _value(
+        cells,
+        "--samples",
+        "TABLE.csv",
+        "table of values: a column for every parameter, a row for every run",
+    )
     _value(
         parser,
         "--outputs",
@@ -280,16 +305,16 @@ def _add_sweep_options(parser: argparse.ArgumentParser) -> None:
         "outputs to compute, separated by commas; all by default",
         type=_names,
     )
-    _value(parser, "--until", "T", "end of the runs", type=_number_argument)
+    _value(parser, "--until", "T", "end time of the runs", type=_number_argument)
     _engine(parser)
     _errors(parser.add_mutually_exclusive_group())
     where = parser.add_mutually_exclusive_group()
-    _value(where, "--workers", "N", "processes of this machine", type=_positive)
-    _value(where, "--scheduler", "ADDRESS", "of a Dask cluster: tcp://HOST:PORT")
+    _value(where, "--workers", "N", "number of processes on this machine", type=_positive)
+    _value(where, "--scheduler", "ADDRESS", "address of a Dask scheduler: tcp://HOST:PORT")
     words = "STORE.zarr, which is written block by block, or FILE.nc"
     _value(parser, "-o --output", "PATH", words)
-    _flag(parser, "--resume", "go on with the sweep in STORE.zarr")
-    _value(parser, "--plot", "PICTURE", "draw it: .svg .png .pdf")
+    _flag(parser, "--resume", "continue the sweep in STORE.zarr")
+    _value(parser, "--plot", "PICTURE", "picture of the sweep: .svg .png .pdf")
     _json(parser, digits=True)
 
 
@@ -384,7 +409,7 @@ def _positive(text: str) -> int:
 
 
 def script(shell: str) -> str:
-    """Return the script by which a shell completes verbs, options, files, and shipped models."""
+    """Return the completion script of a shell: verbs, options, files, shipped models."""
     import shtab
 
     whole = parser()

@@ -30,7 +30,7 @@ _SETTINGS = {
 
 
 def program() -> int:
-    """Be the process `statechart`: `main` with its signals, streams and garbage looked after."""
+    """Run `main` as the process `statechart`: set up signals, streams and garbage collection."""
     try:
         interrupts.listen()
         for name, value in _SETTINGS.items():
@@ -96,7 +96,7 @@ def _report_unexpected(error: Exception) -> str:
     while (cause := causes[-1].__cause__ or causes[-1].__context__) and cause not in causes:
         causes.append(cause)
     if any(isinstance(cause, MemoryError) for cause in causes):
-        return "out of memory; end the run earlier, or give the process more"
+        return "out of memory; end the run earlier, or give the process more memory"
     if any(isinstance(cause, RecursionError) for cause in causes):
         limit = sys.getrecursionlimit()
         return f"Python's recursion limit, {limit}, is too low; its usual 1000 is enough"

@@ -1,4 +1,4 @@
-"""Standard streams of the process: an error of writing is one sentence."""
+"""Standard streams of the process; write errors are reported in one sentence."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from statechart import interrupts
-from statechart.cli import places
+from statechart.cli import output_files
 from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.reporting.partial_report import PartialReport
 from statechart.tabular import Table, TextBlock, table, write_plain
@@ -69,25 +69,25 @@ def run(arguments: argparse.Namespace) -> int:
     runner = _runner(
         arguments.file,
         **{part.name: getattr(arguments, part.name) for part in fields(Setting)},
-        study=places.stored_study(arguments),
+        study=output_files.stored_study(arguments),
         once=True,
         progress=not arguments.quiet,
     )
-    places.check_folder(arguments.output)
+    output_files.check_folder(arguments.output)
     if arguments.samples is not None and (
-        arguments.output is None or places.is_store(arguments.output)
+        arguments.output is None or output_files.is_store(arguments.output)
     ):
         raise DeclarationError(
             "--samples and --no-samples need --output DIR",
             advice="add --output DIR, or remove them",
         )
-    places.check_animation(runner, arguments)
-    places.check_file("--report", arguments.report, places.PAGES)
+    output_files.check_animation(runner, arguments)
+    output_files.check_file("--report", arguments.report, output_files.PAGES)
     if arguments.output is not None:
         import xarray  # noqa: F401, it takes a second that a signal does not leave
     result = runner.run(parameters, until=arguments.until, certify=arguments.certify, throw=False)
-    # From here on nothing is lost: a part that fails is left out, with a message.
-    with interrupts.held(), interrupts.limit_time(places.PATIENCE):
+    # From here on a part that fails is omitted with a message, and the others are written.
+    with interrupts.deferred(), interrupts.limit_time(output_files.PATIENCE):
         complete = _deliver(runner, result, parameters, arguments)
     request = result.asked
     met = (
@@ -101,7 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _deliver(
     runner: Runner, result: Result, parameters: Mapping[str, float], arguments: argparse.Namespace
 ) -> bool:
-    """Save and print a run; return whether all of it could be."""
+    """Save and print a run; return whether no part failed."""
     pieces, failure = PartialReport(), ""
     result = replace(result, trace=result.trace.at_hand())
 
@@ -138,11 +138,16 @@ def _deliver(
     if arguments.animate is not None:
         shown = not arguments.quiet
         draw = functools.partial(
-            result.animate, arguments.animate, progress=shown, **places.film_options(arguments)
+            result.animate,
+            arguments.animate,
+            progress=shown,
+            **output_files.film_options(arguments),
         )
         pieces.attempt(arguments.animate, draw, None)
     if arguments.report is not None:
-        study, warnings = places.shown_study(runner.model, arguments.report, arguments.output)
+        study, warnings = output_files.study_for_page(
+            runner.model, arguments.report, arguments.output
+        )
         warn(warnings)
         page = functools.partial(result.report, arguments.report, study=study)
         pieces.attempt(arguments.report, page, None)
@@ -163,7 +168,7 @@ def _save(
     from statechart.reporting.run_store import write_store
     from statechart.reporting.tables import write_run
 
-    if places.is_store(output):
+    if output_files.is_store(output):
         write_store(output, result.observer, result.trace, report_of())
         return
     if samples is None and result.trace.record is Record.MODES:
@@ -174,7 +179,7 @@ def _save(
 
 def view(arguments: argparse.Namespace) -> int:
     """Run a model, write the run as a page, and open that."""
-    places.check_file("-o", arguments.output, places.PAGES)
+    output_files.check_file("-o", arguments.output, output_files.PAGES)
     runner = _runner(arguments.file, once=True, progress=not arguments.quiet)
     parameters = _assigned_values("--set", arguments.parameters)
     result = runner.run(parameters, until=arguments.until, throw=False)
@@ -182,7 +187,7 @@ def view(arguments: argparse.Namespace) -> int:
     place = arguments.output or Path(
         tempfile.mkdtemp(prefix="statechart-"), f"{runner.model.name}.html"
     )
-    study, warnings = places.shown_study(runner.model, arguments.output)
+    study, warnings = output_files.study_for_page(runner.model, arguments.output)
     warn(warnings)
     page = result.report(place, study=study).resolve()
     print(page)
@@ -271,13 +276,13 @@ def modes(arguments: argparse.Namespace) -> int:
 
 
 def draw(arguments: argparse.Namespace) -> int:
-    """Draw the statechart, with the path of a run where asked for or needed; or the scene."""
+    """Draw the scene or the statechart, with the path of a run if requested or needed."""
     from statechart.diagram.scxml import unexpressed_parts
     from statechart.diagram.write import SUFFIXES, write
     from statechart.reporting.figure import SUFFIXES as FIGURES
     from statechart.running.drawing import draw_scene, drawn
 
-    places.check_file("-o", arguments.output, FIGURES if arguments.scene else SUFFIXES)
+    output_files.check_file("-o", arguments.output, FIGURES if arguments.scene else SUFFIXES)
     runner = _runner(arguments.file, progress=not arguments.quiet)
     with _target(arguments.output, f"{runner.model.name}.svg") as path:
         if arguments.scene:
@@ -317,7 +322,7 @@ def _open(path: Path) -> None:
     import webbrowser
 
     if not webbrowser.open(path.resolve().as_uri()):
-        print("no browser was found; open this file in one", file=sys.stderr)
+        print("no browser was found; open the file yourself", file=sys.stderr)
 
 
 def trade(arguments: argparse.Namespace) -> int:
@@ -325,7 +330,7 @@ def trade(arguments: argparse.Namespace) -> int:
     from statechart.study.text import describe_study, to_dict
     from statechart.study.trade import trade as study_of
 
-    places.check_folder(arguments.output)
+    output_files.check_folder(arguments.output)
     runner = _runner(arguments.file)
     study = study_of(runner, folder=arguments.output, progress=_printer(arguments))
     pieces = PartialReport()
@@ -365,16 +370,16 @@ def sweep(arguments: argparse.Namespace) -> int:
     plan = make_plan(
         arguments.file, over, samples, setting, until=arguments.until, outputs=arguments.outputs
     )
-    places.check_sweep(arguments, plan)
-    store = arguments.output if places.is_store(arguments.output) else None
+    output_files.check_sweep(arguments, plan)
+    store = arguments.output if output_files.is_store(arguments.output) else None
     shown = not arguments.quiet
     workers = arguments.workers and min(arguments.workers, plan.size)
     with crew(workers, arguments.scheduler) as executor:
         made = run_plan(plan, executor, store=store, resume=arguments.resume, progress=shown)
     pieces = PartialReport()
-    with interrupts.held(), interrupts.limit_time(places.PATIENCE):
+    with interrupts.deferred(), interrupts.limit_time(output_files.PATIENCE):
         data = made.dataset(loaded=True)
-        places.write_sweep(arguments, plan, data, pieces)
+        output_files.write_sweep(arguments, plan, data, pieces)
         report = results.to_dict(plan, data, where=arguments.output)
         if arguments.json:
             print_json(report)
@@ -419,7 +424,7 @@ def check(arguments: argparse.Namespace) -> int:
 
 @contextmanager
 def _hypothesis_folder() -> Iterator[None]:
-    """Let Hypothesis keep its notes elsewhere: in the user's folder nothing is left behind."""
+    """Store the example database of Hypothesis in a temporary folder."""
     from hypothesis.configuration import set_hypothesis_home_dir
 
     with tempfile.TemporaryDirectory() as folder:
@@ -439,7 +444,7 @@ def schema(arguments: argparse.Namespace) -> int:
 
 
 def compile(arguments: argparse.Namespace) -> int:
-    """Compile all kernels; say on stderr how far that is, and at the end how long it took."""
+    """Compile all kernels, with a progress line and the total time on stderr."""
     from statechart.cli.ahead_of_time import compile_kernels
 
     compile_kernels(quiet=arguments.quiet)
@@ -465,7 +470,7 @@ def new(arguments: argparse.Namespace) -> int:
     path = Path(f"{name}.yaml")
     if path.exists() or path.is_symlink():
         raise DeclarationError(f"{path} exists already", advice="choose another name")
-    places.check_file("new", str(path))
+    output_files.check_file("new", str(path))
     text = line("scene") + kind("scene").starter.read_text(encoding="utf-8").replace("NAME", name)
     interpret(read_text(text, str(path)))
     write_atomic(path, text.encode())
@@ -491,7 +496,7 @@ def _runner(file: str, **options: Any) -> Runner:
 
 
 def _collect_garbage() -> None:
-    """Turn garbage collection on, except for what is loaded by now."""
+    """Turn garbage collection on, except for objects that exist already."""
     if not gc.isenabled():
         gc.freeze()
         gc.enable()

@@ -61,7 +61,7 @@ def build(
         return Diagram(automaton.name, shown, notes, modes.graph, explained=charts)
     if needs_run(automaton):
         raise ValueError("a product of so many modes is drawn as a run visited it")
-    notes = _notes(automaton)
+    notes = _remarks(automaton)
     if not moving:
         notes = (*notes, "one mode: no contacts, no regions")
     if len(moving) < 2 or any(map(_is_composed, moving)):
@@ -228,7 +228,7 @@ def _run(automaton: Automaton, trace: Trace, modes: Product) -> tuple[Chart, tup
         colours = tuple(automaton.colours[region.name][state] for region, state in lines)
         initial = key == path[0]
         nodes.append(Node(_name(key), label, initial=initial, visits=visits[key], colours=colours))
-    notes = list(_notes(automaton))
+    notes = list(_remarks(automaton))
     if len(drawn_path) < len(path):
         notes.append(
             f"{pluralise(len(visits), 'mode')} in {pluralise(len(path), 'step')}, of which the "
@@ -301,7 +301,7 @@ def _run_links(automaton: Automaton, modes: Product) -> list[Link]:
     ]  # fmt: skip
 
 
-def _notes(automaton: Automaton) -> tuple[str, ...]:
+def _remarks(automaton: Automaton) -> tuple[str, ...]:
     notes = [automaton.declaration.doc] if automaton.declaration.doc else []
     if automaton.stops:
         notes.append(f"stops when: {', '.join(stop.name for stop in automaton.stops)}")

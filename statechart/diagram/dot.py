@@ -125,11 +125,11 @@ def _source(page: LayoutBlock, title: str) -> str:
     for box in page.boxes:
         width, height = (f"{side / INCH:.4f}" for side in box.size)
         place = f"{box.centre[0]:.2f},{box.centre[1]:.2f}"
-        look = {**box.attributes, "width": width, "height": height}
-        if look["shape"] == "plain":
+        attributes = {**box.attributes, "width": width, "height": height}
+        if attributes["shape"] == "plain":
             # A box as large as its text.
-            look |= {"shape": "none", "margin": "0"}
-        graph.node(box.name, pos=place, **look)
+            attributes |= {"shape": "none", "margin": "0"}
+        graph.node(box.name, pos=place, **attributes)
     for arrow in page.arrows:
         graph.edge(arrow.source, arrow.target, pos=arrow.curve, **arrow.attributes)
     return str(graph.source)

@@ -46,7 +46,7 @@ def _units(value: Any) -> Any:
     if isinstance(value, str):
         if value not in quantities.SYSTEMS:
             raise DeclarationProblem(
-                f"no units are called {value!r}",
+                f"unknown system of units {value!r}",
                 advice=close_matches(value, quantities.SYSTEMS) + ", or each by itself as in "
                 "{length: mm, time: s, mass: g}",
             )
@@ -78,7 +78,7 @@ class Declaration(Part):
         **dict.fromkeys(("sensor", "sensors", "output"), "outputs: {NAME: {value: FORMULA}}"),
     }
 
-    kind: str = declare("What is declared.", "scene")
+    kind: str = declare("Kind of the document.", "scene")
     name: NameText = declare("Name of the model: letters, digits and _.", "toppling_stick")
     doc: str = declare(
         "Description of the model in one line.",
@@ -317,7 +317,7 @@ class Declaration(Part):
             with found:
                 if name not in named:
                     raise DeclarationProblem(
-                        f"nothing is called {name!r}",
+                        f"unknown name {name!r}",
                         advice=close_matches(name, named),
                         loc=("units", name),
                         key=True,
@@ -372,7 +372,7 @@ class Declaration(Part):
                     )
                     raise DeclarationProblem(
                         f"with {name} = {end:g}, {{see}}: {error.message}",
-                        advice="let the range end where the model is still one",
+                        advice="narrow the range to values of valid models",
                         loc=("ranges", name, place),
                         see=at,
                     ) from None

@@ -51,9 +51,9 @@ def _check_jumps(*formulas: Formula) -> None:
             if all(name.name != TIME for name in tree.names_in(call.arguments[0])):
                 raise DeclarationProblem(
                     f"formula {formula.text!r}: {call.function} jumps, and may stand only in "
-                    "parameters, starts and copies",
+                    "parameters, starts, copies and updates",
                     advice="write a parameter if its arguments are constant; along a run, write "
-                    "mod(time, T), or a state for each piece",
+                    "mod(time, T), a state for each piece, or updates: {VARIABLE: FORMULA}",
                     offset=call.offset,
                 )
 
@@ -132,10 +132,10 @@ FormulaText = Annotated[str | int | float, BeforeValidator(_formula)]
 """A number or formula, stored as written (infinity as the text `inf`)."""
 
 ConstantText = Annotated[str | int | float, BeforeValidator(_constant)]
-"""A formula evaluated once before a run, which may contain `floor` and `mod`."""
+"""A formula evaluated before a run or at instants, which may contain `floor` and `mod`."""
 
 FiniteConstantText = Annotated[ConstantText, AfterValidator(_without_infinity)]
-"""A constant formula without `inf`."""
+"""A formula evaluated before a run or at instants, without `inf`."""
 
 FiniteText = Annotated[FormulaText, AfterValidator(_without_infinity)]
 """A formula without `inf`."""

@@ -94,10 +94,10 @@ OTHER_EVENTS: Mapping[str, str] = {
 """Event of another program -> our event."""
 
 
-def other_value(given: object, known: str) -> str:
+def other_value(value: object, known: str) -> str:
     """Return advice on a synonym of a known value, or nothing."""
-    word = OTHER_VALUES.get(_plain(str(given)), "")
-    if word == "scipy" and (method := str(given).upper()) in ("RK45", "DOP853", "LSODA"):
+    word = OTHER_VALUES.get(_plain(str(value)), "")
+    if word == "scipy" and (method := str(value).upper()) in ("RK45", "DOP853", "LSODA"):
         word += f" with the method {method}"
     return f"write {word}" if f"'{word.partition(' ')[0]}'" in known else ""
 
@@ -135,15 +135,15 @@ def example(
     return repr(shown) if built else flow(shown)
 
 
-def one_value(loc: Sequence[str | int], given: object) -> str:
+def one_value(loc: Sequence[str | int], value: object) -> str:
     """Return advice on a list in the place of one value, or an empty text."""
-    if not (isinstance(given, list | tuple) and given):
+    if not (isinstance(value, list | tuple) and value):
         return ""
     if len(loc) == 2 and loc[0] == "parameters":
-        shown = f"ranges: {{{loc[1]}: {flow(given)}}}"
-        return f"write {loc[1]}: {given[0]}; for checks {shown}; for a sweep --over {loc[1]}=..."
+        shown = f"ranges: {{{loc[1]}: {flow(value)}}}"
+        return f"write {loc[1]}: {value[0]}; for checks {shown}; for a sweep --over {loc[1]}=..."
     if loc[-1] == "on":
-        return f"write {' or '.join(map(str, given))}"
+        return f"write {' or '.join(map(str, value))}"
     return "write a contact for each surface" if loc[-1] == "surface" else ""
 
 
@@ -157,7 +157,7 @@ def known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> dict[str, st
 
 
 def other_word(model: type[BaseModel], loc: Sequence[str | int]) -> str:
-    """Return our notation for a key of another program, or an empty text."""
+    """Return the key that corresponds to one of another program, or an empty text."""
     members = _models(_annotations_at(model, loc[:-1]))
     key = _plain(str(loc[-1]))
     return next(

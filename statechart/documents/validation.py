@@ -102,12 +102,13 @@ def _is_implied(
     if details["type"] == "missing":
         # A misspelt key, or one of another program, is also missing.
         *above, name = details["loc"]
+        # Advice on the latter may replace the mapping, as `friction: 0.5` does {mu: 0.5}.
         return any(
             other["type"] == "extra_forbidden"
             and list(other["loc"][:-1]) == above
             and (
                 difflib.get_close_matches(str(other["loc"][-1]), [str(name)])
-                or other_word(model, other["loc"]).partition(":")[0] == name
+                or other_word(model, other["loc"]).partition(":")[0] in (*above, name)
             )
             for other in errors
         )
@@ -208,8 +209,8 @@ def _to_error(
             name = details["loc"][-1]
             advice = f"such as {name}={shown}" if built else f"such as {name}: {shown}"
         elif kind == "model_type" and loc[-1] in known_keys(model, loc):
-            given = flow(details["input"])
-            advice = f"it belongs below a name, such as NAME: {{{loc[-1]}: {given}}}"
+            value = flow(details["input"])
+            advice = f"it belongs below a name, such as NAME: {{{loc[-1]}: {value}}}"
         elif kind in _SHAPES and shown and not advice:
             advice = one_value(loc, details["input"]) or f"such as {shown}"
     # Missing and unknown keys have the path of their part, or a position alone.
@@ -246,7 +247,7 @@ def _key_advice(details: ErrorDetails, model: type[BaseModel], known: Collection
 def _message_and_advice(
     details: ErrorDetails, known: Sequence[str], *, built: bool
 ) -> tuple[str, str]:
-    kind, last, given = details["type"], details["loc"][-1:], details["input"]
+    kind, last, value = details["type"], details["loc"][-1:], details["input"]
     context: Mapping[str, Any] = details.get("ctx", {})
     if kind == "extra_forbidden":
         return f"unknown key {last[0]!r}", close_matches(str(last[0]), known).replace(
@@ -254,7 +255,7 @@ def _message_and_advice(
         )
     if kind == "missing":
         if isinstance(last[0], int):
-            return f"must have {pluralise(last[0] + 1, 'item')}, not {len(given)}", ""
+            return f"must have {pluralise(last[0] + 1, 'item')}, not {len(value)}", ""
         return f"{last[0]!r} is missing", ""
     if kind == "too_long":
         # Lists of a fixed length are pairs.
@@ -263,21 +264,21 @@ def _message_and_advice(
         return f"must have {words}, not {context['actual_length']}", ""
     if "error" in context:
         return str(context["error"]), ""
-    shown = repr(given) if isinstance(given, str | int | float | None) else type(given).__name__
+    shown = repr(value) if isinstance(value, str | int | float | None) else type(value).__name__
     shown = shown if len(shown) <= 60 else shown[:57] + "..."
     shown = {"dict": "a mapping", "list": "a list", "None": "nothing"}.get(shown, shown)
-    if isinstance(given, bool) and not built:
-        shown = flow(given)
-    if isinstance(given, type):
+    if isinstance(value, bool) and not built:
+        shown = flow(value)
+    if isinstance(value, type):
         brackets = "()" if kind == "union_tag_not_found" else "(...)"
-        name = given.__name__
+        name = value.__name__
         return f"must be built, not the class {name}", f"write {name}{brackets}"
-    if hasattr(given, "tolist"):
+    if hasattr(value, "tolist"):
         return "must be plain numbers, not an array: write .tolist() behind it", ""
     if kind in _EXPECTED:
         return f"must be {_EXPECTED[kind]}, not {shown}", ""
-    if kind == "output" and isinstance(given, Mapping) and given:
-        word, message = str(next(iter(given))), context.get("message", details["msg"])
+    if kind == "output" and isinstance(value, Mapping) and value:
+        word, message = str(next(iter(value))), context.get("message", details["msg"])
         return f"{message}, not {word!r}", other_value(
             word, "'value', 'integral', 'minimum', 'maximum'"
         )
@@ -286,11 +287,11 @@ def _message_and_advice(
         return f"must be one of {tags}, not {context['tag']!r}", other_value(context["tag"], tags)
     if kind == "too_short":
         least = context["min_length"]
-        given = context["actual_length"] or "none"
-        return f"must have at least {least} item{'s' if least != 1 else ''}, not {given}", ""
+        value = context["actual_length"] or "none"
+        return f"must have at least {least} item{'s' if least != 1 else ''}, not {value}", ""
     if kind == "literal_error":
         expected = context["expected"]
-        return f"must be {expected}, not {shown}", other_value(given, expected)
+        return f"must be {expected}, not {shown}", other_value(value, expected)
     return f"{details['msg'].replace('Input should', 'must', 1)}; got {shown}", ""
 
 
@@ -390,7 +391,7 @@ def _locate(
     message = _message(document, problem)
     message = f"{path}: {message}" if path else message
     if overrides:
-        message += " with " + ", ".join(f"{k}={v:g}" for k, v in overrides.items()) + " set"
+        message += " (with " + ", ".join(f"{k} = {v:.7g}" for k, v in overrides.items()) + ")"
     if document is None:
         return DeclarationError(message, advice=problem.advice)
     at = document.position(problem.loc, key=problem.key).shifted(problem.offset)

@@ -238,7 +238,7 @@ def first_tolerances(
 ) -> None:
     """Write the tolerances of the first search: zero for plain margins that start above zero.
 
-    See `statechart.execution.finding`. Writes the initial margins if one of them is plain.
+    See `statechart.execution.event_classification`. Writes initial margins if one is plain.
     """
     plain = False
     for i in range(row[MARGINS]):

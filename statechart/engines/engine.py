@@ -21,7 +21,7 @@ from statechart.errors import OutOfBudget, StepFailure, TooLong
 from statechart.formulas.tape import Tape
 
 
-class Allowance:
+class TimeBudget:
     """Time budget of several runs; a compilation is not interrupted."""
 
     def __init__(self, seconds: float, clock: Callable[[], float] = working_time) -> None:
@@ -115,13 +115,13 @@ NEAR = 0.05
 """Constraint residual, in tolerances, above which a state is projected."""
 
 
-class Begin(Enum):
-    """Continuation of a call for steps."""
+class Continuation(Enum):
+    """Start of a call for steps, relative to the last call."""
 
-    NEW = "another flow, or another run"
-    MOVED = "the same flow, its state projected since"
-    ON = "the same flow, where it was left"
-    BACK = "the same flow, from before where it was left"
+    NEW = "a new flow, or a new run"
+    MOVED = "the same flow; its state was projected"
+    ON = "the same flow, from its last state"
+    BACK = "the same flow, from an earlier state"
 
 
 class FlowWatch(NamedTuple):
@@ -144,7 +144,7 @@ class Pace(NamedTuple):
     terms: int  # of the series
 
 
-class Entry(NamedTuple):
+class StepFunction(NamedTuple):
     """Step function of a mode, for compiled loops."""
 
     address: int  # see `statechart.engines.taylor_loop.Step`
@@ -164,7 +164,7 @@ class Engine(ABC):
     evaluations: int = 0  # of the rates; 0 if not counted
     sizes: Array | None = None  # (n,) scales of the variables in a run
     floor: Array | float = 0.0  # (n,) absolute tolerance / relative tolerance in a flow
-    allowance: Allowance | None = None  # such runs are computed step by step
+    time_budget: TimeBudget | None = None  # such runs are computed step by step
     # Allowed error of the slope at the end of a step, relative to a variable and its change. The
     # slope of dense output has a lower order than the step.
     allowed: float
@@ -178,7 +178,7 @@ class Engine(ABC):
     def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> object:
         """Return the stepper of a mode with these rates, for `steps`."""
 
-    def entry(self, stepper: object) -> Entry | None:
+    def step_function(self, stepper: object) -> StepFunction | None:
         """Return the step function of a stepper for compiled loops, or None."""
         return None
 
@@ -194,7 +194,7 @@ class Engine(ABC):
         state: Array,
         until: float,
         count: int,
-        begin: Begin,
+        continuation: Continuation,
         end: Array,
     ) -> bool:
         """Append up to `count` steps to `path`; return whether the last one ends at `until`.

@@ -133,10 +133,10 @@ def plan_request(
 
     `once`: see `Measured.choose`.
     """
-    settings, given = model.settings, requested
+    settings, own_request = model.settings, requested
     # A requested method implies scipy, and overrides the file.
     engine = requested.engine or ("scipy" if requested.method is not None else settings.engine)
-    steps_only = engine == "auto" and automaton.own_step is not None
+    steps_only = engine == "auto" and automaton.default_step is not None
     requested = replace(requested, engine="impulse" if steps_only else engine)
     missing = (name for name in OF_STEPS if getattr(requested, name) is None)
     declared = {name: getattr(settings, name) for name in missing}
@@ -151,7 +151,11 @@ def plan_request(
         # A value of the call has no place in the file.
         raise DeclarationError(problem.message, advice=problem.advice) from None
     # A value in the file is reported with its place.
-    of_file = requested.engine == settings.engine and given.engine is None and given.method is None
+    of_file = (
+        requested.engine == settings.engine
+        and own_request.engine is None
+        and own_request.method is None
+    )
     if requested.engine != "impulse" and automaton.laws is None:
         message = f"the engine {requested.engine} cannot run bodies that collide by their shapes"
         raise _refusal(message, "leave the engine out, or take impulse", of_file)
@@ -224,8 +228,8 @@ def _plan_steps(
     )
     step, basis = requested.step or model.settings.step, "as given"
     searched = requested.accuracy is not None
-    if step is None and automaton.own_step is not None and (steps_only or searched):
-        step, basis = automaton.own_step(), "chosen by the size and speeds of the scene"
+    if step is None and automaton.default_step is not None and (steps_only or searched):
+        step, basis = automaton.default_step(), "chosen by the size and speeds of the scene"
     if step is None and searched:
         basis = "a thousandth of the run"
     elif step is None:

@@ -13,7 +13,7 @@ from scipy import integrate
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
-from statechart.engines.engine import Begin, Engine, FlowWatch, Path
+from statechart.engines.engine import Continuation, Engine, FlowWatch, Path
 from statechart.errors import NonFinite, StepFailure
 from statechart.formulas.tape import Tape
 
@@ -71,7 +71,7 @@ class SciPy(Engine):
         state: Array,
         until: float,
         count: int,
-        begin: Begin,
+        continuation: Continuation,
         end: Array,
     ) -> bool:
         """Take one step, after which the constraints are projected."""
@@ -80,7 +80,7 @@ class SciPy(Engine):
         start = watch.start + reached
         # Trial steps may overflow, and are rejected.
         with np.errstate(over="ignore", invalid="ignore"):
-            solver = self._step(stepper, watch, start, state, until - reached, begin)
+            solver = self._step(stepper, watch, start, state, until - reached, continuation)
         if solver.status == "failed":
             raise StepFailure(
                 f"{self.method} at t = {start:.6g} needs steps shorter than the resolution of "
@@ -110,13 +110,17 @@ class SciPy(Engine):
         start: float,
         state: Array,
         duration: float,
-        begin: Begin,
+        continuation: Continuation,
     ) -> Any:
         solver = stepper.solver
-        if begin is Begin.MOVED and self.method == "LSODA" and solver.status == "running":
+        if (
+            continuation is Continuation.MOVED
+            and self.method == "LSODA"
+            and solver.status == "running"
+        ):
             _move(solver, state)
-        elif begin is not Begin.ON:
-            if begin is Begin.NEW:
+        elif continuation is not Continuation.ON:
+            if continuation is Continuation.NEW:
                 stepper.suggested = None
             solver = self._solver(stepper, watch.parameters, start, state, duration)
             stepper.solver = solver

@@ -18,7 +18,7 @@ from statechart.automaton.regions import Mode
 from statechart.compiling import whole
 from statechart.documents.fields import TIME
 from statechart.documents.setting import LONG_DOUBLE
-from statechart.engines.engine import Begin, Engine, Entry, FlowWatch, Pace, Path
+from statechart.engines.engine import Continuation, Engine, FlowWatch, Pace, Path, StepFunction
 from statechart.engines.taylor_loop import (
     MAX_HALVINGS,
     MAX_SLOPE_ERROR,
@@ -142,13 +142,13 @@ class Taylor(Engine):
             rates,
         )
 
-    def entry(self, stepper: object) -> Entry | None:
+    def step_function(self, stepper: object) -> StepFunction | None:
         """Return the step function for compiled loops (see `Engine`)."""
         assert isinstance(stepper, _Stepper)
         if stepper.compiled is None:
             return None
         pace = Pace(self.tolerance, self.max_step, self.allowed, stepper.shape[1])
-        return Entry(stepper.compiled.address, stepper.fixed, len(stepper.pars), pace)
+        return StepFunction(stepper.compiled.address, stepper.fixed, len(stepper.pars), pace)
 
     def check(self, stepper: object, state: Array, parameters: Array, time: float) -> None:
         """Raise `Unsupported` at a non-integer power with base zero."""
@@ -169,7 +169,7 @@ class Taylor(Engine):
         state: Array,
         until: float,
         count: int,
-        begin: Begin,
+        continuation: Continuation,
         end: Array,
     ) -> bool:
         """Take up to `count` steps (see `Engine`)."""
@@ -178,7 +178,7 @@ class Taylor(Engine):
         reached = path.times.item(first)
         path.reserve(count, *stepper.shape)
         start = watch.start + reached
-        if begin is not Begin.ON:
+        if continuation is not Continuation.ON:
             stepper.enter(state, watch, start)
         if stepper.compiled is None:
             remaining = self._number(until - reached)

@@ -131,15 +131,15 @@ class Certificate:
     def jump(self, instant: Instant, jump: Jump) -> None:
         """Process a jump: repeat it from displaced states."""
         with np.errstate(all="ignore"):
-            states = self._states or self._arrived(instant)
-            self._states = [self._jumped(instant._replace(state=x), jump) for x in states]
+            states = self._states or self._event_states(instant)
+            self._states = [self._state_after_jump(instant._replace(state=x), jump) for x in states]
 
     def switch(self, instant: Instant) -> None:
         """Process an instant at which only the rates jump."""
         with np.errstate(all="ignore"):
-            self._states = self._states or self._arrived(instant)
+            self._states = self._states or self._event_states(instant)
 
-    def _jumped(self, instant: Instant, jump: Jump) -> Array:
+    def _state_after_jump(self, instant: Instant, jump: Jump) -> Array:
         """Return the state after the jump from a displaced state."""
         target = _jump_target(self._laws, instant, jump)
         if (
@@ -169,8 +169,8 @@ class Certificate:
         except SimulationError:
             return states
 
-    def _arrived(self, instant: Instant) -> list[Array]:
-        """Return the state of an event, displaced states at theirs, and one along the flow."""
+    def _event_states(self, instant: Instant) -> list[Array]:
+        """Return the event state, displaced states at their own events, and one along the flow."""
         before, size = instant.state, len(self._scale)
         self._later, self._early, flow = np.zeros(size), 0.0, np.zeros(size)
         if self._before is None:
@@ -182,6 +182,10 @@ class Certificate:
         if instant.fired and instant.fired[0] in compiled.names:
             guard = compiled.names.index(instant.fired[0])
             slope, rates, guard_rate = self._falling(compiled, guard, before, time)
+            if guard_rate == 0.0:
+                # The time of an event at which the guard stands still is not linear in the error.
+                self._linear = False
+                return self._displaced(projected[0], np.column_stack([tangents, flow]))
             self._later = -(slope / guard_rate) @ tangents
             margin = compiled.guards.values(before, self._setup.values, time)[guard]
             flow, self._early = rates, -float(margin) / guard_rate
@@ -246,7 +250,7 @@ class Certificate:
 
 
 def _jump_target(laws: Laws, instant: Instant, jump: Jump) -> Array | None:
-    """Return the state after a jump from a nearby instant; None if another jump is made there."""
+    """Return the state after a jump from a nearby instant; None for a different jump."""
     for _ in range(_MAX_REARRANGEMENTS):
         try:
             result = laws.jump(instant)

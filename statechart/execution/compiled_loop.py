@@ -27,7 +27,7 @@ from statechart.engines.compiled_flow import (
     ModeTable,
     flow_workspace,
 )
-from statechart.engines.engine import Engine, Entry, Pace
+from statechart.engines.engine import Engine, Pace, StepFunction
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.formulas.tape import Tape
 
@@ -162,7 +162,7 @@ class LoopModes:
         self.laws, self._engine, self._automaton = laws, engine, automaton
         self._watched: dict[Kind, Tape] = {}
         self.compiled: dict[Kind, CompiledMode] = {}
-        self._entries: dict[Kind, Entry] = {}
+        self._step_functions: dict[Kind, StepFunction] = {}
         self._bands: dict[str, int] = {}
         self._call: Any = None  # as `CompiledLaws.call` returns it
         self._worth = _CompilationPolicy(laws.ready)
@@ -179,9 +179,9 @@ class LoopModes:
         kind = mode, roles
         if kind in self.compiled or self.laws.listed(*kind, compiled.names) is None:
             return
-        entry = self._engine.entry(compiled.stepper)
-        if entry is not None and self._engine.allowance is None:
-            self.compiled[kind], self._entries[kind] = compiled, entry
+        step_function = self._engine.step_function(compiled.stepper)
+        if step_function is not None and self._engine.time_budget is None:
+            self.compiled[kind], self._step_functions[kind] = compiled, step_function
             self._call = None
 
     def batch(self, count: int) -> Any:
@@ -253,7 +253,7 @@ class LoopModes:
         rows = np.zeros((len(self.kinds), COLUMNS), np.int64)
         rows[:, LAWS_AT] = -1
         for kind, compiled in self.compiled.items():
-            entry = self._entries[kind]
+            step_function = self._step_functions[kind]
             margins = [
                 (KINDS.index(kind_of_margin), self._bands.setdefault(name, len(self._bands)))
                 for name, kind_of_margin in compiled.watched
@@ -263,14 +263,14 @@ class LoopModes:
             curvature_tape = self.laws.within(kind[0])
             row = rows[self.kinds.index(kind)]
             row[:] = (
-                entry.address,
-                entry.takes,
+                step_function.address,
+                step_function.takes,
                 packed.ints(np.ravel(margins)),
                 len(margins),
                 # Stop margins are the last ones.
                 len(margins) - len(self._automaton.stop_margins),
                 packed.ints(listed),
-                *packed.tape(entry.fixed),
+                *packed.tape(step_function.fixed),
                 *packed.tape(self._watched_of(kind)),
                 *packed.tape(compiled.rates),
                 *(packed.tape(curvature_tape) if curvature_tape is not None else _NO_TAPE),
@@ -280,7 +280,7 @@ class LoopModes:
             )
         tapes = np.array([packed.tape(tape) for tape in self.laws.tapes], np.int64)
         # All modes have the same engine and order.
-        pace, n = entry.pace, len(self._automaton.variables)
+        pace, n = step_function.pace, len(self._automaton.variables)
         steps = max(min(_MAX_STEPS, _MAX_COEFFICIENTS // (n * pace.terms)), 1)
         memory = flow_workspace(steps, pace.terms, rows, n, len(self._automaton.parameters))
         return Loop(

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 
@@ -49,6 +50,13 @@ class _ComponentRun:
     def starts(self) -> list[Clock]:
         """Starts of the arcs."""
         return [arc.start for arc in self.arcs]
+
+    def rank(self, j: int) -> tuple[bool, int, str]:
+        """Return whether its jump `j` is alone, the place of its region in the whole, its cause."""
+        jump = self.trace.jumps[j]
+        place = self.component.automaton.region_names.index(jump.region)
+        alone = jump.region not in self.component.joint
+        return alone, self.places.regions[place].item(), jump.cause
 
     def key(self, count: int) -> Key:
         """Return its mode after `count` of its jumps."""
@@ -106,14 +114,13 @@ class MergedRun:
         self.end = ends[self._last]
         ended, until = self._parts[self._last], self.end * (1.0 + _ONE_INSTANT * _ULP)
         stops = ended.trace.outcome is Outcome.STOPPED
-        groups = _instants(
+        groups = self._instants(
             sorted(
                 (time, place, j)
                 for place, run in enumerate(self._parts)
                 for j, time in enumerate(run.times[: -1 if stops and run is ended else None])
                 if time <= until
-            ),
-            joint=self._parts[0].component.joint,
+            )
         )
         if stops:
             # Other events of this instant precede the stop.
@@ -187,6 +194,45 @@ class MergedRun:
             ),
             counts={**counts, "jumps": jumps, "modes_built": modes_built},
         )
+
+    def _instants(
+        self, jumps: Sequence[tuple[float, int, int]]
+    ) -> list[tuple[float, dict[int, int]]]:
+        """Group jumps (time, component, number): time, and component -> number of its jump.
+
+        At one instant, as in one component, contacts jump first, together if they have the same
+        cause, then declared regions one by one in the order of the document.
+        """
+        instants: list[tuple[float, dict[int, int]]] = []
+        waiting: dict[int, list[int]] = {}
+        first = previous = -math.inf
+        for time, place, j in jumps:
+            if waiting and time - previous > _ONE_INSTANT * _ULP * time:
+                instants += ((first, jumping) for jumping in self._in_order(waiting))
+                waiting = {}
+            if not waiting:
+                first = time
+            previous = time
+            waiting.setdefault(place, []).append(j)
+        instants += ((first, jumping) for jumping in self._in_order(waiting))
+        return instants
+
+    def _in_order(self, waiting: Mapping[int, Sequence[int]]) -> Iterator[dict[int, int]]:
+        """Yield the jumps of one instant, component -> number, from those of each component."""
+        if len(waiting) == 1:
+            ((place, numbers),) = waiting.items()
+            yield from ({place: j} for j in numbers)
+            return
+        remaining = {place: deque(numbers) for place, numbers in waiting.items()}
+        while remaining:
+            ranks = {place: self._parts[place].rank(js[0]) for place, js in remaining.items()}
+            places = sorted(remaining, key=ranks.__getitem__)
+            alone, _, cause = ranks[places[0]]
+            together = (
+                places[:1] if alone else [p for p in places if ranks[p][::2] == (alone, cause)]
+            )
+            yield {place: remaining[place].popleft() for place in together}
+            remaining = {place: js for place, js in remaining.items() if js}
 
     def _after(self, run: _ComponentRun, time: Clock) -> Array:
         count = len(run.numbers)
@@ -326,29 +372,6 @@ def _fitted(start: Clock, end: Clock) -> tuple[Clock, float]:
             return start, near
     # Sums half-way between two floats round to the even one.
     return start._replace(low=start.low + between(start.later(duration), end)), duration
-
-
-def _instants(
-    jumps: Sequence[tuple[float, int, int]], *, joint: bool
-) -> list[tuple[float, dict[int, int]]]:
-    """Group jumps (time, component, number) by instant: time, and component -> number of its jump.
-
-    Simultaneous jumps of components become one `joint` jump (the first jumps of all of them before
-    the second ones), or follow one another in the order of the components.
-    """
-    instants: list[tuple[float, dict[int, int]]] = []
-    first, instant, previous = 0, -math.inf, -math.inf
-    for time, place, j in jumps:
-        if time - previous > _ONE_INSTANT * _ULP * time:
-            first, instant = len(instants), time
-        previous = time
-        rank = first if joint else len(instants)
-        while rank < len(instants) and place in instants[rank][1]:
-            rank += 1
-        if rank == len(instants):
-            instants.append((instant, {}))
-        instants[rank][1][place] = j
-    return instants if joint else sorted(instants, key=lambda one: (one[0], [*one[1].items()]))
 
 
 @lru_cache(maxsize=64)

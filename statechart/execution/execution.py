@@ -30,8 +30,8 @@ from statechart.engines.engine import FlowWatch, Path
 from statechart.execution import compiled_loop as runs
 from statechart.execution.compiled_loop import LOOK_AHEAD, Batch, LoopModes
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
+from statechart.execution.event_classification import closing, from_here, only_stops
 from statechart.execution.filippov import Filippov
-from statechart.execution.finding import closing, from_here, only_stops
 from statechart.execution.flow import FOLLOWED, UNFOLLOWED, Advance
 from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, loop_error
 from statechart.execution.outcome import Progress, error_of
@@ -107,7 +107,7 @@ class Execution:
     def ending(self) -> Iterator[None]:
         """Turn interrupts and simulation errors into outcomes of the run."""
         try:
-            with interrupts.held():
+            with interrupts.deferred():
                 yield
         except KeyboardInterrupt:
             self._end(Outcome.INTERRUPTED, "interrupted by the user")
@@ -171,7 +171,7 @@ class Execution:
         self.started_mode, self.started_state = self.flow.mode, self.state
         self._warn()
         settled = self.flow.settled and self._filippov is None
-        return self._stands() if settled else self.settle()
+        return self._stop_holds() if settled else self.settle()
 
     def advance(self) -> bool:
         """Flow to the next event and jump; return whether the run ends."""
@@ -204,7 +204,7 @@ class Execution:
                 )  # fmt: skip
                 if batch is None:
                     return None
-            self._reached(loop, batch, jumps, arcs)
+            self._apply_loop_result(loop, batch, jumps, arcs)
             reason, margin = batch.result.ends[0, runs.REASON : runs.MARGIN + 1].tolist()
             if reason in (runs.FULL, runs.PAUSED):
                 continue
@@ -213,16 +213,16 @@ class Execution:
             if reason == runs.FLOW:
                 return None
             if reason == runs.FELL and margin >= 0:
-                return self.fell(loop.compiled[self.flow.mode, self.flow.roles], margin)
+                return self.resolve_fall(loop.compiled[self.flow.mode, self.flow.roles], margin)
             if reason == runs.ACCUMULATES:
                 row, rest = self.accumulation.series[margin], batch.result.clock[0, runs.T_REST]
                 self._skip_by(summed(row, float(rest)))
-            if reason in (runs.ACCUMULATES, runs.COUNTED) and self.counted():
+            if reason in (runs.ACCUMULATES, runs.COUNTED) and self.reaches_jump_limit():
                 return ()
             if not self.flow.settled and self.settle():
                 return ()
 
-    def _reached(self, loop: LoopModes, batch: Batch, jumps: int, arcs: int) -> None:
+    def _apply_loop_result(self, loop: LoopModes, batch: Batch, jumps: int, arcs: int) -> None:
         """Update the run from the result of the loop; it had this many jumps and arcs before."""
         record, flow = self.record, self.flow
         clock, place, ends = batch.result.clock[0], batch.result.place[0], batch.result.ends[0]
@@ -276,7 +276,7 @@ class Execution:
         reached = Advance(
             self.engine, compiled, self.path, watch, initial, duration, self.horizon, on_steps
         ).run()
-        self._keep(flow, reached)
+        self._record_arc(flow, reached)
         if isinstance(reached.failure, errors.StepFailure | errors.NonFinite | errors.TooLong):
             self.failure = reached.failure
             return (UNBOUNDED,)
@@ -285,7 +285,7 @@ class Execution:
         check_size(0, len(self.record.made), self.clock.high)
         if reached.crossing is None:
             return ("zeno",) if duration == remaining else ()
-        return self.fell(compiled, reached.crossing.guard, graze=reached.graze)
+        return self.resolve_fall(compiled, reached.crossing.guard, graze=reached.graze)
 
     def _switch(self, fired: tuple[str, ...] = (), *, accumulates: bool = False) -> None:
         """Determine the signs of the switching functions for the next flow.
@@ -349,7 +349,7 @@ class Execution:
             compiled.guards, np.array(allowed), constraints, values, start, reconstruction
         )
 
-    def _keep(self, flow: Flow, reached: Advance) -> None:
+    def _record_arc(self, flow: Flow, reached: Advance) -> None:
         """Record the steps of a flow as an arc, and go to its end."""
         path = self.path
         if reached.unfollowed is not None:
@@ -379,11 +379,13 @@ class Execution:
             signs=flow.signs,
         )  # fmt: skip
 
-    def fell(self, compiled: CompiledMode, guard: int, *, graze: bool = False) -> tuple[str, ...]:
+    def resolve_fall(
+        self, compiled: CompiledMode, guard: int, *, graze: bool = False
+    ) -> tuple[str, ...]:
         """Return the margins that fired; a stop ends the run if no other event coincides."""
         margin, self.grazed = compiled.mode.margins[guard], graze
-        # A guard that falls where a smooth piece ends is judged in the next piece.
-        if switch := self._piece_ends(compiled, margin):
+        # A guard that falls at the end of a smooth piece is evaluated in the next piece.
+        if switch := self._switch_margin(compiled, margin):
             return (switch,)
         # Stop margins are the last ones.
         count = len(self.automaton.stop_margins)
@@ -405,7 +407,7 @@ class Execution:
                     self._stop(met)
         return (margin.name,)
 
-    def _piece_ends(self, compiled: CompiledMode, margin: Margin) -> str | None:
+    def _switch_margin(self, compiled: CompiledMode, margin: Margin) -> str | None:
         """Return the margin of a switch that falls with `margin`, or None."""
         if is_of_switch(margin.name):
             return margin.name
@@ -428,7 +430,7 @@ class Execution:
         sizes, places = flow_sizes(setup, self.flow, state), tuple(range(len(guards.outputs)))
         terms = sizes_at(guards, places, state, sizes, setup.values, time)
         near = np.abs(guards.values(state, setup.values, time)) <= setup.precision * np.array(terms)
-        return self.fell(compiled, int(near.argmax())) if near.any() else ()
+        return self.resolve_fall(compiled, int(near.argmax())) if near.any() else ()
 
     def _unbounded(self) -> bool:
         """Return whether rates have become unbounded and a jump resolves that."""
@@ -500,14 +502,14 @@ class Execution:
             projected = True
             if self.certificate is not None:
                 self.certificate.jump(self._instant(*fired), jump)
-            self._pass()
+            self._record_load_sharing()
             self.flow = following
             self._warn()
             self.record.add_jump(jump)
             self.state = jump.after
             self._skip(jump)
             fired = ()
-            if self.counted():
+            if self.reaches_jump_limit():
                 return True
             # Switching forces depend on the state after the jump.
             if self.flow.settled and self._filippov is None:
@@ -529,9 +531,9 @@ class Execution:
                 )
                 return self.settle((UNBOUNDED,))
         self.failure = None
-        return self._stands()
+        return self._stop_holds()
 
-    def _stands(self) -> bool:
+    def _stop_holds(self) -> bool:
         """Return whether a stop condition on its boundary ends the run."""
         if judge := self.modes.stops:
             taped = self.modes.taped(self.flow.moving, self.zeros)
@@ -540,18 +542,18 @@ class Execution:
                 self._stop(met)
         return self.outcome is Outcome.STOPPED
 
-    def _pass(self) -> None:
-        """Keep how a mode that ends without an arc shares its load."""
+    def _record_load_sharing(self) -> None:
+        """Record the load sharing of a mode that ends without an arc."""
         arcs, jumps, roles = self.record.arcs, len(self.record.jumps), self.flow.moving
         if roles != roles_in(self.flow.mode) and not (len(arcs) and arcs[-1].j == jumps):
             self.passed_roles[jumps] = roles
 
     def _stop(self, condition: str) -> None:
-        self._pass()
+        self._record_load_sharing()
         self.record.add_jump(self._instant(condition).jump("", "stop", self.flow.mode))
         self._end(Outcome.STOPPED, f"{condition} at t = {self.clock.high:.6g}")
 
-    def counted(self) -> bool:
+    def reaches_jump_limit(self) -> bool:
         """Return whether the run ends by the limit of the number of jumps.
 
         Raises `TooLong` or `EventLoop` if the number is certain to exceed the limit, or if jumps
@@ -619,7 +621,7 @@ class Execution:
         unproved = self.evidence.keys() - ({"motion"} if proved else set())
         decided = not unproved and self.outcome not in (Outcome.UNDECIDED, Outcome.NON_FINITE)
         if self.started_mode:
-            self._pass()
+            self._record_load_sharing()
         arcs, jumps = self.record.close()
         remarks = automaton.laws_of_events.remarks(self.setup, arcs)
         start = self.started_mode or tuple(r.states[0] for r in automaton.regions)

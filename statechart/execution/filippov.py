@@ -63,7 +63,8 @@ class Filippov:
             names = " and ".join(f"{switches.texts[i]} = 0" for i in surface.on)
             if not unique:
                 notes.append(
-                    f"the motion from {names} on is not unique: the state may also leave it"
+                    f"the motion from {names} on is not unique: the state may slide along it, "
+                    "or leave it"
                 )
             for i, sign in zip(surface.on, chosen, strict=True):
                 if sign == SLIDES and (before is None or before[i] != SLIDES):

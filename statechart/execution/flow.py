@@ -17,7 +17,7 @@ from statechart.engines.engine import (
     LONGEST_CHUNK,
     MAX_DEFECT_BOXES,
     NEAR,
-    Begin,
+    Continuation,
     Engine,
     FlowWatch,
     Path,
@@ -25,7 +25,7 @@ from statechart.engines.engine import (
 from statechart.engines.event_location import Crossing, Search, Verdict, search
 from statechart.errors import SimulationError, StepFailure, TooLong, Unsupported
 from statechart.execution.compiled_modes import CompiledMode
-from statechart.execution.finding import (
+from statechart.execution.event_classification import (
     first_event,
     first_tolerances,
     noise,
@@ -98,7 +98,7 @@ class Advance:
     # The next chunk: number of steps, end, and how it continues the last one.
     _count: int = field(init=False)
     _end: float = field(init=False)
-    _begin: Begin = field(init=False)
+    _begin: Continuation = field(init=False)
     # Violation of the last repeated step; steps and time at the last check of pace.
     _last_defect: float = field(init=False)
     _mark: tuple[int, float] = field(init=False)
@@ -125,7 +125,7 @@ class Advance:
 
     def _start(self) -> None:
         self.state, self._proved, self._reached = self.initial, 0, 0.0
-        self._count, self._begin = FIRST_CHUNK, Begin.NEW
+        self._count, self._begin = FIRST_CHUNK, Continuation.NEW
         self._end = min(self.horizon, self.duration)
         self._last_defect, self._mark = math.inf, (0, 0.0)
         self._missed, self._rounded, self._unknown = (-1.0, 0.0, 0.0), 0.0, 0
@@ -135,8 +135,8 @@ class Advance:
         watch, path, first = self.watch, self.path, self._proved
         path.count, ended = first, np.empty(len(self.state))
         tolerances = first_tolerances(self.compiled, watch, self.state, self._reached)
-        if self.engine.allowance is not None:
-            self.engine.allowance.check(watch.start + path.times.item(first))
+        if self.engine.time_budget is not None:
+            self.engine.time_budget.check(watch.start + path.times.item(first))
         finished = self.engine.steps(
             self.compiled.stepper,
             path,
@@ -154,7 +154,7 @@ class Advance:
         following, distance = _constrained(watch, ended, local)
         if distance > _DRIFT and new_steps > 1:
             # The chunk drifted off its constraints: repeat with fewer steps.
-            self._count, self._begin = max(1, new_steps // 4), Begin.MOVED
+            self._count, self._begin = max(1, new_steps // 4), Continuation.MOVED
             return
         found = search(watch.guards, tolerances, path, watch.parameters, watch.start, first, end)
         self.boxes += found.boxes
@@ -166,9 +166,9 @@ class Advance:
         if blind is not None:
             self._retreat(*blind, ended)
         elif found.verdict is Verdict.NONE:
-            self._go_on(following, finished, moved=following is not ended)
+            self._accept_steps(following, finished, moved=following is not ended)
         elif not self._widened(found):
-            self._arrive(found, ended)
+            self._end_at_event(found, ended)
 
     def _retreat(self, step: int, blind: float, ended: Array) -> None:
         """Return to the start of a step that missed a feature at the local time `blind`."""
@@ -183,7 +183,7 @@ class Advance:
             )
         remaining = cut_steps(path.times, path.coefficients, path.count, self._reached, ended)
         self.state = ended if remaining > 0 else self.initial
-        self._count, self._begin = 1, Begin.BACK
+        self._count, self._begin = 1, Continuation.BACK
 
     def _find_missed(self, first: int, last: int, found: Search) -> tuple[int, float] | None:
         """Return the first step with a large defect before the located event, and its time."""
@@ -233,7 +233,7 @@ class Advance:
         self._start()
         return True
 
-    def _arrive(self, found: Search, ended: Array) -> None:
+    def _end_at_event(self, found: Search, ended: Array) -> None:
         """End at the located event."""
         try:
             crossing = resolve_search(found, self.compiled, self.watch, self.path)
@@ -242,8 +242,12 @@ class Advance:
                 self._cut(found.undecided.time, ended)
             raise
         self.graze = found.verdict is not Verdict.CROSSING
-        late = self.graze or self.compiled.kind(crossing.guard) in ("force", "hold", "implied")
-        at = crossing.crossed if late else crossing.time
+        at_crossing = self.graze or self.compiled.kind(crossing.guard) in (
+            "force",
+            "hold",
+            "implied",
+        )
+        at = crossing.crossed if at_crossing else crossing.time
         if self.compiled.plain[crossing.guard] and self._above(crossing.guard, at):
             # A discontinuous margin (an angle at its branch cut) is positive up to its jump.
             ulp = math.ulp(abs(self.watch.start) + crossing.crossed)
@@ -271,14 +275,14 @@ class Advance:
         self._proved = cut_steps(path.times, path.coefficients, path.count, at, ended)
         self.state = ended if self._proved > 0 else self.initial
 
-    def _go_on(self, following: Array, finished: bool, *, moved: bool) -> None:
+    def _accept_steps(self, following: Array, finished: bool, *, moved: bool) -> None:
         """Accept the steps; `moved` is true if their end was projected onto the constraints."""
         path, duration = self.path, self.duration
         self._proved, self._reached = path.count, path.times.item(path.count)
         self.state, self._last_defect = following, math.inf
         steps, since = self._mark
         if self._proved - steps >= _PACE_STEPS:
-            # The root of what comes to zero has no series there.
+            # The root of an expression that reaches zero has no series there.
             self._check_method(self._reached, self._proved - 1)
             if self.engine.gives_way:
                 self._check_stiffness(self._proved - steps, self._reached - since)
@@ -292,7 +296,7 @@ class Advance:
         # The length of a chunk that needed projection is not increased.
         if not moved:
             self._count = min(self._count + self._count // 2, LONGEST_CHUNK)
-        self._begin = Begin.MOVED if moved or finished else Begin.ON
+        self._begin = Continuation.MOVED if moved or finished else Continuation.ON
 
     def _check_stiffness(self, steps: int, took: float) -> None:
         """Raise `Unsupported` if stability, not the motion, limits explicit steps.

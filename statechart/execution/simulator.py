@@ -38,8 +38,8 @@ from statechart.execution.compiled_loop import (
 )
 from statechart.execution.compiled_modes import CompiledModes, SolvedModes
 from statechart.execution.components import MergedRun
+from statechart.execution.event_classification import closing
 from statechart.execution.execution import Execution, evidence_of
-from statechart.execution.finding import closing
 from statechart.execution.outcome import error_of
 from statechart.kernels.polynomials import term_sizes
 

@@ -209,7 +209,7 @@ def _number_text(value: int | float) -> str:
 
 
 def order_parameters(
-    formulas: Mapping[str, Formula], given: Collection[str] = ()
+    formulas: Mapping[str, Formula], known_names: Collection[str] = ()
 ) -> tuple[str, ...]:
     """Return the names in topological order of their formulas.
 
@@ -217,14 +217,16 @@ def order_parameters(
     """
     for name, formula in formulas.items():
         for used in names_in(formula.root):
-            if used.name not in formulas and used.name not in given:
+            if used.name not in formulas and used.name not in known_names:
                 formula._source.fail(
                     f"unknown name {used.name!r}",
                     used.offset,
                     meant(used.name, formulas, FUNCTIONS, CONSTANTS),
                     name=name,
                 )
-    uses = {name: sorted(formula.names.difference(given)) for name, formula in formulas.items()}
+    uses = {
+        name: sorted(formula.names.difference(known_names)) for name, formula in formulas.items()
+    }
     try:
         return tuple(graphlib.TopologicalSorter(uses).static_order())
     except graphlib.CycleError as error:
@@ -256,12 +258,12 @@ class Constants:
                     advice=close_matches(name, self.formulas),
                     name=name,
                 )
-        given = frozenset(overrides)
-        if given not in self._orders:
-            left = {n: f for n, f in self.formulas.items() if n not in given}
-            self._orders[given] = order_parameters(left, given)
+        known_names = frozenset(overrides)
+        if known_names not in self._orders:
+            left = {n: f for n, f in self.formulas.items() if n not in known_names}
+            self._orders[known_names] = order_parameters(left, known_names)
         values = {name: parse(value).value({}) for name, value in overrides.items()}
-        for name in self._orders[given]:
+        for name in self._orders[known_names]:
             try:
                 values[name] = self.formulas[name].value(values)
             except FormulaError as error:

@@ -131,7 +131,7 @@ _WORDS: Mapping[str, str] = {
     "round": "write floor(x + 1/2)",
     **dict.fromkeys(("int", "trunc"), "write floor(x)"),
     **dict.fromkeys(("fmod", "remainder"), "write mod(x, y)"),
-    "nan": "nothing follows from what is not a number; write one",
+    "nan": "nan is not a value; write a number",
     "in": "write in(REGION.STATE)",
     "der": "a rate stands in flows; of a coordinate x it is dx",
     **dict.fromkeys(("pre", "previous"), "updates see the values before; write the variable"),
@@ -161,7 +161,7 @@ def meant(
 ) -> str:
     """Return advice on an unknown name or function."""
     names = frozenset(known)
-    bare = next((name.removeprefix(room) for room in _MODULES if name.startswith(room)), name)
+    bare = next((name.removeprefix(module) for module in _MODULES if name.startswith(module)), name)
     if bare.lower() in _WORDS:
         return _WORDS[bare.lower()]
     if name == "e":

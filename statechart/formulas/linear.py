@@ -95,13 +95,15 @@ def _solve_component(
 ) -> tuple[Definition, ...]:
     """Solve the equations of one component; modes share the result."""
     place = {unknown: i for i, unknown in enumerate(unknowns)}
-    given: list[Equation] = [(*_linear_row(e, place), i) for i, e in enumerate(equations)]
-    first, rows, last = _reduce(given, unknowns, before, paired)
+    rows_of_equations: list[Equation] = [
+        (*_linear_row(e, place), i) for i, e in enumerate(equations)
+    ]
+    first, rows, last = _reduce(rows_of_equations, unknowns, before, paired)
     if paired and _largest(rows) > 2 * _MAX_PAIRED:
-        first, rows, last = _reduce(given, unknowns, before)
+        first, rows, last = _reduce(rows_of_equations, unknowns, before)
     if paired and _largest(rows) > 2 * MAX_CRAMER:
-        mirrors = _mirrors(given, unknowns, paired)
-        first, rows, last = _reduce(given, unknowns, before, mirrors=mirrors)
+        mirrors = _mirrors(rows_of_equations, unknowns, paired)
+        first, rows, last = _reduce(rows_of_equations, unknowns, before, mirrors=mirrors)
     block = _blocks(rows, place, (paired, len(unknowns)) if paired else ())
     solved = {u for u, _ in (*first, *block, *last)}
     missing = [u for u in unknowns if u not in solved]

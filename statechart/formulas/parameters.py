@@ -77,8 +77,8 @@ class Parameters:
         """Return the tape of `values` for these overrides, and its inputs, followed by infinity."""
         return self._tapes(overridden.difference(self.literals))
 
-    def _tape(self, given: frozenset[str]) -> tuple[Tape, tuple[str, ...]]:
-        inputs = tuple(n for n in self._declared if n in self.literals or n in given)
+    def _tape(self, overridden: frozenset[str]) -> tuple[Tape, tuple[str, ...]]:
+        inputs = tuple(n for n in self._declared if n in self.literals or n in overridden)
         definitions: list[tuple[sp.Symbol, sp.Expr]] = []
         known = {name: self.symbols[name] for name in self._declared}
         for name in order_parameters(self._formulas):

@@ -29,6 +29,10 @@ class Whole(sp.Function):
         """Return the floor of a number; other arguments stay unevaluated."""
         return sp.Integer(tolerant_floor(float(of))) if of.is_number and of.is_finite else None
 
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """Return the derivative between two jumps."""
+        return sp.S.Zero
+
 
 class Difference(sp.Function):
     """A difference evaluated as written: exactly zero for equal sides."""

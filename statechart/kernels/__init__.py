@@ -5,8 +5,8 @@
 loops. `tapes` runs straight-line programs with a `tolerant_floor`; `intervals` and `jets` enclose
 their values and time derivatives, `boxes` bounds them over a piece of a step, and `search` finds
 the first fall of a margin by branch and bound, in its `search_workspace`, down to their `roots`.
-`resolution` says where a step may have passed something over, which `defect` asks of rates and
-`quadrature` of what is integrated; `enclosed_defect` proves it, on the complex `discs` of analytic
+`resolution` bounds the error of sampling a function along a step; `defect` uses it for the rates,
+`quadrature` for integrands. `enclosed_defect` encloses the defect by complex `discs` of analytic
 functions. `polynomials` is dense output, `extremes` its least and greatest values, `reconstruction`
 writes dependent coordinates, `accumulation` predicts where jumps accumulate.
 """

@@ -39,7 +39,7 @@ class Kind:
     # A commented document that runs, to start from; the word NAME in it stands for the name of the
     # model.
     starter: Path
-    # Makes of an automaton what its runs are seen on; None where there is nothing to see.
+    # Makes the stage for pictures of an automaton's runs; None for kinds without pictures.
     stage: Callable[[Automaton], Stage] | None = None
 
     @property

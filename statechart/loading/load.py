@@ -25,8 +25,8 @@ def interpret(document: Document) -> Declaration:
     if offered is not None:
         return validate(document, load_kind(offered).model)
     at = document.position(("kind",))
-    given, known = name is not None, close_matches(str(name), kinds())
-    if given:
+    named, known = name is not None, close_matches(str(name), kinds())
+    if named:
         raise at.error(f"unknown kind {name!r}", known)
     wrong = "kind: nothing is written" if "kind" in document.data else "'kind' is missing"
     raise at.error(wrong, f"begin with kind: scene (bodies) or kind: chart (states alone); {known}")
@@ -142,7 +142,7 @@ def schema(name: str | None = None) -> str:
         result["oneOf"] = [references[model, "validation"] for model in models]
     for model in models:
         key = str(references[model, "validation"]["$ref"]).rpartition("/")[2]
-        # In Python the class says which kind it is; a document has to.
+        # In Python the class determines the kind; a document must name it.
         definitions[key]["required"] = ["kind", *definitions[key].get("required", [])]
         if name is not None:
             result |= definitions.pop(key)

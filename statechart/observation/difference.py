@@ -38,7 +38,7 @@ class Compared(NamedTuple):
     def __str__(self) -> str:
         one, other = f"{self.coarse:.7g}", f"{self.fine:.7g}"
         if one == other:
-            one, other = f"{self.coarse:.17g}", f"{self.fine:.17g}"
+            return f"{self.what} ({one}, difference {abs(self.fine - self.coarse):.2g})"
         return f"{self.what} ({one} and {other})"
 
 
@@ -157,16 +157,16 @@ def separation_time(reference: Trace, trace: Trace, *, brief: float = 0.0) -> fl
         return diverged
     scale = _scales(reference, trace)
     with np.errstate(invalid="ignore"):
-        apart = (
+        differing = (
             np.abs(_sampled_states(reference, times) - _sampled_states(trace, times))
             > _PARTED_PART * scale
         )
-    where = np.flatnonzero(apart.any(axis=1))
+    where = np.flatnonzero(differing.any(axis=1))
     return float(times[where[0]]) if len(where) else diverged
 
 
 def distance(reference: Trace, trace: Trace) -> float:
-    """Return the L1 distance of two runs, whatever their modes, the largest of all variables.
+    """Return the L1 distance of two runs, the largest of all variables, for any modes.
 
     The mean of the difference of a variable over the common time, relative to its largest value. In
     this norm runs converge in spite of late events, and time stepping in spite of other modes
@@ -183,8 +183,8 @@ def distance(reference: Trace, trace: Trace) -> float:
     weights = np.repeat(lengths / counts, counts)
     times = np.minimum(np.repeat(marks[:-1], counts) + (place + 0.5) * weights, end)
     with np.errstate(invalid="ignore"):
-        apart = np.abs(_sampled_states(reference, times) - _sampled_states(trace, times))
-    return float((weights @ apart / (end * _scales(reference, trace))).max(initial=0.0))
+        differences = np.abs(_sampled_states(reference, times) - _sampled_states(trace, times))
+    return float((weights @ differences / (end * _scales(reference, trace))).max(initial=0.0))
 
 
 def mode_disagreement(reference: Trace, trace: Trace) -> float:

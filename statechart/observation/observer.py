@@ -138,12 +138,14 @@ class Observer:
             roles = () if stepped else sampling.roles_at(trace, jump.j, jump.source, ends=True)
             remaining.setdefault((jump.source, roles), []).append(place)
         for flow, places in remaining.items():
-            margins, rows = self._margins_left(trace, *flow, [jumps[place] for place in places])
+            margins, rows = self._margins_before_jumps(
+                trace, *flow, [jumps[place] for place in places]
+            )
             for place, row in zip(places, rows.tolist(), strict=True):
                 tables[place] = {m.name: v for m, v in zip(margins, row, strict=True)}
         return tables
 
-    def _margins_left(
+    def _margins_before_jumps(
         self, trace: Trace, key: Key, roles: Roles, jumps: Sequence[Jump]
     ) -> tuple[tuple[Margin, ...], Array]:
         """Return the margins of a flow, and their values before the jumps that ended it."""

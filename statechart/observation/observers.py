@@ -8,7 +8,7 @@ from dataclasses import replace
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.time_stepper import DEFAULT_IMPULSES, Impulses
 from statechart.documents.setting import Record, Setting
-from statechart.engines.engine import Allowance, Engine
+from statechart.engines.engine import Engine, TimeBudget
 from statechart.engines.request import choose
 from statechart.execution.compiled_modes import SolvedModes
 from statechart.execution.perturbation import Start, with_increased_start
@@ -22,9 +22,9 @@ class Observers:
     """Simulators of an automaton with their observers."""
 
     def __init__(
-        self, automaton: Automaton, *, allowance: Allowance | None = None, progress: bool = False
+        self, automaton: Automaton, *, time_budget: TimeBudget | None = None, progress: bool = False
     ) -> None:
-        self._automaton, self._allowance, self._progress = automaton, allowance, progress
+        self._automaton, self._time_budget, self._progress = automaton, time_budget, progress
         self._kept: dict[tuple[Setting, Start], Observer] = {}
         # Solved modes do not depend on tolerance, engine or start.
         self._solved = SolvedModes(automaton)
@@ -47,7 +47,7 @@ class Observers:
     def engine(self, setting: Setting) -> Engine:
         """Return a new engine for a setting; see `choose`."""
         engine, _ = choose(setting)
-        engine.allowance = self._allowance
+        engine.time_budget = self._time_budget
         return engine
 
     def floor(self, setting: Setting) -> float:
@@ -68,12 +68,12 @@ class Observers:
 
     def _simulator(self, setting: Setting, start: Start) -> Simulator | SteppingSimulator:
         if setting.step is not None:
-            asked = Impulses(
+            bounds = Impulses(
                 setting.impulse_tolerance or DEFAULT_IMPULSES.tolerance,
                 setting.impulse_bound or DEFAULT_IMPULSES.bound,
             )
             return SteppingSimulator(
-                self._automaton, setting.step, asked, setting.recorded, progress=self._progress
+                self._automaton, setting.step, bounds, setting.recorded, progress=self._progress
             )
         automaton = self._automaton
         if start is not Start.DECLARED:

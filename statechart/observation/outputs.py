@@ -42,7 +42,7 @@ from statechart.observation.sampling import (
     Where,
     at_endpoints,
     end_of,
-    passed_modes,
+    instantaneous_modes,
     side_of,
     start_of,
     visible_expressions,
@@ -454,7 +454,9 @@ class OutputAccumulator:
     ) -> None:
         """Process arcs and adjacent jumps of a trace, from the start of the run on."""
         outputs, before = self._outputs, self.values
-        left = {jump.j for jump in passed_modes(trace)} if len(before.extremes) else set[int]()
+        left = (
+            {jump.j for jump in instantaneous_modes(trace)} if len(before.extremes) else set[int]()
+        )
         every = [(*outputs.marks_of(jump), jump.j in left) for jump in jumps]
         for place, wait in enumerate(outputs.count_waits):
             self._counted[place] += sum([own[wait] for own in every])
@@ -568,7 +570,7 @@ def extremes(observer: Observer, trace: Trace, formula: Formula) -> tuple[float,
         return None if own in (sp.oo, -sp.oo) else own
 
     if _by_mode(formula):
-        entered = (jump.target for jump in passed_modes(trace))
+        entered = (jump.target for jump in instantaneous_modes(trace))
         modes = {trace.start_mode, trace.final_mode, *entered, *(arc.mode for arc in trace.arcs)}
         infinite = {float(own) for own in map(formula, modes) if own in (sp.oo, -sp.oo)}
     accumulator = OutputAccumulator(

@@ -16,7 +16,6 @@ from statechart.arrays import Array
 from statechart.automaton.laws import roles_in
 from statechart.automaton.regions import Mode, Region
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
-from statechart.tabular import shortest_text
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +119,7 @@ def at_times(trace: Trace, times: Array) -> tuple[list[Arc], list[Array]]:
     if times.ndim != 1 or not (np.diff(times) >= 0.0).all():
         raise ValueError("times must be one row of numbers in ascending order")
     if len(times) and not (times[0] >= 0.0 and times[-1] <= trace.t_end):
-        raise ValueError(f"times must lie in the run, 0 to {shortest_text(trace.t_end)}")
+        raise ValueError(f"times must lie in the run, 0 to {trace.t_end:.7g}")
     if not trace.arcs:
         return [], []
     starts = [arc.start.high for arc in trace.arcs]
@@ -188,7 +187,7 @@ def _solved_rows(trace: Trace, endpoints: Sequence[Endpoint], width: int) -> Arr
     return rows
 
 
-def passed_modes(trace: Trace) -> list[Jump]:
+def instantaneous_modes(trace: Trace) -> list[Jump]:
     """Return the jumps into modes of zero duration, and the last jump; none for time stepping."""
     if trace.step is not None:
         return []

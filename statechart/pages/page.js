@@ -16,11 +16,23 @@ for (const side of shrunk < 1 ? ["width", "height"] : []) chart.setAttribute(sid
 const least = chart ? 0.77 * chart.width.baseVal.value : 0;
 byId("diagram").style.setProperty("--least", `${least}px`);
 byId("diagram").style.setProperty("--lowest", `${chart ? 0.6 * chart.height.baseVal.value : 0}px`);
+// Of a diagram wider than the screen what is lit is seen.
+function centre() {
+  const box = byId("diagram");
+  const node = box.querySelector("g.lit");
+  if (!node) return;
+  const [there, here] = [node.getBoundingClientRect(), box.getBoundingClientRect()];
+  box.scrollLeft += there.x + there.width / 2 - here.x - here.width / 2;
+  box.scrollTop += there.y + there.height / 2 - here.y - here.height / 2;
+}
 function arrange() {
   const seen = document.querySelector(".seen");
-  seen.append(byId("diagram"));
-  const beside = !film || (innerWidth > 760 && innerWidth < 1240 && least <= byId("diagram").clientWidth);
-  if (!beside) byId("stage").after(byId("diagram"));
+  // Two of five parts of the room, which a gap of 16 divides.
+  const beside = !film || (innerWidth > 760 && innerWidth < 1240 && least <= 0.4 * (seen.clientWidth - 16));
+  // An element that is moved forgets how far it was scrolled.
+  if (beside && byId("diagram").parentNode !== seen) seen.append(byId("diagram"));
+  if (!beside && byId("diagram").parentNode === seen) byId("stage").after(byId("diagram"));
+  centre();
   document.documentElement.style.setProperty("--stuck", `${innerWidth < 1240 ? byId("stage").offsetHeight : 0}px`);
 }
 arrange();
@@ -36,13 +48,7 @@ moving.push((k) => {
     const here = those[place[k] % those.length];
     for (const node of those) node.classList.toggle("lit", active.has(name) && node === here);
   }
-  // Of a diagram wider than the screen what is lit is seen.
-  const box = byId("diagram");
-  const node = box.querySelector("g.lit");
-  if (!node) return;
-  const [there, here] = [node.getBoundingClientRect(), box.getBoundingClientRect()];
-  box.scrollLeft += there.x + there.width / 2 - here.x - here.width / 2;
-  box.scrollTop += there.y + there.height / 2 - here.y - here.height / 2;
+  centre();
 });
 
 // Curves with a cursor. Names have room on both sides, on narrow screens above.
@@ -54,10 +60,12 @@ const fitted = (name, room) => {
   const half = (most - 1) / 2;
   return name.length <= most ? name : `${name.slice(0, Math.ceil(half))}\u2026${name.slice(name.length - Math.floor(half))}`;
 };
-// A remark with fewer names and more in "3 more", until it fits.
+// A remark with fewer names and more in "3 more", until it fits; at last with their number.
 const shortened = (remark, room) => {
+  if (longest([remark]) <= room) return remark;
   const fewer = remark.replace(/, [^,;]+, (\d+) more/, (_, more) => `, ${+more + 1} more`);
-  return remark.length * 6.6 <= room || fewer === remark ? remark : shortened(fewer, room);
+  if (fewer !== remark) return shortened(fewer, room);
+  return remark.replace(/: [^:]*$/, (names) => `: ${names.split(", ").reduce((sum, name) => sum + (parseInt(/^(\d+) more$/.exec(name)?.[1]) || 1), 0)}`);
 };
 const [above, high, number] = [20, 138, 70];
 const span = times[last] || 1;
@@ -140,8 +148,9 @@ function drawn(panel, narrow) {
     places.push(narrow ? [x, y] : [right + 14, above + 8 + 15 * places.length]);
     x += size;
   }
-  const remarks = panel.remarks.join("; ");
-  const lower = narrow ? y - above + 6 + (remarks ? 15 : 0) : 0;
+  const free = narrow ? right - left : right - left - longest([panel.title]) - 30;
+  const remarks = panel.remarks.map((remark) => shortened(remark, narrow ? free : free / panel.remarks.length));
+  const lower = narrow ? y - above + 6 + 15 * remarks.length : 0;
   const svg = axes(Math.max(high, narrow ? 0 : above + 4 + 15 * places.length) + 6 + lower);
   panel.entries.forEach((those, i) => {
     entry(svg, those, ...places[i], room);
@@ -152,8 +161,8 @@ function drawn(panel, narrow) {
     values.push({ panel, curve: those.values, text });
   });
   named(svg, { x: left, y: above - 9, style: "font-weight: 600" }, panel.title, right - left);
-  const free = narrow ? right - left : right - left - longest([panel.title]) - 30;
-  if (remarks) named(svg, { x: right, y: above - 9 + lower, "text-anchor": "end", style: "fill: var(--faint)" }, shortened(remarks, free), free);
+  (narrow ? remarks.toReversed() : [remarks.join("; ")]).forEach((remark, i) =>
+    named(svg, { x: right, y: above - 9 + lower - 15 * i, "text-anchor": "end", style: "fill: var(--faint)" }, remark, free));
   const plot = made(svg, "g", lower ? { transform: `translate(0 ${lower})` } : {});
   const seen = [...panel.curves, ...panel.struck.map((hit) => hit.sizes)];
   const finite = seen.flatMap((v) => Array.from(v)).filter(Number.isFinite);
@@ -201,7 +210,7 @@ function drawn(panel, narrow) {
   cursor(plot, above - 6, high);
 }
 function bands(narrow) {
-  const told = [data.unit ? `t in ${data.unit}` : "t", ...(data.cut ? [`nothing happens any more; the run ends at ${short(data.end)}${unit}`] : []), ...(data.unbanded.length ? [data.unbanded.join("; ")] : [])];
+  const told = [data.unit ? `t in ${data.unit}` : "t", ...(data.cut ? [`nothing happens any more; the run ends at ${short(data.end)}${unit}`] : []), ...data.unbanded.map((remark) => shortened(remark, right - 8))];
   const svg = axes(18 * rows.length + 22 + 15 * told.length);
   rows.forEach((region, row) => {
     named(svg, { x: left - 6, y: 18 * row + 13, "text-anchor": "end" }, region.name, left - 8);
@@ -267,7 +276,7 @@ if (data.study) {
 for (const name of ["outputs", "parameters"])
   for (const [key, value] of Object.entries(data[name])) {
     const row = made(byId(name), "tr");
-    made(row, "td", {}, key);
+    made(made(row, "td"), "div", { class: "name" }, key);
     const { text, values: many } = value;
     const box = made(made(row, "td"), "div", { class: "value" }, text);
     const known = many.filter(Number.isFinite);
@@ -279,6 +288,25 @@ for (const name of ["outputs", "parameters"])
   }
 for (const [name, part] of [["happened", data.events], ["measured", Object.keys(data.outputs)], ["chosen", Object.keys(data.parameters)]])
   byId(name).hidden = part.length === 0;
+let told;
+function explain(event) {
+  told = event;
+  byId("why").replaceChildren();
+  made(byId("why"), "p", {}, event ? event.why.replaceAll("->", "\u2192") : "Choose an event.");
+  const table = made(byId("why"), "table");
+  for (const [head, those] of event ? event.reasons : []) {
+    const row = made(table, "tr");
+    made(row, "th", {}, head);
+    const within = made(made(row, "td"), "table");
+    for (const cells of those) {
+      const line = made(within, "tr");
+      cells.forEach((cell, i) => {
+        const kind = /^ *-?\d\S*$/.test(cell) ? "number" : i < cells.length - 1 ? "name" : "";
+        made(made(line, "td"), "div", { class: kind }, cell);
+      });
+    }
+  }
+}
 const lines = data.events.map((event) => {
   const row = made(byId("events").tBodies[0], "tr", { tabindex: 0 });
   made(row, "td", { title: event.t }, short(event.t));
@@ -287,7 +315,7 @@ const lines = data.events.map((event) => {
   const choose = () => {
     pause();
     go(event.instant);
-    byId("why").textContent = event.why;
+    explain(event);
   };
   row.addEventListener("click", choose);
   row.addEventListener("keydown", (pressed) => pressed.key === "Enter" && choose());
@@ -297,7 +325,7 @@ if (data.more) byId("more").textContent = `${data.more} more: the command line h
 moving.push((k) => {
   lines.forEach((row, i) => row.classList.toggle("now", data.events[i].instant === k));
   const past = data.events.findLast((event) => event.instant <= k);
-  byId("why").textContent = past ? past.why : "Choose an event.";
+  if (past !== told || !byId("why").firstChild) explain(past);
 });
 
 // The clock: an instant is a number, and all that is seen belongs to it.

@@ -41,7 +41,7 @@ from statechart.reporting.curves import (
 )
 from statechart.reporting.figure import band_remarks, regions_with_bands
 from statechart.reporting.film import film_at, stage_of
-from statechart.reporting.text import ALIKE, change, computation_lines, explanation
+from statechart.reporting.text import ALIKE, change, computation_lines, explained
 from statechart.tabular import MAX_LISTED, number
 
 # Pictures that a page has at most and at least, and numbers that all of them have.
@@ -126,7 +126,7 @@ def _regions(
 
 
 def _film(film: Film, units: Mapping[str, str]) -> dict[str, Any]:
-    """Return a film whose lengths are parts of its picture: browsers draw none of a micrometre."""
+    """Return a film with lengths relative to its picture: browsers draw none of a micrometre."""
     part = _PICTURE / film.unit
     place = np.array([part, part, 1.0])
     return {
@@ -176,7 +176,7 @@ def _shape(film: Film, shape: Shape, part: float) -> dict[str, Any]:
 
 
 def _until(observer: Observer, trace: Trace, samples: Samples, end: float) -> Samples:
-    """Return samples of a run as far as it is shown, the last at the end of that."""
+    """Return the samples of the shown part of a run, the last at its `end`."""
     if end >= trace.t_end:
         return samples
     last = observer.sample(trace, tuple(samples.columns), times=[end])
@@ -252,12 +252,14 @@ def _sample_rows(samples: Samples, end: float) -> NDArray[np.intp]:
 
 
 def _event(event: Mapping[str, Any], times: Array, step: float | None) -> dict[str, Any]:
+    title, reasons = explained(event, step)
     return {
         "t": event["t"],
         "instant": int(np.searchsorted(times, event["t"])),
         "what": " ".join(filter(None, (event["contact"], event["cause"]))),
         "change": change(event, ALIKE),
-        "why": explanation({"events": [event], "step": step}),
+        "why": title,
+        "reasons": reasons,
     }
 
 
@@ -361,7 +363,7 @@ _SCRIPTS = ("scene.js", "page.js")
 
 
 def frame(page: str) -> str:
-    """Return a page in a frame of a notebook, in which it is as it is on its own."""
+    """Return a page in an isolated frame for notebooks."""
     style = "box-sizing: border-box; width: 100%; height: 760px; border: 1px solid #8886"
     return f'<iframe srcdoc="{escape(page)}" sandbox="allow-scripts" style="{style}"></iframe>'
 
@@ -381,7 +383,7 @@ def html(shown: Mapping[str, Any]) -> str:
 
 
 def write_page(shown: Mapping[str, Any], path: Path) -> None:
-    """Write the page, whole or not at all."""
+    """Write the page atomically."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise DeclarationError(f"a page is .html, not {path.suffix or path.name!r}")
     with writing(path):

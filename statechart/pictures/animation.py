@@ -71,7 +71,7 @@ def _round(end: float) -> float:
 
 
 def check(path: Path, size: int, speed: float | None = None, trail: float | None = None) -> None:
-    """Check that an animation can be written, before the work that leads to it.
+    """Check that an animation can be written, before its run is made.
 
     A wrong suffix, size, speed or trail raises a DeclarationError, a missing ffmpeg a
     StatechartError.
@@ -79,7 +79,7 @@ def check(path: Path, size: int, speed: float | None = None, trail: float | None
     if path.suffix.lower() not in SUFFIXES:
         raise DeclarationError(
             f"an animation is .gif or .mp4, not {path.suffix or path.name!r}",
-            advice="a GIF is seen everywhere",
+            advice="a GIF needs no further program",
         )
     if not _NARROWEST <= size <= _WIDEST:
         raise DeclarationError(
@@ -89,7 +89,7 @@ def check(path: Path, size: int, speed: float | None = None, trail: float | None
         _check_speed(speed)
     if trail is not None and not trail >= 0.0:
         raise DeclarationError(
-            f"a trail reaches back a time from 0 on, not {trail:g}", advice="0 is for none"
+            f"a trail must be a time of 0 or more, not {trail:g}", advice="0 is for none"
         )
     if path.suffix.lower() == ".mp4" and shutil.which("ffmpeg") is None:
         raise StatechartError("an mp4 needs the program ffmpeg, which is not here; write a .gif")
@@ -104,7 +104,7 @@ def write_animation(
     trail: float | None = None,
     progress: bool = False,
 ) -> None:
-    """Write a film as an animation, whole or not at all, in the format of the path's suffix.
+    """Write a film as an animation, atomically, in the format of the path's suffix.
 
     The instants of the film are evenly spaced, `speed` units of its time pass in a second, and
     `size` is the number of pixels of the longer side; `trail` as in `Drawing`. With `progress`
@@ -158,7 +158,7 @@ def _pictures(film: Film, clock: str, size: int, trail: float | None) -> Iterato
 
 
 def _write_clock(picture: Image.Image, words: str, font: ImageFont.FreeTypeFont) -> None:
-    """Write the time on paper, by Pillow: matplotlib took a third of a picture for it."""
+    """Write the time into a picture by Pillow; matplotlib spends a third of a picture on it."""
     from PIL import ImageDraw
 
     drawn = ImageDraw.Draw(picture)

@@ -212,9 +212,13 @@ def _names(ax: Axes, film: Film, radius: float) -> Iterator[_Name]:
         else:
             style = {"color": INK, "style": "italic"}
             size = _size(ax, shape.name)
-            at = ax.transData.transform(film.poses[0, shape.frame, :2])
+            pose = film.poses[0, shape.frame]
+            solid = shape.kind in ("outline", "disc")
+            # The centre of mass may lie at the rim, as of a block that slides on its base.
+            middle = place_points(shape.points, pose).mean(axis=0) if solid else pose[:2]
+            at = ax.transData.transform(middle)
             places = _places_around(at, size, radius, scale)
-            if shape.kind in ("outline", "disc"):
+            if solid:
                 places = np.concatenate([at[None], places])
         if len(places):
             yield _Name(shape.name, style, size, places)

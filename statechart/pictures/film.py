@@ -1,4 +1,4 @@
-"""A picture that moves, as plain values: shapes in frames, where these are at instants, forces."""
+"""Film of a run as plain values: shapes in frames, poses of the frames over time, forces."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ WORLD = 0
 class Shape:
     """A shape in a frame that moves; its points (m, 2) are in that frame.
 
-    The last point of what joins two frames is in the frame `other`; `radius` is that of a disc. The
-    state of `region` (a number in the film, -1 for none) colours it, and `name` is its owner's. A
-    spring or damper is drawn `aside` of its line, in half widths of a spring, to the left; `slack`
-    (k,) is where a rope is dashed. A disc that `turns` has a radius.
+    The last point of a link between two frames is in the frame `other`; `radius` is that of a disc.
+    The state of `region` (a number in the film, -1 for none) colours it, and `name` is its owner's.
+    A spring or damper is drawn `aside` of its line, in half widths of a spring, to the left;
+    `slack` (k,) is where a rope is dashed. A disc that `turns` has a radius.
     """
 
     kind: ShapeKind
@@ -83,7 +83,7 @@ class Touch:
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """The look of a run at k instants, the shapes from back to front."""
+    """Pictures of a run at k instants, the shapes from back to front."""
 
     title: str
     times: Array  # (k,), in order
@@ -102,7 +102,7 @@ class Film:
 
     @property
     def unit(self) -> float:
-        """A length that marks of a fixed size are measured by: the width of the larger side."""
+        """Unit length of marks of fixed size: the larger side of the picture."""
         return 2.0 * max(self.half)
 
     @property
@@ -112,7 +112,7 @@ class Film:
 
     @property
     def spacing(self) -> float:
-        """Between the strokes of a hatching."""
+        """Distance between the strokes of a hatching."""
         return HATCH * self.unit
 
     def clock(self, instant: int) -> str:

@@ -15,8 +15,8 @@ from statechart.pictures.film import Film
 
 
 @dataclass(frozen=True, eq=False)
-class Moments:
-    """Instants of a run, as a stage wants them."""
+class FilmInstants:
+    """Instants of a run for a film."""
 
     times: Array  # (k,), in order
     jumps: NDArray[np.int64]  # (k,), how many precede each instant
@@ -32,11 +32,11 @@ class Moments:
 
 
 class Stage(Protocol):
-    """A model as something to look at."""
+    """Geometry of a model for pictures and films."""
 
     @property
-    def wanted(self) -> tuple[str, ...]:
+    def observables(self) -> tuple[str, ...]:
         """Observables that a film needs beside the variables."""
 
-    def film(self, moments: Moments) -> Film:
+    def film(self, moments: FilmInstants) -> Film:
         """Return the look of the model at instants of a run."""

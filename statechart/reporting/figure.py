@@ -230,7 +230,7 @@ def _limits(curves: Sequence[Array]) -> tuple[float, float]:
 def _time(unit: str, trace: Trace, end: float) -> str:
     label = axis_label("time", unit)
     if end < trace.t_end:
-        label += f"; until the end at {trace.t_end:.6g} nothing happens any more"
+        label += f"; no change until the end at {trace.t_end:.6g}"
     return label
 
 
@@ -439,8 +439,8 @@ def stack(
     figure.set_size_inches(_WIDTH, 2.0 * sum(heights))
     for ax, height in zip(axes, heights, strict=True):  # the number of ticks depends on the height
         ax.set_position((0.15, 0.1, 0.5, height / (2.0 * sum(heights))))
-        label, room = ax.yaxis.label, (height + _BETWEEN / 2.0) * dpi
-        if label.get_window_extent().height > room:
+        label, available = ax.yaxis.label, (height + _BETWEEN / 2.0) * dpi
+        if label.get_window_extent().height > available:
             label.set_text(label.get_text().replace(" in ", "\nin "))
     figure.align_ylabels(axes)
     left = max(ax.bbox.x0 - _outer(ax) for ax in axes) / dpi + _LEFT

@@ -17,7 +17,7 @@ from statechart.loading.kind import kind
 from statechart.observation.observer import Observer
 from statechart.pictures import animation
 from statechart.pictures.film import Film
-from statechart.pictures.stage import Moments, Stage
+from statechart.pictures.stage import FilmInstants, Stage
 from statechart.reporting.curves import REST, without_round_off
 
 _STILL = 2e-3  # motion below this fraction of the picture is rest
@@ -38,16 +38,16 @@ def stage_of(automaton: Automaton) -> Stage:
 def film_at(stage: Stage, observer: Observer, trace: Trace, times: ArrayLike) -> Film:
     """Return the film of a run at instants, after the jumps at them."""
     automaton = observer.automaton
-    names = (*automaton.names, *stage.wanted)
+    names = (*automaton.names, *stage.observables)
     samples = observer.sample(trace, names, times=times)
     seen = without_round_off(automaton, trace, samples).columns
     film = stage.film(
-        Moments(
+        FilmInstants(
             samples.t,
             samples.j,
             tuple(samples.modes[place] for place in samples.mode),
             np.column_stack([samples.columns[name] for name in automaton.names]),
-            {name: seen[name] for name in stage.wanted},
+            {name: seen[name] for name in stage.observables},
             trace.parameters,
         )
     )
@@ -70,7 +70,7 @@ def until_rest(stage: Stage, observer: Observer, trace: Trace) -> float:
 
 
 @dataclass(frozen=True)
-class Showing:
+class AnimationOptions:
     """Options of an animation.
 
     `speed` is simulated time per second of the film; `size` the longer side in pixels; `trail` the
@@ -83,7 +83,12 @@ class Showing:
 
 
 def animate(
-    observer: Observer, trace: Trace, path: Path | str, showing: Showing, *, progress: bool = False
+    observer: Observer,
+    trace: Trace,
+    path: Path | str,
+    showing: AnimationOptions,
+    *,
+    progress: bool = False,
 ) -> Path:
     """Write an animation of a run, from its start until the last visible motion."""
     path = Path(path)

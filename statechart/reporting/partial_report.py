@@ -14,7 +14,7 @@ T = TypeVar("T")
 SOME = 4_000
 """Events, or rows of samples, in a short form; some tenths of a second."""
 
-_NUMBERS = 2**17  # values in a short form, whatever the number of variables
+_NUMBERS = 2**17  # values in a short form, for any number of variables
 
 _INTERRUPTED = "interrupted"
 
@@ -68,7 +68,7 @@ class PartialReport:
             del self.failed[name]
         self._signals, before = interrupts.signal_count(), self._signals
         try:
-            with interrupts.held(firmly=True):
+            with interrupts.deferred(firmly=True):
                 return self.attempt(name, partial(work, True), otherwise)
         finally:
             self._signals = before

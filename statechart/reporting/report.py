@@ -85,7 +85,7 @@ def report(
     )
     jumps = trace.jumps[:most]
     events = _event_rows(observer, trace, jumps, conditions[:most], done, explain=explain)
-    unused = left_out(automaton, trace)
+    unused = unused_parts(automaton, trace)
     unused += [{"what": what, "why": why} for what, why in done.failed.items()]
     result = _outcome(trace) | {
         "error_estimate": computation.error_estimate,
@@ -220,7 +220,7 @@ def invariants(observer: Observer, trace: Trace) -> dict[str, float]:
         # `record: poses` stores no modes; an invariant without members does not depend on them.
         return extremes(observer, trace, margin if one.relation.members else margin(()))[0]
 
-    lost = unkept_invariants(automaton, trace)
+    lost = unrecorded_invariants(automaton, trace)
     return {one.name: least(one) for one in automaton.invariants if one not in lost}
 
 
@@ -346,7 +346,7 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
     }
 
 
-def unkept_invariants(automaton: Automaton, trace: Trace) -> list[Invariant]:
+def unrecorded_invariants(automaton: Automaton, trace: Trace) -> list[Invariant]:
     """Return the invariants on states that the run did not record."""
     recorded = {*trace.regions}
     return [
@@ -356,7 +356,7 @@ def unkept_invariants(automaton: Automaton, trace: Trace) -> list[Invariant]:
     ]
 
 
-def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
+def unused_parts(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
     """Return the unused parts of the model (`what`), with reasons (`why`)."""
     found: dict[str, str] = {}
     total, n_built = automaton.modes_total, trace.counts.get("modes_built", 0)
@@ -373,7 +373,7 @@ def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
     elif n_built < total:
         unbuilt = readable_count(total - n_built)
         found[f"the equations of {unbuilt} of {modes}"] = "the run did not enter them"
-    for one in unkept_invariants(automaton, trace):
+    for one in unrecorded_invariants(automaton, trace):
         found[f"the invariant {one.name!r}"] = (
             f"record: {record} stores no states; use record: modes"
         )

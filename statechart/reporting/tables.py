@@ -36,7 +36,7 @@ RESERVED = frozenset(
 
 _TAKEN = RESERVED | {"t", "j", "mode", "sample", "event"}
 _FILES = ("run.json", "trace.nc", "events.csv", "samples.csv", "figure.svg", "figure.png")
-_ADVICE = "name a place that is writable and has room, nothing was written"
+_ADVICE = "nothing was written; name a writable folder on a disk with space"
 _ROWS = 8  # per step of the integrator
 
 

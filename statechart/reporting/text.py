@@ -26,6 +26,7 @@ from statechart.tabular import (
 _SHOWN = 20  # events listed from the start and from the end
 # Names per line; characters of the name of a margin, and of a candidate in a table.
 _NAMES, _CHARACTERS, _CANDIDATE, _CANDIDATES = 8, 60, 80, 12
+_PART = re.compile(r" #(\d+)$")
 _NUMBER = re.compile(r"(?<= )-?\d[\w.+-]*")
 # Regions with the same change that are named in a list of events.
 ALIKE = 4
@@ -104,7 +105,7 @@ def computation_lines(report: Mapping[str, Any]) -> list[str]:
     if not report["certified"]:
         alike: dict[str, list[str]] = {}
         for name, how in report["evidence"].items():
-            alike.setdefault(how, []).append(name)
+            alike.setdefault(how, []).append(_guard(name))
         for how, those in alike.items():
             what = "motion" if those == ["motion"] else f"events of {_cut(those)}"
             lines.append(f"{what}: {how}")
@@ -200,7 +201,9 @@ def _values(
     """Return a table of values and units; an integer item is a number of omitted values."""
     known = [item for item in values if not isinstance(item, int)]
     texts = iter(align_numbers([number(value, digits) for _, value in known]))
-    lines = [("", item) if isinstance(item, int) else (item[0], next(texts)) for item in values]
+    lines = [
+        ("", item) if isinstance(item, int) else (_guard(item[0]), next(texts)) for item in values
+    ]
     lists = {name for name, value in known if isinstance(value, list)}
     width = max((len(x) for n, x in lines if isinstance(x, str) and n not in lists), default=0)
     rows = [
@@ -220,26 +223,20 @@ def explanation(report: Mapping[str, Any], digits: int = DIGITS) -> str:
     return write_plain(explain_events(report, digits))
 
 
-def explain_events(report: Mapping[str, Any], digits: int = DIGITS) -> list[TextBlock]:
-    """Return the titles and tables of `explanation`."""
-    return join_blocks(
-        [f"... {event} more: --json --explain or --output has all\n"]
-        if isinstance(event, int)
-        else _event(event, digits, _IMMEDIATE if report["step"] is None else _STEPPED)
-        for event in abridge(report["events"], _SHOWN)
-    )
+def explained(
+    event: Mapping[str, Any], step: float | None, digits: int = DIGITS
+) -> tuple[str, list[tuple[str, list[tuple[str, ...]]]]]:
+    """Return the title of an event, and of its explanation each subject with rows of texts."""
 
-
-def _event(event: Mapping[str, Any], digits: int, unguarded: str) -> list[TextBlock]:
     def columns(values: Mapping[str, Any]) -> list[tuple[str, ...]]:
         texts = align_numbers([number(value, digits) for value in values.values()])
-        return list(zip(values, texts, strict=True))
+        return list(zip(map(_guard, values), texts, strict=True))
 
     what = " ".join(filter(None, (event["contact"], event["cause"])))
     changed = change(event)
     time = number(event["t"], digits)
-    title = f"t = {time}, jump {event['j']}: {what}{'; ' if changed else ''}{changed}\n"
-    fired = ", ".join(event["fired"]) or unguarded
+    title = f"t = {time}, jump {event['j']}: {what}{'; ' if changed else ''}{changed}"
+    fired = ", ".join(map(_guard, event["fired"])) or (_IMMEDIATE if step is None else _STEPPED)
     margins = sorted(
         event.get("margins", {}).items(), key=lambda item: item[0] not in event["fired"]
     )
@@ -247,23 +244,44 @@ def _event(event: Mapping[str, Any], digits: int, unguarded: str) -> list[TextBl
         name: ", ".join(f"{part} {number(size, digits)}" for part, size in pair.items())
         for name, pair in event["impulse"].items()
     }
-    rows = [("fired", fired), *_with_head("margins", columns(dict(margins)))]
-    rows += _with_head("impulse", [*impulses.items(), *columns(event.get("joint_impulse", {}))])
-    rows += _with_head("path", [(step,) for step in event["path"]])
+    parts: dict[str, list[tuple[str, ...]]] = {
+        "fired": [(fired,)],
+        "margins": columns(dict(margins)),
+        "impulse": [*impulses.items(), *columns(event.get("joint_impulse", {}))],
+        "path": [(step,) for step in event["path"]],
+    }
     if event["energy"] is not None:
         before, after = (number(energy, digits) for energy in event["energy"])
-        rows.append(("energy", f"{before} -> {after}"))
+        parts["energy"] = [(f"{before} -> {after}",)]
     if event["skipped"]:
-        rows.append(("skipped", f"the bounces of {number(event['skipped'], digits)} units of time"))
-    rows += _with_head("considered", _candidates(event))
-    return [title, Table([(f"  {head}", text) for head, text in rows])]
+        skipped = number(event["skipped"], digits)
+        parts["skipped"] = [(f"the bounces of {skipped} units of time",)]
+    parts["considered"] = _candidates(event)
+    return title, [(head, rows) for head, rows in parts.items() if rows]
 
 
-def _with_head(head: str, lines: list[tuple[str, ...]]) -> list[tuple[str, str]]:
-    if not lines:
-        return []
-    texts = table(lines).splitlines()
-    return [(head if place == 0 else "", text) for place, text in enumerate(texts)]
+def _guard(name: str) -> str:
+    """Return the name of a margin for people: an atom of a condition is a numbered part of it."""
+    return _PART.sub(r", part \1", name)
+
+
+def explain_events(report: Mapping[str, Any], digits: int = DIGITS) -> list[TextBlock]:
+    """Return the titles and tables of `explanation`."""
+    return join_blocks(
+        [f"... {event} more: --json --explain or --output has all\n"]
+        if isinstance(event, int)
+        else _event(*explained(event, report["step"], digits))
+        for event in abridge(report["events"], _SHOWN)
+    )
+
+
+def _event(title: str, parts: Sequence[tuple[str, list[tuple[str, ...]]]]) -> list[TextBlock]:
+    rows = [
+        (f"  {'' if place else head}", text)
+        for head, lines in parts
+        for place, text in enumerate(table(lines).splitlines())
+    ]
+    return [f"{title}\n", Table(rows)]
 
 
 def _candidates(event: Mapping[str, Any]) -> list[tuple[str, ...]]:

@@ -18,7 +18,7 @@ import numpy as np
 from statechart.automaton.trace import Outcome, Trace
 from statechart.compiling import working_time
 from statechart.documents.setting import Setting
-from statechart.engines.engine import Allowance
+from statechart.engines.engine import TimeBudget
 from statechart.engines.request import TIGHTER, Chosen, Plan, choose
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.execution.flow import STIFF
@@ -449,12 +449,12 @@ def run_within_budget(
     taken, warnings = spent + runs.seconds, best.warnings
     over = taken > max(_OVERRUN * budget, budget + _MOMENT)
     if best.error is None and best.trace.outcome not in WITHOUT_ERROR:
-        late = (
+        exceeded = (
             f", of {taken:.2g} s, as the compilation of a mode is not interrupted" if over else ""
         )
         warnings = (
             (
-                f"the budget of {budget:g} s allowed one run{late}; for an error estimate take "
+                f"the budget of {budget:g} s allowed one run{exceeded}; for an error estimate take "
                 f"--budget {_ADVISED * taken:.2g}"
             ),
         )
@@ -594,8 +594,8 @@ class RunPlanner:
     the first choice failed for `reason`. `searching` is true for an accuracy or a budget.
     """
 
-    def __init__(self, observers: Observers, plan: Plan, allowance: Allowance | None) -> None:
-        self._observers, self._plan, self._allowance = observers, plan, allowance
+    def __init__(self, observers: Observers, plan: Plan, time_budget: TimeBudget | None) -> None:
+        self._observers, self._plan, self._time_budget = observers, plan, time_budget
         self.first = self.setting = plan.setting
         self.reason = plan.reason if plan.setting.stepped else choose(plan.setting)[1]
         self._first_reason = self.reason
@@ -612,8 +612,8 @@ class RunPlanner:
             counts = trace.counts
             cost = Cost(1, counts.get("steps", 0), counts.get("evaluations", 0), 0.0)
             return RunEstimate(observer, trace, None, cost), self._plan.basis
-        if self._allowance is not None:
-            self._allowance.begin()
+        if self._time_budget is not None:
+            self._time_budget.begin()
         found, basis = self._search(overrides, end)
         if self._change_engine(found.trace):
             vain = found.cost
@@ -627,8 +627,8 @@ class RunPlanner:
         ended = trace.outcome in (*WITHOUT_ERROR, Outcome.INTERRUPTED)
         if ended or isinstance(simulator, SteppingSimulator):
             return trace
-        if self._allowance is not None:
-            self._allowance.remove_limit()
+        if self._time_budget is not None:
+            self._time_budget.remove_limit()
         return simulator.certified(trace, overrides, until=end)
 
     def _once(
@@ -682,13 +682,13 @@ class RunPlanner:
             return refine(run_step, setting.accuracy, first=longest, end=end), basis
         floor = self._observers.floor(setting)
         first = self._observers.first(setting) if plan.first is None else plan.first
-        if self._allowance is not None:
-            allowed = self._allowance.seconds
+        if self._time_budget is not None:
+            allowed = self._time_budget.seconds
             return run_within_budget(once, allowed, spent=spent, first=first, floor=floor), basis
         assert setting.accuracy is not None
         if plan.chosen is not None:
             found = replay(once, plan.chosen)
             if found is not None:
-                return found, f"{basis}, as that run"
-            basis += ", which runs otherwise here"
+                return found, f"{basis}, with the same result"
+            basis += ", which gives another result here"
         return tighten(once, setting.accuracy, first=first, floor=floor), basis

@@ -279,9 +279,9 @@ class Result:
         progress : bool
             Whether to report progress to stderr.
         """
-        from statechart.reporting.film import Showing, animate
+        from statechart.reporting.film import AnimationOptions, animate
 
-        showing = Showing(speed, size, trail)
+        showing = AnimationOptions(speed, size, trail)
         return animate(self.observer, self.trace, path, showing, progress=progress)
 
     @check_arguments
@@ -336,12 +336,12 @@ class Result:
         """Return the run as the JSON object of ``statechart run --json``."""
         from statechart.reporting.report import Computation, report
 
-        asked, estimate = self.asked, self.error_estimate
+        request, estimate = self.asked, self.error_estimate
         computation = Computation(
             estimate,
             self.timings,
-            None if asked is None else asked.to_dict(estimate),
-            () if asked is None else self.conditions,
+            None if request is None else request.to_dict(estimate),
+            () if request is None else self.conditions,
         )
         return report(
             self.observer, self.trace, computation, explain=explain, most=most, pieces=pieces
@@ -363,8 +363,8 @@ class Result:
 
         if samples is None and self.trace.record is Record.MODES:
             warnings.warn(
-                "save writes samples.csv from version 0.3 on only where it is asked for: say "
-                "samples=True, or samples=False; trace.nc has the same",
+                "from version 0.3 on, save writes samples.csv only with samples=True; pass "
+                "samples=True or samples=False (trace.nc has the same data)",
                 DeprecationWarning,
                 stacklevel=2,
             )
@@ -375,8 +375,8 @@ class Result:
 
 
 def _restored(source: Callable[[], Outputs], trace: Trace, *parts: Any) -> Result:
-    estimate, timings, asked, study = parts
-    return Result(trace, source().observer, estimate, timings, source, asked, study)
+    estimate, timings, request, study = parts
+    return Result(trace, source().observer, estimate, timings, source, request, study)
 
 
 def _page_content(result: Result, study: Measured | None) -> dict[str, Any]:
@@ -389,8 +389,8 @@ def _page_content(result: Result, study: Measured | None) -> dict[str, Any]:
         study = known if known is not None and known.of(model) else None
     elif not study.of(model):
         raise StatechartError(
-            f"the study is not of {model.name!r} as it is now and as this version runs it; make "
-            "it anew with trade"
+            f"the study is of another model or version, or of {model.name!r} before a change; "
+            "repeat it with trade"
         )
     trace.require_motion()
     held = replace(result, trace=trace.at_hand())

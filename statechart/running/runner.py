@@ -19,7 +19,7 @@ from statechart.documents.hints import check_arguments, unknown_parameter
 from statechart.documents.setting import Record, Setting, SettingWords
 from statechart.documents.settings import LATE_END
 from statechart.documents.validation import Document, located
-from statechart.engines.engine import Allowance
+from statechart.engines.engine import TimeBudget
 from statechart.engines.request import Measured, plan_request
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
 from statechart.execution.outcome import error_of
@@ -110,9 +110,9 @@ class Runner:
         with located(document, {}):
             self._plan = plan_request(self._asked, model, self.automaton, study, once=once)
         budget = self._plan.setting.budget
-        allowance = None if budget is None else Allowance(budget)
-        self.observers = Observers(self.automaton, allowance=allowance, progress=progress)
-        self._planner = RunPlanner(self.observers, self._plan, allowance)
+        time_budget = None if budget is None else TimeBudget(budget)
+        self.observers = Observers(self.automaton, time_budget=time_budget, progress=progress)
+        self._planner = RunPlanner(self.observers, self._plan, time_budget)
 
     @property
     def document(self) -> Document | None:
@@ -189,20 +189,22 @@ class Runner:
             began = working_time()
             found, basis = planner.run(overrides, end)
             trace = planner.certified(found, overrides, end) if certify else found.trace
-            setting, asked = self.setting, None
+            setting, request = self.setting, None
             if planner.searching:
-                asked = AccuracyRequest(setting, basis, found.cost, found.not_judged, found.decides)
+                request = AccuracyRequest(
+                    setting, basis, found.cost, found.not_judged, found.decides
+                )
             warnings = (*filter(None, (planner.reason, *trace.warnings)), *found.warnings)
         trace = trace if warnings == trace.warnings else replace(trace, warnings=warnings)
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
         timings = {**self._timings, "run": working_time() - began}
-        if asked is not None and setting.stepped:
+        if request is not None and setting.stepped:
             setting = replace(setting, step=trace.step, accuracy=None)
-        elif asked is not None:
+        elif request is not None:
             setting = replace(setting, tolerance=trace.tolerance)
         source = _Source(self, setting, found.observer)
-        return Result(trace, found.observer, found.error, timings, source, asked, self.study)
+        return Result(trace, found.observer, found.error, timings, source, request, self.study)
 
     def batch(self, names: Sequence[str]) -> tuple[Observer, BatchRunner] | None:
         """Return the observer and the batch runner for values of some parameters.
@@ -350,8 +352,8 @@ class Runner:
         return self._other(self.model, None, record=Record.MODES.value)
 
     def _arguments(self, study: Measured | None, **changed: str) -> dict[str, Any]:
-        asked = {**asdict(self._asked), **changed}
-        return {**asked, "study": study, "once": self._once, "progress": self._progress}
+        arguments = {**asdict(self._asked), **changed}
+        return {**arguments, "study": study, "once": self._once, "progress": self._progress}
 
     def _other(self, model: Declaration, study: Measured | None, **changed: str) -> Runner:
         """Return a runner of another model or setting, with the other arguments of this one."""
@@ -460,7 +462,7 @@ class RunInputs:
             if self._end is None:
                 raise DeclarationProblem(
                     "the run has no end",
-                    advice="write stop: {time: 10}, or say until when",
+                    advice="write stop: {time: 10}, or --until T (in Python until=T)",
                     loc=("stop",),
                 )
             end = self._end.value(self.values(overrides) if self._end.names else {})

@@ -17,7 +17,7 @@ from statechart.palette import GRID, INK, LINES
 from statechart.reporting.figure import STYLE, frame, render, set_title
 from statechart.study.measurements import Measurements, Point
 from statechart.study.slopes import Slope, points_to_fit, slopes
-from statechart.study.text import describe_study
+from statechart.study.text import describe_study, to_dict
 from statechart.tabular import Table
 
 if TYPE_CHECKING:
@@ -52,19 +52,21 @@ def figure(study: Measurements) -> Figure:
         axes = drawing.subplots(2, 2)
         (times, works), (promises, steps) = axes
         for place, (family, points) in enumerate(study.families.items()):
-            look = _LineStyle(LINES[place % len(LINES)], _MARKERS[place % len(_MARKERS)])
+            line_style = _LineStyle(LINES[place % len(LINES)], _MARKERS[place % len(_MARKERS)])
             heights = [_height(study, p) for p in points]
             fineness = [p.setting.fineness for p in points]
-            _draw(times, points, [p.seconds for p in points], heights, look, family)
+            _draw(times, points, [p.seconds for p in points], heights, line_style, family)
             firsts = [math.nan if p.cold is None else p.cold for p in points]
-            times.plot(firsts, heights, ".", markersize=3, color=look.colour, alpha=0.6)
-            _draw(works, points, [_work(p) for p in points], heights, look)
-            _draw(promises, points, fineness, heights, look)
+            times.plot(firsts, heights, ".", markersize=3, color=line_style.colour, alpha=0.6)
+            _draw(works, points, [_work(p) for p in points], heights, line_style)
+            _draw(promises, points, fineness, heights, line_style)
             if points[0].setting.accuracy is None and not points[0].setting.stepped:
-                _draw(steps, points, fineness, [float(p.steps) for p in points], look)
+                _draw(steps, points, fineness, [float(p.steps) for p in points], line_style)
             for slope in slopes(study) if study.parted is None else ():
                 if slope.family == family:
-                    _slope(promises if slope.of == "error" else steps, study, slope, look.colour)
+                    _slope(
+                        promises if slope.of == "error" else steps, study, slope, line_style.colour
+                    )
         if study.parted is None:
             for once in (False, True):
                 _front(times, study, once=once)
@@ -142,21 +144,16 @@ def _svg(drawing: Figure) -> bytes:
 def _csv(study: Measurements) -> str:
     kinds = list(dict.fromkeys(name for p in study.points for name in p.errors.violations))
     stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(
-        ["engine", "method", "tolerance", "accuracy", "step", "impulse_tolerance",
-         "outcome", "same_modes", "diverged", "parted", "error", "state", "times", "outputs",
-         "path", "energy", *kinds, "seconds", "repeats", "cold", "steps", "evaluations",
-         "flows", "kept"]
-    )  # fmt: skip
-    for p in study.points:
-        s, e = p.setting, p.errors
-        writer.writerow(
-            [s.engine, s.method, s.tolerance, s.accuracy, s.step, s.impulse_tolerance, p.outcome,
-             p.same_modes, p.diverged, p.parted, study.error(p), e.state, e.times, e.outputs,
-             e.path, e.energy, *(e.violations.get(name) for name in kinds), p.seconds, p.repeats,
-             p.cold, p.steps, p.evaluations, p.flows, study.meets_tolerance(p)]
-        )  # fmt: skip
+    columns = [
+        "engine", "method", "tolerance", "accuracy", "step", "impulse_tolerance", "outcome",
+        "same_modes", "diverged", "parted", "error", "state", "times", "outputs", "path", "energy",
+        *kinds, "seconds", "repeats", "cold", "steps", "evaluations", "flows", "kept",
+    ]  # fmt: skip
+    writer = csv.DictWriter(stream, columns, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    for point in to_dict(study)["points"]:
+        errors = point["errors"]
+        writer.writerow({**errors["violations"], **errors, **point["setting"], **point})
     return stream.getvalue()
 
 
@@ -197,10 +194,10 @@ def _draw(
     points: Sequence[Point],
     places: Sequence[float],
     heights: Sequence[float],
-    look: _LineStyle,
+    line_style: _LineStyle,
     family: str = "",
 ) -> None:
-    ax.plot(places, heights, color=look.colour, linewidth=0.8, alpha=0.6)
+    ax.plot(places, heights, color=line_style.colour, linewidth=0.8, alpha=0.6)
     for same in (True, False):
         chosen = [
             (place, height)
@@ -210,10 +207,10 @@ def _draw(
         if chosen:
             ax.plot(
                 *zip(*chosen, strict=True),
-                look.marker,
+                line_style.marker,
                 markersize=5,
-                color=look.colour,
-                markerfacecolor=look.colour if same else "white",
+                color=line_style.colour,
+                markerfacecolor=line_style.colour if same else "white",
                 label=family if same or not family else f"{family}, other modes",
             )
 

@@ -236,7 +236,7 @@ class Measurements(Record):
                 missed[point.setting.family] += not kept
         return {family: (missed[family], count) for family, count in known.items()}
 
-    def choose(self, asked: Setting, *, once: bool) -> Chosen | None:
+    def choose(self, requested: Setting, *, once: bool) -> Chosen | None:
         """Return the cheapest measured setting for an accuracy, or the most accurate for a budget.
 
         The resolution is added to the errors. A named engine or method excludes others. `once`: see
@@ -247,15 +247,15 @@ class Measurements(Record):
             setting, error = point.setting, self.error(point)
             if setting.tolerance is None or not self.comparable(point) or error is None:
                 continue
-            if asked.engine not in (None, "auto", setting.engine):
+            if requested.engine not in (None, "auto", setting.engine):
                 continue
-            if asked.method not in (None, setting.method):
+            if requested.method not in (None, setting.method):
                 continue
-            if asked.accuracy is not None:
-                fits, rank = error + self.least <= asked.accuracy, point.cost(once=once)
+            if requested.accuracy is not None:
+                fits, rank = error + self.least <= requested.accuracy, point.cost(once=once)
             else:
                 took = 2.0 * point.cost(once=once)
-                fits, rank = took <= (asked.budget or 0.0), error
+                fits, rank = took <= (requested.budget or 0.0), error
             if fits and (best is None or rank < best[0]):
                 best = (rank, point)
         if best is None:

@@ -117,17 +117,17 @@ class References:
             raise SimulationError(
                 "no reference: two engines must reach the end of the run:" + "\n  ".join(failures)
             )
-        found, third = self._pair(*first), None
+        found, third = self._compare_pair(*first), None
         runs = (*first, *islice(candidates, int(found.separation.size > _GROSS)))
         if len(runs) > 2:
             found, third = self._best_of_three(runs)
         reference, check = found.reference, found.check
         setting, shift = reference.setting, Errors()
         if setting.step is None:
-            late = self._ended(
+            shifted = self._ended(
                 setting, Observers(with_doubled_tolerances(self.automaton)).at(setting)
             )
-            shift = self._pair(reference, late).separation.errors
+            shift = self._compare_pair(reference, shifted).separation.errors
         study = Study(
             model=self.model.name,
             fingerprint=mark,
@@ -178,7 +178,7 @@ class References:
             raise error_of(trace)
         return Run.of(observer, trace, setting)
 
-    def _pair(self, reference: Run, check: Run) -> _Pair:
+    def _compare_pair(self, reference: Run, check: Run) -> _Pair:
         errors, _ = errors_of(self.model, reference, check)
         return _Pair(reference, check, _Separation(reference.left(check), errors))
 
@@ -189,7 +189,7 @@ class References:
         the reference is from itself with a perturbed start. Otherwise the motion magnifies errors
         so much that the agreement of two runs proves nothing.
         """
-        pairs = [self._pair(one, other) for one, other in combinations(runs, 2)]
+        pairs = [self._compare_pair(one, other) for one, other in combinations(runs, 2)]
         best = min(pairs, key=lambda pair: pair.closeness)
         third = next(run for run in runs if run not in (best.reference, best.check))
         off = min(
@@ -227,7 +227,7 @@ class References:
                     other = self._ended(run.setting, Observers(off).at(run.setting))
                 except DeclarationError:  # no valid initial state
                     continue
-                separation = self._pair(run, other).separation
+                separation = self._compare_pair(run, other).separation
                 found = separation if found is None else found.worse(separation)
                 if found.parted is not None:
                     return found

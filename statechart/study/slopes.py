@@ -85,7 +85,7 @@ def reasons_without_slope(study: Measurements) -> dict[str, str]:
             if (family, of) in known or (study.parted is not None and of == "error"):
                 continue
             if family in deviating and of == "error":
-                why = "its runs differ for the reason that they warn of"
+                why = "its runs deviate from the reference, as their warnings explain"
             elif len(points_to_fit(study, family, of)) >= MIN_POINTS:
                 why = "it does not fall: it is round-off, or the runs take other modes"
             elif len(_same(study, family)) < MIN_POINTS:
@@ -150,7 +150,7 @@ class Note:
         return _same_apart_from_numbers(self.text) in map(_same_apart_from_numbers, texts)
 
 
-def notes(study: Measurements) -> tuple[Note, ...]:
+def distinct_warnings(study: Measurements) -> tuple[Note, ...]:
     """Return the distinct warnings of all points."""
     found: dict[str, list[tuple[str, Point]]] = {}
     for point in study.points:

@@ -36,7 +36,7 @@ class FreshProcess:
         self._process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> FreshProcess:
-        """Start no process yet."""
+        """Return itself; `seconds` starts the process."""
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -10,8 +10,8 @@ from statechart.automaton.trace import Outcome
 from statechart.study.measurements import Measurements, Point, Third
 from statechart.study.slopes import (
     Note,
+    distinct_warnings,
     new_warnings,
-    notes,
     reasons,
     reasons_without_slope,
     slopes,
@@ -107,7 +107,7 @@ def _odd(third: Third, study: Measurements) -> str:
         study.warnings.get(third.setting, ()), study.warnings.get(study.reference, ())
     )
     return (
-        f"{third.setting} is the odd one out and not relied on: it {when}is off in "
+        f"{third.setting} disagrees with both and is not used: it {when}is off in "
         + (", ".join(parts) or "its modes")
         + f", more than a start that is off by {third.shift:.0e} explains"
         + "".join(f"; it warns: {text}" for text in warned)
@@ -147,7 +147,7 @@ def _foot(study: Measurements) -> str:
     missed = study.missed()
     if missed:
         parts = (f"{family} {few} of {many}" for family, (few, many) in missed.items())
-        lines.append("missed what they promised: " + ", ".join(parts))
+        lines.append("error above the tolerance: " + ", ".join(parts))
     refused = [p.setting.label for p in study.points if p.refused]
     if refused:
         lines.append("did not reach their accuracy:" + ", ".join(refused))
@@ -179,7 +179,7 @@ def _foot(study: Measurements) -> str:
         + (f" (numbers of {note.settings[0]})" if note.differs else "")
         for place, note in enumerate(listed, 1)
     ]
-    more = len(notes(study)) - len(listed)
+    more = len(distinct_warnings(study)) - len(listed)
     if more:
         lines.append(
             f"{pluralise(more, 'further warning')} {'is' if more == 1 else 'are'} in trade.json"
@@ -205,14 +205,14 @@ def advice(study: Measurements) -> list[str]:
         parts = {part: getattr(setting, part) for part in _OPTIONS}
         options = " ".join(f"--{part} {x}" for part, x in parts.items() if x is not None)
         others = [point for point in able if point.setting.family != setting.family]
-        beside = ""
+        comparison = ""
         if others:
             next_best = min(others, key=lambda point: point.seconds)
             times = next_best.seconds / best.seconds
             cheaper = f"{times:.2g} times cheaper than" if times >= 1.1 else "as fast as"
-            beside = f", {cheaper} {next_best.setting.label}"
+            comparison = f", {cheaper} {next_best.setting.label}"
         cost = _seconds(best.seconds)
-        return [f"for an accuracy of {accuracy:g} use {options}: {cost} a run{beside}"]
+        return [f"for an accuracy of {accuracy:g} use {options}: {cost} a run{comparison}"]
     return []
 
 
@@ -235,7 +235,7 @@ def omitted(study: Measurements) -> list[str]:
 def _listed_warnings(study: Measurements) -> list[Note]:
     """Return the warnings listed in full, those that explain a deviation first."""
     why = [text for texts in reasons(study).values() for text in texts]
-    found = sorted(notes(study), key=lambda note: not note.says_one_of(why))
+    found = sorted(distinct_warnings(study), key=lambda note: not note.says_one_of(why))
     return found[: max(_MAX_NOTES, sum(note.says_one_of(why) for note in found))]
 
 
@@ -302,6 +302,6 @@ def to_dict(study: Measurements) -> dict[str, Any]:
     shown["slopes"] = [asdict(slope) for slope in slopes(study)]
     shown["no_slope"] = reasons_without_slope(study)
     shown["unsettled"] = study.unsettled()
-    shown["notes"] = [asdict(note) for note in notes(study)]
+    shown["notes"] = [asdict(note) for note in distinct_warnings(study)]
     shown["reasons"] = reasons(study)
     return shown

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import pickle
 import threading
@@ -31,6 +30,7 @@ from statechart.observation.outputs import Outputs
 from statechart.observation.scales import OutputValue
 from statechart.running.result import Result
 from statechart.running.runner import Runner
+from statechart.sweeps.mode_sequences import write_sequence
 from statechart.sweeps.plan import Task, lists
 
 REFUSED = "DECLARATION_ERROR"
@@ -44,8 +44,6 @@ OUTCOMES = {
 }
 """Outcome -> sentence."""
 
-_MAX_LETTERS = 240  # of a sequence of modes; a longer one is cut, with its length and a digest
-_MAX_PERIOD = 12  # modes of a repeated cycle
 _MAX_STRUCTURES, _MAX_TEXTS = 8, 4096  # cached runners and texts of sequences
 _MAX_BATCH = 256  # cells of one compiled call
 # After _MIN_TRIALS cells, batches go on if one in _WORTH completes: a complete cell saves four
@@ -272,13 +270,7 @@ class _Structure:
             yield batch, outputs.of_batch(batch, partial(rows.jump, batch, table[batch.rows]))
 
     def _text(self, modes: Sequence[Key]) -> str:
-        words = [self._word(key) for key in modes]
-        text = " > ".join(contract_cycles(words))
-        if len(text) <= _MAX_LETTERS:
-            return text
-        digest = hashlib.sha256(" > ".join(words).encode()).hexdigest()[:8]
-        begin = text[:_MAX_LETTERS].rpartition(" > ")[0] or words[0]
-        return f"{begin} > ... ({len(words)} modes, {digest})"
+        return write_sequence([self._word(key) for key in modes])
 
     def _word(self, key: Key) -> str:
         """Return the name of a mode, without regions of a single state."""
@@ -299,26 +291,6 @@ class _Structure:
             with suppress(DeclarationError):
                 found[k] = runner.end(dict(zip(names, row, strict=True)))
         return found
-
-
-def contract_cycles(words: Sequence[str]) -> list[str]:
-    """Return a sequence with repeated cycles contracted: ``(a > b) x 3``."""
-    found: list[str] = []
-    k = 0
-    while k < len(words):
-        best = (1, 1)
-        for period in range(2, _MAX_PERIOD + 1):
-            cycle, end = words[k : k + period], k + period
-            while words[end : end + period] == cycle:
-                end += period
-            times = (end - k) // period
-            if times > 1 and times * period > best[0] * best[1]:
-                best = (period, times)
-        period, times = best
-        text = " > ".join(words[k : k + period])
-        found.append(text if times == 1 else f"({text}) x {times}")
-        k += period * times
-    return found
 
 
 def _modes_of(batch: Batch) -> list[tuple[Key, ...]]:

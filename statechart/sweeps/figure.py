@@ -7,11 +7,7 @@ drawn as points: a bifurcation diagram.
 from __future__ import annotations
 
 import math
-import re
-from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +18,7 @@ from statechart.automaton.trace import Outcome
 from statechart.errors import DeclarationError
 from statechart.palette import LINES
 from statechart.reporting.figure import STYLE, frame, frame_bands, set_title
+from statechart.sweeps.mode_sequences import shorten_alike
 from statechart.sweeps.plan import Plan
 
 if TYPE_CHECKING:
@@ -42,11 +39,7 @@ _OTHERS, _NOTHING, _BLANK = "#BBBBBB", "#FFFFFF", "#E6E6E6"
 _FEW, _DENSER = 7, 3
 _WIDTH = 7.6  # inches
 _WIDE = 5.0  # ratio of the largest to the least value of a logarithmic axis
-_MAX_LETTERS, _LETTER, _HANDLE = 96, 0.058, 0.6  # of a legend; widths in inches
-# Modes of at least so many regions name only the regions that are not in their usual state.
-_MANY_REGIONS = 4
-_STATE = re.compile(r"([^\s():>]+):([^\s():>]+)")
-_BETWEEN, _DIGEST = re.compile(r" > (?![^(]*\))"), re.compile(r" modes, [0-9a-f]{8}\)$")
+_LETTER, _HANDLE = 0.058, 0.6  # of a legend; widths in inches
 _SUCCEEDED = [outcome.name for outcome in Outcome if outcome.succeeded]
 
 
@@ -131,49 +124,9 @@ class _Cells:
         return found
 
 
-def shorten_alike(texts: Sequence[str]) -> list[str]:
-    """Return sequences of modes for a legend, long ones reduced to their differences."""
-    if max(map(len, texts), default=0) <= _MAX_LETTERS:
-        return list(texts)
-    # Only the regions with a state that differs; a digest is unreadable.
-    usual: dict[str, Counter[str]] = {}
-    for region, state in _STATE.findall(" ".join(texts)):
-        usual.setdefault(region, Counter())[state] += 1
-
-    def short(word: str) -> str:
-        states = _STATE.findall(word)
-        if len(states) < _MANY_REGIONS:
-            return word
-        own = [s for s in states if s[1] != usual[s[0]].most_common(1)[0][0]] or states[:1]
-        kept = _STATE.sub(lambda found: found[0] if found.groups() in own else "", word)
-        return re.sub(" +", " ", kept).replace("( ", "(").replace(" )", ")").strip()
-
-    # A cycle in parentheses is one word.
-    split = [_BETWEEN.split(_DIGEST.sub(" modes)", text)) for text in texts]
-    split = [[" > ".join(map(short, word.split(" > "))) for word in words] for words in split]
-    found: list[str] = []
-    seen: Counter[str] = Counter()
-    for words in split:
-        begin = max((_shared(words, other) for other in split if other is not words), default=0)
-        cut = max(begin - 1, 0)
-        text = " > ".join([*([words[0], "..."] if cut > 1 else words[:cut]), *words[cut:]])
-        end = words[-1] if words[-1].startswith("...") else "..."
-        if len(text) > _MAX_LETTERS:
-            text = f"{text[: _MAX_LETTERS - len(end)].rpartition(' ')[0]} {end}"
-        seen[text] += 1
-        found.append(f"{text}, {seen[text]}" if seen[text] > 1 else text)
-    return found
-
-
 def _legend_columns(cells: _Cells, width: float, most: int) -> int:
     longest = _HANDLE + _LETTER * max(map(len, cells.labels), default=0)
     return int(np.clip(width / longest, 1, most))
-
-
-def _shared(one: Sequence[str], other: Sequence[str]) -> int:
-    """Return the length of the common prefix of two sequences."""
-    pairs = zip(one, other, strict=False)
-    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
 
 
 @dataclass(frozen=True, eq=False)

@@ -122,7 +122,7 @@ class Plan:
                     advice=unknown_parameter(name, model.parameters),
                 )
         self.model, self.grid, self.accurate = model, grid, accurate
-        self.columns = {name: numbers(name, given) for name, given in columns.items()}
+        self.columns = {name: numbers(name, values) for name, values in columns.items()}
         self.task = Task.of(model, setting, until, tuple(columns), outputs)
         lengths = tuple(len(column) for column in self.columns.values())
         if grid:
@@ -198,15 +198,15 @@ class Plan:
             f"{name}: {len(column)} from {column.min():g} to {column.max():g}"
             for name, column in self.columns.items()
         )
-        asked = {key: value for key, value in asdict(task.setting).items() if value is not None}
-        asked |= {} if task.until is None else {"until": task.until}
+        options = {key: value for key, value in asdict(task.setting).items() if value is not None}
+        options |= {} if task.until is None else {"until": task.until}
         found = {
             "format": _FORMAT,
             "model": self.model.name,
             "doc": self.model.doc,
             "version": task.version,
             "swept": f"{'grid' if self.grid else 'table'}, {varied}",
-            "asked": ", ".join(f"{key} {value}" for key, value in asked.items()) or "nothing",
+            "asked": ", ".join(f"{key} {value}" for key, value in options.items()) or "nothing",
             "outputs": ", ".join(task.outputs),
         }
         return {**found, "digest": self._digest(found)}

@@ -156,10 +156,10 @@ def read_table(path: Path | str) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def numbers(name: str, given: Sequence[float] | Array) -> Array:
+def numbers(name: str, values: Sequence[float] | Array) -> Array:
     """Return values (n,) of a parameter as floats."""
     try:
-        found = np.atleast_1d(np.asarray(given, dtype=float))
+        found = np.atleast_1d(np.asarray(values, dtype=float))
     except (TypeError, ValueError):
         raise DeclarationError(f"the values of {name} must be numbers") from None
     if found.ndim != 1 or found.size == 0:

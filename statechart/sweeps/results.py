@@ -11,6 +11,7 @@ import numpy as np
 
 from statechart.automaton.trace import Outcome
 from statechart.documents.quantities import unit_suffix
+from statechart.sweeps.mode_sequences import shorten_alike
 from statechart.sweeps.plan import Plan
 from statechart.tabular import (
     DIGITS,
@@ -127,7 +128,9 @@ def format_text(report: dict[str, Any], digits: int = DIGITS) -> list[TextBlock]
         )
         for name, one in report["outputs"].items()
     ]
-    sequences = [(str(one["cells"]), one["modes"]) for one in report["sequences"][:_LISTED]]
+    listed = report["sequences"][:_LISTED]
+    texts = shorten_alike([one["modes"] for one in listed])
+    sequences = [(str(one["cells"]), text) for one, text in zip(listed, texts, strict=True)]
     rest = report["sequences"][_LISTED:]
     if rest:
         sequences.append((str(sum(one["cells"] for one in rest)), f"others ({len(rest)})"))

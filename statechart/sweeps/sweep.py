@@ -186,7 +186,7 @@ def run_plan(
         left = kept.left
         shown = _Progress(plan.size, plan.size - left) if progress else None
         try:
-            with interrupts.held():
+            with interrupts.deferred():
                 work = _Work(plan, kept, shown, shared=executor is not None)
                 ended = _ended(work, executor)
                 kept.finish()
@@ -342,10 +342,10 @@ class _Work:
 def _hand_out(work: _Work, executor: Executor) -> None:
     """Run blocks on an executor; each that returns increases their number in flight by one."""
     pending: dict[Future[CellBlock], _Job] = {}
-    room, watch = _FIRST_BLOCKS, ClusterWatch(executor)
+    capacity, watch = _FIRST_BLOCKS, ClusterWatch(executor)
     try:
         while True:
-            while len(pending) < room and (job := work.next()) is not None:
+            while len(pending) < capacity and (job := work.next()) is not None:
                 pending[executor.submit(run_block, work.task, job.parameters)] = job
             if not pending:
                 return
@@ -358,7 +358,7 @@ def _hand_out(work: _Work, executor: Executor) -> None:
                     pending[executor.submit(run_block, work.task, job.parameters)] = job
                     continue
                 work.take(job, future.result())
-                room = min(room + 1, _MAX_BLOCKS)
+                capacity = min(capacity + 1, _MAX_BLOCKS)
     except (KeyboardInterrupt, StatechartError, MemoryError):
         raise
     except ImportError as error:

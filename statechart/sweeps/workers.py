@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _SCHEDULER_TIMEOUT = 10.0  # seconds
 # Processes per processor; each costs 150 MB.
 _MAX_PROCESSES = 16
-# Seconds between checks for workers of a cluster, and until a cluster without any is given up.
+# Seconds between checks for workers of a cluster, and until a cluster without workers fails.
 _POLL_INTERVAL, _PATIENCE = 5.0, 60.0
 _NAME = "contact-statecharts"
 

@@ -17,10 +17,11 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.automaton.trace import Jump, Key, Trace
 from statechart.observation.zeno_tails import drop_summed
-from statechart.tabular import shortest_text
 
 NUDGE = 1e-7
 """Relative perturbation of parameters; above the errors of the runs."""
+
+_ANOTHER_COURSE = f"a relative change of the parameters by {NUDGE:g} leads to other events"
 
 # Round-off at the start of a run, and of the location of every event.
 _LOCATED = 1e-13
@@ -136,9 +137,7 @@ def _compare(
         shaken = [s for s in near if len(s.events) > i and s.events[i].what == mine.what]
         allowed = _allowed(mine, [s.events[i].numbers for s in shaken], first, error, floor)
         if len(shaken) < len(near):
-            raise Undecidable(
-                f"{_event_label(i, mine)}: a change of {NUDGE:g} takes another course"
-            )
+            raise Undecidable(f"{_event_label(i, mine)}: {_ANOTHER_COURSE}")
         near = shaken
         # States at different times differ by the motion in between.
         allowed += abs(mine.t - its.t) * mine.rates
@@ -146,7 +145,7 @@ def _compare(
             _raise_undecidable_hit(first, second, i)
         _assert_close(mine.numbers, its.numbers, allowed, reference, _event_label(i, mine))
     if any(len(sequence.events) != len(first.events) for sequence in near):
-        raise Undecidable(f"the end: a change of {NUDGE:g} takes another course")
+        raise Undecidable(f"the end: {_ANOTHER_COURSE}")
     if first.mode != second.mode:
         raise AssertionError(f"{first.mode} at the end of one run, {second.mode} of the other")
     last = Event(("", "end", (), ()), first.end, 0.0)
@@ -191,8 +190,8 @@ def _assert_close(mine: Array, its: Array, allowed: Array, trace: Trace, place: 
     if not (off <= allowed).all():
         names = ["the time", *(f"{v} before" for v in trace.variables), *trace.variables]
         raise AssertionError(
-            f"{place}: {names[worst]} is {shortest_text(mine[worst])} in one run and "
-            f"{shortest_text(its[worst])} in the other; their errors explain {allowed[worst]:.1e}"
+            f"{place}: {names[worst]} is {mine[worst]:.7g} in one run, and differs by "
+            f"{off[worst]:.2g} in the other; their errors explain {allowed[worst]:.1e}"
         )
 
 
@@ -207,16 +206,16 @@ def _raise_undecidable_hit(first: EventSequence, second: EventSequence, i: int) 
         for one, two in pairwise(sequence.events[i : i + 2]):
             if two.t - one.t <= instant:
                 raise Undecidable(
-                    f"{_event_label(i, one)}: impacts closer than {instant:.1e} in time are one in "
-                    "one of the runs"
+                    f"{_event_label(i, one)}: impacts closer than {instant:.1e} in time are a "
+                    "single one in one of the runs"
                 )
     n = len(first.end) // 2
     small = _SLOW_IMPACT * first.sizes[n + 1 :]
     both = [sequence.events[i].numbers for sequence in (first, second)]
     if all((np.abs(at[n + 1 :] - at[1 : n + 1]) <= small).all() for at in both):
         raise Undecidable(
-            f"{_event_label(i, first.events[i])}: an impact so slow that rounding decides which of "
-            "the contacts that move together are hit first"
+            f"{_event_label(i, first.events[i])}: the impact is so slow that round-off decides "
+            "which of the contacts that move together is hit first"
         )
 
 
@@ -233,7 +232,8 @@ def _raise_if_tolerances_decide(
     courses = [[one.what for one in s.events[: count + 1]] for s in (first, second)]
     if courses[0] == courses[1] and courses[0][count:] != [event.what]:
         raise Undecidable(
-            f"{_event_label(i, event)}: at the tolerances of the other engine it takes its course"
+            f"{_event_label(i, event)}: at the tolerances of the other engine the run has its "
+            "events"
         )
 
 
@@ -251,7 +251,7 @@ def _raise_difference(
     place = _event_label(i, (own or others)[0])
     what = tuple(event.what for event in own)
     if any(tuple(e.what for e in sequence.events[i : i + 1]) != what for sequence in near):
-        raise Undecidable(f"{place}: a change of {NUDGE:g} takes another course")
+        raise Undecidable(f"{place}: {_ANOTHER_COURSE}")
     instant = error * float(first.end[0])
     if own:
         numbers = [sequence.events[i].numbers for sequence in near]
@@ -263,8 +263,8 @@ def _raise_difference(
             raise Undecidable(f"{place}: events closer than {instant:.1e} in time")
     if residual > NUDGE:
         raise Undecidable(
-            f"{place}: impulses that miss the contact laws by {residual:.0e} do what a change of "
-            f"{NUDGE:g} does not show; a smaller impulse_tolerance decides"
+            f"{place}: the residual of the impulses, {residual:.0e}, may decide the event; use a "
+            "smaller impulse_tolerance"
         )
     if not all(trace.certified or trace.step is not None for trace in traces):
         raise Undecidable(f"{place}: a guard could not be decided")
@@ -276,7 +276,7 @@ def _raise_difference(
 
 
 def _event_label(i: int, event: Event) -> str:
-    return f"event {i + 1} ({event.what[0]} {event.what[1]}, t = {shortest_text(event.t)})"
+    return f"event {i + 1} ({event.what[0]} {event.what[1]}, t = {event.t:.7g})"
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD, region_roles
 from statechart.automaton.regions import Claim, Invariant, Margin, active_in, whole_margins
 from statechart.automaton.trace import Arc, Jump, Key, Role, Trace, sizes
-from statechart.execution.finding import STATE_ROUND_OFF, STATE_TOLERANCES
+from statechart.execution.event_classification import STATE_ROUND_OFF, STATE_TOLERANCES
 from statechart.formulas.condition import Active
 from statechart.formulas.relation import (
     Comparison,
@@ -33,7 +33,7 @@ from statechart.formulas.relation import (
 )
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import extremes_along
-from statechart.observation.sampling import passed_modes
+from statechart.observation.sampling import instantaneous_modes
 from statechart.testing.agreement import NUDGE
 from statechart.testing.subject import Subject
 
@@ -104,7 +104,9 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
                 )
     automaton, flowed = subject.automaton, {arc.j for arc in trace.arcs}
     for invariant in automaton.invariants:
-        for jump in {jump.j: jump for jump in (*trace.jumps[:1], *passed_modes(trace))}.values():
+        for jump in {
+            jump.j: jump for jump in (*trace.jumps[:1], *instantaneous_modes(trace))
+        }.values():
             for before in (True, False):
                 margin = invariant.margin(automaton.active(jump.source if before else jump.target))
                 lasts = (jump.j if before else jump.j + 1) in flowed
@@ -279,14 +281,14 @@ def invariants_of(automaton: Automaton, mode: Key) -> list[Invariant]:
 
 def _grids(trace: Trace) -> Iterator[tuple[Arc, Array]]:
     """Yield every arc with local times, evenly spaced and graded towards both ends."""
-    late = _TIME_ERROR * trace.t_end
+    margin_of_time = _TIME_ERROR * trace.t_end
     count = int(np.clip(_ALL // max(len(trace.arcs), 1), _FEWEST, _UNIFORM))
     even = (np.arange(count) + 0.5) / count
     halved = 0.5 ** np.arange(1, min(count, _HALVINGS) + 1)
     places = np.unique(np.concatenate([even, halved, 1.0 - halved]))
     for arc in trace.arcs:
         tau = places * arc.duration
-        yield arc, tau[(tau > late) & (tau < arc.duration - late)]
+        yield arc, tau[(tau > margin_of_time) & (tau < arc.duration - margin_of_time)]
 
 
 def _state_errors(trace: Trace) -> Array:

@@ -54,13 +54,13 @@ class Subject:
         self.observers: dict[str, Observer] = {}
         self.missing: dict[str, str] = {}
         made = Observers(self.automaton)
-        asked = plan_request(Setting(record="modes"), model, self.automaton).setting
-        self.model, self.step = model, asked.step
+        setting = plan_request(Setting(record="modes"), model, self.automaton).setting
+        self.model, self.step = model, setting.step
         if self.step is not None:
             # Transformed models are run with the step of the original.
             chosen = model.settings.model_copy(update={"engine": "impulse", "step": self.step})
             self.model = model.model_copy(update={"settings": chosen})
-            self.observers["impulse"] = made.at(asked)
+            self.observers["impulse"] = made.at(setting)
         method = model.settings.method
         for name in ("taylor", "scipy") if self.step is None else ():
             try:

@@ -457,7 +457,7 @@ def test_a_tank_is_empty_where_the_root_of_its_level_ends(c: float, full: float)
     error = 2.0 * math.sqrt(1e-13 * full) / c
     assert result.outputs["dry"] == pytest.approx(2.0 * math.sqrt(full) / c, abs=error)
     assert abs(result.outputs["rest"]) < 1e-15
-    assert any("whether it passes is not known" in warning for warning in result.warnings)
+    assert any("within the error of the run" in warning for warning in result.warnings)
 
 
 def test_a_stop_condition_ends_a_run_where_its_rates_end() -> None:

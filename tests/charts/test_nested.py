@@ -233,11 +233,11 @@ regions:
 @pytest.mark.parametrize(
     ("old", "new", "token", "words"),
     [
-        ("        initial: b1\n", "", "b:", "does not say with which it begins; write initial: b1"),
+        ("        initial: b1\n", "", "b:", "and no initial one; write initial: b1"),
         ("initial: b1", "initial: l1", "l1", "no state 'l1' in 'b'"),
         ("initial: b1", "initial: b", "b\n", "no state 'b' in 'b'"),
-        ("a: {}", "a: {initial: b}", "initial: b", "holds no states of its own"),
-        ("a: {}", "a: {history: deep}", "deep", "no state whose states it remembers; put it among"),
+        ("a: {}", "a: {initial: b}", "initial: b", "has an initial state, and no states"),
+        ("a: {}", "a: {history: deep}", "deep", "is in no state with states; put it among"),
         ("b2: {}", "b2: {history: deep, flows: {x: 1}}", "flows", "only a target of"),
         ("b2: {}", "b2: {history: full}", "full", "must be 'shallow' or 'deep'"),
         ("b2: {}", "a: {}", "a: {}\n      p", "names of states are unique in a region"),

@@ -258,3 +258,97 @@ def test_charts_on_time_alone_need_no_variables(
     result = run(read_text(LIGHT.replace("GO", go).replace("HALT", halt)), engine=engine)
     assert result.outputs["go"] == pytest.approx(times, rel=1e-12)
     assert result.outputs["green"] == pytest.approx(green, rel=1e-12)
+
+
+# A position encoder of width q, and an input of the value it shows, held for T.
+SAMPLED = """
+    initial: a
+    variables: {u: 0, i: 0, n: 0}
+    states:
+      a: {CONTENT}
+      b: {entry: {n: "floor(10*i/4)"}, CONTENT}
+    transitions:
+      - name: sample
+        from: a
+        every: T
+        updates: {u: "-2*q*floor(X/q + 1/2) - DX", i: "mod(i + 1, 4)"}
+      - {name: leave, from: a, to: b, after: 4.6}
+stop: {time: 5}
+outputs:
+  x: {value: X}
+  u: {value: u, at: each sample}
+  i: {value: i, at: each sample}
+  n: {value: n}
+"""
+AS_SCENE = """kind: scene
+name: n
+parameters: {q: 0.1, T: 0.25, c: 0.3}
+bodies: {b: {mass: 1, start: {x: 1}}}
+controls: {held: 0}
+forces: {f: {body: b, force: [held - c*b.dx, 0]}}
+regions:
+  r:""" + SAMPLED.replace("DX", "b.dx").replace("X", "b.x").replace("CONTENT", "sets: {held: u}")
+AS_CHART = """kind: chart
+name: n
+parameters: {q: 0.1, T: 0.25, c: 0.3}
+variables: {x: 1, v: 0, u: 0, i: 0, n: 0}
+regions:
+  r:""" + SAMPLED.replace("    variables: {u: 0, i: 0, n: 0}\n", "").replace("DX", "v").replace(
+    "X", "x"
+).replace("CONTENT", "flows: {x: v, v: u - c*v}")
+
+
+def quantised_samples() -> tuple[list[float], float]:
+    """Return the samples of the input, and the place at 5, by the closed form between samples."""
+    x, v, u, c, period = 1.0, 0.0, 0.0, 0.3, 0.25
+    samples = []
+
+    def after(t: float) -> tuple[float, float]:
+        decay = math.exp(-c * t)
+        return x + u / c * t + (v - u / c) * (1 - decay) / c, u / c + (v - u / c) * decay
+
+    for _ in range(18):
+        x, v = after(period)
+        u = -0.2 * math.floor(x / 0.1 + 0.5) - v
+        samples.append(u)
+    return samples, after(0.5)[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "tolerance"),
+    [
+        (AS_CHART, {"engine": "taylor"}, 1e-13),
+        (AS_CHART, {"engine": "scipy"}, 1e-10),
+        (AS_SCENE, {"engine": "taylor"}, 1e-13),
+        (AS_SCENE, {"engine": "scipy"}, 1e-10),
+        (AS_SCENE, {"engine": "impulse", "step": 1e-3}, 1e-7),
+    ],
+)
+def test_updates_quantise_and_count_in_a_ring(text: str, options: Any, tolerance: float) -> None:
+    samples, place = quantised_samples()
+    result = run(read_text(text), **options)
+    assert result.outputs["u"] == pytest.approx(samples, abs=tolerance)
+    assert result.outputs["x"] == pytest.approx(place, abs=tolerance)
+    assert result.outputs["i"] == [(k + 1) % 4 for k in range(18)]
+    assert result.outputs["n"] == 5  # of 10*2/4
+
+
+def test_guards_at_the_bound_that_a_quantised_update_sets_are_decided() -> None:
+    # The step of a stair at 0.3 = 3 q: the guard is on its boundary after the update.
+    text = """
+kind: chart
+name: stair
+parameters: {q: 0.1}
+variables: {x: 0.3, y: 0}
+regions:
+  r:
+    initial: a
+    states: {a: {}, b: {}}
+    transitions:
+      - {name: sample, from: a, after: 1, to: b, updates: {y: "q*floor(x/q)"}}
+      - {name: back, from: b, to: a, guard: y >= 3*q}
+stop: {time: 1.5}
+outputs: {y: {value: y}, back: {count: back}}
+"""
+    result = run(read_text(text))
+    assert result.outputs == {"y": pytest.approx(0.3, rel=1e-15), "back": 1}

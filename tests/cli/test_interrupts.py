@@ -48,14 +48,14 @@ def striking(work: Callable[..., object], at: int) -> Callable[..., object]:
 
 
 def test_these_tests_pass_where_a_shell_ignores_signals_in_the_background() -> None:
-    one = f"{__file__}::test_a_held_signal_waits_for_the_next_check"
+    one = f"{__file__}::test_a_deferred_signal_waits_for_the_next_check"
     command = f"trap '' INT TERM HUP; '{sys.executable}' -m pytest -q '{one}'"
     done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
 
 
-def test_a_held_signal_waits_for_the_next_check() -> None:
-    with interrupts.held():
+def test_a_deferred_signal_waits_for_the_next_check() -> None:
+    with interrupts.deferred():
         strike()
         assert interrupts.signal_count() == 1
         with pytest.raises(KeyboardInterrupt):
@@ -63,11 +63,11 @@ def test_a_held_signal_waits_for_the_next_check() -> None:
     assert interrupts.signal_count() == 0
 
 
-def test_a_held_signal_without_a_check_is_delivered_at_the_end() -> None:
+def test_a_deferred_signal_without_a_check_is_delivered_at_the_end() -> None:
     done = []
 
     def work() -> None:
-        with interrupts.held():
+        with interrupts.deferred():
             strike()
             done.append(1)
 
@@ -79,12 +79,12 @@ def test_a_held_signal_without_a_check_is_delivered_at_the_end() -> None:
 
 
 def test_long_work_lets_signals_through_unless_they_are_blocked() -> None:
-    with interrupts.held():
+    with interrupts.deferred():
         with pytest.raises(KeyboardInterrupt), interrupts.let_through():
             strike()
         with interrupts.let_through():
             pass  # that was reported
-        with interrupts.held(firmly=True), interrupts.let_through():
+        with interrupts.deferred(firmly=True), interrupts.let_through():
             strike()
         with pytest.raises(KeyboardInterrupt), interrupts.let_through():
             raise AssertionError("the signal before was not reported")
@@ -95,7 +95,7 @@ def test_kernels_are_compiled_where_signals_are_let_through() -> None:
     def doubled(x: float) -> float:
         return 2.0 * x
 
-    with interrupts.held():
+    with interrupts.deferred():
         strike()
         with pytest.raises(KeyboardInterrupt):
             doubled(1.0)
@@ -109,7 +109,7 @@ def test_after_a_signal_time_is_limited() -> None:
 
     with interrupts.limit_time(0.0):
         pass  # without one it is not
-    with interrupts.held():
+    with interrupts.deferred():
         strike()
         with pytest.raises(KeyboardInterrupt):
             interrupts.check()
@@ -120,7 +120,7 @@ def test_after_a_signal_time_is_limited() -> None:
 
 def test_after_a_signal_only_required_files_are_written() -> None:
     pieces = PartialReport()
-    with interrupts.held():
+    with interrupts.deferred():
         assert pieces.attempt("a", lambda: 1, 0) == 1
         assert pieces.attempt("b", lambda: strike() or 1, 0) == 0
         assert pieces.attempt("c", lambda: 1, 0) == 0
@@ -131,9 +131,9 @@ def test_after_a_signal_only_required_files_are_written() -> None:
     assert pieces.text() == "b, c, e (interrupted)"
 
 
-def test_signals_shorten_held_blocks_without_ending_them() -> None:
+def test_signals_shorten_deferred_blocks_without_ending_them() -> None:
     pieces = PartialReport()
-    with interrupts.held():
+    with interrupts.deferred():
         assert pieces.keep("a", lambda short: short or strike(), False) is True
         assert pieces.keep("b", lambda short: strike() or short, False) is True
         assert pieces.some("numbers", range(2 * SOME + 1)) == tuple(range(0, 2 * SOME + 1, 3))
@@ -155,7 +155,7 @@ def test_a_run_of_many_flows_is_saved_in_short_after_a_signal(
     jumps = result.trace.jumps
     assert len(jumps) > 10
     monkeypatch.setattr("statechart.reporting.partial_report.SOME", 10)
-    with interrupts.held():
+    with interrupts.deferred():
         strike()
         with pytest.raises(KeyboardInterrupt):
             interrupts.check()
@@ -273,7 +273,7 @@ def test_unprintable_results_give_one_sentence(
     assert (done.returncode, done.stderr) == (1, f"cannot write to stdout: {words}\n")
 
 
-def test_without_stderr_results_are_printed_alone(tmp_path: Path) -> None:
+def test_without_stderr_only_results_are_printed(tmp_path: Path) -> None:
     command = f"{sys.executable} -m statechart.cli.main schema chart 2>&- | head -c 2"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr) == ("{\n", "")

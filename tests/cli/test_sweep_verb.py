@@ -82,7 +82,7 @@ def test_a_sweep_is_drawn(tmp_path: Path, suffix: str, begins: bytes) -> None:
     ],
     ids=["fixed", "refused", "infinite", "samples", "none"],
 )
-def test_all_sorts_of_sweeps_are_drawn(tmp_path: Path, over: list[str], code: int) -> None:
+def test_grids_samples_and_lists_are_drawn(tmp_path: Path, over: list[str], code: int) -> None:
     picture = tmp_path / "a.svg"
     asked = ["sweep", STICK, *over, "--outputs", "t_impact", "--plot", str(picture)]
     assert main(asked) == code

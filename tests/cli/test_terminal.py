@@ -187,7 +187,7 @@ def test_quiet_suppresses_progress(
     assert capsys.readouterr().err == ""
 
 
-def test_long_work_is_a_bar_on_a_terminal_and_lines_elsewhere(
+def test_progress_is_a_bar_on_a_terminal_and_lines_in_a_pipe(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     now = [0.0]
@@ -253,10 +253,10 @@ def test_every_option_and_argument_has_a_help_text(action: argparse.Action) -> N
         ("run toppling_stick --unitl 3", "run: error: no option --unitl; did you mean '--until'"),
         ("draw toppling_stick -o a.svg --sceen", "no option --sceen; did you mean '--scene'?"),
         ("-q run toppling_stick", "statechart run: error: write -q after the verb"),
-        ("run toppling_stick --set mu=1 g=2", "'g=2' is left over; write --set before each"),
-        ("sweep toppling_stick mu=1", "'mu=1' is left over; write --over before each"),
-        ("run toppling_stick twice", "'twice' is left over; statechart run takes one FILE, with"),
-        ("compile toppling_stick", "'toppling_stick' is left over; statechart compile takes opt"),
+        ("run toppling_stick --set mu=1 g=2", "unexpected argument 'g=2'; write --set before each"),
+        ("sweep toppling_stick mu=1", "unexpected argument 'mu=1'; write --over before each"),
+        ("run toppling_stick twice", "unexpected argument 'twice'; statechart run takes one FILE"),
+        ("compile toppling_stick", "unexpected argument 'toppling_stick'; statechart compile take"),
         ("run toppling_stick --mu 0.3", "no option --mu; a parameter is written --set mu=VALUE\n"),
         ("run toppling_stick --set mu=0.3,I_G=1", "has several values; write --set before each"),
         ("run toppling_stick --set mu 0.3", "'mu' is not of the form NAME=VALUE, such as mu=0.3"),

@@ -35,7 +35,7 @@ PILES = {
 
 
 @pytest.mark.parametrize("pile", PILES)
-def test_piles_declared_upside_down_move_alike(pile: str) -> None:
+def test_piles_move_the_same_in_any_order_of_declaration(pile: str) -> None:
     def ended(bodies: list[str]) -> dict[str, float]:
         text = HEAD + "".join(f"  {body}\n" for body in bodies)
         run = Runner(read_text(text), engine="impulse", step=1e-3, impulse_tolerance=1e-10)

@@ -298,7 +298,7 @@ def test_guards_of_a_lane_are_clear_of_those_of_arrows_down() -> None:
     assert clashes(diagram, "inline") == []
 
 
-def test_a_clash_is_seen() -> None:
+def test_overlapping_text_and_arrows_are_detected() -> None:
     near = 'graph [layout=nop2]; a [shape=none label=slide pos="0,0"]; b [shape=none label=pin'
     assert clashes_of(f'digraph {{{near} pos="90,0"]}}') == []
     assert clashes_of(f'digraph {{{near} pos="10,0"]}}') == ["'slide' on 'pin'"]

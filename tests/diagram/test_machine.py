@@ -130,7 +130,7 @@ def test_a_contact_is_written_with_its_states_in_states() -> None:
     assert {f"tip.touchdown.{s}" for s in ("pin", "slide_plus", "slide_minus")} <= {*events}
 
 
-def test_words_of_relations_become_those_of_conditions():
+def test_operators_of_relations_become_those_of_scxml_conditions():
     text = """
 kind: chart
 name: gated

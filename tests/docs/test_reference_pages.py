@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from making import formats
+from making import changelog, formats
 
 import contacts
 import statechart
@@ -55,6 +55,21 @@ def test_reference_lists_both_forms_of_a_field(tmp_path: Path) -> None:
     )
     to = "[formula, formula] or [Point](#scene-point) or [Path](#scene-path)"
     assert reported["Joint", "to"][0] == to
+
+
+def test_every_release_of_the_changelog_has_a_page(tmp_path: Path) -> None:
+    file = Path(__file__).parents[2] / "CHANGELOG.md"
+    changelog.make(file, tmp_path)
+    heads = re.findall(r"^## (.*)$", file.read_text(encoding="utf-8"), re.M)
+    pages = sorted((tmp_path / "changelog").glob("*.md"))
+    texts = [page.read_text(encoding="utf-8") for page in pages]
+    assert {text.partition("\n")[0] for text in texts} == {f"# {head}" for head in heads}
+    listed = (tmp_path / "changelog.md").read_text(encoding="utf-8")
+    assert re.findall(r"^changelog/(\S+)$", listed, re.M)[0] == "unreleased"
+    assert all(f"changelog/{page.stem}\n" in listed for page in pages)
+    # Every line of the file is on a page.
+    lines = file.read_text(encoding="utf-8").splitlines()
+    assert sum(line.startswith("- ") for line in lines) == "".join(texts).count("\n- ")
 
 
 @pytest.mark.parametrize("package", [statechart, contacts])

@@ -196,7 +196,7 @@ MISTAKES = {
     "degrees by a function": ("angle: 0.3", "angle: radians(30)", "angles are in radians"),
     "time in short": ("value: time", "value: t", "unknown name 't'; write time"),
     "parameter of a taken name": ("mu: 0.5", "time: 0.5", "is the time of the run; choose another"),
-    "units of another name": ("gravity: g", "gravity: g\nunits: si", "no units are called 'si'"),
+    "units of another name": ("gravity: g", "gravity: g\nunits: si", "unknown system of units"),
     "comma of a function": ("e: 0", "e: min(0, 1)", "3:47: a comma in braces or brackets ends a "
                             "value, here 'min(0'; put the whole formula in quotes: \"min(0, "),
     "commas of functions": ("e: 0", "e: min(0, max(1, 2))", "3:47: a comma in braces or brackets"),
@@ -495,6 +495,8 @@ def test_disabled_contact_may_start_behind_its_line() -> None:
         # Parameters.
         ((("m: 1", "m: k"), ("h: 1", "h: 2*w")), ("3:17", "3:48")),
         ((("mu: [0, 2]", "nu: [0, 2], e: [1, 0]"),), ("4:10", "4:25")),
+        # A mapping in the place of one value.
+        ((("friction: mu", "friction: {mu: 0.5}"),), ("11:70",)),
         # Empty keys and independent mistakes are reported; possible consequences are not.
         (
             (("gravity: g", "gravity:"), ("inertia: m*L**2/3", "inertia:"), ("hei", "hi"),

@@ -238,7 +238,7 @@ def test_enabled_contact_needs_a_defined_surface() -> None:
         _run(_nowhere("sqrt(x)", "time > 0.5"))
 
 
-def test_many_runs_at_once_begin_in_the_same_modes() -> None:
+def test_batched_runs_begin_in_the_same_modes() -> None:
     text = read_text(RIDGE + "outputs: {x: {value: ball.x, at: end}, hits: {count: touchdown}}\n")
     grid = {"v": [-1.0, 1.0], "w": [-1.0, -0.2, 0.2, 0.5]}
     swept = sweep(text, grid)

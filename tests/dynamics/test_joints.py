@@ -434,7 +434,7 @@ def test_joints_that_become_contradictory_end_the_run() -> None:
 
 
 @pytest.mark.parametrize("name", ENGINES)
-def test_redundant_parallel_crank(name: str) -> None:
+def test_a_redundant_parallel_crank_conserves_energy(name: str) -> None:
     # A plate hangs on three parallel cranks: one loop more than its motion needs. It swings clear
     # of where all joints lie on one line, and the cranks could turn either way.
     def crank(x: float) -> Body:

@@ -77,7 +77,7 @@ def test_each_run_of_a_sweep_judges_its_own_start(setting: dict[str, object]) ->
 
 @_ENGINES
 @pytest.mark.parametrize("last", [True, False])
-def test_joints_that_ask_for_each_other_start_alike_in_any_order(
+def test_joints_that_depend_on_each_other_start_the_same_in_any_order(
     last: bool, setting: dict[str, object]
 ) -> None:
     other = "  k: {point: {body: b}, to: {y: 3}, enabled: in(j.off)}\n"

@@ -48,7 +48,7 @@ def test_a_mode_of_many_operations_steps_in_compiled_loops():
         arc.mode: simulator.modes.compiled(roles_in(arc.mode), setup.zeros) for arc in trace.arcs
     }
     assert max(len(mode.rates.code) for mode in modes.values()) > 150
-    assert all(engine.entry(mode.stepper) for mode in modes.values())
+    assert all(engine.step_function(mode.stepper) for mode in modes.values())
 
 
 @pytest.mark.parametrize("folds", [True, False])

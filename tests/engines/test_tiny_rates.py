@@ -31,7 +31,7 @@ def test_a_negligible_rate_is_zero(engine: str, v: float) -> None:
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("unit", [1e-15, 1e-9, 1.0, 1e12])
-def test_the_unit_of_time_does_not_matter(engine: str, unit: float) -> None:
+def test_the_motion_is_invariant_under_change_of_the_unit_of_time(engine: str, unit: float) -> None:
     # Falls to 1/2 in ln 2, and climbs towards 2 back to 1 in ln 1.5.
     text = f"""\
 kind: chart

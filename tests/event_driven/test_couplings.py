@@ -924,7 +924,7 @@ stop: {time: 2}
 """
 
 
-def test_brakes_written_as_signs_beside_a_locked_clutch_are_better_couplings() -> None:
+def test_signs_for_brakes_near_a_locked_clutch_suggest_couplings() -> None:
     signs = _WHEELS.replace("BRAKES", "").replace("SIGN0", "- 0.591*sign(dp0)")
     with pytest.raises(EventLoop, match="instead of sign write couplings"):
         statechart.run(read_text(signs.replace("SIGN1", "- 0.531*sign(dp1)")))
@@ -934,3 +934,25 @@ def test_brakes_written_as_signs_beside_a_locked_clutch_are_better_couplings() -
         .replace("BRAKES", "d0: {bodies: [w0], limit: 0.591}\n  d1: {bodies: [w1], limit: 0.531}")
     )
     assert statechart.run(read_text(brakes)).trace.outcome is Outcome.HORIZON
+
+
+@pytest.mark.parametrize(("limit", "late"), [(1e-3, 2e-8), (1e-8, 2e-3)])
+def test_a_coupling_far_below_the_forces_of_the_scene_warns(limit: float, late: float) -> None:
+    text = """
+kind: scene
+name: needle
+parameters: {T: 1}
+coordinates: {q: {}, x: {}}
+bodies:
+  needle: {mass: 1e-3, inertia: T, position: [0, 0], angle: q}
+  cart: {mass: 1, position: [x, 0]}
+couplings: {pivot: {bodies: [needle], limit: T}}
+forces:
+  turn: {body: needle, moment: T*time}
+  push: {body: cart, force: [10, 0]}
+stop: {time: 2}
+"""
+    trace = run(text, T=limit).trace
+    ((_, t),) = events(trace)
+    assert t == pytest.approx(1.0, abs=1.1 * late)
+    assert any("'pivot' slips up to" in warning for warning in trace.warnings) == (late > 1e-6)

@@ -103,7 +103,7 @@ def test_a_crank_leaves_its_dead_centre_against_friction_in_a_guide(torque: floa
 
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
-def test_a_coordinate_at_a_dead_point_has_the_scale_of_what_it_turns(engine: str) -> None:
+def test_a_coordinate_at_a_dead_point_has_the_scale_of_the_body_it_turns(engine: str) -> None:
     text = YOKE.replace(
         "stop: {time: on + 1}", "stop: {time: 4, conditions: {turned: q >= q0 + 0.5}}"
     )

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
+from scipy.special import ellipk
 
 from contacts.scene.lint import nearly_meeting_ends
 from statechart.documents.yaml_reader import read_text
@@ -180,3 +183,72 @@ stop: {{time: 1}}
         warned = [w.split()[0] for w in result.warnings if "just fail" in w]
         assert bool(result.trace.final[1] < -1) is falls
         assert bool(warned) is falls, (x, warned)
+
+
+# A puck runs from a floor into a bowl, turns round, and comes back to the floor at the time at
+# which it is at rest above the seam, later by a swing of a pendulum and a way of L.
+HALF_PIPE = """
+kind: scene
+name: half_pipe
+parameters: {R: 1, L: 1, v: 3}
+gravity: 9.81
+bodies: {puck: {mass: 1, start: {dx: v}}}
+surfaces:
+  flat: {height: 0}
+  bowl: {circle: [L, R], radius: R, hollow: true}
+contacts:
+  a: {point: {body: puck}, surface: flat, friction: 0, restitution: 0, enabled: puck.x <= L}
+  b: {point: {body: puck}, surface: bowl, friction: 0, restitution: 0, enabled: puck.x > L}
+stop: {time: 3}
+outputs:
+  leaves: {value: time, at: first b.enable or a.disable}
+  returns: {value: time, at: first a.enable or b.disable}
+  rests: {value: time, at: first a.slide}
+"""
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+@pytest.mark.parametrize("v", [1.1, 2.3, 3.0, 3.7])
+def test_the_next_surface_takes_over_at_once_whatever_the_round_off_of_its_gap(engine, v):
+    result = Runner(interpret(read_text(HALF_PIPE)), engine=engine).run({"v": v})
+    # The quarter of a period of a pendulum of length 1 with the speed v at its lowest place.
+    swing = 2 * ellipk(v**2 / (4 * 9.81)) / 9.81**0.5
+    assert result.outputs["leaves"] == pytest.approx(1 / v, abs=1e-12)
+    assert result.outputs["returns"] == pytest.approx(1 / v + swing, abs=1e-10)
+    assert result.outputs["rests"] == pytest.approx(result.outputs["returns"], abs=1e-12)
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8])
+def test_no_warning_of_a_contact_that_another_surface_hands_over_to(engine, tolerance):
+    # The error of the run leaves the point slightly inside the floor at the seam.
+    scene = interpret(read_text(HALF_PIPE))
+    result = Runner(scene, engine=engine, tolerance=tolerance).run(until=1.5)
+    assert result.outputs["rests"] is not None
+    assert result.warnings == ()
+
+
+PEG = """
+kind: scene
+name: peg
+parameters: {L: 1, d: 0.6, swing: 1.2}
+gravity: 9.81
+bodies: {bob: {mass: 1, start: {x: -L*sin(swing), y: -L*cos(swing)}}}
+joints:
+  long: {point: {body: bob}, to: [0, 0], rope: L, enabled: bob.x <= 0}
+  short: {point: {body: bob}, to: [0, -d], rope: L - d, enabled: bob.x > 0}
+stop: {time: 0.7}
+outputs:
+  caught: {value: time, at: first long.disable}
+  taut: {value: time, at: first short.slide}
+"""
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+@pytest.mark.parametrize(("peg", "swing"), [(0.6, 1.2), (0.5, 0.9), (0.7, 1.3)])
+def test_a_peg_takes_over_the_rope_of_a_pendulum_at_once(engine, peg, swing):
+    scene = interpret(read_text(PEG))
+    outputs = Runner(scene, engine=engine).run({"d": peg, "swing": swing}).outputs
+    quarter = ellipk(math.sin(swing / 2) ** 2) / 9.81**0.5
+    assert outputs["caught"] == pytest.approx(quarter, abs=1e-11)
+    assert outputs["taut"] == pytest.approx(outputs["caught"], abs=1e-12)

@@ -103,7 +103,7 @@ STRIBECK = BELT.replace(
 
 
 @every
-def test_stribecks_curve_against_an_integration(engine: str) -> None:
+def test_stribecks_curve_matches_an_integration(engine: str) -> None:
     m, k, v, s, mu = 1.3, 40.0, 0.2, 0.6, 0.25
     result = ran(STRIBECK, engine)
     begin = s * m * G / k

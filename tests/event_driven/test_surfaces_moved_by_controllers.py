@@ -116,7 +116,7 @@ regions:
 
 
 @pytest.mark.parametrize("settings", ENGINES)
-def test_a_bead_on_an_arm_that_a_motor_turns(settings: str) -> None:
+def test_a_bead_on_a_driven_arm_follows_the_closed_form(settings: str) -> None:
     # r'' = w^2 r - g sin(w t) from r = 1, r' = 0: r = (1 - c) cosh(w t) ... with c = g/(2 w^2).
     w, t = 2.0, 0.4
     c = G / (2 * w**2)

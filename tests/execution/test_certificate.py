@@ -246,3 +246,28 @@ def test_a_step_is_proved_up_to_sixteen_times_the_allowed_defect(part: float, pr
     motion = certificate.motion()
     assert part <= motion.local / simulator.engine.allowed <= 2.2 * part
     assert motion.proved is proved
+
+
+def test_an_event_at_which_the_guard_stands_still_leaves_no_estimate() -> None:
+    # x - b = (1 - t)^2 until 1: an error of 1e-12 delays the event by 1e-6.
+    model = interpret(
+        read_text(
+            """\
+kind: chart
+name: tank
+parameters: {b: 1}
+variables: {x: 2}
+regions:
+  r:
+    initial: full
+    states: {full: {flows: {x: "-2*sqrt(max(x - b, 0))"}}, empty: {}}
+    transitions: [{name: empties, from: full, to: empty, guard: x <= b}]
+stop: {time: 2}
+outputs: {t: {value: time, at: first r.empties}}
+"""
+        )
+    )
+    result = run(model, certify=True)
+    assert result.outputs["t"] == pytest.approx(1.0, abs=1e-4)
+    assert result.trace.motion is not None
+    assert result.trace.motion.whole == math.inf

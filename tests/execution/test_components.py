@@ -85,6 +85,61 @@ regions:
 """
 
 
+# Two carts, each with a sampler and a timer of its own, at the same instants; a puck that stops
+# beside one that turns round.
+SAMPLED = """
+kind: scene
+name: sampled
+gravity: 10
+coordinates: {p: {start: 1}, q: {start: 1}}
+bodies:
+  front: {mass: 1, position: [p, 0]}
+  rear: {mass: 1, position: [q, 0]}
+  stops: {mass: 1, start: {x: 3, dx: 5}}
+  turns: {mass: 1, start: {x: 9, dx: 15}}
+surfaces: {ground: {height: 0}}
+contacts:
+  left: {point: {body: stops}, surface: ground, friction: 0.5, restitution: 0.5}
+  right: {point: {body: turns}, surface: ground, friction: 0.5, restitution: 0.5}
+controls: {u: 0, w: 0}
+forces:
+  u: {body: front, force: [u, 0]}
+  w: {body: rear, force: [w, 0]}
+  back: {body: turns, force: [-10, 0]}
+regions:
+  one:
+    initial: on
+    variables: {a: 0}
+    states: {on: {sets: {u: a}}}
+    transitions: [{name: tick, from: on, every: 0.1, updates: {a: -4*p - dp}}]
+  two:
+    initial: on
+    variables: {b: 0}
+    states: {on: {sets: {w: b}}}
+    transitions: [{name: tock, from: on, every: 0.1, updates: {b: -4*q - dq}}]
+  three:
+    initial: on
+    states: {on: {}, off: {}}
+    transitions:
+      - {name: far, from: on, to: off, guard: p > 9}
+      - {name: late, from: on, to: off, after: 0.35}
+  four:
+    initial: on
+    states: {on: {}, off: {}}
+    transitions:
+      - {name: away, from: on, to: off, guard: q > 9}
+      - {name: over, from: on, to: off, after: 0.35}
+stop: {time: 1.25}
+outputs:
+  ticks: {count: one.tick}
+  tocks: {count: two.tock}
+  over: {value: time, at: first four.over}
+  away: {count: four.away}
+  sticks: {value: time, at: first left.stick}
+  reverses: {value: time, at: first right.reverse}
+"""
+
+
 def composed(text: str, folder: Path) -> Automaton:
     path = folder / "model.yaml"
     path.write_text(text)
@@ -164,6 +219,20 @@ def test_components_that_jump_at_one_instant_do_so_in_one_jump(tmp_path: Path) -
     struck = [set(jump.impulse) for jump in trace.jumps if "a" in jump.impulse]
     assert struck
     assert all(names == {"a", "d"} for names in struck)
+
+
+@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize("engine", ["taylor", "impulse"])
+def test_each_of_several_events_at_one_instant_is_seen(engine: str, whole: bool) -> None:
+    text = SAMPLED
+    if whole:  # A condition that mentions all bodies couples them.
+        bound = "conditions: {never: p + q + stops.x + turns.x > 1e9}"
+        text = text.replace("{time: 1.25}", f"{{time: 1.25, {bound}}}")
+    step = {"step": 1e-3} if engine == "impulse" else {}
+    found = Runner(interpret(read_text(text)), engine=engine, **step).run().outputs
+    assert (found["ticks"], found["tocks"], found["away"]) == (12, 12, 0)
+    times = [found["over"], found["sticks"], found["reverses"]]
+    assert times == pytest.approx([0.35, 1.0, 1.0], abs=2e-3 if step else 1e-9)
 
 
 def test_an_impossible_start_is_reported_in_declared_names(tmp_path: Path) -> None:

@@ -299,6 +299,6 @@ def test_errors_are_one_tree_and_can_be_sent_to_another_process() -> None:
 @pytest.mark.parametrize(
     "text", ["sqrt(abs(x))", "max(2, x, y)", "sin(x) + min(x, y)", "abs(y)**(3/2)*sign(x)"]
 )
-def test_to_text_writes_what_documents_read(text: str) -> None:
+def test_to_text_writes_formulas_that_parse(text: str) -> None:
     symbols = {name: sp.Symbol(name, real=True) for name in "xy"}
     assert to_text(parse(text).to_sympy(symbols)) == text

@@ -215,7 +215,7 @@ def test_newtons_cradle_needs_sequential_impacts() -> None:
         assert capped.path[-1].startswith("to 1 moreau")
 
 
-def test_tennis_ball_on_basketball() -> None:
+def test_a_light_ball_on_a_heavy_one_rebounds_at_the_closed_form_speed() -> None:
     for ratio in (0.3, 1e-3, 1e-12):
         jacobians = [[[1.0, 0.0], [0.0, 0.0]], [[-1.0, 1.0], [0.0, 0.0]]]
         snapshot = scene([1.0, ratio], jacobians, [-1.0, -1.0])
@@ -335,7 +335,7 @@ def test_a_contact_counted_twice_moves_as_once() -> None:
             assert b.impulses[1] == pytest.approx(0.5 * a.impulses[0], abs=1e-13)
 
 
-def test_a_body_without_inertia() -> None:
+def test_a_point_mass_keeps_the_velocity_across_the_new_leg() -> None:
     # A point mass on massless legs: the foot behind the motion takes nothing.
     feet = [(-0.6, -0.8), (0.6, -0.8)]
     snapshot = body(feet, [0.8, -0.6, -1.0], inertia=0.0)
@@ -358,7 +358,7 @@ def test_moving_surfaces_do_work() -> None:
         assert result.velocity == pytest.approx([0.0, speed, 0.0], abs=1e-14)
 
 
-def test_mirror_images() -> None:
+def test_mirrored_feet_have_mirrored_impacts() -> None:
     random = np.random.default_rng(11)
     for _ in range(100):
         feet = random.normal(size=(3, 2))

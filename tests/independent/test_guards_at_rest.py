@@ -162,7 +162,7 @@ def squeal() -> tuple[list[float], list[float], float]:
 
 
 @pytest.mark.parametrize("step", [None, 2e-3, 1e-3, 5e-4])
-def test_friction_that_falls_with_speed(step: float | None) -> None:
+def test_friction_that_falls_with_speed_matches_an_integration(step: float | None) -> None:
     engine = "taylor" if step is None else "impulse"
     found = statechart.run(squealing(), engine=engine, step=step).outputs
     error = 1e-10 if step is None else 2.0 * step

@@ -84,7 +84,7 @@ def test_a_ratchet_turns_on_and_locks_on_the_way_back():
         assert np.abs(final[6:12]).max() < 1e-9
 
 
-def test_a_ratchet_and_its_mirror_image_turn_alike():
+def test_a_mirrored_ratchet_has_the_mirrored_run():
     # Twice the pawl comes to lie on a tooth, all along or on its end, but for rounding.
     assert_moves_as_its_image(RATCHET, step=1e-3, within=1e-8, M=3.0, B=3.0)
 

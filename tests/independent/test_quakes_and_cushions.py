@@ -126,7 +126,9 @@ def _billiard(
 @pytest.mark.parametrize(
     "case", [(0.2, 0.85, 20.0), (0.05, 0.85, -60.0), (0.5, 0.99, 0.0)], ids=str
 )
-def test_a_disc_between_cushions(case: tuple[float, float, float], shift: float) -> None:
+def test_a_disc_between_cushions_follows_the_closed_form(
+    case: tuple[float, float, float], shift: float
+) -> None:
     mu, e, spin = case
     given = {"mu": mu, "e": e, "spin": spin, "X": shift}
     found = statechart.run(interpret(read_text(_CUSHIONS)), parameters=given).outputs

@@ -126,7 +126,7 @@ def stack() -> tuple[list[float], list[list[float]]]:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_block_on_a_block_that_is_shaken(engine: str) -> None:
+def test_stacked_shaken_blocks_match_an_integration(engine: str) -> None:
     state, times = stack()
     found = outputs(_STACK, engine)
     assert len(times[0]) > 5

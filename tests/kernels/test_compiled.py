@@ -175,7 +175,7 @@ def compilations(monkeypatch):
     return found
 
 
-def test_an_edit_in_another_file_is_seen(upper, tmp_path, compilations):
+def test_an_edit_in_another_file_invalidates_cached_code(upper, tmp_path, compilations):
     first = upper()
     assert not first.is_cached
     assert first(1.0) == 22.0

@@ -415,7 +415,7 @@ def test_non_finite_parameters_are_never_certified_free_of_events():
 
 
 @pytest.mark.parametrize("size", [1e-200, 1e-30, 1e30, 1e150])
-def test_scale_does_not_matter(size):
+def test_crossings_are_invariant_under_scaling(size):
     found = margin(X, coeffs=[[size, -4 * size, size / 2]])
     assert found.verdict is Verdict.CROSSING
     assert found.crossing.time == pytest.approx(4 - math.sqrt(14), rel=1e-15)

@@ -28,7 +28,7 @@ def impacts(trace: Trace) -> list[float]:
 
 
 @pytest.mark.parametrize("case", FLAT, ids=lambda c: f"k={c['k']}")
-def test_bounce_times_and_the_zeno_time(engine: str, case: dict) -> None:
+def test_bounce_times_and_the_zeno_time_match_the_closed_form(engine: str, case: dict) -> None:
     trace = run("bouncing_ball", engine, until=20.0, **{n: case[n] for n in ("x0", "v0", "g", "k")})
     times = impacts(trace)
     for found, expected in zip(times[:20], case["bounce_times"], strict=True):
@@ -75,7 +75,7 @@ def test_elastic_bounces_are_never_captured(engine: str, k: float) -> None:
     assert min(energies) >= 9.81 * (1 - 1e-9)
 
 
-def test_thrown_up_it_bounces_as_if_dropped_from_its_apex(engine: str) -> None:
+def test_a_ball_thrown_up_bounces_as_if_dropped_from_its_apex(engine: str) -> None:
     thrown = run("bouncing_ball", engine, until=20.0, x0=1.0, v0=3.0, k=0.5)
     apex = 1.0 + 9.0 / (2 * 9.81)
     dropped = run("bouncing_ball", engine, until=20.0, x0=apex, v0=0.0, k=0.5)
@@ -87,7 +87,7 @@ def test_thrown_up_it_bounces_as_if_dropped_from_its_apex(engine: str) -> None:
     ("x0", "v0", "k"),
     [(0.0028807777424535697, 2.2989819505806954, 0.5), (0.0245042864219, 4.1268328971911, 0.9)],
 )
-def test_thrown_up_from_near_the_ground_it_bounces(
+def test_a_ball_thrown_up_near_the_ground_bounces(
     engine: str, x0: float, v0: float, k: float
 ) -> None:
     trace = run("bouncing_ball", engine, until=200.0, x0=x0, v0=v0, g=1.0, k=k)
@@ -98,7 +98,7 @@ def test_thrown_up_from_near_the_ground_it_bounces(
 
 
 @pytest.mark.parametrize("push", [1e3, 1e4])
-def test_launched_far_beyond_where_it_began_it_bounces(engine: str, push: float) -> None:
+def test_a_ball_launched_far_above_its_start_bounces(engine: str, push: float) -> None:
     # Its flight is 1e5 to 1e7 times as high as all lengths of the start: the round-off of the gap
     # at an impact exceeds its tolerance.
     scene = Scene(
@@ -134,7 +134,7 @@ def test_a_start_at_rest_on_the_ground_rests(engine: str) -> None:
     assert not trace.jumps
 
 
-def test_without_gravity_it_flies_straight(engine: str) -> None:
+def test_a_body_without_gravity_flies_straight(engine: str) -> None:
     trace = run("bouncing_ball", engine, until=5.0, g=0.0, v0=-1.0, k=0.5)
     assert impacts(trace) == pytest.approx([1.0], abs=1e-13)
     assert trace.final == pytest.approx([2.0, 0.5], abs=1e-13)
@@ -148,7 +148,7 @@ def test_an_empty_run_is_empty(engine: str, until: float) -> None:
 
 
 @pytest.mark.parametrize("case", HILLS, ids=lambda c: c["id"])
-def test_hills_where_sampling_tunnels(engine: str, case: dict) -> None:
+def test_no_bounce_is_missed_on_hills_where_sampling_tunnels(engine: str, case: dict) -> None:
     names = ("A", "k", "phase", "x0", "y0", "vx0", "vy0", "g", "e")
     until = float(case["true_bounces"][-1]["t"]) + 1e-3
     trace = run("bouncing_ball_hills", engine, until=until, **{n: float(case[n]) for n in names})

@@ -43,7 +43,7 @@ def test_the_fall_is_the_reference_one(engine: str, case: dict) -> None:
     assert last.after[3:] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
 
 
-def test_lying_on_both_ends_it_rests_with_indeterminate_friction(engine: str) -> None:
+def test_a_bar_on_both_ends_rests_with_indeterminate_friction(engine: str) -> None:
     trace = run(MODEL, engine, until=4.0)
     assert trace.final_mode == ("pin", "pin")
     assert any("indeterminate" in warning for warning in trace.warnings)

@@ -48,7 +48,7 @@ def test_a_pushed_table_has_the_leg_forces_of_euler(engine: str, push: float) ->
 
 
 @pytest.mark.parametrize("growth", [20.0, -7.5])
-def test_it_slips_when_the_push_exceeds_the_friction_of_all_legs(
+def test_the_table_slips_when_the_push_exceeds_the_friction_of_all_legs(
     engine: str, growth: float
 ) -> None:
     # Some legs are on the edge of their cones long before.
@@ -86,7 +86,7 @@ def test_forces_stay_in_their_cones_and_are_continuous_while_legs_come_to_their_
     assert (np.abs(np.diff(values, axis=0)).max(axis=1) <= 200.0 * np.diff(seen.t) + 1e-8).all()
 
 
-def test_on_rough_floor_it_tips_about_its_outer_leg(engine: str) -> None:
+def test_a_table_on_a_rough_floor_tips_about_its_outer_leg(engine: str) -> None:
     # P h = W b: the whole weight on D.
     trace = run(MODEL, engine, growth=20.0, mu=0.9, until=3.6)
     assert trace.jumps[0].t == pytest.approx(W * B / (20.0 * H), rel=1e-10)
@@ -101,7 +101,7 @@ def test_both_engines_slip_if_slipping_and_tipping_coincide(engine: str) -> None
 
 
 @pytest.mark.parametrize(("tilt", "mu"), [(0.5, 0.4), (0.3, 0.4)])
-def test_on_a_slope_it_slides_beyond_the_angle_of_friction(
+def test_a_table_on_a_slope_slides_beyond_the_angle_of_friction(
     engine: str, tilt: float, mu: float
 ) -> None:
     trace = run(MODEL, engine, tilt=tilt, mu=mu, until=1.0)

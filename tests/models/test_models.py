@@ -39,7 +39,7 @@ def case_of(name):
 
 @pytest.mark.parametrize("method", ["RK45", "DOP853", "Radau", "LSODA"])
 @pytest.mark.parametrize("name", NAMES)
-def test_a_shipped_model_runs_alike_by_every_method(name, method):
+def test_a_shipped_model_has_the_same_run_by_every_method(name, method):
     case = case_of(name)
     subject = case.subject
     engine, _ = choose(Setting("scipy", method, 1e-9))

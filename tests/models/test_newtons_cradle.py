@@ -85,7 +85,7 @@ def test_balls_that_touch_without_load_stay_closed_however_their_forces_round(na
         ("sequential", one_by_one),
     ],
 )
-def test_the_first_blow_by_every_law(
+def test_rates_after_the_first_blow_follow_each_law(
     choice: Simultaneous, rates: Callable[[float], list[float]], e: float, name: str
 ) -> None:
     trace = simulator(choice, name).run({"e": e}, until=0.6)

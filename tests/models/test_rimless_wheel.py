@@ -46,7 +46,7 @@ def test_spokes_touch_down_in_order(engine: str, case: dict) -> None:
 
 
 @cases
-def test_its_limit_cycle_is_the_reference_one(engine: str, case: dict) -> None:
+def test_the_limit_cycle_equals_the_reference(engine: str, case: dict) -> None:
     period, rate = float(case["step_period"]), float(case["omega_plus_star"])
     trace = run(MODEL, engine, until=9.5 * period, omega0=rate, **given(case))
     found = outputs(MODEL, engine, trace)

@@ -115,14 +115,14 @@ def test_impacts_of_other_blocks_accumulate_in_time(
 
 
 @pytest.mark.parametrize("factor", [1 - 1e-6, 1 + 1e-6])
-def test_it_falls_over_when_tilted_beyond_its_diagonal(engine: str, factor: float) -> None:
+def test_a_block_falls_over_when_tilted_beyond_its_diagonal(engine: str, factor: float) -> None:
     trace = run(MODEL, engine, until=12.0, theta0=factor * math.atan(0.2))
     overturned = trace.jumps[-1].fired == ("overturned",)
     assert overturned is (factor > 1.0)
     assert any(jump.region == "left" for jump in trace.jumps) is (factor < 1.0)
 
 
-def test_its_mirror_image_rocks_as_the_image(engine: str) -> None:
+def test_the_mirror_image_of_a_block_rocks_as_the_image(engine: str) -> None:
     one = run(MODEL, engine, until=7.7, **GIVEN)
     other = run(MODEL, engine, until=7.7, **{**GIVEN, "theta0": -GIVEN["theta0"]})
     assert [jump.t for jump in other.jumps] == pytest.approx([j.t for j in one.jumps], abs=1e-12)

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.parametrize("engine", ENGINES)
 
 
 @pytest.mark.parametrize("theta0", [0.05, 0.2, 1.0])
-def test_it_leaves_the_wall_at_two_thirds_of_its_height(engine: str, theta0: float) -> None:
+def test_the_ladder_leaves_the_wall_at_two_thirds_of_its_height(engine: str, theta0: float) -> None:
     trace = run(MODEL, engine, theta0=theta0)
     assert trace.certified
     assert trace.modes == (("slide+", "slide+"), ("slide+", "free"))
@@ -34,7 +34,9 @@ def test_it_leaves_the_wall_at_two_thirds_of_its_height(engine: str, theta0: flo
 
 
 @pytest.mark.parametrize(("mu", "slides"), [(0.09, True), (0.11, False)])
-def test_friction_holds_it_up_to_a_critical_lean(engine: str, mu: float, slides: bool) -> None:
+def test_friction_holds_a_ladder_up_to_a_critical_lean(
+    engine: str, mu: float, slides: bool
+) -> None:
     # At the critical lean both ends are about to slide: tan(theta) = 2 mu/(1 - mu^2).
     trace = run(MODEL, engine, until=3.0, mu=mu, theta0=0.2)
     assert (trace.start_mode == ("slide+", "slide+")) is slides

@@ -49,7 +49,7 @@ def test_starts_of_equal_energy_agree(engine: str, cell: dict) -> None:
 
 
 @pytest.mark.parametrize("case", ANALYTIC["infinite_friction"], ids=lambda c: f"I={c['I_G']}")
-def test_infinite_friction(engine: str, case: dict) -> None:
+def test_a_stick_with_infinite_friction_matches_the_golden_outputs(engine: str, case: dict) -> None:
     trace = run(MODEL, engine, mu=math.inf, I_G=case["I_G"])
     found = outputs(MODEL, engine, trace)
     expected = ["pin", "slide+", "pin"] if case["stopped"] else ["pin", "slide+"]
@@ -71,7 +71,7 @@ def test_point_mass_at_infinite_friction_is_equations_11_and_19(engine: str) -> 
 
 
 @pytest.mark.parametrize("case", ANALYTIC["mu_zero"], ids=lambda c: f"I={c['I_G']}")
-def test_frictionless_ground(engine: str, case: dict) -> None:
+def test_a_frictionless_stick_matches_the_golden_outputs(engine: str, case: dict) -> None:
     trace = run(MODEL, engine, mu=0.0, I_G=case["I_G"])
     found = outputs(MODEL, engine, trace)
     assert modes(trace) == ["slide-", "slide+"]
@@ -106,7 +106,9 @@ def test_no_slip_above_a_critical_friction(engine: str, inertia: float) -> None:
 @pytest.mark.parametrize(
     ("mu", "slip"), [(0.3, 0.0795123204), (0.5, 0.0921453921), (0.8, 0.0819263473)]
 )
-def test_net_slip_of_a_slender_rod(engine: str, mu: float, slip: float) -> None:
+def test_the_net_slip_of_a_slender_rod_matches_the_paper(
+    engine: str, mu: float, slip: float
+) -> None:
     found = outputs(MODEL, engine, run(MODEL, engine, mu=mu))
     assert found["slip_forward"] - found["slip_backward"] == pytest.approx(slip, abs=1e-10)
 

@@ -120,7 +120,7 @@ def test_a_disc_at_rest_has_the_smallest_forces(values: dict[str, float], moment
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("off", [0.0, 1e-15, 1e-13, -1e-12, 1e-10, 1e-3])
-def test_forces_on_the_edges_of_both_cones(seed: int, off: float) -> None:
+def test_smallest_forces_lie_on_the_edges_of_both_cones(seed: int, off: float) -> None:
     generator = np.random.default_rng(seed)
     a, b = generator.uniform(0.2, 1.4, 2)
     mu = generator.uniform(0.05, 0.9)

@@ -52,7 +52,7 @@ def test_declared_outputs_match_golden(stick: Observer, cell: dict[str, float]) 
         assert found[name] == pytest.approx(cell[name], abs=1e-11), name
 
 
-def test_values_count_and_lists(stick: Observer) -> None:
+def test_outputs_give_values_counts_and_lists(stick: Observer) -> None:
     trace = run(stick)
     ready = declaring(
         stick,

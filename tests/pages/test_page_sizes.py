@@ -58,11 +58,16 @@ def test_curves_are_legible_on_a_phone(tmp_path):
         assert opened.said == []
 
 
+def rgb(colour):
+    """Return the parts of a colour such as ``rgb(1, 2, 3)``."""
+    return np.array([float(x) for x in re.findall(r"\d+", colour)[:3]])
+
+
 def contrast(*colours):
     """Return the contrast of two colours such as ``rgb(1, 2, 3)``, as WCAG 2 defines it."""
     found = []
     for colour in colours:
-        parts = np.array([float(x) for x in re.findall(r"\d+", colour)[:3]]) / 255.0
+        parts = rgb(colour) / 255.0
         linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
         found.append(0.05 + linear @ (0.2126, 0.7152, 0.0722))
     return max(found) / min(found)
@@ -81,6 +86,53 @@ def test_text_has_sufficient_contrast(dark, tmp_path):
         assert len(found) > 1
         # Contrast that WCAG 2.2 requires for letters of this size.
         assert min(contrast(colour, paper) for colour in found) >= 4.5
+
+
+@in_browser
+@pytest.mark.parametrize("dark", [False, True])
+def test_words_in_modes_that_are_not_active_have_sufficient_contrast(dark, tmp_path):
+    result = statechart.run("hopper", until=0.6)
+    # Of every word: its colour, and that of the shapes below it, with their opacities.
+    layers = """[...document.querySelectorAll("#diagram g.state:not(.lit)")].flatMap((node) => {
+        const shapes = [...node.querySelectorAll("path, polygon, ellipse")];
+        return [...node.querySelectorAll("text")].map((word) => [...shapes.filter((shape) => {
+            const [a, b] = [shape.getBBox(), word.getBBox()];
+            return a.x <= b.x && a.y <= b.y && a.x + a.width >= b.x + b.width
+                && a.y + a.height >= b.y + b.height && getComputedStyle(shape).fill !== "none";
+        }), word].map((e) => [getComputedStyle(e).fill, +getComputedStyle(e).opacity]));
+    })"""
+    with Browser(tmp_path / "browser", dark=dark) as opened:
+        opened.open(result.report(tmp_path / "page.html"))
+        card = opened.value("getComputedStyle(byId('diagram')).backgroundColor")
+        found = opened.value(layers)
+    assert len(found) > 3
+    for *shapes, word in found:
+        colours = [rgb(card)]
+        for colour, opacity in (*shapes, word):
+            colours.append(opacity * rgb(colour) + (1.0 - opacity) * colours[-1])
+        assert len(shapes) > 0
+        assert contrast(*(f"rgb{tuple(map(round, c))}" for c in colours[-2:])) >= 4.5
+
+
+@in_browser
+@pytest.mark.parametrize("name", ["braking_car", "box_stack", "compass_walker"])
+def test_a_page_that_was_resized_is_as_if_opened_so(name, tmp_path):
+    shown = statechart.run(name, until=1.5).report(tmp_path / "page.html")
+    laid = """[...document.querySelectorAll(
+        "section, #diagram, #diagram g.lit, #curves svg, #curves text"
+    )].map((e) => { const b = e.getBoundingClientRect();
+        return [b.x, b.y + scrollY, b.width, b.height].map(Math.round); })"""
+    middle = "go(Math.round(0.6 * last))"
+    with Browser(tmp_path / "browser", width=390) as opened:
+        opened.open(shown)
+        opened.value(middle)
+        before = opened.value(laid)
+        for width in (844, 1300, 390):
+            size = {"width": width, "height": 1000, "deviceScaleFactor": 1, "mobile": False}
+            opened.do("Emulation.setDeviceMetricsOverride", **size)
+            opened.value("new Promise((done) => setTimeout(done, 200))")
+            assert opened.value("document.documentElement.scrollWidth") <= width
+        assert opened.value(laid) == before
 
 
 @in_browser
@@ -147,6 +199,7 @@ contacts:
   {one}: {{point: {{body: rod, at: [-L/2, 0]}}, surface: ground, friction: 0.4, restitution: 0.3}}
   two: {{point: {{body: rod, at: [L/2, 0]}}, surface: ground, friction: 0.4, restitution: 0.3}}
 stop: {{time: 4*sqrt(L/9.81)}}
+outputs: {{the_height_of_the_centre_of_mass_of_this_rod_at_the_end_of_its_run: {{value: rod.y}}}}
 """
 
 
@@ -170,6 +223,12 @@ def test_lengths_of_any_size_and_long_names_are_shown(length, width, tmp_path):
             ".filter((b) => b.x < 0 || b.x + b.width > wide).length"
         )
         assert opened.value(beyond) == 0
+        opened.value("go(last)")
+        parts = opened.value("[...document.querySelectorAll('#why th')].map((e) => e.textContent)")
+        assert {"fired", "margins"} < {*parts}
+        hidden = "['#why', '#outputs', '#mode'].filter((one) => { const e = document"
+        hidden += ".querySelector(one); return e.scrollWidth > e.clientWidth; })"
+        assert opened.value(hidden) == []
         assert opened.said == []
 
 

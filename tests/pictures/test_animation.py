@@ -68,7 +68,7 @@ def test_command_line_accepts_the_animation_options(tmp_path):
         (["--animate", "a.gif", "--speed", "0"], "a speed is a positive number"),
         (["--animate", "a.gif", "--speed", "inf"], "a speed is a positive number"),
         (["--animate", "a.gif", "--size", "20"], "120 to 1920 pixels"),
-        (["--animate", "a.gif", "--trail", "-1"], "a trail reaches back"),
+        (["--animate", "a.gif", "--trail", "-1"], "a trail must be"),
         (["--speed", "2", "--trail", "0"], "--speed and --trail need --animate"),
     ],
     ids=lambda part: " ".join(part) if isinstance(part, list) else None,

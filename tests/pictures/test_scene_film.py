@@ -300,7 +300,7 @@ def test_a_bowl_of_edges_is_whole_where_bodies_start():
         assert (np.abs(edge.points - film.centres[0]) < film.half).all()
 
 
-def test_the_ground_below_a_body_with_a_shape_is_seen(tmp_path, monkeypatch):
+def test_the_ground_below_a_body_with_a_shape_is_in_the_picture(tmp_path, monkeypatch):
     path = tmp_path / "fall.yaml"
     path.write_text(
         "kind: scene\nname: fall\ngravity: 9.81\n"
@@ -360,6 +360,22 @@ def test_labels_do_not_overlap(name):
 def test_a_few_bodies_with_shapes_are_named_and_many_are_not(name, bodies):
     (ax,) = picture(film_of(name, [0.0], until=0.0)).axes
     assert {t.get_text() for t in ax.texts} - {"floor", "ground", "wall"} == bodies
+
+
+@pytest.mark.parametrize("name", ["block_on_incline", "stick_slip_block"])
+def test_names_of_bodies_stand_in_their_outlines(name):
+    film = film_of(name, [0.0], until=0.0)
+    (body,) = shapes(film, "outline")
+    (ax,) = picture(film).axes
+    (label,) = (text for text in ax.texts if text.get_text() == body.name)
+    box = ax.transData.inverted().transform(label.get_window_extent())
+    corners = place_points(body.points, film.poses[0, body.frame])
+    # Left of every edge, all corners of the name and of its body.
+    middle = corners.mean(axis=0)
+    for one, two in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        normal = (two - one)[::-1] * (-1.0, 1.0)
+        sides = [normal @ (at - one) for at in (middle, *box)]
+        assert len({*np.sign(sides)}) == 1
 
 
 def test_a_line_crosses_a_box_or_passes_it():

@@ -57,7 +57,7 @@ def test_without_explain_no_margins_are_evaluated() -> None:
     assert all("margins" not in event for event in events)
 
 
-def test_margins_of_charts_and_of_captured_regions() -> None:
+def test_events_of_charts_and_captured_regions_have_margins() -> None:
     events = Runner("bouncing_ball_chart").run().to_dict(explain=True)["events"]
     assert events[0]["margins"] == {"ball.bounce": pytest.approx(0.0, abs=1e-12)}
     assert events[-1]["cause"] == "settle"

@@ -80,7 +80,7 @@ def test_variables_of_a_chart_are_apart_by_their_units() -> None:
     height = next(line for line in x.get_lines() if line.get_label() == "x")
     # The ball rests from 8.6 on; the axis ends a little later, with a remark.
     assert 8.6 < band.get_xlim()[1] < 10.0
-    assert band.get_xlabel() == "time in s; until the end at 20 nothing happens any more"
+    assert band.get_xlabel() == "time in s; no change until the end at 20"
     # Broken at every bounce, and nowhere else.
     assert np.isnan(height.get_ydata()).sum() == len({jump.j for jump in trace.jumps})
 

@@ -96,7 +96,7 @@ def test_feasibility_depends_on_the_configuration(listed) -> None:
     assert found["state"]["stick.angle"] == 0.3
 
 
-def test_after_a_run_its_last_configuration_counts(listed) -> None:
+def test_modes_with_until_use_the_final_configuration(listed) -> None:
     found = listed(BAR, "--until", "0.5")
     assert found["time"] == 0.5
     assert found["modes_built"] >= 2

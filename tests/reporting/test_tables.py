@@ -255,7 +255,7 @@ def test_tables_are_written_as_pandas_writes_them() -> None:
 
 
 @pytest.mark.parametrize("per_step", [8, 1, 0.3])
-def test_flows_are_divided_alike_one_by_one_and_together(per_step: float) -> None:
+def test_batches_divide_flows_as_single_runs_do(per_step: float) -> None:
     ends = [np.array([0.0, 0.3, 1.0]), np.array([0.0, 0.7]), np.array([0.0, 0.1, 1.1])]
     ends.append(np.linspace(0.0, 2.0, 9))
     arcs = [SimpleNamespace(times=times) for times in ends]

@@ -294,7 +294,7 @@ def test_discs_that_fall_on_jacks_do_not_penetrate_them(e):
 
 
 @pytest.mark.parametrize("change", [mirrored, rescaled])
-def test_transformed_heaps_move_alike(change):
+def test_transformed_heaps_have_transformed_runs(change):
     declared = interpret(read_text(heap(2, mu=0.4, e=0.2, time=0.5)))
     changed, reading = change(declared)
     one, other = (Runner(model).run().trace for model in (declared, changed))

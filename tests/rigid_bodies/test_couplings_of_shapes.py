@@ -246,7 +246,7 @@ def test_a_limit_that_ends_ends_the_run(limit, time):
         ("{bodies: [b], limit: -1}", "must be zero or positive, not -1 at the start"),
     ],
 )
-def test_mistakes_name_what_to_write(coupling, words):
+def test_mistakes_in_couplings_of_shapes_give_advice(coupling, words):
     bodies = {
         "b": "mass: 1, inertia: 0.05",
         "d": "mass: 1, inertia: 0.05, copies: 2, start: {x: index + 2}",

@@ -11,6 +11,7 @@ import pytest
 
 from contacts.rigid_bodies.body_stepper import bodies_automaton
 from contacts.rigid_bodies.declared_numbers import body_numbers
+from contacts.rigid_bodies.mechanics import BodyMechanics
 from contacts.rigid_bodies.prescribed_motion import Paths, Positions
 from contacts.scene.scene import Scene
 from contacts.testing.body_properties import assert_depths, body_properties
@@ -290,11 +291,11 @@ settings: {{engine: impulse, step: 0.001}}
     trace, numbers, paths = (
         subject.case({}).trace,
         body_numbers(model, model.values()),
-        Paths(model),
+        Paths(BodyMechanics(model)),
     )
 
     def raised(times: Array, memories: Array, states: Mapping[str, str]) -> Positions:
-        found = paths.at({"v": 1.5}, times, memories, states)
+        found = paths.at(trace.values, times, memories, states)
         return found._replace(poses=found.poses + np.array([0.0, 0.01, 0.0]))
 
     with pytest.raises(AssertionError, match=r"0\.01 deep in a body that moves as prescribed"):
@@ -350,7 +351,7 @@ def test_a_spring_pulls_a_body_to_a_led_one() -> None:
     assert x == pytest.approx(0.3 - 0.3 / 5 * math.sin(5), abs=1e-4)
 
 
-def test_the_own_step_follows_led_bodies_and_not_thin_fixed_ones() -> None:
+def test_the_default_step_follows_led_bodies_and_not_thin_fixed_ones() -> None:
     bodies = f"""
   box: {{{MOVED}, start: {{y: 0.1}}}}
   wall: {{fixed: true, shape: {{polygon: [[3, 0], [3.001, 0], [3.001, 1], [3, 1]]}}}}
@@ -362,7 +363,7 @@ def test_the_own_step_follows_led_bodies_and_not_thin_fixed_ones() -> None:
         text = f"kind: scene\nname: n\ngravity: {G}\nbodies:\n{bodies}\ncollisions:\n{law}\n"
         model = interpret(read_text(text))
         assert isinstance(model, Scene)
-        found = bodies_automaton(model).own_step
+        found = bodies_automaton(model).default_step
         assert found is not None
         return found()
 

@@ -179,7 +179,7 @@ def test_infinite_corners_are_reported_with_their_line():
     runner = pickle.loads(pickle.dumps(Runner(read_text(text, "two.yaml"))))
     place = r"two\.yaml:11:\d+: bodies\.block\.shape\.polygon\.3.*"
     for value, words in ((math.inf, "must be finite"), (-1.0, "corners 1 and 4 are in one place")):
-        with pytest.raises(DeclarationError, match=f"{place}{words}.* with a={value:g} set"):
+        with pytest.raises(DeclarationError, match=f"{place}{words}.* .with a = {value:g}."):
             runner.run({"a": value})
 
 

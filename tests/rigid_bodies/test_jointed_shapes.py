@@ -346,7 +346,7 @@ def test_a_chain_swings_down_and_strikes_the_ground():
 
 
 @pytest.mark.parametrize("change", [mirrored, rescaled])
-def test_transformed_chains_move_alike(change):
+def test_transformed_chains_have_transformed_runs(change):
     declared = interpret(read_text(chain(3, time=0.9, ground=-1.2)))
     changed, reading = change(declared)
     one, other = (Runner(model).run().trace for model in (declared, changed))

@@ -326,7 +326,7 @@ EVERY = {
 
 
 @pytest.mark.parametrize("change", [mirrored, rescaled])
-def test_transformed_scenes_move_alike(change):
+def test_transformed_scenes_have_transformed_runs(change):
     starts = {"disc": f"{at(-0.3, 0.2)}, dx: 0.3", "box": f"{at(0.2, 0.3)}, angle: 0.3"}
     declared = interpret(read_text(scene(starts, EVERY, mu=0.4, e=0.3, time=0.8)))
     changed, reading = change(declared)

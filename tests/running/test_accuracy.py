@@ -21,7 +21,7 @@ from statechart.automaton.trace import Outcome, Trace
 from statechart.cli.main import main
 from statechart.documents.setting import Setting
 from statechart.documents.yaml_reader import read_text
-from statechart.engines.engine import Allowance
+from statechart.engines.engine import TimeBudget
 from statechart.errors import OutOfBudget
 from statechart.observation.difference import compare, pair_jumps, separation_time
 from statechart.observation.observer import Observer
@@ -163,12 +163,12 @@ def test_a_single_run_within_the_budget_warns_of_no_estimate() -> None:
 
 def test_a_run_over_the_time_budget_reports_the_last_complete_one() -> None:
     ticks = count()
-    allowance = Allowance(10.0, clock=lambda: float(next(ticks)))
-    allowance.begin()
+    time_budget = TimeBudget(10.0, clock=lambda: float(next(ticks)))
+    time_budget.begin()
     for _ in range(10):
-        allowance.check(0.5)
+        time_budget.check(0.5)
     with pytest.raises(OutOfBudget, match=r"used up at t = 0\.5; allow more time"):
-        allowance.check(0.5)
+        time_budget.check(0.5)
 
 
 def test_a_budget_that_cannot_be_met_exits_with_1_and_keeps_the_trace(
@@ -177,8 +177,8 @@ def test_a_budget_that_cannot_be_met_exits_with_1_and_keeps_the_trace(
     ticks = count()
     # The clock is looked at once when the budget begins and before every call for steps.
     monkeypatch.setattr(
-        "statechart.running.runner.Allowance",
-        lambda seconds: Allowance(seconds, clock=lambda: float(next(ticks))),
+        "statechart.running.runner.TimeBudget",
+        lambda seconds: TimeBudget(seconds, clock=lambda: float(next(ticks))),
     )
     code = main(["run", "bouncing_ball", "--budget", "20", "--json"])
     report = json.loads(capsys.readouterr().out)

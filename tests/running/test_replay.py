@@ -39,7 +39,7 @@ def test_measured_run_is_replayed(measured: Study, accuracy: float) -> None:
     assert asked is not None
     assert asked.decides.startswith(("output ", "the final state", "the times", "the path"))
     assert asked.cost.runs == 1
-    assert asked.basis == f"measured: scipy DOP853 {result.trace.tolerance:g}, as that run"
+    assert asked.basis == f"measured: scipy DOP853 {result.trace.tolerance:g}, with the same result"
     assert result.error_estimate is not None
     assert error(result) <= result.error_estimate <= accuracy
     # A run that is 20 times looser was not measured to do.
@@ -78,7 +78,7 @@ def test_deviating_replay_is_estimated(measured: Study) -> None:
     other = measured.model_copy(update={"points": tuple(points)})
     result = run(read_text(MODEL), accuracy=1e-6, study=other)
     assert result.asked is not None
-    assert result.asked.basis.endswith(", which runs otherwise here")
+    assert result.asked.basis.endswith(", which gives another result here")
     assert result.asked.cost.runs > 1
     assert result.error_estimate is not None
     assert error(result) <= result.error_estimate <= 1e-6
@@ -113,6 +113,6 @@ def test_the_command_line_reports_the_measured_run(
     save("out", measured)
     assert main(["run", "swing.yaml", "--accuracy", "1e-5", "--output", "out", "--json"]) == 0
     asked = json.loads(capsys.readouterr().out)["asked"]
-    assert asked["basis"].endswith("as that run")
+    assert asked["basis"].endswith("with the same result")
     assert asked["cost"]["runs"] == 1
     assert asked["reached"]

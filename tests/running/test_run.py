@@ -190,7 +190,7 @@ def test_wrong_overrides_are_refused(overrides: dict[str, float], words: str) ->
 
 
 def test_an_unphysical_override_is_refused_where_it_is_used() -> None:
-    with pytest.raises(DeclarationError, match=r"friction: must be .* with mu=-1 set") as caught:
+    with pytest.raises(DeclarationError, match=r"friction: must be .* .with mu = -1.") as caught:
         run("toppling_stick", parameters={"mu": -1.0})
     path = models.path("toppling_stick")
     assert path is not None
@@ -224,7 +224,7 @@ def test_a_run_that_cannot_go_on_raises_with_its_trace_or_returns_it() -> None:
     assert caught.value.trace is not None
 
 
-def test_a_run_with_too_many_jumps_keeps_those_it_made() -> None:
+def test_a_run_with_too_many_jumps_keeps_its_trace() -> None:
     text = BALL + "settings: {max_jumps: 3}\n"
     result = run(read_text(text), throw=False)
     assert result.trace.outcome.name == "TOO_MANY_JUMPS"

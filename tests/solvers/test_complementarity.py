@@ -40,7 +40,7 @@ def test_a_problem_of_size_zero_is_solved() -> None:
 
 
 @pytest.mark.parametrize("size", [2, 5, 10])
-def test_murtys_long_paths(size: int) -> None:
+def test_lemke_solves_murtys_problems_of_exponential_length(size: int) -> None:
     # 1 on the diagonal, 2 below: Lemke's path visits up to 2^n bases from a bad start.
     matrix = np.eye(size) + 2.0 * np.tril(np.ones((size, size)), -1)
     vector = -(2.0 ** np.arange(size, 0, -1))
@@ -59,7 +59,7 @@ def test_degenerate_ties_do_not_cycle() -> None:
     assert z == pytest.approx([1 / 3, 1 / 3, 1 / 3])
 
 
-def test_matrices_with_one_solution() -> None:
+def test_lemke_solves_positive_definite_problems() -> None:
     random = np.random.default_rng(1)
     for _ in range(300):
         size = int(random.integers(1, 7))
@@ -91,7 +91,7 @@ def test_the_solution_of_lemke_is_among_all_enumerated_ones() -> None:
 
 @given(st.integers(1, 30), st.integers(0, 2**32 - 1))
 @examples(60)
-def test_convex_problems_as_least_squares(size: int, seed: int) -> None:
+def test_convex_problems_agree_with_nonnegative_least_squares(size: int, seed: int) -> None:
     from scipy.optimize import nnls
 
     random = np.random.default_rng(seed)
@@ -171,7 +171,7 @@ def test_stacks_are_solved_or_reported_unsolved(masses: float, decades: float) -
 
 
 @pytest.mark.parametrize("mu", [0.0, 1e-12, 0.5, 1e3, math.inf])
-def test_a_block_at_rest_and_a_block_that_slides(mu: float) -> None:
+def test_impulses_hold_or_brake_a_block_on_doubled_corners(mu: float) -> None:
     cones = np.array([edge(mu)] * 4)
     # Four corners in a row, the outer ones doubled, a unit mass above them.
     places = np.array([-1.0, -1.0, 1.0, 1.0])

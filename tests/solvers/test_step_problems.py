@@ -51,7 +51,7 @@ def test_the_solution_is_among_all_enumerated_ones(seed):
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_without_friction_it_is_the_least_energy(seed):
+def test_frictionless_impulses_minimise_the_energy(seed):
     generator = np.random.default_rng(seed)
     delassus, free, cones = random_problem(generator, 5, 3, friction=False)
     missed, impulses = solved_at_once(delassus, free, cones)

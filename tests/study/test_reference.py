@@ -88,14 +88,14 @@ def test_outlier_of_three_runs_is_ignored(
     assert third.parted == pytest.approx(2.0, abs=0.2)
     assert third.errors.named["vy"] > 0.1 > third.errors.named["x_end"]
     said = str(found)
-    assert f"{third.setting} is the odd one out" in said
+    assert f"{third.setting} disagrees with both" in said
     assert "vy by 0.51" in said
     assert "x_end" not in said
     assert "chaotic" not in said
     assert to_dict(found)["third"]["odd"] is True
 
 
-def test_of_three_runs_the_two_that_agree_are_the_reference(
+def test_the_two_agreeing_runs_of_three_are_the_reference(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     still = Runner(read_text(THRUST.replace("10*(1+", "0*(1+")))

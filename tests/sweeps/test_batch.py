@@ -112,7 +112,7 @@ def cells(model: Declaration, count: int) -> Array:
         ("sliding_ladder", 0, None),
     ],
 )
-def test_shipped_models(
+def test_batches_of_shipped_models_equal_single_runs(
     name: str, least: int, until: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     model = load(name)
@@ -129,7 +129,9 @@ def test_a_velocity_of_round_off_is_not_projected(
     assert compared(model, np.concatenate([table] * 12), monkeypatch) == 60
 
 
-def test_conditions_lists_counts_and_plastic_impacts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_batches_equal_single_runs_with_conditions_lists_and_plastic_impacts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     model = interpret(read_text(HAIRY))
     assert isinstance(model, Declaration)
     assert compared(model, cells(model, 60), monkeypatch) >= 10

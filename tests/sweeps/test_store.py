@@ -109,7 +109,7 @@ def test_a_signal_reaches_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"resume": True, "outputs": []}, "differs in outputs"),
     ],
 )
-def test_a_store_of_another_sweep_is_left_alone(
+def test_a_store_of_another_sweep_is_not_overwritten(
     tmp_path: Path, changes: dict[str, Any], words: str
 ) -> None:
     store = tmp_path / "a.zarr"
@@ -122,7 +122,7 @@ def test_a_store_of_another_sweep_is_left_alone(
 
 
 @pytest.mark.parametrize("content", ["notes.txt", "zarr.json", ".zgroup"])
-def test_folders_that_are_no_store_are_left_alone(tmp_path: Path, content: str) -> None:
+def test_folders_that_are_no_store_are_not_overwritten(tmp_path: Path, content: str) -> None:
     store = tmp_path / "a.zarr"
     store.mkdir()
     (store / content).write_text("{}")

@@ -14,6 +14,7 @@ from contacts.testing.scene_properties import properties as contact_properties
 from contacts.testing.symmetry import LENGTH, TIMES, image_property, mirrored, rescaled
 from statechart.automaton.regions import State
 from statechart.charts.chart import Chart
+from statechart.charts.laws import automaton as chart_automaton
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.loading.load import interpret, load
@@ -452,6 +453,34 @@ def test_a_start_that_is_not_the_declared_one_is_caught():
     laws = Altered(automaton.laws, begin=stopped)
     subject = Subject(scene, dataclasses.replace(automaton, laws=laws))
     assert "starts at 0" in failure(subject, "runs start as declared").message
+
+
+COUNTED = """
+kind: chart
+name: counted
+variables: {rounds: 0, x: 1}
+regions:
+  machine:
+    initial: runs
+    states:
+      runs:
+        initial: slow
+        entry: {rounds: rounds + 1}
+        states: {slow: {flows: {x: 1}}}
+stop: {time: 1}
+"""
+
+
+def test_entry_updates_of_an_initial_state_are_part_of_a_declared_start():
+    assert report_on(Subject(model(COUNTED)), "runs start as declared").passed
+
+
+def test_a_start_beside_entry_updates_that_is_not_the_declared_one_is_caught():
+    chart = model(COUNTED)
+    automaton = chart_automaton(chart)
+    laws = Altered(automaton.laws, begin=lambda began, *arguments: (began[0], began[1] + 1))
+    subject = Subject(chart, dataclasses.replace(automaton, laws=laws))
+    assert "x starts at 2, declared is 1" in failure(subject, "runs start as declared").message
 
 
 def test_an_asymmetric_law_breaks_the_mirror():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -122,3 +124,24 @@ def test_contact_that_lands_within_its_gap_tolerance_rests_there(step):
     trace = run(interpret(read_text(SECOND_END)), step=step).trace
     assert [(jump.region, jump.cause) for jump in trace.jumps] == [("left", "touchdown")]
     assert trace.final_mode == ("slide+", "slide+")
+
+
+BALL = """
+kind: scene
+name: last_bounces
+gravity: 9.81
+bodies: {ball: {mass: 1, start: {y: 1e-3, dx: 0.2}}}
+surfaces: {ground: {height: 0}}
+contacts: {tip: {point: {body: ball}, surface: ground, friction: 0.5, restitution: 0.53}}
+stop: {time: 0.06}
+settings: {engine: impulse}
+"""
+
+
+@pytest.mark.parametrize("step", [2e-6, 4e-7, 1e-7])
+def test_bounces_within_the_gap_tolerance_end_where_their_series_does(step):
+    # The series of bounces ends at t0 (1 + e)/(1 - e), t0 = sqrt(2 y/g).
+    end = math.sqrt(2e-3 / 9.81) * 1.53 / 0.47
+    landings = run(interpret(read_text(BALL)), step=step).trace.jumps
+    assert landings[-1].t == pytest.approx(end, abs=20.0 * step)
+    assert len(landings) <= 20

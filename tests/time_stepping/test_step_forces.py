@@ -186,7 +186,7 @@ def test_force_after_a_landing_is_the_lasting_one():
 
 
 @pytest.mark.parametrize("step", [1e-3, 1e-4])
-def test_a_joint_bears_what_an_impact_leaves(step):
+def test_joint_forces_after_an_impact_have_no_peak(step):
     """The two steps after an impact move the joint to its new error, and say nothing of forces.
 
     A ball strikes a hanging arm at its centre without loss: w = 2 v m r/(J + 2 m r^2), and the pin

@@ -124,7 +124,7 @@ def test_code_of_users_passes_in_strict_mode(reported: str) -> None:
     assert not [line for line in reported.splitlines() if line.startswith("right")]
 
 
-def test_code_of_users_runs() -> None:
+def test_the_typed_user_script_runs() -> None:
     found: dict[str, Any] = {}
     exec(CONTROLLED, found)
     # By hand: pushed by 2 from rest it has the speed 1 after half a second, and keeps it.

@@ -76,15 +76,15 @@ def bounding_block(boxes: Sequence[Box], arrows: Sequence[Arrow]) -> LayoutBlock
     return LayoutBlock((right - left, high - low), (*boxes,), (*arrows,)).moved(-left, -low)
 
 
-def _translate(course: str, x: float, y: float) -> str:
-    return _POINT.sub(lambda m: f"{float(m[1]) + x:.2f},{float(m[2]) + y:.2f}", course)
+def _translate(curves: str, x: float, y: float) -> str:
+    return _POINT.sub(lambda m: f"{float(m[1]) + x:.2f},{float(m[2]) + y:.2f}", curves)
 
 
 def text_block(name: str, label: str) -> LayoutBlock:
     """Return a text as a block."""
-    look = {"shape": "plain", "label": label}
-    size = measure_boxes({name: look})[name]
-    return LayoutBlock(size, (Box(name, (size[0] / 2, size[1] / 2), size, look),))
+    attributes = {"shape": "plain", "label": label}
+    size = measure_boxes({name: attributes})[name]
+    return LayoutBlock(size, (Box(name, (size[0] / 2, size[1] / 2), size, attributes),))
 
 
 def side_by_side(blocks: Sequence[LayoutBlock], gap: float) -> LayoutBlock:
@@ -176,15 +176,15 @@ def count_overlaps(block: LayoutBlock) -> int:
     return found
 
 
-def samples(course: str) -> Array:
+def samples(curves: str) -> Array:
     """Return dense samples of curves."""
-    curves = [
+    controls = [
         curve[k : k + 4]
-        for piece in course.split(";")
+        for piece in curves.split(";")
         for curve in [[(float(x), float(y)) for x, y in _POINT.findall(_ENDS.sub("", piece))]]
         for k in range(0, len(curve) - 3, 3)
     ]
-    points = np.array(curves)
+    points = np.array(controls)
     # No curve is faster than thrice its longest control leg.
     legs = 3 * np.hypot(*np.diff(points, axis=1).T).max()
     t = np.linspace(0.0, 1.0, 2 + int(legs / _STEP))

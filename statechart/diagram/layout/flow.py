@@ -90,9 +90,9 @@ class _Flow:
         self.edges: dict[str, tuple[str, str, Attributes]] = {}
         for k, ((source, target), links) in enumerate(chart.arrows.items()):
             self.edges[str(k)] = source, target, arrow(links)
-            look = arrow_attributes(links, style)
-            if look is not None:
-                self.looks[f"{prefix}{k}"] = look
+            attributes = arrow_attributes(links, style)
+            if attributes is not None:
+                self.looks[f"{prefix}{k}"] = attributes
                 around = chart.around(target)
                 common = next((name for name in chart.around(source) if name in around), None)
                 self.words.setdefault(common, []).append(f"{prefix}{k}")
@@ -175,16 +175,19 @@ class _Flow:
             item, name = items[self.names[node.name]], self.title(node)
             boxes.append(Box(name, _point(item["lp"]), size_of(item, "l"), self.looks[name]))
         courses = {edge["id"]: edge["pos"] for edge in laid.get("edges", [])}
-        ends = {k: (self.names[s], self.names[t], look) for k, (s, t, look) in self.edges.items()}
+        ends = {
+            k: (self.names[s], self.names[t], attributes)
+            for k, (s, t, attributes) in self.edges.items()
+        }
         ends |= {k: (k, self.names[node.name], arrow(())) for k, node in self.starts.items()}
         arrows = [
             Arrow(
                 source,
                 target,
                 ";".join(courses[half] for half in (f"{k} to", f"{k} on") if half in courses),
-                look,
+                attributes,
             )
-            for k, (source, target, look) in ends.items()
+            for k, (source, target, attributes) in ends.items()
         ]
         places = {box.name: box for box in (*frames, *boxes)}
         for node in self.chart.frames:
@@ -215,10 +218,10 @@ class _Flow:
     def _frame(self, node: Node, items: dict[str, Any]) -> Box:
         name = self.names[node.name]
         x0, y0, x1, y1 = map(float, items[name]["bb"].split(","))
-        look: Attributes = FRAMES if node.infeasible is None else {**FRAMES, "color": FAINT}
+        attributes: Attributes = FRAMES if node.infeasible is None else {**FRAMES, "color": FAINT}
         if node.inside is not None and self.chart.node(node.inside).parallel:
-            look = _REGION
-        return Box(name, ((x0 + x1) / 2, (y0 + y1) / 2), (x1 - x0, y1 - y0), look)
+            attributes = _REGION
+        return Box(name, ((x0 + x1) / 2, (y0 + y1) / 2), (x1 - x0, y1 - y0), attributes)
 
     def _dividers(self, node: Node, places: dict[str, Box]) -> list[Arrow]:
         """Return the dashed lines between the regions of a state, below its title."""

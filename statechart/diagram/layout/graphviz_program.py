@@ -51,8 +51,8 @@ def measure_boxes(looks: Mapping[str, Mapping[str, str]]) -> dict[str, tuple[flo
     import graphviz
 
     graph = graphviz.Digraph(node_attr={"fontname": FONT})
-    for name, look in looks.items():
-        graph.node(name, **look)
+    for name, attributes in looks.items():
+        graph.node(name, **attributes)
     return {item["name"]: size_of(item) for item in lay_out(str(graph.source))["objects"]}
 
 

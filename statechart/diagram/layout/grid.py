@@ -125,7 +125,7 @@ def grid(chart: Chart, style: Style, prefix: str) -> LayoutBlock:
     drawn = _Grid(chart, style, prefix)
     axes = (0, 1)
     bands = [box for axis in axes for box in drawn.bands(axis)]
-    words = [box for axis in axes for box in drawn.words(axis)]
+    words = [box for axis in axes for box in drawn.arrow_labels(axis)]
     arrows = [one for axis in axes for one in drawn.arrows(axis)]
     block = bounding_block((*bands, *drawn.states(), *words), arrows)
     if chart.initial is None:
@@ -155,8 +155,8 @@ class _Grid:
         self.looks: dict[str, Attributes] = {}
         for k, part in enumerate((horizontal, vertical)):
             for number, bond in enumerate(self.axes[k].bonds):
-                look = arrow_attributes(bond.links, style, narrow=k == 1)
-                self.looks |= {self._key(k, number): look} if look else {}
+                attributes = arrow_attributes(bond.links, style, narrow=k == 1)
+                self.looks |= {self._key(k, number): attributes} if attributes else {}
             for number, (node, _, _) in enumerate(self.axes[k].frames):
                 self.looks[self._key(k, f"in{number}")] = title_attributes(node, part, style)
         self.cells = {self.names[node.name]: state_attributes(node, chart, style) for node in nodes}
@@ -280,7 +280,7 @@ class _Grid:
             centre = _point(k, low + size[k] / 2, top - size[across] / 2 - 1.0)
             yield Box(name, centre, size, self.looks[name])
 
-    def words(self, k: int) -> Iterator[Box]:
+    def arrow_labels(self, k: int) -> Iterator[Box]:
         """Yield the labels of arrows, centred in the free space."""
         axis, across = self.axes[k], 1 - k
         for number, bond in enumerate(axis.bonds):
@@ -306,9 +306,9 @@ class _Grid:
                 (tail, no_tail), (head, no_head) = (
                     self._end(k, span, other) for span in (bond.tail, bond.head)
                 )
-                look = arrow(bond.links) | ({"color": FAINT} if no_tail or no_head else {})
-                course = [_point(k, *at) for at in self._corners(k, number, v)]
-                yield Arrow(tail, head, polyline(course), look)
+                attributes = arrow(bond.links) | ({"color": FAINT} if no_tail or no_head else {})
+                points = [_point(k, *at) for at in self._corners(k, number, v)]
+                yield Arrow(tail, head, polyline(points), attributes)
 
     def _end(self, k: int, span: Span, across: int) -> tuple[str, bool]:
         """Return the box at the end of an arrow, and whether it is infeasible."""

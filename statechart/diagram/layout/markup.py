@@ -135,8 +135,8 @@ def arrow(links: Sequence[Link]) -> dict[str, str]:
 def _details(node: Node, chart: Chart, style: Style, ink: str) -> list[str]:
     inline = style.guards == "inline"
     small = [*(node.invariants if inline else ()), *(node.actions if inline or fits(node) else ())]
-    loops = (text(line, colour=ink) for line in _self_links(node, chart, style))
-    return [*(text(line, size=SMALL, colour=ink) for line in small), *loops]
+    self_loops = (text(line, colour=ink) for line in _self_links(node, chart, style))
+    return [*(text(line, size=SMALL, colour=ink) for line in small), *self_loops]
 
 
 def _self_links(node: Node, chart: Chart, style: Style) -> list[str]:
@@ -145,8 +145,8 @@ def _self_links(node: Node, chart: Chart, style: Style) -> list[str]:
     A sign precedes links that exit the state.
     """
     if chart.axes is not None:
-        loops = [x for x in chart.links if x.source == x.target == node.name]
-        return [f"↻ {line}" for line in [events(replace(x, region="") for x in loops)] if line]
+        self_loops = [x for x in chart.links if x.source == x.target == node.name]
+        return [f"↻ {line}" for line in [events(replace(x, region="") for x in self_loops)] if line]
     labels = {other.name: other.label for other in chart.nodes}
     lines: list[str] = []
     for (source, target), links in chart.bundles.items():

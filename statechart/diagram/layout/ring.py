@@ -100,7 +100,9 @@ def ring(chart: Chart, style: Style, prefix: str) -> LayoutBlock | None:
         steps.append((len(names) - 1, back))
     taken = [chart.bundles[order[a], order[b]] for a, b in steps]
     words = [arrow_attributes(links, style, narrow=True, counted=False) for links in taken]
-    labels: dict[str, Attributes] = {f"{prefix}{k}": look for k, look in enumerate(words) if look}
+    labels: dict[str, Attributes] = {
+        f"{prefix}{k}": attributes for k, attributes in enumerate(words) if attributes
+    }
     count = text(pluralise(found.rounds, "round"), size=STATE, bold=True, colour=RUN)
     middle = {f"{prefix}rounds": {"shape": "plain", "label": table([count])}}
     sizes = measure_boxes({**looks, **labels, **middle})
@@ -110,8 +112,8 @@ def ring(chart: Chart, style: Style, prefix: str) -> LayoutBlock | None:
     )
     if back is not None and len(order) - back == 3:
         # In a triangle the count is between the labels of the slanted arrows.
-        beside = max((sizes[n][0] for n in labels), default=0.0) + sizes[f"{prefix}rounds"][0]
-        wide = max(wide, 2 * (beside + 2 * _PADDING))
+        side_width = max((sizes[n][0] for n in labels), default=0.0) + sizes[f"{prefix}rounds"][0]
+        wide = max(wide, 2 * (side_width + 2 * _PADDING))
     most = 1 + int((_WIDTH - cell[0]) // wide)
     if ceil(len(names) / max(most, 2)) * high > _WIDTH:
         most = 1 + int((_WIDEST - cell[0]) // wide)
@@ -126,7 +128,9 @@ def ring(chart: Chart, style: Style, prefix: str) -> LayoutBlock | None:
         line = _line(spots[a], spots[b], cell, between, sizes.get(name))
         arrows.append(Arrow(names[a], names[b], line, arrow(taken[k])))
     if back is not None:
-        boxes += [Box(n, _middle(spots[back:]), sizes[n], look) for n, look in middle.items()]
+        boxes += [
+            Box(n, _middle(spots[back:]), sizes[n], attributes) for n, attributes in middle.items()
+        ]
     return with_start(bounding_block(boxes, arrows), names[0], f"{prefix}start")
 
 

@@ -1,4 +1,4 @@
-"""Packages of ours that a user's own folder hides."""
+"""Packages of this project that a user's own folder hides."""
 
 from __future__ import annotations
 

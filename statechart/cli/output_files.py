@@ -28,7 +28,7 @@ _STORE, _FILE = ".zarr", ".nc"
 
 
 def check_folder(output: str | None) -> None:
-    """Raise `DeclarationError` where no results can be written, before the work for them."""
+    """Raise `DeclarationError` for a folder that cannot be written, before the run."""
     if output is None:
         return
     if not output.strip():
@@ -43,7 +43,7 @@ def check_folder(output: str | None) -> None:
 def check_file(
     option: str, output: str | None, suffixes: Collection[str] = (), *, deep: bool = False
 ) -> None:
-    """Raise `DeclarationError` where a file cannot be written, before the work for it.
+    """Raise `DeclarationError` for a file that cannot be written, before the run.
 
     With `deep` its folder need not exist yet.
     """
@@ -72,7 +72,7 @@ def is_store(output: str | None) -> bool:
 
 
 def stored_study(arguments: argparse.Namespace) -> Study | None:
-    """Return the study that `trade` has left in the folder of the results."""
+    """Return the study that `trade` stored in the folder of the results."""
     if arguments.output is None or (arguments.accuracy is None and arguments.budget is None):
         return None
     from statechart.study.study import load
@@ -80,10 +80,10 @@ def stored_study(arguments: argparse.Namespace) -> Study | None:
     return load(arguments.output)
 
 
-def shown_study(
+def study_for_page(
     model: Declaration, page: str | None, output: str | None = None
 ) -> tuple[Study | None, tuple[str, ...]]:
-    """Return the study that `trade` has left beside the page of a model, and warnings."""
+    """Return the study that `trade` stored in the folder of a page, and warnings."""
     if page is None:
         return None, ()
     from statechart.study.study import NAME, load
@@ -106,13 +106,13 @@ def shown_study(
 
 
 def film_options(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return the options of an animation that are given."""
-    given = {name: getattr(arguments, name) for name in ("speed", "size", "trail")}
-    return {name: value for name, value in given.items() if value is not None}
+    """Return the options of an animation on the command line."""
+    options = {name: getattr(arguments, name) for name in ("speed", "size", "trail")}
+    return {name: value for name, value in options.items() if value is not None}
 
 
 def check_animation(runner: Runner, arguments: argparse.Namespace) -> None:
-    """Raise `StatechartError` where no animation can be written, before the run that it shows."""
+    """Raise `StatechartError` for an animation that cannot be written, before its run."""
     output, options = arguments.animate, film_options(arguments)
     if output is None:
         if options:
@@ -123,16 +123,16 @@ def check_animation(runner: Runner, arguments: argparse.Namespace) -> None:
             )
         return
     from statechart.pictures.animation import check
-    from statechart.reporting.film import Showing, stage_of
+    from statechart.reporting.film import AnimationOptions, stage_of
 
     check_file("--animate", output)
-    shown = Showing(**options)
+    shown = AnimationOptions(**options)
     check(Path(output), shown.size, shown.speed, shown.trail)
     stage_of(runner.automaton)
 
 
 def check_sweep(arguments: argparse.Namespace, plan: Plan) -> None:
-    """Raise `DeclarationError` where the store, the file or the picture cannot be written."""
+    """Raise `DeclarationError` for a store, a file or a picture that cannot be written."""
     from statechart.reporting.figure import SUFFIXES
     from statechart.sweeps.figure import check_drawable
 

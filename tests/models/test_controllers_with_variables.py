@@ -1,4 +1,4 @@
-"""Memory of controllers: the hopper with foot placement, and the sampled balance."""
+"""Variables of controllers: the hopper with foot placement, and the sampled balance."""
 
 from __future__ import annotations
 

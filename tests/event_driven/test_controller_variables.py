@@ -117,8 +117,8 @@ def test_unused_variables_do_not_change_the_motion(model: str) -> None:
             "if it is new, give its start: variables: {n: 0}",
         ),
         ("guard: n >= 1", "guard: N >= 1", "N >=", "unknown name 'N'"),
-        ("done: {}", "done: {states: {a: {}}}", "done:", "does not say with which it begins"),
-        ("done: {}", "done: {history: deep}", "deep", "has no state whose states it remembers"),
+        ("done: {}", "done: {states: {a: {}}}", "done:", "and no initial one"),
+        ("done: {}", "done: {history: deep}", "deep", "is in no state with states"),
     ],
 )
 def test_mistakes_in_variables_of_controllers_are_reported_with_their_place(

@@ -77,7 +77,7 @@ def resolve_search(found: Search, compiled: CompiledMode, watch: FlowWatch, path
     names = compiled.names
     if found.verdict is Verdict.BUDGET:
         raise Undecided(
-            f"the search for events of {', '.join(names)} was given up after {found.boxes} "
+            f"the search for events of {', '.join(names)} stopped undecided after {found.boxes} "
             "interval evaluations; simplify the guard, or take shorter steps (--max-step)"
         )
     # The equations may be singular at a stop: the cosine in a force vanishes when the stick lies

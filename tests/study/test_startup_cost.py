@@ -54,7 +54,7 @@ def test_a_run_under_way_ends_with_its_process(monkeypatch: pytest.MonkeyPatch) 
     fresh.close()
 
 
-def test_without_a_process_there_is_no_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cold_time_is_none_without_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
     model = Runner(read_text(OSCILLATOR)).model
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
     assert FreshProcess(model, 5.0).seconds(RK45) is None

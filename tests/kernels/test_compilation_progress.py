@@ -6,7 +6,7 @@ import heyoka
 import pytest
 
 from statechart import compiling, run
-from statechart.engines.engine import Allowance
+from statechart.engines.engine import TimeBudget
 from statechart.errors import OutOfBudget
 
 KERNELS = """\
@@ -119,17 +119,17 @@ def test_a_failure_ends_the_progress_line(tmp_path, kernels, clock, lines):
 
 
 def test_compile_time_does_not_count_as_working_time(kernels, clock, monkeypatch):
-    allowance = Allowance(2.5)
-    allowance.begin()
+    time_budget = TimeBudget(2.5)
+    time_budget.begin()
     slow(monkeypatch, clock, 10.0)
     kernels().upper_kernel(1.0)
-    allowance.check(0.0)
+    time_budget.check(0.0)
     clock.now += 2.0
     compiling.begin("other", lambda: 1)
     clock.now += 10.0
-    allowance.check(0.0)
+    time_budget.check(0.0)
     compiling.end()
-    allowance.check(0.0)
+    time_budget.check(0.0)
     clock.now += 1.0
     with pytest.raises(OutOfBudget):
-        allowance.check(0.0)
+        time_budget.check(0.0)

@@ -1,6 +1,6 @@
 """Cost of checking every step for missed events, and of proving that none was missed.
 
-    python benchmarks/cost_of_looking.py [MODELS]
+    python benchmarks/cost_of_certification.py [MODELS]
 
 Runs without the check, with it, and certified, in turn in one process; medians. A certified run is
 a second one, with the defects enclosed and every event made again from displaced states.

@@ -8,7 +8,7 @@ from studies import point, study, traded
 from statechart.documents.setting import Setting
 from statechart.running.runner import Runner
 from statechart.study.measurements import Errors, Point
-from statechart.study.slopes import notes, reasons
+from statechart.study.slopes import distinct_warnings, reasons
 from statechart.study.text import to_dict
 
 LAW = "time stepping applies another law"
@@ -23,7 +23,7 @@ def test_another_law_is_the_reason_why_steps_do_not_converge() -> None:
     # The cradle's blow goes through its balls in turn; time steps resolve it at once.
     steps = [Setting(engine="impulse", step=4.0 * part) for part in (5e-3, 2e-3, 1e-3, 5e-4)]
     found = traded(Runner("newtons_cradle"), settings=steps)
-    (note,) = notes(found)
+    (note,) = distinct_warnings(found)
     assert "simultaneous: sequential" in note.text
     assert note.settings == tuple(setting.label for setting in steps)
     assert all(note.text in p.warnings for p in found.points)
@@ -32,7 +32,7 @@ def test_another_law_is_the_reason_why_steps_do_not_converge() -> None:
     assert "not converge" not in said
     assert "outputs that stay off by that" in said
     assert said.count("impulse step 0.02 to 0.002: simultaneous: sequential") == 1
-    assert "no slope for error of impulse: its runs differ for the reason that they warn of" in said
+    assert "no slope for error of impulse: its runs deviate from the reference" in said
     shown = to_dict(found)
     assert shown["reasons"] == reasons(found)
     assert shown["notes"][0]["text"] == note.text
@@ -44,7 +44,7 @@ def test_warnings_shared_with_the_reference_are_no_reason() -> None:
     assert reasons(study(*other)) == {"impulse": (LAW,)}
     shared = study(*other, warnings={"taylor 2.2e-16": (LAW,)})
     assert reasons(shared) == {}
-    assert len(notes(shared)) == 1
+    assert len(distinct_warnings(shared)) == 1
 
 
 def test_settings_that_converge_to_the_modes_of_the_reference_have_no_note() -> None:
@@ -66,7 +66,7 @@ def test_warnings_that_differ_in_numbers_are_one_note() -> None:
         *(stepped(10.0**-k, warnings=(f"springs swing by {k}.5 radians",)) for k in (2, 3, 4)),
         point(1e-3, 1e-3, 1.0, warnings=("forces are indeterminate",)),
     )
-    assert [note.differs for note in notes(found)] == [True, False]
+    assert [note.differs for note in distinct_warnings(found)] == [True, False]
     said = str(found)
     assert "impulse step 0.01 to 0.0001: springs swing by 2.5 radians (numbers of impulse" in said
     assert "scipy RK45 0.001: forces are indeterminate" in said
@@ -74,8 +74,8 @@ def test_warnings_that_differ_in_numbers_are_one_note() -> None:
 
 def test_runs_of_one_setting_that_differ_in_numbers_warn_once() -> None:
     found = study(stepped(1e-2, warnings=("swings by 0.92", "swings by 0.9", "leg_1", "leg_2")))
-    assert [note.text for note in notes(found)] == ["swings by 0.92", "leg_1", "leg_2"]
-    assert not any(note.differs for note in notes(found))
+    assert [note.text for note in distinct_warnings(found)] == ["swings by 0.92", "leg_1", "leg_2"]
+    assert not any(note.differs for note in distinct_warnings(found))
 
 
 def test_the_first_of_many_notes_are_printed() -> None:

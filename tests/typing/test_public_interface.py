@@ -95,7 +95,7 @@ def test_errors_share_one_base_class() -> None:
 
 
 @pytest.mark.parametrize("face", [statechart, contacts])
-def test_every_public_name_is_there_and_listed(face: object) -> None:
+def test_every_public_name_exists_and_is_listed(face: object) -> None:
     for name in face.__all__:  # type: ignore[attr-defined]
         assert getattr(face, name).__doc__
         assert name in dir(face)

@@ -13,11 +13,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from statechart import sweep
+from statechart.cli.main import main
 from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError
 from statechart.running.runner import Runner
-from statechart.sweeps.cells import contract_cycles
-from statechart.sweeps.figure import check_drawable, figure, shorten_alike
+from statechart.sweeps.figure import check_drawable, figure
+from statechart.sweeps.mode_sequences import (
+    MAX_LETTERS,
+    contract_cycles,
+    shorten_alike,
+    write_sequence,
+)
 from statechart.sweeps.plan import Plan
 
 STICK = "toppling_stick"
@@ -182,3 +188,22 @@ def test_legends_tell_long_sequences_of_modes_apart() -> None:
     assert "23 modes" in found[1]
     assert "s0:slide" in found[2]
     assert not any("0123abcd" in text for text in found)
+
+
+def test_sequences_that_differ_near_their_ends_are_told_apart_where_they_do() -> None:
+    rounds = [f"left:{k} right:{k % 7}" for k in range(40)]
+    texts = [write_sequence([*rounds, f"left:{end} right:0"]) for end in ("pin", "free")]
+    assert all(len(text) < 1.25 * MAX_LETTERS and "(41 modes, " in text for text in texts)
+    found = shorten_alike(texts)
+    assert [text.rpartition(" > ")[2] for text in found] == [
+        f"left:{end} right:0 (41 modes)" for end in ("pin", "free")
+    ]
+
+
+def test_reports_of_sweeps_say_where_sequences_differ(capsys: pytest.CaptureFixture[str]) -> None:
+    over = ["--over", "gamma=0.08,0.09", "--until", "40"]
+    assert main(["sweep", "rimless_wheel", *over]) == 0
+    table = capsys.readouterr().out.partition("sequence of modes\n")[2]
+    rows = [line.split(maxsplit=1)[1] for line in table.splitlines()]
+    assert len({*rows}) == len(rows) > 0
+    assert not re.search(r"modes, [0-9a-f]{8}\)", table)

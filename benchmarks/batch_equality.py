@@ -1,6 +1,6 @@
 """Cells of a sweep that go through one compiled call, against a run each: bits and time.
 
-    python benchmarks/rows.py [--cells N] [--seed S] [NAME ...]
+    python benchmarks/batch_equality.py [--cells N] [--seed S] [NAME ...]
 
 Every shipped model that sweeps, and every scene of `hostile_scenes.py`, over its ranges: how many
 cells went through together, what a cell takes so and alone (medians, microseconds), and which of

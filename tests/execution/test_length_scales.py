@@ -74,7 +74,7 @@ def test_numbers_whose_squares_are_no_floats_are_refused(
 
 
 @pytest.mark.parametrize("mass", [1e-280, 1e-100, 1e100, 1e300])
-def test_the_mass_of_a_ball_does_not_matter(mass: float) -> None:
+def test_the_motion_of_a_ball_is_independent_of_its_mass(mass: float) -> None:
     made = run(read_text(BALL), parameters={"m": mass}).trace
     assert made.outcome is Outcome.HORIZON
     assert made.final == pytest.approx(run(read_text(BALL)).trace.final, abs=1e-12)

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from contacts.rigid_bodies.own_step import inscribed_radius
+from contacts.rigid_bodies.default_step import inscribed_radius
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
@@ -34,7 +34,7 @@ stop: {time: 0.3}
 """
 
 
-def test_colliding_bodies_take_steps_by_their_scales_and_say_so(tmp_path, monkeypatch, capsys):
+def test_the_default_step_of_colliding_bodies_is_reported(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "discs.yaml"
     path.write_text(DISCS)
