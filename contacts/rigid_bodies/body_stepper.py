@@ -229,7 +229,7 @@ class BodyStepper(Stepper):
         links = link_numbers(self._bodies.linked, known)
         bodies = body_numbers(self._declared.expanded, known, self._owners, links)
         self._check_inertia(bodies, placed)
-        setup = self._setup(values, known, placed, remembered, bodies)
+        setup = self._setup(values, placed, remembered, bodies)
         defaults = StepOptions(get_args(Simultaneous).index(self._scene.simultaneous))
 
         def run_of(
@@ -266,9 +266,8 @@ class BodyStepper(Stepper):
             )
 
     def _setup(
-        self, values: Array, known: Mapping[str, float], placed: Array, remembered: Array,
-        bodies: BodyNumbers,
-    ) -> SceneSetup:  # fmt: skip
+        self, values: Array, placed: Array, remembered: Array, bodies: BodyNumbers
+    ) -> SceneSetup:
         """Return the setup of a run, in scales of the initial positions and sizes."""
         owners = self._bodies.owners
         largest = int(np.argmax(bodies.sizes))
@@ -278,7 +277,7 @@ class BodyStepper(Stepper):
         own = bodies.sizes[: len(bodies.inverse)]
         poses, rates = bodies.motion(placed[None])
         length = float(np.abs(poses[..., :2]).max() + own.max())
-        led = self._paths.at(known, np.zeros(1), remembered[None])
+        led = self._paths.at(values, np.zeros(1), remembered[None])
         length = min(length, _LONGEST * float(extent(bodies, poses[0, :, :2], led) + own.max()))
         speed = math.sqrt(math.hypot(*bodies.gravity) * length)
         speed = max(speed, float(np.abs(rates).max())) or 1.0
