@@ -261,7 +261,7 @@ class Edge:
     reset: str = ""
     on_zeno: bool = False  # fired by the accumulation of jumps out of `source`
     # Not the cause of a change in a jump with another cause; drawings leave it out.
-    alone: bool = field(default=False, compare=False)
+    alone: bool = field(default=False, compare=False, repr=False)
 
 
 @dataclass(frozen=True, eq=False)
