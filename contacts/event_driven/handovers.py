@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.controllers import values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.lint import (
@@ -160,7 +159,7 @@ class Handovers:
     def _tape(self, states: Key) -> Tape:
         if states not in self._tapes:
             controllers = self._mechanics.scene.controlled.flat
-            controlled = values_in(self._mechanics, dict(zip(controllers, states, strict=True)))
+            controlled = self._mechanics.values_in(dict(zip(controllers, states, strict=True)))
             outputs: list[sp.Expr] = []
             for name in self._gated.values():
                 gate = self._mechanics.gate(name)

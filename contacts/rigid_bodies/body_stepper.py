@@ -137,7 +137,7 @@ class BodyStepper(Stepper):
         )
         self._resisted = len(resisted)
         self._declared, self._bodies = declared, mechanics
-        self._paths = Paths(mechanics.scene)
+        self._paths = Paths(mechanics)
         self._constants = declared.constants()
         self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
         self._names = list(mechanics.scene.bodies)
@@ -161,7 +161,7 @@ class BodyStepper(Stepper):
             setup.scales.length,
         )
         remembered = setup.initial[len(self._mechanics.variables) :]
-        led = led_speed(self._paths, bodies.numbers, known, remembered, until)
+        led = led_speed(self._paths, bodies.numbers, setup.values, remembered, until)
         return default_step(bodies.numbers, setup.scales, max(forced, led))
 
     def setup(self, overrides: Mapping[str, float]) -> SceneSetup:
@@ -208,7 +208,7 @@ class BodyStepper(Stepper):
         def run_of(
             bodies: BodyNumbers, options: StepOptions = defaults, start_depth: float = 0.0
         ) -> RigidBodyRun:
-            prescribed = PrescribedMotion(self._bodies, self._paths, known, setup.values)
+            prescribed = PrescribedMotion(self._bodies, self._paths, setup.values)
             names, surfaces = self._names, self._surfaces
             return RigidBodyRun(
                 names, surfaces, bodies, prescribed, options, start_depth, step, self._resisted
@@ -299,7 +299,7 @@ class BodyStepper(Stepper):
         run_of(bodies).capture(remembered)
         length, speed = setup.scales.length, setup.scales.speed
         soon = 1e-6 * length / speed
-        positions = self._paths.at(known, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
+        positions = self._paths.at(setup.values, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
         led = [owners[self._names.index(name)] for name in self._paths.led]
         for part, names, frames, angle, place in (
             ("surfaces", self._surfaces, positions.frames[0], "turn", "displacement"),

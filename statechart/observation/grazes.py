@@ -291,7 +291,7 @@ class _GuardScan:
             begin, end = arc.times[-2:].tolist()
             at = self._least(arc, k, end - _EXTRAPOLATED * (end - begin), end)
             if graze := self._open(arc, k, at, 0.0, fired=False):
-                yield graze._replace(turned=jump is not None)
+                yield graze._replace(t=arc.start.high + end, turned=jump is not None)
 
     def _last(self, arcs: Sequence[Arc]) -> Array:
         """Return the guards after the end of flows, there and shortly before, (m, 5, k)."""
