@@ -260,7 +260,8 @@ class Edge:
     guard: str
     reset: str = ""
     on_zeno: bool = False  # fired by the accumulation of jumps out of `source`
-    alone: bool = False  # not the cause of a change in a jump with another cause
+    # Not the cause of a change in a jump with another cause; drawings leave it out.
+    alone: bool = field(default=False, compare=False, repr=False)
 
 
 @dataclass(frozen=True, eq=False)
