@@ -13,7 +13,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.scene.lint import (
     NEARLY_MEETING,
     goes_off_warning,
-    passed_end_warning,
+    missed_edge_warning,
     stays_off_warning,
 )
 from contacts.states import OFF, OPEN
@@ -112,7 +112,7 @@ class Handovers:
                     continue  # Far from its boundary before and after
                 if -missed_ends <= self._at_crossing(setup, arc, place, sample, gap=True) <= 0.0:
                     warned.add(name)
-                    yield passed_end_warning(name)
+                    yield missed_edge_warning(name)
 
     def _let_through(
         self, arcs: Sequence[Arc], tables: Mapping[int, Array], gap_tolerance: float

@@ -248,7 +248,7 @@ class PrescribedMotion:
         times: Array = start + h * (0.5 + np.arange(len(states) - 1.0))
         return self._tapes.controls.table(0.5 * (states[:-1] + states[1:]), self._values, times)
 
-    def passed(self, count: int) -> None:
+    def advance(self, count: int) -> None:
         """Note how many of the prescribed steps were taken."""
         if count and self._paths.any:
             self._last = Positions(*(rows[count - 1 : count] for rows in self._looks)), self._h
