@@ -42,8 +42,8 @@ _ANGLE_ROUND_OFF = 2.0**-50
 _SAME = 1e-9
 
 
-# Bias with which a row that is off, or far from its bound, never presses.
-_OFF = 1e300
+OFF = 1e300
+"""Bias with which a row that is off, or far from its bound, never presses."""
 
 
 @kernel
@@ -196,7 +196,7 @@ def _write_bounded_bias(
     active.levels[m, 0], active.levels[m, 1] = level, max(above, 0.0)
     active.levels[m, 3] = above
     active.hit[m] = role == HIT
-    active.bias[m, 0] = _OFF
+    active.bias[m, 0] = OFF
     if role == LASTING:
         active.bias[m, 0] = above / h - bend
     elif role == HIT:
@@ -275,7 +275,7 @@ def add_joints(
         else:
             active.hit[m] = False
             for d in range(2):
-                active.bias[m, d] = _OFF
+                active.bias[m, d] = OFF
                 active.pushes[m, d] = 0.0
         active.keys[m, 0], active.keys[m, 1] = first + j, 0
         m += 1

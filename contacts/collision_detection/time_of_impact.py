@@ -22,8 +22,9 @@ from statechart.kernels.jit import kernel
 ARRIVED = 0.01
 # Cosine of the largest turn of the normal between detection and touch.
 _ALIKE = 0.8
-# Resolution of the time of impact of rotating pieces: parts of the interval.
-_DIVISIONS = 256
+# Resolution of the time of impact of rotating pieces: parts of the interval, and, for fast ones,
+# motion relative to the inner radii; the finest parts of the interval.
+_DIVISIONS, _PART, _FINEST = 256, 0.25, 2**16
 # Part of a step that counts as crossed if a piece leaves by another side than it entered.
 _CROSSED_PART = 0.5
 
@@ -115,8 +116,10 @@ def time_of_impact(
     u, v = mid.old_rates[pieces.bodies[p]], mid.old_rates[pieces.bodies[q]]
     fastest = norm(u[0] - v[0], u[1] - v[1])
     fastest += abs(u[2]) * pieces.spans[p] + abs(v[2]) * pieces.spans[q]
-    way, time = math.copysign(1.0, end - begin), begin
-    least = abs(end - begin) / _DIVISIONS
+    way, time, whole = math.copysign(1.0, end - begin), begin, abs(end - begin)
+    least, part = whole / _DIVISIONS, _PART * (pieces.cores[p] + pieces.cores[q])
+    if least * fastest > part:
+        least = max(part / fastest, whole / _FINEST)
     while (end - time) * way > 0.0:
         gap = math.inf
         for k in range(_points(numbers, mid, pair, time, math.inf, buffer)):

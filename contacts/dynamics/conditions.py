@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.controllers import controller_rates_in, values_in
 from contacts.dynamics.gates import (
     FAILS,
     HOLDS,
@@ -75,7 +74,7 @@ class Conditions:
         contacts = mechanics.scene.frictional
         self._count = len(contacts)
         initial = mechanics.scene.controlled.initial
-        controlled = values_in(mechanics, initial if states is None else states)
+        controlled = mechanics.values_in(states)
         gates = [mechanics.gate(name) for name in contacts]
         self._conditions = tuple(
             _Condition(place, atom, atom.margin.xreplace(controlled))
@@ -95,7 +94,7 @@ class Conditions:
         self.nodes = gate_trees(gates)
         self._roles = roles_in(tuple((initial if states is None else states).values()))
         self._places = {*mechanics.q}
-        memory = controller_rates_in(mechanics, controlled)
+        memory = mechanics.controller_rates_in(controlled)
         rates = {**dict(zip(mechanics.q, mechanics.v, strict=True)), **memory}
         sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in mechanics.variables}
         outputs: list[sp.Expr] = []

@@ -76,22 +76,6 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
     )
 
 
-def values_in(mechanics: Mechanics, states: Mapping[str, str]) -> dict[sp.Symbol, sp.Expr]:
-    """Return the values of `Mechanics.controls` in these states, substituted into each other."""
-    values: dict[sp.Symbol, sp.Expr] = {}
-    for symbol, value in mechanics.controlled(states):
-        values[symbol] = value.xreplace(values)
-    return values
-
-
-def controller_rates_in(
-    mechanics: Mechanics, known: Mapping[sp.Symbol, sp.Expr]
-) -> dict[sp.Symbol, sp.Expr]:
-    """Return the rates of the controllers' variables, with the values of `values_in`."""
-    rates = mechanics.controller_rates
-    return {mechanics.controller_state[name]: rate.xreplace(known) for name, rate in rates.items()}
-
-
 class Controllers:
     """States and variables of a scene's controllers; guards and updates are built when needed."""
 
@@ -220,8 +204,8 @@ class ControlGuards:
         states: Mapping[str, str],
         select: Callable[[int, FlatRegion, str], list[Guard]],
     ) -> None:
-        known = values_in(mechanics, states)
-        memory = controller_rates_in(mechanics, known)
+        known = mechanics.values_in(states)
+        memory = mechanics.controller_rates_in(known)
         watched: list[Guard] = []
         for place, (name, region) in enumerate(mechanics.scene.controlled.flat.items()):
             watched += select(place, region, states[name])
@@ -258,20 +242,7 @@ class ControlGuards:
         self, setup: SceneSetup, time: float, state: Array, solved: Array | None = None
     ) -> Array:
         """Evaluate `GuardWatch.at`; `solved` are accelerations and forces."""
-        return self.watch.at(setup, self._inputs(state, solved), self._sizes(setup), time)
-
-    def rate(
-        self,
-        k: int,
-        order: int,
-        setup: SceneSetup,
-        time: float,
-        state: Array,
-        solved: Array | None,
-    ) -> Array:
-        """Evaluate `GuardWatch.rate`."""
-        inputs = self._inputs(state, solved)
-        return self.watch.rate(k, order, setup, inputs, self._sizes(setup), time)
+        return self.watch.at(setup, self.inputs(state, solved), self.sizes(setup), time)
 
     def table(
         self,
@@ -284,11 +255,13 @@ class ControlGuards:
     ) -> Array:
         """Return `GuardWatch.table` for instants (m,), states (m, 2 n) and unknowns (m, u)."""
         inputs = np.hstack([states, solved, np.tile(self._unknown, (len(states), 1))])
-        return self.watch.table(setup, inputs, self._sizes(setup), times, order=order)
+        return self.watch.table(setup, inputs, self.sizes(setup), times, order=order)
 
-    def _inputs(self, state: Array, solved: Array | None) -> Array:
+    def inputs(self, state: Array, solved: Array | None) -> Array:
+        """Return the inputs of the watch."""
         return np.concatenate([state, self._unsolved if solved is None else solved, self._unknown])
 
-    def _sizes(self, setup: SceneSetup) -> Array:
+    def sizes(self, setup: SceneSetup) -> Array:
+        """Return the sizes of the inputs."""
         assert setup.sizes is not None
         return np.concatenate([setup.sizes, self.typical(setup), np.zeros_like(self._unknown)])

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from contacts.dynamics.controllers import values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
@@ -37,7 +36,7 @@ class HeldForces:
         mechanics, mode = self._mechanics, setup.modes(flow.moving)
         if mode not in self._tapes:
             # The controls of the contact laws, not those that the mode solves for.
-            controlled = {} if tape.states is None else values_in(mechanics, tape.states)
+            controlled = {} if tape.states is None else mechanics.values_in(tape.states)
             motion = mechanics.equations[: len(mechanics.q)]
             self._tapes[mode] = mechanics.tape(
                 [equation.xreplace(controlled) for equation in motion], definitions=mode.definitions

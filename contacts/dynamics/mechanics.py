@@ -474,6 +474,18 @@ class Mechanics(Geometry):
             values |= self.sets(region, state)
         return [(symbol, values[symbol]) for symbol in self.controls]
 
+    def values_in(self, states: Mapping[str, str] | None) -> dict[sp.Symbol, sp.Expr]:
+        """Return the values of `controlled`, substituted into each other."""
+        values: dict[sp.Symbol, sp.Expr] = {}
+        for symbol, value in self.controlled(states):
+            values[symbol] = value.xreplace(values)
+        return values
+
+    def controller_rates_in(self, known: Mapping[sp.Symbol, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
+        """Return the rates of the controllers' variables, with the values of `values_in`."""
+        rates = self.controller_rates.items()
+        return {self.controller_state[name]: rate.xreplace(known) for name, rate in rates}
+
     @property
     def observables(self) -> dict[str, sp.Expr]:
         """Expressions of the quantities that outputs and stop conditions may use, by name."""

@@ -28,7 +28,7 @@ def coordinates(mechanics: Mechanics) -> Coordinates:
         mechanics.q,
         mechanics.v,
         mechanics.a,
-        mechanics.time,
+        mechanics.rate,
         tuple(row.hold(mechanics.a) for row in joints),
         partial(motion, mechanics),
         _display_parameters(mechanics),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from typing import NamedTuple
@@ -23,7 +23,6 @@ from contacts.scene.modes import SignFriction
 from contacts.solvers.saddle_point import INEXACT, SINGULAR, saddle
 from statechart.arrays import Array
 from statechart.errors import SingularMode
-from statechart.formulas.linear import Definition
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import to_text
 
@@ -184,7 +183,7 @@ class SnapshotTape:
         moved = np.array([[j != 0 for j in row.jacobian] for row in rows], np.bool_)
         moved = np.pad(moved.reshape(len(rows), self.size), ((0, 0), (0, len(self._pads))))
         self._groups: tuple[JointGroup, ...] = joint_groups(moved)
-        self.signs = sign_frictions(mechanics, mechanics.controlled(states))
+        self.signs = sign_frictions(mechanics, mechanics.values_in(states))
         # Grouped by quantity, so that arrays are views of the outputs.
         quantities: list[list[sp.Expr]] = [
             [*mechanics.mass_matrix],
@@ -369,20 +368,17 @@ def answer(
 
 
 def sign_frictions(
-    mechanics: Mechanics, controlled: Iterable[Definition]
+    mechanics: Mechanics, known: Mapping[sp.Symbol, sp.Expr]
 ) -> tuple[SignFriction, ...]:
     """Return the signs of speeds in the forces of a scene, where all are dry friction; else none.
 
     Forces ``-limit sign(s) ds/dv`` of rates of change s: where s is zero the force is any up to the
     limit, as that of a locked coupling (Moreau 1988).
 
-    `controlled` are the values of what states of controllers set, in order.
+    `known` are the values of what states of controllers set.
     """
     if not mechanics.held_forces:
         return ()
-    known: dict[sp.Symbol, sp.Expr] = {}
-    for symbol, value in controlled:
-        known[symbol] = value.xreplace(known)
     forces = [force.xreplace(known) for force in mechanics.generalised_forces]
     names = dict(zip(mechanics.variables, map(sp.Symbol, mechanics.variable_names), strict=True))
     at_rest = dict.fromkeys(mechanics.a, sp.S.Zero)

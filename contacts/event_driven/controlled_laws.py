@@ -14,11 +14,10 @@ from functools import cache
 
 import numpy as np
 
-from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.controllers import Controllers
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import SnapshotTape, close_compliant
+from contacts.dynamics.snapshot import close_compliant
 from contacts.dynamics.surface_jumps import modes_after_jump
 from contacts.event_driven.laws import SceneLaws
 from contacts.modes.candidates import Case, candidates
@@ -72,7 +71,7 @@ class ControlledLaws:
             flow, state = start
             laws = self._at(controllers)
             within = laws.held.within(setup, flow, state, 0.0, laws.tape)
-            truths, _ = self._guard_truths(within, Clock(), flow, state, ())
+            truths, _ = self._guard_truths(Instant(within, Clock(), 0, flow, state))
             return frozenset() if truths is None else truths.due()
 
         return self._states.settle_start(lambda states: self._begin(setup, states), due_in)
@@ -105,15 +104,10 @@ class ControlledLaws:
                 joined = {**flow_on.tolerances, **watched}
                 return None, flow_on._replace(settled=following.settled, tolerances=joined)
             return self._joined_jump(at, jump, following, controllers)
-        truths, rows = self._guard_truths(setup, clock, flow, state, fired)
+        truths, rows = self._guard_truths(at)
         true = set() if truths is None else truths.due()
         guarded = self._states.opening_first(true, controllers)
-        firing = self._queues.first(
-            controllers,
-            flow.pending,
-            guarded,
-            lambda: self._holding(setup, clock, flow, state),
-        )
+        firing = self._queues.first(controllers, flow.pending, guarded, lambda: self._holding(at))
         if firing is None:
             tolerances = flow.tolerances if truths is None else truths.watched()
             if tolerances == flow.tolerances:
@@ -209,12 +203,8 @@ class ControlledLaws:
 
     def _laws_in(self, states: Key) -> SceneLaws:
         """Return the contacts' laws with the controllers in `states`."""
-        names = self._states.named(states)
-        snapshots, conditions = (
-            SnapshotTape(self._mechanics, names),
-            Conditions(self._mechanics, names),
-        )
-        return self._contacts.under(snapshots, conditions)
+        start, named = self._contacts, self._states.named(states)
+        return SceneLaws(self._mechanics, start.numbers, named, start)
 
     def _within(self, setup: SceneSetup, states: Key) -> SceneSetup:
         """Return the setup with the coefficients of `states`."""
@@ -223,12 +213,11 @@ class ControlledLaws:
         laws = self._contacts.numbers.contacts(setup.values, self._states.named(states))
         return replace(setup, contacts=laws)
 
-    def _guard_truths(
-        self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array, fired: tuple[str, ...]
-    ) -> tuple[GuardTruths | None, Array]:
+    def _guard_truths(self, at: Instant) -> tuple[GuardTruths | None, Array]:
         """Return the judgement of the guards, or None far from all boundaries; and their rows."""
-        controllers = flow.mode[self._count :]
-        guarded = self._states.guards(controllers)
+        setup, clock, _, flow, state, fired = at
+        assert isinstance(setup, SceneSetup)
+        guarded = self._states.guards(flow.mode[self._count :])
         tolerances = np.array([flow.tolerances[margin] for margin in guarded.watch.margins])
         rows = guarded.atoms_at(setup, clock.high, state)
         watched = tolerances < np.inf
@@ -240,37 +229,23 @@ class ControlledLaws:
             and not {*fired}.intersection(guarded.watch.margins)
         ):
             return None, rows
-        solved = self._solved(setup, clock, flow, state)
-        rows = guarded.atoms_at(setup, clock.high, state, solved)
-        relative = setup.precision
-
-        assert setup.sizes is not None
-        sizes = setup.sizes
-
-        def rate(k: int, order: int) -> Array:
-            return guarded.rate(k, order, setup, clock.high, state, solved)
-
-        def later(margin: str) -> float:
-            return self._derivatives.sign(
-                setup, flow.moving, margin, state, sizes, clock.high, relative
-            )
-
+        inputs, sizes = guarded.inputs(state, self._solved(at)), guarded.sizes(setup)
         active = active_in(self._regions, flow.mode)
-        truths = GuardTruths(
-            guarded.watch, rows, rate, flow.tolerances, fired, relative, later, active
-        )
-        return truths, rows
+        truths = GuardTruths(guarded.watch, at, inputs, sizes, self._derivatives, active)
+        return truths, truths.rows
 
-    def _holding(
-        self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array
-    ) -> set[tuple[int, int]]:
+    def _holding(self, at: Instant) -> set[tuple[int, int]]:
         """Return the guards of event transitions that hold."""
+        setup, clock, _, flow, state, _ = at
+        assert isinstance(setup, SceneSetup)
         guarded = self._states.guards(flow.mode[self._count :], at_events=True)
-        rows = guarded.atoms_at(setup, clock.high, state, self._solved(setup, clock, flow, state))
+        rows = guarded.atoms_at(setup, clock.high, state, self._solved(at))
         return guarded.watch.holding(rows, setup.precision, active_in(self._regions, flow.mode))
 
-    def _solved(self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array) -> Array | None:
+    def _solved(self, at: Instant) -> Array | None:
         """Return accelerations and forces in the mode; None if they are undetermined."""
+        setup, clock, _, flow, state, _ = at
+        assert isinstance(setup, SceneSetup)
         controllers = flow.mode[self._count :]
         inner = self._within(setup, controllers)
         snapshot = self._at(controllers).snapshot(inner, state, clock.high)

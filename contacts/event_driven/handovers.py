@@ -8,13 +8,12 @@ from itertools import pairwise
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.controllers import values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.lint import (
     NEARLY_MEETING,
     goes_off_warning,
-    passed_end_warning,
+    missed_edge_warning,
     stays_off_warning,
 )
 from contacts.states import OFF, OPEN
@@ -113,7 +112,7 @@ class Handovers:
                     continue  # Far from its boundary before and after
                 if -missed_ends <= self._at_crossing(setup, arc, place, sample, gap=True) <= 0.0:
                     warned.add(name)
-                    yield passed_end_warning(name)
+                    yield missed_edge_warning(name)
 
     def _let_through(
         self, arcs: Sequence[Arc], tables: Mapping[int, Array], gap_tolerance: float
@@ -160,7 +159,7 @@ class Handovers:
     def _tape(self, states: Key) -> Tape:
         if states not in self._tapes:
             controllers = self._mechanics.scene.controlled.flat
-            controlled = values_in(self._mechanics, dict(zip(controllers, states, strict=True)))
+            controlled = self._mechanics.values_in(dict(zip(controllers, states, strict=True)))
             outputs: list[sp.Expr] = []
             for name in self._gated.values():
                 gate = self._mechanics.gate(name)

@@ -191,7 +191,7 @@ def _solve_struck(tape: SnapshotTape, landing: Landing, jam: Jam | None) -> _Str
     """Compute an impact, and sum the bounces that follow it if that is possible."""
     (_, clock, _, flow, state, _), setup, snapshot, _, closed = landing
 
-    def seen(state: Array, later: float = 0.0) -> Snapshot:
+    def snapshot_at(state: Array, later: float = 0.0) -> Snapshot:
         return hidden(tape.at(setup.values, state, clock.high + later), flow.mode)
 
     def apply(
@@ -206,7 +206,7 @@ def _solve_struck(tape: SnapshotTape, landing: Landing, jam: Jam | None) -> _Str
         )
         result = replace(result, velocity=velocity, impulses=impulses)
         after = snapshot.moved(state, velocity)
-        return _Struck(laws, result, after, seen(after, later), {})
+        return _Struck(laws, result, after, snapshot_at(after, later), {})
 
     def under(laws: Sequence[ContactLaw]) -> _Struck:
         if jam is not None:
@@ -216,7 +216,7 @@ def _solve_struck(tape: SnapshotTape, landing: Landing, jam: Jam | None) -> _Str
         return apply(laws, snapshot, state, result)
 
     def strike_again(state: Array, later: float, hit: Sequence[bool]) -> tuple[Snapshot, Snapshot]:
-        laws, again = setup.contacts, seen(state, later)
+        laws, again = setup.contacts, snapshot_at(state, later)
         result = impacts(again, laws, strike_jammed(laws, hit), setup.simultaneous)
         return again, apply(laws, again, state, result, later).snapshot
 
@@ -237,7 +237,7 @@ def _solve_struck(tape: SnapshotTape, landing: Landing, jam: Jam | None) -> _Str
     lasting = correct_durations(
         bounces,
         setup,
-        seen,
+        snapshot_at,
         elastic.snapshot,
         captured.snapshot,
         captured.state,

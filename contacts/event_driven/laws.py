@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -77,18 +76,27 @@ _START_DEPTH = 1e-9
 
 
 class SceneLaws:
-    """The laws of a scene (see `statechart.automaton.laws.Laws`)."""
+    """The laws of a scene (see `statechart.automaton.laws.Laws`).
 
-    def __init__(self, mechanics: Mechanics, numbers: SceneNumbers) -> None:
-        self._mechanics = mechanics
+    Controllers are in `states`, by default those at the start; `start` are the laws with these.
+    """
+
+    def __init__(
+        self,
+        mechanics: Mechanics,
+        numbers: SceneNumbers,
+        states: Mapping[str, str] | None = None,
+        start: SceneLaws | None = None,
+    ) -> None:
+        self._mechanics, self._states, self._start = mechanics, states, start
         self._modes = mechanics.scene.initial_modes
         self._names = mechanics.scene.frictional
         self._count = len(mechanics.scene.contacts)
         self.numbers = numbers
-        self.conditions = self.numbers.conditions
+        self.conditions = numbers.conditions if states is None else Conditions(mechanics, states)
         self._switching = Switching(self._names, self.conditions)
         self.held = HeldForces(mechanics)
-        self.compliance = Compliance(mechanics, None) if mechanics.pads else None
+        self.compliance = Compliance(mechanics, states) if mechanics.pads else None
         self.remarks = Handovers(mechanics).remarks
 
     # Compiled on demand: a scene that runs by components needs no arrays of all bodies times all
@@ -97,10 +105,13 @@ class SceneLaws:
     @cached_property
     def tape(self) -> SnapshotTape:
         """The tape of snapshots."""
-        return SnapshotTape(self._mechanics)
+        return SnapshotTape(self._mechanics, self._states)
 
     @cached_property
     def _projection(self) -> Projection:
+        joints = any(row.closed is not None for row in self._mechanics.joint_rows)
+        if self._start is not None and not (joints or self._mechanics.scene.leading):
+            return self._start._projection
         return Projection(self._mechanics, self.tape)
 
     @cached_property
@@ -111,21 +122,6 @@ class SceneLaws:
         if slow or not self.numbers.disjoint:
             return None
         return CompiledSceneLaws(self._names, self.numbers, self.tape, self._projection, self.jump)
-
-    def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:
-        """Return the laws with the forces of a tape, under other conditions."""
-        laws = copy.copy(self)
-        joints = any(row.closed is not None for row in self._mechanics.joint_rows)
-        if joints or self._mechanics.scene.leading:
-            laws._projection = Projection(self._mechanics, tape)
-        else:
-            laws._projection = self._projection
-        laws.tape, laws.conditions = tape, conditions
-        if laws.compliance is not None:
-            laws.compliance = Compliance(laws._mechanics, tape.states)
-        laws._switching = Switching(self._names, conditions)
-        laws.compiled_laws = None
-        return laws
 
     def snapshot(self, setup: Setup, state: Array, time: float) -> Snapshot:
         """Return the snapshot at a state."""

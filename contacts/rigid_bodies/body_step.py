@@ -28,7 +28,7 @@ from contacts.collision_detection.couplings import (
 )
 from contacts.collision_detection.find_contacts import DetectionResult, find_contacts
 from contacts.collision_detection.ground import Ground
-from contacts.collision_detection.joints import add_joints, is_bound, joint_forces
+from contacts.collision_detection.joints import OFF, add_joints, is_bound, joint_forces
 from contacts.collision_detection.midpoint import (
     Midpoint,
     Prescribed,
@@ -42,6 +42,7 @@ from contacts.collision_detection.midpoint import (
 from contacts.rigid_bodies.body_modes import finish_settling, settle_bodies, unsettle_bodies
 from contacts.rigid_bodies.island_step import PLASTIC, apply_row_impulse, solve_islands
 from contacts.rigid_bodies.workspace import Workspace
+from contacts.solvers.contact_rows import GUIDED, HELD
 from contacts.states import FREE, LOCKED, OPEN_CODE, PIN, SLIDE, SLIP_MINUS, SLIP_PLUS
 from contacts.time_stepping.chunk import (
     BAD_INERTIA,
@@ -177,22 +178,24 @@ def _without_impacts(
 
 @kernel
 def _landing(
-    space: Workspace, rates: Array, early: Array, h: float, fall: float, count: int
+    space: Workspace, rates: Array, early: Array, h: float, slight: float, count: int
 ) -> float:
     """Return the delay of the first touch of a landing after mid-step.
 
-    Forces alone give the rates `early`. Delayed impulses keep the energy bound
-    (`contacts.time_stepping.stepper`). Earlier ones, of penetrating contacts, do not, and would
-    move bodies farther than detection covers.
+    Forces alone give the rates `early`. Lasting contacts and joints continue, up to the speed
+    `slight`; contacts may slip, and joints that are off may move. Delayed impulses keep the energy
+    bound (`contacts.time_stepping.stepper`). Earlier ones, of penetrating contacts, do not, and
+    would move bodies farther than detection covers.
     """
     active, first = space.active, _LATEST * h
     for i in range(count):
+        holds = active.materials[i, 0] in (HELD, GUIDED) or active.compliances[i] > 0.0
         for d in range(2):
             change = velocity(active.bodies, active.rows, rates, i, d)
             change -= velocity(active.bodies, active.rows, early, i, d)
             if not active.hit[i]:
-                # Lasting contacts continue, up to changes of forces.
-                if abs(change) > fall:
+                bound = holds or (d == 0 and active.bias[i, 0] < OFF)
+                if bound and abs(change) > slight:
                     return 0.0
             elif space.bounces[i] != 0:
                 return 0.0
@@ -429,7 +432,7 @@ def step_bodies(
             count = add_joints(numbers, places, warm, space.mid, h, count, active)
         first_coupling = count
         count = add_couplings(numbers, limits, warm, space.mid, h, count, active)
-        lands = _may_land(active, law, detected.contacts)
+        lands = _may_land(active, law, first_coupling)
         if lands:
             _without_impacts(numbers, active, space.mid, count, early)
         space.joint_energy[1] = 1.0 if deepest < math.inf else 0.0
@@ -450,7 +453,10 @@ def step_bodies(
             write_linked_rates(numbers, space.mid, forced)
             _shown(rates, old, forced)
         # Landing bodies move freely until they touch.
-        chunk.impact_delay[k] = _landing(space, rates, early, h, fall, count) if lands else 0.0
+        chunk.impact_delay[k] = 0.0
+        if lands:
+            slight = max(fall, TIME_MARGIN * detected.approach)
+            chunk.impact_delay[k] = _landing(space, rates, early, h, slight, first_coupling)
         _store(numbers, warm, space, detected, allowed, rates, k, chunk)
         if unsettle_bodies(warm, k, chunk):
             settle_bodies(numbers, warm, space, rates, detected.contacts, k, chunk)

@@ -15,6 +15,7 @@ import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.couplings import ENABLED
+from contacts.collision_detection.surfaces import GRAPH, LINE, PLATE
 from contacts.dynamics.conditions import undecided_couplings
 from contacts.dynamics.controllers import Controllers, controller
 from contacts.dynamics.parameters import with_sizes
@@ -32,7 +33,7 @@ from contacts.rigid_bodies.declared_numbers import (
 from contacts.rigid_bodies.default_step import default_step, forced_speed, led_speed
 from contacts.rigid_bodies.initial_penetration import check_containers, check_penetration
 from contacts.rigid_bodies.mechanics import BodyMechanics
-from contacts.rigid_bodies.prescribed_motion import Paths, PrescribedMotion
+from contacts.rigid_bodies.prescribed_motion import Paths, Positions, PrescribedMotion
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts, RigidBodyRun
 from contacts.scene.checks import check_physical
 from contacts.scene.expansion import start_problem
@@ -51,6 +52,8 @@ from statechart.automaton.time_stepper import DEFAULT_IMPULSES
 from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
 from statechart.formulas.formula import parse
 
+# Largest length of a scene, relative to its extent: far from the origin coordinates are larger.
+_LONGEST = 10.0
 # Duration of a step that shows a state, relative to the scene's.
 _SOON = 1e-9
 # Overlap at the start, relative to the scene, without a warning; and opening of joints.
@@ -114,6 +117,30 @@ def bodies_automaton(scene: Scene) -> Automaton:
     )
 
 
+def extent(bodies: BodyNumbers, places: Array, at: Positions) -> float:
+    """Return the extent of a scene: its bodies, surfaces and anchors; infinite with a graph.
+
+    An endless line counts where it is nearest to bodies. `places` (b, 2): moving bodies; `at`: one
+    instant of the paths. A guide (`to: {x: f}`) counts by its anchor.
+    """
+    surfaces, joints = bodies.surfaces, bodies.joints
+    anchors = joints.owners[(joints.bodies < 0).any(axis=1)]
+    found = [places, bodies.fixed[:, :2], at.poses[0, :, :2], at.places[0, anchors]]
+    for kind, numbers, carrier in zip(
+        surfaces.kinds, surfaces.numbers, surfaces.carriers, strict=True
+    ):
+        point, rest = numbers[:2], numbers[2:]
+        if kind == GRAPH:
+            return math.inf
+        if kind == LINE and carrier < 0:
+            found.append(places - ((places - point) @ rest)[:, None] * rest)
+        elif kind == PLATE and carrier < 0:
+            found.append(numbers.reshape(2, 2))
+        elif carrier < 0:
+            found.append(point + rest[0] * np.array([[-1.0, -1.0], [1.0, 1.0]]))
+    return float(np.hypot(*np.ptp(np.concatenate(found), axis=0)))
+
+
 class BodyStepper(Stepper):
     """Steps colliding bodies; see `Stepper`."""
 
@@ -137,7 +164,7 @@ class BodyStepper(Stepper):
         )
         self._resisted = len(resisted)
         self._declared, self._bodies = declared, mechanics
-        self._paths = Paths(mechanics.scene)
+        self._paths = Paths(mechanics)
         self._constants = declared.constants()
         self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
         self._names = list(mechanics.scene.bodies)
@@ -161,7 +188,7 @@ class BodyStepper(Stepper):
             setup.scales.length,
         )
         remembered = setup.initial[len(self._mechanics.variables) :]
-        led = led_speed(self._paths, bodies.numbers, known, remembered, until)
+        led = led_speed(self._paths, bodies.numbers, setup.values, remembered, until)
         return default_step(bodies.numbers, setup.scales, max(forced, led))
 
     def setup(self, overrides: Mapping[str, float]) -> SceneSetup:
@@ -208,7 +235,7 @@ class BodyStepper(Stepper):
         def run_of(
             bodies: BodyNumbers, options: StepOptions = defaults, start_depth: float = 0.0
         ) -> RigidBodyRun:
-            prescribed = PrescribedMotion(self._bodies, self._paths, known, setup.values)
+            prescribed = PrescribedMotion(self._bodies, self._paths, setup.values)
             names, surfaces = self._names, self._surfaces
             return RigidBodyRun(
                 names, surfaces, bodies, prescribed, options, start_depth, step, self._resisted
@@ -250,6 +277,8 @@ class BodyStepper(Stepper):
         own = bodies.sizes[: len(bodies.inverse)]
         poses, rates = bodies.motion(placed[None])
         length = float(np.abs(poses[..., :2]).max() + own.max())
+        led = self._paths.at(values, np.zeros(1), remembered[None])
+        length = min(length, _LONGEST * float(extent(bodies, poses[0, :, :2], led) + own.max()))
         speed = math.sqrt(math.hypot(*bodies.gravity) * length)
         speed = max(speed, float(np.abs(rates).max())) or 1.0
         initial = np.concatenate([placed, remembered])
@@ -299,7 +328,7 @@ class BodyStepper(Stepper):
         run_of(bodies).capture(remembered)
         length, speed = setup.scales.length, setup.scales.speed
         soon = 1e-6 * length / speed
-        positions = self._paths.at(known, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
+        positions = self._paths.at(setup.values, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
         led = [owners[self._names.index(name)] for name in self._paths.led]
         for part, names, frames, angle, place in (
             ("surfaces", self._surfaces, positions.frames[0], "turn", "displacement"),

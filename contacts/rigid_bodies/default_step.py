@@ -7,7 +7,7 @@ speed of the scene, of free fall, or of its forces.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from itertools import combinations
 
 import numpy as np
@@ -94,7 +94,7 @@ def forced_speed(
 
 
 def led_speed(
-    paths: Paths, numbers: BodyNumbers, known: Mapping[str, float], remembered: Array, end: float
+    paths: Paths, numbers: BodyNumbers, values: Array, remembered: Array, end: float
 ) -> float:
     """Return the largest speed of a point of a led body at sampled instants of a run."""
     first = len(numbers.inverse)
@@ -104,7 +104,7 @@ def led_speed(
     whole = end if math.isfinite(end) and end > 0.0 else 1.0
     times, later = np.linspace(0.0, whole, _INSTANTS), _SOON * whole
     memories = np.tile(remembered, (_INSTANTS, 1))
-    here, there = (paths.at(known, at, memories).poses for at in (times, times + later))
+    here, there = (paths.at(values, at, memories).poses for at in (times, times + later))
     rates = np.abs(there - here) / later
     speeds = np.hypot(rates[..., 0], rates[..., 1]) + sizes * rates[..., 2]
     return float(speeds.max(where=np.isfinite(speeds), initial=0.0))

@@ -12,11 +12,17 @@ import sympy as sp
 
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.midpoint import ForceProgram
+from contacts.dynamics.geometry import surface_frame
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import body_parameters
 from contacts.dynamics.scales import check_range
-from contacts.rigid_bodies.declared_numbers import LinkedMechanics, linked_mechanics
+from contacts.rigid_bodies.declared_numbers import (
+    LinkedMechanics,
+    linked_mechanics,
+    touchable_surfaces,
+)
+from contacts.scene.joints import Path
 from contacts.scene.parts import Body
 from contacts.scene.scene import Scene
 from contacts.scene.shapes import INDEX
@@ -245,6 +251,12 @@ class BodyMechanics(Mechanics):
         return self._in_states(tuple(states.items()))
 
 
+def led_bodies(scene: Scene) -> list[str]:
+    """Return the names of the bodies that are led along paths."""
+    single = scene.single_bodies().items()
+    return [name for name, body in single if body.prescribed and not body.fixed]
+
+
 class BodyTapes:
     """Formulas in given controller states, compiled on first use."""
 
@@ -260,9 +272,26 @@ class BodyTapes:
     @cached_property
     def flows(self) -> Tape:
         """Rates of the controller variables, over them and time."""
-        mechanics, values = self._mechanics, dict(self._definitions)
+        rates, values = self._mechanics.controller_rates.values(), dict(self._definitions)
+        return self._without_bodies([values.get(rate, sp.S.Zero) for rate in rates])
+
+    @cached_property
+    def paths(self) -> Tape:
+        """Moved surfaces, world anchors of joints, and led bodies, as `flows`."""
+        scene, known = self._mechanics.scene, self._mechanics.known
+        surfaces = (scene.surfaces[name] for name in touchable_surfaces(scene))
+        found = [e for s in surfaces if s.moves for e in surface_frame(s, known)]
+        for joint in scene.joints.values():
+            path = joint.to if isinstance(joint.to, Path) else Path(x=0, y=0)
+            found += [parse(text or 0).to_sympy(known) for text in (path.x, path.y)]
+        for name in led_bodies(scene):
+            found += [parse(text).to_sympy(known) for text in scene.single_bodies()[name].path]
+        return self._without_bodies(found)
+
+    def _without_bodies(self, expressions: Sequence[sp.Expr]) -> Tape:
+        mechanics = self._mechanics
         return compile_tape(
-            [values.get(rate, sp.S.Zero) for rate in mechanics.controller_rates.values()],
+            expressions,
             variables=tuple(mechanics.controller_state.values()),
             parameters=mechanics.parameters.ordered,
             time=mechanics.time,

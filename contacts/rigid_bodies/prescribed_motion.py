@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache, cached_property
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import sympy as sp
 
 from contacts.collision_detection.midpoint import LimitProgram, Prescribed
-from contacts.dynamics.geometry import surface_frame
-from contacts.rigid_bodies.declared_numbers import symbols_of, touchable_surfaces
-from contacts.rigid_bodies.mechanics import BodyMechanics
+from contacts.rigid_bodies.declared_numbers import touchable_surfaces
+from contacts.rigid_bodies.mechanics import BodyMechanics, led_bodies
 from contacts.scene.expansion import captured_variables
-from contacts.scene.joints import Path
-from contacts.scene.scene import Scene
 from statechart.arrays import Array
-from statechart.documents.declaration import TIME
-from statechart.documents.fields import FormulaText
 from statechart.errors import NonFinite
-from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
 
 
 class Positions(NamedTuple):
@@ -40,45 +32,14 @@ class Paths:
     bodies have some.
     """
 
-    def __init__(self, scene: Scene) -> None:
-        surfaces = [scene.surfaces[name] for name in touchable_surfaces(scene)]
+    def __init__(self, mechanics: BodyMechanics) -> None:
+        self._mechanics, scene = mechanics, mechanics.scene
+        surfaces = touchable_surfaces(scene)
         self._surfaces, self._joints = len(surfaces), len(scene.joints)
-        self._moved = [s for s, surface in enumerate(surfaces) if surface.moves]
-        single = scene.single_bodies()
-        self._led = {n: b for n, b in single.items() if b.prescribed and not b.fixed}
-        self.led = list(self._led)
-        self._scene, self._names = scene, tuple(scene.parameters)
+        self._moved = [s for s, name in enumerate(surfaces) if scene.surfaces[name].moves]
+        self.led = led_bodies(scene)
         self.leads = bool(self._moved or self.led)
         self.any = bool(self.leads or self._joints)
-        # Per combination of controller states, since paths of bodies may use controls.
-        self._tapes = cache(self._tape)
-
-    def _tape(self, states: tuple[tuple[str, str], ...]) -> Tape:
-        """Return the tape of all paths over controller variables, parameters and time."""
-        scene = self._scene
-        parameters, time = symbols_of(self._names), sp.Symbol("t", real=True)
-        remembered, sets = scene.controlled.controller_state, dict[str, FormulaText]()
-        memory = {name: sp.Symbol(f"w{i}", real=True) for i, name in enumerate(remembered)}
-        known = {TIME: time, **memory, **dict(zip(self._names, parameters, strict=True))}
-        expressions = [
-            e
-            for s in self._moved
-            for e in surface_frame(scene.surfaces[touchable_surfaces(scene)[s]], known)
-        ]
-        for joint in scene.joints.values():
-            path = joint.to if isinstance(joint.to, Path) else Path(x=0, y=0)
-            expressions += [parse(text or 0).to_sympy(known) for text in (path.x, path.y)]
-        for region, state in states:
-            sets |= scene.controlled.values(region, state)
-        for control in scene.controlled.order:
-            # Controls that depend on bodies occur in no path.
-            if parse(sets[control]).names <= known.keys():
-                known[control] = parse(sets[control]).to_sympy(known)
-        for body in self._led.values():
-            expressions += [parse(text).to_sympy(known) for text in body.path]
-        return compile_tape(
-            expressions, variables=tuple(memory.values()), parameters=parameters, time=time
-        )
 
     def none(self, count: int) -> Positions:
         """Return the positions of a scene without paths."""
@@ -87,7 +48,7 @@ class Paths:
 
     def at(
         self,
-        known: Mapping[str, float],
+        values: Array,
         times: Array,
         memories: Array,
         states: Mapping[str, str] | None = None,
@@ -97,9 +58,8 @@ class Paths:
         if not self.any:
             return self.none(count)
         frames = np.zeros((count, self._surfaces, 3))
-        values = np.array([known[name] for name in self._names], dtype=float)
-        states = states or self._scene.controlled.initial
-        found = self._tapes(tuple(states.items())).table(memories, values, times)
+        tapes = self._mechanics.at(states or self._mechanics.scene.controlled.initial)
+        found = tapes.paths.table(memories, values, times)
         of_joints, of_bodies = 3 * moved, 3 * moved + 2 * joints
         frames[:, self._moved] = found[:, :of_joints].reshape(count, moved, 3)
         places = np.array(found[:, of_joints:of_bodies]).reshape(count, joints, 2)
@@ -154,19 +114,11 @@ _JUMPED = 1e-9
 class PrescribedMotion:
     """Prescribed motion and `forces` of one run, in the current controller states.
 
-    `known` are the parameters by name, `values` (p,) their values and derived ones; `controlled`
-    is true if there are controllers.
+    `values` (p,) are those of the parameters; `controlled` is true if there are controllers.
     """
 
-    def __init__(
-        self,
-        mechanics: BodyMechanics,
-        paths: Paths,
-        known: Mapping[str, float],
-        values: Array,
-    ) -> None:
-        self._mechanics, self._paths = mechanics, paths
-        self._known, self._values = known, values
+    def __init__(self, mechanics: BodyMechanics, paths: Paths, values: Array) -> None:
+        self._mechanics, self._paths, self._values = mechanics, paths, values
         self.controlled = bool(mechanics.scene.regions)
         self.joints, self.leads = tuple(mechanics.scene.joints), paths.leads
         # Positions at the last detection, and its step size.
@@ -228,8 +180,8 @@ class PrescribedMotion:
                 memories[2::2],
                 count + 1,
             )
-        now = self._paths.at(self._known, times[:1], memories[:1], self._states)
-        midpoints = self._paths.at(self._known, times[1::2], memories[1::2], self._states)
+        now = self._paths.at(self._values, times[:1], memories[:1], self._states)
+        midpoints = self._paths.at(self._values, times[1::2], memories[1::2], self._states)
         before = Positions(
             _previous_frames(now.frames[0], midpoints.frames[0])[None],
             2.0 * now.places - midpoints.places[:1],
@@ -265,7 +217,7 @@ class PrescribedMotion:
         return found
 
     def _now(self, time: float, remembered: Array) -> Positions:
-        return self._paths.at(self._known, np.array([time]), remembered[None], self._states)
+        return self._paths.at(self._values, np.array([time]), remembered[None], self._states)
 
     @cached_property
     def _named(self) -> tuple[list[str], list[str], list[str]]:
@@ -296,7 +248,7 @@ class PrescribedMotion:
         times: Array = start + h * (0.5 + np.arange(len(states) - 1.0))
         return self._tapes.controls.table(0.5 * (states[:-1] + states[1:]), self._values, times)
 
-    def passed(self, count: int) -> None:
+    def advance(self, count: int) -> None:
         """Note how many of the prescribed steps were taken."""
         if count and self._paths.any:
             self._last = Positions(*(rows[count - 1 : count] for rows in self._looks)), self._h

@@ -473,7 +473,7 @@ class RigidBodyRun(SteppedSystem):
         gaps = chunk.gaps[:, : self._moving]
         self._min_gaps = np.minimum(self._min_gaps, gaps.min(axis=0, initial=np.inf))
         self._penetration.add(start, chunk)
-        self._prescribed.passed(len(chunk.codes))
+        self._prescribed.advance(len(chunk.codes))
         turns = chunk.h * np.abs(self.numbers.motion(chunk.states[1:])[1][:, self._angular, 2])
         struck = chunk.struck[:, self._angular]
         self._turned = max(self._turned, float(np.max(turns, where=struck, initial=0.0)))

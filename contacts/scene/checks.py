@@ -7,7 +7,7 @@ import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import combinations, pairwise, product
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from pydantic import BaseModel
 
@@ -20,10 +20,10 @@ from contacts.scene.friction import (
     friction_law,
     friction_texts,
 )
-from contacts.scene.joints import Path
 from contacts.scene.parts import Surface, used_names
 from contacts.scene.shapes import INDEX
 from statechart.documents.declaration import TIME
+from statechart.documents.documented import leaves
 from statechart.documents.fields import (
     FormulaText,
     check_derived,
@@ -64,31 +64,13 @@ _FRICTION = (
 _OF_FORCES = {"gap": _PUSH, "slip": _PUSH, "V": _FRICTION, "H": _FRICTION}
 
 
-def formulas(part: BaseModel, loc: Loc = ()) -> Iterator[tuple[Loc, FormulaText]]:
+def formulas(part: BaseModel) -> Iterator[tuple[Loc, FormulaText]]:
     """Yield the formulas of a part of a scene with their places: all fields with a unit."""
-    for name, info in type(part).model_fields.items():
-        yield from _formulas_in(
-            getattr(part, name), (*loc, name), isinstance(info.json_schema_extra, dict)
-        )
-
-
-def _formulas_in(value: Any, loc: Loc, measured: bool) -> Iterator[tuple[Loc, FormulaText]]:
-    match value:
-        case Path():
-            # Declared as a list or as a mapping; anything else is skipped.
-            for place, axis in enumerate(("x", "y")):
-                yield from _formulas_in(getattr(value, axis), (*loc, place, axis), True)
-        case BaseModel():
-            yield from formulas(value, loc)
-        case Mapping():
-            for key, item in value.items():
-                yield from _formulas_in(item, (*loc, key), measured)
-        case list() | tuple():
-            for place, item in enumerate(value):
-                # A single shape is declared as itself.
-                single = loc[-1] == "shape" and len(value) == 1
-                yield from _formulas_in(item, loc if single else (*loc, place), measured)
-        case str() | int() | float() if measured and not isinstance(value, bool):
+    for loc, value, unit in leaves(part, single="shape"):
+        if unit and isinstance(value, str | int | float) and not isinstance(value, bool):
+            if loc[-2:] in (("to", "x"), ("to", "y")):
+                # A path may be declared as a list or as a mapping.
+                loc = (*loc[:-1], "xy".index(str(loc[-1])), loc[-1])
             yield loc, value
 
 

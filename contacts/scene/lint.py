@@ -194,7 +194,7 @@ def stays_off_warning(scene: SceneFields, contact: str, depth: float) -> str:
     )
 
 
-def passed_end_warning(contact: str) -> str:
+def missed_edge_warning(contact: str) -> str:
     """Return the warning about a point that passes a surface next to where its conditions hold."""
     return (
         f"{contact} stays off: its conditions just fail as its point passes the surface; "

@@ -88,16 +88,15 @@ def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Ed
             )
             result.append(Edge("slip", "pin", state, sliding_guard))
             result.append(Edge("stick", state, "pin", f"slip = 0, |H| <= {mu} V", "slip := 0"))
-    if len(sliding) == 2:
-        result.append(Edge("reverse", "slide+", "slide-", f"slip = 0, H > {mu} V"))
-        result.append(Edge("reverse", "slide-", "slide+", f"slip = 0, H < -{mu} V"))
-    # A jam is the last edge: a change in the jump of another contact has the first cause.
     if jams:
         for state in sliding:
             for target in present:
                 if target != state:
-                    guard = "no V >= 0 prevents penetration"
-                    result.append(Edge("jam", state, target, guard, "impact without collision"))
+                    guard, reset = "no V >= 0 prevents penetration", "impact without collision"
+                    result.append(Edge("jam", state, target, guard, reset, alone=True))
+    if len(sliding) == 2:
+        result.append(Edge("reverse", "slide+", "slide-", f"slip = 0, H > {mu} V"))
+        result.append(Edge("reverse", "slide-", "slide+", f"slip = 0, H < -{mu} V"))
     if gate:
         gate = gate if len(gate) <= _MAX_GATE_LENGTH else "enabled"
         result += [Edge("disable", state, OFF, f"not ({gate})") for state in present]

@@ -14,7 +14,7 @@ from contacts.collision_detection.body_numbers import ROPE, STIFFNESS, BodyNumbe
 from contacts.collision_detection.surfaces import HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
 from contacts.rigid_bodies.body_step import LEAST
 from contacts.rigid_bodies.declared_numbers import body_numbers
-from contacts.rigid_bodies.mechanics import BodyMechanics
+from contacts.rigid_bodies.mechanics import BodyMechanics, led_bodies
 from contacts.rigid_bodies.prescribed_motion import Paths, Positions
 from contacts.scene.scene import Scene
 from contacts.testing.assertions import (
@@ -267,22 +267,20 @@ def _values(scene: Scene, trace: Trace) -> dict[str, float]:
 
 
 def _depths(subject: Subject, trace: Trace) -> None:
-    scene = _scene(subject)
-    paths, values, controllers = Paths(scene), _values(scene, trace), scene.controlled.flat
-    assert_depths(
-        _body_numbers(subject, trace),
-        trace,
-        lambda times, memories, states: paths.at(
-            values, times, memories, {name: states[name] for name in states if name in controllers}
-        ),
-    )
+    scene = _scene(subject).expanded
+    paths = Paths(BodyMechanics(scene))
+
+    def at(times: Array, memories: Array, states: Mapping[str, str]) -> Positions:
+        known = {name: states[name] for name in scene.controlled.flat}
+        return paths.at(trace.values, times, memories, known)
+
+    assert_depths(_body_numbers(subject, trace), trace, at)
 
 
 def _energy(subject: Subject, trace: Trace) -> None:
     numbers = _body_numbers(subject, trace)
     # Prescribed motion and forces do work.
-    led = Paths(_scene(subject)).led
-    if not (numbers.surfaces.moves.any() or led or _pushed(subject)):
+    if not (numbers.surfaces.moves.any() or led_bodies(_scene(subject)) or _pushed(subject)):
         assert_energy_of_steps(numbers, subject, trace)
 
 

@@ -13,7 +13,6 @@ import numpy as np
 import sympy as sp
 
 from contacts.dynamics.contact_law import edges
-from contacts.dynamics.controllers import values_in
 from contacts.dynamics.geometry import Vector
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
@@ -136,7 +135,7 @@ def assert_impulses(scene: Scene | Mechanics, subject: Subject, trace: Trace) ->
     for jump in trace.jumps:
         for name, impulse in jump.impulse.items():
             under = jump.source[len(scene.frictional) :]
-            known = values_in(mechanics, dict(zip(scene.controlled.flat, under, strict=True)))
+            known = mechanics.values_in(dict(zip(scene.controlled.flat, under, strict=True)))
             slip = mechanics.contact(name).symbols.slip.xreplace(known)
             slips = subject.values(trace, [slip], jump.before[None], np.array([jump.t]))[0]
             # During the impact the contact may slip either way, or stick.
@@ -186,7 +185,7 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
             for name, impulse in jump.impulse.items():
                 if rates[name] != (0, 0):
                     under = jump.source[len(mechanics.scene.frictional) :]
-                    known = values_in(mechanics, dict(zip(controllers, under, strict=True)))
+                    known = mechanics.values_in(dict(zip(controllers, under, strict=True)))
                     rate = [part.xreplace(known) for part in rates[name]]
                     moved = subject.values(trace, rate, states[:1], times[:1])[0]
                     work += float(np.dot(impulse, moved))

@@ -269,7 +269,7 @@ class StepControl:
             tape.joint_impulse(snapshot, before, state, impulses) | couples(contacts, impulses),
         )
 
-    def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
+    def first_undefined_guard(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
         """Return the first step at whose end a guard has no value, and its name."""
         if not len(chunk.codes):
             return None

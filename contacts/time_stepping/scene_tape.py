@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.controllers import values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import cone_edge
 from contacts.scene.couplings import Rolling
@@ -51,7 +50,7 @@ class SteppedTape:
     """Tape of the equations that a step evaluates."""
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
-        known = values_in(mechanics, states)
+        known = mechanics.values_in(states)
         forces = [force.xreplace(known) for force in mechanics.generalised_forces]
         set_in = [known[symbol] for symbol in mechanics.controls]
         signs = _Signs(forces, set_in, mechanics)

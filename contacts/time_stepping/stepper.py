@@ -237,9 +237,9 @@ class SteppedRun:
         if failed is not None:
             failure = failed[1]
             chunk = chunk.first(failed[0])
-        lost = self.stops.lost(chunk, start)
+        lost = self.stops.first_undefined_condition(chunk, start)
         if lost is None and self.control is not None:
-            lost = self.control.lost(chunk, start)
+            lost = self.control.first_undefined_guard(chunk, start)
         if lost is not None:
             failure = NonFinite(
                 f"the guard {lost[1]} has no finite value one step of {chunk.h:g} later"

@@ -133,7 +133,7 @@ class StopConditions:
         closed, jumped = self._watch.closed, self._tapes.jumping & (margins == 0.0)
         return ((margins < 0.0) & ~near) | (closed & (jumped | (before & near)))
 
-    def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
+    def first_undefined_condition(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
         """Return the first step at whose end a condition has no value, and its name."""
         if not self._tapes.names:
             return None

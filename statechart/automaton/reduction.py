@@ -51,7 +51,7 @@ class Coordinates:
     positions: tuple[sp.Symbol, ...]
     rates: tuple[sp.Symbol, ...]
     accelerations: tuple[sp.Symbol, ...]
-    time: sp.Symbol
+    rate: Callable[[sp.Expr], sp.Expr]  # total derivative with respect to time
     joints: tuple[Hold, ...]  # holds of every mode
     # (elimination, applied forces) -> equations of motion (each = 0) of the remaining coordinates
     motion: Callable[[Elimination, Collection[sp.Symbol]], Sequence[sp.Expr]]
@@ -61,14 +61,6 @@ class Coordinates:
     def remaining(self, elimination: Elimination) -> tuple[int, ...]:
         """Return the indices of the remaining coordinates."""
         return tuple(i for i, q in enumerate(self.positions) if q not in elimination.positions)
-
-    def rate(self, expression: sp.Expr) -> sp.Expr:
-        """Return the total derivative with respect to time."""
-        first = zip(self.positions, self.rates, strict=True)
-        second = zip(self.rates, self.accelerations, strict=True)
-        used = expression.free_symbols
-        terms = [sp.diff(expression, x) * dx for x, dx in (*first, *second) if x in used]
-        return sp.Add(sp.diff(expression, self.time), *terms)
 
 
 def eliminate(

@@ -260,6 +260,8 @@ class Edge:
     guard: str
     reset: str = ""
     on_zeno: bool = False  # fired by the accumulation of jumps out of `source`
+    # Not the cause of a change in a jump with another cause; drawings leave it out.
+    alone: bool = field(default=False, compare=False, repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -437,7 +439,11 @@ def _causes(region: Region, jump: Jump, before: str, after: str) -> tuple[str, .
     struck = region.name in jump.impulse
     if before == after and not struck:
         return ()
-    causes = [e.cause for e in region.edges if (e.source, e.target) == (before, after)]
+    causes = [
+        e.cause
+        for e in region.edges
+        if (e.source, e.target) == (before, after) and (not e.alone or e.cause == jump.cause)
+    ]
     hit = (region.impact_cause,) if struck and region.impact_cause in causes else ()
     other_causes = [cause for cause in causes if cause != region.impact_cause]
     return (*hit, jump.cause) if jump.cause in other_causes else (*hit, *other_causes[:1])

@@ -30,8 +30,13 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import EPS, Array, Bools
-from statechart.automaton.laws import UNBOUNDED, Setup
-from statechart.automaton.margin_derivatives import UNDERFLOW, rounding_scale, time_derivative
+from statechart.automaton.laws import UNBOUNDED, Instant, Setup
+from statechart.automaton.margin_derivatives import (
+    UNDERFLOW,
+    MarginDerivatives,
+    rounding_scale,
+    time_derivative,
+)
 from statechart.automaton.regions import (
     Claim,
     Edge,
@@ -245,23 +250,23 @@ _atom_tapes = lru_cache(4096)(_AtomTapes)
 class GuardTruths:
     """Truth of the guards of a mode at an instant, and the atoms that certify it.
 
-    `rows` (a, 2) are from `GuardWatch.at`, `rate` is `GuardWatch.rate` of an atom and an order. An
-    atom with a NaN rate fires on its boundary only when its margin falls. `tolerances` are infinite
-    for margins that the flow did not watch; the margins `fired` fell. Rates below `relative` times
-    their terms are zero; `later` returns the sign of the first nonzero derivative.
+    `inputs` are those of the watch, the state first, with terms of `sizes`; `rows` (a, 2) are from
+    `GuardWatch.at`. An atom with a NaN rate fires on its boundary only when its margin falls. The
+    tolerances of the flow are infinite for margins that it did not watch.
     """
 
     def __init__(
         self,
         watch: GuardWatch,
-        rows: Array,
-        rate: Callable[[int, int], Array],
-        tolerances: Mapping[str, float],
-        fired: Collection[str],
-        relative: float,
-        later: Callable[[str], float],
+        at: Instant,
+        inputs: Array,
+        sizes: Array,
+        derivatives: MarginDerivatives,
         active: Active,
     ) -> None:
+        setup, time, fired, tolerances = at.setup, at.clock.high, at.fired, at.flow.tolerances
+        relative = setup.precision
+        self.rows = rows = watch.at(setup, inputs, sizes, time)
         self._watch, self._flow, self._active = watch, tolerances, active
         own = [tolerances[margin] for margin in watch.margins]
         if math.inf in own:
@@ -272,18 +277,24 @@ class GuardTruths:
         # An unbounded flow ends on the boundary of these atoms, where their rates do not exist.
         final = self._fell if UNBOUNDED in fired else ()
 
+        def later(k: int) -> float:
+            """Return the sign of the first nonzero derivative."""
+            state, margin = at.state, watch.margins[k]
+            own_sizes = sizes[: len(state)]
+            return derivatives.sign(setup, at.flow.moving, margin, state, own_sizes, time, relative)
+
         def direction(k: int) -> float:
             if k in final:
                 return 0.0
             if watch.atoms[k].kinked:
-                return later(watch.margins[k])
+                return later(k)
             for order in (1, 2):
-                value, size = rate(k, order).tolist()
+                value, size = watch.rate(k, order, setup, inputs, sizes, time).tolist()
                 if math.isnan(value):
-                    return later(watch.margins[k])
+                    return later(k)
                 if value != 0.0 and not abs(value) <= relative * size:
                     return float(value)
-            return 0.0 if watch.atoms[k].rests else later(watch.margins[k])
+            return 0.0 if watch.atoms[k].rests else later(k)
 
         self._atoms = AtomsAt(
             rows[:, 0].tolist(), own, watch.closed.tolist(), direction,

@@ -205,18 +205,7 @@ class ChartLaws:
                 found = conditions.at(setup, state, sizes, clock.high)
                 return conditions.holding(found, setup.precision, active)
 
-            def rate(k: int, order: int) -> Array:
-                return watch.rate(k, order, setup, state, sizes, clock.high)
-
-            def later(margin: str) -> float:
-                return self._derivatives.sign(
-                    setup, flow.moving, margin, state, sizes, clock.high, setup.precision
-                )
-
-            rows = watch.at(setup, state, sizes, clock.high)
-            truths = GuardTruths(
-                watch, rows, rate, flow.tolerances, fired, setup.precision, later, active
-            )
+            truths = GuardTruths(watch, at, state, sizes, self._derivatives, active)
             firing = self._queues.first(flow.mode, pending, truths.due(), holding)
             if firing is None:
                 tolerances = truths.watched()

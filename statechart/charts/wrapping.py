@@ -17,6 +17,7 @@ from pydantic import BaseModel
 
 from statechart.charts.transitions import Transition
 from statechart.documents.declaration import Declaration
+from statechart.documents.documented import leaves
 from statechart.documents.fields import TIME, value_of
 from statechart.errors import DeclarationProblem, FormulaError, Loc
 from statechart.formulas.formula import Formula, parse
@@ -154,8 +155,8 @@ def check_wrapping(
 
     `still` are prefixes of the places of formulas that may not jump. Raises `DeclarationProblem`.
     """
-    for loc, text in _texts(document, ()):
-        for wrap in periodic_calls(text):
+    for loc, text, _ in leaves(document):
+        for wrap in periodic_calls(text) if isinstance(text, str) and loc[-1] != "doc" else ():
             call = wrap.call
             _check(document, wrap, loc, values)
             if loc[0] in _NOT_WRAPPED or any(loc[: len(part)] == part for part in still):
@@ -193,17 +194,3 @@ def _check(document: Declaration, wrap: Wrap, loc: Loc, values: Mapping[str, flo
             loc=loc,
             offset=call.offset,
         )
-
-
-def _texts(value: Any, loc: Loc) -> Iterator[tuple[Loc, str]]:
-    if isinstance(value, str):
-        yield loc, value
-    elif isinstance(value, BaseModel):
-        for field in type(value).model_fields.keys() - {"doc"}:
-            yield from _texts(getattr(value, field), (*loc, field))
-    elif isinstance(value, Mapping):
-        for key, part in value.items():
-            yield from _texts(part, (*loc, key))
-    elif isinstance(value, list | tuple):
-        for place, part in enumerate(value):
-            yield from _texts(part, (*loc, place))

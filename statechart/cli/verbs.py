@@ -344,7 +344,7 @@ def trade(arguments: argparse.Namespace) -> int:
         print_json(to_dict(study))
     else:
         show(describe_study(study))
-    _print_left_out(pieces)
+    _print_failed_parts(pieces)
     if not study.complete:
         again = (
             "the same command continues" if arguments.output is not None else "-o DIR would keep it"
@@ -385,7 +385,7 @@ def sweep(arguments: argparse.Namespace) -> int:
             print_json(report)
         else:
             show(results.format_text(report, arguments.digits))
-        _print_left_out(pieces)
+        _print_failed_parts(pieces)
     if made.ended:
         again = "--resume goes on" if store else "-o STORE.zarr keeps what is done"
         print(f"{made.ended}; {again}", file=sys.stderr)
@@ -418,7 +418,7 @@ def check(arguments: argparse.Namespace) -> int:
         show(report.blocks())
         if written is not None:
             print(f"{written} reproduces it")
-    _print_left_out(pieces)
+    _print_failed_parts(pieces)
     return 0 if report.passed else 1
 
 
@@ -522,7 +522,7 @@ def _printer(arguments: argparse.Namespace, before: str = "") -> Callable[[str],
     return print_line
 
 
-def _print_left_out(pieces: PartialReport) -> None:
+def _print_failed_parts(pieces: PartialReport) -> None:
     if pieces.failed:
         print(f"left out: {pieces.text()}", file=sys.stderr)
 

@@ -35,6 +35,7 @@ def mermaid(diagram: Diagram, guards: Guards = "legend") -> str:
             # Mermaid fails at arrows into a composite state without outside links.
             shown = _add_title(piece) if len(pieces) > 1 else piece
             lines += _indent(_chart(shown, states, guards))
+    lines = _fork(lines, _unused_name("begin", states))
     notes = [*diagram.notes, *diagram.routes, *_table_rows(legend(diagram, guards))]
     if notes:
         # A note beside a state would push the others apart.
@@ -44,6 +45,15 @@ def mermaid(diagram: Diagram, guards: Guards = "legend") -> str:
     coloured = [n for p in pieces for n in (*p.leaves, *p.frames) if n.colours or n.infeasible]
     lines += _classes(coloured, states)
     return "\n".join(lines) + "\n"
+
+
+def _fork(lines: list[str], name: str) -> list[str]:
+    """Return lines in which regions that start together are entered from one bar (UML's fork)."""
+    starts = [line for line in lines if line.startswith("    [*] --> ")]
+    if len(starts) < 2:
+        return lines
+    entered = [line.replace("[*]", name) if line in starts else line for line in lines]
+    return [*entered, f"    state {name} <<fork>>", f"    [*] --> {name}"]
 
 
 def _unused_name(name: str, states: dict[str, str]) -> str:

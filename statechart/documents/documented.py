@@ -21,7 +21,7 @@ from typing import (
 
 from pydantic import BaseModel, Field, JsonValue, ValidationError
 
-from statechart.errors import DeclarationError
+from statechart.errors import DeclarationError, Loc
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
@@ -44,6 +44,30 @@ def declare(
     extra: dict[str, JsonValue] | None = {"unit": unit} if unit else None
     keywords: dict[str, Any] = {"examples": [*examples]} if examples else {}
     return Field(default, description=description, json_schema_extra=extra, **keywords, **limits)
+
+
+def leaves(
+    value: Any, loc: Loc = (), unit: str = "", *, single: str = ""
+) -> Iterator[tuple[Loc, Any, str]]:
+    """Yield the texts and numbers in a part, with their places and the units of their fields.
+
+    An only item of a field `single` has no index.
+    """
+    match value:
+        case BaseModel():
+            for name, field in type(value).model_fields.items():
+                own, extra = getattr(value, name), field.json_schema_extra
+                words = str(extra["unit"]) if isinstance(extra, dict) else ""
+                yield from leaves(own, (*loc, name), words, single=single)
+        case Mapping():
+            for key, item in value.items():
+                yield from leaves(item, (*loc, key), unit, single=single)
+        case list() | tuple():
+            alone = loc[-1:] == (single,) and len(value) == 1
+            for place, item in enumerate(value):
+                yield from leaves(item, loc if alone else (*loc, place), unit, single=single)
+        case _:
+            yield loc, value, unit
 
 
 class Documented(ModelMetaclass):

@@ -71,10 +71,12 @@ def drop_summed(runs: Sequence[Sequence[Jumping]]) -> list[list[tuple[Jumping, b
         )
         for same_series in zip(*sums, strict=True)
     ]
-    return [_left(run, run_sums, windows) for run, run_sums in zip(runs, sums, strict=True)]
+    return [
+        _resolved_jumps(run, run_sums, windows) for run, run_sums in zip(runs, sums, strict=True)
+    ]
 
 
-def _left(
+def _resolved_jumps(
     jumps: Sequence[Jumping], sums: Sequence[Jumping], windows: Sequence[tuple[float, float]]
 ) -> list[tuple[Jumping, bool]]:
     ends = [(jump.t + jump.skipped, *window) for jump, window in zip(sums, windows, strict=True)]

@@ -17,7 +17,7 @@ from statechart.palette import GRID, INK, LINES
 from statechart.reporting.figure import STYLE, frame, render, set_title
 from statechart.study.measurements import Measurements, Point
 from statechart.study.slopes import Slope, points_to_fit, slopes
-from statechart.study.text import describe_study
+from statechart.study.text import describe_study, to_dict
 from statechart.tabular import Table
 
 if TYPE_CHECKING:
@@ -144,21 +144,16 @@ def _svg(drawing: Figure) -> bytes:
 def _csv(study: Measurements) -> str:
     kinds = list(dict.fromkeys(name for p in study.points for name in p.errors.violations))
     stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(
-        ["engine", "method", "tolerance", "accuracy", "step", "impulse_tolerance",
-         "outcome", "same_modes", "diverged", "parted", "error", "state", "times", "outputs",
-         "path", "energy", *kinds, "seconds", "repeats", "cold", "steps", "evaluations",
-         "flows", "kept"]
-    )  # fmt: skip
-    for p in study.points:
-        s, e = p.setting, p.errors
-        writer.writerow(
-            [s.engine, s.method, s.tolerance, s.accuracy, s.step, s.impulse_tolerance, p.outcome,
-             p.same_modes, p.diverged, p.parted, study.error(p), e.state, e.times, e.outputs,
-             e.path, e.energy, *(e.violations.get(name) for name in kinds), p.seconds, p.repeats,
-             p.cold, p.steps, p.evaluations, p.flows, study.meets_tolerance(p)]
-        )  # fmt: skip
+    columns = [
+        "engine", "method", "tolerance", "accuracy", "step", "impulse_tolerance", "outcome",
+        "same_modes", "diverged", "parted", "error", "state", "times", "outputs", "path", "energy",
+        *kinds, "seconds", "repeats", "cold", "steps", "evaluations", "flows", "kept",
+    ]  # fmt: skip
+    writer = csv.DictWriter(stream, columns, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    for point in to_dict(study)["points"]:
+        errors = point["errors"]
+        writer.writerow({**errors["violations"], **errors, **point["setting"], **point})
     return stream.getvalue()
 
 

@@ -62,7 +62,7 @@ class Run(EvaluatedRun):
         before = self.observer.at(self.trace, ["energy"], jumps, before=True)[:, 0]
         return np.append(before, self.observer.final(self.trace, ["energy"]))
 
-    def left(self, other: Run) -> float | None:
+    def separation_from(self, other: Run) -> float | None:
         """Return the time of separation of another run from this one, see `separation_time`."""
         return separation_time(self.trace, other.trace, brief=self.brief(other))
 
@@ -180,7 +180,7 @@ class References:
 
     def _compare_pair(self, reference: Run, check: Run) -> _Pair:
         errors, _ = errors_of(self.model, reference, check)
-        return _Pair(reference, check, _Separation(reference.left(check), errors))
+        return _Pair(reference, check, _Separation(reference.separation_from(check), errors))
 
     def _best_of_three(self, runs: Sequence[Run]) -> tuple[_Pair, Third]:
         """Return the two of three runs that agree best, and the verdict on the third.

@@ -144,7 +144,7 @@ class Bench:
         """Return the largest errors, and the earliest times of other modes and of separation."""
         runs = [Run.of(one.observer, one.trace, setting) for one in found]
         pairs = [errors_of(self.model, reference, run) for run in runs]
-        left = [reference.left(run) for run in runs]
+        left = [reference.separation_from(run) for run in runs]
         return (
             reduce(Errors.worse, [errors for errors, _ in pairs]),
             min((t for _, t in pairs if t is not None), default=None),

@@ -153,7 +153,7 @@ class Store:
         return bool(self._group.attrs.get("complete"))
 
     @property
-    def left(self) -> int:
+    def undone_count(self) -> int:
         """Number of undone cells."""
         return int(self._done.size - np.count_nonzero(self._done))
 
@@ -197,7 +197,7 @@ class Store:
 
     def finish(self) -> None:
         """Recode modes in the order of the cells if all cells are done."""
-        if self.left or self._complete:
+        if self.undone_count or self._complete:
             return
         with self._explained():
             raw = self._read(f"{UNFINISHED}/modes").ravel()

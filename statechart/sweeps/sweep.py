@@ -183,7 +183,7 @@ def run_plan(
         raise DeclarationError("there is no store to resume", advice="give its path")
     with nullcontext(lambda: None) if store is None else lock_folder(Path(store)) as check_lock:
         kept = Store(plan, store, resume=resume, check_lock=check_lock)
-        left = kept.left
+        left = kept.undone_count
         shown = _Progress(plan.size, plan.size - left) if progress else None
         try:
             with interrupts.deferred():
@@ -191,7 +191,7 @@ def run_plan(
                 ended = _ended(work, executor)
                 kept.finish()
         except StatechartError:
-            if kept.left == left:
+            if kept.undone_count == left:
                 kept.discard()
             raise
         finally:
@@ -242,7 +242,7 @@ def _ended(work: _Work, executor: Executor | None) -> str:
             _hand_out(work, executor)
     except KeyboardInterrupt:
         return INTERRUPTED
-    except _Lost as lost:
+    except _WorkersFailed as lost:
         if not work.done:
             raise lost.error from None
         return str(lost.error)
@@ -251,7 +251,7 @@ def _ended(work: _Work, executor: Executor | None) -> str:
     return ""
 
 
-class _Lost(Exception):  # noqa: N818, workers are lost
+class _WorkersFailed(Exception):  # noqa: N818, workers are lost
     """The workers failed."""
 
     def __init__(self, error: StatechartError) -> None:
@@ -282,7 +282,7 @@ class _Work:
 
     def __init__(self, plan: Plan, store: Store, shown: _Progress | None, *, shared: bool) -> None:
         self._plan, self._store, self._shown = plan, store, shown
-        self._left, self._shared = store.left, shared
+        self._left, self._shared = store.undone_count, shared
         self._open: list[_Chunk] = []
         self._parts = self._cells()
         self._size, self.done = 1, 0
@@ -354,7 +354,7 @@ def _hand_out(work: _Work, executor: Executor) -> None:
             watch.check(bool(returned))
             for future in returned:
                 job = pending.pop(future)
-                if watch.lost(future):
+                if watch.worker_left(future):
                     pending[executor.submit(run_block, work.task, job.parameters)] = job
                     continue
                 work.take(job, future.result())
@@ -362,7 +362,7 @@ def _hand_out(work: _Work, executor: Executor) -> None:
     except (KeyboardInterrupt, StatechartError, MemoryError):
         raise
     except ImportError as error:
-        raise _Lost(
+        raise _WorkersFailed(
             DeclarationError(
                 f"a worker cannot load what the sweep needs: {error}",
                 advice="install this package, in this version, on all workers",
@@ -371,10 +371,10 @@ def _hand_out(work: _Work, executor: Executor) -> None:
     except (BrokenExecutor, CancelledError) as error:
         words = str(error).strip().rstrip(".") or "the connection to them was lost"
         advice = "" if work.done else guard_advice(error)
-        raise _Lost(StatechartError(f"workers died: {words}{advice}")) from None
+        raise _WorkersFailed(StatechartError(f"workers died: {words}{advice}")) from None
     except Exception as error:  # executors raise various errors for failed workers
         problem = f"workers failed, {type(error).__name__}: {error}"
-        raise _Lost(StatechartError(problem)) from None
+        raise _WorkersFailed(StatechartError(problem)) from None
     finally:
         for future in pending:
             future.cancel()

@@ -123,7 +123,7 @@ class ClusterWatch:
             self._last_check = now
             self._ask()
 
-    def lost(self, future: Future[Any]) -> bool:
+    def worker_left(self, future: Future[Any]) -> bool:
         """Return whether a worker left just after it returned a result, so that the cell is rerun.
 
         `distributed` reads the status of a task after its result (`_cascade_future` of its

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -415,6 +416,16 @@ def test_mermaid_separates_regions_and_begins_each() -> None:
         "[*] --> w1", "[*] --> w2", "[*] --> written",
     ]  # fmt: skip
     assert lines.index("[*] --> w1") < lines.index("--") < lines.index("[*] --> w2")
+
+
+def test_mermaid_enters_charts_side_by_side_from_one_bar() -> None:
+    runner = Runner("double_contact_bar")
+    text = mermaid(build(runner.automaton, runner.start()[0]))
+    outermost = [line.strip() for line in text.split("\n") if re.match(r" {4}\S", line)]
+    assert [line for line in outermost if line.startswith("[*]")] == ["[*] --> begin"]
+    assert "state begin <<fork>>" in outermost
+    started = [line for line in outermost if line.startswith("begin --> ")]
+    assert started == ["begin --> A_free", "begin --> B_free"]
 
 
 ALONE = """

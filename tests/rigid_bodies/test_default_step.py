@@ -57,6 +57,14 @@ def test_default_step_follows_the_scales_unless_set():
     assert not Runner(read_text(DISCS), engine="impulse", step=1e-3).run(until=0.0).warnings
 
 
+@pytest.mark.parametrize("far", [1e3, 1e6])
+def test_the_default_step_is_as_long_far_from_the_origin(far):
+    own = Runner(read_text(DISCS)).setting.step
+    text = DISCS.replace("height: 0", f"height: {far}").replace("{x: ", f"{{x: {far} + ")
+    text = text.replace(", y: ", f", y: {far} + ")
+    assert own / 4 <= Runner(read_text(text)).setting.step <= own
+
+
 def test_engines_with_events_still_refuse_colliding_bodies():
     with pytest.raises(DeclarationError):
         Runner(read_text(DISCS), engine="impulse")

@@ -11,6 +11,7 @@ import pytest
 
 from contacts.rigid_bodies.body_stepper import bodies_automaton
 from contacts.rigid_bodies.declared_numbers import body_numbers
+from contacts.rigid_bodies.mechanics import BodyMechanics
 from contacts.rigid_bodies.prescribed_motion import Paths, Positions
 from contacts.scene.scene import Scene
 from contacts.testing.body_properties import assert_depths, body_properties
@@ -290,11 +291,11 @@ settings: {{engine: impulse, step: 0.001}}
     trace, numbers, paths = (
         subject.case({}).trace,
         body_numbers(model, model.values()),
-        Paths(model),
+        Paths(BodyMechanics(model)),
     )
 
     def raised(times: Array, memories: Array, states: Mapping[str, str]) -> Positions:
-        found = paths.at({"v": 1.5}, times, memories, states)
+        found = paths.at(trace.values, times, memories, states)
         return found._replace(poses=found.poses + np.array([0.0, 0.01, 0.0]))
 
     with pytest.raises(AssertionError, match=r"0\.01 deep in a body that moves as prescribed"):

@@ -463,14 +463,14 @@ def test_a_step_in_which_a_body_would_turn_by_more_than_half_a_turn_is_taken_in_
 WALL = """
 kind: scene
 name: wall
-parameters: {v: 1e4, y: 0.1, w: 0.001}
+parameters: {v: 1e4, y: 0.1, w: 0.001, far: 3}
 bodies:
   bullet: {mass: 1, inertia: 1, shape: SHAPE, start: {y: y, dx: v}}
   wall:
     mass: 1
     inertia: 1e9
     shape: {polygon: [[-w, -0.5], [w, -0.5], [w, 0.5], [-w, 0.5]]}
-    start: {x: 3, y: 0.5}
+    start: {x: far, y: 0.5}
 collisions: {all: {bodies: [bullet, wall], friction: 0, restitution: 1}}
 stop: {time: 0.02}
 settings: {engine: impulse, step: 1e-3}
@@ -485,6 +485,11 @@ def test_a_body_that_crosses_a_thin_wall_within_a_step_strikes_it(shape, y):
     trace = Runner(interpret(read_text(WALL.replace("SHAPE", shape)))).run({"y": y}).trace
     assert trace.outcome is Outcome.HORIZON
     assert trace.final[[6, 9]] == pytest.approx([0.0, 1e4], abs=1e-5)
+    # Wherever the wall is within the step.
+    runner = Runner(interpret(read_text(WALL.replace("SHAPE", shape))))
+    for far in (0.5 + 0.41 * k for k in range(50)):
+        final = runner.run({"y": y, "far": far}).trace.final
+        assert final[[6, 9]] == pytest.approx([0.0, 1e4], abs=1e-5)
     # Beside its end nothing is in the way.
     free = Runner(interpret(read_text(WALL.replace("SHAPE", shape)))).run({"y": 1.02}).trace
     assert free.final[[6, 9]] == pytest.approx([1e4, 0.0], abs=0.0)

@@ -90,3 +90,52 @@ def test_the_recording_policy_does_not_change_the_landing(record):
     for height in HEIGHTS[::4]:
         expected = dropped("box", True).run({"height": height}).outputs["y"]
         assert runner.run({"height": height}).outputs["y"] == expected
+
+
+PUSHED = """
+  b: {mass: 1, inertia: 0.002, shape: {BOX}, start: {y: 0.05}}
+  wall: {fixed: true, shape: {polygon: [[1, 0], [2, 0], [2, 1], [1, 1]]}}
+"""
+ON_A_CART = """
+  b: {mass: 1, inertia: 0.002, shape: {BOX}, start: {x: 0.3, y: 0.8}}
+  cart: {mass: 3, inertia: 1, shape: {polygon: [[-1, 0], [1, 0], [1, 0.2], [-1, 0.2]]},
+    start: {dx: 1}}
+"""
+ABOVE = "\n  b: {mass: 1, inertia: 0.002, shape: {BOX}, start: {y: 1}}\n"
+HELD = {
+    "along a rough floor against a wall": (PUSHED, "{}", "[5, 0]", 9.81, 0.2),
+    "without gravity": (PUSHED, "{}", "[5, -3]", 0, 0.2),
+    "on a cart that rolls": (ON_A_CART, "{}", "[0, 0]", 9.81, 0.5),
+    "on a slack rope": (ABOVE, "{j: {point: {body: b}, to: [0, 0], rope: 2}}", "[0, 0]", 9.81, 0.5),
+    "after its joint let go": (
+        ABOVE,
+        "{j: {point: {body: b}, to: [0, 1], angle: held, enabled: time < 0.3}}",
+        "[0, -10*time]",
+        9.81,
+        0.5,
+    ),
+}
+
+
+@pytest.mark.parametrize("case", HELD)
+def test_a_body_lands_once_whatever_holds_it_elsewhere(case):
+    """Other contacts slip in the impact, joints are off: the landing waits for the touch."""
+    bodies, joints, push, gravity, mu = HELD[case]
+    names = "[b, wall]" if "wall" in bodies else "[b, cart]" if "cart" in bodies else "[b]"
+    scene = f"""
+kind: scene
+name: held
+gravity: {gravity}
+bodies: {bodies.replace("BOX", BOX)}
+joints: {joints}
+forces: {{push: {{body: b, force: {push}}}}}
+surfaces: {{ground: {{height: 0}}}}
+collisions: {{all: {{bodies: {names}, surfaces: [ground], friction: {mu}, restitution: 0}}}}
+stop: {{time: 1}}
+"""
+    model = interpret(read_text(scene))
+    for step in (3e-3, 2e-3, 1.5e-3, 1e-3, 7e-4, 5e-4):
+        trace = Runner(model, step=step).run().trace
+        struck = [jump for jump in trace.jumps if jump.t > 0.0 and "b" in jump.impulse]
+        assert len(struck) == 1, step
+        assert not any(jump.cause == "liftoff" for jump in trace.jumps)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
 from statechart.automaton.trace import Outcome
@@ -108,6 +109,27 @@ def test_taut_rope_removes_the_velocity_along_it():
         assert result.outputs["fast"] == pytest.approx(max(fallen, lowest), rel=5 * step)
         assert result.outputs["speed"] == pytest.approx(lowest, rel=10 * step)
         assert result.outputs["far"] == pytest.approx(1, abs=4 * step)
+
+
+@pytest.mark.parametrize("step", [4e-3, 3e-3, 2e-3, 1.5e-3, 1e-3])
+def test_a_rope_that_becomes_taut_pulls_at_once(step):
+    """It has no slack left: the weight circles on, and its tension is m (v^2/l + g cos)."""
+    taut = math.sqrt(1.6 / G)
+    angle, speed = math.atan2(0.6, 0.8), 0.6 * math.sqrt(1.6 * G)
+    swing = solve_ivp(
+        lambda t, q: (q[1], -G * math.sin(q[0])), (0.0, 0.05), (angle, -speed), rtol=1e-10
+    )
+    a, w = swing.y[:, -1]
+    outputs = run(
+        "{point: {body: bar}, to: [0, 0], rope: 1}",
+        {"V": "value: held.V", "out": "value: (bar.x*bar.dx + bar.y*bar.dy)", "x": "value: bar.x"},
+        taut + 0.05,
+        {"x": 0.6},
+        step=step,
+    ).outputs
+    assert outputs["V"] == pytest.approx(2 * (w**2 + G * math.cos(a)), rel=20 * step)
+    assert outputs["out"] == pytest.approx(0, abs=2 * step)
+    assert outputs["x"] == pytest.approx(math.sin(a), abs=2 * step)
 
 
 def test_a_hanging_rope_bears_the_weight():
