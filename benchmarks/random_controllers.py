@@ -20,7 +20,7 @@ from statechart.running.result import Result
 STEPS = (1e-4, 2.5e-5, 6.25e-6, 1.5625e-6)
 # Times may be off by so many steps: a landing comes up to one late, and a stick after it some.
 LATE = 40.0
-# Events that repeat, or follow a landing of their contact, within so many steps may be missing.
+# Events that repeat within so many steps may be missing, and sticks so soon after a landing.
 SHORT = 32.0
 
 HEAD = """\
@@ -188,9 +188,9 @@ Event = tuple[tuple[str, str], float, float]
 
 
 def events(result: Result) -> list[Event]:
-    """Return regions with causes or new modes, times, and times since what they repeat or end.
+    """Return names (region and new mode), times, and times since the last event of the same name.
 
-    That is the last event of the same name, or the last landing of the same contact.
+    The last one of a stick (mode `pin`) may also be a landing of its contact.
     """
     trace, last = result.trace, dict[tuple[str, str], float]()
     found = list[Event]()
@@ -203,7 +203,8 @@ def events(result: Result) -> list[Event]:
         if jump.cause == "touchdown" and (jump.region, "lands") not in changed:
             changed.append((jump.region, "lands"))
         for name in changed:
-            before = max(last.get(key, -np.inf) for key in (name, (name[0], "lands")))
+            earlier = (name, (name[0], "lands")) if name[1] == "pin" else (name,)
+            before = max(last.get(key, -np.inf) for key in earlier)
             found.append((name, jump.t, jump.t - before))
             last[name] = jump.t
     return found
@@ -212,8 +213,8 @@ def events(result: Result) -> list[Event]:
 def lateness(wanted: Result, result: Result, short: float) -> float:
     """Return how late events are; infinity if there are others.
 
-    Of events that repeat within `short`, such as the last bounces, any number may be missing, and
-    so may the stick that ends them.
+    Events that repeat within `short` may be missing, such as the last bounces; so may a stick
+    within `short` of a landing of its contact.
     Events of two regions in less than a step may change places.
     """
     late = 0.0

@@ -160,7 +160,7 @@ class SceneFields(Declaration):
         default={},
     )
     collisions: dict[NameText, Collision] = declare(
-        "Lists of bodies with shapes that collide; by steps only (engine impulse).",
+        "Lists of bodies with shapes that collide; with time steps only (engine impulse).",
         {"all": {"bodies": ["die"], "surfaces": ["floor"], "friction": 0.3, "restitution": 0}},
         default={},
     )

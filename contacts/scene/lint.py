@@ -243,7 +243,7 @@ def replaced_laws(scene: SceneFields, values: Mapping[str, float]) -> dict[str, 
     rigid = {n: c for n, c in scene.contacts.items() if "free" in c.kinds and c.stiffness is None}
     if scene.simultaneous == "sequential" and rigid and _nearly_meet(scene):
         replacements["simultaneous: sequential"] = (
-            "by steps, simultaneous impacts follow Moreau's law, as with capped"
+            "with time steps, simultaneous impacts follow Moreau's law, as with capped"
         )
     if scene.paradox == "stop" and scene.collisions:
         replacements["paradox: stop"] = (
@@ -260,8 +260,8 @@ def replaced_laws(scene: SceneFields, values: Mapping[str, float]) -> dict[str, 
     waiting += [f"regions.{name}" for name, region in regions if "zeno" in region.awaited]
     if waiting:
         replacements[f"event zeno of {', '.join(waiting)}"] = (
-            "by steps bounces end with a touchdown, and there is no such event; write the state "
-            "that is entered, such as CONTACT.slide"
+            "with time steps, bounces end with a touchdown, and there is no such event; write the "
+            "state that is entered, such as CONTACT.slide"
         )
     replacements |= _passed_instants(scene, values)
     other_laws: dict[str, list[str]] = {}

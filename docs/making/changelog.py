@@ -1,4 +1,4 @@
-"""The changelog as pages: what is unreleased, and each release."""
+"""The changelog as pages: one for unreleased changes, and one for each release."""
 
 from __future__ import annotations
 

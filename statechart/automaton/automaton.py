@@ -77,7 +77,7 @@ class Automaton:
         """The laws; raises `Unsupported` if only time stepping can run the model."""
         if self.laws is None:
             raise Unsupported(
-                f"{self.name!r} runs by steps only; write --engine impulse --step 1e-3, or "
+                f"{self.name!r} runs with time steps only; write --engine impulse --step 1e-3, or "
                 "settings: {engine: impulse, step: 1e-3}"
             )
         return self.laws

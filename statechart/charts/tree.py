@@ -160,7 +160,7 @@ def tree(region: BaseRegion, *loc: str | int) -> Tree:
     for index, (name, holder, at) in enumerate(entries):
         if sorts[index] in HISTORIES and parents[index] == ROOT:
             raise DeclarationProblem(
-                f"the history {name!r} is in no state with states",
+                f"the history {name!r} is not inside a state that has states",
                 advice="put it among the states of that state, or of a region in a state",
                 loc=(*at, "history"),
             )
@@ -235,7 +235,7 @@ def _check_state(name: str, state: BaseState, at: Loc) -> None:
         )
     if (state.regions or not state.states) and state.initial is not None:
         raise DeclarationProblem(
-            f"{name!r} has an initial state, and no states",
+            f"{name!r} has `initial`, but no `states` of its own",
             advice="write it in its regions" if state.regions else "add states, or remove it",
             loc=(*at, "initial"),
             key=True,

@@ -57,8 +57,8 @@ def leaves(
         case BaseModel():
             for name, field in type(value).model_fields.items():
                 own, extra = getattr(value, name), field.json_schema_extra
-                words = str(extra["unit"]) if isinstance(extra, dict) else ""
-                yield from leaves(own, (*loc, name), words, single=single)
+                own_unit = str(extra["unit"]) if isinstance(extra, dict) else ""
+                yield from leaves(own, (*loc, name), own_unit, single=single)
         case Mapping():
             for key, item in value.items():
                 yield from leaves(item, (*loc, key), unit, single=single)

@@ -51,7 +51,7 @@ def _check_jumps(*formulas: Formula) -> None:
             if all(name.name != TIME for name in tree.names_in(call.arguments[0])):
                 raise DeclarationProblem(
                     f"formula {formula.text!r}: {call.function} jumps, and may stand only in "
-                    "parameters, starts, copies and updates",
+                    "parameters, starts, copies, updates, entry and exit",
                     advice="write a parameter if its arguments are constant; along a run, write "
                     "mod(time, T), a state for each piece, or updates: {VARIABLE: FORMULA}",
                     offset=call.offset,

@@ -16,7 +16,7 @@ for (const side of shrunk < 1 ? ["width", "height"] : []) chart.setAttribute(sid
 const least = chart ? 0.77 * chart.width.baseVal.value : 0;
 byId("diagram").style.setProperty("--least", `${least}px`);
 byId("diagram").style.setProperty("--lowest", `${chart ? 0.6 * chart.height.baseVal.value : 0}px`);
-// Of a diagram wider than the screen what is lit is seen.
+// Centre the active mode if the diagram is wider than the screen.
 function centre() {
   const box = byId("diagram");
   const node = box.querySelector("g.lit");
@@ -27,9 +27,9 @@ function centre() {
 }
 function arrange() {
   const seen = document.querySelector(".seen");
-  // Two of five parts of the room, which a gap of 16 divides.
+  // The diagram gets two fifths of the width, less the gap.
   const beside = !film || (innerWidth > 760 && innerWidth < 1240 && least <= 0.4 * (seen.clientWidth - 16));
-  // An element that is moved forgets how far it was scrolled.
+  // Moving an element resets its scroll position.
   if (beside && byId("diagram").parentNode !== seen) seen.append(byId("diagram"));
   if (!beside && byId("diagram").parentNode === seen) byId("stage").after(byId("diagram"));
   centre();
@@ -210,8 +210,8 @@ function drawn(panel, narrow) {
   cursor(plot, above - 6, high);
 }
 function bands(narrow) {
-  const told = [data.unit ? `t in ${data.unit}` : "t", ...(data.cut ? [`nothing happens any more; the run ends at ${short(data.end)}${unit}`] : []), ...data.unbanded.map((remark) => shortened(remark, right - 8))];
-  const svg = axes(18 * rows.length + 22 + 15 * told.length);
+  const captions = [data.unit ? `t in ${data.unit}` : "t", ...(data.cut ? [`no change until the end at ${short(data.end)}${unit}`] : []), ...data.unbanded.map((remark) => shortened(remark, right - 8))];
+  const svg = axes(18 * rows.length + 22 + 15 * captions.length);
   rows.forEach((region, row) => {
     named(svg, { x: left - 6, y: 18 * row + 13, "text-anchor": "end" }, region.name, left - 8);
     for (let k = 0; k <= last; ) {
@@ -229,7 +229,7 @@ function bands(narrow) {
     made(svg, "line", { class: "tick", x1: along(t), x2: along(t), y1: foot - 13, y2: foot - 9, style: "stroke: var(--faint); stroke-width: 1" });
     made(svg, "text", { x: along(t), y: foot, "text-anchor": anchor }, level(t));
   }
-  told.forEach((line, i) => named(svg, { x: right, y: foot + 15 + 15 * i, "text-anchor": "end", style: i ? "fill: var(--faint)" : "" }, line, right - 8));
+  captions.forEach((line, i) => named(svg, { x: right, y: foot + 15 + 15 * i, "text-anchor": "end", style: i ? "fill: var(--faint)" : "" }, line, right - 8));
   cursor(svg, 0, 18 * rows.length);
 }
 function drawCurves() {
@@ -288,9 +288,9 @@ for (const name of ["outputs", "parameters"])
   }
 for (const [name, part] of [["happened", data.events], ["measured", Object.keys(data.outputs)], ["chosen", Object.keys(data.parameters)]])
   byId(name).hidden = part.length === 0;
-let told;
+let explained;
 function explain(event) {
-  told = event;
+  explained = event;
   byId("why").replaceChildren();
   made(byId("why"), "p", {}, event ? event.why.replaceAll("->", "\u2192") : "Choose an event.");
   const table = made(byId("why"), "table");
@@ -325,7 +325,7 @@ if (data.more) byId("more").textContent = `${data.more} more: the command line h
 moving.push((k) => {
   lines.forEach((row, i) => row.classList.toggle("now", data.events[i].instant === k));
   const past = data.events.findLast((event) => event.instant <= k);
-  if (past !== told || !byId("why").firstChild) explain(past);
+  if (past !== explained || !byId("why").firstChild) explain(past);
 });
 
 // The clock: an instant is a number, and all that is seen belongs to it.

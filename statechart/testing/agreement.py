@@ -232,8 +232,8 @@ def _raise_if_tolerances_decide(
     courses = [[one.what for one in s.events[: count + 1]] for s in (first, second)]
     if courses[0] == courses[1] and courses[0][count:] != [event.what]:
         raise Undecidable(
-            f"{_event_label(i, event)}: at the tolerances of the other engine the run has its "
-            "events"
+            f"{_event_label(i, event)}: with the tolerances of the other engine, this run has the "
+            "events of the other run"
         )
 
 

@@ -196,7 +196,7 @@ MISTAKES = {
     "degrees by a function": ("angle: 0.3", "angle: radians(30)", "angles are in radians"),
     "time in short": ("value: time", "value: t", "unknown name 't'; write time"),
     "parameter of a taken name": ("mu: 0.5", "time: 0.5", "is the time of the run; choose another"),
-    "units of another name": ("gravity: g", "gravity: g\nunits: si", "unknown system of units"),
+    "units of another name": ("gravity: g", "gravity: g\nunits: si", "system of units 'si'"),
     "comma of a function": ("e: 0", "e: min(0, 1)", "3:47: a comma in braces or brackets ends a "
                             "value, here 'min(0'; put the whole formula in quotes: \"min(0, "),
     "commas of functions": ("e: 0", "e: min(0, max(1, 2))", "3:47: a comma in braces or brackets"),

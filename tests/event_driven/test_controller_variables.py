@@ -118,7 +118,7 @@ def test_unused_variables_do_not_change_the_motion(model: str) -> None:
         ),
         ("guard: n >= 1", "guard: N >= 1", "N >=", "unknown name 'N'"),
         ("done: {}", "done: {states: {a: {}}}", "done:", "and no initial one"),
-        ("done: {}", "done: {history: deep}", "deep", "is in no state with states"),
+        ("done: {}", "done: {history: deep}", "deep", "is not inside a state that has states"),
     ],
 )
 def test_mistakes_in_variables_of_controllers_are_reported_with_their_place(

@@ -117,7 +117,7 @@ def test_separation_within_tolerance_is_undecidable() -> None:
     parting = float(np.diff(first.jumps[0].after[RATES])[0])
     assert first.tolerances["speed"] < parting < other.tolerances["speed"]
     assert first.jumps[0].target != other.jumps[0].target
-    with pytest.raises(Undecidable, match="at the tolerances of the other engine"):
+    with pytest.raises(Undecidable, match="with the tolerances of the other engine"):
         assert_engines_agree(case)
     # Without those tolerances it would be another course; in time two of them graze each other.
     until = first.jumps[3].t

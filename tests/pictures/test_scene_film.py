@@ -368,7 +368,7 @@ def test_names_of_bodies_stand_in_their_outlines(name):
     (body,) = shapes(film, "outline")
     (ax,) = picture(film).axes
     (label,) = (text for text in ax.texts if text.get_text() == body.name)
-    box = ax.transData.inverted().transform(label.get_window_extent())
+    box = ax.transData.inverted().transform(label.get_window_extent().corners())
     corners = place_points(body.points, film.poses[0, body.frame])
     # Left of every edge, all corners of the name and of its body.
     middle = corners.mean(axis=0)
