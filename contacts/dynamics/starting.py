@@ -74,8 +74,8 @@ def weak_coupling_warnings(
     couplings = laws[len(laws) - len(limits) :]
     return [
         f"coupling {law.name!r} slips up to {force_tolerance / static:.1g} of its limit too late, "
-        f"as {static:.3g} is tiny beside the forces of the scene: write lengths in a smaller unit, "
-        "or heavy bodies in another scene"
+        f"as {static:.3g} is tiny beside the forces of the scene: put heavy bodies into another "
+        "scene, or write lengths in a smaller unit if it limits a couple"
         for law, static in zip(couplings, limits[:, 0].tolist(), strict=True)
         if law.carrier < 0 and 0.0 < _WEAK * static < force_tolerance
     ]

@@ -260,7 +260,7 @@ class BodyStepper(Stepper):
         if not sizes[0] > _NO_INERTIA:
             name = list(self._declared.coordinates)[int(np.argmax(np.abs(shapes[:, 0])))]
             raise DeclarationProblem(
-                "it has no inertia at the start, or moves the same bodies as other coordinates",
+                "it has no inertia at the start, or its motion combines those of other coordinates",
                 advice="let it move a body that has a mass or an inertia there",
                 loc=("coordinates", name),
             )

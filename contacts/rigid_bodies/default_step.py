@@ -1,7 +1,7 @@
 """Default step size, from inscribed circles and the speeds that forces can reach.
 
 A body moves little in a step, relative to the inscribed circle of its smallest convex piece, at the
-speed of the scene, of free fall, or of its forces.
+speed of the scene, of free fall, or of its forces. Steps resolve the bounces on compliant contacts.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from contacts.collision_detection.body_numbers import BodyNumbers
+from contacts.collision_detection.body_numbers import STIFFNESS, BodyNumbers
 from contacts.dynamics.scales import Scales
 from contacts.rigid_bodies.mechanics import Forces
 from contacts.rigid_bodies.prescribed_motion import Paths
@@ -22,6 +22,9 @@ from statechart.arrays import Array
 # relative to the time of free fall by half of that: 3e-4 s to 2e-3 s for the shipped heaps, which
 # are written for 1e-3 s.
 _CROSSED, _FALLEN = 0.1, 0.02
+# Step relative to sqrt(m/k) of the stiffest compliant contact on the lightest body: an undamped
+# bounce loses its square, 1 % of its energy. Stiff pads shorten the step by so much at most.
+_RESOLVED, _MAX_SHORTENING = 0.1, 30.0
 # Instants of a run at which forces are evaluated.
 _INSTANTS = 17
 # Difference step of paths, relative to the run.
@@ -117,4 +120,8 @@ def default_step(numbers: BodyNumbers, scales: Scales, forced: float) -> float:
     gravity = math.hypot(*numbers.gravity)
     if gravity > 0.0:
         step = min(step, _FALLEN * math.sqrt(radius / gravity))
+    stiffest = numbers.materials[:, STIFFNESS].max(initial=0.0)
+    frequency = math.sqrt(stiffest * numbers.inverse[:, 0].max(initial=0.0))
+    if frequency > 0.0:
+        step = min(step, max(_RESOLVED / frequency, step / _MAX_SHORTENING))
     return float(f"{step:.0e}")

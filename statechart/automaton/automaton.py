@@ -66,9 +66,8 @@ class Automaton:
     # Set by states of regions (`State.values`), exactly once in every mode, in order of evaluation.
     controls: tuple[sp.Symbol, ...] = ()
     stepper: Callable[[], TimeStepper] | None = None  # creates the time stepper, if any
-    default_step: Callable[[], float] | None = (
-        None  # default time step from the scales of the model
-    )
+    # Returns the default time step, from the scales of the model.
+    default_step: Callable[[], float] | None = None
     coordinates: Coordinates | None = None  # of mechanics, for minimal coordinates
     components: Callable[[], tuple[Component, ...]] = tuple  # uncoupled parts; none if connected
 
@@ -183,7 +182,7 @@ class Component:
     names: Mapping[str, str]  # neutral name -> name
     restricted: Callable[[Setup, Places], Setup]  # setup of the whole -> setup of the component
     shown: Callable[[Role, Places], Role]  # role in the component -> role in the whole
-    joint: frozenset[str]  # regions whose simultaneous jumps are one jump
+    jump_together: frozenset[str]  # regions whose simultaneous jumps are one jump
 
     def named(self, text: str) -> str:
         """Return a text with declared instead of neutral names."""

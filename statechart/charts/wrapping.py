@@ -156,7 +156,7 @@ def check_wrapping(
     `still` are prefixes of the places of formulas that may not jump. Raises `DeclarationProblem`.
     """
     for loc, text, _ in leaves(document):
-        for wrap in periodic_calls(text) if isinstance(text, str) and loc[-1] != "doc" else ():
+        for wrap in periodic_calls(text) if isinstance(text, str) and loc != ("doc",) else ():
             call = wrap.call
             _check(document, wrap, loc, values)
             if loc[0] in _NOT_WRAPPED or any(loc[: len(part)] == part for part in still):

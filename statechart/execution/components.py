@@ -55,7 +55,7 @@ class _ComponentRun:
         """Return whether its jump `j` is alone, the place of its region in the whole, its cause."""
         jump = self.trace.jumps[j]
         place = self.component.automaton.region_names.index(jump.region)
-        alone = jump.region not in self.component.joint
+        alone = jump.region not in self.component.jump_together
         return alone, self.places.regions[place].item(), jump.cause
 
     def key(self, count: int) -> Key:

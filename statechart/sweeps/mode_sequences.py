@@ -15,7 +15,7 @@ from itertools import accumulate, takewhile
 MAX_LETTERS = 240
 """Longest text of a sequence that is stored whole."""
 # Letters of the two ends of a longer one, of a text in a list, and modes of a cycle.
-_BEGIN, _END, _LISTED, _MAX_PERIOD = 220, 50, 96, 12
+_BEGIN, _END, _LISTED, _MAX_PERIOD = 180, 50, 96, 12
 # Modes of at least so many regions name only the regions that are not in their usual state.
 _MANY_REGIONS = 4
 _STATE = re.compile(r"([^\s():>]+):([^\s():>]+)")
@@ -31,9 +31,13 @@ def write_sequence(words: Sequence[str]) -> str:
         return text
     digest = hashlib.sha256(" > ".join(words).encode()).hexdigest()[:8]
     begin = parts[: max(_count(parts, _BEGIN), 1)]
-    end = parts[len(parts) - _count(parts[::-1], _END) :]
-    if len(begin[0]) > MAX_LETTERS:
-        begin = [words[0]]
+    rest = parts[len(begin) :]
+    end = rest[len(rest) - max(_count(rest[::-1], _END), 1) :] if rest else [words[-1]]
+    if len(begin) + len(end) == len(parts) and len(text) <= 2 * MAX_LETTERS:
+        return text
+    # A cycle can be longer than all that is stored.
+    begin = [words[0]] if len(begin[0]) > MAX_LETTERS else begin
+    end = [words[-1]] if len(end[-1]) > MAX_LETTERS else end
     return f"{' > '.join([*begin, '...', *end])} ({len(words)} modes, {digest})"
 
 
@@ -88,7 +92,8 @@ def shorten_alike(texts: Sequence[str]) -> list[str]:
     for words in split:
         begin = max((_shared(words, other) for other in split if other is not words), default=0)
         cut = max(begin - 1, 0)
-        text = " > ".join([*([words[0], "..."] if cut > 1 else words[:cut]), *words[cut:]])
+        after = words[cut + (words[cut] == "...") :]
+        text = " > ".join([*([words[0], "..."] if cut > 1 else words[:cut]), *after])
         length = _LENGTH.search(words[-1])
         end = f"... {length[0]}" if length else "..."
         if len(text) > _LISTED:

@@ -71,6 +71,8 @@ def assert_ended(case: Case) -> None:
 def assert_start(case: Case) -> None:
     """Check that runs start in the declared state, up to projection onto constraints.
 
+    Variables that `entry` of an initial state updates are not compared.
+
     Parameters
     ----------
     case : Case

@@ -54,6 +54,13 @@ def test_a_ball_on_a_saw_tooth_table_is_thrown_and_lands_in_every_period(setting
     assert result.trace.final[1] == pytest.approx(expected, abs=30 * near)
 
 
+def test_a_variable_named_doc_is_no_documentation() -> None:
+    text = "kind: chart\nname: n\nvariables: {doc: 0}\nstop: {time: 1}\nregions:\n"
+    text += '  r: {initial: a, states: {a: {flows: {doc: "mod(doc + time, 1)"}}}}\n'
+    with pytest.raises(DeclarationError, match="mod of doc is not periodic in time"):
+        interpret(read_text(text))
+
+
 @engines
 def test_friction_that_varies_with_the_slip_on_a_conveyor_can_be_read(settings: str) -> None:
     result = Runner(

@@ -191,3 +191,22 @@ def test_the_chosen_step_follows_the_speed_that_forces_reach(force, speed):
 )
 def test_the_largest_circle_in_a_polygon_touches_three_edges(corners, radius):
     assert inscribed_radius(np.array(corners, dtype=float)) == pytest.approx(radius, rel=1e-9)
+
+
+def test_the_default_step_resolves_a_bounce_on_a_compliant_contact():
+    text = """
+kind: scene
+name: soft_ball
+gravity: 9.81
+bodies: {ball: {mass: 1, inertia: 0.005, shape: {disc: 0.1}, start: {y: 0.3}}}
+surfaces: {floor: {height: 0}}
+collisions: {all: {bodies: [ball], surfaces: [floor], friction: 0, stiffness: 1e5, damping: 0}}
+stop: {time: 0.35}
+"""
+    # It falls by 0.2 m, returns from a half period of the spring, and rises.
+    speed, w = math.sqrt(2 * 9.81 * 0.2), math.sqrt(1e5)
+    contact = 2 * (math.pi - math.atan(speed * w / 9.81)) / w
+    flight = 0.35 - speed / 9.81 - contact
+    height = 0.1 + speed * flight - 9.81 * flight**2 / 2
+    result = Runner(read_text(text)).run()
+    assert result.at(0.35).values["ball.y"] == pytest.approx(height, abs=3e-3)

@@ -200,6 +200,28 @@ def test_sequences_that_differ_near_their_ends_are_told_apart_where_they_do() ->
     ]
 
 
+@pytest.mark.parametrize("count", range(20, 60))
+def test_ends_of_a_long_sequence_do_not_overlap(count: int) -> None:
+    words = [f"a{k:04d}" for k in range(count)]
+    written = unfolded(re.sub(r" \(\d+ modes, .*\)", "", write_sequence(words)))
+    if "..." in written:
+        cut = written.index("...")
+        begin, end = written[:cut], written[cut + 1 :]
+        assert 0 < len(begin) + len(end) < count
+        assert [*begin, *words[len(begin) : count - len(end)], *end] == words
+    else:
+        assert written == words
+
+
+def test_sequences_of_long_names_that_differ_in_their_last_mode_are_told_apart() -> None:
+    others = "left_foot:slide+ right_foot:slide- hook:closed"
+    rounds = [f"nose:free{k} tail:pin {others}" for k in range(30)]
+    texts = [write_sequence([*rounds, f"nose:pin tail:{end} {others}"]) for end in ("on", "off")]
+    assert shorten_alike(texts) == [
+        f"nose:free0 > ... > nose:pin tail:{end} (31 modes)" for end in ("on", "off")
+    ]
+
+
 def test_reports_of_sweeps_say_where_sequences_differ(capsys: pytest.CaptureFixture[str]) -> None:
     over = ["--over", "gamma=0.08,0.09", "--until", "40"]
     assert main(["sweep", "rimless_wheel", *over]) == 0

@@ -471,7 +471,7 @@ stop: {time: 1}
 """
 
 
-def test_entry_updates_of_an_initial_state_are_part_of_a_declared_start():
+def test_variables_that_an_entry_of_an_initial_state_updates_are_not_compared_with_the_start():
     assert report_on(Subject(model(COUNTED)), "runs start as declared").passed
 
 
