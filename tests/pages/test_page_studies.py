@@ -61,7 +61,7 @@ def test_page_warns_of_other_parameters_and_rejects_other_models(
     assert reported["above"][-1].endswith("this run had others")
     assert reported["own"] == []
     other = statechart.run("bouncing_ball", until=1.0)
-    with pytest.raises(StatechartError, match="not of 'bouncing_ball'"):
+    with pytest.raises(StatechartError, match="or of 'bouncing_ball' before"):
         other.report(tmp_path / "other.html", study=study)
     assert not (tmp_path / "other.html").exists()
     given = statechart.run("toppling_stick", engine="taylor", study=study)
