@@ -22,9 +22,10 @@ from statechart.kernels.jit import kernel
 ARRIVED = 0.01
 # Cosine of the largest turn of the normal between detection and touch.
 _ALIKE = 0.8
-# Resolution of the time of impact of rotating pieces: parts of the interval, and, for fast ones,
-# motion relative to the inner radii; the finest parts of the interval.
-_DIVISIONS, _PART, _FINEST = 256, 0.25, 2**16
+# Time steps of conservative advancement while pieces are close: the interval over _DIVISIONS; for
+# fast pieces the time in which they move by _PART of their inner radii, but at least the interval
+# over _MAX_DIVISIONS.
+_DIVISIONS, _PART, _MAX_DIVISIONS = 256, 0.25, 2**16
 # Part of a step that counts as crossed if a piece leaves by another side than it entered.
 _CROSSED_PART = 0.5
 
@@ -119,7 +120,7 @@ def time_of_impact(
     way, time, whole = math.copysign(1.0, end - begin), begin, abs(end - begin)
     least, part = whole / _DIVISIONS, _PART * (pieces.cores[p] + pieces.cores[q])
     if least * fastest > part:
-        least = max(part / fastest, whole / _FINEST)
+        least = max(part / fastest, whole / _MAX_DIVISIONS)
     while (end - time) * way > 0.0:
         gap = math.inf
         for k in range(_points(numbers, mid, pair, time, math.inf, buffer)):

@@ -7,6 +7,6 @@ judges them; `controllers` has regions of controllers, their guards and variable
 `surface_jumps` follows the surfaces that these move.
 Numbers: `setup_evaluation` makes the `setup` of a run, with its `scales` and each `contact_law`;
 `snapshot` evaluates the equations at a state, with signs that are dry friction, `held_forces` are
-those of other signs, `rolling_resistance` adds impulses of that couple, `projection` brings a state
+those of other signs, `rolling_resistance` adds the impulses of rolling, `projection` brings a state
 onto the constraints, `starting` checks the start. `components` are uncoupled bodies.
 """

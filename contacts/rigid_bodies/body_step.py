@@ -60,6 +60,8 @@ from statechart.kernels.tapes import BLOCK, allocate_registers
 
 # Latest impact after the middle of the step, relative to the step: some time must follow it.
 _LATEST = 0.5 - TIME_MARGIN
+# Round-off of velocities, relative to the fastest approach.
+_SPEED_ROUND_OFF = 1e-6
 # Displacement in a step, relative to the smallest body, below which no body passes another or is
 # deep in it.
 _FAR = 0.1
@@ -455,7 +457,7 @@ def step_bodies(
         # Landing bodies move freely until they touch.
         chunk.impact_delay[k] = 0.0
         if lands:
-            slight = max(fall, TIME_MARGIN * detected.approach)
+            slight = max(fall, _SPEED_ROUND_OFF * detected.approach)
             chunk.impact_delay[k] = _landing(space, rates, early, h, slight, first_coupling)
         _store(numbers, warm, space, detected, allowed, rates, k, chunk)
         if unsettle_bodies(warm, k, chunk):

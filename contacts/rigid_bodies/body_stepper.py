@@ -44,7 +44,7 @@ from contacts.scene.scene import Scene
 from contacts.states import FREE, superstates_of
 from contacts.time_stepping.step_rejection import DEEPEST
 from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
-from statechart.arrays import Array
+from statechart.arrays import EPS, Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Region, State, stop_conditions
@@ -52,8 +52,8 @@ from statechart.automaton.time_stepper import DEFAULT_IMPULSES
 from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
 from statechart.formulas.formula import parse
 
-# Largest length of a scene, relative to its extent: far from the origin coordinates are larger.
-_LONGEST = 10.0
+# Largest length of a scene, relative to its extent; coordinates exceed it far from the origin.
+_MAX_LENGTH = 10.0
 # Duration of a step that shows a state, relative to the scene's.
 _SOON = 1e-9
 # Overlap at the start, relative to the scene, without a warning; and opening of joints.
@@ -276,9 +276,11 @@ class BodyStepper(Stepper):
             check_range(number, "", ("gravity",))
         own = bodies.sizes[: len(bodies.inverse)]
         poses, rates = bodies.motion(placed[None])
-        length = float(np.abs(poses[..., :2]).max() + own.max())
+        reach = length = float(np.abs(poses[..., :2]).max() + own.max())
         led = self._paths.at(values, np.zeros(1), remembered[None])
-        length = min(length, _LONGEST * float(extent(bodies, poses[0, :, :2], led) + own.max()))
+        within = float(extent(bodies, poses[0, :, :2], led) + own.max())
+        if within > 0.0:
+            length = min(length, _MAX_LENGTH * within)
         speed = math.sqrt(math.hypot(*bodies.gravity) * length)
         speed = max(speed, float(np.abs(rates).max())) or 1.0
         initial = np.concatenate([placed, remembered])
@@ -288,7 +290,7 @@ class BodyStepper(Stepper):
         sizes = np.concatenate([places, places * (speed / length)])
         acceleration = speed**2 / length
         force = float((1.0 / bodies.inverse[:, 0]).sum()) * acceleration
-        scales = Scales(length, speed, acceleration, force, 0.0, sizes)
+        scales = Scales(length, speed, acceleration, force, EPS * reach, sizes)
         at = {name: i for i, name in enumerate(self._bodies.parameters.names)}
         return SceneSetup(
             values=with_sizes(values, at, sizes),
@@ -342,11 +344,13 @@ class BodyStepper(Stepper):
                     )
         check_containers(scene, owners, bodies, placed, positions)
         # One-sided differences of second order: a path need not exist before the start.
-        rates = np.tensordot([-1.5, 2.0, -0.5], positions.places, axes=1) / soon
+        moved = positions.places[1:] - positions.places[0]
+        rates = (2.0 * moved[0] - 0.5 * moved[1]) / soon
+        slow = _START_DEPTH * speed + 2.5 * setup.scales.rounding / soon
         try:
             joints = closed_joints(
                 scene, bodies.joints, np.concatenate(bodies.motion(placed[None])),
-                positions.places[0], rates, _START_DEPTH * length, _START_DEPTH * speed,
+                positions.places[0], rates, _START_DEPTH * length, slow,
             )  # fmt: skip
         except DeclarationProblem as problem:
             raise start_problem(scene, problem, known) from None

@@ -22,8 +22,8 @@ from statechart.arrays import Array
 # relative to the time of free fall by half of that: 3e-4 s to 2e-3 s for the shipped heaps, which
 # are written for 1e-3 s.
 _CROSSED, _FALLEN = 0.1, 0.02
-# Step relative to sqrt(m/k) of the stiffest compliant contact on the lightest body: an undamped
-# bounce loses its square, 1 % of its energy. Stiff pads shorten the step by so much at most.
+# Step relative to sqrt(m/k) of compliant contacts: an undamped bounce loses its square, 1 % of its
+# energy. Stiff contacts shorten the step by the second factor at most.
 _RESOLVED, _MAX_SHORTENING = 0.1, 30.0
 # Instants of a run at which forces are evaluated.
 _INSTANTS = 17
@@ -113,6 +113,16 @@ def led_speed(
     return float(speeds.max(where=np.isfinite(speeds), initial=0.0))
 
 
+def contact_frequency(numbers: BodyNumbers) -> float:
+    """Return the largest sqrt(k/m) of compliant contacts, m the reduced mass of their bodies."""
+    moving = numbers.kinds[: len(numbers.inverse)]
+    lightest = np.zeros(numbers.laws.shape[1])
+    np.maximum.at(lightest, moving, numbers.inverse[:, 0])
+    stiffness = np.append(numbers.materials[:, STIFFNESS], 0.0)[numbers.laws]
+    pairs = stiffness * (lightest[: len(stiffness), None] + lightest)
+    return math.sqrt(float(pairs.max(initial=0.0)))
+
+
 def default_step(numbers: BodyNumbers, scales: Scales, forced: float) -> float:
     """Return the default step size, rounded to a digit."""
     radius = float(inner_radii(numbers)[: len(numbers.inverse)].min())
@@ -120,8 +130,7 @@ def default_step(numbers: BodyNumbers, scales: Scales, forced: float) -> float:
     gravity = math.hypot(*numbers.gravity)
     if gravity > 0.0:
         step = min(step, _FALLEN * math.sqrt(radius / gravity))
-    stiffest = numbers.materials[:, STIFFNESS].max(initial=0.0)
-    frequency = math.sqrt(stiffest * numbers.inverse[:, 0].max(initial=0.0))
+    frequency = contact_frequency(numbers)
     if frequency > 0.0:
         step = min(step, max(_RESOLVED / frequency, step / _MAX_SHORTENING))
     return float(f"{step:.0e}")

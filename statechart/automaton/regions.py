@@ -260,7 +260,7 @@ class Edge:
     guard: str
     reset: str = ""
     on_zeno: bool = False  # fired by the accumulation of jumps out of `source`
-    # Not the cause of a change in a jump with another cause; drawings leave it out.
+    # It causes changes only in jumps of its own cause; not part of the text of an edge.
     alone: bool = field(default=False, compare=False, repr=False)
 
 

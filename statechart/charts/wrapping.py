@@ -30,9 +30,9 @@ STATE = "on"
 """The only state of a region that counts."""
 
 _ATOM = re.compile(r"[\w.]+")
-# Fields that are evaluated once, or on the trace.
+# Fields that are evaluated once, on the trace, or never.
 _NOT_WRAPPED = frozenset(
-    ("parameters", "ranges", "units", "outputs", "stop", "invariants", "settings")
+    ("doc", "parameters", "ranges", "units", "outputs", "stop", "invariants", "settings")
 )
 _EVENTS = {"mod": ("wrap", "unwrap"), "floor": ("rise", "fall")}
 

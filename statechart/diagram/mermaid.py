@@ -53,7 +53,10 @@ def _fork(lines: list[str], name: str) -> list[str]:
     if len(starts) < 2:
         return lines
     entered = [line.replace("[*]", name) if line in starts else line for line in lines]
-    return [*entered, f"    state {name} <<fork>>", f"    [*] --> {name}"]
+    # Mermaid takes the shape of a state from the first line that names it.
+    first = lines.index("stateDiagram-v2") + 1
+    bar = [f"    state {name} <<fork>>", f"    [*] --> {name}"]
+    return [*entered[:first], *bar, *entered[first:]]
 
 
 def _unused_name(name: str, states: dict[str, str]) -> str:

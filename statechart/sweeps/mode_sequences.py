@@ -1,6 +1,6 @@
 """Sequences of modes as text: cycles contracted, long ones cut, and told apart in lists.
 
-A stored sequence of more than MAX_LETTERS is cut in the middle, and ends with its length and a
+A stored sequence of more than MAX_LETTERS leaves out its middle, and ends with its length and a
 digest of the whole: equal texts are equal sequences. People see where sequences differ instead.
 """
 
@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from itertools import accumulate, takewhile
 
 MAX_LETTERS = 240
-"""Longest text of a sequence that is stored whole."""
+"""Length from which on the middle of a sequence is left out, and a cycle is not written whole."""
 # Letters of the two ends of a longer one, of a text in a list, and modes of a cycle.
 _BEGIN, _END, _LISTED, _MAX_PERIOD = 180, 50, 96, 12
 # Modes of at least so many regions name only the regions that are not in their usual state.
@@ -33,11 +33,11 @@ def write_sequence(words: Sequence[str]) -> str:
     begin = parts[: max(_count(parts, _BEGIN), 1)]
     rest = parts[len(begin) :]
     end = rest[len(rest) - max(_count(rest[::-1], _END), 1) :] if rest else [words[-1]]
-    if len(begin) + len(end) == len(parts) and len(text) <= 2 * MAX_LETTERS:
-        return text
-    # A cycle can be longer than all that is stored.
+    # A contracted cycle may exceed MAX_LETTERS.
     begin = [words[0]] if len(begin[0]) > MAX_LETTERS else begin
     end = [words[-1]] if len(end[-1]) > MAX_LETTERS else end
+    if [*begin, *end] == parts:
+        return text
     return f"{' > '.join([*begin, '...', *end])} ({len(words)} modes, {digest})"
 
 
@@ -92,7 +92,7 @@ def shorten_alike(texts: Sequence[str]) -> list[str]:
     for words in split:
         begin = max((_shared(words, other) for other in split if other is not words), default=0)
         cut = max(begin - 1, 0)
-        after = words[cut + (words[cut] == "...") :]
+        after = words[cut + (cut > 1 and words[cut] == "...") :]
         text = " > ".join([*([words[0], "..."] if cut > 1 else words[:cut]), *after])
         length = _LENGTH.search(words[-1])
         end = f"... {length[0]}" if length else "..."

@@ -251,7 +251,7 @@ def _ended(work: _Work, executor: Executor | None) -> str:
     return ""
 
 
-class _WorkersFailed(Exception):  # noqa: N818, workers are lost
+class _WorkersFailed(Exception):  # noqa: N818, said of the workers
     """The workers failed."""
 
     def __init__(self, error: StatechartError) -> None:

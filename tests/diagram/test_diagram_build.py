@@ -423,6 +423,8 @@ def test_mermaid_enters_charts_side_by_side_from_one_bar() -> None:
     text = mermaid(build(runner.automaton, runner.start()[0]))
     outermost = [line.strip() for line in text.split("\n") if re.match(r" {4}\S", line)]
     assert [line for line in outermost if line.startswith("[*]")] == ["[*] --> begin"]
+    # Mermaid takes the shape of a state from the first line that names it.
+    assert next(line for line in outermost if "begin" in line) == "state begin <<fork>>"
     assert "state begin <<fork>>" in outermost
     started = [line for line in outermost if line.startswith("begin --> ")]
     assert started == ["begin --> A_free", "begin --> B_free"]

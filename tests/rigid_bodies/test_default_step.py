@@ -193,16 +193,51 @@ def test_the_largest_circle_in_a_polygon_touches_three_edges(corners, radius):
     assert inscribed_radius(np.array(corners, dtype=float)) == pytest.approx(radius, rel=1e-9)
 
 
-def test_the_default_step_resolves_a_bounce_on_a_compliant_contact():
-    text = """
+SOFT = """
 kind: scene
 name: soft_ball
 gravity: 9.81
-bodies: {ball: {mass: 1, inertia: 0.005, shape: {disc: 0.1}, start: {y: 0.3}}}
+bodies:
+  ball: {mass: 1, inertia: 0.005, shape: {disc: 0.1}, start: {y: 0.3}}
+  other: {mass: 1, inertia: 0.005, shape: {disc: 0.1}, start: {x: 1, y: 0.3}}
+  grain: {mass: 1e-3, inertia: 5e-6, shape: {disc: 0.1}, start: {x: 2, y: 0.3}}
 surfaces: {floor: {height: 0}}
-collisions: {all: {bodies: [ball], surfaces: [floor], friction: 0, stiffness: 1e5, damping: 0}}
+collisions:
+  soft: {bodies: SOFT, surfaces: [floor], friction: 0, stiffness: 1e5, damping: 0}
+  hard: {bodies: [grain], surfaces: [floor], friction: 0, restitution: 0}
 stop: {time: 0.35}
 """
+
+
+@pytest.mark.parametrize(("soft", "step"), [("[ball]", 3e-4), ("[ball, other]", 2e-4)])
+def test_the_default_step_is_a_tenth_of_the_time_of_a_compliant_pair(soft, step):
+    # sqrt(m/k) is 3.16e-3 s on the floor, 2.24e-3 s between two balls.
+    assert Runner(read_text(SOFT.replace("SOFT", soft))).setting.step == step
+
+
+JOINTED = """
+kind: scene
+name: far_pendulum
+parameters: {X: 0}
+gravity: 9.81
+bodies:
+  bob: {mass: 1, inertia: 0.005, shape: {disc: 0.1}, start: {x: X + 0.8, y: X}}
+  puck: {mass: 1, inertia: 0.005, shape: {disc: 0.1}, start: {x: X + 2, y: X}}
+joints: {pin: {point: {body: bob, at: [-0.5, 0]}, to: ["X + 0.3", "X"]}}
+collisions: {all: {bodies: [bob, puck], friction: 0, restitution: 0}}
+stop: {time: 0.1}
+outputs: {turned: {value: bob.angle}}
+"""
+
+
+def test_a_joint_far_from_the_origin_holds_at_the_start():
+    near, far = (Runner(read_text(JOINTED)).run({"X": x}).outputs["turned"] for x in (0, 1e6))
+    assert near < -0.05
+    assert far == pytest.approx(near, rel=1e-4)
+
+
+def test_the_default_step_resolves_a_bounce_on_a_compliant_contact():
+    text = SOFT.replace("SOFT", "[ball]")
     # It falls by 0.2 m, returns from a half period of the spring, and rises.
     speed, w = math.sqrt(2 * 9.81 * 0.2), math.sqrt(1e5)
     contact = 2 * (math.pi - math.atan(speed * w / 9.81)) / w

@@ -222,6 +222,11 @@ def test_sequences_of_long_names_that_differ_in_their_last_mode_are_told_apart()
     ]
 
 
+def test_modes_that_are_left_out_are_marked_in_lists() -> None:
+    texts = [f"{'long' * 10} > ... > {end} (31 modes, 0123abcd)" for end in ("pin", "free")]
+    assert all("..." in text and text.endswith("(31 modes)") for text in shorten_alike(texts))
+
+
 def test_reports_of_sweeps_say_where_sequences_differ(capsys: pytest.CaptureFixture[str]) -> None:
     over = ["--over", "gamma=0.08,0.09", "--until", "40"]
     assert main(["sweep", "rimless_wheel", *over]) == 0
