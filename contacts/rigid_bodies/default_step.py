@@ -119,6 +119,8 @@ def contact_frequency(numbers: BodyNumbers) -> float:
     lightest = np.zeros(numbers.laws.shape[1])
     np.maximum.at(lightest, moving, numbers.inverse[:, 0])
     stiffness = np.append(numbers.materials[:, STIFFNESS], 0.0)[numbers.laws]
+    own = np.arange(len(stiffness))
+    stiffness[own, own] *= np.bincount(numbers.kinds, minlength=len(own)) > 1  # it has a copy
     pairs = stiffness * (lightest[: len(stiffness), None] + lightest)
     return math.sqrt(float(pairs.max(initial=0.0)))
 

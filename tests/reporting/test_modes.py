@@ -206,7 +206,7 @@ def test_a_configuration_without_directions_is_refused(
     path.write_text(BAR.replace("{height: 0}", "{circle: [0, 0], radius: 0.5}"), encoding="utf-8")
     arguments = ["--at", "bar.x=1", "--at", "bar.y=0", "--at", "bar.angle=0"]
     assert main(["modes", str(path), *arguments]) != 0
-    assert "give another" in capsys.readouterr().err
+    assert "choose another" in capsys.readouterr().err
 
 
 def test_open_joints_and_contacts_that_are_off_are_reported(listed) -> None:

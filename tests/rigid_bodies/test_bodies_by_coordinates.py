@@ -345,7 +345,7 @@ outputs: {turned: {value: time, at: first motor.turn}}
         ("coordinates: {s: {}}", "coordinates: {s: {}, k: {}}", "it moves no body"),
         ("[s, 0.5]", "[s, 0.5], copies: 2", "all be in one place"),
         ("position: [s, 0.5]", "position: [s + 0.3, 0.5]", "deep in body 'ram'"),
-        ("position: [s, 0.5]", "position: [s**3, 0.5]", "without an inertia"),
+        ("position: [s, 0.5]", "position: [s**3, 0.5]", "no inertia at the start"),
         (
             "forces:",
             "joints: {j: {point: {body: box, at: [0, 0]}, to: {body: ram, at: [1.2, -0.1]}}}\n"

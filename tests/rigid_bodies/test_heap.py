@@ -170,7 +170,7 @@ def test_overlaps_of_copies_by_a_parameter_are_reported():
     text += "parameters: {n: 1}\n"
     runner = Runner(read_text(text, "two.yaml"))
     runner.run()
-    with pytest.raises(DeclarationError, match=r"two\.yaml:\d+:\d+: bodies\.block\.start: .* n=3"):
+    with pytest.raises(DeclarationError, match=r"two\.yaml:\d+:\d+: bodies\.block\.start.* n = 3"):
         runner.run({"n": 3})
 
 

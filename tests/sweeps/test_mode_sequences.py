@@ -223,7 +223,7 @@ def test_sequences_of_long_names_that_differ_in_their_last_mode_are_told_apart()
 
 
 def test_modes_that_are_left_out_are_marked_in_lists() -> None:
-    texts = [f"{'long' * 10} > ... > {end} (31 modes, 0123abcd)" for end in ("pin", "free")]
+    texts = [f"{'long' * 16} > ... > {end} (31 modes, 0123abcd)" for end in ("pin", "free")]
     assert all("..." in text and text.endswith("(31 modes)") for text in shorten_alike(texts))
 
 

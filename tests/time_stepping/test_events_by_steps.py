@@ -346,11 +346,11 @@ def test_a_warning_names_a_brake_that_decides_how_feet_share_the_load(engine, fr
     step = {"step": 1e-4} if engine == "impulse" else {}
     scene = interpret(read_text(BRAKED_BAR % friction))
     warnings = Runner(scene, engine=engine, **step).run().warnings
-    assert any("share the load changes the motion" in warning for warning in warnings)
+    assert any("share the load" in warning for warning in warnings)
     if engine == "impulse":
         assert any("how c, d, brake share" in warning for warning in warnings)
     same = Runner(interpret(read_text(BRAKED_BAR % 0)), engine=engine, **step).run().warnings
-    assert not any("changes the motion" in warning for warning in same)
+    assert not any("share the load" in warning for warning in same)
 
 
 # A plate sinks under a point, stops, and sinks again: in the instant in which it stops it strikes
