@@ -494,8 +494,7 @@ class Stepper(ABC):
         step = request.step
         inputs = self._begin(overrides, step, request.impulses.tolerance, read)
         scales = inputs.setup.scales
-        moves = max(EPS * scales.length, scales.rounding)
-        least = moves / scales.speed
+        least = EPS * scales.length / scales.speed
         if step < min(least, request.until):
             raise DeclarationProblem(
                 f"a step of {step:g} is too short: a speed of {scales.speed:.3g} moves nothing by "
