@@ -697,6 +697,25 @@ def test_steps_slip_while_both_limits_are_zero(part: str) -> None:
     assert steps(text, 1e-3).outputs == pytest.approx(run(text).outputs, abs=1e-6)
 
 
+def test_bounces_of_a_rope_beside_a_slipping_brake_are_summed_with_all_engines() -> None:
+    text = """
+kind: scene
+name: bob
+gravity: 9.81
+bodies: {a: {mass: 1, inertia: 0.05, start: {x: 0.4, y: 0.2}}}
+joints: {cord: {point: {body: a, at: [0, 0.1]}, to: [0, 0], rope: L - 0.1*time, restitution: 0.3}}
+couplings: {rub: {bodies: [a], limit: 0.05}}
+parameters: {L: 0.9}
+stop: {time: 1}
+"""
+    ends = []
+    for engine in ("taylor", "scipy"):
+        jumps = run(text, engine).trace.jumps
+        assert [jump.cause for jump in jumps if jump.skipped > 0.0] == ["touchdown"]
+        ends += [jump.t for jump in jumps if jump.cause == "zeno"]
+    assert ends[0] == pytest.approx(ends[1], abs=1e-11)
+
+
 def test_only_the_wrong_part_of_a_limit_is_reported() -> None:
     text = RAMP.replace("{static: s, kinetic: k}", "{static: s}")
     with pytest.raises(statechart.DeclarationError, match="'kinetic' is missing") as found:
