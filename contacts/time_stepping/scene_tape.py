@@ -206,8 +206,8 @@ class _Signs:
         return outputs
 
 
-# Lower bound of a static limit, which defines the edge in motion.
-_TINY = 1e-300
+# Lower bound of a static limit, which defines the edge in motion: its square is not zero.
+_TINY = 1e-150
 
 
 def _kinetic_edge(static: sp.Expr, kinetic: sp.Expr) -> tuple[sp.Expr, sp.Expr]:

@@ -674,6 +674,19 @@ def test_steps_end_where_a_limit_falls_below_zero() -> None:
         steps(text, 1e-2)
 
 
+@pytest.mark.parametrize("part", ["max(0, time - 0.1)", "time*0"])
+def test_steps_slip_while_both_limits_are_zero(part: str) -> None:
+    text = RAMP.replace("{static: s, kinetic: k}", f"{{static: 's*{part}', kinetic: 'k*{part}'}}")
+    assert steps(text, 1e-3).outputs == pytest.approx(run(text).outputs, abs=1e-6)
+
+
+def test_only_the_wrong_part_of_a_limit_is_reported() -> None:
+    text = RAMP.replace("{static: s, kinetic: k}", "{static: s}")
+    with pytest.raises(statechart.DeclarationError, match="'kinetic' is missing") as found:
+        run(text)
+    assert found.value.others == ()
+
+
 def test_stepped_controllers_receive_coupling_events() -> None:
     found = steps(OPENED, 1e-3)
     names = [name for name, _ in events(found.trace)]
