@@ -292,7 +292,12 @@ class ConditionsAt:
         cycle = tried[tried.index(verdicts) :] if verdicts in tried else tried
         union = [max(judged) for judged in zip(*cycle, strict=True)]
         signs = derivative_signs(union)
-        return verdicts if signs is None or min(signs) < 0.0 else union
+        if signs is None or min(signs) >= 0.0:
+            return verdicts if signs is None else union
+        # Conditions that fall while they hold, and stay at their boundary while they fail, fail.
+        least = [min(judged) for judged in zip(*cycle, strict=True)]
+        signs = derivative_signs(least)
+        return verdicts if signs is None or max(signs) > 0.0 else least
 
     def _judge_staying(self, k: int, fired: Collection[str], closed: Sequence[bool]) -> int:
         """Judge an atom whose derivatives are all zero, or undefined."""

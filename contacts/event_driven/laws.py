@@ -512,7 +512,10 @@ class SceneLaws:
     ) -> tuple[Jump, Flow]:
         jump, flow, following = impact_jump(self.tape, here, self._struck(hitting, jam), jam)
         setup, closed, (before, after) = here.setup, here.closed, jump.energy or (0.0, 0.0)
-        idle = jam is None and sum(closed) > 1 and after >= before
+        striking = [
+            shut and not law.coupling for shut, law in zip(closed, setup.contacts, strict=True)
+        ]
+        idle = jam is None and sum(striking) > 1 and after >= before
         if idle and reopens_immediately(setup, following, closed):
             at = here.at
             done = self._closed_at_once(setup, at.clock, flow, jump, closed, 0.0, jump.skipped)

@@ -245,7 +245,7 @@ class SteppedScene(SteppedSystem):
 
     def press(self, closed: Bools) -> None:
         """Let contacts (c,) be closed and sliding, as after earlier steps."""
-        self._step_state.contacts.closed[:] = self._step_state.contacts.slipped[:] = closed
+        self._step_state.contacts.closed[:] = self._step_state.contacts.slip[:] = closed
 
     def hold(self, stopped: Mapping[int, tuple[float, float]]) -> dict[int, int]:
         """Let stopped contacts last; see `SteppedSystem`."""

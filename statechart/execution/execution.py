@@ -522,12 +522,20 @@ class Execution:
                     raise self.failure
                 return self.outcome is Outcome.STOPPED or self.settle((*last, UNBOUNDED))
             if self._livelock.stalled(self.clock, fired) and not self._widen(*fired):
-                advice = (
-                    "; instead of sign write couplings: {f: {bodies: [a], limit: F}}, or a contact"
-                )
+                advice = ""
+                if self.flow.signs:
+                    advice = (
+                        "; instead of sign write couplings: {f: {bodies: [a], limit: F}}, "
+                        "or a contact"
+                    )
+                elif dict(self.entered[self.flow.moving].watched).get(fired[0]) == "plain":
+                    advice = (
+                        "; a condition that changes what decides it needs two bounds, guards of a "
+                        "region: enabled: in(REGION.STATE)"
+                    )
                 self.failure = errors.EventLoop(
                     f"{', '.join(fired)} falls at t = {self.clock.high:.6g}, but no jump follows"
-                    + (advice if self.flow.signs else "")
+                    + advice
                 )
                 return self.settle((UNBOUNDED,))
         self.failure = None
