@@ -41,7 +41,8 @@ class BodyShapes:
         self, mechanics: Mechanics, automaton: Automaton, known: Mapping[str, float]
     ) -> None:
         self._mechanics, self._number = mechanics, evaluator(known)
-        self._scene = mechanics.scene
+        assert isinstance(automaton.declaration, Scene)
+        self._scene = automaton.declaration
         self._frames = {name: 1 + place for place, name in enumerate(self._scene.bodies)}
         led = led_ends(self._scene)
         self._led = {name: 1 + len(self._frames) + place for place, name in enumerate(led)}

@@ -49,7 +49,7 @@ class SceneStage:
         scene = automaton.declaration
         assert isinstance(scene, Scene)
         self._automaton, self._scene = automaton, scene
-        self._mechanics = Mechanics(scene)
+        self._mechanics = Mechanics(scene.expanded)
         moving_surfaces = [n for n, s in scene.surfaces.items() if s.moves]
         self._bodies = {name: 1 + k for k, name in enumerate(scene.bodies)}
         self._led = led_ends(scene)

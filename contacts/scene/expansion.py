@@ -21,11 +21,10 @@ from statechart.charts.transitions import Transition
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FiniteText, FormulaText
 from statechart.errors import DeclarationProblem
+from statechart.formulas.condition import InState, Or
 from statechart.formulas.formula import parse
 from statechart.formulas.relation import (
     Comparison,
-    Junction,
-    Member,
     Negation,
     Term,
     conjunction,
@@ -249,21 +248,20 @@ def holds_at_start(
     if isinstance(term, Negation):
         operand = holds_at_start(scene, term.part, values)
         return None if operand is None else not operand
-    if isinstance(term, Member):
+    if isinstance(term, InState):
         region = scene.controlled.flat.get(term.region)
         if region is not None:
             return term.state in region.active(region.initial)
         # Bodies with shapes start free.
         return term.state == "free" if scene.collisions and term.region in scene.moving() else None
-    if isinstance(term, Junction):
-        operands = [holds_at_start(scene, operand, values) for operand in term.parts]
-        decisive = term.word == "or"
-        return decisive if decisive in operands else None if None in operands else not decisive
-    assert isinstance(term, Comparison)
-    known = _start(scene, values)
-    if not term.left.names | term.right.names <= known.keys():
-        return None
-    return bool(term.holds(term.left.value(known), term.right.value(known)))
+    if isinstance(term, Comparison):
+        known = _start(scene, values)
+        if not term.left.names | term.right.names <= known.keys():
+            return None
+        return bool(term.holds(term.left.value(known), term.right.value(known)))
+    operands = [holds_at_start(scene, operand, values) for operand in term.parts]
+    decisive = isinstance(term, Or)
+    return decisive if decisive in operands else None if None in operands else not decisive
 
 
 def _start(scene: SceneFields, values: Mapping[str, float] | None) -> dict[str, float]:

@@ -123,13 +123,13 @@ def assert_impulses(scene: Scene | Mechanics, subject: Subject, trace: Trace) ->
     Parameters
     ----------
     scene : Scene or Mechanics
-        The scene, or its mechanics, `contacts.testing.Mechanics(scene)`.
+        The scene, or its mechanics, `contacts.testing.Mechanics(scene.expanded)`.
     subject : Subject
         The compiled scene.
     trace : Trace
         A run of it.
     """
-    mechanics = scene if isinstance(scene, Mechanics) else Mechanics(scene)
+    mechanics = scene if isinstance(scene, Mechanics) else Mechanics(scene.expanded)
     scene = mechanics.scene
     largest = largest_of(jump.impulse for jump in trace.jumps)
     for jump in trace.jumps:
@@ -156,7 +156,7 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
     Parameters
     ----------
     mechanics : Mechanics
-        Mechanics of the scene, `contacts.testing.Mechanics(scene)`.
+        Mechanics of the scene, `contacts.testing.Mechanics(scene.expanded)`.
     subject : Subject
         The compiled scene.
     trace : Trace

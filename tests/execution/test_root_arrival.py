@@ -1,0 +1,95 @@
+"""Tanks that run empty, h' = -c sqrt(h), and other flows that reach the zero of a root's base."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from statechart import Outcome
+from statechart.documents.yaml_reader import read_text
+from statechart.running.result import Result
+from statechart.running.runner import run
+
+TANKS = """\
+kind: chart
+name: tanks
+parameters: {{c: 0.7}}
+variables: {{h: 2, g: 0, clock: 0}}
+regions:
+  r:
+    initial: drains
+    states: {{drains: {{flows: {{{flows}, clock: 1}}}}, empty: {{}}}}
+    transitions: [{{name: ends, from: drains, to: empty, guard: {guard}}}]
+stop: {{time: 9}}
+outputs:
+  t: {{value: time, at: first r.ends}}
+  h: {{value: h}}
+  g: {{value: g}}
+"""
+ENGINES = [("taylor", None), *[("scipy", m) for m in ("RK45", "DOP853", "Radau", "LSODA")]]
+TORRICELLI = 2 * math.sqrt(2) / 0.7
+
+
+def empty_at(loss: float) -> float:
+    """Return the time at which h' = -loss - c sqrt(h) reaches 0 from 2."""
+    k = loss / 0.7
+    return 2 / 0.7 * (math.sqrt(2) - k * math.log1p(math.sqrt(2) / k))
+
+
+def drained(flows: str, guard: str, engine: tuple[str, str | None] = ("taylor", None)) -> Result:
+    name, method = engine
+    options = {} if method is None else {"method": method}
+    return run(
+        read_text(TANKS.format(flows=flows, guard=guard)), engine=name, throw=False, **options
+    )
+
+
+@pytest.mark.parametrize("engine", ENGINES, ids=str)
+@pytest.mark.parametrize(
+    ("flows", "guard", "time"),
+    [
+        ("h: -c*sqrt(h)", "h <= 0", TORRICELLI),
+        ("h: '-c*sqrt(max(h, 0))'", "h <= 0", TORRICELLI),
+        ("h: -c*sqrt(h)", "h <= 1e-9", TORRICELLI - 2 * math.sqrt(1e-9) / 0.7),
+        ("h: -c*h**(1/3)", "h <= 0", 1.5 * 2 ** (2 / 3) / 0.7),
+        ("h: -c*h**0.75", "h <= 0", 4 * 2**0.25 / 0.7),
+        ("h: -2*sqrt(h - 1)", "h <= 1", 1.0),
+        ("h: '-2*sqrt(max(h - 1, 0))'", "h <= 1", 1.0),
+        # Two tanks joined by a pipe.
+        ("h: '-sqrt(max(h - g, 0))', g: 'sqrt(max(h - g, 0))'", "g >= h", math.sqrt(2)),
+        ("h: -0.1 - c*sqrt(h)", "h <= 0", empty_at(0.1)),
+        ("h: '-1e-4 - c*sqrt(max(h, 0))'", "h <= 0", empty_at(1e-4)),
+        # A tank that is empty stays so.
+        ("h: '-c*sqrt(max(h, 0))'", "clock >= 7", 7.0),
+        ("h: '-2*sqrt(max(h - 1, 0))'", "clock >= 7", 7.0),
+        # 0.49 h = 0.0025: the inflow holds the level.
+        ("h: 0.0007 - c*sqrt(h)", "clock >= 8", 8.0),
+    ],
+)
+def test_the_zero_of_a_base_is_reached_in_time(
+    flows: str, guard: str, time: float, engine: tuple[str, str | None]
+) -> None:
+    found = drained(flows, guard, engine)
+    assert found.outputs["t"] == pytest.approx(time, abs=1e-9)
+    assert not found.trace.warnings
+
+
+@pytest.mark.parametrize("engine", ENGINES, ids=str)
+def test_a_root_of_a_negative_base_ends_the_run(engine: tuple[str, str | None]) -> None:
+    trace = drained("h: -2*sqrt(h - 1)", "h <= 0.5", engine).trace
+    assert trace.outcome is Outcome.STEP_FAILURE
+    assert trace.t_end == pytest.approx(1.0, abs=1e-9)
+    assert "the base of a root would be negative after t = 1" in trace.message
+
+
+@pytest.mark.parametrize("engine", ENGINES, ids=str)
+def test_two_tanks_exchange_all_water_between_their_levels(
+    engine: tuple[str, str | None],
+) -> None:
+    flows = "h: '-c*sqrt(max(h - g, 0))', g: '2*c*sqrt(max(h - g, 0))'"
+    found = drained(flows, "h <= g", engine)
+    # d = h - g has d' = -3 c sqrt(d); h + g/2 stays.
+    assert found.outputs["t"] == pytest.approx(2 * math.sqrt(2) / 2.1, abs=1e-9)
+    assert found.outputs["h"] == pytest.approx(4 / 3, abs=1e-9)
+    assert found.outputs["g"] == pytest.approx(4 / 3, abs=1e-9)
