@@ -131,12 +131,8 @@ class SceneLaws:
         """Return the first mode, checked against the declared one."""
         assert isinstance(setup, SceneSetup)
         flow, state = self._initial_flow(setup, setup.initial)
-        if self.conditions.present:
-            _, flow = self._switching.watched(setup, state, 0.0, (None, flow))
-        if self.compliance is not None:
-            own = self.compliance.tolerances(setup, moving_mode(flow.roles), state, 0.0)
-            flow = flow._replace(tolerances={**flow.tolerances, **own})
-        return flow, state
+        own, _ = self.special_tolerances(setup, flow, state, 0.0)
+        return flow._replace(tolerances={**flow.tolerances, **own}) if own else flow, state
 
     def _initial_flow(self, setup: SceneSetup, state: Array) -> tuple[Flow, Array]:
         """Return the first flow, and its initial state."""
@@ -210,22 +206,43 @@ class SceneLaws:
             assert isinstance(at.setup, SceneSetup)
             within = self.held.within(at.setup, at.flow, at.state, at.clock.high, self.tape)
             at = at._replace(setup=within)
-        result = self._with_gap_offsets(at, self._jump(at))
-        if self.conditions.present:
-            result = self._conditional(at, result)
-        return result if self.compliance is None else self.compliance.watched(at, result)
+        return self._watched(at, self._with_gap_offsets(at, self._jump(at)))
 
-    def _conditional(
+    def _watched(
         self, at: Instant, result: tuple[Jump | None, Flow] | None
     ) -> tuple[Jump | None, Flow] | None:
-        """Set the tolerances of the conditions that decide in the flow."""
-        assert isinstance(at.setup, SceneSetup)
-        if result is None:
-            return self._switching.continued(at, at.setup)
-        jump, flow = result
-        state = flow.start if jump is None else jump.after
-        where = at.state if state is None else state
-        return self._switching.watched(at.setup, where, at.clock.high, result)
+        """Set the special tolerances of a flow, also of one that continues.
+
+        A jump that leaves a state on the boundary of a condition is classified again.
+        """
+        setup, clock = at.setup, at.clock
+        assert isinstance(setup, SceneSetup)
+        jump, flow = (None, at.flow) if result is None else result
+        after = flow.start if jump is None else jump.after
+        state = at.state if after is None else after
+        # If no contact is switched, the verdicts of higher derivatives certify the flow.
+        verdicts = self._switching.verdicts if result is None else []
+        own, on_boundary = self.special_tolerances(setup, flow, state, clock.high, verdicts)
+        if not own or (result is None and alike(own, flow.tolerances)):
+            return result
+        settled = flow.settled and (jump is None or not on_boundary)
+        return jump, flow._replace(tolerances={**flow.tolerances, **own}, settled=settled)
+
+    def special_tolerances(
+        self, setup: SceneSetup, flow: Flow, state: Array, time: float, verdicts: Sequence[int] = ()
+    ) -> tuple[dict[str, float], bool]:
+        """Return the tolerances of conditions and compliant contacts in a flow from a state.
+
+        Also returns whether a condition is on its boundary. `verdicts` are those of the atoms, if
+        higher derivatives have decided them.
+        """
+        own, on_boundary = dict[str, float](), False
+        if self.conditions.present:
+            here = self.conditions.at(setup, state, time)
+            own, on_boundary = here.tolerances(verdicts), here.on_boundary
+        if self.compliance is not None:
+            own |= self.compliance.tolerances(setup, moving_mode(flow.roles), state, time)
+        return own, on_boundary
 
     def _with_gap_offsets(
         self, at: Instant, result: tuple[Jump | None, Flow] | None
@@ -464,8 +481,11 @@ class SceneLaws:
         if result is None or not in_corner:
             return result
         jump, flow = result
-        _, flow = self._switching.watched(setup, jump.after, clock.high, result)
-        return (jump, flow) if all(flow.roles[i].captured for i in in_corner) else None
+        if not all(flow.roles[i].captured for i in in_corner):
+            return None
+        own, on_boundary = self.special_tolerances(setup, flow, jump.after, clock.high)
+        settled = flow.settled and not on_boundary
+        return jump, flow._replace(tolerances={**flow.tolerances, **own}, settled=settled)
 
     def _engage_corner(
         self, setup: SceneSetup, clock: Clock, flow: Flow, jump: Jump
@@ -588,16 +608,3 @@ class Compliance:
             margins = (f"{name}.{margin}" for margin in ("gap", INSIDE, OUTSIDE))
             own |= dict(zip(margins, bands, strict=True))
         return own
-
-    def watched(
-        self, at: Instant, result: tuple[Jump | None, Flow] | None
-    ) -> tuple[Jump | None, Flow] | None:
-        """Set the margins that end the flights of a flow, also of one that continues."""
-        jump, flow = (None, at.flow) if result is None else result
-        state = flow.start if jump is None else jump.after
-        where = at.state if state is None else state
-        assert isinstance(at.setup, SceneSetup)
-        own = self.tolerances(at.setup, moving_mode(flow.roles), where, at.clock.high)
-        if result is None and alike(own, flow.tolerances):
-            return None
-        return jump, flow._replace(tolerances={**flow.tolerances, **own})
