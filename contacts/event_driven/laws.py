@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 
 import numpy as np
 
-from contacts.dynamics.conditions import Conditions, hidden
+from contacts.dynamics.conditions import Conditions, hidden, hidden_at
 from contacts.dynamics.held_forces import HeldForces
 from contacts.dynamics.mechanics import HAULED, Mechanics, winch_end_message
 from contacts.dynamics.projection import (
@@ -177,7 +177,7 @@ class SceneLaws:
             snapshot,
             touching,
             state,
-            self._hidden_at(setup, 0.0, off),
+            hidden_at(self.tape, setup.values, 0.0, off),
             Before(),
         )
         moving = moving_mode(choice.roles)
@@ -293,7 +293,7 @@ class SceneLaws:
         touching = here.snapshot.remaining(here.closed, here.slow)
         uncertainty = uncertainty_at(self.tape, here)
         before = Before.flow(at.flow.roles, here.moving)
-        around = self._hidden_at(setup, clock.high, flow.mode)
+        around = hidden_at(self.tape, setup.values, clock.high, flow.mode)
         choice = choose_at_rest(
             setup, here.snapshot, touching, here.at.state, around, before, uncertainty
         )
@@ -304,12 +304,6 @@ class SceneLaws:
                 choice = choice if grown is None else dataclasses.replace(choice, why=grown.why)
             return self._impact(here, [choice.place], choice)
         return self._enter(at, here, choice)
-
-    def _hidden_at(
-        self, setup: SceneSetup, start: float, mode: Key
-    ) -> Callable[[Array, float], Snapshot]:
-        """Return a function that gives the snapshot of a mode at a state, a time after `start`."""
-        return lambda state, later: hidden(self.tape.at(setup.values, state, start + later), mode)
 
     def close(self, at: Instant, joint: str, cause: str) -> tuple[Jump, Flow]:
         """Close a joint: its points stop, and so do contacts that are closed, without rebound.
@@ -451,15 +445,15 @@ class SceneLaws:
         if flow.sizes is None:
             return moving
         # Round-off of the rates of coordinates; rates of pads of compliant contacts come after.
-        n = snapshot.size
+        n, whole = snapshot.size, snapshot.unreduced
         rounding = EPS * flow.sizes[n : 2 * n]
         return tuple(
             ("locked" if state in SLIPPING else "pin")
             if f"{name}.slip" in fired
-            and still < abs(contact.slip) <= float(np.abs(contact.jacobian[1, :n]) @ rounding)
+            and still < abs(contact.slip) <= float(np.abs(tangent[:n]) @ rounding)
             else state
-            for name, state, contact in zip(
-                self._names, moving, snapshot.unreduced.contacts, strict=True
+            for name, state, contact, tangent in zip(
+                self._names, moving, whole.contacts, whole.jacobians[:, 1], strict=True
             )
         )
 
@@ -591,7 +585,7 @@ class Compliance:
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None) -> None:
         names = [*mechanics.scene.contacts]
         self._places = [(name, names.index(name)) for name in mechanics.pads]
-        symbols = [mechanics.contact(name).symbols for name in mechanics.pads]
+        symbols = [mechanics.contact(name) for name in mechanics.pads]
         numbers = [e for one in symbols for e in (one.gap, one.compliance)]
         self._tape = mechanics.tape(numbers, definitions=mechanics.controlled(states))
 

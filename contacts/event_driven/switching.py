@@ -59,10 +59,10 @@ class Switching:
         over there.
         """
         conditions, gap_tolerance = self._conditions.at(setup, state, time), setup.tolerances["gap"]
-        contacts = snapshot.unreduced.contacts
+        normals = snapshot.unreduced.jacobians[:, 0]
         near = [
-            gap_tolerance + _MORE * blur * float(np.linalg.norm(contact.jacobian[0]))
-            for blur, contact in zip(conditions.position_uncertainty, contacts, strict=True)
+            gap_tolerance + _MORE * blur * float(np.linalg.norm(normal))
+            for blur, normal in zip(conditions.position_uncertainty, normals, strict=True)
         ]
         return _Site(setup, snapshot, conditions, near)
 

@@ -168,9 +168,14 @@ def _circle(joint: Joint, length: FormulaText) -> Surface:
 
 
 def _uses_forces(scene: SceneFields, relations: tuple[str, ...]) -> bool:
-    used = parse_relation(conjunction(relations)).names if relations else frozenset()
+    """Return whether relations use forces, or states of contacts and couplings."""
+    if not relations:
+        return False
+    relation = parse_relation(conjunction(relations))
     kinematic = {f"{c}.{q}" for c in scene.contacts for q in ("gap", "slip")}
-    return not used <= scene.kinematic_names | {*scene.controls} | kinematic
+    return not relation.names <= scene.kinematic_names | {*scene.controls} | kinematic or any(
+        member.region not in scene.controlled.flat for member in relation.members
+    )
 
 
 def _region(scene: SceneFields, name: str, joint: Joint) -> Controller:
@@ -208,14 +213,21 @@ def joints_judged_at_start(scene: SceneFields) -> dict[str, int]:
     """
     places = {name: place for place, name in enumerate(scene.controlled.flat)}
     known = {*scene.frictional, *scene.joints}
+    regions = {name: name for name, joint in scene.joints.items() if joint.enabled}
+    regions |= {
+        name: f"{name}_{CLOSED}"
+        for name, contact in scene.contacts.items()
+        if isinstance(scene.surfaces.get(contact.surface), Reach) and contact.enabled
+    }
     found = {}
-    for name, joint in scene.joints.items():
-        region = name if name in places else f"{name}_{CLOSED}"
-        if not joint.enabled or region not in places:
+    for name, region in regions.items():
+        if region not in places:
             continue
-        relation = parse_relation(conjunction(joint.enabled))
-        referred = {member.region for member in relation.members}
-        referred |= {used.rpartition(".")[0] for used in relation.names}
+        referred = set[str]()
+        for transition in scene.regions[region].transitions:
+            relation = parse_relation(transition.guard or "")
+            referred |= {member.region for member in relation.members}
+            referred |= {used.rpartition(".")[0] for used in relation.names}
         if referred & known - {name}:
             found[name] = places[region]
     return found
