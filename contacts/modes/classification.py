@@ -624,7 +624,7 @@ def _add_couplings(
     snapshot: Snapshot, rows: Array, biases: Array, limits: Array, effect: Array
 ) -> Snapshot:
     jacobians = np.stack([np.zeros_like(rows), rows], axis=1)
-    contacts = [PerContact._make((*[0.0] * EDGES, jacobian, None)) for jacobian in jacobians]
+    contacts = [PerContact._make((*[0.0] * EDGES, None))] * len(rows)
     return snapshot._replace(
         forces=snapshot.forces + effect @ rows,
         contacts=(*snapshot.contacts, *contacts),
