@@ -109,10 +109,7 @@ class ControlledLaws:
         guarded = self._states.opening_first(true, controllers)
         firing = self._queues.first(controllers, flow.pending, guarded, lambda: self._holding(at))
         if firing is None:
-            tolerances = flow.tolerances if truths is None else truths.watched()
-            if tolerances == flow.tolerances:
-                return None
-            return None, flow._replace(tolerances=tolerances)
+            return None if truths is None else truths.continued()
         name, edge = self._names[firing.place], firing.taken
         states = (*controllers[: firing.place], edge.target, *controllers[firing.place + 1 :])
         after = self._states.updated(setup, clock, edge.name, edge.blocks, state)
