@@ -410,7 +410,12 @@ def _select_candidate(
         # With a shared load, candidates on the boundary are rivals, too.
         new = _bearing(taken) - before.bearing
         less = [c for c in clear if _bearing(c) < _bearing(taken) <= _bearing(c) | new]
-        rivals = [c for c in less if not same_motion(c, taken, scales, _CONTINUES)]
+        rivals = [
+            c
+            for c in less
+            if not same_motion(c, taken, scales, _CONTINUES)
+            and not _is_held_by_friction(taken, c, firmer)
+        ]
     if not rivals:
         return taken, ""
     labels = ", ".join(_label(laws, c.states) for c in [taken, *rivals])
