@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from statechart.documents.yaml_reader import read_text
@@ -35,7 +37,7 @@ _RIDES = _RIDES.replace("{x: 20, dx: 1}", "{x: 0}")
 
 
 def _pulled(text: str, mass: float, engine: str = "taylor") -> Result:
-    options = {"step": 1e-3} if engine == "impulse" else {}
+    options: dict[str, Any] = {"step": 1e-3} if engine == "impulse" else {}
     return run(read_text(text), parameters={"m": mass}, engine=engine, **options)
 
 
