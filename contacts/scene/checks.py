@@ -789,10 +789,11 @@ def _check_path(scene: SceneFields, name: str) -> None:
                     advice="let it depend on time, controls and variables; a force follows bodies",
                     loc=("bodies", name, "angle" if key == "angle" else "position"),
                 )
+    motion = "is fixed" if scene.bodies[name].fixed else "moves as prescribed"
     for force, declared in scene.forces.items():
         if scene.owners().get(declared.body, declared.body) == name:
             raise DeclarationProblem(
-                f"{name!r} moves as prescribed, and no force moves it",
+                f"{name!r} {motion}, and no force moves it",
                 advice="remove the force, or give the body a mass and no path",
                 loc=("forces", force, "body"),
             )
@@ -800,7 +801,7 @@ def _check_path(scene: SceneFields, name: str) -> None:
         for key, end in declared_joint.ends.items():
             if scene.owners().get(end.body) == name:
                 raise DeclarationProblem(
-                    f"{name!r} moves as prescribed, and joints hold bodies that move by themselves",
+                    f"{name!r} {motion}, and joints hold bodies that move by themselves",
                     advice="hold the other body to the place, to: [0, 1], or along the path, "
                     'to: ["v*time", 1]',
                     loc=("joints", joint, key, "body"),

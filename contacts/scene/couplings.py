@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
-from contacts.scene.friction import StaticKinetic, coefficients
+from contacts.scene.friction import DeclaredLimit, StaticKinetic, coefficients
 from contacts.scene.modes import Bearing, ContactSymbols, share_of
 from contacts.scene.parts import Relations
 from contacts.states import COUPLING_STATES, DISENGAGED, OPEN, SLIPPING
@@ -58,7 +58,7 @@ class Coupling(Part):
         "pivot",
         default=None,
     )
-    limit: FormulaText | StaticKinetic = declare(
+    limit: DeclaredLimit = declare(
         "Largest couple, a formula of time, parameters, coordinates, rates and controls; "
         "or its bounds at rest and in motion.",
         "mu*N*r",

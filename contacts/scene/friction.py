@@ -71,6 +71,12 @@ DeclaredFriction = Annotated[
 ]
 """One coefficient, or `Friction`."""
 
+DeclaredLimit = Annotated[
+    Annotated[FormulaText, Tag("coefficient")] | Annotated[StaticKinetic, Tag("law")],
+    Discriminator(_friction_tag),
+]
+"""One limit of a coupling, or `StaticKinetic`."""
+
 
 class FrictionLaw(NamedTuple):
     """Coefficients of a contact as formulas."""

@@ -75,9 +75,9 @@ class ContactHistory(NamedTuple):
     # (c,): target gap of a lasting contact, from its landing; above 0 only for an opposed contact
     # of a deeper one.
     target_gap: Array
-    # (c,): whether it lasts, and slipped in the last step beyond round-off.
+    # (c,): whether it lasts; its slip at the end of the last step, 0 within round-off.
     closed: Bools
-    slipped: Bools
+    slip: Array
     # (c,): number of steps, from this one on, whose impulses include a landing.
     landing_steps: Ints
     # (c,): whether its mode follows from accelerations: 0, 1 after a mode change, `LANDED` after an
@@ -102,7 +102,7 @@ class ContactHistory(NamedTuple):
         """Return the history of contacts that have not touched yet."""
         count = len(off)
         return cls(
-            np.zeros(count), np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_),
+            np.zeros(count), np.zeros(count, dtype=np.bool_), np.zeros(count),
             np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64), np.full(count, FREE),
             off.copy(), np.zeros(count, dtype=np.bool_), np.full((count, 3), np.nan),
             np.tile([0.0, 0.0, np.inf, np.inf], (count, 1)), np.zeros(1, dtype=np.bool_),

@@ -264,6 +264,9 @@ def settle(
             copy_numbers(free[i], alone[a])
             copy_numbers(sizes[i], terms[a])
             slips[a] = tape.numbers[tape.first + tape.per * i + 2 * n + 4]
+            if chunk.codes[k, i] != FREE:
+                # The slip at mid-step differs by the step's rotation.
+                slips[a] = memory.slip[i]
             if abs(slips[a]) > rounding:
                 slides[a] = 1.0 if slips[a] > 0.0 else -1.0
             write_cone(scene, tape, i, int(slides[a]), cones[a])
@@ -313,7 +316,7 @@ def settle(
                 modes[i] = coupling_mode(scene, i, tangential, modes)
             if memory.settling[i] == LANDED and modes[i] in (PIN, LOCKED):
                 # Its slip is of these impulses: no kinetic friction.
-                memory.closed[i], memory.slipped[i] = True, False
+                memory.closed[i], memory.slip[i] = True, 0.0
             if scene.carriers[i] >= 0:
                 found = coupling_mode(scene, i, slips[a] if slides[a] != 0.0 else 0.0, modes)
                 modes[i] = found if FREE in (found, modes[i]) else modes[i]

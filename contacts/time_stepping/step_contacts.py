@@ -406,7 +406,7 @@ def group_island(
         for d in range(2):
             for j in range(n):
                 jacobians[a, d, j] = tape.numbers[row + d * n + j]
-        if abs(slip) > scene.round_off and (memory.slipped[i] or not memory.closed[i]):
+        if abs(slip) > scene.round_off and (memory.slip[i] != 0.0 or not memory.closed[i]):
             island.slip_directions[a] = 1 if slip > 0.0 else -1
         write_cone(scene, tape, i, island.slip_directions[a], cones[a])
         if scene.coefficient_places[i] >= 0 or is_coupling(scene, i):
@@ -448,7 +448,7 @@ def split_forces(
     for a in range(m):
         i = island.members[a]
         # A sticking contact's slip is round-off.
-        if scene.slips[i] > 0 and (memory.slipped[i] or not memory.closed[i]):
+        if scene.slips[i] > 0 and (memory.slip[i] != 0.0 or not memory.closed[i]):
             paradox = friction_presses(contacts.own[a], island.start[a, 1], cones[a])
             if paradox and least[a, 0] < 0.0 and not hit[a]:
                 hit[a], chunk.stats[k, JAMMED] = True, i + 1
@@ -583,7 +583,7 @@ def write_modes(
     for a in range(len(pushes)):
         i, slip = island.members[a], island.after[a, 1]
         copy_numbers(pushes[a], memory.impulses[i])
-        memory.slipped[i] = slip != 0.0
+        memory.slip[i] = slip
         if is_coupling(scene, i):
             memory.closed[i] = True
             chunk.codes[k, i] = coupling_mode(scene, i, slip, chunk.codes[k])

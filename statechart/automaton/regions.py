@@ -336,6 +336,16 @@ class Mode:
     anchors: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)  # constant -> expression
 
 
+def root_powers(mode: Mode) -> list[sp.Pow]:
+    """Return the powers with exponents between 0 and 1 in the equations of a mode."""
+    from sympy import Pow, default_sort_key
+
+    expressions = (*mode.rates, *(e for _, e in mode.definitions))
+    powers = {power for e in expressions for power in e.atoms(Pow)}
+    roots = [p for p in powers if p.exp.is_number and 0 < p.exp < 1]
+    return sorted(roots, key=default_sort_key)
+
+
 def active_in(regions: Sequence[Region], key: Sequence[str]) -> Active:
     """Return the predicate (region, state) -> whether the state is active."""
     states = {region.name: (region, state) for region, state in zip(regions, key, strict=True)}

@@ -69,13 +69,16 @@ class FlatRegion:
         self._ranks = sorted(
             range(len(found.arrows)), key=lambda place: (rank[found.arrows[place].source], place)
         )
-        # While its parent is active, only transitions inside the parent can read a history.
+        # While its parent is active, only transitions that do not exit it can read a history.
         self._remembered = {
             arrow.target
             for arrow in found.arrows
             if arrow.target >= 0
             and found.nodes[arrow.target].sort in HISTORIES
-            and found.holds(found.nodes[arrow.target].parent, arrow.source)
+            and (
+                found.holds(parent := found.nodes[arrow.target].parent, arrow.source)
+                or (arrow.declared.internal and arrow.source == parent)
+            )
         }
         begin, nodes = initial_entry(found), found.nodes
         self.initial = self._name_of(begin.active, {})

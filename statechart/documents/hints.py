@@ -159,16 +159,32 @@ def known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> dict[str, st
 def other_word(model: type[BaseModel], loc: Sequence[str | int]) -> str:
     """Return the key that corresponds to one of another program, or an empty text."""
     members = _models(_annotations_at(model, loc[:-1]))
-    key = _plain(str(loc[-1]))
-    return next(
-        (
-            written
-            for member in members
-            for word, written in getattr(member, "OTHER_WORDS", {}).items()
-            if _plain(word) == key
-        ),
-        "",
-    )
+    return next(filter(None, (_own_word(member, loc[-1]) for member in members)), "")
+
+
+def word_elsewhere(model: type[BaseModel], word: str) -> str:
+    """Return advice on a key of another program in a wrong section, or an empty text.
+
+    Sections of equal depth that advise differently give none.
+    """
+    places: dict[int, dict[str, list[str]]] = {}
+    for place, member in _parts(model):
+        if _is_model(member) and (written := _own_word(member, word)):
+            at = places.setdefault(len(place), {}).setdefault(written, [])
+            at += [place[0]] if place and place[0] not in at else []
+    advice = places[min(places)] if places else {}
+    if len(advice) != 1:
+        return ""
+    [(written, sections)] = advice.items()
+    if written.partition(":")[0] in model.model_fields:
+        sections = []
+    return f"in {' and '.join(sections)} write {written}" if sections else f"write {written}"
+
+
+def _own_word(member: type[BaseModel], word: str | int) -> str:
+    key = _plain(str(word))
+    words: Mapping[str, str] = getattr(member, "OTHER_WORDS", {})
+    return next((written for other, written in words.items() if _plain(other) == key), "")
 
 
 def _plain(word: str) -> str:
@@ -197,25 +213,32 @@ def sections_with_key(
     return f"{key!r} is a key of {shown}; known keys here: {', '.join(sorted(known))}"
 
 
-def _places_of_key(
-    annotation: Any, key: str, place: tuple[str, ...] = (), above: tuple[Any, ...] = ()
-) -> Iterator[tuple[str, ...]]:
+def _places_of_key(model: type[BaseModel], key: str) -> Iterator[tuple[str, ...]]:
     """Yield the places of the parts and mappings that have a key."""
-    for member in _members([annotation]):
+    for place, member in _parts(model):
         if _is_model(member):
-            if member in above:  # recursion, as states in states
-                continue
-            for name, field in member.model_fields.items():
-                if (field.alias or name) == key:
-                    yield place
-                below = (*place, field.alias or name)
-                yield from _places_of_key(field.annotation, key, below, (*above, member))
+            names = [field.alias or name for name, field in member.model_fields.items()]
         else:
-            arguments = get_args(member)
-            if arguments and key in get_args(arguments[0]):
-                yield place
-            for argument in arguments:
-                yield from _places_of_key(argument, key, place, above)
+            names = [name for argument in get_args(member)[:1] for name in get_args(argument)]
+        if key in names:
+            yield place
+
+
+def _parts(
+    annotation: Any, place: tuple[str, ...] = (), above: tuple[Any, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield the places and annotations of all parts and mappings."""
+    for member in _members([annotation]):
+        if member in above:  # recursion, as states in states
+            continue
+        yield place, member
+        if _is_model(member):
+            for name, field in member.model_fields.items():
+                below = (*place, field.alias or name)
+                yield from _parts(field.annotation, below, (*above, member))
+        else:
+            for argument in get_args(member):
+                yield from _parts(argument, place, above)
 
 
 def _walk(

@@ -17,6 +17,7 @@ from statechart.documents.hints import (
     other_value,
     other_word,
     sections_with_key,
+    word_elsewhere,
 )
 from statechart.documents.yaml_text import flow
 from statechart.errors import (
@@ -241,7 +242,7 @@ def _key_advice(details: ErrorDetails, model: type[BaseModel], known: Collection
                 return f"write {word}: {value}"
             return f"a comma in braces ends a value; a list stands in brackets: [..., {key}]"
         return no_name(key) if " " not in key or key.replace(" ", "_") in known else ""
-    return sections_with_key(model, loc, known)
+    return sections_with_key(model, loc, known) or word_elsewhere(model, key)
 
 
 def _message_and_advice(

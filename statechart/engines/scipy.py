@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy import integrate
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.regions import Mode
+from statechart.automaton.regions import Mode, root_powers
 from statechart.engines.engine import Continuation, Engine, FlowWatch, Path
 from statechart.errors import NonFinite, StepFailure
 from statechart.formulas.tape import Tape
@@ -35,6 +35,7 @@ _SLOPE, _SLOWER = 50.0, 0.85
 @dataclass(eq=False)
 class _Stepper:
     rates: Tape
+    trial_rates: Tape  # with roots of negative bases replaced by zero
     rooted: list[int]  # variables whose root is in the rates
     solver: Any = None
     suggested: float | None = None
@@ -54,14 +55,22 @@ class SciPy(Engine):
 
     def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> _Stepper:
         """Return the stepper of the rates."""
-        roots = [
-            power.base.free_symbols.intersection(automaton.variables)
-            for e in (*mode.rates, *(e for _, e in mode.definitions))
-            for power in e.atoms(sp.Pow)
-            if isinstance(power.base, sp.Abs | sp.Max) and power.exp.is_number and 0 < power.exp < 1
-        ]
-        single = {v for symbols in roots if len(symbols) == 1 for v in symbols}
-        return _Stepper(rates, [k for k, v in enumerate(automaton.variables) if v in single])
+        roots = root_powers(mode)
+        bases = [power.base.free_symbols.intersection(automaton.variables) for power in roots]
+        single = {v for symbols in bases if len(symbols) == 1 for v in symbols}
+        # Trial states have a rate where a base is negative, too.
+        trials = {p: sp.Pow(sp.Max(p.base, 0), p.exp) for p in roots if p.base.func != sp.Max}
+        definitions = tuple((s, e.xreplace(trials)) for s, e in mode.definitions)
+        return _Stepper(
+            rates,
+            automaton.tape(
+                [rate.xreplace(trials) for rate in mode.rates],
+                replace(mode, definitions=definitions),
+            )
+            if trials
+            else rates,
+            [k for k, v in enumerate(automaton.variables) if v in single],
+        )
 
     def steps(
         self,
@@ -84,8 +93,7 @@ class SciPy(Engine):
         if solver.status == "failed":
             raise StepFailure(
                 f"{self.method} at t = {start:.6g} needs steps shorter than the resolution of "
-                "time. End motion that goes to infinity by a stop condition; write "
-                "sqrt(max(x, 0)) for the root of an x that ends at 0"
+                "time; end motion that goes to infinity by a stop condition"
             )
         if not np.all(np.isfinite(solver.y)):
             raise NonFinite(f"the state is not finite after t = {start:.6g}")
@@ -130,11 +138,11 @@ class SciPy(Engine):
     def _solver(
         self, stepper: _Stepper, parameters: Array, start: float, state: Array, duration: float
     ) -> Any:
-        values = stepper.rates.values
+        values, trial_values = stepper.rates.values, stepper.trial_rates.values
 
         def rates(local: float, y: Array) -> Array:
             self.evaluations += 1
-            return values(y, parameters, start + local)
+            return trial_values(y, parameters, start + local)
 
         with np.errstate(divide="ignore"):
             if not np.isfinite(values(state, parameters, start)).all():

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import NamedTuple
 
 import numpy as np
 import sympy as sp
@@ -18,12 +19,20 @@ from statechart.automaton.modes import (
     hide_captured_forces,
     mode_reconstruction,
 )
-from statechart.automaton.regions import Mode, whole_margins
+from statechart.automaton.regions import Mode, root_powers, whole_margins
 from statechart.automaton.switches import Switches, switches_of
 from statechart.automaton.trace import Key, Role, Roles
 from statechart.engines.engine import Engine
 from statechart.execution.initial_stop_conditions import InitialStopConditions
 from statechart.formulas.tape import Tape
+
+
+class Roots(NamedTuple):
+    """Powers e**p, 0 < p < 1, of expressions of variables in the rates of a mode."""
+
+    bases: Tape  # outputs: e
+    exponents: tuple[float, ...]
+    continued: tuple[bool, ...]  # whether e is abs(x) or max(x, 0), and x may fall below zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +44,7 @@ class TapedMode:
     rates: Tape  # outputs: the rates of all variables
     reconstruction: ModeReconstruction  # of dependent coordinates
     wholes: Tape  # outputs: the margins of whole relations (`whole_margins`)
+    roots: Roots
 
     @cached_property
     def watched(self) -> tuple[tuple[str, str], ...]:
@@ -93,7 +103,9 @@ class SolvedModes:
             else:
                 moving = self.taped(plain_roles, zeros)
                 rates, reconstruction = moving.rates, moving.reconstruction
-            tapes = self._taped[mode] = TapedMode(mode, guards, rates, reconstruction, wholes)
+            tapes = self._taped[mode] = TapedMode(
+                mode, guards, rates, reconstruction, wholes, self._roots(mode)
+            )
         return tapes
 
     def mode(self, roles: Roles, zeros: frozenset[int]) -> Mode:
@@ -126,6 +138,18 @@ class SolvedModes:
         if self.automaton.switching and mode not in self._switches:
             self._switches[mode] = switches_of(self.automaton, mode)
         return self._switches.get(mode)
+
+    def _roots(self, mode: Mode) -> Roots:
+        exponents: dict[sp.Expr, float] = {}
+        for power in root_powers(mode):
+            if not power.base.free_symbols <= {*self.automaton.parameters}:
+                smallest = min(float(power.exp), exponents.get(power.base, 1.0))
+                exponents[power.base] = smallest
+        return Roots(
+            self.automaton.tape([*exponents], mode),
+            tuple(exponents.values()),
+            tuple(isinstance(base, sp.Abs | sp.Max) for base in exponents),
+        )
 
     def _used(self, roles: Roles) -> frozenset[int]:
         """Return the indices of the parameters in the equations of `roles`."""
@@ -179,8 +203,9 @@ class CompiledModes:
         else:
             stepper = self.compiled(plain_roles, zeros).stepper
         return CompiledMode(
-            taped.mode, taped.guards, taped.rates, taped.reconstruction, taped.wholes, stepper
-        )
+            taped.mode, taped.guards, taped.rates, taped.reconstruction, taped.wholes, taped.roots,
+            stepper,
+        )  # fmt: skip
 
     @property
     def built(self) -> int:

@@ -18,7 +18,6 @@ from statechart.automaton.laws import (
     Flow,
     Instant,
     Setup,
-    flow_sizes,
     roles_in,
 )
 from statechart.automaton.regions import Margin
@@ -27,6 +26,7 @@ from statechart.automaton.time_stepper import Sample, Sampling, unread
 from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace, check_size
 from statechart.automaton.trace_store import TraceStore
 from statechart.engines.engine import FlowWatch, Path
+from statechart.engines.event_location import Crossing
 from statechart.execution import compiled_loop as runs
 from statechart.execution.compiled_loop import LOOK_AHEAD, Batch, LoopModes
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
@@ -36,7 +36,6 @@ from statechart.execution.flow import FOLLOWED, UNFOLLOWED, Advance
 from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, loop_error
 from statechart.execution.outcome import Progress, error_of
 from statechart.execution.zeno import Accumulation, summed
-from statechart.formulas.series import sizes_at
 from statechart.kernels.polynomials import term_sizes
 from statechart.tabular import pluralise
 
@@ -89,6 +88,7 @@ class Execution:
         self.accumulation = Accumulation(() if self.loop is None else self.loop.jumps)
         if self.batch_start is not None:
             self.accumulation.series = self.batch_start.series.copy()
+        self._boundary: Crossing | None = None  # where the rates end
         self._livelock = Livelock(min(self.horizon, self.until))
         self._filippov = Filippov(self.modes) if self.automaton.switching else None
         self.passed_roles: dict[int, Roles] = {}  # see `Trace`
@@ -278,7 +278,7 @@ class Execution:
         ).run()
         self._record_arc(flow, reached)
         if isinstance(reached.failure, errors.StepFailure | errors.NonFinite | errors.TooLong):
-            self.failure = reached.failure
+            self.failure, self._boundary = reached.failure, reached.crossing
             return (UNBOUNDED,)
         if reached.failure is not None:
             raise reached.failure
@@ -419,18 +419,10 @@ class Execution:
         return next((name for (name, _), v in rows if abs(v) <= tolerances.get(name, -1.0)), None)
 
     def _fell_at_last(self) -> tuple[str, ...]:
-        """Return the guard on whose boundary the rates end, as h <= 0 for h' = -sqrt(h).
-
-        The end is recognised by steps that become too short, not by an unbounded state.
-        """
-        if not isinstance(self.failure, errors.StepFailure):
+        """Return the guard on whose boundary the rates end, as h <= 0 for h' = -sqrt(h)."""
+        if self._boundary is None:
             return ()
-        compiled, setup, state = self._enter(self.flow.moving), self.setup, self.state
-        guards, time = compiled.guards, self.clock.high
-        sizes, places = flow_sizes(setup, self.flow, state), tuple(range(len(guards.outputs)))
-        terms = sizes_at(guards, places, state, sizes, setup.values, time)
-        near = np.abs(guards.values(state, setup.values, time)) <= setup.precision * np.array(terms)
-        return self.resolve_fall(compiled, int(near.argmax())) if near.any() else ()
+        return self.resolve_fall(self._enter(self.flow.moving), self._boundary.guard)
 
     def _unbounded(self) -> bool:
         """Return whether rates have become unbounded and a jump resolves that."""
@@ -522,12 +514,20 @@ class Execution:
                     raise self.failure
                 return self.outcome is Outcome.STOPPED or self.settle((*last, UNBOUNDED))
             if self._livelock.stalled(self.clock, fired) and not self._widen(*fired):
-                advice = (
-                    "; instead of sign write couplings: {f: {bodies: [a], limit: F}}, or a contact"
-                )
+                advice = ""
+                if self.flow.signs:
+                    advice = (
+                        "; instead of sign write couplings: {f: {bodies: [a], limit: F}}, "
+                        "or a contact"
+                    )
+                elif dict(self.entered[self.flow.moving].watched).get(fired[0]) == "plain":
+                    advice = (
+                        "; a condition that changes what decides it needs two bounds, guards of a "
+                        "region: enabled: in(REGION.STATE)"
+                    )
                 self.failure = errors.EventLoop(
                     f"{', '.join(fired)} falls at t = {self.clock.high:.6g}, but no jump follows"
-                    + (advice if self.flow.signs else "")
+                    + advice
                 )
                 return self.settle((UNBOUNDED,))
         self.failure = None

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from statechart import interrupts
-from statechart.arrays import Array
+from statechart.arrays import Array, Bools
 from statechart.automaton.trace import LARGEST
 from statechart.engines.engine import (
     FIRST_CHUNK,
@@ -33,6 +33,7 @@ from statechart.execution.event_classification import (
     relative_error,
     resolve_search,
 )
+from statechart.execution.root_arrival import steps_to_zero
 from statechart.formulas.series import sizes_at
 from statechart.kernels.boxes import Steps
 from statechart.kernels.defect import find_defect
@@ -57,6 +58,8 @@ LEAST = 1e-6
 _BEYOND = (0.0, 1.0, 2.0, 4.0)
 # A step is repeated up to this part of the way to the missed feature.
 _NEARER = 0.5
+# A margin is zero below this part of its terms.
+_ZERO = 4.0 * float(np.finfo(float).eps)
 # Steps between estimates of the remaining number of steps, and the limit of that number.
 _PACE_STEPS, _TOO_MANY = 4096, 1e12
 # Ratio of total variation to range of a drift over _PACE_STEPS steps; oscillations have more.
@@ -106,6 +109,7 @@ class Advance:
     # number of steps without a bound of the defect.
     _missed: tuple[float, float, float] = field(init=False)
     _rounded: float = field(init=False)
+    _sizes: Array = field(init=False)  # (n,) largest magnitudes so far
     _unknown: int = field(init=False)
 
     def run(self) -> Advance:
@@ -129,6 +133,7 @@ class Advance:
         self._end = min(self.horizon, self.duration)
         self._last_defect, self._mark = math.inf, (0, 0.0)
         self._missed, self._rounded, self._unknown = (-1.0, 0.0, 0.0), 0.0, 0
+        self._sizes = np.abs(self.initial)
 
     def _chunk(self) -> None:
         """Take steps and verify them; then continue, end at an event, or repeat them."""
@@ -147,6 +152,7 @@ class Advance:
             self._begin,
             ended,
         )
+        followed = self._arrive(first, ended)
         end = path.count
         new_steps, local = end - first, path.times.item(end)
         self.steps += new_steps
@@ -156,19 +162,94 @@ class Advance:
             # The chunk drifted off its constraints: repeat with fewer steps.
             self._count, self._begin = max(1, new_steps // 4), Continuation.MOVED
             return
-        found = search(watch.guards, tolerances, path, watch.parameters, watch.start, first, end)
-        self.boxes += found.boxes
-        if found.verdict is not Verdict.NONE:
-            found = first_event(found, self.engine, self.compiled, watch, path, tolerances, end)
-        blind = _blind(watch, path, first, end, found) or self._find_missed(first, end, found)
+        found = self._search(tolerances, first, followed)
+        if found.verdict is Verdict.NONE and followed < end:
+            # Margins that end at zero have no crossing there.
+            zero = self._zero_margins(ended, local)
+            found = self._search(np.where(zero, math.inf, tolerances), followed, end)
+        blind = _blind(watch, path, first, end, found) or self._find_missed(first, followed, found)
         if _BLIND < distance <= _STAYS * self._last_defect and watch.constraints.within is not None:
             blind, self._last_defect = (first, local), distance
         if blind is not None:
             self._retreat(*blind, ended)
         elif found.verdict is Verdict.NONE:
-            self._accept_steps(following, finished, moved=following is not ended)
+            arrived = followed < end
+            self._accept_steps(
+                following, finished and not arrived, moved=arrived or following is not ended
+            )
+            if arrived:
+                self._continue_from_zero(ended)
         elif not self._widened(found):
             self._end_at_event(found, ended)
+
+    def _search(self, tolerances: Array, first: int, last: int) -> Search:
+        watch, path = self.watch, self.path
+        found = search(watch.guards, tolerances, path, watch.parameters, watch.start, first, last)
+        self.boxes += found.boxes
+        if found.verdict is Verdict.NONE:
+            return found
+        return first_event(found, self.engine, self.compiled, watch, path, tolerances, last)
+
+    def _zero_margins(self, state: Array, local: float) -> Bools:
+        """Return the mask of the watched plain margins that are zero in a state."""
+        watch, guards, time = self.watch, self.compiled.guards, self.watch.start + local
+        margins, places = guards.values(state, watch.parameters, time), range(len(guards.outputs))
+        terms = sizes_at(guards, tuple(places), state, self._sizes, watch.parameters, time)
+        zero = np.abs(margins) <= _ZERO * np.array(terms)
+        result: Bools = zero & self.compiled.plain & (watch.tolerances < math.inf)
+        return result
+
+    def _arrive(self, first: int, ended: Array) -> int:
+        """Continue steps in which the base of a root falls, to its zero; return their number."""
+        path, watch, roots = self.path, self.watch, self.compiled.roots
+        count, places = path.count, tuple(range(len(roots.exponents)))
+        if not places:
+            return count
+        steps, times = path.coefficients[first:count], path.times[first : count + 1]
+        self._sizes = np.maximum(self._sizes, path_sizes(steps))
+        states, now = np.vstack([steps[:, :, 0], ended]), watch.start + times
+        terms = sizes_at(roots.bases, places, ended, self._sizes, watch.parameters, now.item(-1))
+        near = math.sqrt(self.engine.tolerance) * np.array(terms)
+        bases = roots.bases.table(states, watch.parameters, now)
+        falls = (bases[:-1] > near) & (bases[1:] <= near)
+        if not falls.any():
+            return count
+        from scipy.optimize import brentq  # slow import
+
+        step = int(falls.any(axis=1).argmax())
+        index = int(falls[step].argmax())
+
+        def state(local: float) -> Array:
+            return sample_states(steps, times, np.array([local]))[0]
+
+        def excess(local: float) -> float:
+            values = roots.bases.values(state(local), watch.parameters, watch.start + local)
+            return values.item(index) - near.item(index)
+
+        at = float(brentq(excess, times[step], times[step + 1]))
+        further = steps_to_zero(self.compiled, index, watch.parameters, state(at), watch.start + at)
+        if not further or at + sum(h for h, _ in further) > self.duration:
+            return count
+        followed = path.count = cut_steps(
+            path.times, path.coefficients, first + step + 1, at, ended
+        )
+        for h, polynomial in further:
+            path.append(h, polynomial)
+        polynomial.sum(axis=1, out=ended)
+        return followed
+
+    def _continue_from_zero(self, ended: Array) -> None:
+        """End at a margin that is zero where the base of a root is, or prepare the next chunk."""
+        zero, time = self._zero_margins(ended, self._reached), self.watch.start + self._reached
+        if zero.any():
+            guard, last = int(zero.argmax()), self.path.count - 1
+            self.crossing = Crossing(guard, last, 1.0, self._reached, self._reached)
+        if not np.isfinite(self.compiled.rates.values(ended, self.watch.parameters, time)).all():
+            raise StepFailure(
+                f"the base of a root would be negative after t = {time:.6g}; write sqrt(max(x, 0)) "
+                "for the root of an x that ends at 0"
+            )
+        self._begin = Continuation.BACK
 
     def _retreat(self, step: int, blind: float, ended: Array) -> None:
         """Return to the start of a step that missed a feature at the local time `blind`."""
@@ -194,7 +275,7 @@ class Advance:
                 rates.parts,
                 Steps(path.times, path.coefficients, watch.parameters, watch.start),
                 first,
-                last if location is None else location.step + 1,
+                last if location is None else min(last, location.step + 1),
                 significant_sizes(self.engine, len(self.initial)),
                 max(self.engine.allowed, self._rounded),
                 MAX_DEFECT_BOXES,

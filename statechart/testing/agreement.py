@@ -293,12 +293,15 @@ class Reading:
         Transformed -> original state of regions, if different.
     regions : mapping
         Transformed -> original name of regions, if different.
+    kept : frozenset of str
+        Regions whose states are not transformed.
     """
 
     factors: Array | float = 1.0
     time: float = 1.0
     states: Mapping[str, str] = field(default_factory=dict)
     regions: Mapping[str, str] = field(default_factory=dict)
+    kept: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)
@@ -346,9 +349,10 @@ class EventSequence:
             return reading.regions.get(name, name)
 
         order = [trace.regions.index(region(name)) for name in trace.regions]
+        maps = [{} if trace.regions[i] in reading.kept else reading.states for i in order]
 
         def key(mode: Key) -> Key:
-            return tuple(reading.states.get(mode[i], mode[i]) for i in order)
+            return tuple(of.get(mode[i], mode[i]) for i, of in zip(order, maps, strict=True))
 
         def event(jump: Jump) -> Event:
             states = [jump.before * reading.factors, jump.after * reading.factors]

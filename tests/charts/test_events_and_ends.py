@@ -302,6 +302,51 @@ def test_an_internal_transition_does_not_leave_its_source(
     assert run(tmp_path, INTERNAL.replace("KIND", kind)).outputs == {"n": n, "m": 1}
 
 
+RESUMED = """
+variables: {x: 0}
+regions:
+  r:
+    initial: w
+    states:
+      w:
+        initial: a
+        states:
+          a: {flows: {x: 1}}
+          b: {flows: {x: 10}}
+          c: {flows: {x: 100}}
+          last: {history: KIND}
+        transitions:
+          - {name: ab, from: a, to: b, after: 1}
+          - {name: bc, from: b, to: c, after: 1}
+      off: {}
+    transitions:
+      - {name: away, from: w, to: off, on: clock.t2}
+      - {name: back, from: off, to: last, on: clock.t3}
+      - {name: again, from: w, to: last, internal: true, on: clock.t1 or clock.t4}
+  clock:
+    initial: c0
+    states: {c0: {}, c1: {}, c2: {}, c3: {}, c4: {}}
+    transitions:
+      - {name: t1, from: c0, to: c1, after: 1.25}
+      - {name: t2, from: c1, to: c2, after: 1.25}
+      - {name: t3, from: c2, to: c3, after: 0.25}
+      - {name: t4, from: c3, to: c4, after: 1.25}
+stop: {time: 4.5}
+outputs: {x: {value: x}}
+"""
+
+
+@pytest.mark.parametrize("kind", ["shallow", "deep"])
+def test_an_internal_transition_reads_the_history_of_the_last_exit(
+    tmp_path: Path, kind: str
+) -> None:
+    # a until 1, b until 1.25, a until 2.25, b until 2.5 (exit: b), b from 2.75 until 3.75, c until
+    # 4, b again: the history is that of the exit at 2.5, and before it the initial state.
+    x = 1 + 0.25 * 10 + 1 + 0.25 * 10 + 10 + 0.25 * 100 + 0.5 * 10
+    result = run(tmp_path, RESUMED.replace("KIND", kind))
+    assert result.outputs["x"] == pytest.approx(x, abs=1e-9)
+
+
 BASE = """\
 kind: chart
 name: c

@@ -266,6 +266,13 @@ MISTAKES = {
     "stiffness in a force": (
         "stop:", "forces: {f: {body: rod, stiffness: 3}}\nstop:", "write force: [-k*rod.x, 0]"
     ),
+    "words in another section": (
+        "mass: m", "mass: m, mu_s: 0.5", "'mu_s'; in contacts and collisions write friction: a num"
+    ),
+    "motor of a body": (
+        "mass: m", "mass: m, motor: 3", "'motor'; write forces: {motor: {body: arm, moment: M}}"
+    ),
+    "density of a surface": ("height: 0", "height: 0, density: 2", "in bodies write mass, and in"),
     "step by a name": (
         "stop:", "settings: {step: h/60}\nstop:", "settings.step: formula 'h/60': unknown name 'h'"
     ),

@@ -419,6 +419,23 @@ def test_controller_listens_to_a_coupling_and_opens_it() -> None:
     assert result.outputs["speed"] == pytest.approx(2.0, abs=EXACT)
 
 
+@ENGINES
+@pytest.mark.parametrize("sign", [">=", ">"])
+def test_brake_that_lets_go_at_a_speed_leaves_the_wheel_at_it(engine: str, sign: str) -> None:
+    text = RAMP.replace("kinetic: k}", f"kinetic: k}}, enabled: dphi {sign} 2")
+    text = text.replace("rate*time", "0").replace("phi: {}", "phi: {rate: 3}")
+    result = run(text, engine)
+    ((name, t),) = events(result.trace)
+    assert (name, t) == ("brake open", pytest.approx(1.0, abs=EXACT))
+    assert result.outputs["speed"] == pytest.approx(2.0, abs=EXACT)
+
+
+def test_brake_whose_condition_turns_over_is_told_to_take_two_bounds() -> None:
+    text = RAMP.replace("kinetic: k}", "kinetic: k}, enabled: dphi >= 2").replace("rate*time", "1")
+    with pytest.raises(statechart.EventLoop, match=r"dphi >= 2 falls.*; a condition.*two bounds"):
+        run(text.replace("phi: {}", "phi: {rate: 3}"))
+
+
 def test_coupling_is_open_while_its_joint_is_off() -> None:
     text = ROTOR.replace("to: [0, 0]}", "to: [0, 0], enabled: time <= 1}")
     result = run(text, start=0.05)
@@ -672,6 +689,63 @@ def test_steps_end_where_a_limit_falls_below_zero() -> None:
     text = RAMP.replace("{static: s, kinetic: k}", "1 - time").replace("rate: 1.5", "rate: 1")
     with pytest.raises(statechart.NoConsistentMode, match="'brake': its limit is below zero"):
         steps(text, 1e-2)
+
+
+@pytest.mark.parametrize("part", ["max(0, time - 0.1)", "time*0"])
+def test_steps_slip_while_both_limits_are_zero(part: str) -> None:
+    text = RAMP.replace("{static: s, kinetic: k}", f"{{static: 's*{part}', kinetic: 'k*{part}'}}")
+    assert steps(text, 1e-3).outputs == pytest.approx(run(text).outputs, abs=1e-6)
+
+
+@ENGINES
+def test_static_friction_holds_an_arm_that_lands_on_its_stop(engine: str) -> None:
+    text = """
+kind: scene
+name: stopped
+parameters: {s: 2, k: 1, M: 1.5}
+bodies: {a: {mass: 1, inertia: 0.5, start: {angle: 0.1, dangle: -2}}}
+joints: {p: {point: {body: a}, to: [0, 0], limits: [0, 1]}}
+couplings: {rub: {joint: p, limit: {static: s, kinetic: k}}}
+forces: {f: {body: a, moment: M}}
+stop: {time: 1}
+outputs: {angle: {value: a.angle}}
+"""
+    result = run(text, engine)
+    # 0.1 - 2 t + 2.5 t**2 = 0: friction and moment brake it; the moment is below static friction.
+    lands = (2 - (4 - 1) ** 0.5) / 5
+    ((name, t),) = events(result.trace)
+    assert (name, t) == ("p_min touchdown", pytest.approx(lands, abs=EXACT))
+    assert result.trace.final_mode == ("slide", "free", "locked")
+    assert result.outputs["angle"] == pytest.approx(0.0, abs=EXACT)
+    # Weaker static friction lets it go against kinetic friction.
+    free = run(text, engine, s=1.2)
+    assert free.outputs["angle"] == pytest.approx(0.5 * (1 - lands) ** 2, abs=EXACT)
+
+
+def test_bounces_of_a_rope_beside_a_slipping_brake_are_summed_with_all_engines() -> None:
+    text = """
+kind: scene
+name: bob
+gravity: 9.81
+bodies: {a: {mass: 1, inertia: 0.05, start: {x: 0.4, y: 0.2}}}
+joints: {cord: {point: {body: a, at: [0, 0.1]}, to: [0, 0], rope: L - 0.1*time, restitution: 0.3}}
+couplings: {rub: {bodies: [a], limit: 0.05}}
+parameters: {L: 0.9}
+stop: {time: 1}
+"""
+    ends = []
+    for engine in ("taylor", "scipy"):
+        jumps = run(text, engine).trace.jumps
+        assert [jump.cause for jump in jumps if jump.skipped > 0.0] == ["touchdown"]
+        ends += [jump.t for jump in jumps if jump.cause == "zeno"]
+    assert ends[0] == pytest.approx(ends[1], abs=1e-11)
+
+
+def test_only_the_wrong_part_of_a_limit_is_reported() -> None:
+    text = RAMP.replace("{static: s, kinetic: k}", "{static: s}")
+    with pytest.raises(statechart.DeclarationError, match="'kinetic' is missing") as found:
+        run(text)
+    assert found.value.others == ()
 
 
 def test_stepped_controllers_receive_coupling_events() -> None:

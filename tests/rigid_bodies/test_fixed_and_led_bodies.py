@@ -331,8 +331,11 @@ def test_forces_and_joints_on_prescribed_bodies_are_refused() -> None:
     law = "  all: {bodies: [box, a], friction: 0.3, restitution: 0}"
     bodies = f"  box: {{{MOVED}, start: {{y: 9}}}}\n  a: {{fixed: true, shape: {{disc: 1}}}}"
     for more, message in (
-        ("forces: {f: {body: a, force: [1, 0]}}", "no force moves it"),
-        ("joints: {j: {point: {body: box}, to: {body: a}}}", "joints hold bodies that move"),
+        ("forces: {f: {body: a, force: [1, 0]}}", "'a' is fixed, and no force moves it"),
+        (
+            "joints: {j: {point: {body: box}, to: {body: a}}}",
+            "'a' is fixed, and joints hold bodies",
+        ),
         ("joints: {j: {point: {body: box}, to: {body: a}, angle: held}}", "joints hold bodies"),
     ):
         with pytest.raises(DeclarationError, match=message):

@@ -705,3 +705,19 @@ stop: {time: 3}
     (trace,) = Subject(scene).case({}).sound[:1]
     assert [jump.region for jump in trace.jumps] == ["h_max", "f"]
     image_property("mirror", scene, mirrored).holds(Subject(scene).case({}))
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_slips_along_a_guide_turn_round_in_the_mirror_if_it_is_level(axis: str) -> None:
+    other = {"x": "y", "y": "x"}[axis]
+    scene = model(f"""
+kind: scene
+name: slider
+bodies: {{s: {{mass: 2, start: {{d{axis}: 2}}}}}}
+joints: {{rail: {{point: {{body: s}}, to: {{{other}: 0}}}}}}
+couplings: {{rub: {{joint: rail, limit: 3}}}}
+stop: {{time: 3}}
+""")
+    (trace,) = Subject(scene).case({}).sound[:1]
+    assert [(jump.source, jump.target) for jump in trace.jumps] == [(("slip+",), ("locked",))]
+    image_property("mirror", scene, mirrored).holds(Subject(scene).case({}))

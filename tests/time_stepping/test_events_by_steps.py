@@ -80,6 +80,40 @@ def test_turning_body_has_one_touchdown_by_steps(h: float) -> None:
 
 
 # A bar that is thrown on a line, and a controller that pushes it after an event.
+# A tip lands, slides under a fan, sticks for 1.5 ms as the rod turns, and slides back.
+BLOWN = """
+kind: scene
+name: blown
+gravity: 9.81
+stop: {time: 0.31}
+bodies:
+  b: {mass: 1, inertia: 0.05, start: {x: 3, y: 0.44738221, dx: -0.33105629, dangle: -0.91552779}}
+surfaces: {floor: {height: 0}}
+contacts:
+  c:
+    {point: {body: b, at: [0.3, 0]}, surface: floor, friction: 0.17900972, restitution: 0,
+    impact: moreau}
+controls: {push: 0}
+forces: {fan: {body: b, force: [push, 0]}}
+regions:
+  fan:
+    initial: calm
+    states: {calm: {}, blows: {sets: {push: 8.88511512}}}
+    transitions: [{name: open, from: calm, to: blows, on: c.touchdown}]
+"""
+
+
+@pytest.mark.parametrize("h", [1e-4, 1e-5])
+def test_the_tip_of_a_turning_rod_sticks_and_slides_back_as_with_events(h: float) -> None:
+    model = interpret(read_text(BLOWN))
+    exact, found = by_events(model).trace, by_steps(model, h).trace
+    causes = [(jump.cause, jump.target) for jump in exact.jumps]
+    assert causes[-2:] == [("stick", ("pin", "blows")), ("slip", ("slide-", "blows"))]
+    assert [(jump.cause, jump.target) for jump in found.jumps] == causes
+    for there, here in zip(exact.jumps, found.jumps, strict=True):
+        assert here.t == pytest.approx(there.t, abs=6 * h)
+
+
 THROWN = """
 kind: scene
 name: thrown
