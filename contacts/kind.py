@@ -93,7 +93,7 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
 
     def build(name: str, role: Role) -> State:
         """Return a state of a contact or a coupling, with the margins of its conditions."""
-        symbols, gate = mechanics.contact(name).symbols, mechanics.gate(name)
+        symbols, gate = mechanics.contact(name), mechanics.gate(name)
         if name in scene.couplings:
             state = coupling_state(mechanics.coupling(name), role)
         else:

@@ -21,18 +21,23 @@ INACTIVE = (OFF, DISENGAGED)
 """States of contacts and couplings whose conditions fail."""
 
 
-CODES = {
-    "free": FREE,
-    OFF: FREE,
-    "pin": PIN,
-    "slide": SLIDE,
-    "slide+": SLIDE_PLUS,
-    "slide-": SLIDE_MINUS,
-    DISENGAGED: FREE,
-    "locked": LOCKED,
-    "slip+": SLIP_PLUS,
-    "slip-": SLIP_MINUS,
+STATES = {
+    FREE: "free",
+    PIN: "pin",
+    SLIDE: "slide",
+    SLIDE_PLUS: "slide+",
+    SLIDE_MINUS: "slide-",
+    OFF_CODE: "off",
+    LOCKED: "locked",
+    SLIP_PLUS: "slip+",
+    SLIP_MINUS: "slip-",
+    OPEN_CODE: DISENGAGED,
 }
+"""Number of a mode of a region to its state."""
+
+
+CODES = {state: code for code, state in STATES.items()} | dict.fromkeys(INACTIVE, FREE)
+"""State of a region to the number of its mode; without force if its conditions fail."""
 
 
 OPEN = ("free", *INACTIVE)
@@ -97,21 +102,6 @@ def cause_of(before: str, after: str) -> str:
     if after in ("free", "pin"):
         return "liftoff" if after == "free" else "stick"
     return "slip" if before in STICKING else "reverse"
-
-
-STATES = {
-    FREE: "free",
-    PIN: "pin",
-    SLIDE: "slide",
-    SLIDE_PLUS: "slide+",
-    SLIDE_MINUS: "slide-",
-    OFF_CODE: "off",
-    LOCKED: "locked",
-    SLIP_PLUS: "slip+",
-    SLIP_MINUS: "slip-",
-    OPEN_CODE: DISENGAGED,
-}
-"""Number of a mode of a region to its state."""
 
 
 def undetermined_warning(names: Iterable[str]) -> str:

@@ -34,7 +34,7 @@ from contacts.dynamics.gates import (
     write_node_verdicts,
 )
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.snapshot import EDGES, PerContact, Snapshot
+from contacts.dynamics.snapshot import EDGES, PerContact, Snapshot, SnapshotTape
 from contacts.states import INACTIVE
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.laws import roles_in
@@ -110,7 +110,7 @@ class Conditions:
                 rounding_scale(rate, sizes),
             ]
         for name, gate in zip(contacts, gates, strict=True):
-            gap = sp.S.Zero if gate is None else mechanics.contact(name).symbols.gap
+            gap = sp.S.Zero if gate is None else mechanics.contact(name).gap
             outputs += [gap, *[sp.S.Zero] * (PER_CONDITION - 1)]
         unknowns = [sizes.get(v, sp.Symbol(f"size_{v}", real=True)) for v in mechanics.state]
         self.tape = mechanics.tape(
@@ -328,7 +328,7 @@ class ConditionsAt:
 def undecided_couplings(mechanics: Mechanics) -> Iterator[str]:
     """Yield a warning for each relation of a coupling that is at its bound while it is locked."""
     for name in mechanics.scene.couplings:
-        gate, slip = mechanics.gate(name), mechanics.contact(name).symbols.slip
+        gate, slip = mechanics.gate(name), mechanics.contact(name).slip
         for rate in [v for v in mechanics.v if v in slip.free_symbols][:1]:
             locked = {rate: rate - slip / derivative(slip, rate)}
             for atom in () if gate is None else gate.atoms:
@@ -351,7 +351,7 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
             if snapshot.pushes is not None and contacts[i].gap == 0.0:
                 forces = forces - snapshot.pushes[i]
             jacobians[i] = biases[i] = 0.0
-            contacts[i] = PerContact._make((math.inf, *[0.0] * (EDGES - 1), jacobians[i], None))
+            contacts[i] = PerContact._make((math.inf, *[0.0] * (EDGES - 1), None))
     reduction = snapshot.reduction
     if reduction is not None:
         reduction = replace(reduction, unreduced=hidden(reduction.unreduced, mode))
@@ -362,3 +362,10 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
         biases=biases,
         reduction=reduction,
     )
+
+
+def hidden_at(
+    tape: SnapshotTape, values: Array, start: float, mode: Key
+) -> Callable[[Array, float], Snapshot]:
+    """Return a function from a state, and a time after `start`, to the snapshot of a mode."""
+    return lambda state, later: hidden(tape.at(values, state, start + later), mode)

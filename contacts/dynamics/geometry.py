@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import sympy as sp
 
 from contacts.scene.joints import Path
-from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Contact, Pair, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.documents.declaration import TIME
@@ -73,30 +72,6 @@ def _sum(place: Vector, direction: Vector, by: sp.Expr) -> Vector:
 def _rotation(angle: sp.Expr) -> Callable[[Vector], Vector]:
     c, s = sp.cos(angle), sp.sin(angle)
     return lambda v: (c * v[0] - s * v[1], s * v[0] + c * v[1])
-
-
-@dataclass(frozen=True, eq=False)
-class ContactGeometry:
-    """Position and motion of a contact point."""
-
-    # Its position in the frame of the surface (the world's, unless a body carries the surface)
-    point: Vector
-    # `anchor`, `slipping`: Position that is constant while the contact sticks, and the direction in
-    # which it slips: the point and the tangent, unless the point is on a rim (`Rim.anchored`)
-    anchor: Vector
-    slipping: Vector
-    # `normal`, `tangent`: Unit vectors of the surface there, in that frame; the normal points out
-    # of the solid, the tangent is the normal turned clockwise
-    normal: Vector
-    tangent: Vector
-    symbols: ContactSymbols  # Gap, velocities, accelerations, forces
-    # `jacobian_n`, `jacobian_t`: d(velocity of the point along normal, tangent)/d(rates), one per
-    # coordinate
-    jacobian_n: tuple[sp.Expr, ...]
-    jacobian_t: tuple[sp.Expr, ...]
-    # `bias_n`, `bias_t`: Accelerations of the point at zero accelerations of the coordinates
-    bias_n: sp.Expr
-    bias_t: sp.Expr
 
 
 class Geometry:

@@ -29,16 +29,17 @@ class JointRow:
     # `joint`, `component`: Name of the joint; X, Y, M (a couple), or T (along a rod)
     joint: str
     component: str
-    # `gap`, `gap_rate`, `bias`: Point minus target; its rate; its second derivative at zero
-    # accelerations
-    gap: sp.Expr
-    gap_rate: sp.Expr
-    bias: sp.Expr
-    jacobian: tuple[sp.Expr, ...]  # d(gap)/d(coordinates)
     force: sp.Symbol  # On the body of the point
+    # `gap`, `gap_rate`, `bias`: Point minus target; its rate; its second derivative at zero
+    # accelerations. Bodies with shapes have arrays instead of these and the following
+    gap: sp.Expr = sp.S.Zero
+    gap_rate: sp.Expr = sp.S.Zero
+    bias: sp.Expr = sp.S.Zero
+    jacobian: tuple[sp.Expr, ...] = ()  # d(gap)/d(coordinates)
     # Velocity of the target on its path; the force does work on it
-    path_rate: sp.Expr
-    redundant: sp.Symbol  # Parameter: 1 where the rows before imply this one in a run, else 0
+    path_rate: sp.Expr = sp.S.Zero
+    # Parameter: 1 where the rows before imply this one in a run, else 0
+    redundant: sp.Expr = sp.S.Zero
     # Control: 1 while the joint is closed, 0 while it is off; None where it is always closed
     closed: sp.Symbol | None = None
 

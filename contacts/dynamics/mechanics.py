@@ -13,7 +13,7 @@ from typing import NamedTuple
 import sympy as sp
 
 from contacts.dynamics.gates import Gate, gate_of
-from contacts.dynamics.geometry import ContactGeometry, Geometry, Vector, surface_frame
+from contacts.dynamics.geometry import Geometry, Vector, surface_frame
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import (
     GAP_OFFSET,
@@ -144,7 +144,7 @@ class Mechanics(Geometry):
             *self.used_friction.values(),
             *(rate for rate in self.controller_rates.values() if rate != 0),
         )
-        self._contacts: dict[str, ContactGeometry] = {}
+        self._contacts: dict[str, ContactSymbols] = {}
         self._gates: dict[str, Gate | None] = {}
 
     @cached_property
@@ -290,13 +290,13 @@ class Mechanics(Geometry):
     @cached_property
     def equations(self) -> tuple[sp.Expr, ...]:
         """(n + rows of joints that are never off,): each = 0, in accelerations and forces."""
-        geometry = [self.contact(name) for name in self.scene.frictional]
+        contacts = [self.contact(name) for name in self.scene.frictional]
         result = []
         for i, right in enumerate(self.generalised_forces):
             left = sp.Add(*self._nonzero([self.mass_matrix[i, k] for k in range(len(self.q))]))
             contact_forces = sp.Add(
-                *(c.jacobian_n[i] * c.symbols.V for c in geometry if c.jacobian_n[i] != 0),
-                *(c.jacobian_t[i] * c.symbols.H for c in geometry if c.jacobian_t[i] != 0),
+                *(c.jacobian_n[i] * c.V for c in contacts if c.jacobian_n[i] != 0),
+                *(c.jacobian_t[i] * c.H for c in contacts if c.jacobian_t[i] != 0),
             )
             joint_forces = sp.Add(
                 *(row.jacobian[i] * row.force for row in self.joint_rows if row.jacobian[i] != 0)
@@ -308,20 +308,19 @@ class Mechanics(Geometry):
     @cached_property
     def joint_rows(self) -> tuple[JointRow, ...]:
         """Rows of all joints, in the order of their declaration."""
-        at_rest = dict.fromkeys(self.a, sp.S.Zero)
         rows: list[JointRow] = []
         for name, joint in self.scene.joints.items():
             for component, gap, path in self._components(name, joint):
-                rate = self.rate(gap)
+                rate, jacobian, bias, _ = self._motion(gap)
                 rows.append(
                     JointRow(
                         name,
                         component,
+                        sp.Symbol(f"{component}{len(rows)}", real=True),
                         gap,
                         rate,
-                        self.rate(rate).xreplace(at_rest),
-                        tuple(self.gradient(gap)),
-                        sp.Symbol(f"{component}{len(rows)}", real=True),
+                        bias,
+                        jacobian,
                         path,
                         self.parameters.symbols[f"{name}.redundant_{component.lower()}"],
                         self._closed.get(name),
@@ -365,7 +364,7 @@ class Mechanics(Geometry):
             for force, rate in zip(forces, self.surface_rate(name), strict=True)
         )
         # The energy of compliant contacts is not part of `energy`.
-        soft = [self.contact(name).symbols for name in self.pads]
+        soft = [self.contact(name) for name in self.pads]
         pressed = (symbols.V * symbols.gap_rate for symbols in soft)
         led = (row.force * row.path_rate for row in self.joint_rows)
         return sp.Add(*applied, *pushed, *led, *pressed)
@@ -406,12 +405,12 @@ class Mechanics(Geometry):
         normal += -radius_rate if surface.hollow else radius_rate
         return normal, t_x * frame_motion[0] + t_y * frame_motion[1]
 
-    def contact(self, name: str) -> ContactGeometry:
-        """Return the geometry of a contact or a coupling; cached."""
+    def contact(self, name: str) -> ContactSymbols:
+        """Return the quantities of a contact or a coupling; cached."""
         if name not in self._contacts:
             contact = self.scene.contacts.get(name)
             self._contacts[name] = (
-                self._coupling_geometry(name) if contact is None else self._geometry(name, contact)
+                self._coupling_symbols(name) if contact is None else self._symbols(name, contact)
             )
         return self._contacts[name]
 
@@ -439,7 +438,7 @@ class Mechanics(Geometry):
         static, kinetic = self.limits(name)
         coupling = self.scene.couplings[name]
         load = self.forces[coupling.contact][0] if isinstance(coupling, Rolling) else sp.S.One
-        return CouplingSymbols(self.contact(name).symbols, static * load, kinetic * load)
+        return CouplingSymbols(self.contact(name), static * load, kinetic * load)
 
     def sets(self, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
         """Return the values of the `controls` that a state of a controller sets."""
@@ -491,7 +490,7 @@ class Mechanics(Geometry):
         """Expressions of the quantities that outputs and stop conditions may use, by name."""
         result = {**self.known, **self.placed}
         for name in self.scene.contacts:
-            symbols = self.contact(name).symbols
+            symbols = self.contact(name)
             result |= {
                 f"{name}.gap": symbols.gap,
                 f"{name}.slip": symbols.slip,
@@ -499,7 +498,7 @@ class Mechanics(Geometry):
                 f"{name}.H": symbols.H,
             }
         for name, couple in self.couples.items():
-            result |= {f"{name}.slip": self.contact(name).symbols.slip, f"{name}.M": couple}
+            result |= {f"{name}.slip": self.contact(name).slip, f"{name}.M": couple}
         result |= {f"{row.joint}.{row.component}": row.force for row in self.joint_rows}
         result |= {f"{name}.friction": used for name, used in self.used_friction.items()}
         for name in self._switched.keys() - self.used_friction.keys():
@@ -525,7 +524,7 @@ class Mechanics(Geometry):
         contact = coupling or scene.contacts[name]
         if name not in self._gates:
             known = self.known | {
-                f"{other}.{quantity}": getattr(self.contact(other).symbols, quantity)
+                f"{other}.{quantity}": getattr(self.contact(other), quantity)
                 for other in scene.frictional
                 for quantity in (("slip",) if other in scene.couplings else ("gap", "slip"))
                 if contact.enabled
@@ -636,6 +635,12 @@ class Mechanics(Geometry):
             second_order(tangent_gradients),
         )
 
+    def _motion(self, place: sp.Expr) -> tuple[sp.Expr, _Row, sp.Expr, sp.Expr]:
+        """Return the rate, the gradient and the bias of a position, and its acceleration."""
+        rate, gradient = self.rate(place), tuple(self.gradient(place))
+        bias = self.rate(rate).xreplace(dict.fromkeys(self.a, sp.S.Zero))
+        return rate, gradient, bias, sp.Add(bias, *self._nonzero(gradient))
+
     def _nonzero(self, row: Sequence[sp.Expr]) -> list[sp.Expr]:
         return [j * a for j, a in zip(row, self.a, strict=True) if j != 0]
 
@@ -669,8 +674,8 @@ class Mechanics(Geometry):
         k, d = (self._formula(text or 0) for text in (contact.stiffness, contact.damping))
         return -k * local.gap - d * local.gap_rate
 
-    def _coupling_geometry(self, name: str) -> ContactGeometry:
-        """Return the geometry of a coupling: its slip is an angular rate, its gap is zero."""
+    def _coupling_symbols(self, name: str) -> ContactSymbols:
+        """Return the quantities of a coupling: its slip is an angular rate, its gap is zero."""
         guide = self.scene.along_guide(name)
         if guide:
             joint = self.scene.joints[self.scene.couplings[name].joint or ""]
@@ -681,31 +686,16 @@ class Mechanics(Geometry):
             angles = [self.body_frame(body)[1] for body in self.scene.coupled(name)]
             turn = angles[0] - sp.Add(*angles[1:])
         zero, no_rates = sp.S.Zero, (sp.S.Zero,) * len(self.q)
-        slip = self.rate(turn)
-        jacobian = tuple(self.gradient(turn))
-        bias = self.rate(slip).xreplace(dict.fromkeys(self.a, zero))
-        acceleration = sp.Add(bias, *self._nonzero(jacobian))
-        anchor = sp.Symbol(f"{name}.angle0", real=True)
-        couple = self.couples[name]
-        symbols = ContactSymbols(
-            name, zero, zero, zero, slip, zero, acceleration, zero, couple,
-            friction_cones(self.scene, name, None, self.known, slip),
+        slip, jacobian, bias, acceleration = self._motion(turn)
+        anchor, couple = sp.Symbol(f"{name}.angle0", real=True), self.couples[name]
+        place, along, out = (turn, zero), (sp.S.One, zero), (zero, sp.S.One)
+        return ContactSymbols(
+            name, zero, zero, zero, slip, place, place, along, out,
+            no_rates, jacobian, zero, bias, zero, acceleration,
+            zero, couple, friction_cones(self.scene, name, None, self.known, slip),
             *self._padded(name, no_rates, jacobian), Hold((), (), ()),
             Hold((turn - anchor,), (acceleration,), (couple,), {anchor: turn}),
         )  # fmt: skip
-        place, tangent = (turn, zero), (sp.S.One, zero)
-        return ContactGeometry(
-            place,
-            place,
-            tangent,
-            (zero, sp.S.One),
-            tangent,
-            symbols,
-            no_rates,
-            jacobian,
-            zero,
-            bias,
-        )
 
     def _arm(self, point: Point) -> sp.Expr:
         """Return the radius of gyration about a point, which converts angles to lengths."""
@@ -713,30 +703,24 @@ class Mechanics(Geometry):
         x, y = (self._formula(text) for text in point.at)
         return sp.sqrt(inertia / mass + x**2 + y**2)
 
-    def _stop(self, name: str, contact: Contact, stop: Stop) -> ContactGeometry:
+    def _stop(self, name: str, contact: Contact, stop: Stop) -> ContactSymbols:
         turn = self.body_frame(contact.point.body)[1] - self._formula(stop.limit)
         if stop.other is not None:
             turn -= self.body_frame(stop.other)[1]
         turn *= stop.side
-        gap, (V, H) = self._arm(contact.point) * turn, self.forces[name]
-        rate, zeros = self.rate(gap), (sp.S.Zero,) * len(self.q)
-        jacobian, no_anchor = tuple(self.gradient(gap)), (sp.S.Zero, sp.S.Zero)
-        bias = self.rate(rate).xreplace(dict.fromkeys(self.a, sp.S.Zero))
-        bearing = sp.Add(bias, *self._nonzero(jacobian))
+        gap, (V, H), zero = self._arm(contact.point) * turn, self.forces[name], sp.S.Zero
+        rate, jacobian, bias, bearing = self._motion(gap)
+        zeros, along, out = (zero,) * len(self.q), (sp.S.One, zero), (zero, sp.S.One)
         hold = Hold((turn,), (bearing,), (V,))
-        offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", sp.S.Zero)
-        symbols = ContactSymbols(
-            name, gap, offset, rate, sp.S.Zero, bearing, sp.S.Zero, V, H,
-            friction_cones(self.scene, name, None, self.known, sp.S.Zero),
+        offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", zero)
+        return ContactSymbols(
+            name, gap, offset, rate, zero, self.point(contact.point), (zero, zero), along, out,
+            jacobian, zeros, bias, zero, bearing, zero,
+            V, H, friction_cones(self.scene, name, None, self.known, zero),
             *self._padded(name, jacobian, zeros), hold, hold,
         )  # fmt: skip
-        x, y = self.point(contact.point)
-        return ContactGeometry(
-            (x, y), no_anchor, (sp.S.One, sp.S.Zero), (sp.S.Zero, sp.S.One), (sp.S.One, sp.S.Zero),
-            symbols, jacobian, zeros, bias, sp.S.Zero,
-        )  # fmt: skip
 
-    def _geometry(self, name: str, contact: Contact) -> ContactGeometry:
+    def _symbols(self, name: str, contact: Contact) -> ContactSymbols:
         surface = self.scene.surfaces[contact.surface]
         if isinstance(surface, Stop):
             return self._stop(name, contact, surface)
@@ -763,17 +747,14 @@ class Mechanics(Geometry):
         normal_a = sp.Add(bias_n, *self._nonzero(jacobian_n))
         tangential_a = sp.Add(bias_t, *self._nonzero(jacobian_t))
         offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", sp.S.Zero)
-        symbols = ContactSymbols(
-            name, local.gap, offset, local.gap_rate, slip, normal_a, tangential_a, V, H,
-            friction_cones(self.scene, name, self._coefficients.get(name), self.known, slip),
+        point = x - rim.radius * normal[0], y - rim.radius * normal[1]
+        return ContactSymbols(
+            name, local.gap, offset, local.gap_rate, slip, point, anchor, slipping, normal,
+            jacobian_n, jacobian_t, bias_n, bias_t, normal_a, tangential_a,
+            V, H, friction_cones(self.scene, name, self._coefficients.get(name), self.known, slip),
             *self._padded(name, jacobian_n, jacobian_t),
             # The implicit function, not the distance: it is linear in y for a height.
             Hold((local.function,), (normal_a,), (V,), steep=self.curved(name)),
             Hold(stuck, (normal_a, tangential_a), (V, H), anchors),
             self._compliance(contact, local),
-        )  # fmt: skip
-        point = x - rim.radius * normal[0], y - rim.radius * normal[1]
-        return ContactGeometry(
-            point, anchor, slipping, normal, tangent, symbols,
-            jacobian_n, jacobian_t, bias_n, bias_t,
         )  # fmt: skip

@@ -45,7 +45,7 @@ def _display_parameters(mechanics: Mechanics) -> dict[sp.Symbol, sp.Expr]:
             expressions[symbols[f"{name}.inertia"]] = parse(body.inertia).to_sympy(symbols)
     for name in scene.contacts:
         law = scene.friction_of(name)
-        for direction, (cone_n, cone_t) in mechanics.contact(name).symbols.friction.edges.items():
+        for direction, (cone_n, cone_t) in mechanics.contact(name).friction.edges.items():
             if law is not None and cone_t in symbols.values():
                 text = law.kinetic if direction else law.static
                 at_rest = dict.fromkeys(law.slips, sp.S.Zero)
@@ -126,8 +126,8 @@ def _constraint_forces(
     for name in mechanics.scene.frictional:
         contact = mechanics.contact(name)
         if name not in mechanics.couples:
-            jacobians[contact.symbols.V] = contact.jacobian_n
-        jacobians[contact.symbols.H] = contact.jacobian_t
+            jacobians[contact.V] = contact.jacobian_n
+        jacobians[contact.H] = contact.jacobian_t
     return [tuple(j * f for j in row) for f, row in jacobians.items() if f in working]
 
 

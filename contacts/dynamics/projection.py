@@ -51,9 +51,8 @@ class Projection:
     def __init__(self, mechanics: Mechanics, snapshots: SnapshotTape) -> None:
         outputs: list[sp.Expr] = []
         for name in mechanics.scene.frictional:
-            geometry = mechanics.contact(name)
-            outputs += [geometry.symbols.gap, geometry.symbols.gap_rate, geometry.symbols.slip]
-            outputs += geometry.anchor
+            contact = mechanics.contact(name)
+            outputs += [contact.gap, contact.gap_rate, contact.slip, *contact.anchor]
         for row in mechanics.joint_rows:
             outputs += [row.gap, row.gap_rate]
         self._joints = tuple(row.joint for row in mechanics.joint_rows)
@@ -264,7 +263,7 @@ def _brought(
         if name in OPEN and not (penetrating and penetrating[i]):
             continue
         if name not in COUPLING_STATES:
-            rows.append(contact.jacobian[0])
+            rows.append(snapshot.jacobians[i, 0])
             residuals.append((-contact.gap, -contact.gap_rate if name not in OPEN else 0.0))
         if name in STICKING:
             displaced = 0.0
@@ -273,7 +272,7 @@ def _brought(
                 displaced = contact.tx * (contact.x - before.x) + contact.ty * (
                     contact.y - before.y
                 )
-            rows.append(contact.jacobian[1])
+            rows.append(snapshot.jacobians[i, 1])
             residuals.append((-displaced, -contact.slip))
     if not rows:
         return state

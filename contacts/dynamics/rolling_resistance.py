@@ -30,16 +30,17 @@ def apply_rolling_resistance(
         limit = float(snapshot.limits[place - len(laws)][1])
         bound = limit * float(impulses[law.carrier, 0])
         touching, cone = snapshot.contacts[law.carrier], laws[law.carrier]
+        jacobian = snapshot.jacobians[law.carrier]
         change, couple = velocity - snapshot.velocity, snapshot.jacobians[place, 1]
         slip = snapshot.contacts[place].slip + float(couple @ change)
         if not abs(slip) > slip_tolerance or bound == 0.0:
             continue
         after = [
             rate + float(row @ change)
-            for rate, row in zip((touching.gap_rate, touching.slip), touching.jacobian, strict=True)
+            for rate, row in zip((touching.gap_rate, touching.slip), jacobian, strict=True)
         ]
         sticking = [d for d in range(2) if abs(after[d]) <= slip_tolerance]
-        rows = np.array([couple, *(touching.jacobian[d] for d in sticking)])
+        rows = np.array([couple, *(jacobian[d] for d in sticking)])
         solved = answer(snapshot, rows, rows, np.array([-slip, *(0.0 for _ in sticking)]))
         if solved is None:
             continue

@@ -110,7 +110,7 @@ class ScaleTape:
             **{("joints", name): mechanics.point(own.point) for name, own in scene.joints.items()},
         }
         places = [(owner, place) for owner, point in points.items() for place in point]
-        gaps = [mechanics.contact(name).symbols.gap for name in scene.contacts]
+        gaps = [mechanics.contact(name).gap for name in scene.contacts]
         lengths = [*(place for _, place in places), *gaps]
         speeds = [mechanics.rate(place) for _, place in places]
         masses = [parse(body.mass).to_sympy(mechanics.known) for body in scene.bodies.values()]

@@ -6,7 +6,7 @@ The kernel `run_numbers` is the batched version.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT, with_sizes
 from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
 from contacts.dynamics.setup import (
+    FORCE_BAND,
     HOLD_PART,
     IMPLIED_BAND,
     ROUNDING,
@@ -31,6 +32,7 @@ from contacts.scene.checks import check_finite, check_physical, limits
 from contacts.scene.couplings import Rolling, coupling_states
 from contacts.scene.lint import lint
 from contacts.scene.regions import states as states_of
+from contacts.scene.scene import Scene
 from contacts.solvers.dependence import dependent_rows
 from contacts.states import implied_joints
 from statechart.arrays import Array, Bools, Ints, Ints32
@@ -50,6 +52,8 @@ POINT_MASS = 1e-12
 # Round-off of positions, relative to the length, above which there is a warning: with one bouncing
 # contact, and with several, where the order of impacts depends on the gaps of the others.
 FAR, FAR_IN_TURN = 1e-10, 1e-12
+# Least share of a body in the mass of the scene without a warning that its events are late.
+_MIN_SHARE = 1e-6
 # First horizon of a run, in the scene's unit of time.
 LOOK_AHEAD = 64.0
 
@@ -96,6 +100,13 @@ class SceneNumbers:
         # Bodies, and the indices of their moments of inertia among the values.
         self.inertias = [(name, self.places.get(f"{name}.inertia")) for name in scene.bodies]
         self.lint = (*lint(scene), *_unpressed(mechanics), *undecided_couplings(mechanics))
+        masses = {
+            name: sp.Abs(parse(body.mass).to_sympy(mechanics.known))
+            for name, body in scene.bodies.items()
+        }
+        # Shares in the mass of bodies that contacts may hold.
+        shares = [masses[name] / sp.Add(*masses.values()) for name in _single_bodies(scene)]
+        self._single_bodies, self._shares = _single_bodies(scene), mechanics.tape(shares)
         # Quantities with physical limits `bounds` (2, l); None if controllers set some of them.
         self.limits: Tape | None = None
         # Constants are checked when the scene is read.
@@ -108,10 +119,11 @@ class SceneNumbers:
                 for limit in varying
             ]
             if not any(expression.has(sp.oo) for expression in bounded):
-                self.limits = mechanics.tape(bounded)
-                self.bounds = (
-                    np.array([(limit.least, limit.most) for limit in varying]).reshape(-1, 2).T
-                )
+                # A share below its limit gives a warning.
+                least = [(limit.least, limit.most) for limit in varying]
+                least += [(_MIN_SHARE, math.inf)] * len(shares)
+                self.limits = mechanics.tape([*bounded, *shares])
+                self.bounds = np.array(least).reshape(-1, 2).T
 
     def at(
         self, overrides: Mapping[str, float], relative: float, *, stepped: bool = False
@@ -151,6 +163,9 @@ class SceneNumbers:
                     loc=("stop", "conditions", name),
                 )
         gap, speed, force = tolerated(relative)
+        if not stepped:
+            shares = self._shares.at(initial, values, 0.0).tolist()
+            warnings += tuple(_light(zip(self._single_bodies, shares, strict=True)))
         tolerances = {
             "gap": max(gap * scales.length, scales.rounding),
             "speed": speed * scales.speed,
@@ -287,6 +302,28 @@ def _far(scales: Scales, limit: float) -> Iterator[str]:
             f"the scene is {scales.length:.3g} in size, and so far from the origin that "
             f"round-off of positions is {scales.rounding:.2g}; put the origin nearer"
         )
+
+
+def _single_bodies(scene: Scene) -> list[str]:
+    """Return the free bodies that rest on others and carry none by a surface or joint."""
+    resting = [c for c in scene.contacts.values() if parse(c.restitution or "0").text != "1"]
+    touching = {contact.point.body for contact in resting}
+    carrying = {surface.body for surface in scene.surfaces.values()}
+    for joint in scene.joints.values():
+        carrying |= {joint.point.body, getattr(joint.to, "body", None)}
+    free = (name for name, body in scene.bodies.items() if body.position is None)
+    return [name for name in free if name in touching and name not in carrying]
+
+
+def _light(shares: Iterable[tuple[str, float]]) -> Iterator[str]:
+    """Yield a warning for each body so light that the tolerance of forces delays its events."""
+    for name, share in shares:
+        if 0.0 < share < _MIN_SHARE:
+            yield (
+                f"contacts of body {name!r} slip and lift off late, by up to "
+                f"{FORCE_BAND / share:.1g} of its weight, beside the heavy bodies of the scene: "
+                "put it into another scene, or take engine: impulse"
+            )
 
 
 def _unpressed(mechanics: Mechanics) -> Iterator[str]:

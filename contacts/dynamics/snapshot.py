@@ -49,7 +49,6 @@ class PerContact(NamedTuple):
     # `tx`, `ty`: Unit tangent of the surface there
     tx: float
     ty: float
-    jacobian: Array  # (2, n): Rows: normal, tangential
     # Unit edges (n, t) of the friction cone in slide+ and slide- at the present slip; None: the
     # edges at rest
     edges: tuple[float, float, float, float] | None = None
@@ -67,7 +66,7 @@ class Snapshot(NamedTuple):
     velocity: Array  # (n,): Rates of the coordinates, or of the motions
     energy: float  # Kinetic plus gravity's
     contacts: tuple[PerContact, ...]  # In the order of the declaration
-    jacobians: Array  # (c, 2, n)
+    jacobians: Array  # (c, 2, n): Rows: normal, tangential
     # (c, 2): Accelerations of the points, normal and tangential, without those of the coordinates
     biases: Array
     reduction: JointReduction | None = None  # None without joints
@@ -168,14 +167,13 @@ class SnapshotTape:
         contacts = [mechanics.contact(name) for name in names]
         scalars: list[sp.Expr] = []
         for contact in contacts:
-            scalars += [contact.symbols.gap, contact.symbols.gap_rate, contact.symbols.slip]
-            scalars += [*contact.anchor, *contact.slipping]
-            scalars += mechanics.sliding_edges(contact.symbols)
+            scalars += [contact.gap, contact.gap_rate, contact.slip]
+            scalars += [*contact.anchor, *contact.slipping, *mechanics.sliding_edges(contact)]
         self._pads = tuple((names.index(name), pad) for name, pad in mechanics.pads.items())
         pads: list[sp.Expr] = []
         for name in mechanics.pads:
             body = mechanics.scene.contacts[name].point.body
-            symbols = mechanics.contact(name).symbols
+            symbols = mechanics.contact(name)
             mass, _ = mechanics.inertia(body, mechanics.scene.bodies[body])
             pads += [mass, symbols.compliance, symbols.gap_rate]
         rows = mechanics.joint_rows
@@ -233,8 +231,6 @@ class SnapshotTape:
             mass, forces, energy, jacobians, biases, scalars, joints, joint_jacobian, pads, limits,
             signs,
         ) = (numbers[part] for part in self._slices)  # fmt: skip
-        jacobians = jacobians.reshape(count, 2, n)
-        contacts = zip(scalars.reshape(count, SCALARS).tolist(), jacobians, strict=True)
         whole = Snapshot(
             mass.reshape(n, n),
             forces,
@@ -242,11 +238,11 @@ class SnapshotTape:
             energy.item(),
             tuple(
                 [
-                    PerContact._make((*row[:EDGES], jacobian, tuple(row[EDGES:])))
-                    for row, jacobian in contacts
+                    PerContact._make((*row[:EDGES], tuple(row[EDGES:])))
+                    for row in scalars.reshape(count, SCALARS).tolist()
                 ]
             ),
-            jacobians,
+            jacobians.reshape(count, 2, n),
             biases.reshape(count, 2),
             limits=limits.reshape(-1, 2),
         )
@@ -287,10 +283,7 @@ class SnapshotTape:
             mass=mass,
             forces=np.concatenate([whole.forces, -pressed]) + acting @ pushes,
             velocity=np.concatenate([whole.velocity, np.zeros(pads)]),
-            contacts=tuple(
-                contact._replace(jacobian=rows)
-                for contact, rows in zip(contacts, jacobians, strict=True)
-            ),
+            contacts=tuple(contacts),
             jacobians=jacobians,
             biases=biases,
             pads=pads,
@@ -325,10 +318,6 @@ def _reduce(whole: Snapshot, joints: JointNumbers, groups: Sequence[JointGroup])
         mass=0.5 * (mass + mass.T),
         forces=basis.T @ (whole.forces - whole.mass @ allowed.acceleration),
         velocity=allowed.left_inverse @ (whole.velocity - allowed.velocity),
-        contacts=tuple(
-            contact._replace(jacobian=jacobian)
-            for contact, jacobian in zip(whole.contacts, jacobians, strict=True)
-        ),
         jacobians=jacobians,
         biases=biases,
         reduction=JointReduction(whole, joints, basis, allowed.acceleration),

@@ -12,7 +12,7 @@ from contacts.dynamics.conditions import hidden
 from contacts.dynamics.contact_law import sliding_edge
 from contacts.dynamics.projection import constraint_key, landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import PerContact, Snapshot, answer
+from contacts.dynamics.snapshot import Snapshot, answer
 from contacts.event_driven.decision import choose_mode
 from contacts.event_driven.impact_jump import flow_in
 from contacts.impacts.jamming import Jam, strike_jammed
@@ -119,8 +119,8 @@ def _moves_tangentially(key: Key, snapshot: Snapshot, state: Array, setup: Scene
     """Return whether projecting the gaps of `key` to zero would move a contact tangentially."""
     displacement = (on_constraints(key, snapshot, state) - state)[: snapshot.size]
     return any(
-        abs(float(contact.jacobian[1] @ displacement)) > setup.tolerances["gap"]
-        for contact, mode in zip(snapshot.unreduced.contacts, key, strict=True)
+        abs(float(tangent @ displacement)) > setup.tolerances["gap"]
+        for tangent, mode in zip(snapshot.unreduced.jacobians[:, 1], key, strict=True)
         if mode not in OPEN
     )
 
@@ -138,17 +138,18 @@ def _velocity_after_impacts(
     rows: list[Array] = []
     columns: list[Array] = []
     rates: list[float] = []
-    slides: list[PerContact] = []
-    for law, contact, closes in zip(setup.contacts, snapshot.contacts, closing, strict=True):
+    slides: list[tuple[float, Array]] = []
+    for law, contact, (normal, tangent), closes in zip(
+        setup.contacts, snapshot.contacts, snapshot.jacobians, closing, strict=True
+    ):
         if not closes or law.coupling:
             continue
-        normal, tangent = contact.jacobian
         rows.append(normal)
         rates.append(-contact.gap_rate)
         if abs(contact.slip) > setup.slip_tolerance or "pin" not in law.states:
             cone_n, cone_t = sliding_edge(law, contact)
             columns.append(cone_n * normal - np.sign(contact.slip) * cone_t * tangent)
-            slides.append(contact)
+            slides.append((contact.slip, tangent))
         else:
             rows.append(tangent)
             rates.append(-contact.slip)
@@ -159,9 +160,8 @@ def _velocity_after_impacts(
         return None
     sizes = [math.sqrt(float(dv @ snapshot.mass @ dv)) for dv in (change, frictionless)]
     reversed_slip = any(
-        (contact.slip + contact.jacobian[1] @ change) * np.sign(contact.slip)
-        < -setup.slip_tolerance
-        for contact in slides
+        (slip + tangent @ change) * np.sign(slip) < -setup.slip_tolerance
+        for slip, tangent in slides
     )
     return (
         None

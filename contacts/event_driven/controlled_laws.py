@@ -109,10 +109,7 @@ class ControlledLaws:
         guarded = self._states.opening_first(true, controllers)
         firing = self._queues.first(controllers, flow.pending, guarded, lambda: self._holding(at))
         if firing is None:
-            tolerances = flow.tolerances if truths is None else truths.watched()
-            if tolerances == flow.tolerances:
-                return None
-            return None, flow._replace(tolerances=tolerances)
+            return None if truths is None else truths.continued()
         name, edge = self._names[firing.place], firing.taken
         states = (*controllers[: firing.place], edge.target, *controllers[firing.place + 1 :])
         after = self._states.updated(setup, clock, edge.name, edge.blocks, state)
@@ -281,16 +278,12 @@ class ControlledLaws:
         # Only the sizes of a guard's terms are needed: forces of typical size suffice.
         rows = guarded.atoms_at(setup, clock.high, state, guarded.typical(setup))
         tolerances = guarded.watch.tolerances(rows, setup.precision)
-        laws = self._at(states)
-        condition_tolerances = laws.conditions.at(setup, state, clock.high).tolerances()
-        if laws.compliance is not None:
-            mode = moving_mode(flow.roles)
-            condition_tolerances |= laws.compliance.tolerances(setup, mode, state, clock.high)
+        special, _ = self._at(states).special_tolerances(setup, flow, state, clock.high)
         return flow._replace(
             mode=(*flow.mode, *states),
             roles=(*flow.roles, *roles_in(states)),
             settled=False,
-            tolerances={**setup.bands, **condition_tolerances, **tolerances},
+            tolerances={**setup.bands, **special, **tolerances},
             terms=None if flow.terms is None or source is None else source.terms,
             pending=source.pending if source is not None else {},
         )

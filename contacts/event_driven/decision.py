@@ -88,7 +88,7 @@ def _level_feet(
     (_, levers), scales = _motions(setup, snapshot), setup.scales
     jacobians, biases = snapshot.jacobians.copy(), snapshot.biases.copy()
     slips = np.array([contact.slip for contact in snapshot.contacts])
-    contacts, independent, resting = [*snapshot.contacts], sticking[:1], sticking
+    independent, resting = sticking[:1], sticking
     for i in sticking[1:]:
         earlier = jacobians[independent, 1] * levers
         weights = np.linalg.lstsq(earlier.T, jacobians[i, 1] * levers)[0]
@@ -103,11 +103,9 @@ def _level_feet(
         ):
             resting = []
         jacobians[i, 1], biases[i, 1] = row, bias
-        contacts[i] = contacts[i]._replace(jacobian=jacobians[i])
     if len(independent) == len(sticking):
         return snapshot, []
-    level = snapshot._replace(jacobians=jacobians, biases=biases, contacts=tuple(contacts))
-    return level, resting
+    return snapshot._replace(jacobians=jacobians, biases=biases), resting
 
 
 def _motions(setup: SceneSetup, snapshot: Snapshot) -> tuple[Array, Array]:
@@ -156,9 +154,7 @@ def choose_at_rest(
         # Round-off in a row (sin(pi) is 1e-16) would divide forces by itself.
         jacobians = snapshot.jacobians.copy()
         jacobians[idle, 1] = 0.0
-        exact = zip(snapshot.contacts, jacobians, strict=True)
-        contacts = tuple(contact._replace(jacobian=rows) for contact, rows in exact)
-        snapshot = snapshot._replace(jacobians=jacobians, contacts=contacts)
+        snapshot = snapshot._replace(jacobians=jacobians)
     choice = choose_mode(setup, snapshot, touching, before, uncertainty)
     if not idle or isinstance(choice, Jam):
         return choice

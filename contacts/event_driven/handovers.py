@@ -165,7 +165,7 @@ class Handovers:
                 gate = self._mechanics.gate(name)
                 assert gate is not None
                 outputs.append(gate.by_steps(controlled, {}))
-                outputs.append(self._mechanics.contact(name).symbols.gap.xreplace(controlled))
+                outputs.append(self._mechanics.contact(name).gap.xreplace(controlled))
             self._tapes[states] = self._mechanics.tape(outputs)
         return self._tapes[states]
 

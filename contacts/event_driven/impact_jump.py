@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
-from contacts.dynamics.conditions import hidden
+from contacts.dynamics.conditions import hidden_at
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import constraint_key, landed
 from contacts.dynamics.rolling_resistance import apply_rolling_resistance, couples
@@ -62,10 +62,7 @@ def uncertainty_at(
     if not at.fired and not at.flow.near_bound:
         return None
 
-    def numbers(state: Array, later: float) -> Snapshot:
-        snapshot = tape.at(landing.setup.values, state, at.clock.high + later)
-        return hidden(snapshot, at.flow.mode)
-
+    around = hidden_at(tape, landing.setup.values, at.clock.high, at.flow.mode)
     certain_modes = tuple(["free"] * len(names)) if at.flow.near_bound else landing.moving
     off_margins = tuple(f"{name}.{state}:" for name in names for state in INACTIVE)
     kinematic = tuple(f"{name}.{kind}" for name in names for kind in _KINEMATIC_MARGINS)
@@ -78,7 +75,7 @@ def uncertainty_at(
         )
     ]
     state = at.state if after is None else after
-    return ForceUncertainty(numbers, landing.setup, state, certain_modes, uncertain)
+    return ForceUncertainty(around, landing.setup, state, certain_modes, uncertain)
 
 
 class _Struck(NamedTuple):
@@ -190,9 +187,7 @@ def impact_jump(
 def _solve_struck(tape: SnapshotTape, landing: Landing, jam: Jam | None) -> _Struck:
     """Compute an impact, and sum the bounces that follow it if that is possible."""
     (_, clock, _, flow, state, _), setup, snapshot, _, closed = landing
-
-    def snapshot_at(state: Array, later: float = 0.0) -> Snapshot:
-        return hidden(tape.at(setup.values, state, clock.high + later), flow.mode)
+    snapshot_at = hidden_at(tape, setup.values, clock.high, flow.mode)
 
     def apply(
         laws: Sequence[ContactLaw],

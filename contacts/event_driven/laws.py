@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 
 import numpy as np
 
-from contacts.dynamics.conditions import Conditions, hidden
+from contacts.dynamics.conditions import Conditions, hidden, hidden_at
 from contacts.dynamics.held_forces import HeldForces
 from contacts.dynamics.mechanics import HAULED, Mechanics, winch_end_message
 from contacts.dynamics.projection import (
@@ -131,12 +131,8 @@ class SceneLaws:
         """Return the first mode, checked against the declared one."""
         assert isinstance(setup, SceneSetup)
         flow, state = self._initial_flow(setup, setup.initial)
-        if self.conditions.present:
-            _, flow = self._switching.watched(setup, state, 0.0, (None, flow))
-        if self.compliance is not None:
-            own = self.compliance.tolerances(setup, moving_mode(flow.roles), state, 0.0)
-            flow = flow._replace(tolerances={**flow.tolerances, **own})
-        return flow, state
+        own, _ = self.special_tolerances(setup, flow, state, 0.0)
+        return flow._replace(tolerances={**flow.tolerances, **own}) if own else flow, state
 
     def _initial_flow(self, setup: SceneSetup, state: Array) -> tuple[Flow, Array]:
         """Return the first flow, and its initial state."""
@@ -181,7 +177,7 @@ class SceneLaws:
             snapshot,
             touching,
             state,
-            self._hidden_at(setup, 0.0, off),
+            hidden_at(self.tape, setup.values, 0.0, off),
             Before(),
         )
         moving = moving_mode(choice.roles)
@@ -210,22 +206,43 @@ class SceneLaws:
             assert isinstance(at.setup, SceneSetup)
             within = self.held.within(at.setup, at.flow, at.state, at.clock.high, self.tape)
             at = at._replace(setup=within)
-        result = self._with_gap_offsets(at, self._jump(at))
-        if self.conditions.present:
-            result = self._conditional(at, result)
-        return result if self.compliance is None else self.compliance.watched(at, result)
+        return self._watched(at, self._with_gap_offsets(at, self._jump(at)))
 
-    def _conditional(
+    def _watched(
         self, at: Instant, result: tuple[Jump | None, Flow] | None
     ) -> tuple[Jump | None, Flow] | None:
-        """Set the tolerances of the conditions that decide in the flow."""
-        assert isinstance(at.setup, SceneSetup)
-        if result is None:
-            return self._switching.continued(at, at.setup)
-        jump, flow = result
-        state = flow.start if jump is None else jump.after
-        where = at.state if state is None else state
-        return self._switching.watched(at.setup, where, at.clock.high, result)
+        """Set the special tolerances of a flow, also of one that continues.
+
+        A jump that leaves a state on the boundary of a condition is classified again.
+        """
+        setup, clock = at.setup, at.clock
+        assert isinstance(setup, SceneSetup)
+        jump, flow = (None, at.flow) if result is None else result
+        after = flow.start if jump is None else jump.after
+        state = at.state if after is None else after
+        # If no contact is switched, the verdicts of higher derivatives certify the flow.
+        verdicts = self._switching.verdicts if result is None else []
+        own, on_boundary = self.special_tolerances(setup, flow, state, clock.high, verdicts)
+        if not own or (result is None and alike(own, flow.tolerances)):
+            return result
+        settled = flow.settled and (jump is None or not on_boundary)
+        return jump, flow._replace(tolerances={**flow.tolerances, **own}, settled=settled)
+
+    def special_tolerances(
+        self, setup: SceneSetup, flow: Flow, state: Array, time: float, verdicts: Sequence[int] = ()
+    ) -> tuple[dict[str, float], bool]:
+        """Return the tolerances of conditions and compliant contacts in a flow from a state.
+
+        Also returns whether a condition is on its boundary. `verdicts` are those of the atoms, if
+        higher derivatives have decided them.
+        """
+        own, on_boundary = dict[str, float](), False
+        if self.conditions.present:
+            here = self.conditions.at(setup, state, time)
+            own, on_boundary = here.tolerances(verdicts), here.on_boundary
+        if self.compliance is not None:
+            own |= self.compliance.tolerances(setup, moving_mode(flow.roles), state, time)
+        return own, on_boundary
 
     def _with_gap_offsets(
         self, at: Instant, result: tuple[Jump | None, Flow] | None
@@ -276,7 +293,7 @@ class SceneLaws:
         touching = here.snapshot.remaining(here.closed, here.slow)
         uncertainty = uncertainty_at(self.tape, here)
         before = Before.flow(at.flow.roles, here.moving)
-        around = self._hidden_at(setup, clock.high, flow.mode)
+        around = hidden_at(self.tape, setup.values, clock.high, flow.mode)
         choice = choose_at_rest(
             setup, here.snapshot, touching, here.at.state, around, before, uncertainty
         )
@@ -287,12 +304,6 @@ class SceneLaws:
                 choice = choice if grown is None else dataclasses.replace(choice, why=grown.why)
             return self._impact(here, [choice.place], choice)
         return self._enter(at, here, choice)
-
-    def _hidden_at(
-        self, setup: SceneSetup, start: float, mode: Key
-    ) -> Callable[[Array, float], Snapshot]:
-        """Return a function that gives the snapshot of a mode at a state, a time after `start`."""
-        return lambda state, later: hidden(self.tape.at(setup.values, state, start + later), mode)
 
     def close(self, at: Instant, joint: str, cause: str) -> tuple[Jump, Flow]:
         """Close a joint: its points stop, and so do contacts that are closed, without rebound.
@@ -434,15 +445,15 @@ class SceneLaws:
         if flow.sizes is None:
             return moving
         # Round-off of the rates of coordinates; rates of pads of compliant contacts come after.
-        n = snapshot.size
+        n, whole = snapshot.size, snapshot.unreduced
         rounding = EPS * flow.sizes[n : 2 * n]
         return tuple(
             ("locked" if state in SLIPPING else "pin")
             if f"{name}.slip" in fired
-            and still < abs(contact.slip) <= float(np.abs(contact.jacobian[1, :n]) @ rounding)
+            and still < abs(contact.slip) <= float(np.abs(tangent[:n]) @ rounding)
             else state
-            for name, state, contact in zip(
-                self._names, moving, snapshot.unreduced.contacts, strict=True
+            for name, state, contact, tangent in zip(
+                self._names, moving, whole.contacts, whole.jacobians[:, 1], strict=True
             )
         )
 
@@ -470,8 +481,11 @@ class SceneLaws:
         if result is None or not in_corner:
             return result
         jump, flow = result
-        _, flow = self._switching.watched(setup, jump.after, clock.high, result)
-        return (jump, flow) if all(flow.roles[i].captured for i in in_corner) else None
+        if not all(flow.roles[i].captured for i in in_corner):
+            return None
+        own, on_boundary = self.special_tolerances(setup, flow, jump.after, clock.high)
+        settled = flow.settled and not on_boundary
+        return jump, flow._replace(tolerances={**flow.tolerances, **own}, settled=settled)
 
     def _engage_corner(
         self, setup: SceneSetup, clock: Clock, flow: Flow, jump: Jump
@@ -571,7 +585,7 @@ class Compliance:
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None) -> None:
         names = [*mechanics.scene.contacts]
         self._places = [(name, names.index(name)) for name in mechanics.pads]
-        symbols = [mechanics.contact(name).symbols for name in mechanics.pads]
+        symbols = [mechanics.contact(name) for name in mechanics.pads]
         numbers = [e for one in symbols for e in (one.gap, one.compliance)]
         self._tape = mechanics.tape(numbers, definitions=mechanics.controlled(states))
 
@@ -594,16 +608,3 @@ class Compliance:
             margins = (f"{name}.{margin}" for margin in ("gap", INSIDE, OUTSIDE))
             own |= dict(zip(margins, bands, strict=True))
         return own
-
-    def watched(
-        self, at: Instant, result: tuple[Jump | None, Flow] | None
-    ) -> tuple[Jump | None, Flow] | None:
-        """Set the margins that end the flights of a flow, also of one that continues."""
-        jump, flow = (None, at.flow) if result is None else result
-        state = flow.start if jump is None else jump.after
-        where = at.state if state is None else state
-        assert isinstance(at.setup, SceneSetup)
-        own = self.tolerances(at.setup, moving_mode(flow.roles), where, at.clock.high)
-        if result is None and alike(own, flow.tolerances):
-            return None
-        return jump, flow._replace(tolerances={**flow.tolerances, **own})

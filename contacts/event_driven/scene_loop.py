@@ -411,7 +411,7 @@ def run_batch(
     """Start or resume the runs of a batch; return the number of runs that fit into the block.
 
     For program and workspace see `statechart.engines.compiled_flow`. `first_watch` and
-    `first_instants` are buffers. If `batch.has_numbers`, `scene.numbers` and `first_watch.kinds`
+    `first_instants` are buffers. If `batch.resumed`, `scene.numbers` and `first_watch.kinds`
     have the setup. The block takes arcs and events of all runs. Fills a row of `result` for each;
     a run that ends as `UNUSUAL` or `OTHER` leaves nothing else.
     """
@@ -423,7 +423,7 @@ def run_batch(
         state = result.final[row]
         ends[runs.HOW] = runs.UNUSUAL
         copy_counts(used, before)
-        if not batch.has_numbers:
+        if not batch.resumed:
             if not batch.until[row] >= 0.0 or not run_numbers(
                 program, scene.tapes[INSTANTS:], scene.rules, batch.code, batch.constants,
                 batch.outputs, batch.inputs[row], numbers,
@@ -520,36 +520,24 @@ class SceneLoop:
         """Start the runs of a batch; return how many fit into the block."""
         return self._call(self._scene, batch, block, result)
 
-    def begin(
-        self, setup: Setup, until: float, most_jumps: int, floor: float, block: TraceBuffer,
-        result: BatchResult,
-    ) -> None:  # fmt: skip
-        """Start a run with the given setup."""
-        scene = self._write_numbers(setup, setup.values)
-        scene.numbers.initial[:] = setup.initial
-        ends = np.array([until], float)
-        batch = _SINGLE_RUN._replace(until=ends, most_jumps=most_jumps, floor=floor)
-        self._call(scene, batch, block, result)
-
     def resume(
         self, setup: Setup, floor: float, block: TraceBuffer, result: BatchResult, series: Array
     ) -> None:
         """Resume a run."""
-        scene = self._write_numbers(setup, result.values[0])._replace(series=series)
-        self._call(scene, _SINGLE_RUN._replace(floor=floor, resumed=True), block, result)
-
-    def _write_numbers(self, setup: Setup, values: Array) -> SceneConstants:
         assert isinstance(setup, SceneSetup)
         assert setup.sizes is not None
         numbers, (watch, _) = self._scene.numbers, self._buffers
         scales = setup.scales
-        numbers.values[:], numbers.sizes[:] = values, setup.sizes
+        numbers.values[:], numbers.sizes[:] = result.values[0], setup.sizes
         numbers.scales[:] = (
             scales.length, scales.speed, scales.acceleration, scales.force, scales.rounding,
         )  # fmt: skip
         numbers.bands[:] = [setup.bands[name] for name in self._setup.stops]
         watch.kinds[:] = [setup.tolerances[kind] for kind in KINDS]
-        return self._scene._replace(gap=setup.precision, force_uncertainty=setup.force_uncertainty)
+        scene = self._scene._replace(
+            series=series, gap=setup.precision, force_uncertainty=setup.force_uncertainty
+        )
+        self._call(scene, _RESUMED._replace(floor=floor), block, result)
 
     def _call(
         self, scene: SceneConstants, batch: BatchInputs, block: TraceBuffer, result: BatchResult
@@ -571,9 +559,9 @@ class _Inputs(NamedTuple):
     fixed: Array  # Values of the other inputs
 
 
-_SINGLE_RUN = BatchInputs(
+_RESUMED = BatchInputs(
     np.empty((0, 3), np.int32), np.empty(0), np.empty(0, np.int32), np.empty((1, 0)), np.zeros(1),
-    np.zeros(0, np.bool_), 0, 0.0, single=True, resumed=False, has_numbers=True,
+    np.zeros(0, np.bool_), 0, 0.0, single=True, resumed=True,
 )  # fmt: skip
 
 

@@ -44,7 +44,7 @@ class Switching:
 
     def __init__(self, names: Sequence[str], conditions: Conditions) -> None:
         self._names, self._conditions = names, conditions
-        self._verdicts: list[int] = []  # Of the last instant in `switched`.
+        self.verdicts: list[int] = []  # Of the last instant in `switched`.
 
     def failing(
         self, setup: SceneSetup, snapshot: Snapshot, state: Array, time: float
@@ -59,10 +59,10 @@ class Switching:
         over there.
         """
         conditions, gap_tolerance = self._conditions.at(setup, state, time), setup.tolerances["gap"]
-        contacts = snapshot.unreduced.contacts
+        normals = snapshot.unreduced.jacobians[:, 0]
         near = [
-            gap_tolerance + _MORE * blur * float(np.linalg.norm(contact.jacobian[0]))
-            for blur, contact in zip(conditions.position_uncertainty, contacts, strict=True)
+            gap_tolerance + _MORE * blur * float(np.linalg.norm(normal))
+            for blur, normal in zip(conditions.position_uncertainty, normals, strict=True)
         ]
         return _Site(setup, snapshot, conditions, near)
 
@@ -136,8 +136,8 @@ class Switching:
             return {}
         site = self._site(setup, snapshot, at.state, at.clock.high)
         on = [state not in INACTIVE for state in at.flow.mode]
-        self._verdicts = self._atom_verdicts(site, at.fired, on)
-        failing = self._conditions.first(self._verdicts)
+        self.verdicts = self._atom_verdicts(site, at.fired, on)
+        failing = self._conditions.first(self.verdicts)
         if any(failing) and site.conditions.on_boundary:
             failing = self._struck_too(at, site, failing, strike)
         result: dict[int, str] = {}
@@ -259,28 +259,6 @@ class Switching:
                     "let their conditions overlap"
                 )
         return ""
-
-    def watched(
-        self, setup: SceneSetup, state: Array, time: float, result: tuple[Jump | None, Flow]
-    ) -> tuple[Jump | None, Flow]:
-        """Set the tolerances of the conditions in a flow from a state.
-
-        A jump that leaves a state on the boundary of a condition is classified again.
-        """
-        jump, flow = result
-        here = self._conditions.at(setup, state, time)
-        settled = flow.settled and not (jump is not None and here.on_boundary)
-        tolerances = {**flow.tolerances, **here.tolerances()}
-        return jump, flow._replace(tolerances=tolerances, settled=settled)
-
-    def continued(self, at: Instant, setup: SceneSetup) -> tuple[None, Flow] | None:
-        """Continue a mode if other conditions certify it; else None."""
-        flow = at.flow
-        here = self._conditions.at(setup, at.state, at.clock.high)
-        own = here.tolerances(self._verdicts)
-        if alike(own, flow.tolerances):
-            return None
-        return None, flow._replace(tolerances={**flow.tolerances, **own})
 
 
 def alike(own: Mapping[str, float], tolerances: Mapping[str, float]) -> bool:

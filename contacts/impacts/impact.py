@@ -19,7 +19,7 @@ import numpy as np
 
 from contacts.dynamics import snapshot as numbers
 from contacts.dynamics.contact_law import ContactLaw, cones
-from contacts.dynamics.snapshot import PerContact, Snapshot
+from contacts.dynamics.snapshot import Snapshot
 from contacts.scene.parts import MOREAU
 from contacts.solvers.mode_solver import dot
 from contacts.solvers.saddle_point import INEXACT, SOLVED, saddle
@@ -227,13 +227,13 @@ class Impact:
 
 def impact(
     snapshot: Snapshot,
-    contact: PerContact,
+    place: int,
     law: ContactLaw,
     restitution: float,
     *,
     braking: bool = False,
 ) -> Impact:
-    """Return the outcome of an impact at `contact`, the only closed one.
+    """Return the outcome of an impact at the contact of this index, the only closed one.
 
     With `braking` slip is stopped first, though the contact does not approach (see
     `contacts.impacts.jamming`).
@@ -242,11 +242,11 @@ def impact(
     if a driven joint pushes on a wedged point. Raises `SingularMode` if a segment cannot be solved
     to 1e-8.
     """
-    velocity = snapshot.velocity.copy()
+    velocity, contact = snapshot.velocity.copy(), snapshot.contacts[place]
     status, normal, tangential, code, u_n, u_t = solve_impact(
         np.ascontiguousarray(snapshot.mass),
-        np.ascontiguousarray(contact.jacobian),
-        (contact.gap_rate, contact.slip),
+        np.ascontiguousarray(snapshot.jacobians[place]),
+        (0.0 if braking else contact.gap_rate, contact.slip),
         cones([law], [contact])[0],
         MEANINGS[law.impact],
         restitution,

@@ -71,8 +71,8 @@ def paradoxes(
             continue
         sign = math.copysign(1.0, contact.slip)
         cone_n, cone_t = sliding_edge(law, contact)
-        p = _response(snapshot, contact, cone_n, -sign * cone_t)
-        frictionless = _response(snapshot, contact, 1.0, 0.0)
+        p = _response(snapshot, i, cone_n, -sign * cone_t)
+        frictionless = _response(snapshot, i, 1.0, 0.0)
         if p > max(threshold, _P_ROUND_OFF) * frictionless:
             continue
         no_rows = np.zeros((0, len(snapshot.forces)))
@@ -80,11 +80,11 @@ def paradoxes(
         b = (
             math.nan
             if unconstrained is None
-            else float(contact.jacobian[0] @ unconstrained[0] + snapshot.biases[i, 0])
+            else float(snapshot.jacobians[i, 0] @ unconstrained[0] + snapshot.biases[i, 0])
         )
         if p >= 0.0 and not b < 0.0:
             continue
-        across = sign * _response(snapshot, contact, 0.0, 1.0)
+        across = sign * _response(snapshot, i, 0.0, 1.0)
         infinite_friction = cone_n == 0.0
         paradoxes_met[i] = Paradox(
             law.name,
@@ -96,10 +96,11 @@ def paradoxes(
     return paradoxes_met
 
 
-def _response(snapshot: Snapshot, contact: PerContact, n: float, t: float) -> float:
-    """Return the normal acceleration per unit force along (n, t)."""
-    column = contact.jacobian.T @ np.array([n, t])
-    solved = answer(snapshot, contact.jacobian[:1], column[None], np.ones(1))
+def _response(snapshot: Snapshot, place: int, n: float, t: float) -> float:
+    """Return the normal acceleration of a contact per unit force along (n, t)."""
+    jacobian = snapshot.jacobians[place]
+    column = jacobian.T @ np.array([n, t])
+    solved = answer(snapshot, jacobian[:1], column[None], np.ones(1))
     # The force that one unit of acceleration takes; none does where p = 0.
     if solved is None:
         return 0.0
@@ -194,8 +195,8 @@ def impact_without_collision(snapshot: Snapshot, laws: Sequence[ContactLaw], pla
     Raises `NoConsistentMode` if the path does not end.
     """
     impulses = np.zeros((len(laws), 2))
-    law, contact = laws[place], snapshot.contacts[place]._replace(gap_rate=0.0)
-    result = impact(snapshot, contact, law, law.restitution, braking=True)
+    law = laws[place]
+    result = impact(snapshot, place, law, law.restitution, braking=True)
     impulses[place] = result.normal, result.tangential
     return Impacts(result.velocity, impulses, (f"{law.name} {' '.join(result.path)}",))
 

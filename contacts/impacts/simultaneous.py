@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw
-from contacts.dynamics.snapshot import PerContact, Snapshot
+from contacts.dynamics.snapshot import Snapshot
 from contacts.impacts.impact import RAISES, Impact, impact
 from contacts.impacts.impulses import (
     ImpactProblem,
@@ -100,22 +100,23 @@ def groups(snapshot: Snapshot, closed: Sequence[bool]) -> list[list[int]]:
 
 def _single_impact(snapshot: Snapshot, laws: Sequence[ContactLaw], place: int) -> _GroupImpacts:
     """Compute the impact of one contact by its own law."""
-    law, contact = laws[place], snapshot.contacts[place]
+    law = laws[place]
     if law.impact == MOREAU:
         return _solve_simultaneously(snapshot, laws, [place], True)
-    result = impact(snapshot, contact, law, law.restitution)
+    result = impact(snapshot, place, law, law.restitution)
     impulses = np.zeros((len(laws), 2))
     impulses[place] = result.normal, result.tangential
     change = result.velocity - snapshot.velocity
-    raised = _raises_energy(contact, result, change)
+    raised = _raises_energy(snapshot, place, result, change)
     warning = f"{law.name}: the impact law {law.impact!r} raised the energy" if raised else ""
     path = [f"{law.name} {' '.join(result.path)}"]
     return _GroupImpacts(change, impulses, path, warning)
 
 
-def _raises_energy(contact: PerContact, result: Impact, change: Array) -> bool:
+def _raises_energy(snapshot: Snapshot, place: int, result: Impact, change: Array) -> bool:
     """Return whether the impulse increases the kinetic energy beyond round-off."""
-    normal, tangential = (contact.jacobian @ change).tolist()
+    contact = snapshot.contacts[place]
+    normal, tangential = (snapshot.jacobians[place] @ change).tolist()
     work = result.normal * (contact.gap_rate + 0.5 * normal)
     work += result.tangential * (contact.slip + 0.5 * tangential)
     size = result.normal * abs(contact.gap_rate) + abs(result.tangential * contact.slip)
@@ -200,7 +201,8 @@ def _solve_sequentially(
     while True:
         moving = [current.contacts[i] for i in group]
         limits = [
-            _ROUND_OFF * (abs(c.gap_rate) + float(np.abs(c.jacobian[0]) @ terms)) for c in moving
+            _ROUND_OFF * (abs(c.gap_rate) + float(np.abs(normal) @ terms))
+            for c, normal in zip(moving, snapshot.jacobians[group, 0], strict=True)
         ]
         approaching = [
             k for k in range(len(group)) if moving[k].gap_rate < (-limits[k] if path else 0.0)
@@ -238,8 +240,8 @@ def _solve_sequentially(
 def _with_velocity(snapshot: Snapshot, velocity: Array) -> Snapshot:
     """Return the snapshot at other rates of the coordinates."""
     contacts = []
-    for contact in snapshot.contacts:
-        normal, slip = (contact.jacobian @ (velocity - snapshot.velocity)).tolist()
+    for contact, jacobian in zip(snapshot.contacts, snapshot.jacobians, strict=True):
+        normal, slip = (jacobian @ (velocity - snapshot.velocity)).tolist()
         rates = {"gap_rate": contact.gap_rate + normal, "slip": contact.slip + slip}
         contacts.append(contact._replace(**rates))
     return snapshot._replace(velocity=velocity, contacts=tuple(contacts))

@@ -410,7 +410,12 @@ def _select_candidate(
         # With a shared load, candidates on the boundary are rivals, too.
         new = _bearing(taken) - before.bearing
         less = [c for c in clear if _bearing(c) < _bearing(taken) <= _bearing(c) | new]
-        rivals = [c for c in less if not same_motion(c, taken, scales, _CONTINUES)]
+        rivals = [
+            c
+            for c in less
+            if not same_motion(c, taken, scales, _CONTINUES)
+            and not _is_held_by_friction(taken, c, firmer)
+        ]
     if not rivals:
         return taken, ""
     labels = ", ".join(_label(laws, c.states) for c in [taken, *rivals])
@@ -624,7 +629,7 @@ def _add_couplings(
     snapshot: Snapshot, rows: Array, biases: Array, limits: Array, effect: Array
 ) -> Snapshot:
     jacobians = np.stack([np.zeros_like(rows), rows], axis=1)
-    contacts = [PerContact._make((*[0.0] * EDGES, jacobian, None)) for jacobian in jacobians]
+    contacts = [PerContact._make((*[0.0] * EDGES, None))] * len(rows)
     return snapshot._replace(
         forces=snapshot.forces + effect @ rows,
         contacts=(*snapshot.contacts, *contacts),

@@ -17,7 +17,7 @@ from contacts.scene.parts import Body, Contact, Point
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.formulas.formula import parse
+from statechart.formulas.formula import evaluator, parse
 from statechart.pictures.film import WORLD, Shape, ShapeKind
 
 # Number of fixed or led bodies above which they have no labels.
@@ -40,8 +40,9 @@ class BodyShapes:
     def __init__(
         self, mechanics: Mechanics, automaton: Automaton, known: Mapping[str, float]
     ) -> None:
-        self._mechanics, self._values = mechanics, known
-        self._scene = mechanics.scene
+        self._mechanics, self._number = mechanics, evaluator(known)
+        assert isinstance(automaton.declaration, Scene)
+        self._scene = automaton.declaration
         self._frames = {name: 1 + place for place, name in enumerate(self._scene.bodies)}
         led = led_ends(self._scene)
         self._led = {name: 1 + len(self._frames) + place for place, name in enumerate(led)}
@@ -231,9 +232,6 @@ class BodyShapes:
         if isinstance(joint.to, Point):
             return [line]
         return [line, Shape("pivot", np.array([end]), other, other, name=name)]
-
-    def _number(self, text: str | int | float) -> float:
-        return parse(text).value(self._values)
 
     def _vector(self, pair: tuple[str | int | float, str | int | float]) -> tuple[float, float]:
         return self._number(pair[0]), self._number(pair[1])

@@ -13,7 +13,7 @@ from contacts.scene.joints import Force
 from contacts.scene.parts import Point
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.formulas.formula import parse
+from statechart.formulas.formula import evaluator, parse
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 from statechart.pictures.film import WORLD, Shape, ShapeKind
@@ -41,7 +41,7 @@ class Links:
         frames: Mapping[str, int],
     ) -> None:
         self._mechanics, self._automaton, self._values = mechanics, automaton, known
-        self._scene, self._frames = mechanics.scene, frames
+        self._scene, self._frames, self._number = mechanics.scene, frames, evaluator(known)
 
     def shapes(self) -> list[Shape]:
         """Return the links as shapes."""
@@ -92,7 +92,7 @@ class Links:
         for one, other in combinations(forces, 2):
             if one.body == other.body or not self._opposite(one, other):
                 continue
-            ends = np.array([self._vector(one.at), self._vector(other.at)])
+            ends = np.array([[self._number(text) for text in force.at] for force in (one, other)])
             pair = self._frames[one.body], self._frames[other.body]
             kinds = self._kinds(one, other)
             shapes_found += [Shape(kind, ends, *pair, name=one.body) for kind in kinds]
@@ -180,10 +180,6 @@ class Links:
             sp.expand(parse(a).to_sympy(known) + parse(b).to_sympy(known)) == 0
             for a, b in zip(one.force, other.force, strict=True)
         )
-
-    def _vector(self, pair: tuple[str | int | float, str | int | float]) -> tuple[float, float]:
-        axial, transverse = (parse(text).value(self._values) for text in pair)
-        return axial, transverse
 
 
 def compile_expressions(automaton: Automaton, expressions: Sequence[sp.Expr]) -> Tape:

@@ -19,7 +19,7 @@ from contacts.scene.scene import Scene
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.formulas.formula import parse
+from statechart.formulas.formula import evaluator, parse
 from statechart.formulas.tape import Tape
 from statechart.pictures.film import (
     HATCH,
@@ -49,7 +49,7 @@ class SceneStage:
         scene = automaton.declaration
         assert isinstance(scene, Scene)
         self._automaton, self._scene = automaton, scene
-        self._mechanics = Mechanics(scene)
+        self._mechanics = Mechanics(scene.expanded)
         moving_surfaces = [n for n, s in scene.surfaces.items() if s.moves]
         self._bodies = {name: 1 + k for k, name in enumerate(scene.bodies)}
         self._led = led_ends(scene)
@@ -209,9 +209,7 @@ class SceneStage:
             surface = self._scene.surfaces[name]
             if surface.turn != 0 or not surface.straight:
                 continue
-            _, direction = np.array(
-                surface.point_and_direction(lambda text: parse(text).value(moments.parameters))
-            )
+            _, direction = np.array(surface.point_and_direction(evaluator(moments.parameters)))
             projections = result[:, frame, :2] @ direction
             whole = spacing * np.round(projections / spacing)
             result[:, frame, :2] -= whole[:, None] * direction
@@ -221,7 +219,7 @@ class SceneStage:
         contact = self._scene.contacts[name]
         values = self._contact_tapes[name].table(moments.states, moments.values, moments.times)
         places, normals = values[:, :2], values[:, 2:]
-        radius = disc_of(self._scene, contact, lambda text: parse(text).value(moments.parameters))
+        radius = disc_of(self._scene, contact, evaluator(moments.parameters))
         places = places - radius * normals
         names = [region.name for region in self._automaton.regions]
         region = names.index(name)
@@ -368,10 +366,7 @@ def grounds(
     `frames` maps each surface to its frame, `box` are the corners of all visible points, in the
     world and in moved frames, `unit` is the width of a picture.
     """
-
-    def number(text: str | int | float) -> float:
-        return parse(text).value(known)
-
+    number = evaluator(known)
     shapes: list[Shape] = []
     straight: list[tuple[int, Array, Array]] = []
     for name, surface in scene.surfaces.items():
@@ -411,10 +406,7 @@ def _carried(
     name: str, surface: Surface, frame: int, unit: float, known: Mapping[str, float]
 ) -> Shape:
     """Return a surface that a body carries: a disc, a line, or a graph as wide as the picture."""
-
-    def number(text: str | int | float) -> float:
-        return parse(text).value(known)
-
+    number = evaluator(known)
     if surface.circle is not None:
         centre = np.array([[number(text) for text in surface.circle]])
         return Shape("disc", centre, frame, frame, number(surface.radius or 0), name=name)

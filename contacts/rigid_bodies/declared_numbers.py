@@ -39,7 +39,7 @@ from statechart.arrays import Array, Ints
 from statechart.automaton.margin_derivatives import derivative
 from statechart.documents.fields import FormulaText, value_of
 from statechart.errors import DeclarationProblem
-from statechart.formulas.formula import parse
+from statechart.formulas.formula import evaluator, parse
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 
@@ -57,10 +57,7 @@ def surface_numbers(
     scene: Scene, bodies: Sequence[str], known: Mapping[str, float]
 ) -> SurfaceNumbers:
     """Evaluate the surfaces of a scene."""
-
-    def number(text: FormulaText) -> float:
-        return parse(text).value(known)
-
+    number = evaluator(known)
     surfaces = [scene.surfaces[name] for name in touchable_surfaces(scene)]
     forms = [_form(surface, number) for surface in surfaces]
     heights = tuple(
@@ -78,9 +75,7 @@ def surface_numbers(
         np.array([-1 if s.body is None else bodies.index(s.body) for s in surfaces], np.int64),
         np.array([s.moves for s in surfaces], np.bool_),
         3 * graphs,
-        program.code,
-        program.constants,
-        program.outputs,
+        *program.program,
         values,
     )
 
@@ -126,25 +121,20 @@ _COMPONENTS = {BOTH: slice(0, 2), ALONG_X: slice(0, 1), ALONG_Y: slice(1, 2)}
 def joint_numbers(scene: Scene, names: Sequence[str], known: Mapping[str, float]) -> JointNumbers:
     """Evaluate the joints of a scene; `names` are its bodies, copies one by one."""
     # Captured poses are known when joints close.
-    known = {**dict.fromkeys(scene.controlled.controller_state, 0.0), **known}
+    number = evaluator({**dict.fromkeys(scene.controlled.controller_state, 0.0), **known})
     bodies, at, rows, angles = [], [], [], []
     for j, joint in enumerate(scene.joints.values()):
-        rebound = parse(joint.restitution or 0).value(known)
+        rebound = number(joint.restitution or 0)
         length = joint.rope if joint.rod is None else joint.rod
         kind = _KINDS[tuple(c for c in joint.components if c != "M")]
-        rows.append((kind, j, parse(length or 0).value(known), rebound))
+        rows.append((kind, j, number(length or 0), rebound))
         if joint.angle is not None:
             angles.append((TURN, j, 0.0, 0.0))
         for bound, limit in zip((LEAST, GREATEST), joint.limits or (), strict=False):
-            angles.append((bound, j, parse(limit).value(known), rebound))
+            angles.append((bound, j, number(limit), rebound))
         ends = [joint.point, joint.to if isinstance(joint.to, Point) else None]
         bodies.append([-1 if end is None else names.index(end.body) for end in ends])
-        at.append(
-            [
-                [0.0, 0.0] if end is None else [parse(text).value(known) for text in end.at]
-                for end in ends
-            ]
-        )
+        at.append([[0.0, 0.0] if end is None else [*map(number, end.at)] for end in ends])
     table = np.array(rows + angles, dtype=float).reshape(-1, 4)
     owners, initial = table[:, 1].astype(np.int64), scene.controlled.initial
     return JointNumbers(
@@ -163,7 +153,7 @@ def coupling_numbers(
 ) -> CouplingNumbers:
     """Evaluate the couplings of a scene; `names` are its bodies, copies one by one."""
     bodies, signs, holds, at, levers = [], [], [], [], []
-    single = scene.single_bodies()
+    single, number = scene.single_bodies(), evaluator(known)
     for name, coupling in scene.couplings.items():
         guide, own = scene.along_guide(name), scene.coupled(name)
         backward = single[own[0]].prescribed
@@ -173,9 +163,9 @@ def coupling_numbers(
         bodies.append(pair)
         signs.append(-1.0 if backward else 1.0)
         holds.append({"X": ALONG_X, "Y": ALONG_Y}.get(guide, TURN))
-        at.append([parse(text).value(known) for text in point])
+        at.append([*map(number, point)])
         first = single[own[-1] if backward else own[0]]
-        mass, inertia = (parse(text or 0).value(known) for text in (first.mass, first.inertia))
+        mass, inertia = number(first.mass), number(first.inertia or 0)
         levers.append(1.0 if guide or not inertia > 0.0 else math.sqrt(inertia / mass))
     return CouplingNumbers(
         np.array(bodies, dtype=np.int64).reshape(-1, 2), np.array(signs),
@@ -356,10 +346,7 @@ def body_numbers(
 
     Raises `DeclarationProblem` if a body that collides has no inertia.
     """
-
-    def number(text: FormulaText) -> float:
-        return parse(text).value(known)
-
+    number = evaluator(known)
     if owners is None:
         owners = scene.owners()
     kinds, laws, materials = _laws(scene, [*owners.values()], number)
@@ -432,10 +419,7 @@ def link_numbers(mechanics: LinkedMechanics | None, known: Mapping[str, float]) 
         return LinkNumbers.none()
     scene, tape = mechanics.scene, mechanics.program
     values, _ = mechanics.parameters.values({name: known[name] for name in scene.parameters})
-    return LinkNumbers(
-        len(scene.bodies), len(mechanics.q), mechanics.firsts, tape.code, tape.constants,
-        tape.outputs, values,
-    )  # fmt: skip
+    return LinkNumbers(len(scene.bodies), len(mechanics.q), mechanics.firsts, *tape.program, values)
 
 
 class _ConvexPiece(NamedTuple):

@@ -48,8 +48,7 @@ class Forces(NamedTuple):
     @property
     def program(self) -> ForceProgram:
         """The arrays of the compiled step."""
-        tape = self.tape
-        return ForceProgram(self.bodies, tape.code, tape.constants, tape.outputs, self.values)
+        return ForceProgram(self.bodies, *self.tape.program, self.values)
 
     def stiffness(self, numbers: BodyNumbers, h: float, state: Array, time: float) -> Stiffness:
         """Return the stiffness of the forces; see `contacts.time_stepping.stability.stiffness`.
@@ -229,21 +228,13 @@ class BodyMechanics(Mechanics):
     @cached_property
     def joint_rows(self) -> tuple[JointRow, ...]:
         """Rows of all joints, with names and forces only; the steps have the rest as arrays."""
-        nothing, rows = sp.S.Zero, list[JointRow]()
+        rows: list[JointRow] = []
         for turns in (False, True):
             for name, joint in self.scene.joints.items():
                 for component in joint.forces:
-                    if (component == "M") != turns:
-                        continue
-                    force = sp.Symbol(f"{component}{len(rows)}", real=True)
-                    key = f"{name}.redundant_{component.lower()}"
-                    redundant = self.parameters.symbols.get(key, nothing)
-                    rows.append(
-                        JointRow(
-                            name, component, nothing, nothing, nothing, (), force, nothing,
-                            redundant,
-                        )
-                    )  # fmt: skip
+                    if (component == "M") == turns:
+                        force = sp.Symbol(f"{component}{len(rows)}", real=True)
+                        rows.append(JointRow(name, component, force))
         return tuple(rows)
 
     def at(self, states: Mapping[str, str]) -> BodyTapes:

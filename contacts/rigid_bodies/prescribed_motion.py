@@ -135,8 +135,8 @@ class PrescribedMotion:
         """Change the states of the controllers."""
         self._states = states
         self._tapes = self._mechanics.at(states)
-        self.forces, tape = self._tapes.forces(self._values), self._tapes.limits
-        self._limits = LimitProgram(tape.code, tape.constants, tape.outputs, self._values)
+        self.forces = self._tapes.forces(self._values)
+        self._limits = LimitProgram(*self._tapes.limits.program, self._values)
 
     def captured(self, joint: str, remembered: Array) -> dict[str, float]:
         """Return the pose that a joint captured as it closed: x, y and turn."""

@@ -21,11 +21,10 @@ from statechart.charts.transitions import Transition
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FiniteText, FormulaText
 from statechart.errors import DeclarationProblem
+from statechart.formulas.condition import InState, Or
 from statechart.formulas.formula import parse
 from statechart.formulas.relation import (
     Comparison,
-    Junction,
-    Member,
     Negation,
     Term,
     conjunction,
@@ -169,9 +168,14 @@ def _circle(joint: Joint, length: FormulaText) -> Surface:
 
 
 def _uses_forces(scene: SceneFields, relations: tuple[str, ...]) -> bool:
-    used = parse_relation(conjunction(relations)).names if relations else frozenset()
+    """Return whether relations use forces, or states of contacts and couplings."""
+    if not relations:
+        return False
+    relation = parse_relation(conjunction(relations))
     kinematic = {f"{c}.{q}" for c in scene.contacts for q in ("gap", "slip")}
-    return not used <= scene.kinematic_names | {*scene.controls} | kinematic
+    return not relation.names <= scene.kinematic_names | {*scene.controls} | kinematic or any(
+        member.region not in scene.controlled.flat for member in relation.members
+    )
 
 
 def _region(scene: SceneFields, name: str, joint: Joint) -> Controller:
@@ -209,14 +213,21 @@ def joints_judged_at_start(scene: SceneFields) -> dict[str, int]:
     """
     places = {name: place for place, name in enumerate(scene.controlled.flat)}
     known = {*scene.frictional, *scene.joints}
+    regions = {name: name for name, joint in scene.joints.items() if joint.enabled}
+    regions |= {
+        name: f"{name}_{CLOSED}"
+        for name, contact in scene.contacts.items()
+        if isinstance(scene.surfaces.get(contact.surface), Reach) and contact.enabled
+    }
     found = {}
-    for name, joint in scene.joints.items():
-        region = name if name in places else f"{name}_{CLOSED}"
-        if not joint.enabled or region not in places:
+    for name, region in regions.items():
+        if region not in places:
             continue
-        relation = parse_relation(conjunction(joint.enabled))
-        referred = {member.region for member in relation.members}
-        referred |= {used.rpartition(".")[0] for used in relation.names}
+        referred = set[str]()
+        for transition in scene.regions[region].transitions:
+            relation = parse_relation(transition.guard or "")
+            referred |= {member.region for member in relation.members}
+            referred |= {used.rpartition(".")[0] for used in relation.names}
         if referred & known - {name}:
             found[name] = places[region]
     return found
@@ -249,21 +260,20 @@ def holds_at_start(
     if isinstance(term, Negation):
         operand = holds_at_start(scene, term.part, values)
         return None if operand is None else not operand
-    if isinstance(term, Member):
+    if isinstance(term, InState):
         region = scene.controlled.flat.get(term.region)
         if region is not None:
             return term.state in region.active(region.initial)
         # Bodies with shapes start free.
         return term.state == "free" if scene.collisions and term.region in scene.moving() else None
-    if isinstance(term, Junction):
-        operands = [holds_at_start(scene, operand, values) for operand in term.parts]
-        decisive = term.word == "or"
-        return decisive if decisive in operands else None if None in operands else not decisive
-    assert isinstance(term, Comparison)
-    known = _start(scene, values)
-    if not term.left.names | term.right.names <= known.keys():
-        return None
-    return bool(term.holds(term.left.value(known), term.right.value(known)))
+    if isinstance(term, Comparison):
+        known = _start(scene, values)
+        if not term.left.names | term.right.names <= known.keys():
+            return None
+        return bool(term.holds(term.left.value(known), term.right.value(known)))
+    operands = [holds_at_start(scene, operand, values) for operand in term.parts]
+    decisive = isinstance(term, Or)
+    return decisive if decisive in operands else None if None in operands else not decisive
 
 
 def _start(scene: SceneFields, values: Mapping[str, float] | None) -> dict[str, float]:

@@ -40,8 +40,9 @@ from statechart.documents.quantities import (
     rate_of,
 )
 from statechart.errors import DeclarationProblem
+from statechart.formulas.condition import InState
 from statechart.formulas.formula import parse
-from statechart.formulas.relation import Member, conjunction, parse_relation
+from statechart.formulas.relation import conjunction, parse_relation
 from statechart.formulas.tree import Name
 
 if TYPE_CHECKING:
@@ -488,7 +489,7 @@ class SceneFields(Declaration):
         return frozenset(names)
 
     @cached_property
-    def condition_states(self) -> tuple[Member, ...]:
+    def condition_states(self) -> tuple[InState, ...]:
         """The terms `in(REGION.STATE)` of the conditions of contacts, each state once."""
         texts = [text for contact in self.contacts.values() for text in contact.enabled]
         texts += [text for coupling in self.couplings.values() for text in coupling.enabled]

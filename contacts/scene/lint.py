@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import combinations, pairwise
 
@@ -16,7 +16,7 @@ from statechart.documents.fields import FormulaText
 from statechart.documents.outputs import Count, Event, Value
 from statechart.documents.quantities import fields_of
 from statechart.errors import DeclarationError, DeclarationProblem
-from statechart.formulas.formula import parse
+from statechart.formulas.formula import evaluator, parse
 from statechart.formulas.relation import parse_relation
 from statechart.formulas.tree import Name, Node, Number, Unary, calls_in
 
@@ -141,18 +141,15 @@ def _starts_inside(scene: SceneFields) -> Iterator[str]:
         name: parse(coordinate.start).value(values)
         for name, coordinate in scene.coordinates.items()
     }
-
-    def numbers(texts: Iterable[FormulaText]) -> list[float]:
-        return [parse(text).value({**values, TIME: 0.0}) for text in texts]
-
+    number = evaluator({**values, TIME: 0.0})
     for name, contact in scene.contacts.items():
         surface, body = scene.surfaces[contact.surface], scene.bodies[contact.point.body]
         if surface.line is None or surface.body is not None or surface.moves:
             continue
         if scene.initial_modes.get(name) == "off":
             continue
-        x, y = numbers(body.path[:2])
-        (a, b), (c, d) = map(numbers, surface.line)
+        x, y = map(number, body.path[:2])
+        (a, b), (c, d) = (map(number, end) for end in surface.line)
         depth = ((x - a) * (d - b) - (y - b) * (c - a)) / math.hypot(c - a, d - b)
         if depth > _GAP_ROUND_OFF * max(abs(x - a), abs(y - b)):
             yield (

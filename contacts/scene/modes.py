@@ -16,6 +16,8 @@ from statechart.documents.fields import Part
 if TYPE_CHECKING:
     import sympy as sp
 
+    _Pair = tuple[sp.Expr, sp.Expr]
+
 FORCE_MARGINS = _LOAD, _UPPER, _LOWER = "V", "mu V - H", "mu V + H"
 """Names of a closed contact's force margins: its load, and distances to the cone's two edges."""
 INSIDE, OUTSIDE = "inside", "outside"
@@ -34,7 +36,11 @@ class FrictionSymbols(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ContactSymbols:
-    """A contact's quantities as expressions; lengths, speeds, forces in the scene's units."""
+    """A contact's quantities as expressions; lengths, speeds, forces in the scene's units.
+
+    Places and directions are in the frame of the surface: the world's, or that of the body that
+    carries it.
+    """
 
     name: str  # Name of the contact
     gap: sp.Expr  # Distance from the surface, to first order; >= 0
@@ -44,6 +50,19 @@ class ContactSymbols:
     # `gap_rate`, `slip`: Normal and tangential velocity of the point relative to the surface
     gap_rate: sp.Expr
     slip: sp.Expr
+    point: _Pair  # Position of the contact point
+    # `anchor`, `slipping`: Position that is constant while the contact sticks, and the direction in
+    # which it slips: the point and the tangent, unless the point is on a rim
+    # (`contacts.dynamics.geometry.Rim.anchored`)
+    anchor: _Pair
+    slipping: _Pair
+    normal: _Pair  # Unit vector of the surface there, out of the solid
+    # `jacobian_n`, `jacobian_t`: d(normal, tangential velocity)/d(rates), one per coordinate
+    jacobian_n: tuple[sp.Expr, ...]
+    jacobian_t: tuple[sp.Expr, ...]
+    # `bias_n`, `bias_t`: Their rates at zero accelerations of the coordinates
+    bias_n: sp.Expr
+    bias_t: sp.Expr
     # `normal_acceleration`, `tangential_acceleration`: Their rates, in the unknown accelerations
     normal_acceleration: sp.Expr
     tangential_acceleration: sp.Expr
@@ -51,7 +70,7 @@ class ContactSymbols:
     V: sp.Symbol
     H: sp.Symbol
     friction: FrictionSymbols
-    # d(normal, tangential velocity)/d(rates)
+    # d(normal, tangential velocity)/d(rates) on coordinates and pads
     jacobian: tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]
     joints: tuple[tuple[sp.Expr, ...], ...]  # Jacobian of the scene's joints, row by row
     joint_forces: tuple[sp.Symbol, ...]  # Forces of these rows
@@ -60,6 +79,11 @@ class ContactSymbols:
     sticking: Hold
     # Normal force of a closed compliant contact, in positions and rates; None if it is rigid
     compliance: sp.Expr | None = None
+
+    @property
+    def tangent(self) -> _Pair:
+        """Unit tangent of the surface: the normal, turned clockwise."""
+        return self.normal[1], -self.normal[0]
 
     @property
     def normal_law(self) -> sp.Expr:

@@ -275,18 +275,23 @@ class Scene(SceneFields):
         parameters = frozenset(self.parameters)
         seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
         seen |= {f"{coupling}.slip" for coupling in self.couplings}
+        ropes = {joint_name for joint_name, joint in self.joints.items() if joint.rope is not None}
         for place, text in enumerate(relations):
             with findings:
                 known = seen | {*self.controls}
                 here: Loc = (*at, "enabled", place)
                 for member in parse_relation(text).members:
-                    if member.region in self.frictional:
+                    of, quantity = (
+                        member.region,
+                        "gap" if member.region in self.contacts else "slip",
+                    )
+                    if of in self.frictional or of in ropes:
+                        relation = "" if of in ropes else f"a relation of {of}.{quantity}, or "
                         raise DeclarationProblem(
-                            f"in({member.region}.{member.state}) asks for a state of a contact "
-                            "or a coupling, which `enabled` cannot",
-                            advice=f"write a relation of "
-                            f"{member.region}.{'gap' if member.region in self.contacts else 'slip'}"
-                            ", or ask for a state of a controller",
+                            f"in({of}.{member.state}) asks for a state of a contact, a coupling or "
+                            "a rope, which `enabled` cannot",
+                            advice=f"write {relation}in(REGION.STATE) of a controller that listens "
+                            f"to the events of {of}",
                             loc=here,
                         )
                 for name in sorted(parse_relation(text).names - known - parameters):

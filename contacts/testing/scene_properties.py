@@ -123,20 +123,20 @@ def assert_impulses(scene: Scene | Mechanics, subject: Subject, trace: Trace) ->
     Parameters
     ----------
     scene : Scene or Mechanics
-        The scene, or its mechanics, `contacts.testing.Mechanics(scene)`.
+        The scene, or its mechanics, `contacts.testing.Mechanics(scene.expanded)`.
     subject : Subject
         The compiled scene.
     trace : Trace
         A run of it.
     """
-    mechanics = scene if isinstance(scene, Mechanics) else Mechanics(scene)
+    mechanics = scene if isinstance(scene, Mechanics) else Mechanics(scene.expanded)
     scene = mechanics.scene
     largest = largest_of(jump.impulse for jump in trace.jumps)
     for jump in trace.jumps:
         for name, impulse in jump.impulse.items():
             under = jump.source[len(scene.frictional) :]
             known = mechanics.values_in(dict(zip(scene.controlled.flat, under, strict=True)))
-            slip = mechanics.contact(name).symbols.slip.xreplace(known)
+            slip = mechanics.contact(name).slip.xreplace(known)
             slips = subject.values(trace, [slip], jump.before[None], np.array([jump.t]))[0]
             # During the impact the contact may slip either way, or stick.
             n, t = max(
@@ -156,7 +156,7 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
     Parameters
     ----------
     mechanics : Mechanics
-        Mechanics of the scene, `contacts.testing.Mechanics(scene)`.
+        Mechanics of the scene, `contacts.testing.Mechanics(scene.expanded)`.
     subject : Subject
         The compiled scene.
     trace : Trace
@@ -238,7 +238,7 @@ def _work_of_forces(
     constraint_powers: list[sp.Expr] = []
     if trace.step is None:
         for name, state in _contact_modes(mechanics.scene, arc):
-            at = mechanics.contact(name).symbols
+            at = mechanics.contact(name)
             constraint_powers += [] if state in OPEN else [at.V * at.gap_rate]
             constraint_powers += [at.H * at.slip] if state == "pin" else []
         constraint_powers += [row.force * row.gap_rate for row in mechanics.joint_rows]
@@ -266,7 +266,7 @@ def _work_of_catches(
     middles, velocities = arc.times[: len(steps)] + steps / 2, arc.states(arc.times)[:, n : 2 * n]
     contacts = [mechanics.contact(name) for name in names]
     rows = [row for contact in contacts for row in (contact.jacobian_n, contact.jacobian_t)]
-    forces = [force for contact in contacts for force in mechanics.forces[contact.symbols.name]]
+    forces = [force for contact in contacts for force in mechanics.forces[contact.name]]
     moved = [part for name in names for part in rates[name]]
     expressions = [*mechanics.mass_matrix, *(entry for row in rows for entry in row)]
     expressions += [*mechanics.generalised_forces, *forces, *moved]

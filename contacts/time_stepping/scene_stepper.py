@@ -10,7 +10,7 @@ from functools import cache, partial
 import numpy as np
 
 from contacts.dynamics.conditions import Conditions
-from contacts.dynamics.contact_law import ContactLaw, edge
+from contacts.dynamics.contact_law import ContactLaw, carriers, edge
 from contacts.dynamics.controllers import Controllers
 from contacts.dynamics.mechanics import Mechanics, winch_end_message
 from contacts.dynamics.setup import ROUNDING, SceneSetup
@@ -229,6 +229,7 @@ class SteppedScene(SteppedSystem):
         edges = [edge(1.0) if law.coupling else (law.cone_n, law.cone_t) for law in contacts]
         self._cones = drop_round_off_friction(np.array(edges, float).reshape(-1, 2))
         self._restitution = np.array([law.restitution for law in contacts])
+        self._carriers = carriers(tuple(contacts))
         nowhere = np.zeros(source.soft.n_variables)
         self._soft = source.soft.at(nowhere, self._values, 0.0).reshape(-1, 2)
         allowed = [{_CODES[state] for state in law.states} for law in contacts]
@@ -318,7 +319,7 @@ class SteppedScene(SteppedSystem):
             source.held, source.slips, r, source.signs, self._allowed, self._near, self._still,
             ROUNDING * self._speed,
             self._speed, _SLOWEST * self._speed, self._negligible, self._soft, source.couplings,
-            source.carriers,
+            self._carriers,
         )  # fmt: skip
         swings = self._check_springs(chunk, start)
 

@@ -10,12 +10,12 @@ import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import cone_edge
-from contacts.scene.couplings import Rolling
 from contacts.scene.scene import Scene
 from contacts.time_stepping.equations import CONTACT, JOINT
 from contacts.time_stepping.stability import StepLimits
 from statechart.arrays import Array, Ints
 from statechart.automaton.margin_derivatives import derivative
+from statechart.automaton.trace import Key
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import Max
@@ -63,23 +63,17 @@ class SteppedTape:
         self.scene = mechanics.scene
         self.names = tuple(mechanics.scene.frictional)
         self.couplings = len(mechanics.scene.couplings)
-        self.carriers = np.full(len(self.names), -1)
-        for i, name in enumerate(self.names):
-            rolling = mechanics.scene.couplings.get(name)
-            if isinstance(rolling, Rolling):
-                self.carriers[i] = self.names.index(rolling.contact)
         rigid, sizes = self.names[: len(self.names) - self.couplings], mechanics.sizes
         for name in self.names:
-            geometry = mechanics.contact(name)
-            symbols = geometry.symbols
-            outputs += [*geometry.jacobian_n, *geometry.jacobian_t]
+            contact = mechanics.contact(name)
+            outputs += [*contact.jacobian_n, *contact.jacobian_t]
             coupled = name in mechanics.scene.couplings
             static, kinetic = (
                 (limit.xreplace(known) for limit in mechanics.limits(name))
                 if coupled
-                else (symbols.gap, sp.S.Zero)
+                else (contact.gap, sp.S.Zero)
             )
-            motion = geometry.bias_n, geometry.bias_t, static, symbols.gap_rate, symbols.slip
+            motion = contact.bias_n, contact.bias_t, static, contact.gap_rate, contact.slip
             # Surface velocities depend on controller states.
             outputs += [term.xreplace(known) for term in motion] if self.scene.leading else motion
             gate = mechanics.gate(name)
@@ -89,7 +83,7 @@ class SteppedTape:
                 valleys = {} if coupled else mechanics.valleys(name, acute=acute)
                 outputs.append(holds if gate is None else gate.by_steps(known, sizes, valleys))
             edges = (
-                2 * _kinetic_edge(static, kinetic) if coupled else mechanics.sliding_edges(symbols)
+                2 * _kinetic_edge(static, kinetic) if coupled else mechanics.sliding_edges(contact)
             )
             outputs += [edge.xreplace(known) for edge in edges]
         rows = mechanics.joint_rows
@@ -104,7 +98,7 @@ class SteppedTape:
         self.gaps: Tape = mechanics.tape(
             [
                 Max(
-                    mechanics.contact(name).symbols.gap.xreplace(known),
+                    mechanics.contact(name).gap.xreplace(known),
                     *(() if gate is None else (-gate.by_steps(known, sizes),)),
                 )
                 for name, gate in zip(rigid, map(mechanics.gate, rigid), strict=True)
@@ -122,29 +116,20 @@ class SteppedTape:
         flows = [known.get(rate, rate) for rate in mechanics.controller_rates.values()]
         self.flows: Tape = mechanics.tape(flows)
         # Pins constrain the velocity, frictionless slides its normal component.
-        none = [0] * self.couplings
+        modes = {name: mechanics.scene.region_states(name) for name in self.names}
+        held: dict[Key, int] = {("pin",): 2, ("slide",): 1}
         self.held = np.array(
-            [
-                0
-                if contact.stiffness is not None
-                else 2
-                if contact.kinds == {"pin"}
-                else int(contact.kinds == {"slide"} and contact.frictionless)
-                for contact in mechanics.scene.contacts.values()
-            ]
-            + none,
-            dtype=np.int64,
+            [0 if name in mechanics.pads else held.get(key, 0) for name, key in modes.items()],
+            np.int64,
         )
-        declared = mechanics.scene.contacts.values()
         self.slips = np.array(
-            [0 if "slide" not in c.kinds else 1 if c.frictionless else 2 for c in declared] + none,
-            dtype=np.int64,
+            [2 if "slide+" in key else int("slide" in key) for key in modes.values()], np.int64
         )
         # (c, 2): stiffness and damping, 0 if rigid.
         self.soft: Tape = mechanics.tape(
             [
                 parse(text or 0).to_sympy(mechanics.known)
-                for contact in declared
+                for contact in mechanics.scene.contacts.values()
                 for text in (contact.stiffness, contact.damping)
             ]
             + [sp.S.Zero] * (2 * self.couplings)

@@ -254,7 +254,6 @@ class CompiledLaws(Protocol):
         of the jumps of the last started run. `inputs(names, table)` returns the first four of
         `statechart.execution.compiled_loop.BatchInputs` for values (m, p).
         `start(rows, block, found)` computes runs, and returns their number when the block is full;
-        `begin(setup, until, most_jumps, floor, block, found)` computes one with a known setup;
         `resume(setup, floor, block, found, series)` continues a run.
         """
         ...

@@ -30,7 +30,7 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import EPS, Array, Bools
-from statechart.automaton.laws import UNBOUNDED, Instant, Setup
+from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup
 from statechart.automaton.margin_derivatives import (
     UNDERFLOW,
     MarginDerivatives,
@@ -267,7 +267,7 @@ class GuardTruths:
         setup, time, fired, tolerances = at.setup, at.clock.high, at.fired, at.flow.tolerances
         relative = setup.precision
         self.rows = rows = watch.at(setup, inputs, sizes, time)
-        self._watch, self._flow, self._active = watch, tolerances, active
+        self._watch, self._flow, self._active = watch, at.flow, active
         own = [tolerances[margin] for margin in watch.margins]
         if math.inf in own:
             fresh = watch.tolerances(rows, relative).values()
@@ -318,11 +318,11 @@ class GuardTruths:
             )
         }
 
-    def watched(self) -> Mapping[str, float]:
-        """Return the tolerances of the flow that follows: it watches the certifying atoms only."""
+    def continued(self) -> tuple[None, Flow] | None:
+        """Return the flow if it goes on and other atoms certify it: it watches these only."""
         if self._watch.single:
-            return self._flow
-        found = dict(self._flow)
+            return None
+        found = dict(self._flow.tolerances)
         for _, condition, first in self._watch.placed:
             if condition.single:
                 continue
@@ -330,7 +330,9 @@ class GuardTruths:
             for k in range(first, first + len(condition.atoms)):
                 known = self._atoms.tolerances[k] if k in chosen else math.inf
                 found[self._watch.margins[k]] = known
-        return found
+        if found == self._flow.tolerances:
+            return None
+        return None, self._flow._replace(tolerances=found)
 
 
 @dataclass(frozen=True, eq=False)

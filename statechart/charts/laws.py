@@ -208,10 +208,7 @@ class ChartLaws:
             truths = GuardTruths(watch, at, state, sizes, self._derivatives, active)
             firing = self._queues.first(flow.mode, pending, truths.due(), holding)
             if firing is None:
-                tolerances = truths.watched()
-                if tolerances == flow.tolerances:
-                    return None
-                return None, flow._replace(tolerances=tolerances)
+                return truths.continued()
             place, taken, pending, _ = firing
         name = self._regions[place]
         sizes = flow_sizes(setup, flow, state)

@@ -22,16 +22,9 @@ from statechart.automaton.regions import (
 )
 from statechart.diagram.model import Diagram, Machine, printable, spell_signs, unique_identifiers
 from statechart.errors import FormulaError, StatechartError
+from statechart.formulas.condition import And, InState, Or
 from statechart.formulas.formula import Formula, parse
-from statechart.formulas.relation import (
-    Comparison,
-    Junction,
-    Member,
-    Negation,
-    Relation,
-    Term,
-    parse_relation,
-)
+from statechart.formulas.relation import Comparison, Negation, Relation, Term, parse_relation
 from statechart.formulas.tree import Call, Constant, nodes
 from statechart.formulas.tree import Node as FormulaNode
 
@@ -282,15 +275,15 @@ class _MachineWriter:
         match term:
             case Comparison():
                 return term.text
-            case Member():
+            case InState():
                 return f"In('{self._ids[term.region][term.state]}')"
             case Negation():
                 return f"!({self._text(term.part)})"
         parts = (
-            f"({self._text(part)})" if isinstance(part, Junction) else self._text(part)
+            f"({self._text(part)})" if isinstance(part, And | Or) else self._text(part)
             for part in term.parts
         )
-        return (" && " if term.word == "and" else " || ").join(parts)
+        return (" && " if isinstance(term, And) else " || ").join(parts)
 
     def _formula(self, text: str | int | float) -> bool:
         formula = parse(text)

@@ -70,8 +70,7 @@ class BatchInputs(NamedTuple):
     most_jumps: int
     floor: float  # Smallest magnitude of variables.
     single: bool  # The single run is handed over to Python when the loop ends.
-    resumed: bool  # The single run continues.
-    has_numbers: bool  # The setup of the single run is already in the buffers.
+    resumed: bool  # The single run continues, with its setup in the buffers.
 
 
 class BatchResult(NamedTuple):
@@ -202,20 +201,6 @@ class LoopModes:
         mode, roles = kind
         tolerances = self.laws.tolerances(setup, state, time)
         return Flow(mode, roles, settled=True, tolerances=tolerances, terms=terms)
-
-    def begin(self, setup: Setup, until: float, buffer: TraceBuffer) -> Batch | None:
-        """Start a run with this setup; None if the loop cannot."""
-        call, floor = self.batch(1), self._engine.floor
-        if call is None or not isinstance(floor, float):
-            return None
-        kinds = call.loop.kinds
-        result = BatchResult.empty(1, len(setup.values), len(setup.initial), len(kinds))
-        buffer.used[:] = 0
-        call.begin(setup, until, self._automaton.max_jumps, floor, buffer, result)
-        if result.ends.item(HOW) == UNUSUAL:
-            return None
-        rows = np.zeros(1, np.intp)
-        return Batch(rows, result, buffer, kinds, self, setup.zeros, call.series)
 
     def resume(
         self, setup: Setup, flow: Flow, clock: Array, counts: tuple[int, int], state: Array,

@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
+from typing import TypeVar
 
 import numpy as np
 
@@ -29,6 +30,8 @@ from statechart.tabular import pluralise
 # Distance of simultaneous instants, in units in the last place of time.
 _ONE_INSTANT = 4.0
 _ULP = float(np.finfo(float).eps)
+_T = TypeVar("_T")
+
 # Jumps up to which merged arcs and jumps are cached.
 _MAX_CACHED_JUMPS = 1 << 12
 
@@ -82,7 +85,7 @@ class _ComponentRun:
         return arc.states(np.array([local]))[0]
 
     def state_at(self, count: int, time: Clock) -> Array:
-        """Return its state at a jump of another component, after `count` own jumps."""
+        """Return its state at a time of the merged run, after `count` own jumps."""
         same_instant = _ONE_INSTANT * _ULP * time.high
         if count and time.high - self.times[count - 1] <= same_instant:
             return self.trace.jumps[count - 1].after
@@ -146,7 +149,7 @@ class MergedRun:
         finals = [
             run.trace.final
             if run.trace.t_end == self.end and len(run.numbers) == len(run.times)
-            else self._after(run, end)
+            else run.state_at(len(run.numbers), end)
             for run in runs
         ]
         counts = {
@@ -163,8 +166,8 @@ class MergedRun:
             jumps=LazySequence(self._jump, lambda: jumps, cached=jumps < _MAX_CACHED_JUMPS),
             initial=self._state([run.trace.initial for run in runs]),
             final=self._state(finals),
-            start_mode=self._key([run.trace.start_mode for run in runs]),
-            final_mode=self._key([run.key(len(run.numbers)) for run in runs]),
+            start_mode=self._by_regions([run.trace.start_mode for run in runs]),
+            final_mode=self._by_regions([run.key(len(run.numbers)) for run in runs]),
             passed_roles=self._passed_roles(),
             t_end=self.end,
             outcome=outcome,
@@ -234,24 +237,18 @@ class MergedRun:
             yield {place: remaining[place].popleft() for place in together}
             remaining = {place: js for place, js in remaining.items() if js}
 
-    def _after(self, run: _ComponentRun, time: Clock) -> Array:
-        count = len(run.numbers)
-        if count and run.times[count - 1] >= time.high:
-            return run.trace.jumps[count - 1].after
-        return run.state(time)
-
     def _state(self, states: Sequence[Array]) -> Array:
         merged = np.empty(len(self._automaton.variables))
         for run, state in zip(self._parts, states, strict=True):
             merged[run.places.variables] = state
         return merged
 
-    def _key(self, keys: Sequence[Key]) -> Key:
-        merged = [""] * len(self._automaton.regions)
-        for run, key in zip(self._parts, keys, strict=True):
-            for place, state in zip(run.places.regions.tolist(), key, strict=True):
-                merged[place] = state
-        return tuple(merged)
+    def _by_regions(self, parts: Iterable[Sequence[_T]]) -> tuple[_T, ...]:
+        """Merge values of the regions of every component."""
+        merged: dict[int, _T] = {}
+        for run, part in zip(self._parts, parts, strict=True):
+            merged |= zip(run.places.regions.tolist(), part, strict=True)
+        return tuple(merged[place] for place in range(len(self._automaton.regions)))
 
     def _passed_roles(self) -> dict[int, Roles]:
         numbers = set[int]()
@@ -261,16 +258,13 @@ class MergedRun:
                 if count <= len(run.numbers):
                     numbers.update(range(starts[count], starts[count + 1]))
         counts = {n: [bisect_right(run.numbers, n - 1) for run in self._parts] for n in numbers}
-        return {
-            n: self._roles(list(map(_ComponentRun.roles, self._parts, counts[n]))) for n in numbers
-        }
+        return {n: self._roles(map(_ComponentRun.roles, self._parts, counts[n])) for n in numbers}
 
-    def _roles(self, roles: Sequence[Roles]) -> Roles:
-        merged = [roles[0][0]] * len(self._automaton.regions)
-        for run, roles_of_run in zip(self._parts, roles, strict=True):
-            for region, role in zip(run.places.regions.tolist(), roles_of_run, strict=True):
-                merged[region] = run.component.shown(role, run.places)
-        return tuple(merged)
+    def _roles(self, roles: Iterable[Roles]) -> Roles:
+        return self._by_regions(
+            [run.component.shown(role, run.places) for role in own]
+            for run, own in zip(self._parts, roles, strict=True)
+        )
 
     def _jump(self, number: int) -> Jump:
         time, places = self._groups[number]
@@ -303,8 +297,8 @@ class MergedRun:
             j=number,
             region=name(first_jump.region),
             cause=name(first_jump.cause),
-            source=self._key(before),
-            target=self._key(after),
+            source=self._by_regions(before),
+            target=self._by_regions(after),
             before=self._state(states),
             after=self._state(states_after),
             fired=tuple(name(margin) for margin in first_jump.fired),
@@ -361,7 +355,7 @@ class MergedRun:
             begins = times[:-1] + between(arc.start, start)
             cut = _restricted_steps(arc, begins, np.diff(times))
             coefficients[:, run.places.variables, : cut.shape[2]] = cut
-        return Arc(self._key(keys), self._roles(roles), start, number, times, coefficients)
+        return Arc(self._by_regions(keys), self._roles(roles), start, number, times, coefficients)
 
 
 def _fitted(start: Clock, end: Clock) -> tuple[Clock, float]:

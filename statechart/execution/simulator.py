@@ -99,26 +99,12 @@ class Simulator:
                 made.append(self._setup(overrides))
             return made[0]
 
-        return self._finish(batch, setup, until)
-
-    def _finish(
-        self,
-        batch: Batch | None,
-        setup: Callable[[], Setup],
-        until: float,
-        warnings: Sequence[str] | None = None,
-    ) -> Trace:
         if batch is None or batch.result.ends.item(runs.HOW) == runs.HANDED:
             return self._execution(setup(), until, batch).run()
-        return self._trace_of(batch, setup, warnings)
+        return self._trace_of(batch, setup)
 
-    def _trace_of(
-        self, batch: Batch, setup: Callable[[], Setup], warnings: Sequence[str] | None
-    ) -> Trace:
-        """Return the trace of a run that the compiled loop completed.
-
-        `warnings` are those of its setup; by default those of all runs of the model.
-        """
+    def _trace_of(self, batch: Batch, setup: Callable[[], Setup]) -> Trace:
+        """Return the trace of a run that the compiled loop completed."""
         automaton, engine, result = self.automaton, self.engine, batch.result
         modes, kinds = batch.modes, batch.kinds
         place, final = result.place[0].tolist(), result.final[0]
@@ -159,7 +145,7 @@ class Simulator:
             tolerances=LazyMapping(lambda: dict(setup().tolerances)),
             engine=engine.title,
             tolerance=engine.tolerance,
-            warnings=(*(modes.laws.warnings if warnings is None else warnings), *remarks),
+            warnings=(*modes.laws.warnings, *remarks),
             counts={
                 "steps": place[runs.N_STEPS],
                 "evaluations": 0,
@@ -222,7 +208,8 @@ class Simulator:
             trace = traces.get(cache_key)
             if trace is None or trace.t_end > end:
                 try:
-                    trace = self._of_component(component.automaton)._from(component_setup, end)
+                    simulator = self._of_component(component.automaton)
+                    trace = simulator._execution(simulator._with_modes(component_setup), end).run()
                 except DeclarationProblem:
                     # A run of the whole reports the error in declared names.
                     return None
@@ -241,14 +228,10 @@ class Simulator:
             self._of_components[automaton] = simulator
         return simulator
 
-    def _from(self, setup: Setup, until: float) -> Trace:
-        setup = replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
-        loop = self._loop(setup.zeros)
-        batch = None if loop is None else loop.begin(setup, until, self.buffer)
-        return self._finish(batch, lambda: setup, until, setup.warnings)
-
     def _setup(self, parameters: Mapping[str, float]) -> Setup:
-        setup = self.automaton.setup(parameters, self.engine.tolerance)
+        return self._with_modes(self.automaton.setup(parameters, self.engine.tolerance))
+
+    def _with_modes(self, setup: Setup) -> Setup:
         return replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
 
     def _execution(self, setup: Setup, until: float, batch: Batch | None = None) -> Execution:
@@ -352,7 +335,7 @@ class BatchRunner:
         code, constants, outputs, inputs = call.inputs(self._names, table)
         inputs_of_call = BatchInputs(
             code, constants, outputs, inputs, until, zero_mask, automaton.max_jumps, engine.floor,
-            alone, resumed=False, has_numbers=False,
+            alone, resumed=False,
         )  # fmt: skip
         block = simulator.buffer
         block.used[:] = 0

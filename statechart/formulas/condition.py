@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, partial, reduce
 from itertools import combinations
 from math import inf, isnan
@@ -52,11 +52,12 @@ class Or:
 
 @dataclass(frozen=True)
 class InState:
-    """Region is in a state; with `holds` False, is not."""
+    """``in(REGION.STATE)``: a region is in a state or in a substate; with `holds` False, is not."""
 
     region: str
     state: str
     holds: bool = True
+    offset: int = field(default=0, compare=False)
 
 
 @dataclass(frozen=True)

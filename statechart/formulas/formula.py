@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import graphlib
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
@@ -188,6 +188,11 @@ def parse(text: str | int | float) -> Formula:
     if isinstance(text, bool) or not isinstance(text, str | int | float):
         Source(str(text)).fail("not a number and not a formula")
     return _read(text if isinstance(text, str) else _number_text(text))
+
+
+def evaluator(values: Mapping[str, float]) -> Callable[[str | int | float], float]:
+    """Return a function from the text of a formula to its value for these values of names."""
+    return lambda text: parse(text).value(values)
 
 
 @lru_cache(_MAX_CACHED)

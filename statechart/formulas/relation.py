@@ -89,31 +89,13 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class Member:
-    """``in(REGION.STATE)``: a region is in a state or in a substate of it."""
-
-    region: str
-    state: str
-    offset: int = 0
-
-
-@dataclass(frozen=True)
 class Negation:
     """``not`` of a term."""
 
     part: Term
-    offset: int = 0
 
 
-@dataclass(frozen=True)
-class Junction:
-    """Terms joined by ``and`` or by ``or``."""
-
-    word: str
-    parts: tuple[Term, ...]
-
-
-Term = Comparison | Member | Negation | Junction
+Term = Comparison | InState | Negation | And | Or
 
 
 @dataclass(frozen=True)
@@ -129,9 +111,9 @@ class Relation:
         return tuple(term for term in _terms(self.root) if isinstance(term, Comparison))
 
     @cached_property
-    def members(self) -> tuple[Member, ...]:
+    def members(self) -> tuple[InState, ...]:
         """Its terms `in(REGION.STATE)`, from left to right."""
-        return tuple(term for term in _terms(self.root) if isinstance(term, Member))
+        return tuple(term for term in _terms(self.root) if isinstance(term, InState))
 
     @cached_property
     def formulas(self) -> tuple[Formula, ...]:
@@ -210,7 +192,7 @@ def _terms(term: Term) -> Iterator[Term]:
     yield term
     if isinstance(term, Negation):
         yield from _terms(term.part)
-    elif isinstance(term, Junction):
+    elif isinstance(term, And | Or):
         for part in term.parts:
             yield from _terms(part)
 
@@ -219,10 +201,10 @@ def _normal(term: Term, negated: bool = False) -> Any:
     """Return the negation normal form of a term, or of its negation."""
     if isinstance(term, Negation):
         return _normal(term.part, not negated)
-    if isinstance(term, Member):
-        return InState(term.region, term.state, not negated)
-    if isinstance(term, Junction):
-        kind = And if (term.word == "and") is not negated else Or
+    if isinstance(term, InState):
+        return replace(term, holds=not negated)
+    if isinstance(term, And | Or):
+        kind = And if isinstance(term, And) is not negated else Or
         return kind(tuple(_normal(part, negated) for part in term.parts))
     one = term.negated() if negated else term
     if one.operator in _EQUALITIES:
@@ -273,14 +255,14 @@ class _RelationReader(Reader):
 
     def disjunction(self) -> Term:
         """Parse a whole relation."""
-        return self._junction("or", lambda: self._junction("and", self._term))
+        return self._junction("or", Or, lambda: self._junction("and", And, self._term))
 
-    def _junction(self, word: str, part: Callable[[], Term]) -> Term:
+    def _junction(self, word: str, kind: type[And] | type[Or], part: Callable[[], Term]) -> Term:
         parts = [part()]
         while self.token.text == word:
             self.advance()
             parts.append(part())
-        return parts[0] if len(parts) == 1 else Junction(word, tuple(parts))
+        return parts[0] if len(parts) == 1 else kind(tuple(parts))
 
     def _term(self) -> Term:
         token, self._terms = self.token, self._terms + 1
@@ -288,7 +270,7 @@ class _RelationReader(Reader):
             self.source.fail("too many comparisons", token.offset, f"at most {MAX_TERMS}")
         if token.text == "not":
             self.advance()
-            return Negation(self._term(), token.offset)
+            return Negation(self._term())
         if token.text == "in":
             return self._member()
         if token.text != "(" or not self._holds_relation():
@@ -316,7 +298,7 @@ class _RelationReader(Reader):
                 "`in` asks for a state of a region", token.offset, "write in(REGION.STATE)"
             )
         self.advance()
-        return Member(region, state, token.offset)
+        return InState(region, state, offset=token.offset)
 
     def _comparison(self) -> Term:
         begin = self.token.offset

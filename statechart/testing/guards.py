@@ -21,11 +21,9 @@ from statechart.automaton.laws import HELD, region_roles
 from statechart.automaton.regions import Claim, Invariant, Margin, active_in, whole_margins
 from statechart.automaton.trace import Arc, Jump, Key, Role, Trace, sizes
 from statechart.execution.event_classification import STATE_ROUND_OFF, STATE_TOLERANCES
-from statechart.formulas.condition import Active
+from statechart.formulas.condition import Active, And, InState, Or
 from statechart.formulas.relation import (
     Comparison,
-    Junction,
-    Member,
     Negation,
     Term,
     conjunction,
@@ -216,13 +214,13 @@ def truth(term: Term, sides: Iterator[tuple[Array, Array]], active: Active, coun
     match term:
         case Comparison():
             return np.asarray(term.holds(*next(sides)))
-        case Member():
+        case InState():
             return np.full(count, active(term.region, term.state))
         case Negation():
             return ~truth(term.part, sides, active, count)
-        case Junction():
+        case And() | Or():
             parts = [truth(part, sides, active, count) for part in term.parts]
-            return np.asarray((np.all if term.word == "and" else np.any)(parts, axis=0))
+            return np.asarray((np.all if isinstance(term, And) else np.any)(parts, axis=0))
 
 
 def assert_relations(subject: Subject, trace: Trace) -> None:

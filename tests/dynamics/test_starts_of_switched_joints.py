@@ -127,3 +127,37 @@ outputs: {x: {value: bead.x}}
         "start: {y: 1}", "start: {y: 1, dx: 1}"
     )
     assert _started(together, {}).trace.start_mode[-1] == "closed"
+
+
+_TETHER = """
+kind: scene
+name: tether
+gravity: 9.81
+bodies: {load: {mass: 2, start: {dx: 1}}}
+surfaces: {floor: {height: 0}}
+contacts: {c: {point: {body: load}, surface: floor, friction: 0.4, restitution: 0}}
+joints: {cord: {point: {body: load}, to: [0, 0.1], rope: 0.5, enabled: in(c.pin)}}
+forces: {pull: {body: load, force: ["10*time", 0]}}
+stop: {time: 1}
+"""
+
+
+@_ENGINES
+def test_a_rope_is_on_while_a_contact_sticks(setting: dict[str, object]) -> None:
+    result = _started(_TETHER, setting)
+    assert result.trace.start_mode == ("slide+", "off", "off")
+    # The load stops where 1 - mu g t + 10 t**2 / (2 m) = 0, and slips where 10 t = mu m g.
+    stop = (3.924 - (3.924**2 - 10) ** 0.5) / 5
+    within = 3e-3 if setting["engine"] == "impulse" else 1e-9
+    times = {jump.cause: jump.t for jump in result.trace.jumps if jump.region == "cord_closed"}
+    assert times == {
+        "enable": pytest.approx(stop, abs=within),
+        "disable": pytest.approx(0.7848, abs=within),
+    }
+
+
+def test_a_coupling_cannot_ask_for_a_state_of_a_rope() -> None:
+    text = _TETHER.replace("mass: 2,", "mass: 2, inertia: 1,").replace(", enabled: in(c.pin)", "")
+    text += "couplings: {rub: {bodies: [load], limit: 1, enabled: in(cord.slide)}}\n"
+    with pytest.raises(DeclarationError, match="a rope, which `enabled` cannot; write in"):
+        interpret(read_text(text))

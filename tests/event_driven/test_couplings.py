@@ -697,6 +697,31 @@ def test_steps_slip_while_both_limits_are_zero(part: str) -> None:
     assert steps(text, 1e-3).outputs == pytest.approx(run(text).outputs, abs=1e-6)
 
 
+@ENGINES
+def test_static_friction_holds_an_arm_that_lands_on_its_stop(engine: str) -> None:
+    text = """
+kind: scene
+name: stopped
+parameters: {s: 2, k: 1, M: 1.5}
+bodies: {a: {mass: 1, inertia: 0.5, start: {angle: 0.1, dangle: -2}}}
+joints: {p: {point: {body: a}, to: [0, 0], limits: [0, 1]}}
+couplings: {rub: {joint: p, limit: {static: s, kinetic: k}}}
+forces: {f: {body: a, moment: M}}
+stop: {time: 1}
+outputs: {angle: {value: a.angle}}
+"""
+    result = run(text, engine)
+    # 0.1 - 2 t + 2.5 t**2 = 0: friction and moment brake it; the moment is below static friction.
+    lands = (2 - (4 - 1) ** 0.5) / 5
+    ((name, t),) = events(result.trace)
+    assert (name, t) == ("p_min touchdown", pytest.approx(lands, abs=EXACT))
+    assert result.trace.final_mode == ("slide", "free", "locked")
+    assert result.outputs["angle"] == pytest.approx(0.0, abs=EXACT)
+    # Weaker static friction lets it go against kinetic friction.
+    free = run(text, engine, s=1.2)
+    assert free.outputs["angle"] == pytest.approx(0.5 * (1 - lands) ** 2, abs=EXACT)
+
+
 def test_bounces_of_a_rope_beside_a_slipping_brake_are_summed_with_all_engines() -> None:
     text = """
 kind: scene

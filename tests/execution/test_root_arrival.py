@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+from scipy.integrate import solve_ivp
 
 from statechart import Outcome
 from statechart.documents.yaml_reader import read_text
@@ -93,3 +94,70 @@ def test_two_tanks_exchange_all_water_between_their_levels(
     assert found.outputs["t"] == pytest.approx(2 * math.sqrt(2) / 2.1, abs=1e-9)
     assert found.outputs["h"] == pytest.approx(4 / 3, abs=1e-9)
     assert found.outputs["g"] == pytest.approx(4 / 3, abs=1e-9)
+
+
+CYCLE = """\
+kind: chart
+name: cycle
+variables: {h: 1}
+regions:
+  tank:
+    initial: drains
+    states: {drains: {flows: {h: -sqrt(h)}}, fills: {flows: {h: 0.5}}}
+    transitions:
+      - {name: dry, from: drains, to: fills, guard: h <= 0}
+      - {name: full, from: fills, to: drains, guard: h >= 1}
+stop: {time: 11}
+outputs: {dry: {value: time, at: each tank.dry}, full: {value: time, at: each tank.full}}
+"""
+CASCADE = """\
+kind: chart
+name: cascade
+variables: {a: 1, b: 1}
+regions:
+  first:
+    initial: drains
+    states:
+      drains: {flows: {a: "-sqrt(max(a, 0))", b: "sqrt(max(a, 0)) - sqrt(max(b, 0))"}}
+      empty: {}
+    transitions: [{name: dry, from: drains, to: empty, guard: b <= 0}]
+  second:
+    initial: drains
+    states: {drains: {}, empty: {}}
+    transitions: [{name: dry, from: drains, to: empty, guard: a <= 0}]
+stop: {time: 11}
+outputs: {a: {value: time, at: first second.dry}, b: {value: time, at: first first.dry}}
+"""
+BRAKE = """\
+kind: scene
+name: brake
+bodies: {b: {mass: 1, start: {dx: 1}}}
+forces: {drag: {body: b, force: ["-2*sqrt(max(b.dx, 0))", 0]}}
+regions:
+  r:
+    initial: runs
+    states: {runs: {}, rests: {}}
+    transitions: [{name: rest, from: runs, to: rests, guard: b.dx <= 0}]
+stop: {time: 2}
+outputs: {t: {value: time, at: first r.rest}, x: {value: b.x}}
+"""
+
+
+@pytest.mark.parametrize("engine", ENGINES, ids=str)
+def test_tanks_in_a_cycle_and_in_a_row_and_a_brake_end_on_time(
+    engine: tuple[str, str | None],
+) -> None:
+    name, method = engine
+    options = {} if method is None else {"method": method}
+    cycle, cascade, brake = (
+        run(read_text(text), engine=name, **options).outputs for text in (CYCLE, CASCADE, BRAKE)
+    )
+    assert cycle["dry"] == pytest.approx([2, 6, 10], abs=1e-9)
+    assert cycle["full"] == pytest.approx([4, 8], abs=1e-9)
+    # u = sqrt(a) = 1 - t/2 and v = sqrt(b) with v' = (u/v - 1)/2; from t = 2 on v' = -1/2.
+    accuracy = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-15}
+    rates = solve_ivp(lambda t, v: ((1 - t / 2) / v - 1) / 2, (0, 2), [1.0], **accuracy)
+    assert cascade["a"] == pytest.approx(2, abs=1e-9)
+    assert cascade["b"] == pytest.approx(2 + 2 * rates.y[0, -1], abs=1e-9)
+    # sqrt(v) = 1 - t.
+    assert brake == {"t": pytest.approx(1, abs=1e-9), "x": pytest.approx(1 / 3, abs=1e-9)}

@@ -524,3 +524,27 @@ def test_a_leg_whose_foot_is_off_reaches_to_that_foot():
     )
     (bar,) = shapes(film_of(read_text(text), [0.0]), "bar")
     np.testing.assert_allclose(np.sort(bar.points[:, 1]), [-1.0, 1.0], rtol=1e-15)
+
+
+def test_a_lift_is_drawn_beside_periods_and_a_held_joint_that_lets_go():
+    text = """
+kind: scene
+name: lift
+gravity: 9.81
+bodies:
+  ball: {mass: 1, start: {x: 1}}
+  slider: {mass: 1, inertia: 0.1, start: {y: 0.5, dx: 1}}
+surfaces: {plate: {height: 0, displacement: [0, s]}}
+contacts: {foot: {point: {body: ball}, surface: plate, friction: 0.5, restitution: 0}}
+joints: {rail: {point: {body: slider}, to: {y: 0.5}, angle: held, enabled: time <= 0.2}}
+forces: {push: {body: slider, force: ["mod(time, 0.07)", 0]}}
+regions:
+  drive: {initial: up, variables: {s: 0}, states: {up: {flows: {s: 0.5}}}}
+stop: {time: 0.3}
+"""
+    times = np.linspace(0.0, 0.3, 4)
+    film = film_of(read_text(text), times)
+    (touch,) = [touch for touch in film.touches if np.any(touch.forces)]
+    places = [[1.0, 0.5 * t] for t in times.tolist()]
+    np.testing.assert_allclose(touch.places, places, atol=1e-12)
+    np.testing.assert_allclose(film.poses[:, -1, 1], 0.5 * times, atol=1e-12)

@@ -1,0 +1,59 @@
+"""A light body beside heavy ones: events that the tolerance of forces delays are announced."""
+
+from __future__ import annotations
+
+import pytest
+
+from statechart.documents.yaml_reader import read_text
+from statechart.running.result import Result
+from statechart.running.runner import run
+
+_SCENE = """\
+kind: scene
+name: light_beside_heavy
+gravity: 10
+parameters: {m: 1, M: 1000}
+bodies:
+  light: {mass: m}
+  heavy: {mass: M, start: {x: 20, dx: 1}}
+surfaces: {floor: {height: 0}}
+contacts:
+  l: {point: {body: light}, surface: floor, friction: 0.4, restitution: 0}
+  h: {point: {body: heavy}, surface: floor, friction: 0.4, restitution: 0}
+forces: {pull: {body: light, force: [4*m*time, 0]}}
+stop: {time: 2}
+outputs: {slip: {value: time, at: first l.slip}}
+"""
+# The light body rides on the heavy one, which accelerates at 4 t.
+_RIDES = _SCENE.replace("light: {mass: m}", "light: {mass: m, start: {y: 1}}").replace(
+    "surfaces: {", "surfaces: {top: {body: heavy, line: [[-50, 1], [5, 1]]}, "
+)
+_RIDES = _RIDES.replace("surface: floor, friction: 0.4", "surface: top, friction: 0.4", 1)
+_RIDES = _RIDES.replace("surface: floor, friction: 0.4", "surface: floor, friction: 0")
+_RIDES = _RIDES.replace("body: light, force: [4*m*time", "body: heavy, force: [(m + M)*4*time")
+_RIDES = _RIDES.replace("{x: 20, dx: 1}", "{x: 0}")
+
+
+def _pulled(text: str, mass: float, engine: str = "taylor") -> Result:
+    options = {"step": 1e-3} if engine == "impulse" else {}
+    return run(read_text(text), parameters={"m": mass}, engine=engine, **options)
+
+
+@pytest.mark.parametrize("text", [_SCENE, _RIDES], ids=["beside", "on top"])
+def test_a_light_body_slips_on_time_or_is_named(text: str) -> None:
+    for mass, error in ((1.0, 1e-8), (1e-2, 1e-6)):
+        found = _pulled(text, mass)
+        assert found.outputs["slip"] == pytest.approx(1.0, abs=error)
+        assert not found.warnings
+    found = _pulled(text, 1e-6)
+    # 1e-12 of the force of the scene, 1e4, is 2.5e-3 of the bound of friction.
+    assert found.outputs["slip"] == pytest.approx(1.0, abs=3e-3)
+    assert ["'light' slip" in warning for warning in found.warnings] == [True]
+    assert "by up to 0.001 of its weight" in found.warnings[0]
+
+
+@pytest.mark.parametrize("text", [_SCENE, _RIDES], ids=["beside", "on top"])
+def test_by_steps_a_light_body_slips_on_time(text: str) -> None:
+    found = _pulled(text, 1e-6, "impulse")
+    assert found.outputs["slip"] == pytest.approx(1.0, abs=1e-3)
+    assert not any("late" in warning for warning in found.warnings)
