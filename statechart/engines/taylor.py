@@ -33,7 +33,7 @@ from statechart.kernels.polynomials import append_steps
 from statechart.tabular import pluralise
 
 # Unrolled and unoptimised, 20 operations compile in 0.015 s, 250 in 0.13 s; optimised, in 0.2 s and
-# 2 s, and steps take 0.5 to 0.8 of the time. Above _LARGE operations on tape, heyoka's compact mode
+# 2 s, for steps of 0.5 to 0.85 of the time. Above _LARGE operations on tape, heyoka's compact mode
 # compiles faster, optimised, and steps as fast.
 _LARGE = 500
 # This to the power -20, the order of the method, is near the largest float.
