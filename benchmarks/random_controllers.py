@@ -253,7 +253,7 @@ def draw(random: np.random.Generator) -> dict[str, float]:
 
 
 def main(count: int = 300, seed: int = 0) -> int:
-    """Compare `count` scenes; print those that differ at all steps, return how many are silent."""
+    """Compare `count` scenes; print those late at all steps, return how many differ silently."""
     random, found = np.random.default_rng(seed), Counter[str]()
     texts = {name: read_text(HEAD + text) for name, text in SCENES.items()}
     exact = {name: Runner(text) for name, text in texts.items()}
@@ -270,11 +270,12 @@ def main(count: int = 300, seed: int = 0) -> int:
         agrees = f"agree at {h:g}"
         if late[-1] > LATE * h:
             nudged = exact[name].run({**values, "u": values["u"] + h, "w": values["w"] + h})
-            amplified = late[-1] <= LATE * lateness(want, nudged, 0.0)
-            agrees = "amplified" if np.isfinite(late[-1]) and amplified else "differ"
+            moved = lateness(want, nudged, 0.0)
+            amplified = np.isfinite(moved) and late[-1] <= LATE * moved
+            agrees = "amplified" if amplified else "differ"
         kind = f"{agrees}, {'warned' if warned else 'silent'}"
         found[kind] += 1
-        if agrees == "differ":
+        if agrees in ("amplified", "differ"):
             print(f"{index} {name}: {kind}, late {late}, {values}")
     for kind, often in sorted(found.items()):
         print(f"{often:6} {kind}")

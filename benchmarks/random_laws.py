@@ -429,10 +429,11 @@ def main(file: str, structures: int = 200, draws: int = 10, seed: int = 0) -> in
 
         document = with_parameters(text, draw.values(text, f"{one} 0"))
         for index in range(draws):
-            if time.process_time() - began > LONGEST:
-                break
             values = draw.values(text, f"{one} {index}")
-            signal.setitimer(signal.ITIMER_PROF, LONGEST - (time.process_time() - began))
+            left = LONGEST - (time.process_time() - began)
+            if left <= 0.0:
+                break
+            signal.setitimer(signal.ITIMER_PROF, left)
             try:
                 kind, how = judge(document, values, family == "shapes", runner)
             except StatechartError as error:

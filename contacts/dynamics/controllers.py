@@ -210,13 +210,14 @@ class ControlGuards:
         for place, (name, region) in enumerate(mechanics.scene.controlled.flat.items()):
             watched += select(place, region, states[name])
         names = set().union(*(guard.relation.names for guard in watched))
+        named = {n: e for n, e in mechanics.observables.items() if n in names}
         forces = [force for pair in mechanics.forces.values() for force in pair]
         forces += [*mechanics.couples.values(), *(row.force for row in mechanics.joint_rows)]
         # A symbol for each force: the unknown rates of two do not cancel.
         unknown = sp.symbols(f"unknown:{len(forces)}", real=True)
         self.watch = GuardWatch(
             watched,
-            {n: e for n, e in mechanics.observables.items() if n in names},
+            lambda guard: guard.relation.condition(named),
             {
                 **dict(zip(mechanics.q, mechanics.v, strict=True)),
                 **dict(zip(mechanics.v, mechanics.a, strict=True)),

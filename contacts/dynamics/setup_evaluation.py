@@ -105,8 +105,9 @@ class SceneNumbers:
             for name, body in scene.bodies.items()
         }
         # Shares in the mass of bodies that contacts may hold.
-        shares = [masses[name] / sp.Add(*masses.values()) for name in _single_bodies(scene)]
-        self._single_bodies, self._shares = _single_bodies(scene), mechanics.tape(shares)
+        self._unloaded = _unloaded_bodies(scene)
+        shares = [masses[name] / sp.Add(*masses.values()) for name in self._unloaded]
+        self._shares = mechanics.tape(shares)
         # Quantities with physical limits `bounds` (2, l); None if controllers set some of them.
         self.limits: Tape | None = None
         # Constants are checked when the scene is read.
@@ -163,9 +164,14 @@ class SceneNumbers:
                     loc=("stop", "conditions", name),
                 )
         gap, speed, force = tolerated(relative)
+        contacts = self.contacts(values)
         if not stepped:
             shares = self._shares.at(initial, values, 0.0).tolist()
-            warnings += tuple(_light(zip(self._single_bodies, shares, strict=True)))
+            laws = zip(self.scene.contacts.values(), contacts, strict=False)
+            # Without loss of energy no contact force lasts.
+            lasting = {contact.point.body for contact, law in laws if law.restitution != 1.0}
+            pairs = zip(self._unloaded, shares, strict=True)
+            warnings += tuple(_light((name, share) for name, share in pairs if name in lasting))
         tolerances = {
             "gap": max(gap * scales.length, scales.rounding),
             "speed": speed * scales.speed,
@@ -184,7 +190,7 @@ class SceneNumbers:
             precision=gap,
             horizon=LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
-            contacts=self.contacts(values),
+            contacts=contacts,
             simultaneous=self.scene.simultaneous,
             paradox=self.scene.paradox,
             capture=force_uncertainty(relative) * scales.speed,
@@ -304,10 +310,9 @@ def _far(scales: Scales, limit: float) -> Iterator[str]:
         )
 
 
-def _single_bodies(scene: Scene) -> list[str]:
-    """Return the free bodies that rest on others and carry none by a surface or joint."""
-    resting = [c for c in scene.contacts.values() if parse(c.restitution or "0").text != "1"]
-    touching = {contact.point.body for contact in resting}
+def _unloaded_bodies(scene: Scene) -> list[str]:
+    """Return the free bodies with contacts that carry no other by a surface or joint."""
+    touching = {contact.point.body for contact in scene.contacts.values()}
     carrying = {surface.body for surface in scene.surfaces.values()}
     for joint in scene.joints.values():
         carrying |= {joint.point.body, getattr(joint.to, "body", None)}
@@ -320,8 +325,8 @@ def _light(shares: Iterable[tuple[str, float]]) -> Iterator[str]:
     for name, share in shares:
         if 0.0 < share < _MIN_SHARE:
             yield (
-                f"contacts of body {name!r} slip and lift off late, by up to "
-                f"{FORCE_BAND / share:.1g} of its weight, beside the heavy bodies of the scene: "
+                f"contacts of body {name!r} change their modes late, by up to "
+                f"{FORCE_BAND / share:.1g} of its weight, beside the heavy bodies of the scene; "
                 "put it into another scene, or take engine: impulse"
             )
 

@@ -281,17 +281,15 @@ class Scene(SceneFields):
                 known = seen | {*self.controls}
                 here: Loc = (*at, "enabled", place)
                 for member in parse_relation(text).members:
-                    of, quantity = (
-                        member.region,
-                        "gap" if member.region in self.contacts else "slip",
-                    )
-                    if of in self.frictional or of in ropes:
-                        relation = "" if of in ropes else f"a relation of {of}.{quantity}, or "
+                    owner = member.region
+                    if owner in self.frictional or owner in ropes:
+                        quantity = f"{owner}.{'gap' if owner in self.contacts else 'slip'}"
+                        relation = "" if owner in ropes else f"a relation of {quantity}, or "
                         raise DeclarationProblem(
-                            f"in({of}.{member.state}) asks for a state of a contact, a coupling or "
-                            "a rope, which `enabled` cannot",
+                            f"in({owner}.{member.state}) asks for a state of a contact, a coupling "
+                            "or a rope, which `enabled` cannot",
                             advice=f"write {relation}in(REGION.STATE) of a controller that listens "
-                            f"to the events of {of}",
+                            f"to the events of {owner}",
                             loc=here,
                         )
                 for name in sorted(parse_relation(text).names - known - parameters):

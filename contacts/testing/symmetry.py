@@ -61,13 +61,15 @@ def mirrored(scene: Scene) -> tuple[Scene, Reading]:
     change = _Change(scene, x=-1.0)
     states = {"slide+": "slide-", "slide-": "slide+", "slip+": "slip-", "slip-": "slip+"}
     # The slip along a vertical guide is that of its image.
-    kept = frozenset(name for name in scene.couplings if scene.along_guide(name) == "Y")
+    untransformed = frozenset(name for name in scene.couplings if scene.along_guide(name) == "Y")
     # The least angle of a joint is the greatest one of the image.
     ends = [(f"{n}_min", f"{n}_max") for n, joint in scene.joints.items() if joint.limits]
     if ends and scene.regions:
         raise DeclarationError("its controllers may listen to limits, which change their places")
     regions = dict(ends) | {greatest: least for least, greatest in ends}
-    return change.scene(), replace(change.reading(states), regions=regions, kept=kept)
+    return change.scene(), replace(
+        change.reading(states), regions=regions, untransformed=untransformed
+    )
 
 
 def rescaled(scene: Scene) -> tuple[Scene, Reading]:

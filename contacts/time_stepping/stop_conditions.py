@@ -56,7 +56,7 @@ class StopTapes:
                 Guard(k, name, parse_relation(text), 0)
                 for k, (name, text) in enumerate(texts.items())
             ],
-            mechanics.observables if texts else {},
+            lambda guard: guard.relation.condition(mechanics.observables),
             {},
             inputs=(*mechanics.state, *unknowns),
             parameters=mechanics.parameters.ordered,

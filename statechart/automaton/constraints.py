@@ -28,6 +28,8 @@ class Constraints(NamedTuple):
 
     def off(self, state: Array, parameters: Array, time: float) -> float:
         """Return the largest residual of a state, in tolerances."""
+        if not len(self.targets):
+            return 0.0
         return largest_deviation(
             *self.tape.program, self.targets, self.weights, state, parameters, time
         )

@@ -15,7 +15,7 @@ from statechart.automaton.laws import uncaptured
 from statechart.automaton.reduction import Elimination, eliminate
 from statechart.automaton.regions import Loads, Margin, Mode, State
 from statechart.automaton.trace import Roles
-from statechart.formulas.linear import Definition, solve_linear
+from statechart.formulas.linear import Definition, free_symbols, solve_linear
 from statechart.formulas.tape import Tape, contiguous
 from statechart.kernels.reconstruction import (
     ReconstructionProgram,
@@ -119,7 +119,7 @@ def _solve_mode(
         for equation in (*moving, *(e for s in states for e in s.equations))
     ]
     if automaton.idle:
-        used = set().union(*(e.free_symbols for e in equations)) if equations else set()
+        used = set().union(*map(free_symbols, equations))
         equations += [unknown for unknown in automaton.unknowns if unknown not in used]
     unknowns: dict[sp.Symbol, None] = {}
     for unknown in automaton.unknowns:

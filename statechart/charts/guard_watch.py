@@ -51,6 +51,7 @@ from statechart.charts.flatten import FlatRegion, FlatTransition, Updates
 from statechart.errors import NonFinite
 from statechart.formulas.condition import Active, AtomsAt, Condition
 from statechart.formulas.formula import parse
+from statechart.formulas.linear import free_symbols
 from statechart.formulas.relation import Relation, parse_relation
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
@@ -67,7 +68,7 @@ class GuardWatch:
 
     `rates` are expressions of inputs, parameters and time; inputs without one are constant.
     `timers` are inputs as exact as time: instants or whole numbers. `substitutions` replaces
-    symbols of `known` in the mode.
+    symbols of conditions in the mode.
 
     `margins` names the atoms of all guards, `firsts` is the place of the first atom of each guard.
     `timed` atoms depend smoothly on time alone, `closed` atoms include their boundary. `single` is
@@ -77,7 +78,7 @@ class GuardWatch:
     def __init__(
         self,
         watched: Sequence[Guard],
-        known: Mapping[str, sp.Expr],
+        condition_of: Callable[[Guard], Condition],
         rates: Mapping[sp.Symbol, sp.Expr],
         *,
         inputs: Sequence[sp.Symbol],
@@ -87,24 +88,25 @@ class GuardWatch:
         substitutions: Mapping[sp.Symbol, sp.Expr] = _NO_VALUES,
     ) -> None:
         self.guards = tuple(watched)
-        self.conditions = tuple(guard.relation.condition(known) for guard in self.guards)
+        self.conditions = tuple(map(condition_of, self.guards))
         self.single = all(condition.single for condition in self.conditions)
         self.atoms: list[_AtomTapes] = []
         names: list[str] = []
         firsts: list[int] = []
         timed: list[bool] = []
         closed: list[bool] = []
+        order = {v: place for place, v in enumerate(rates)}
         for guard, condition in zip(self.guards, self.conditions, strict=True):
             firsts.append(len(names))
             names += condition.names(guard.name)
             for atom in condition.atoms:
                 margin = atom.expression.xreplace(substitutions)
-                near = {v for v in margin.free_symbols if v in rates}
-                near |= {w for v in near for w in rates[v].free_symbols if w in rates}
-                moving = tuple((v, rates[v]) for v in rates if v in near)
+                near = free_symbols(margin) & order.keys()
+                near |= order.keys() & set().union(*(free_symbols(rates[v]) for v in near))
+                moving = tuple((v, rates[v]) for v in sorted(near, key=order.__getitem__))
                 found = _atom_tapes(margin, moving, tuple(inputs), tuple(parameters), time)
                 self.atoms.append(found)
-                alone = margin.free_symbols <= {time, *timers, *parameters}
+                alone = free_symbols(margin) <= {time, *timers, *parameters}
                 timed.append(alone and not found.kinked)
                 closed.append(not atom.strict)
         self.margins, self.firsts = tuple(names), tuple(firsts)
@@ -208,7 +210,7 @@ class _AtomTapes:
 
     @cached_property
     def margin(self) -> Tape:
-        return self._tape(self.expression)
+        return self._tape(self.expression)  # which does not depend on the flow
 
     @cached_property
     def first(self) -> Tape:
@@ -235,16 +237,32 @@ class _AtomTapes:
         return time_derivative(self.expression, dict(self.flow), self.time)
 
     def _tape(self, expression: sp.Expr) -> Tape:
-        sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in self.inputs}
-        return compile_tape(
-            [expression, rounding_scale(expression, sizes)],
-            variables=(*self.inputs, *sizes.values()),
-            parameters=self.parameters,
-            time=self.time,
-        )
+        return tape_with_sizes((expression,), self.inputs, self.parameters, self.time)
 
 
 _atom_tapes = lru_cache(4096)(_AtomTapes)
+
+
+@lru_cache(4096)
+def tape_with_sizes(
+    expressions: tuple[sp.Expr, ...],
+    inputs: tuple[sp.Symbol, ...],
+    parameters: tuple[sp.Symbol, ...],
+    time: sp.Symbol,
+) -> Tape:
+    """Compile expressions and then the sizes of their terms, in inputs and then their sizes."""
+    sizes = _size_symbols(inputs)
+    return compile_tape(
+        [*expressions, *(rounding_scale(expression, sizes) for expression in expressions)],
+        variables=(*inputs, *sizes.values()),
+        parameters=parameters,
+        time=time,
+    )
+
+
+@lru_cache(64)
+def _size_symbols(inputs: tuple[sp.Symbol, ...]) -> Mapping[sp.Symbol, sp.Symbol]:
+    return {v: sp.Symbol(f"size_{v.name}", real=True) for v in inputs}
 
 
 class GuardTruths:

@@ -22,7 +22,7 @@ from statechart.automaton.clock import Clock, between
 from statechart.automaton.components import Data, compose_components, split
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, flow_sizes, moving_mode, roles_in
-from statechart.automaton.margin_derivatives import MarginDerivatives, rounding_scale
+from statechart.automaton.margin_derivatives import MarginDerivatives
 from statechart.automaton.regions import Invariant, Region, State, active_in, stop_conditions
 from statechart.automaton.switches import explicit_rates
 from statechart.automaton.trace import Arc, Jump, Key, Role, Roles
@@ -39,6 +39,7 @@ from statechart.charts.guard_watch import (
     guard_margins,
     guards,
     guards_at_events,
+    tape_with_sizes,
     transition_outcomes,
     values_after,
 )
@@ -48,7 +49,6 @@ from statechart.errors import DeclarationProblem, NonFinite, StatechartError, Un
 from statechart.formulas.formula import parse
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
 
 
 def automaton(chart: Chart) -> Automaton:
@@ -159,6 +159,7 @@ class ChartLaws:
         self._flat = chart.flat
         self._watches: dict[Roles, GuardWatch] = {}
         self._event_guards = cache(self._guards_at_events)
+        self._condition = cache(lambda guard: guard.relation.condition(symbols.known))
         self._leaving = cache(self._guards_and_rates)
         self._updates: dict[tuple[tuple[tuple[str, FiniteText], ...], ...], Tape] = {}
         self._derivatives = MarginDerivatives(
@@ -310,7 +311,7 @@ class ChartLaws:
     def _watched(self, guards: Sequence[Guard], rates: Mapping[sp.Symbol, sp.Expr]) -> GuardWatch:
         return GuardWatch(
             guards,
-            self._symbols.known,
+            self._condition,
             rates,
             inputs=tuple(self._symbols.variables.values()),
             parameters=self._symbols.parameters.ordered,
@@ -344,14 +345,12 @@ class ChartLaws:
         key = tuple(tuple(block.items()) for block in blocks)
         tape = self._updates.get(key)
         if tape is None:
-            variables = self._symbols.variables
-            before = {v: sp.Symbol(f"size_{v}", real=True) for v in variables.values()}
-            values = values_after(blocks, variables, self._symbols.known)
-            tape = self._updates[key] = compile_tape(
-                [*values, *(rounding_scale(value, before) for value in values)],
-                variables=(*variables.values(), *before.values()),
-                parameters=self._symbols.parameters.ordered,
-                time=self._symbols.time,
+            symbols = self._symbols
+            tape = self._updates[key] = tape_with_sizes(
+                tuple(values_after(blocks, symbols.variables, symbols.known)),
+                tuple(symbols.variables.values()),
+                symbols.parameters.ordered,
+                symbols.time,
             )
         found = tape.values(np.concatenate([state, sizes]), setup.values, clock.high)
         after, summed = found[: len(state)], found[len(state) :]

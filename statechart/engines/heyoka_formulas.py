@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import operator
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -41,6 +42,9 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
 }
 
 
+_number = functools.lru_cache(1 << 12)(hy.expression)
+
+
 class Converter:
     """SymPy to heyoka, one heyoka node per SymPy node.
 
@@ -66,6 +70,8 @@ class Converter:
 
     def __call__(self, expression: sp.Expr) -> Any:
         """Return the heyoka expression."""
+        if expression.is_Number:  # whose hash takes longer
+            return _number(float(expression))
         found = self.known.get(expression)
         if found is None:
             convert = self._convert if self._moves(expression) else self._constant
@@ -90,6 +96,8 @@ class Converter:
 
     def _moves(self, node: sp.Expr) -> bool:
         """Return whether a formula varies during a flow."""
+        if node.is_Number:
+            return False
         depends = self._moving.get(node)
         if depends is None:
             if node.is_Symbol:
@@ -105,16 +113,17 @@ class Converter:
 
     def _constant(self, node: sp.Expr) -> Any:
         if node.is_number:
-            return hy.expression(float(node))
+            return _number(float(node))
         self.constants.append(node)
         return hy.par[len(self.constants)]
 
     def _joined(self, operation: Callable[[Any, Any], Any], node: sp.Expr, operands: Any) -> Any:
         """Join the operands of a sum or product: varying ones first, then the constant."""
-        constants = [operand for operand in operands if self._folds and not self._moves(operand)]
-        joined = [self(operand) for operand in operands if operand not in constants]
+        moves = [not self._folds or self._moves(operand) for operand in operands]
+        joined = [self(operand) for operand in itertools.compress(operands, moves)]
+        constants = [operand for operand, varies in zip(operands, moves, strict=True) if not varies]
         if constants:
-            joined.append(self(node.func(*constants)))
+            joined.append(self(node.func(*constants) if len(constants) > 1 else constants[0]))
         return functools.reduce(operation, joined)
 
     def _convert(self, node: sp.Expr) -> Any:

@@ -126,18 +126,11 @@ class Taylor(Engine):
         # heyoka drops parameters that it simplifies away (a mass may cancel); the first is the
         # start of the arc.
         fixed = automaton.tape(convert.constants[: max(len(integrator.pars) - 1, 0)], mode)
-        symbols = (*automaton.variables, *automaton.parameters, automaton.time)
-        symbol_names = (*automaton.names, *automaton.parameter_names, TIME)
-        names = dict(zip(symbols, map(sp.Symbol, symbol_names), strict=True))
         return _Stepper(
             integrator,
             compiled,
             fixed,
-            tuple(
-                # Unevaluated: the root of a square would become an absolute value.
-                to_text(sp.Pow(base.xreplace(names), exponent, evaluate=False))[:_SHOWN]
-                for base, exponent in convert.singular
-            ),
+            tuple(_shown(automaton, *power) for power in convert.singular),
             automaton.tape([base for base, _ in convert.singular], mode),
             rates,
         )
@@ -215,6 +208,15 @@ class Taylor(Engine):
             path.times[limit] = until
         end[:] = watch.reconstruction.onto(end, watch.start + path.times.item(limit))
         return finished
+
+
+def _shown(automaton: Automaton, base: sp.Expr, exponent: sp.Expr) -> str:
+    """Return a power with the declared names."""
+    symbols = (*automaton.variables, *automaton.parameters, automaton.time)
+    symbol_names = (*automaton.names, *automaton.parameter_names, TIME)
+    names = dict(zip(symbols, map(sp.Symbol, symbol_names), strict=True))
+    # Unevaluated: the root of a square would become an absolute value.
+    return to_text(sp.Pow(base.xreplace(names), exponent, evaluate=False))[:_SHOWN]
 
 
 def _one_by_one(

@@ -522,8 +522,8 @@ class Execution:
                     )
                 elif dict(self.entered[self.flow.moving].watched).get(fired[0]) == "plain":
                     advice = (
-                        "; a condition that changes what decides it needs two bounds, guards of a "
-                        "region: enabled: in(REGION.STATE)"
+                        "; if it switches what decides it, give it two bounds: guards of a region "
+                        "that switch its states, and enabled: in(REGION.STATE)"
                     )
                 self.failure = errors.EventLoop(
                     f"{', '.join(fired)} falls at t = {self.clock.high:.6g}, but no jump follows"

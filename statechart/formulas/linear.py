@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import lru_cache
+from operator import attrgetter
 
 import sympy as sp
 from sympy.utilities.iterables import connected_components
@@ -39,6 +40,10 @@ class Singular(SingularMode):
     def __init__(self, unknowns: Sequence[sp.Symbol]) -> None:
         super().__init__("no equation determines " + ", ".join(str(u) for u in unknowns))
         self.unknowns = tuple(unknowns)
+
+
+free_symbols = lru_cache(1 << 14)(attrgetter("free_symbols"))
+"""Symbols of an expression; modes share most expressions."""
 
 
 def solve_linear(
@@ -79,7 +84,7 @@ def _connected_components(
     edges = [
         (row, place[unknown])
         for row, equation in enumerate(equations)
-        for unknown in equation.free_symbols
+        for unknown in free_symbols(equation)
         if unknown in place
     ]
     vertices = range(max(len(equations), len(unknowns)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -14,6 +15,7 @@ from sympy.core.sorting import default_sort_key, ordered
 from sympy.printing.str import StrPrinter
 
 from statechart.errors import StatechartError
+from statechart.formulas.linear import free_symbols
 from statechart.formulas.tape import Tape
 from statechart.kernels.tapes import OPCODES, tape_values
 from statechart.kernels.tolerant_floor import tolerant_floor
@@ -138,16 +140,26 @@ def compile_tape(
     if len(set(names)) != len(names):
         twice = sorted({str(s) for s in names if names.count(s) > 1})
         raise StatechartError(f"symbols are given twice: {', '.join(twice)}; rename one of each")
-    needed: set[sp.Symbol] = set().union(*(sp.sympify(e).free_symbols for e in outputs))
+    needed: set[sp.Symbol] = set().union(*map(free_symbols, map(sp.sympify, outputs)))
     for symbol, expression in reversed(definitions):
         if symbol in needed:
-            needed |= expression.free_symbols
-    writer = _Writer(inputs, n_variables=len(variables))
+            needed |= free_symbols(expression)
+    writer = _Writer(inputs)
     for symbol, expression in definitions:
         if symbol in needed:
-            writer.registers[symbol] = writer.register(expression)
-    registers = [writer.register(sp.sympify(expression)) for expression in outputs]
+            writer.registers[symbol] = writer.insert(expression)
+    registers = [writer.insert(sp.sympify(expression)) for expression in outputs]
     return writer.finish(registers, len(variables), len(parameters))
+
+
+@lru_cache(1 << 13)
+def _written(
+    expression: sp.Expr,
+) -> tuple[list[sp.Symbol], list[float], list[tuple[int, int, int]], int]:
+    """Return inputs, constants, operations and register of an expression; modes share most."""
+    writer = _Writer([*free_symbols(expression)])
+    register = writer.register(expression)
+    return writer.inputs, [*writer.constants], writer.operations, register
 
 
 @dataclass
@@ -159,20 +171,34 @@ class _Writer:
     """
 
     inputs: list[sp.Symbol]
-    n_variables: int
     registers: dict[sp.Basic, int] = field(default_factory=dict)
-    constants: list[float] = field(default_factory=list)
+    constants: dict[float, int] = field(default_factory=dict)
     operations: list[tuple[int, int, int]] = field(default_factory=list)
     places: dict[tuple[int, int, int], int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.registers.update({symbol: k for k, symbol in enumerate(self.inputs)})
 
+    def insert(self, node: sp.Expr) -> int:
+        """Return the register of an expression, with operations from the cache."""
+        if not node.args:
+            return self.register(node)
+        inputs, constants, operations, output = _written(node)
+        found = {k: self.register(symbol) for k, symbol in enumerate(inputs)}
+        found |= {~k: self._constant(number) for k, number in enumerate(constants)}
+        for place, (op, left, right) in enumerate(operations, start=len(inputs)):
+            right = found[right] if op <= OPCODES["pow"] else right
+            found[place] = self._place(op, found[left], right)
+        return found[output]
+
     def register(self, node: sp.Expr) -> int:
         """Return the register of an expression."""
-        if node not in self.registers:
-            self.registers[node] = self._write(node)
-        return self.registers[node]
+        if node.is_Float:  # whose hash takes longer
+            return self._constant(node)
+        found = self.registers.get(node)
+        if found is None:
+            found = self.registers[node] = self._write(node)
+        return found
 
     def _write(self, node: sp.Expr) -> int:
         if node.is_Symbol:
@@ -267,17 +293,17 @@ class _Writer:
             value = float(number)
         except (TypeError, OverflowError):
             value = float("nan")
-        if not np.isfinite(value):
+        if not math.isfinite(value):
             raise StatechartError(
                 f"the constant {to_text(number)[:80]} is not a finite real number; "
                 "make it a parameter or remove it"
             )
-        if value not in self.constants:
-            self.constants.append(value)
-        return ~self.constants.index(value)
+        return ~self.constants.setdefault(value, len(self.constants))
 
     def _emit(self, name: str, left: int, right: int = 0) -> int:
-        op = OPCODES[name]
+        return self._place(OPCODES[name], left, right)
+
+    def _place(self, op: int, left: int, right: int) -> int:
         if op in _COMMUTATIVE and right < left:
             left, right = right, left
         if left < 0 and (right < 0 or op > OPCODES["pow"]):
@@ -291,7 +317,8 @@ class _Writer:
     def _evaluate(self, op: int, left: int, right: int) -> float:
         """Fold an operation on constants, bit for bit as the kernel."""
         binary = op <= OPCODES["pow"]
-        constants = [self.constants[~left], self.constants[~right] if binary else 0.0]
+        numbers = [*self.constants]
+        constants = [numbers[~left], numbers[~right] if binary else 0.0]
         with suppress(ZeroDivisionError):
             if op in _ROUNDED_ALIKE:
                 return float(_ROUNDED_ALIKE[op](*constants))
@@ -315,17 +342,18 @@ class _Writer:
         final = {place: base + k for k, place in enumerate(order)}
         final.update({k: k for k in range(n_inputs)})
         final.update({~k: n_inputs + k for k in range(len(self.constants))})
-        code = np.zeros((len(order), 3), dtype=np.int32)
-        for k, place in enumerate(order):
-            op, left, right = self.operations[place - n_inputs]
-            binary = op <= OPCODES["pow"]
-            code[k] = op, final[left], final[right] if binary else right
+        operations = [self.operations[place - n_inputs] for place in order]
+        rows = [
+            (op, final[left], final[right] if op <= OPCODES["pow"] else right)
+            for op, left, right in operations
+        ]
+        code = np.array(rows, dtype=np.int32).reshape(-1, 3)
         registers = np.array([final[r] for r in outputs], dtype=np.int32)
         used = set(registers.tolist()) | set(code[:, 1].tolist())
         used |= set(code[code[:, 0] <= OPCODES["pow"], 2].tolist())
         return Tape(
             code=code,
-            constants=np.array(self.constants, dtype=np.float64),
+            constants=np.array([*self.constants], dtype=np.float64),
             outputs=registers,
             n_variables=n_variables,
             n_parameters=n_parameters,

@@ -105,8 +105,9 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
     times = [jump.t for jump in trace.jumps]
     stops = {stop.name for stop in simulator.automaton.stops}
     approaches: list[Graze] = []
+    scales = sizes(trace)
     for (roles, _), arcs in groups.items():
-        scan = _GuardScan(trace, simulator.modes.compiled(roles, trace.zeros), stops)
+        scan = _GuardScan(trace, simulator.modes.compiled(roles, trace.zeros), stops, scales)
         for first in range(0, len(arcs), _MAX_ARCS):
             batch = arcs[first : first + _MAX_ARCS]
             approaches += scan.between(batch)
@@ -134,7 +135,9 @@ def _changed(trace: Trace, jumps: Sequence[Jump], stop: str) -> set[str]:
 class _GuardScan:
     """Scans the guards of one mode."""
 
-    def __init__(self, trace: Trace, compiled: CompiledMode, stops: Set[str]) -> None:
+    def __init__(
+        self, trace: Trace, compiled: CompiledMode, stops: Set[str], scales: Array
+    ) -> None:
         self._guards = compiled.wholes
         wholes = whole_margins(compiled.mode.margins)
         self._watched = tuple((margin.name, margin.kind) for margin in wholes)
@@ -145,8 +148,8 @@ class _GuardScan:
         self._values = contiguous(trace.values)
         self._kinds = trace.tolerances
         relative_error = max(STATE_TOLERANCES * trace.tolerance, STATE_ROUND_OFF)
-        self._errors = relative_error * sizes(trace)
-        self._round_off = EVALUATION_ROUND_OFF * sizes(trace)
+        self._errors = relative_error * scales
+        self._round_off = EVALUATION_ROUND_OFF * scales
         # Larger minima, relative to the size of a margin in its flows, are not refined.
         self._near = float(np.sqrt(relative_error))
 

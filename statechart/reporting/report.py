@@ -322,6 +322,7 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
     modes: dict[tuple[str, ...], dict[str, Any]] = {}
     rates = () if automaton.coordinates is None else automaton.coordinates.rates
     named = enumerate(zip(automaton.names, automaton.variables, strict=True))
+    unknowns = {*automaton.unknowns}
     coordinates = [(i, name) for i, (name, symbol) in named if symbol not in rates]
     for arc in trace.arcs:
         key = moving_mode(arc.roles)
@@ -331,7 +332,7 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
         # Forces of open contacts are zero and no unknowns.
         known = {s for s, e in mode.definitions if e == 0}
         known |= {mode.rates[place] for place in mode.eliminated}
-        solved = {s for s, _ in mode.definitions if s in automaton.unknowns} - known
+        solved = {s for s, _ in mode.definitions if s in unknowns} - known
         modes[key] = {
             "mode": dict(zip(trace.regions, key, strict=True)),
             "integrated": [n for i, n in coordinates if i not in mode.eliminated],

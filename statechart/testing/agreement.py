@@ -293,15 +293,15 @@ class Reading:
         Transformed -> original state of regions, if different.
     regions : mapping
         Transformed -> original name of regions, if different.
-    kept : frozenset of str
-        Regions whose states are not transformed.
+    untransformed : frozenset of str
+        Regions whose states stay as they are.
     """
 
     factors: Array | float = 1.0
     time: float = 1.0
     states: Mapping[str, str] = field(default_factory=dict)
     regions: Mapping[str, str] = field(default_factory=dict)
-    kept: frozenset[str] = frozenset()
+    untransformed: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,10 +349,12 @@ class EventSequence:
             return reading.regions.get(name, name)
 
         order = [trace.regions.index(region(name)) for name in trace.regions]
-        maps = [{} if trace.regions[i] in reading.kept else reading.states for i in order]
+        maps = [{} if trace.regions[i] in reading.untransformed else reading.states for i in order]
 
         def key(mode: Key) -> Key:
-            return tuple(of.get(mode[i], mode[i]) for i, of in zip(order, maps, strict=True))
+            return tuple(
+                states.get(mode[i], mode[i]) for i, states in zip(order, maps, strict=True)
+            )
 
         def event(jump: Jump) -> Event:
             states = [jump.before * reading.factors, jump.after * reading.factors]

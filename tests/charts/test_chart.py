@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,8 @@ from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor
 from statechart.errors import DeclarationProblem, EventLoop, NonFinite
 from statechart.execution.simulator import Simulator
+from statechart.formulas.relation import Relation
+from statechart.formulas.writer import _Writer
 
 TAYLOR, SCIPY = Taylor(2.2e-16), SciPy(1e-12)
 both = pytest.mark.parametrize("engine", [TAYLOR, SCIPY], ids=["taylor", "scipy"])
@@ -474,3 +477,38 @@ def test_a_stop_condition_may_use_a_parameter_that_is_zero() -> None:
     trace = run(automaton(chart), TAYLOR, 2.0)
     assert trace.outcome is Outcome.STOPPED
     assert trace.t_end == 0.5
+
+
+def test_modes_of_equal_regions_compile_each_formula_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only one region differs from the mode before: the formulas of the others are compiled."""
+    conditions, sums = Counter[str](), Counter[sp.Expr]()
+    condition, write_sum = Relation.condition, _Writer._sum
+
+    def count_condition(self: Relation, *known: Any) -> Any:
+        conditions[self.text] += 1
+        return condition(self, *known)
+
+    def count_sum(self: _Writer, node: sp.Expr) -> int:
+        sums[node] += 1
+        return write_sum(self, node)
+
+    monkeypatch.setattr(Relation, "condition", count_condition)
+    monkeypatch.setattr(_Writer, "_sum", count_sum)
+    count = 6
+    rooms = {
+        f"room{i}": region(
+            {
+                state: {f"T{i}": f"{outside}.{i} + (T{(i + 1) % count} - T{i})/9 - T{i}"}
+                for state, outside in (("on", 30), ("off", 10))
+            },
+            go("on", "off", f"T{i} >= 22", "down"),
+            go("off", "on", f"T{i} <= 18", "up"),
+        )
+        for i in range(count)
+    }
+    chart = compose({f"T{i}": 20 for i in range(count)}, rooms)
+    trace = run(chart, Taylor(2.2e-16), 1.0)
+    assert trace.counts["modes_built"] > count
+    # Once for the margins of its state, once for its transition.
+    assert max(conditions.values()) == 2
+    assert max(sums.values()) == 1

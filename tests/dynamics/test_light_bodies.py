@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from statechart.documents.yaml_reader import read_text
@@ -35,7 +37,7 @@ _RIDES = _RIDES.replace("{x: 20, dx: 1}", "{x: 0}")
 
 
 def _pulled(text: str, mass: float, engine: str = "taylor") -> Result:
-    options = {"step": 1e-3} if engine == "impulse" else {}
+    options: dict[str, Any] = {"step": 1e-3} if engine == "impulse" else {}
     return run(read_text(text), parameters={"m": mass}, engine=engine, **options)
 
 
@@ -48,7 +50,7 @@ def test_a_light_body_slips_on_time_or_is_named(text: str) -> None:
     found = _pulled(text, 1e-6)
     # 1e-12 of the force of the scene, 1e4, is 2.5e-3 of the bound of friction.
     assert found.outputs["slip"] == pytest.approx(1.0, abs=3e-3)
-    assert ["'light' slip" in warning for warning in found.warnings] == [True]
+    assert ["'light' change their modes late" in warning for warning in found.warnings] == [True]
     assert "by up to 0.001 of its weight" in found.warnings[0]
 
 
@@ -57,3 +59,11 @@ def test_by_steps_a_light_body_slips_on_time(text: str) -> None:
     found = _pulled(text, 1e-6, "impulse")
     assert found.outputs["slip"] == pytest.approx(1.0, abs=1e-3)
     assert not any("late" in warning for warning in found.warnings)
+
+
+@pytest.mark.parametrize("e", [0.0, 1.0])
+def test_a_body_that_always_rebounds_is_not_named(e: float) -> None:
+    thrown = _SCENE.replace("light: {mass: m}", "light: {mass: m, start: {y: 1}}")
+    thrown = thrown.replace("0.4, restitution: 0}", "0.4, restitution: e}", 1)
+    found = _pulled(thrown.replace("{m: 1,", f"{{e: {e}, m: 1,"), 1e-6)
+    assert any("'light'" in warning for warning in found.warnings) == (e == 0.0)

@@ -430,9 +430,9 @@ def test_brake_that_lets_go_at_a_speed_leaves_the_wheel_at_it(engine: str, sign:
     assert result.outputs["speed"] == pytest.approx(2.0, abs=EXACT)
 
 
-def test_brake_whose_condition_turns_over_is_told_to_take_two_bounds() -> None:
+def test_advice_on_two_bounds_for_a_brake_whose_condition_turns_over() -> None:
     text = RAMP.replace("kinetic: k}", "kinetic: k}, enabled: dphi >= 2").replace("rate*time", "1")
-    with pytest.raises(statechart.EventLoop, match=r"dphi >= 2 falls.*; a condition.*two bounds"):
+    with pytest.raises(statechart.EventLoop, match=r"dphi >= 2 falls.*two bounds: guards"):
         run(text.replace("phi: {}", "phi: {rate: 3}"))
 
 

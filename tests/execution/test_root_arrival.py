@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 from scipy.integrate import solve_ivp
@@ -40,7 +41,7 @@ def empty_at(loss: float) -> float:
 
 def drained(flows: str, guard: str, engine: tuple[str, str | None] = ("taylor", None)) -> Result:
     name, method = engine
-    options = {} if method is None else {"method": method}
+    options: dict[str, Any] = {} if method is None else {"method": method}
     return run(
         read_text(TANKS.format(flows=flows, guard=guard)), engine=name, throw=False, **options
     )
@@ -148,14 +149,14 @@ def test_tanks_in_a_cycle_and_in_a_row_and_a_brake_end_on_time(
     engine: tuple[str, str | None],
 ) -> None:
     name, method = engine
-    options = {} if method is None else {"method": method}
+    options: dict[str, Any] = {} if method is None else {"method": method}
     cycle, cascade, brake = (
         run(read_text(text), engine=name, **options).outputs for text in (CYCLE, CASCADE, BRAKE)
     )
     assert cycle["dry"] == pytest.approx([2, 6, 10], abs=1e-9)
     assert cycle["full"] == pytest.approx([4, 8], abs=1e-9)
     # u = sqrt(a) = 1 - t/2 and v = sqrt(b) with v' = (u/v - 1)/2; from t = 2 on v' = -1/2.
-    accuracy = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-15}
+    accuracy: dict[str, Any] = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-15}
     rates = solve_ivp(lambda t, v: ((1 - t / 2) / v - 1) / 2, (0, 2), [1.0], **accuracy)
     assert cascade["a"] == pytest.approx(2, abs=1e-9)
     assert cascade["b"] == pytest.approx(2 + 2 * rates.y[0, -1], abs=1e-9)

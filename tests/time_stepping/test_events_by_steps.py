@@ -79,7 +79,6 @@ def test_turning_body_has_one_touchdown_by_steps(h: float) -> None:
     np.testing.assert_allclose(found.trace.final, exact.trace.final, rtol=0, atol=40 * h)
 
 
-# A bar that is thrown on a line, and a controller that pushes it after an event.
 # A tip lands, slides under a fan, sticks for 1.5 ms as the rod turns, and slides back.
 BLOWN = """
 kind: scene
@@ -114,6 +113,7 @@ def test_the_tip_of_a_turning_rod_sticks_and_slides_back_as_with_events(h: float
         assert here.t == pytest.approx(there.t, abs=6 * h)
 
 
+# A bar that is thrown on a line, and a controller that pushes it after an event.
 THROWN = """
 kind: scene
 name: thrown
