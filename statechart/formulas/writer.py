@@ -157,7 +157,7 @@ def _written(
     expression: sp.Expr,
 ) -> tuple[list[sp.Symbol], list[float], list[tuple[int, int, int]], int]:
     """Return inputs, constants, operations and register of an expression; modes share most."""
-    writer = _Writer([*free_symbols(expression)])
+    writer = _Writer(sorted(free_symbols(expression), key=operator.attrgetter("name")))
     register = writer.register(expression)
     return writer.inputs, [*writer.constants], writer.operations, register
 
