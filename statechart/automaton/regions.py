@@ -335,15 +335,15 @@ class Mode:
     eliminated: Mapping[int, sp.Expr] = field(default_factory=dict)
     anchors: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)  # constant -> expression
 
+    @cached_property
+    def roots(self) -> tuple[sp.Pow, ...]:
+        """Powers with exponents between 0 and 1 in the rates and definitions."""
+        from sympy import Pow, default_sort_key
 
-def root_powers(mode: Mode) -> list[sp.Pow]:
-    """Return the powers with exponents between 0 and 1 in the equations of a mode."""
-    from sympy import Pow, default_sort_key
-
-    expressions = (*mode.rates, *(e for _, e in mode.definitions))
-    powers = {power for e in expressions for power in e.atoms(Pow)}
-    roots = [p for p in powers if p.exp.is_number and 0 < p.exp < 1]
-    return sorted(roots, key=default_sort_key)
+        expressions = (*self.rates, *(e for _, e in self.definitions))
+        powers = {power for e in expressions for power in e.atoms(Pow)}
+        roots = [p for p in powers if p.exp.is_number and 0 < p.exp < 1]
+        return tuple(sorted(roots, key=default_sort_key))
 
 
 def active_in(regions: Sequence[Region], key: Sequence[str]) -> Active:

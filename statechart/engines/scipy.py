@@ -12,7 +12,7 @@ from scipy import integrate
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.regions import Mode, root_powers
+from statechart.automaton.regions import Mode
 from statechart.engines.engine import Continuation, Engine, FlowWatch, Path
 from statechart.errors import NonFinite, StepFailure
 from statechart.formulas.tape import Tape
@@ -30,6 +30,15 @@ _MIN_TOLERANCE = 100 * float(np.finfo(float).eps)
 # The slope error of dense output is below _SLOPE * tolerance**_SLOWER: one order lower than the
 # step (RK45 5, DOP853 8). Ten times the maximum over the shipped models.
 _SLOPE, _SLOWER = 50.0, 0.85
+
+
+def _extended(expression: sp.Expr) -> sp.Expr:
+    """Return an expression whose roots of negative bases are zero: trial states have rates, too."""
+    result: sp.Expr = expression.replace(
+        lambda e: e.is_Pow and e.exp.is_number and 0 < e.exp < 1 and not e.base.is_nonnegative,
+        lambda e: sp.Pow(sp.Max(e.base, 0), e.exp),
+    )
+    return result
 
 
 @dataclass(eq=False)
@@ -55,22 +64,15 @@ class SciPy(Engine):
 
     def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> _Stepper:
         """Return the stepper of the rates."""
-        roots = root_powers(mode)
-        bases = [power.base.free_symbols.intersection(automaton.variables) for power in roots]
+        bases = [power.base.free_symbols.intersection(automaton.variables) for power in mode.roots]
         single = {v for symbols in bases if len(symbols) == 1 for v in symbols}
-        # Trial states have a rate where a base is negative, too.
-        trials = {p: sp.Pow(sp.Max(p.base, 0), p.exp) for p in roots if p.base.func != sp.Max}
-        definitions = tuple((s, e.xreplace(trials)) for s, e in mode.definitions)
-        return _Stepper(
-            rates,
-            automaton.tape(
-                [rate.xreplace(trials) for rate in mode.rates],
-                replace(mode, definitions=definitions),
-            )
-            if trials
-            else rates,
-            [k for k, v in enumerate(automaton.variables) if v in single],
-        )
+        trial_rates = rates
+        if any(not power.base.is_nonnegative for power in mode.roots):
+            definitions = tuple((s, _extended(e)) for s, e in mode.definitions)
+            extended = replace(mode, definitions=definitions)
+            trial_rates = automaton.tape([_extended(rate) for rate in mode.rates], extended)
+        rooted = [k for k, v in enumerate(automaton.variables) if v in single]
+        return _Stepper(rates, trial_rates, rooted)
 
     def steps(
         self,

@@ -19,7 +19,7 @@ from statechart.automaton.modes import (
     hide_captured_forces,
     mode_reconstruction,
 )
-from statechart.automaton.regions import Mode, root_powers, whole_margins
+from statechart.automaton.regions import Mode, whole_margins
 from statechart.automaton.switches import Switches, switches_of
 from statechart.automaton.trace import Key, Role, Roles
 from statechart.engines.engine import Engine
@@ -32,7 +32,7 @@ class Roots(NamedTuple):
 
     bases: Tape  # outputs: e
     exponents: tuple[float, ...]
-    continued: tuple[bool, ...]  # whether e is abs(x) or max(x, 0), and x may fall below zero
+    continued: tuple[bool, ...]  # whether e is never negative, as abs(x) or max(x, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,14 +141,14 @@ class SolvedModes:
 
     def _roots(self, mode: Mode) -> Roots:
         exponents: dict[sp.Expr, float] = {}
-        for power in root_powers(mode):
+        for power in mode.roots:
             if not power.base.free_symbols <= {*self.automaton.parameters}:
                 smallest = min(float(power.exp), exponents.get(power.base, 1.0))
                 exponents[power.base] = smallest
         return Roots(
             self.automaton.tape([*exponents], mode),
             tuple(exponents.values()),
-            tuple(isinstance(base, sp.Abs | sp.Max) for base in exponents),
+            tuple(bool(base.is_nonnegative) for base in exponents),
         )
 
     def _used(self, roles: Roles) -> frozenset[int]:

@@ -18,6 +18,7 @@ from statechart.automaton.laws import (
     Flow,
     Instant,
     Setup,
+    flow_sizes,
     roles_in,
 )
 from statechart.automaton.regions import Margin
@@ -36,6 +37,7 @@ from statechart.execution.flow import FOLLOWED, UNFOLLOWED, Advance
 from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, loop_error
 from statechart.execution.outcome import Progress, error_of
 from statechart.execution.zeno import Accumulation, summed
+from statechart.formulas.series import sizes_at
 from statechart.kernels.polynomials import term_sizes
 from statechart.tabular import pluralise
 
@@ -419,10 +421,21 @@ class Execution:
         return next((name for (name, _), v in rows if abs(v) <= tolerances.get(name, -1.0)), None)
 
     def _fell_at_last(self) -> tuple[str, ...]:
-        """Return the guard on whose boundary the rates end, as h <= 0 for h' = -sqrt(h)."""
-        if self._boundary is None:
+        """Return the guard on whose boundary the rates end, as h <= 0 for h' = -1/h.
+
+        The end is the zero of the base of a root, or recognised by steps that become too short, not
+        by an unbounded state.
+        """
+        compiled, setup, state = self._enter(self.flow.moving), self.setup, self.state
+        if self._boundary is not None:
+            return self.resolve_fall(compiled, self._boundary.guard)
+        if not isinstance(self.failure, errors.StepFailure):
             return ()
-        return self.resolve_fall(self._enter(self.flow.moving), self._boundary.guard)
+        guards, time = compiled.guards, self.clock.high
+        sizes, places = flow_sizes(setup, self.flow, state), tuple(range(len(guards.outputs)))
+        terms = sizes_at(guards, places, state, sizes, setup.values, time)
+        near = np.abs(guards.values(state, setup.values, time)) <= setup.precision * np.array(terms)
+        return self.resolve_fall(compiled, int(near.argmax())) if near.any() else ()
 
     def _unbounded(self) -> bool:
         """Return whether rates have become unbounded and a jump resolves that."""

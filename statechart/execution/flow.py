@@ -142,17 +142,19 @@ class Advance:
         tolerances = first_tolerances(self.compiled, watch, self.state, self._reached)
         if self.engine.time_budget is not None:
             self.engine.time_budget.check(watch.start + path.times.item(first))
-        finished = self.engine.steps(
-            self.compiled.stepper,
-            path,
-            watch,
-            self.state,
-            self._end,
-            self._count,
-            self._begin,
-            ended,
-        )
-        followed = self._arrive(first, ended)
+        finished, followed = False, 0
+        if self._begin is not Continuation.NEW or not self._arrive_from_start(ended):
+            finished = self.engine.steps(
+                self.compiled.stepper,
+                path,
+                watch,
+                self.state,
+                self._end,
+                self._count,
+                self._begin,
+                ended,
+            )
+            followed = self._arrive(first, ended)
         end = path.count
         new_steps, local = end - first, path.times.item(end)
         self.steps += new_steps
@@ -199,17 +201,46 @@ class Advance:
         result: Bools = zero & self.compiled.plain & (watch.tolerances < math.inf)
         return result
 
+    def _near_zero(self, state: Array, local: float) -> Array:
+        """Return the values from which the bases of roots are continued to zero."""
+        watch, bases = self.watch, self.compiled.roots.bases
+        places, time = tuple(range(len(bases.outputs))), self.watch.start + local
+        terms = sizes_at(bases, places, state, self._sizes, watch.parameters, time)
+        return math.sqrt(self.engine.tolerance) * np.array(terms)
+
+    def _arrive_from_start(self, ended: Array) -> bool:
+        """Take the steps from a start near the zero of the base of a root to it, if it falls."""
+        watch, roots = self.watch, self.compiled.roots
+        if not roots.exponents:
+            return False
+        bases = roots.bases.values(self.initial, watch.parameters, watch.start)
+        near = (bases > 0.0) & (bases <= self._near_zero(self.initial, 0.0))
+        steps = self._steps_to_zero(int(near.argmax()), self.initial, 0.0) if near.any() else []
+        if steps:
+            self._append(steps, ended)
+        return bool(steps)
+
+    def _steps_to_zero(self, index: int, state: Array, local: float) -> list[tuple[float, Array]]:
+        """Return the steps to the zero of a base; [] if it turns, or the flow ends before."""
+        time = self.watch.start + local
+        found = steps_to_zero(self.compiled, index, self.watch.parameters, state, time)
+        return found if local + sum(h for h, _ in found) <= self.duration else []
+
+    def _append(self, steps: list[tuple[float, Array]], ended: Array) -> None:
+        for h, polynomial in steps:
+            self.path.append(h, polynomial)
+        polynomial.sum(axis=1, out=ended)
+
     def _arrive(self, first: int, ended: Array) -> int:
         """Continue steps in which the base of a root falls, to its zero; return their number."""
         path, watch, roots = self.path, self.watch, self.compiled.roots
-        count, places = path.count, tuple(range(len(roots.exponents)))
-        if not places:
+        count = path.count
+        if not roots.exponents:
             return count
         steps, times = path.coefficients[first:count], path.times[first : count + 1]
         self._sizes = np.maximum(self._sizes, path_sizes(steps))
         states, now = np.vstack([steps[:, :, 0], ended]), watch.start + times
-        terms = sizes_at(roots.bases, places, ended, self._sizes, watch.parameters, now.item(-1))
-        near = math.sqrt(self.engine.tolerance) * np.array(terms)
+        near = self._near_zero(ended, times.item(-1))
         bases = roots.bases.table(states, watch.parameters, now)
         falls = (bases[:-1] > near) & (bases[1:] <= near)
         if not falls.any():
@@ -227,15 +258,13 @@ class Advance:
             return values.item(index) - near.item(index)
 
         at = float(brentq(excess, times[step], times[step + 1]))
-        further = steps_to_zero(self.compiled, index, watch.parameters, state(at), watch.start + at)
-        if not further or at + sum(h for h, _ in further) > self.duration:
+        further = self._steps_to_zero(index, state(at), at)
+        if not further:
             return count
         followed = path.count = cut_steps(
             path.times, path.coefficients, first + step + 1, at, ended
         )
-        for h, polynomial in further:
-            path.append(h, polynomial)
-        polynomial.sum(axis=1, out=ended)
+        self._append(further, ended)
         return followed
 
     def _continue_from_zero(self, ended: Array) -> None:

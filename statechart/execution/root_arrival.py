@@ -42,14 +42,14 @@ def steps_to_zero(
         e, change = base(now, rates).values
         return np.append(rates, 1.0), e, change if e > 0.0 > change else np.nan
 
-    def at(now: Array, u: float) -> Array:
+    def moved_to(now: Array, u: float) -> Array:
         """Return (state, time) with the state moved along the flow to the value of u."""
         rates, e, change = flow(now)
         moved = now + rates * (u ** (1.0 / (1.0 - p)) - e) / change
         return np.append(moved[:-1], now[-1])
 
     def slope(now: Array, u: float) -> Array:
-        rates, e, change = flow(at(now, u))
+        rates, e, change = flow(moved_to(now, u))
         return rates * e**p / ((p - 1.0) * change)
 
     def last_step(now: Array, h: float) -> tuple[float, Array]:
@@ -58,8 +58,8 @@ def steps_to_zero(
         halved, _, _ = flow(now - 0.5 * rates * e / change)
         motion = h * (rates - p * (rates - halved) / (1.0 - 0.5**p))
         end = now + motion
-        (e, _), (terms, _) = base(end, np.zeros(n))
-        rest = (e + _ROUND_OFF * max(terms, initial)) / (initial - e)
+        (excess, _), (terms, _) = base(end, np.zeros(n))
+        rest = (excess + _ROUND_OFF * max(terms, initial)) / (initial - excess)
         motion[:-1] += rest * (end[:-1] - state)
         linear = h * rates
         return h, np.stack([now, linear, motion - linear], axis=1)[:-1]
@@ -82,7 +82,7 @@ def steps_to_zero(
             node = now + length * (RK45.A[i, :i] @ slopes[:i])
             slopes[i] = slope(node, u - RK45.C[i] * length)
         u -= length
-        end = at(now + length * (RK45.B @ slopes), u)
+        end = moved_to(now + length * (RK45.B @ slopes), u)
         first, slopes[0] = slopes[0].copy(), slope(end, u)
         change = (end - now)[:-1]
         h = end.item(-1) - now.item(-1)

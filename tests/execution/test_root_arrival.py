@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 
 from statechart import Outcome
 from statechart.documents.yaml_reader import read_text
@@ -23,11 +23,17 @@ regions:
     initial: drains
     states: {{drains: {{flows: {{{flows}, clock: 1}}}}, empty: {{}}}}
     transitions: [{{name: ends, from: drains, to: empty, guard: {guard}}}]
-stop: {{time: 9}}
+{other}stop: {{time: 9}}
 outputs:
   t: {{value: time, at: first r.ends}}
   h: {{value: h}}
   g: {{value: g}}
+"""
+CLOCK = """\
+  k:
+    initial: a
+    states: {{a: {{}}, b: {{}}}}
+    transitions: [{{name: tick, from: a, to: b, after: {tick}}}]
 """
 ENGINES = [("taylor", None), *[("scipy", m) for m in ("RK45", "DOP853", "Radau", "LSODA")]]
 TORRICELLI = 2 * math.sqrt(2) / 0.7
@@ -39,12 +45,11 @@ def empty_at(loss: float) -> float:
     return 2 / 0.7 * (math.sqrt(2) - k * math.log1p(math.sqrt(2) / k))
 
 
-def drained(flows: str, guard: str, engine: tuple[str, str | None] = ("taylor", None)) -> Result:
+def drained(flows: str, guard: str, engine: tuple[str, str | None], other: str = "") -> Result:
     name, method = engine
     options: dict[str, Any] = {} if method is None else {"method": method}
-    return run(
-        read_text(TANKS.format(flows=flows, guard=guard)), engine=name, throw=False, **options
-    )
+    text = TANKS.format(flows=flows, guard=guard, other=other)
+    return run(read_text(text), engine=name, throw=False, **options)
 
 
 @pytest.mark.parametrize("engine", ENGINES, ids=str)
@@ -83,6 +88,28 @@ def test_a_root_of_a_negative_base_ends_the_run(engine: tuple[str, str | None]) 
     assert trace.outcome is Outcome.STEP_FAILURE
     assert trace.t_end == pytest.approx(1.0, abs=1e-9)
     assert "the base of a root would be negative after t = 1" in trace.message
+
+
+@pytest.mark.parametrize("engine", ENGINES, ids=str)
+@pytest.mark.parametrize("flow", ["-2*sqrt(h - 1)", "'-2*sqrt(max(h - 1, 0))'"])
+@pytest.mark.parametrize("tick", [0.9, 0.99999])
+def test_an_event_elsewhere_delays_no_tank_that_is_almost_empty(
+    tick: float, flow: str, engine: tuple[str, str | None]
+) -> None:
+    found = drained(f"h: {flow}", "h <= 1", engine, CLOCK.format(tick=tick))
+    # The method has a tolerance of 1e-10.
+    assert found.outputs["t"] == pytest.approx(1.0, abs=1e-9)
+    assert len(found.trace.jumps) == 2
+
+
+@pytest.mark.parametrize(
+    ("flow", "time"), [("-1/h", 2.0), ("log(h) - 2", 0.0), ("-1/sqrt(h)", 2 / 3 * 2**1.5)]
+)
+def test_a_guard_on_whose_boundary_the_rates_end_fires_there(flow: str, time: float) -> None:
+    # For log(h) - 2 the integral of 1/(2 - log(h)) from 0 to 2.
+    time = time or quad(lambda h: 1 / (2 - math.log(h)), 0, 2, epsabs=1e-12)[0]
+    found = drained(f"h: '{flow}'", "h <= 0", ("scipy", None))
+    assert found.outputs["t"] == pytest.approx(time, abs=1e-9)
 
 
 @pytest.mark.parametrize("engine", ENGINES, ids=str)
