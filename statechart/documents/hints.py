@@ -165,8 +165,10 @@ def other_word(model: type[BaseModel], loc: Sequence[str | int]) -> str:
 def word_elsewhere(model: type[BaseModel], word: str) -> str:
     """Return advice on a key of another program in a wrong section, or an empty text.
 
-    Sections of equal depth that advise differently give none.
+    Keys of this format, and sections of equal depth that advise differently, give none.
     """
+    if next(_places_of_key(model, word), None) is not None:
+        return ""
     places: dict[int, dict[str, list[str]]] = {}
     for place, member in _parts(model):
         if _is_model(member) and (written := _own_word(member, word)):
