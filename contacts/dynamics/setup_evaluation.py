@@ -104,11 +104,12 @@ class SceneNumbers:
             name: sp.Abs(parse(body.mass).to_sympy(mechanics.known))
             for name, body in scene.bodies.items()
         }
-        # Shares in the mass of bodies that contacts may hold.
+        # Their shares in the mass of all bodies.
         self._unloaded = _unloaded_bodies(scene)
         shares = [masses[name] / sp.Add(*masses.values()) for name in self._unloaded]
         self._shares = mechanics.tape(shares)
-        # Quantities with physical limits `bounds` (2, l); None if controllers set some of them.
+        # Quantities with limits `bounds` (2, l), physical ones and shares of light bodies; None if
+        # controllers set some of them.
         self.limits: Tape | None = None
         # Constants are checked when the scene is read.
         varying = [limit for limit in limits(scene) if parse(limit.text).names]
@@ -121,10 +122,10 @@ class SceneNumbers:
             ]
             if not any(expression.has(sp.oo) for expression in bounded):
                 # A share below its limit gives a warning.
-                least = [(limit.least, limit.most) for limit in varying]
-                least += [(_MIN_SHARE, math.inf)] * len(shares)
+                ranges = [(limit.least, limit.most) for limit in varying]
+                ranges += [(_MIN_SHARE, math.inf)] * len(shares)
                 self.limits = mechanics.tape([*bounded, *shares])
-                self.bounds = np.array(least).reshape(-1, 2).T
+                self.bounds = np.array(ranges).reshape(-1, 2).T
 
     def at(
         self, overrides: Mapping[str, float], relative: float, *, stepped: bool = False
@@ -168,7 +169,7 @@ class SceneNumbers:
         if not stepped:
             shares = self._shares.at(initial, values, 0.0).tolist()
             laws = zip(self.scene.contacts.values(), contacts, strict=False)
-            # Without loss of energy no contact force lasts.
+            # A body that only rebounds has no lasting contact force.
             lasting = {contact.point.body for contact, law in laws if law.restitution != 1.0}
             pairs = zip(self._unloaded, shares, strict=True)
             warnings += tuple(_light((name, share) for name, share in pairs if name in lasting))

@@ -387,14 +387,7 @@ def _select_candidate(
     # A contact held by static friction does not start to slip because another does.
     firmer, holding = _more_sticking(case), clear
     if firmer:
-        lost = [
-            any(
-                _is_held_by_friction(d, c, firmer) > _is_held_by_friction(c, d, firmer)
-                for d in clear
-            )
-            for c in clear
-        ]
-        holding = [c for c, slips in zip(clear, lost, strict=True) if not slips]
+        holding = [c for c in clear if not any(_slips_more(c, d, firmer) for d in clear)]
     taken = min(holding or clear or agreeing, key=closedness_key)
     # A candidate on the boundary of its inequalities (an unloaded massless body) is no rival.
     certain = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
@@ -404,7 +397,7 @@ def _select_candidate(
         for c in certain
         if c is not taken
         and not same_motion(c, taken, scales, same)
-        and not _is_held_by_friction(taken, c, firmer)
+        and not _slips_more(c, taken, firmer)
     ]
     if not rivals and taken.share is not None:
         # With a shared load, candidates on the boundary are rivals, too.
@@ -413,8 +406,7 @@ def _select_candidate(
         rivals = [
             c
             for c in less
-            if not same_motion(c, taken, scales, _CONTINUES)
-            and not _is_held_by_friction(taken, c, firmer)
+            if not same_motion(c, taken, scales, _CONTINUES) and not _slips_more(c, taken, firmer)
         ]
     if not rivals:
         return taken, ""
@@ -450,6 +442,11 @@ def _is_held_by_friction(taken: Candidate, other: Candidate, firmer: Sequence[in
     return any(
         taken.states[k] in STICKING and other.states[k] not in (*STICKING, *OPEN) for k in firmer
     )
+
+
+def _slips_more(c: Candidate, d: Candidate, firmer: Sequence[int]) -> bool:
+    """Return whether friction holds a contact in d that slips in c, and none the other way."""
+    return _is_held_by_friction(d, c, firmer) > _is_held_by_friction(c, d, firmer)
 
 
 def _more_sticking(case: Case) -> Sequence[int]:

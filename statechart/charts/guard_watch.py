@@ -210,7 +210,7 @@ class _AtomTapes:
 
     @cached_property
     def margin(self) -> Tape:
-        return self._tape(self.expression)  # which does not depend on the flow
+        return self._tape(self.expression)  # The margin does not depend on the flow.
 
     @cached_property
     def first(self) -> Tape:

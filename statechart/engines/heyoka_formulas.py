@@ -70,7 +70,7 @@ class Converter:
 
     def __call__(self, expression: sp.Expr) -> Any:
         """Return the heyoka expression."""
-        if expression.is_Number:  # whose hash takes longer
+        if expression.is_Number:  # A look-up would hash it, which takes longer.
             return _number(float(expression))
         found = self.known.get(expression)
         if found is None:

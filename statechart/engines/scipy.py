@@ -45,7 +45,7 @@ def _extended(expression: sp.Expr) -> sp.Expr:
 class _Stepper:
     rates: Tape
     trial_rates: Tape  # with roots of negative bases replaced by zero
-    rooted: list[int]  # variables whose root is in the rates
+    rooted: list[int]  # variables at whose zero the base of a root in the rates is zero
     solver: Any = None
     suggested: float | None = None
 
@@ -64,14 +64,17 @@ class SciPy(Engine):
 
     def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> _Stepper:
         """Return the stepper of the rates."""
-        bases = [power.base.free_symbols.intersection(automaton.variables) for power in mode.roots]
-        single = {v for symbols in bases if len(symbols) == 1 for v in symbols}
+        bases = [power.base for power in mode.roots]
+        rooted = [
+            k
+            for k, v in enumerate(automaton.variables)
+            if any(v in base.free_symbols and base.subs(v, 0) == 0 for base in bases)
+        ]
         trial_rates = rates
         if any(not power.base.is_nonnegative for power in mode.roots):
             definitions = tuple((s, _extended(e)) for s, e in mode.definitions)
             extended = replace(mode, definitions=definitions)
             trial_rates = automaton.tape([_extended(rate) for rate in mode.rates], extended)
-        rooted = [k for k, v in enumerate(automaton.variables) if v in single]
         return _Stepper(rates, trial_rates, rooted)
 
     def steps(

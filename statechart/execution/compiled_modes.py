@@ -32,7 +32,7 @@ class Roots(NamedTuple):
 
     bases: Tape  # outputs: e
     exponents: tuple[float, ...]
-    continued: tuple[bool, ...]  # whether e is never negative, as abs(x) or max(x, 0)
+    nonnegative: tuple[bool, ...]  # whether e is never negative, as abs(x) or max(x, 0)
 
 
 @dataclass(frozen=True, eq=False)

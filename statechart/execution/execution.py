@@ -543,7 +543,7 @@ class Execution:
                     + advice
                 )
                 return self.settle((UNBOUNDED,))
-        self.failure = None
+        self.failure = self._boundary = None
         return self._stop_holds()
 
     def _stop_holds(self) -> bool:

@@ -142,7 +142,7 @@ class Advance:
         tolerances = first_tolerances(self.compiled, watch, self.state, self._reached)
         if self.engine.time_budget is not None:
             self.engine.time_budget.check(watch.start + path.times.item(first))
-        finished, followed = False, 0
+        finished, arriving = False, 0
         if self._begin is not Continuation.NEW or not self._arrive_from_start(ended):
             finished = self.engine.steps(
                 self.compiled.stepper,
@@ -154,7 +154,7 @@ class Advance:
                 self._begin,
                 ended,
             )
-            followed = self._arrive(first, ended)
+            arriving = self._arrive(first, ended)
         end = path.count
         new_steps, local = end - first, path.times.item(end)
         self.steps += new_steps
@@ -162,25 +162,26 @@ class Advance:
         following, distance = _constrained(watch, ended, local)
         if distance > _DRIFT and new_steps > 1:
             # The chunk drifted off its constraints: repeat with fewer steps.
-            self._count, self._begin = max(1, new_steps // 4), Continuation.MOVED
+            self._count = max(1, new_steps // 4)
+            self._begin = Continuation.BACK if arriving < end else Continuation.MOVED
             return
-        found = self._search(tolerances, first, followed)
-        if found.verdict is Verdict.NONE and followed < end:
+        found = self._search(tolerances, first, arriving)
+        if found.verdict is Verdict.NONE and arriving < end:
             # Margins that end at zero have no crossing there.
             zero = self._zero_margins(ended, local)
-            found = self._search(np.where(zero, math.inf, tolerances), followed, end)
-        blind = _blind(watch, path, first, end, found) or self._find_missed(first, followed, found)
+            found = self._search(np.where(zero, math.inf, tolerances), arriving, end)
+        blind = _blind(watch, path, first, end, found) or self._find_missed(first, arriving, found)
         if _BLIND < distance <= _STAYS * self._last_defect and watch.constraints.within is not None:
             blind, self._last_defect = (first, local), distance
         if blind is not None:
             self._retreat(*blind, ended)
         elif found.verdict is Verdict.NONE:
-            arrived = followed < end
+            arrived = arriving < end
             self._accept_steps(
                 following, finished and not arrived, moved=arrived or following is not ended
             )
             if arrived:
-                self._continue_from_zero(ended)
+                self._continue_from_zero()
         elif not self._widened(found):
             self._end_at_event(found, ended)
 
@@ -215,10 +216,11 @@ class Advance:
             return False
         bases = roots.bases.values(self.initial, watch.parameters, watch.start)
         near = (bases > 0.0) & (bases <= self._near_zero(self.initial, 0.0))
-        steps = self._steps_to_zero(int(near.argmax()), self.initial, 0.0) if near.any() else []
-        if steps:
-            self._append(steps, ended)
-        return bool(steps)
+        for index in np.flatnonzero(near).tolist():
+            if steps := self._steps_to_zero(index, self.initial, 0.0):
+                self._append(steps, ended)
+                return True
+        return False
 
     def _steps_to_zero(self, index: int, state: Array, local: float) -> list[tuple[float, Array]]:
         """Return the steps to the zero of a base; [] if it turns, or the flow ends before."""
@@ -232,7 +234,10 @@ class Advance:
         polynomial.sum(axis=1, out=ended)
 
     def _arrive(self, first: int, ended: Array) -> int:
-        """Continue steps in which the base of a root falls, to its zero; return their number."""
+        """Replace steps in which the base of a root falls by those to its zero.
+
+        Returns the number of steps before these.
+        """
         path, watch, roots = self.path, self.watch, self.compiled.roots
         count = path.count
         if not roots.exponents:
@@ -247,38 +252,41 @@ class Advance:
             return count
         from scipy.optimize import brentq  # slow import
 
-        step = int(falls.any(axis=1).argmax())
-        index = int(falls[step].argmax())
-
         def state(local: float) -> Array:
             return sample_states(steps, times, np.array([local]))[0]
 
-        def excess(local: float) -> float:
+        def excess(local: float, index: int) -> float:
             values = roots.bases.values(state(local), watch.parameters, watch.start + local)
             return values.item(index) - near.item(index)
 
-        at = float(brentq(excess, times[step], times[step + 1]))
-        further = self._steps_to_zero(index, state(at), at)
-        if not further:
-            return count
-        followed = path.count = cut_steps(
-            path.times, path.coefficients, first + step + 1, at, ended
-        )
-        self._append(further, ended)
-        return followed
+        for step, index in np.argwhere(falls).tolist():
+            a, b = times[step : step + 2].tolist()
+            if not excess(a, index) > 0.0 >= excess(b, index):
+                continue  # Its end was projected.
+            at = float(brentq(excess, a, b, (index,)))
+            if further := self._steps_to_zero(index, state(at), at):
+                count = path.count = cut_steps(
+                    path.times, path.coefficients, first + step + 1, at, ended
+                )
+                self._append(further, ended)
+                return count
+        return count
 
-    def _continue_from_zero(self, ended: Array) -> None:
+    def _continue_from_zero(self) -> None:
         """End at a margin that is zero where the base of a root is, or prepare the next chunk."""
-        zero, time = self._zero_margins(ended, self._reached), self.watch.start + self._reached
+        zero, time = self._zero_margins(self.state, self._reached), self.watch.start + self._reached
         if zero.any():
             guard, last = int(zero.argmax()), self.path.count - 1
             self.crossing = Crossing(guard, last, 1.0, self._reached, self._reached)
-        if not np.isfinite(self.compiled.rates.values(ended, self.watch.parameters, time)).all():
+        rates = self.compiled.rates.values(self.state, self.watch.parameters, time)
+        if not np.isfinite(rates).all():
             raise StepFailure(
                 f"the base of a root would be negative after t = {time:.6g}; write sqrt(max(x, 0)) "
                 "for the root of an x that ends at 0"
             )
         self._begin = Continuation.BACK
+        if self._end <= self._reached:
+            self._end = min(self._reached + self.horizon, self.duration)
 
     def _retreat(self, step: int, blind: float, ended: Array) -> None:
         """Return to the start of a step that missed a feature at the local time `blind`."""

@@ -66,7 +66,9 @@ def steps_to_zero(
 
     now = np.append(state, time)
     rates, initial, change = flow(now)
-    if compiled.roots.continued[index]:
+    if not change < 0.0:
+        return []
+    if compiled.roots.nonnegative[index]:
         _, _, halved = flow(now - 0.5 * rates * initial / change)
         if not change - halved < _CONSTANT * (1.0 - 0.5**p) * change:
             return []

@@ -193,7 +193,7 @@ class _Writer:
 
     def register(self, node: sp.Expr) -> int:
         """Return the register of an expression."""
-        if node.is_Float:  # whose hash takes longer
+        if node.is_Float:  # A look-up would hash it, which takes longer.
             return self._constant(node)
         found = self.registers.get(node)
         if found is None:

@@ -22,7 +22,7 @@ from statechart.engines.taylor import Taylor
 from statechart.errors import DeclarationProblem, EventLoop, NonFinite
 from statechart.execution.simulator import Simulator
 from statechart.formulas.relation import Relation
-from statechart.formulas.writer import _Writer
+from statechart.formulas.writer import _Writer, _written
 
 TAYLOR, SCIPY = Taylor(2.2e-16), SciPy(1e-12)
 both = pytest.mark.parametrize("engine", [TAYLOR, SCIPY], ids=["taylor", "scipy"])
@@ -494,6 +494,7 @@ def test_modes_of_equal_regions_compile_each_formula_once(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(Relation, "condition", count_condition)
     monkeypatch.setattr(_Writer, "_sum", count_sum)
+    _written.cache_clear()
     count = 6
     rooms = {
         f"room{i}": region(

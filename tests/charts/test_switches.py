@@ -241,7 +241,7 @@ def test_a_tank_that_has_drained_stays_empty_until_water_flows_in() -> None:
     assert filled.final == pytest.approx([0.6096118], rel=1e-6)
 
 
-@pytest.mark.parametrize("engine", [TAYLOR, SCIPY], ids=str)
+@both
 @pytest.mark.parametrize("rate", ["-sqrt(max(h, 0))", "-sign(h)*sqrt(abs(h))"])
 def test_a_tank_with_a_root_as_outflow_empties_on_time(rate: str, engine: Engine) -> None:
     drained = run(flow({"h": 1}, h=rate), engine, 2.5)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
@@ -27,10 +28,10 @@ regions:
 outputs:
   t: {{value: time, at: first r.ends}}
   h: {{value: h}}
-  g: {{value: g}}
+  g: {{value: g, at: first r.ends}}
 """
 CLOCK = """\
-  k:
+  {name}:
     initial: a
     states: {{a: {{}}, b: {{}}}}
     transitions: [{{name: tick, from: a, to: b, after: {tick}}}]
@@ -92,14 +93,27 @@ def test_a_root_of_a_negative_base_ends_the_run(engine: tuple[str, str | None]) 
 
 @pytest.mark.parametrize("engine", ENGINES, ids=str)
 @pytest.mark.parametrize("flow", ["-2*sqrt(h - 1)", "'-2*sqrt(max(h - 1, 0))'"])
-@pytest.mark.parametrize("tick", [0.9, 0.99999])
-def test_an_event_elsewhere_delays_no_tank_that_is_almost_empty(
-    tick: float, flow: str, engine: tuple[str, str | None]
+@pytest.mark.parametrize("ticks", [(0.9,), (0.99999,), (0.9999, 0.9999 + 1e-9)], ids=str)
+def test_events_elsewhere_delay_no_tank_that_is_almost_empty(
+    ticks: tuple[float, ...], flow: str, engine: tuple[str, str | None]
 ) -> None:
-    found = drained(f"h: {flow}", "h <= 1", engine, CLOCK.format(tick=tick))
+    clocks = "".join(CLOCK.format(name=f"k{i}", tick=tick) for i, tick in enumerate(ticks))
+    found = drained(f"h: {flow}", "h <= 1", engine, clocks)
     # The method has a tolerance of 1e-10.
     assert found.outputs["t"] == pytest.approx(1.0, abs=1e-9)
-    assert len(found.trace.jumps) == 2
+    assert len(found.trace.jumps) == 1 + len(ticks)
+
+
+@pytest.mark.parametrize("engine", ENGINES, ids=str)
+def test_a_flow_goes_on_from_the_zero_of_a_base_after_two_events_in_turn(
+    engine: tuple[str, str | None],
+) -> None:
+    ticks = "".join(CLOCK.format(name=f"k{i}", tick=0.9999 + 1e-9 * i) for i in range(2))
+    found = drained("h: '-2*sqrt(max(h - 1, 0))', g: h", "clock >= 3", engine, ticks)
+    # g' = 1 + (1 - t)^2 until t = 1, then 1.
+    assert found.outputs["t"] == pytest.approx(3.0, abs=1e-9)
+    assert found.outputs["g"] == pytest.approx(3.0 + 1 / 3, abs=1e-8)
+    assert (np.diff([arc.end.high for arc in found.trace.arcs]) >= 0.0).all()
 
 
 @pytest.mark.parametrize(

@@ -85,9 +85,11 @@ def test_the_stop_message_reports_an_unbounded_force() -> None:
     stopping = simulator(ROD + "paradox: stop\n", "taylor")
     trace = stopping.run({}, until=2.0, throw=False)
     assert trace.outcome is Outcome.NO_CONSISTENT_MODE
-    # The run ends where p is zero: round-off decides its sign, by which the two are told apart.
-    _, _, said = trace.message.partition("the force of end grows without bound: sliding of end is ")
-    assert said.removeprefix("about to be ").startswith("inconsistent (Painleve")
+    # The run ends where p is zero: round-off decides its sign, and so which message appears.
+    _, _, ending = trace.message.partition(
+        "the force of end grows without bound: sliding of end is "
+    )
+    assert ending.removeprefix("about to be ").startswith("inconsistent (Painleve")
 
 
 def test_a_flow_that_ends_for_another_reason_is_no_jam() -> None:
