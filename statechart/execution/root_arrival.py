@@ -59,7 +59,9 @@ def steps_to_zero(
         motion = h * (rates - p * (rates - halved) / (1.0 - 0.5**p))
         end = now + motion
         (excess, _), (terms, _) = base(end, np.zeros(n))
-        rest = (excess + _ROUND_OFF * max(terms, initial)) / (initial - excess)
+        # abs(x) and max(x, 0) may stay at zero, others end below it by round-off.
+        below = 0.0 if compiled.roots.nonnegative[index] else _ROUND_OFF * max(terms, initial)
+        rest = (excess + below) / (initial - excess)
         motion[:-1] += rest * (end[:-1] - state)
         linear = h * rates
         return h, np.stack([now, linear, motion - linear], axis=1)[:-1]

@@ -262,8 +262,9 @@ def test_a_stiff_inflow_into_an_empty_tank_ends_the_run() -> None:
     # The level 100 u^2 is far below the tolerance of an explicit method, which passes zero.
     chart = flow({"h": 1}, h="-0.1*sqrt(max(h, 0)) + 0.02*exp(-(time - 35)**2)")
     trace = Simulator(chart, SCIPY).run(until=60.0, throw=False)
-    assert trace.outcome is Outcome.EVENT_LOOP
-    assert "write a state for each side" in trace.message
+    # Round-off decides whether switches repeat at one instant, or too many follow.
+    assert trace.outcome in (Outcome.EVENT_LOOP, Outcome.TOO_LONG)
+    assert "smooth the function" in trace.message
     assert abs(trace.final[0]) < 1e-9
 
 
@@ -286,9 +287,12 @@ def test_a_slide_without_equations_is_no_candidate() -> None:
     # a is empty from 1.20 until its inflow begins at 3.87; the equations of a slide there are 0/0.
     inflow, out = "0.23*max(0, sin(time + 2.41))", "sqrt(max(a, 0))"
     rates = {"a": f"-0.76*{out} + {inflow}", "b": f"0.15*{out} - 0.43*sqrt(max(b, 0))"}
-    trace = run(flow({"a": 0.13, "b": 0.47}, **rates), SCIPY, 6.0)
-    # LSODA, tolerance 1e-12, steps of 1e-3.
-    assert trace.final == pytest.approx([0.0722935, 0.0078531], abs=1e-6)
+    for k in range(4):
+        # No last bit of the start decides how the empty tanks begin to fill.
+        start = {"a": 0.13 * (1 + k * 3e-16), "b": 0.47}
+        trace = run(flow(start, **rates), SCIPY, 6.0)
+        # LSODA, tolerance 1e-12, steps of 1e-3.
+        assert trace.final == pytest.approx([0.0722935, 0.0078531], abs=1e-6)
 
 
 def test_super_twisting_control_slides_with_its_second_derivative_at_zero() -> None:
