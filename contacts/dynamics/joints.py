@@ -31,7 +31,7 @@ class JointRow:
     component: str
     force: sp.Symbol  # On the body of the point
     # `gap`, `gap_rate`, `bias`: Point minus target; its rate; its second derivative at zero
-    # accelerations. Bodies with shapes have arrays instead of these and the following
+    # accelerations. Rows of bodies with shapes are arrays, which leave these at zero
     gap: sp.Expr = sp.S.Zero
     gap_rate: sp.Expr = sp.S.Zero
     bias: sp.Expr = sp.S.Zero

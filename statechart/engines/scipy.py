@@ -32,8 +32,8 @@ _MIN_TOLERANCE = 100 * float(np.finfo(float).eps)
 _SLOPE, _SLOWER = 50.0, 0.85
 
 
-def _extended(expression: sp.Expr) -> sp.Expr:
-    """Return an expression whose roots of negative bases are zero: trial states have rates, too."""
+def _clamp_roots(expression: sp.Expr) -> sp.Expr:
+    """Set the roots of negative bases to zero, so that trial states have rates."""
     result: sp.Expr = expression.replace(
         lambda e: e.is_Pow and e.exp.is_number and 0 < e.exp < 1 and not e.base.is_nonnegative,
         lambda e: sp.Pow(sp.Max(e.base, 0), e.exp),
@@ -72,9 +72,9 @@ class SciPy(Engine):
         ]
         trial_rates = rates
         if any(not power.base.is_nonnegative for power in mode.roots):
-            definitions = tuple((s, _extended(e)) for s, e in mode.definitions)
-            extended = replace(mode, definitions=definitions)
-            trial_rates = automaton.tape([_extended(rate) for rate in mode.rates], extended)
+            definitions = tuple((s, _clamp_roots(e)) for s, e in mode.definitions)
+            clamped = replace(mode, definitions=definitions)
+            trial_rates = automaton.tape([_clamp_roots(rate) for rate in mode.rates], clamped)
         return _Stepper(rates, trial_rates, rooted)
 
     def steps(
