@@ -10,7 +10,7 @@ import numpy as np
 import sympy as sp
 from scipy import integrate
 
-from statechart.arrays import Array
+from statechart.arrays import Array, Bools
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
 from statechart.engines.engine import Continuation, Engine, FlowWatch, Path
@@ -46,6 +46,7 @@ class _Stepper:
     rates: Tape
     trial_rates: Tape  # with roots of negative bases replaced by zero
     rooted: list[int]  # variables at whose zero the base of a root in the rates is zero
+    varying: Bools  # (n,) variables that the flow changes
     solver: Any = None
     suggested: float | None = None
 
@@ -75,7 +76,7 @@ class SciPy(Engine):
             definitions = tuple((s, _clamp_roots(e)) for s, e in mode.definitions)
             clamped = replace(mode, definitions=definitions)
             trial_rates = automaton.tape([_clamp_roots(rate) for rate in mode.rates], clamped)
-        return _Stepper(rates, trial_rates, rooted)
+        return _Stepper(rates, trial_rates, rooted, mode.varying)
 
     def steps(
         self,
@@ -156,19 +157,20 @@ class SciPy(Engine):
                     f"the rates are not finite at t = {start:.6g}; write a state for each side of "
                     "what changes there"
                 )
-        magnitude = np.abs(state)
-        sizes = self.sizes
+        magnitude, sizes = np.abs(state), self.sizes
+        # Counts and other constants have no scale in common with what moves.
+        moved = np.where(stepper.varying, magnitude, 0.0)
         if sizes is None:
             # Without declared scales, the absolute tolerance of a variable at zero follows from the
             # others, or from rate times duration, which does not depend on the unit of time.
             rate = float(np.abs(rates(0.0, state)).max(initial=0.0)) * min(duration, 1.0)
-            largest = float(magnitude.max(initial=0.0))
+            largest = float(moved.max(initial=0.0))
             largest = largest if largest > _UNDERFLOW * rate else rate
             smallest = np.full(len(state), max(largest, _SMALLEST) if largest > 0.0 else 1.0)
         else:
             # In declared scales, reduced to the present motion (late, low bounces), but not below
             # the round-off of a state at rest.
-            moving = float((magnitude / sizes).max(initial=0.0)) or 1.0
+            moving = float((moved / sizes).max(initial=0.0)) or 1.0
             smallest = sizes * max(moving, _RATE_ROUND_OFF / self.tolerance)
         self.floor = np.maximum(magnitude, 1e-3 * smallest)
         absolute = self.tolerance * self.floor

@@ -96,6 +96,7 @@ class Execution:
         self.passed_roles: dict[int, Roles] = {}  # see `Trace`
         self._switched: tuple[Any, ...] = ()  # key of the current flow, see `_switch`
         self._switch_tolerances: dict[str, float] = {}  # in the current flow
+        self._sizes = np.zeros(len(self.state))  # largest magnitudes so far, with switches
 
     def run(self) -> Trace:
         """Run to the end; return the trace, also of a run that failed."""
@@ -322,16 +323,19 @@ class Execution:
             self.warnings.setdefault(f"t = {self.clock.high:.6g}: {text}", None)
 
     def _measure(self) -> None:
-        """Update the engine's sizes of variables, which are zero for slides that start at rest."""
+        """Update the engine's sizes of variables: their largest magnitudes so far.
+
+        A variable that has always been zero, as of a slide that starts at rest, has the size of the
+        largest one that moves.
+        """
         if self.setup.sizes is not None:
             return
-        magnitudes = [
-            np.abs(self.state),
-            *(s for s in (self.flow.sizes, self.engine.sizes) if s is not None),
-        ]
-        largest = np.max(magnitudes, axis=0)
-        if largest.any():
-            self.engine.sizes = np.where(largest > 0.0, largest, largest.max())
+        terms = np.abs(self.state) if self.flow.sizes is None else self.flow.sizes
+        self._sizes = np.max([self._sizes, terms, np.abs(self.state)], axis=0)
+        varying = self.modes.mode(self.flow.roles, self.zeros).varying
+        largest = self._sizes.max(initial=0.0, where=varying)
+        sizes = np.where(self._sizes > 0.0, self._sizes, largest)
+        self.engine.sizes = sizes if sizes.all() else None
 
     def _enter(self, roles: Roles) -> CompiledMode:
         compiled = self.entered.get(roles)

@@ -313,7 +313,7 @@ class Advance:
                 Steps(path.times, path.coefficients, watch.parameters, watch.start),
                 first,
                 last if location is None else min(last, location.step + 1),
-                significant_sizes(self.engine, len(self.initial)),
+                self._significant_sizes(first),
                 max(self.engine.allowed, self._rounded),
                 MAX_DEFECT_BOXES,
             )
@@ -337,6 +337,19 @@ class Advance:
             else:
                 self._unknown += defect == math.inf
                 return step, at
+
+    def _significant_sizes(self, first: int) -> Array:
+        """Return the smallest significant magnitude of each variable (n,).
+
+        Without declared scales it is a part of the largest variable that moves, at most 1.
+        """
+        scales = self.engine.sizes
+        if scales is None:
+            states = self.path.coefficients[first : self.path.count, :, 0]
+            largest = np.abs(states).max(initial=0.0, where=self.compiled.mode.varying)
+            scales = np.full(len(self.initial), min(largest, 1.0) or 1.0)
+        smallest: Array = np.maximum(LEAST * scales, self.engine.floor)
+        return smallest
 
     def _check_method(self, time: float, step: int) -> None:
         watch, state = self.watch, self.path.coefficients[step, :, 0]
@@ -434,13 +447,6 @@ class Advance:
                 f"{STIFF}: its steps collapse to {took / steps:.3g} at t = {at:.6g}; "
                 "use engine: scipy, method: Radau"
             )
-
-
-def significant_sizes(engine: Engine, variables: int) -> Array:
-    """Return the smallest significant magnitude of each variable (n,)."""
-    smallest = np.empty(variables)
-    smallest[:] = LEAST if engine.sizes is None else LEAST * engine.sizes
-    return np.maximum(smallest, engine.floor)
 
 
 def _check_pace(steps: int, took: float, remaining: float) -> None:
