@@ -173,7 +173,7 @@ class SceneNumbers:
             if light := {name: share for name, share in pairs if 0.0 < share < _MIN_SHARE}:
                 allowed = np.array([gap * scales.length, speed * scales.speed])
                 starts = self._approaches.at(initial, values, 0.0).reshape(-1, 2)
-                rests: Bools = (np.abs(starts) <= allowed).all(axis=1)
+                rests: Bools = np.all(np.abs(starts) <= allowed, axis=1)
                 laws = zip(self.scene.contacts.values(), contacts, rests.tolist(), strict=False)
                 # A body that only rebounds has no lasting contact force.
                 lasting = {
