@@ -28,8 +28,8 @@ _ROUNDING_UNITS = 16.0
 _MAX_TURN_MOTION = 2.0
 # Beyond these the squares of lengths, times and rates overflow or underflow.
 _MIN_SIZE, _MAX_SIZE = 1e-100, 1e100
-# The longest duration that gives a length. Later ends mean "late enough": with T = 1e8 the round-off
-# of g T^2 would hide a fall of 1.
+# The longest duration that gives a length. A later end means "late enough": with T = 1e8 the
+# round-off of g T^2 would hide a fall of 1.
 _LONGEST = 1e4
 
 
