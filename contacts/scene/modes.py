@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 FORCE_MARGINS = _LOAD, _UPPER, _LOWER = "V", "mu V - H", "mu V + H"
 """Names of a closed contact's force margins: its load, and distances to the cone's two edges."""
-INSIDE, OUTSIDE = "inside", "outside"
+PULL, OUTSIDE = "pull", "outside"
 """Margins of a compliant contact that is free inside its surface: it presses again, or leaves."""
 
 
@@ -112,7 +112,7 @@ class Free(Part):
             margins = [
                 Margin(margins[0].name, gap, "gap", relation, whole_margin),
                 Margin(
-                    f"{contact.name}.{INSIDE}", -contact.compliance, "force", relation, whole_margin
+                    f"{contact.name}.{PULL}", -contact.compliance, "force", relation, whole_margin
                 ),
                 Margin(f"{contact.name}.{OUTSIDE}", -contact.gap, "plain", relation, whole_margin),
             ]
