@@ -210,6 +210,8 @@ MISTAKES = {
     "number before a parenthesis": ("m*L**2", "2(m)", "unexpected '('; write a product as a*b"),
     "parenthesis left open": ("m*L**2", "(m*L", "never closed; write ) behind what it holds"),
     "parenthesis never opened": ("m*L**2", "m*L)", "')'; there is no ( before it that it could"),
+    "nothing in a parenthesis": ("m*L**2", "sin()", "unexpected ')'; write a number or a name be"),
+    "comma before anything": ("m*L**2/3", "'max(, m)'", "','; write a number or a name before it"),
     "sign at the end": ("m*L**2/3", "m*L*", "7:31: bodies.rod.inertia: formula 'm*L*': the formula "
                         "ends early; write what follows the last sign"),
     "two points": ("g: 9.81", "g: 9.8.1", "'9.8' runs into '.'; a number has one point: 1.5"),
