@@ -469,13 +469,16 @@ def _conditions(automaton: Automaton, region: Region, state: str) -> tuple[str, 
 def _condition(automaton: Automaton, region: Region, state: str) -> list[str]:
     built = region.build(Role(state))
     prefix = f"{region.name}."
-    # Plain margins are guards, shown on edges.
-    conditions = [
-        f"{m.name.removeprefix(prefix)} {_sense(automaton, m)} 0"
-        for m in built.margins
-        if m.kind != "plain"
+    conditions: dict[str, list[str]] = {}
+    for margin in built.margins:
+        if margin.kind != "plain":  # plain margins are guards, shown on edges
+            name = margin.name.removeprefix(prefix)
+            alternatives = conditions.setdefault(margin.relation or margin.name, [])
+            alternatives.append(f"{name} {_sense(automaton, margin)} 0")
+    return [
+        *map(" or ".join, conditions.values()),
+        *(m.name.removeprefix(prefix) for m in built.invariants),
     ]
-    return [*conditions, *(m.name.removeprefix(prefix) for m in built.invariants)]
 
 
 def _sense(automaton: Automaton, margin: Margin) -> str:

@@ -78,6 +78,13 @@ def test_one_contact_is_drawn_as_boxes_in_boxes() -> None:
     assert sum(link.cause in ("liftoff", "touchdown", "stick") for link in chart.links) == 4
 
 
+def test_a_compliant_contact_is_free_above_its_surface_or_where_it_would_pull() -> None:
+    runner = Runner("soft_landing")
+    diagram = build(runner.automaton, runner.start()[0])
+    held = {node.name: node.invariants for node in diagram.charts[0].nodes}
+    assert held["free"] == ("gap >= 0 or pull >= 0",)
+
+
 def test_a_choice_of_targets_shows_the_reset_of_each() -> None:
     runner = Runner("toppling_stick")
     (chart,) = build(runner.automaton, runner.start()[0]).charts
