@@ -49,7 +49,10 @@ _SWITCHED = (
 )
 _PULLED = "write a force on the body, or give the ground a displacement"
 _CONSTANT = "write a formula of parameters"
-_LED = "a joint leads a point of a body, to: [v*time, 0]; bodies that collide have paths"
+_LED = (
+    "a body with a shape that follows a path has no mass: remove mass; "
+    "a joint leads a point of any other body, to: [v*time, 0]"
+)
 # Quantities of a contact that forces cannot use: reason, and alternative.
 _PUSH = (
     "a force follows from places and velocities",

@@ -222,7 +222,8 @@ class ChartLaws:
                 after, summed = self._updated(setup, clock, taken.name, taken.blocks, state, sizes)
         target = (*flow.mode[:place], taken.target, *flow.mode[place + 1 :])
         considered = self._considered[place](taken)
-        jump = at.jump(name, taken.name, target, after, considered=considered)
+        path = () if taken.guard is not None or taken.on_zeno else (taken.trigger,)
+        jump = at.jump(name, taken.name, target, after, path=path, considered=considered)
         held = {region: end for region, end in flow.held.items() if region != name}
         following = flow._replace(
             mode=target,
