@@ -188,6 +188,14 @@ class History(NamedTuple):
     initial: str  # default target; `parent` for a history of regions
 
 
+def updates_text(updates: Mapping[str, str | int | float]) -> str:
+    """Return updates as text, without variables that no file declares: these have a dot.
+
+    They are clocks and counts of transitions, and places that joints capture.
+    """
+    return ", ".join(f"{name} := {to}" for name, to in updates.items() if "." not in name)
+
+
 @dataclass(frozen=True, eq=False)
 class Nesting:
     """Declared hierarchy of a flattened region."""

@@ -19,6 +19,7 @@ from statechart.automaton.regions import (
     Region,
     hierarchical_edges,
     replace_complete_sets,
+    updates_text,
 )
 from statechart.automaton.trace import Key, Role, Trace
 from statechart.diagram.layout.ring import MAX_STEPS
@@ -450,8 +451,8 @@ def _actions(region: Region, state: str) -> tuple[str, ...]:
     nesting = region.nesting
 
     def updates(word: str, blocks: Mapping[str, Mapping[str, str | int | float]]) -> Iterator[str]:
-        if block := blocks.get(state):
-            yield f"{word} / " + ", ".join(f"{name} := {text}" for name, text in block.items())
+        if text := updates_text(blocks.get(state, {})):
+            yield f"{word} / {text}"
 
     rates = (f"{name}' = {text}" for name, text in nesting.flows.get(state, {}).items())
     return (*updates("entry", nesting.entries), *updates("exit", nesting.exits), *rates)
