@@ -172,8 +172,15 @@ class StepControl:
             switched, strikes = self._scene.switch(
                 self._states.named(self.states), (state, after, recorder.clock.high)
             )
+            moved = closing.modes | switched
+            if closing.modes:
+                # Forces decide the mode of a contact that the impact leaves without slip.
+                modes = self._scene.steps(recorder.clock.high, h, after, 1).modes
+                self._scene.forget()
+                following = {i: int(modes[0, i]) for i in closing.modes if len(modes)}
+                moved |= {i: code for i, code in following.items() if STATES[code] not in OPEN}
             jump = recorder.turn(
-                name, taken.name, self.states, (state, after), fired, closing.modes | switched,
+                name, taken.name, self.states, (state, after), fired, moved,
                 impulse=closing.impulse, joint_impulse=closing.joint_impulse,
             )  # fmt: skip
             if watch.of_state.isdisjoint(fired):

@@ -742,3 +742,36 @@ def test_steps_warn_of_an_instant_that_they_pass_over(
     assert not any(passes in warning for warning in trace.warnings)
     if "b.x" in relation and "**" not in relation:
         assert trace.jumps[-1].t == pytest.approx(1.25, abs=1e-9)
+
+
+# A hand closes on a point that rebounds, with a motor that is stronger than its friction.
+GRIPPED = """
+kind: scene
+name: gripped
+gravity: 9.81
+bodies: {a: {mass: 2, start: {x: 0.5, y: 0.4, dy: -1}}, b: {mass: 1, start: {y: 0.2}}}
+surfaces: {floor: {height: 0}}
+contacts: {d: {point: {body: b}, surface: floor, friction: 0.3, restitution: 0.4, impact: moreau}}
+joints: {j: {point: {body: b}, to: {body: a}, enabled: in(hand.shut), rest: captured}}
+controls: {push: 0}
+forces: {motor: {body: a, force: [push, 2*9.81 + 0.4*push]}}
+regions:
+  hand:
+    initial: open
+    states: {open: {}, shut: {sets: {push: F}}}
+    transitions: [{name: close, from: open, to: shut, on: d.touchdown}]
+stop: {time: 0.4}
+"""
+
+
+@pytest.mark.parametrize(("force", "mode"), [(1, "pin"), (4, "slide+")])
+def test_a_joint_that_closes_on_a_rebound_leaves_the_mode_that_forces_decide(
+    force: float, mode: str
+) -> None:
+    scene = interpret(read_text(GRIPPED.replace("F}", f"{force}}}")))
+    for options in ({"engine": "taylor"}, {"engine": "impulse", "step": 1e-4}):
+        jumps = statechart.run(scene, **options).trace.jumps
+        assert [(jump.region, jump.cause) for jump in jumps] == [
+            ("d", "touchdown"), ("hand", "close"), ("j", "enable"),
+        ]  # fmt: skip
+        assert jumps[-1].target[0] == mode
