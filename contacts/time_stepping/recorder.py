@@ -223,7 +223,8 @@ class Recorder:
         slid, rests = np.isin(before, SLIPS), np.isin(codes, [*RESTS])
         in_impact = chunk.struck | chunk.impulses.any(axis=2)
         shown = np.where(rests & slid & self.sticks & ~in_impact, before, codes)
-        stops = rests & np.isin(before, _OPEN) & self.sticks & ~chunk.struck.any(axis=1)[:, None]
+        calm = ~np.any(chunk.struck, axis=1, keepdims=True)
+        stops = rests & np.isin(before, _OPEN) & self.sticks & calm
         for k in np.flatnonzero(stops.any(axis=1)).tolist():
             slips = self.slips(chunk.states[k], self.clock.high + k * chunk.h)
             for i in np.flatnonzero(stops[k] & (np.abs(slips) > self.still)).tolist():
