@@ -87,6 +87,13 @@ MISTAKES = {
     "a place in time": ("inertia: m*L**2/3, start: {y: h, angle: 0.3}", "position: [time, 0]",
                         "this value is constant; a body with a shape that follows a path"),
     "a wall": ("{height: 0}", "{x: 1}", "unknown key 'x'; write line: [[1, -1], [1, 1]], a wall"),
+    "an update of a control": (
+        "stop: {", "controls: {u: 0}\nregions: {r: {initial: a, states: {a: {}}, transitions: "
+        "[{name: t, from: a, every: 1, updates: {u: 1}}]}}\nstop: {",
+        "a state sets a control, sets: {u: 1}",
+    ),
+    "an extreme at an event": ("outputs:", "outputs:\n  most: {maximum: rod.y, at: end}",
+                               "an extreme is over the whole run"),
     "a formula of a control": ("stop: {", "controls: {u: rod.y}\nstop: {", "else write its form"),
     "a state as a relation": ("rod.angle <= -pi/2", "rod.up", "write it as x <= 0, or in(rod.up)"),
     "moment of inertia": ("inertia: m", "J: m", "unknown key 'J'; write inertia"),
