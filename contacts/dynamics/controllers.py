@@ -61,7 +61,7 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
             transition.source,
             transition.target,
             transition.trigger,
-            ", ".join(filter(None, (transition.reset(flat.timers), *changed))),
+            ", ".join(filter(None, (transition.reset(), *changed))),
         )
 
     edges = tuple(map(edge, flat.transitions))

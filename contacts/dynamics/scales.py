@@ -28,6 +28,9 @@ _ROUNDING_UNITS = 16.0
 _MAX_TURN_MOTION = 2.0
 # Beyond these the squares of lengths, times and rates overflow or underflow.
 _MIN_SIZE, _MAX_SIZE = 1e-100, 1e100
+# The longest duration that gives a length. A later end means "late enough": with T = 1e8 the
+# round-off of g T^2 would hide a fall of 1.
+_LONGEST = 1e4
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +94,7 @@ class ScaleTape:
     turn), the differences of positions, the initial gaps and the ranges of the prescribed motions;
     and at least the stopping distance ``v^2 / a``. Without extents, and if none of the others
     exceeds the round-off of the distances ``v T`` and ``a T^2`` covered by the run, the length is
-    that distance; T is the duration, or the period of springs if that is shorter. The acceleration
+    that distance; T is the duration up to 1e4, or a shorter period of springs. The acceleration
     is the largest of gravity (or of the forces without it) and of the prescribed motions; speed and
     force follow.
 
@@ -349,7 +352,7 @@ def measure(
     if acceleration > 0.0:
         reach = min(reach, driven_speed * driven_speed / acceleration)
     length, start, speed = max(length, reach), largest[SPEEDS], max(largest[SPEEDS], driven_speed)
-    period = duration
+    period = min(duration, _LONGEST)
     if largest[STIFFNESS] * (duration * duration) > 1.0:
         period = 1.0 / math.sqrt(largest[STIFFNESS])
     farthest = max(speed * period, acceleration * (period * period))

@@ -20,7 +20,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.formulas.formula import evaluator, parse
 from statechart.pictures.film import WORLD, Shape, ShapeKind
 
-# Number of fixed or led bodies above which they have no labels.
+# Number of fixed, and of led bodies above which they have no labels.
 _NAMED = 5
 
 
@@ -57,11 +57,12 @@ class BodyShapes:
         fixed = self._fixed(bare) if bare else {}
         shapes_found: list[Shape] = []
         regions = {name: k for k, name in enumerate(self._scene.bodies)}
-        many = sum(body.prescribed for body in self._scene.bodies.values()) > _NAMED
+        prescribed = [body.fixed for body in self._scene.bodies.values() if body.prescribed]
         for name, body in self._scene.bodies.items():
             if body.shape:
                 region = regions[name] if self._scene.collisions and not body.prescribed else -1
-                shown = "" if many and body.prescribed else name
+                many = body.prescribed and prescribed.count(body.fixed) > _NAMED
+                shown = "" if many else name
                 shapes_found += [self._shape(name, part, region, shown) for part in body.shape]
             elif name in fixed:
                 points = self._points(name, idle) or self._points(name, frozenset())

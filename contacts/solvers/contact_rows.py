@@ -247,7 +247,8 @@ def one_contact(law: Array, normal: float, slip: float) -> tuple[float, float]:
 def velocity_scale(contacts: ContactRows, q: Array) -> float:
     """Return the velocity that residuals are relative to: the fastest approach at zero impulses.
 
-    At least 1e-7 of the fastest slip; for joints their largest velocity.
+    At least 1e-7 of the fastest slip; for joints their largest velocity. Of the approach of a
+    compliant contact the bodies' part: that of its pad is the depth over the step.
     """
     size = 0.0
     for i in range(len(q)):
@@ -255,7 +256,10 @@ def velocity_scale(contacts: ContactRows, q: Array) -> float:
         if mu < 0.0:
             size = max(size, abs(q[i, 0]), abs(q[i, 1]))
         else:
-            size = max(size, -q[i, 0], _RESTING * abs(q[i, 1]) if mu > 0.0 else 0.0)
+            approach, own = -q[i, 0], contacts.own[i, 0]
+            if is_compliant(contacts, i) and own > 0.0:
+                approach *= 1.0 - contacts.rows[i, 0, 7] * contacts.columns[i, 0, 7] / own
+            size = max(size, approach, _RESTING * abs(q[i, 1]) if mu > 0.0 else 0.0)
     return size
 
 

@@ -26,6 +26,7 @@ from contacts.states import (
     cause_of,
     undetermined_warning,
 )
+from contacts.time_stepping.chatter import Chatter
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.lazy_arcs import ArcMaker, LazyArc, LazyJump, StepRange, Steps, cut
 from statechart.arrays import Array, Bools, Ints
@@ -43,17 +44,19 @@ class Recorder:
     """Collects steps as arcs and jumps, which are computed on access.
 
     Regions have initial modes (r,); `controls` are states of the controllers, which `turn` changes.
-    `sticks` (r,): regions with pin and slide, and couplings. An impact on a region that is not free
-    has the cause `again`. `joint_forces` (f,) are names. `forces` (r, 2): places of V and H among
-    the further unknowns, or twice that of a torque; None: no forces. Controller variables follow
-    the `coordinates` and their rates. Without `modes`, jumps of regions are only counted, and arcs
-    end where they would. `control_jumps` are those of controllers and the stop.
+    `sticks` (r,): regions with pin and slide, and couplings. `gated`: see `Chatter`. An impact
+    on a region that is not free has the cause `again`. `joint_forces` (f,) are names. `forces`
+    (r, 2): places of V and H among the further unknowns, or twice that of a torque; None: no
+    forces. Controller variables follow the `coordinates` and their rates. Without `modes`, jumps of
+    regions are only counted, and arcs end where they would. `control_jumps` are those of
+    controllers and the stop.
     """
 
     regions: Sequence[str]
     start: Ints
     controls: Key
     sticks: Bools
+    gated: Bools
     again: str
     joint_forces: Sequence[str]
     forces: Ints | None
@@ -69,6 +72,7 @@ class Recorder:
         self._keys: dict[bytes, Key] = {}
         self.row, self._sticking = self.start, bool(self.sticks.any())
         self._raw = self.start
+        self.chatter = Chatter(self.regions, self.gated, self.start)
         self.key = self._key(self.start)
         self.start_key = self.key
         self._began = self.clock
@@ -90,6 +94,7 @@ class Recorder:
     def add(self, chunk: Chunk) -> None:
         """Append steps."""
         shown = self.recorded_modes(chunk)
+        self.chatter.add(shown, self.clock.high, chunk.h)
         hit: Bools = np.any(chunk.struck, axis=1)
         steps = Steps.of(chunk, hit, self.coordinates, self.clock)
         if self.forces is not None:
@@ -191,8 +196,9 @@ class Recorder:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Warnings of undetermined forces, once each."""
-        return tuple(dict.fromkeys(map(undetermined_warning, self.indeterminate.values())))
+        """Warnings of undetermined forces, once each, and of chatter."""
+        undetermined = dict.fromkeys(map(undetermined_warning, self.indeterminate.values()))
+        return *undetermined, *self.chatter.remarks
 
     def _key(self, row: Ints) -> Key:
         states = self._keys.get(row.tobytes())

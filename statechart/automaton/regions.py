@@ -7,6 +7,7 @@ choice.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
@@ -36,11 +37,16 @@ class Margin:
     kind: MarginKind = "plain"
     relation: str = ""  # name of the relation of which it is one of several atoms
     whole: sp.Expr | None = None  # margin of that relation; None if it depends on states
+    # Quantity that the name stands for, if the expression is a multiple of it; reports show it
+    shown: sp.Expr | None = None
 
     def replaced(self, values: Mapping[sp.Symbol, sp.Expr]) -> Margin:
         """Return the margin with values substituted for symbols."""
-        whole_margin = None if self.whole is None else self.whole.xreplace(values)
-        return replace(self, expression=self.expression.xreplace(values), whole=whole_margin)
+        expression, whole_margin, shown = (
+            None if one is None else one.xreplace(values)
+            for one in (self.expression, self.whole, self.shown)
+        )
+        return replace(self, expression=expression, whole=whole_margin, shown=shown)
 
 
 def whole_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
@@ -57,6 +63,19 @@ def whole_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
         if not margin.relation or margin.whole is not None
     }
     return tuple(found.values())
+
+
+def shown_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
+    """Return the margins of whole relations, as the quantities after which they are named."""
+    return tuple(
+        margin if margin.shown is None else replace(margin, expression=margin.shown)
+        for margin in whole_margins(margins)
+    )
+
+
+def is_shown(margin: Margin, value: float) -> bool:
+    """Return whether reports show a value of a margin: the limit of infinite friction is not."""
+    return margin.shown is None or math.isfinite(value)
 
 
 def margins_of(
@@ -167,6 +186,14 @@ class History(NamedTuple):
     depth: Literal["shallow", "deep"]
     parent: str
     initial: str  # default target; `parent` for a history of regions
+
+
+def updates_text(updates: Mapping[str, str | int | float]) -> str:
+    """Return updates as text, without variables that no file declares: these have a dot.
+
+    They are clocks and counts of transitions, and places that joints capture.
+    """
+    return ", ".join(f"{name} := {to}" for name, to in updates.items() if "." not in name)
 
 
 @dataclass(frozen=True, eq=False)

@@ -285,12 +285,18 @@ def check_changes(
         for variable, text in texts.items():
             if variable not in variables:
                 rate = re.sub(r"^d(er\()?|[_.]?dot$|['()]", "", variable)
-                is_rate = at[-1] == "flows" and rate in variables
+                if at[-1] == "flows" and rate in variables:
+                    advice = f"write {rate}: a flow is its rate"
+                elif of and variable in {*known, *further}:
+                    advice = (
+                        "updates and flows change variables of their region; a state sets a "
+                        f"control, sets: {{{variable}: 1}}"
+                    )
+                else:
+                    advice = undeclared(variable, variables)
                 raise DeclarationProblem(
                     f"no variable {variable!r}{of}",
-                    advice=f"write {rate}: a flow is its rate"
-                    if is_rate
-                    else undeclared(variable, variables),
+                    advice=advice,
                     loc=(*at, variable),
                     key=True,
                 )

@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any, NamedTuple, TypeVar
 
 from pydantic import BaseModel
@@ -21,7 +21,7 @@ from statechart.documents.documented import leaves
 from statechart.documents.fields import TIME, value_of
 from statechart.errors import DeclarationProblem, FormulaError, Loc
 from statechart.formulas.formula import Formula, parse
-from statechart.formulas.relation import parse_relation
+from statechart.formulas.relation import Comparison, parse_relation
 from statechart.formulas.tree import JUMPS, Call, calls_in, names_in
 
 Document = TypeVar("Document", bound=Declaration)
@@ -167,6 +167,54 @@ def check_wrapping(
                     loc=loc,
                     offset=call.offset,
                 )
+        if loc[0] not in _NOT_WRAPPED and isinstance(text, str):
+            _check_spans(text, loc, values)
+
+
+def _check_spans(text: str, loc: Loc, values: Mapping[str, float]) -> None:
+    """Check that a comparison of `mod` with a fixed bound holds for a span of time.
+
+    A bound of other parameters than the period may leave no span: ``mod(time, T) < duty*T``.
+    """
+    wraps = {f"mod.at{wrap.call.offset}": wrap for wrap in periodic_calls(text)}
+    shown = text
+    for name, wrap in reversed(wraps.items()):
+        shown = shown[: wrap.call.offset] + name + shown[wrap.call.marks[-1] + 1 :]
+    try:
+        comparisons = parse_relation(shown).inequalities if wraps else ()
+    except FormulaError:  # A formula, not a relation.
+        return
+    for one, (own, wrap) in product(comparisons, wraps.items()):
+        names = one.left.names | one.right.names
+        if wrap.call.function != "mod" or own not in names:
+            continue
+        period = value_of(wrap.period, values, *loc)
+        fixed = names - {own} <= parse(wrap.period).names
+        if fixed and not _holds_between(one, own, period, values):
+            call = text[wrap.call.offset : wrap.call.marks[-1] + 1]
+            regular = f", or a transition with every: {wrap.period}" if wrap.value == TIME else ""
+            raise DeclarationProblem(
+                f"{call} is 0 for an instant and stays below {wrap.period}: the comparison holds "
+                "for no span of time",
+                advice=f"write {call} <= D with a number D above 0{regular}",
+                loc=loc,
+                offset=wrap.call.offset,
+            )
+
+
+def _holds_between(one: Comparison, name: str, period: float, values: Mapping[str, float]) -> bool:
+    """Return whether a comparison holds for a span of values of `name` from 0 to `period`.
+
+    True, too, where it is not linear.
+    """
+    sides = (one.left, one.right) if one.operator in ("<", "<=") else (one.right, one.left)
+    first, middle, last = (
+        sides[0].value({**values, name: part * period})
+        - sides[1].value({**values, name: part * period})
+        for part in (0.0, 0.5, 1.0)
+    )
+    straight = abs(first - 2.0 * middle + last) <= 1e-12 * max(abs(first), abs(last))
+    return not straight or min(first, last) < 0.0 or (first == last == 0.0 and not one.strict)
 
 
 def _check(document: Declaration, wrap: Wrap, loc: Loc, values: Mapping[str, float]) -> None:

@@ -27,7 +27,7 @@ _CHARACTERS: Mapping[str, str] = {
     "||": "where one is enough, write `or`",
     "!": "write `not`",
     "~": "write `not`, or != between counts",
-    "'": "digits of a number stand together: 10000, or 1e4",
+    "'": "write the rate of x as dx, and a number without marks between its digits: 10000",
     "_": "digits of a number stand together: 10000, or 1e4",
     **dict.fromkeys("\u201c\u201d\u201e\u2018\u2019\u00ab\u00bb", "a number needs no quotes"),
 }

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import decimals
-from statechart.automaton.regions import Margin, Mode, whole_margins
+from statechart.automaton.regions import Margin, Mode, is_shown, shown_margins
 from statechart.automaton.trace import Jump, Key, Role, Roles, Trace
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
@@ -142,7 +142,8 @@ class Observer:
                 trace, *flow, [jumps[place] for place in places]
             )
             for place, row in zip(places, rows.tolist(), strict=True):
-                tables[place] = {m.name: v for m, v in zip(margins, row, strict=True)}
+                values = zip(margins, row, strict=True)
+                tables[place] = {m.name: v for m, v in values if is_shown(m, v)}
         return tables
 
     def _margins_before_jumps(
@@ -151,10 +152,10 @@ class Observer:
         """Return the margins of a flow, and their values before the jumps that ended it."""
         if trace.step is not None:  # time stepping builds no modes
             states = zip(self.automaton.recorded_regions(key), key, strict=True)
-            margins = whole_margins(m for r, state in states for m in r.build(Role(state)).margins)
+            margins = shown_margins(m for r, state in states for m in r.build(Role(state)).margins)
             return margins, self.at(trace, [m.expression for m in margins], jumps, before=True)
         mode = self.modes_of(trace)(roles)
-        margins = () if mode is None else whole_margins(mode.margins)
+        margins = () if mode is None else shown_margins(mode.margins)
         points = self._instants(trace, [sampling.side_of(jump, True) for jump in jumps])
         tape = self.programs.tape(tuple(m.expression for m in margins), mode)
         return margins, tape.table(points.states, trace.values, points.times)

@@ -17,7 +17,7 @@ import sympy as sp
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD, moving_mode
-from statechart.automaton.regions import Invariant, whole_margins
+from statechart.automaton.regions import Invariant, is_shown, shown_margins
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
@@ -179,8 +179,12 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
         flows.setdefault((arc.roles, arc.coefficients.shape[2]), []).append(arc)
     for (roles, _), arcs in flows.items():
         compiled = simulator.modes.compiled(roles, trace.zeros)
-        found = lowest(compiled.wholes, arcs, trace.values)
-        for margin, value in zip(whole_margins(compiled.mode.margins), found.tolist(), strict=True):
+        shown = shown_margins(compiled.mode.margins)
+        tape = observer.programs.tape(tuple(m.expression for m in shown), compiled.mode)
+        found = lowest(tape, arcs, trace.values)
+        for margin, value in zip(shown, found.tolist(), strict=True):
+            if not is_shown(margin, value):
+                continue
             before = least.get(margin.name, math.inf)
             # NaN compares false and persists.
             least[margin.name] = before if before <= value or before != before else value

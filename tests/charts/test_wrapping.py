@@ -359,3 +359,60 @@ outputs: {y: {value: y}, back: {count: back}}
 """
     result = run(read_text(text))
     assert result.outputs == {"y": pytest.approx(0.3, rel=1e-15), "back": 1}
+
+
+PULSES = """
+kind: chart
+name: n
+parameters: {T: 1, duty: 0.1}
+regions:
+  r:
+    initial: a
+    states: {a: {}, b: {}}
+    transitions:
+      - {name: on, from: a, to: b, guard: "GUARD"}
+      - {name: off, from: b, to: a, guard: "mod(time, T) >= 0.5"}
+stop: {time: 3.25}
+outputs: {on: {value: time, at: each r.on}}
+"""
+
+
+@pytest.mark.parametrize(
+    "guard",
+    [
+        "mod(time, T) <= 0",
+        "mod(time, 1) >= 1",
+        "mod(time, T) >= T",
+        "mod(time, T) < 0",
+        "not mod(time, T) > 0",
+        "2*T <= T - mod(time, T) or r.x",
+        "1 - mod(time, 1) >= 1 and time >= 2",
+        "mod(time, T) == 0",
+        "mod(time + 0.5, T) <= 0",
+    ],
+)
+def test_comparisons_that_a_mod_fulfils_for_instants_only_are_refused(guard: str) -> None:
+    text = PULSES.replace("GUARD", guard.replace(" or r.x", " or in(r.b)"))
+    with pytest.raises(DeclarationError, match="the comparison holds for no span of time"):
+        interpret(read_text(text))
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+@pytest.mark.parametrize(
+    ("guard", "first"),
+    [
+        ("mod(time, T) <= 0.1", 0.0),
+        ("mod(time, T) < duty*T", 0.0),
+        ("T <= 4*mod(time, T) and mod(time, T) < 0.5", 0.25),
+    ],
+)
+def test_comparisons_that_a_mod_fulfils_for_a_span_fire_in_every_period(
+    guard: str, first: float, engine: str
+) -> None:
+    result = run(interpret(read_text(PULSES.replace("GUARD", guard))), engine=engine)
+    assert result.outputs["on"] == pytest.approx([first + k for k in range(4)], abs=1e-12)
+
+
+def test_a_duty_of_zero_is_no_mistake() -> None:
+    chart = interpret(read_text(PULSES.replace("GUARD", "mod(time, T) < duty*T")))
+    assert run(chart, parameters={"duty": 0}).outputs["on"] == []

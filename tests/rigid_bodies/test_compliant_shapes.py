@@ -259,3 +259,38 @@ outputs: {v: {value: car.dx}}
     )
     assert not guided.warnings
     assert guided.outputs["v"] == pytest.approx(alone.outputs["v"], abs=1e-12)
+
+
+LIFTED = """
+kind: scene
+name: lifted
+parameters: {jerk: 10, squeeze: 2e-3, k: 5000, mu: 0.4}
+gravity: 9.81
+bodies:
+  left:
+    position: [squeeze - 0.1, jerk*time**3/6]
+    shape: {polygon: [[-0.05, -0.1], [0.05, -0.1], [0.05, 0.1], [-0.05, 0.1]]}
+  right:
+    position: [0.1 - squeeze, jerk*time**3/6]
+    shape: {polygon: [[-0.05, -0.1], [0.05, -0.1], [0.05, 0.1], [-0.05, 0.1]]}
+  box:
+    mass: 1
+    inertia: 0.002
+    shape: {polygon: [[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]}
+collisions: {grip: {bodies: [left, right, box], friction: mu, stiffness: k, damping: 0}}
+stop: {time: 1}
+outputs: {t: {value: time, at: first box.slip}, y: {value: box.y}}
+"""
+
+
+@pytest.mark.parametrize("h", [1e-3, 2.5e-4, 5e-5])
+def test_soft_fingers_lose_a_box_at_the_same_instant_at_all_steps(h: float) -> None:
+    found = run(LIFTED, engine="impulse", step=h)
+    # Each finger touches at two corners: the box slips where 4 mu k squeeze = m (g + jerk t).
+    force = 4 * 0.4 * 5000 * 2e-3
+    slips = (force - 9.81) / 10
+    rest = 1 - slips
+    y = 10 * slips**3 / 6 + 10 * slips**2 / 2 * rest + (force - 9.81) * rest**2 / 2
+    assert [jump.cause for jump in found.trace.jumps] == ["touchdown", "slip"]
+    assert found.outputs["t"] == pytest.approx(slips, abs=2 * h)
+    assert found.outputs["y"] == pytest.approx(y, abs=2 * h**2)

@@ -505,7 +505,7 @@ stop: {time: 0.5}
 """
     model = interpret(read_text(text.replace("E", "0.03")))
     assert by_events(model).trace.final_mode[-1] == "four"
-    coarse, fine = by_steps(model, 1e-3), by_steps(model, 1e-6)
+    coarse, fine = by_steps(model, 1e-3), by_steps(model, 1e-5)
     assert coarse.trace.final_mode[-1] != "four"
     assert len(coarse.warnings) == 1
     assert "and are left out, but r." in coarse.warnings[0]
