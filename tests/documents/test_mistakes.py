@@ -163,8 +163,12 @@ MISTAKES = {
     "coordinate as a number": ("outputs:", "coordinates: {q: 1}\noutputs:", "such as {start: 0.2}"),
     "mode at the start": ("outputs:", "modes: {tip: pin}\noutputs:", "its gap is open or opening"),
     "tab": ("  ground", "\tground", "9:1: not YAML: found character '\\t' that cannot start any "
-            "token; indent by spaces, not by tabs"),
-    "brace left open": ("-pi/2}}", "-pi/2}", "close with } what { opened"),
+            "token; write spaces, not tabs"),
+    "brace left open": ("-pi/2}}", "-pi/2}", "13:1: not YAML: expected ',' or '}', but "
+                        "got '<scalar>'; close the { of line 12, and put commas between"),
+    "brace too many": ("-pi/2}}", "-pi/2}}}", "not YAML: this } closes nothing; remove it"),
+    "quote left open": ("friction: mu", "friction: 'mu", "not YAML: found unexpected end of strea"
+                        "m; close the quote that opens here"),
     "nothing for a kind": ("kind: scene", "kind:", "1:1: kind: nothing is written; begin with"),
     "nothing for gravity": ("gravity: g", "gravity:", "5:1: gravity: nothing is written; write a"),
     "nothing for an end": ("time: 1", "time: ", "12:8: stop.time: nothing is written"),
