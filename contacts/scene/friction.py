@@ -41,7 +41,7 @@ class Friction(Part):
     kinetic: FormulaText = declare(
         "Coefficient in motion, at most static at rest; a formula of the contact's slip too, "
         "smooth on each side of 0.",
-        "0.2 + 0.2*exp(-abs(slip)/0.1)",
+        "mu_k",
         unit="1",
     )
 

@@ -67,3 +67,14 @@ def test_a_body_that_always_rebounds_is_not_named(e: float) -> None:
     thrown = thrown.replace("0.4, restitution: 0}", "0.4, restitution: e}", 1)
     found = _pulled(thrown.replace("{m: 1,", f"{{e: {e}, m: 1,"), 1e-6)
     assert any("'light'" in warning for warning in found.warnings) == (e == 0.0)
+
+
+@pytest.mark.parametrize(("start", "named"), [("{}", True), ("{dy: 1}", False), ("{y: 1}", False)])
+def test_a_body_that_starts_at_rest_on_a_perfectly_elastic_surface_is_named(
+    start: str, named: bool
+) -> None:
+    text = _SCENE.replace("light: {mass: m}", f"light: {{mass: m, start: {start}}}")
+    found = _pulled(text.replace("0.4, restitution: 0}", "0.4, restitution: 1}", 1), 1e-6)
+    assert any("'light'" in warning for warning in found.warnings) == named
+    if named:
+        assert found.outputs["slip"] != pytest.approx(1.0, abs=1e-6)
