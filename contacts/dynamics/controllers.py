@@ -72,6 +72,7 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
         edges,
         flat.superstates,
         nesting=flat.nesting,
+        forces=tuple(row.force for row in joint),
         claims=partial(guard_claims, flat),
     )
 

@@ -165,8 +165,8 @@ def _constant_value(node: Node, parameters: Mapping[str, FormulaText]) -> float 
         case Number(value=value):
             return value
         case Unary(operator=sign, operand=operand):
-            value = _constant_value(operand, parameters)
-            return -value if value is not None and sign == "-" else value
+            found = _constant_value(operand, parameters)
+            return -found if found is not None and sign == "-" else found
         case Name(name=name) if name in parameters:
             return _constant_value(parse(parameters[name]).root, {})
     return None

@@ -196,16 +196,19 @@ def is_compliant(contacts: ContactRows, i: int) -> bool:
 
 
 @kernel
-def joint_work(contacts: ContactRows, impulses: Array, before: Array, free: Array) -> float:
-    """Return the positive part of the work of joints and compliant contacts in a step.
+def joint_work(
+    contacts: ContactRows, impulses: Array, before: Array, free: Array, springs: bool
+) -> float:
+    """Return the positive part of the work of joints, and of compliant contacts, in a step.
 
     A joint returns work as its lever arm turns; a spring returns stored energy.
     """
     rates, work = zero_rates(contacts, 0), 0.0
     write_velocity_change(contacts, impulses, rates)
     for i in range(len(impulses)):
-        if friction_coefficient(contacts.cones[i]) < 0.0 or is_compliant(contacts, i):
-            for d in range(1 if is_compliant(contacts, i) else 2):
+        spring = springs and is_compliant(contacts, i)
+        if friction_coefficient(contacts.cones[i]) < 0.0 or spring:
+            for d in range(1 if spring else 2):
                 both = before[i, d] + free[i, d] + row_velocity(contacts, i, d, rates)
                 work += 0.5 * impulses[i, d] * both
     return max(work, 0.0)

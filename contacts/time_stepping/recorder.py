@@ -17,6 +17,7 @@ from contacts.states import (
     FREE,
     LOCKED,
     OFF_CODE,
+    OPEN_CODE,
     PIN,
     SLIDE_MINUS,
     SLIDE_PLUS,
@@ -35,6 +36,13 @@ from statechart.automaton.lazy import LazySequence
 from statechart.automaton.trace import Arc, Jump, Key
 from statechart.automaton.trace_store import Blocks
 
+RESTS = {PIN: (SLIDE_PLUS, SLIDE_MINUS), LOCKED: (SLIP_PLUS, SLIP_MINUS)}
+"""Codes of regions at rest, and of the slips that end in it."""
+
+SLIPS = (*RESTS[PIN], *RESTS[LOCKED])
+"""Codes of slips with a direction."""
+
+_OPEN = FREE, OFF_CODE, OPEN_CODE
 # Largest arc, bytes; a longer one is split.
 _LONGEST = 2**23
 
@@ -47,9 +55,9 @@ class Recorder:
     `sticks` (r,): regions with pin and slide, and couplings. `gated`: see `Chatter`. An impact
     on a region that is not free has the cause `again`. `joint_forces` (f,) are names. `forces`
     (r, 2): places of V and H among the further unknowns, or twice that of a torque; None: no
-    forces. Controller variables follow the `coordinates` and their rates. Without `modes`, jumps of
-    regions are only counted, and arcs end where they would. `control_jumps` are those of
-    controllers and the stop.
+    forces. Controller variables follow the `coordinates` and their rates. `slips` are those of
+    `SteppedSystem`; up to `still` they count as rest. Without `modes`, jumps of regions are only
+    counted, and arcs end where they would. `control_jumps` are those of controllers and the stop.
     """
 
     regions: Sequence[str]
@@ -62,6 +70,8 @@ class Recorder:
     forces: Ints | None
     energy: Callable[[Array, Array], Array]
     coordinates: int
+    slips: Callable[[Array, float], Array]
+    still: float
     modes: bool = True
     clock: Clock = field(default_factory=Clock)
     control_jumps: list[Jump] = field(default_factory=list)
@@ -209,16 +219,23 @@ class Recorder:
     def recorded_modes(self, chunk: Chunk) -> Ints:
         """Return the recorded modes: a slip lasts to the end of the step in which it stops.
 
-        Not if an impact stops it.
+        Not if an impact stops it. A region that closes without an impact slips first, too.
         """
         codes = chunk.modes
         if not self._sticking:
             return codes
         before = np.vstack([self._raw, codes[:-1]])
-        slid = np.isin(before, (SLIDE_PLUS, SLIDE_MINUS, SLIP_PLUS, SLIP_MINUS))
-        rests = (codes == PIN) | (codes == LOCKED)
+        slid, rests = np.isin(before, SLIPS), np.isin(codes, [*RESTS])
         in_impact = chunk.struck | chunk.impulses.any(axis=2)
-        return np.where(rests & slid & self.sticks & ~in_impact, before, codes)
+        shown = np.where(rests & slid & self.sticks & ~in_impact, before, codes)
+        calm = ~np.any(chunk.struck, axis=1, keepdims=True)
+        stops = rests & np.isin(before, _OPEN) & self.sticks & calm
+        for k in np.flatnonzero(stops.any(axis=1)).tolist():
+            slips = self.slips(chunk.states[k], self.clock.high + k * chunk.h)
+            for i in np.flatnonzero(stops[k] & (np.abs(slips) > self.still)).tolist():
+                forward, backward = RESTS[int(codes[k, i])]
+                shown[k, i] = forward if slips[i] > 0.0 else backward
+        return shown
 
     def _before(self, shown: Ints) -> Ints:
         return np.vstack([self.row, shown[:-1]])

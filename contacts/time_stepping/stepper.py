@@ -131,6 +131,8 @@ class SteppedRun:
             stepper.forces,
             lambda states, times: stepper.energy.table(states, values, times)[:, 0],
             len(stepper.angles),
+            self.system.slips,
+            self.setup.residual_slip,
             records or (watch is not None and watch.events),
         )
         self.stops = StopConditions(stepper.stops, self.setup)

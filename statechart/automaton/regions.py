@@ -303,7 +303,7 @@ class Region:
     listed: tuple[str, ...] = ()  # superstates declared as states: slide, for its directions
     impact_cause: str = ""  # further cause of a jump with an impulse on it, unless a contact
     nesting: Nesting = field(default_factory=Nesting)
-    forces: tuple[sp.Symbol, ...] = ()  # unknowns hidden while it is captured (see `Role`)
+    forces: tuple[sp.Symbol, ...] = ()  # its unknowns; hidden while it is captured (see `Role`)
     default: str = ""  # state omitted in names of modes, such as `free`
     claims: Callable[[str], tuple[Claim, ...]] = lambda _: ()  # state -> relations for tests
 

@@ -13,6 +13,7 @@ from statechart.documents.documented import declare
 from statechart.documents.outputs import Event, EventText, check_event, parse_events
 from statechart.errors import DeclarationProblem, Loc, undeclared
 from statechart.formulas.formula import parse
+from statechart.formulas.tree import names_in
 
 SEVERAL_SOURCES = "write one transition for each, or one from a state that holds them"
 _OUTSIDE = "transitions: [{name: go, from: STATE, to: STATE, on: EVENT}] beside `states`"
@@ -292,6 +293,8 @@ def check_changes(
                         "updates and flows change variables of their region; a state sets a "
                         f"control, sets: {{{variable}: 1}}"
                     )
+                elif variable in {*known, *further}:
+                    advice = "nothing sets parameters or time; declare a variable of another name"
                 else:
                     advice = undeclared(variable, variables)
                 raise DeclarationProblem(
@@ -305,9 +308,12 @@ def check_changes(
 
 
 def check_periods(
-    regions: Mapping[str, BaseRegion], values: Mapping[str, float] | None, known: Collection[str]
+    regions: Mapping[str, BaseRegion],
+    values: Mapping[str, float] | None,
+    known: Collection[str],
+    changing: Collection[str],
 ) -> None:
-    """Check that delays and periods are positive formulas of parameters.
+    """Check that delays and periods are positive formulas of parameters, of nothing `changing`.
 
     Raises `DeclarationProblem`.
     """
@@ -316,6 +322,14 @@ def check_periods(
             if transition.period is None:
                 continue
             loc = (*at, "after" if transition.every is None else "every")
+            for node in names_in(parse(transition.period).root):
+                if node.name in changing:
+                    raise DeclarationProblem(
+                        f"{node.name!r} changes during a run, and a period is constant",
+                        advice="write a guard on a variable with the flow 1",
+                        loc=loc,
+                        offset=node.offset,
+                    )
             fields.check_names(parse(transition.period), known, *loc)
             if values is None:
                 continue

@@ -13,6 +13,7 @@ _CHARACTERS: Mapping[str, str] = {
     **dict.fromkeys("\u00b7\u00d7\u2219\u22c5", "write a product as *"),
     **dict.fromkeys("\u2212\u2013\u2014", "a minus is -"),  # the sign, and dashes
     **dict.fromkeys("≤≥", "compare with <=, <, >= or >"),
+    "≠": "counts are compared with !=",
     "÷": "write a quotient as a/b",
     "√": "write sqrt(...)",
     "π": "write pi",
@@ -132,7 +133,8 @@ _WORDS: Mapping[str, str] = {
     **dict.fromkeys(("int", "trunc"), "write floor(x)"),
     **dict.fromkeys(("fmod", "remainder"), "write mod(x, y)"),
     "nan": "nan is not a value; write a number",
-    "in": "write in(REGION.STATE)",
+    "in": "in(REGION.STATE) stands in conditions; an output is {integral: 1, during: "
+    "{REGION: STATE}}",
     "der": "a rate stands in flows; of a coordinate x it is dx",
     **dict.fromkeys(("pre", "previous"), "updates see the values before; write the variable"),
     **dict.fromkeys(

@@ -198,7 +198,7 @@ LAUGHS = "a: &a [x, x]\n" + "".join(
         ("a: \x1b[31m\n", "1:4", "U+001B"),
         ("a:\n\tb: 1\n", "2:1", "not YAML"),
         ("a: [1\n", "2:1", "not YAML"),
-        ("a: 'x\n", "2:1", "not YAML"),
+        ("a: 'x\n", "1:4", "not YAML"),
         ("a: b: c\n", "1:5", "not YAML"),
         ("a: " + "9" * 10_000, "1:4", "too many digits"),
         ("", "1:1", "empty"),

@@ -163,8 +163,12 @@ MISTAKES = {
     "coordinate as a number": ("outputs:", "coordinates: {q: 1}\noutputs:", "such as {start: 0.2}"),
     "mode at the start": ("outputs:", "modes: {tip: pin}\noutputs:", "its gap is open or opening"),
     "tab": ("  ground", "\tground", "9:1: not YAML: found character '\\t' that cannot start any "
-            "token; indent by spaces, not by tabs"),
-    "brace left open": ("-pi/2}}", "-pi/2}", "close with } what { opened"),
+            "token; write spaces, not tabs"),
+    "brace left open": ("-pi/2}}", "-pi/2}", "13:1: not YAML: expected ',' or '}', but "
+                        "got '<scalar>'; close the { of line 12, and put commas between"),
+    "brace too many": ("-pi/2}}", "-pi/2}}}", "not YAML: this } closes nothing; remove it"),
+    "quote left open": ("friction: mu", "friction: 'mu", "not YAML: found unexpected end of strea"
+                        "m; close the quote that opens here"),
     "nothing for a kind": ("kind: scene", "kind:", "1:1: kind: nothing is written; begin with"),
     "nothing for gravity": ("gravity: g", "gravity:", "5:1: gravity: nothing is written; write a"),
     "nothing for an end": ("time: 1", "time: ", "12:8: stop.time: nothing is written"),
@@ -407,7 +411,13 @@ OF_CHARTS = {
     "a delay in words": ("{T: 1}", '{T: "delay(T, 1)"}', "equations with delays are not solved"),
     "guard left out": (", guard: T >= 20", "",
                        "needs one of guard, on, after, every; write guard: x <="),
-    "state as a function": ("T >= 20", "In('on')", "unknown function 'In'; write in(REGION.STATE)"),
+    "state as a function": ("T >= 20", "In('on')", "unknown function 'In'; in(REGION.STATE)"),
+    "state as an output": ("stop:", "outputs: {o: {value: in(switch.on)}}\nstop:",
+                           "an output is {integral: 1, during: {REGION: STATE}}"),
+    "unequal sign": ("T >= 20", "n ≠ 20", "counts are compared with !="),
+    "variable as a delay": ("guard: T >= 20", "after: T", "'T' changes during a run, and a period "
+                            "is constant; write a guard on a variable with the flow 1"),
+    "time that is set": ("n: n + 1", "time: 0", "nothing sets parameters or time; declare a var"),
     "capital or": ("T >= 20", "T >= 20 OR T < 3", "write `and`, `or`, `not` in small letters"),
     "capital not": ("T >= 20", "NOT T < 3", "write `and`, `or`, `not` in small letters"),
     "exclusive or": ("T >= 20", "T >= 20 xor T < 3", "write a and not b or b and not a"),
