@@ -14,8 +14,8 @@ from contacts.states import OFF, OFF_CODE, OPEN_CODE
 from statechart.arrays import Bools, Ints
 from statechart.execution.outcome import TWO_BOUNDS
 
-# Visits of one step, without a longer one to the same state, from which a region chatters. A decaying
-# oscillation passes a boundary a few times; chatter goes on to the end of the run.
+# Visits of one step, without a longer one to the same state, from which a region chatters. A
+# decaying oscillation passes a boundary a few times; chatter goes on to the end of the run.
 _VISITS = 8
 # Steps of a stay from which the region follows a motion that the steps resolve, below 0.2 rad a
 # step: a cam closes a switch for one step in each turn.
