@@ -36,7 +36,8 @@ _SAME_LENGTH = 1e-9
 _SAME_DIRECTION = 1e-3
 # Cosine between opposite normals above which only the ends of an edge touch.
 _FACING = 0.1
-# Difference of equal gaps, relative to that distance: far above round-off.
+# Difference of equal gaps, relative to that distance, and distance of corners that meet, relative
+# to the smaller reach: far above round-off.
 _EVEN = 1e-6
 
 
@@ -178,6 +179,42 @@ def _nearest_corners(
 
 
 @kernel
+def _outward(corners: Array, edge: int) -> tuple[float, float]:
+    """Return the outward normal of an edge."""
+    j = (edge + 1) % len(corners)
+    ex, ey = corners[j, 0] - corners[edge, 0], corners[j, 1] - corners[edge, 1]
+    length = norm(ex, ey)
+    return ey / length, -ex / length
+
+
+@kernel
+def _meeting_corners(
+    one: Array, edge: int, other: Array, edge_of_other: int, within: float, width: float,
+    manifold: Array, features: Ints,
+) -> int:  # fmt: skip
+    """Write the point of two corners that meet; return 0 if there are none.
+
+    Its normal bisects those of both faces: one of these would depend on the order of the bodies,
+    the difference of the corners on round-off. Corners with parallel faces meet by these.
+    """
+    ax, ay = _outward(one, edge)
+    bx, by = _outward(other, edge_of_other)
+    if abs(ax * by - ay * bx) <= _SAME_DIRECTION or ax * bx + ay * by >= -_FACING:
+        return 0
+    length = norm(bx - ax, by - ay)
+    nx, ny = (bx - ax) / length, (by - ay) / length
+    for i in (edge, (edge + 1) % len(one)):
+        for k in (edge_of_other, (edge_of_other + 1) % len(other)):
+            x, y = one[i, 0] - other[k, 0], one[i, 1] - other[k, 1]
+            gap = nx * x + ny * y
+            if norm(x, y) <= _EVEN * width and gap <= within:
+                write_contact(manifold[0], nx, ny, other[k, 0], other[k, 1], gap)
+                features[0] = -1 - (64 * i + k)
+                return 1
+    return 0
+
+
+@kernel
 def _disc_and_polygon(
     disc: ConvexShape, polygon: Array, flip: bool, within: float, manifold: Array
 ) -> int:
@@ -312,6 +349,10 @@ def _polygons(
         else:
             count = _clip_edges(one, edge, other, within, False, manifold, features)
         turn += 1
+    if count <= 1 and _meeting_corners(
+        one, edge, other, edge_of_other, within, width, manifold, features
+    ):
+        return 1
     if count == 0 and max(first, second) > 0.0:
         return _nearest_corners(one, other, within, manifold, features)
     return count

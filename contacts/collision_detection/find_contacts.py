@@ -298,12 +298,12 @@ def _write_velocity_bounds(
     slip. If the penetration exceeds what rotation explains, the contact feature changed: the
     correction velocity is then limited to the larger of the approach velocity and the velocity that
     forces give in a step, so that no energy is added. The same holds for unloaded contacts that are
-    not out yet, and for the rotation of a contact whose force falls to zero.
+    not out yet, and for rotation that closes a contact whose force falls to zero.
     """
     h, since, turn, shift = times.h, times.since, 0.0, 0.0
     if place >= 0 and warm.contacts[place, 1] != 0.0:
         turn, shift = turning_change(warm, place, m, active)
-    if not lasting and abs(turn) > gained:
+    if not lasting and turn < -gained:
         turn = shift = 0.0
     if above < 0.0:
         above = min(above - 0.5 * since * min(turn, 0.0), 0.0)

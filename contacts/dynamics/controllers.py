@@ -61,7 +61,7 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
             transition.source,
             transition.target,
             transition.trigger,
-            ", ".join(filter(None, (transition.reset(flat.timers), *changed))),
+            ", ".join(filter(None, (transition.reset(), *changed))),
         )
 
     edges = tuple(map(edge, flat.transitions))
@@ -72,6 +72,7 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
         edges,
         flat.superstates,
         nesting=flat.nesting,
+        forces=tuple(row.force for row in joint),
         claims=partial(guard_claims, flat),
     )
 

@@ -59,6 +59,11 @@ class SceneSetup(Setup):
         return 2.0 * self.tolerances["speed"]
 
     @property
+    def residual_slip(self) -> float:
+        """Largest slip after steps that counts as rest: that of round-off, in `slip_tolerance`."""
+        return 2.0 * self.rounded * self.scales.speed
+
+    @property
     def force_uncertainty(self) -> float:
         """Uncertainty of forces in the scales: beyond it a force is certainly off its bound."""
         return self.capture / self.scales.speed

@@ -6,7 +6,8 @@ The kernel `run_numbers` is the batched version.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -63,7 +64,7 @@ class SceneNumbers:
 
     def __init__(self, mechanics: Mechanics, stops: Sequence[StopCondition]) -> None:
         scene = mechanics.scene
-        self.scene = scene
+        self.scene, self._mechanics = scene, mechanics
         self.parameters = mechanics.parameters
         # Parameter -> its index among the values.
         self.places = {name: i for i, name in enumerate(mechanics.parameters.names)}
@@ -168,11 +169,17 @@ class SceneNumbers:
         contacts = self.contacts(values)
         if not stepped:
             shares = self._shares.at(initial, values, 0.0).tolist()
-            laws = zip(self.scene.contacts.values(), contacts, strict=False)
-            # A body that only rebounds has no lasting contact force.
-            lasting = {contact.point.body for contact, law in laws if law.restitution != 1.0}
             pairs = zip(self._unloaded, shares, strict=True)
-            warnings += tuple(_light((name, share) for name, share in pairs if name in lasting))
+            if light := {name: share for name, share in pairs if 0.0 < share < _MIN_SHARE}:
+                allowed = np.array([gap * scales.length, speed * scales.speed])
+                starts = self._approaches.at(initial, values, 0.0).reshape(-1, 2)
+                rests: Bools = np.all(np.abs(starts) <= allowed, axis=1)
+                laws = zip(self.scene.contacts.values(), contacts, rests.tolist(), strict=False)
+                # A body that only rebounds has no lasting contact force.
+                lasting = {
+                    c.point.body for c, law, at_rest in laws if at_rest or law.restitution != 1
+                }
+                warnings += tuple(_light(light, lasting))
         tolerances = {
             "gap": max(gap * scales.length, scales.rounding),
             "speed": speed * scales.speed,
@@ -200,6 +207,12 @@ class SceneNumbers:
                 for n, v in zip(self.stops, margins, strict=True)
             },
         )
+
+    @cached_property
+    def _approaches(self) -> Tape:
+        """The gap and the gap rate of every contact."""
+        contacts = map(self._mechanics.contact, self.scene.contacts)
+        return self._mechanics.tape([e for one in contacts for e in (one.gap, one.gap_rate)])
 
     def _physical(self, values: Array, initial: Array) -> bool:
         """Return whether masses and other limited quantities are certainly within their limits."""
@@ -321,10 +334,10 @@ def _unloaded_bodies(scene: Scene) -> list[str]:
     return [name for name in free if name in touching and name not in carrying]
 
 
-def _light(shares: Iterable[tuple[str, float]]) -> Iterator[str]:
-    """Yield a warning for each body so light that the tolerance of forces delays its events."""
-    for name, share in shares:
-        if 0.0 < share < _MIN_SHARE:
+def _light(shares: Mapping[str, float], lasting: Collection[str]) -> Iterator[str]:
+    """Yield a warning for each `lasting` body whose events the tolerance of forces delays."""
+    for name, share in shares.items():
+        if name in lasting:
             yield (
                 f"contacts of body {name!r} change their modes late, by up to "
                 f"{FORCE_BAND / share:.1g} of its weight, beside the heavy bodies of the scene; "

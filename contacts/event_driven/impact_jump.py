@@ -19,7 +19,7 @@ from contacts.impacts.bounces import correct_durations, remaining_bounces, stand
 from contacts.impacts.jamming import Jam, impact_without_collision, listed_mode, strike_jammed
 from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.modes.classification import Before, Choice, ForceUncertainty
-from contacts.scene.modes import INSIDE, OUTSIDE
+from contacts.scene.modes import OUTSIDE, PULL
 from contacts.states import INACTIVE, OPEN
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, Instant, moving_mode, roles_in
@@ -27,8 +27,8 @@ from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.errors import NoConsistentMode
 
-# Margins of a contact other than those of its forces.
-_KINEMATIC_MARGINS = ("gap", "slip", INSIDE, OUTSIDE)
+# Margins of a contact that position and velocity determine; so they do the pull of a compliant one.
+_KINEMATIC_MARGINS = ("gap", "slip", PULL, OUTSIDE)
 
 
 class Landing(NamedTuple):

@@ -50,7 +50,7 @@ from contacts.impacts.simultaneous import impacts
 from contacts.modes.classification import Before, Choice
 from contacts.modes.feasibility import scene_feasibility
 from contacts.scene.couplings import LIMIT_MARGINS
-from contacts.scene.modes import FORCE_MARGINS, INSIDE, OUTSIDE
+from contacts.scene.modes import FORCE_MARGINS, OUTSIDE, PULL
 from contacts.states import OFF, OPEN, SLIPPING
 from statechart.arrays import EPS, Array
 from statechart.automaton.clock import Clock
@@ -605,6 +605,6 @@ class Compliance:
                 continue
             near, press = setup.tolerances["gap"], setup.tolerances["force"]
             bands = (math.inf, press, UNDERFLOW) if gap < -near else (near, math.inf, math.inf)
-            margins = (f"{name}.{margin}" for margin in ("gap", INSIDE, OUTSIDE))
+            margins = (f"{name}.{margin}" for margin in ("gap", PULL, OUTSIDE))
             own |= dict(zip(margins, bands, strict=True))
         return own

@@ -259,8 +259,8 @@ def same_motion(
     first: Candidate, second: Candidate, scales: Scales, tolerance: float = SAME_MOTION
 ) -> bool:
     """Return whether two candidate modes give the same accelerations."""
-    size = max(scales.acceleration, float(np.abs(second.accelerations).max()))
-    difference = np.abs(first.accelerations - second.accelerations).max()
+    size = max(scales.acceleration, float(np.abs(second.accelerations).max(initial=0.0)))
+    difference = np.abs(first.accelerations - second.accelerations).max(initial=0.0)
     return bool(difference <= tolerance * size)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.formulas.formula import evaluator, parse
 from statechart.pictures.film import WORLD, Shape, ShapeKind
 
-# Number of fixed or led bodies above which they have no labels.
+# Number of fixed, and of led bodies above which they have no labels.
 _NAMED = 5
 
 
@@ -57,11 +57,12 @@ class BodyShapes:
         fixed = self._fixed(bare) if bare else {}
         shapes_found: list[Shape] = []
         regions = {name: k for k, name in enumerate(self._scene.bodies)}
-        many = sum(body.prescribed for body in self._scene.bodies.values()) > _NAMED
+        prescribed = [body.fixed for body in self._scene.bodies.values() if body.prescribed]
+        many = {fixed for fixed, number in Counter(prescribed).items() if number > _NAMED}
         for name, body in self._scene.bodies.items():
             if body.shape:
                 region = regions[name] if self._scene.collisions and not body.prescribed else -1
-                shown = "" if many and body.prescribed else name
+                shown = "" if body.prescribed and body.fixed in many else name
                 shapes_found += [self._shape(name, part, region, shown) for part in body.shape]
             elif name in fixed:
                 points = self._points(name, idle) or self._points(name, frozenset())

@@ -481,7 +481,7 @@ def close_joints(
         error, fast, work, moving = _follow_arms(
             numbers, space, contacts, island, h, with_impacts, turns
         )
-        impulse_work = joint_work(contacts, chosen, start, unforced)
+        impulse_work = joint_work(contacts, chosen, start, unforced, False)
         if impulse_work > bound + _MOST_WORK * moving:
             # Wedged joints close with unbounded work.
             work = max(work, impulse_work)

@@ -184,13 +184,15 @@ class DetectedContacts(NamedTuple):
     tangential: Held
     joints: Held
     couplings: Ints  # (c,): their modes.
+    slips: Array  # (c,): those of couplings before the step.
 
     @classmethod
     def of(
-        cls, gaps: Array, active: ActiveContacts, warm: WarmStart, holds: Ints, couplings: Ints
+        cls, active: ActiveContacts, gaps: Array, warm: WarmStart, numbers: BodyNumbers, modes: Ints
     ) -> Self:
-        """Return the contacts of a step, which joints and couplings follow."""
-        many = int(warm.n_contacts[0]) - len(couplings)
+        """Return the contacts of a step, which joints and couplings in `modes` follow."""
+        holds, couplings, count = numbers.joints.kinds, numbers.couplings, int(warm.n_contacts[0])
+        many = count - len(modes)
         bodies, rows, contacts_end = active.bodies[:many].copy(), active.rows, many - len(holds)
         both, firm = holds == BOTH, active.materials[contacts_end:many, 0] < 0.0
         joints = [rows[contacts_end:many][firm, 0], rows[contacts_end:many][both & firm, 1]]
@@ -206,7 +208,8 @@ class DetectedContacts(NamedTuple):
                 np.concatenate([bodies[contacts_end:][firm], bodies[contacts_end:][both & firm]]),
                 np.concatenate(joints),
             ),
-            couplings,
+            modes,
+            couplings.signs * active.before[many:count, 1] / couplings.levers,
         )
 
     def deepest_of(
@@ -395,11 +398,17 @@ class RigidBodyRun(SteppedSystem):
         self._warm, self._prescribed = WarmStart.allocate(self.numbers), copy(prescribed)
         chunk, status = self._accepted_steps(time, h, state, 1, math.inf)
         self._check_finite(chunk, status)
-        holds, gaps = self.numbers.joints.kinds, self._workspace.mid.gaps.copy()
-        modes = chunk.codes[0, self._moving :]
-        detected = DetectedContacts.of(gaps, self._workspace.active, self._warm, holds, modes)
+        gaps, modes = self._workspace.mid.gaps.copy(), chunk.codes[0, self._moving :]
+        detected = DetectedContacts.of(
+            self._workspace.active, gaps, self._warm, self.numbers, modes
+        )
         self._warm, self._prescribed = before.enlarged_to(self._warm), prescribed
         return detected
+
+    def slips(self, state: Array, time: float) -> Array:
+        """Return the slips of couplings; see `SteppedSystem`."""
+        detected = self.detect(state, time, _INSTANT * self._length)
+        return np.append(np.zeros(self._moving), detected.slips)
 
     def _deepest_at(self, body: int, state: Array, time: float) -> str:
         detected, pieces = self.detect(state, time, _INSTANT * self._length), self.numbers.pieces

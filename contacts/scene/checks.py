@@ -49,7 +49,10 @@ _SWITCHED = (
 )
 _PULLED = "write a force on the body, or give the ground a displacement"
 _CONSTANT = "write a formula of parameters"
-_LED = "a joint leads a point of a body, to: [v*time, 0]; bodies that collide have paths"
+_LED = (
+    "a body with a shape that follows a path has no mass: remove mass; "
+    "a joint leads a point of any other body, to: [v*time, 0]"
+)
 # Quantities of a contact that forces cannot use: reason, and alternative.
 _PUSH = (
     "a force follows from places and velocities",
@@ -171,6 +174,11 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
         if scene.collisions:
             advice = "lead its end along a path, to: [x, y]"
         return f"the length of a {loc[-1]} does not follow it", advice
+    if loc[0] == "forces" and loc[2] == "at" and name in {TIME, *_changing_names(scene)}:
+        return (
+            "the point of a force is fixed in its body",
+            "let moment change instead, such as moment: v*time*F",
+        )
     led = loc[0] in ("surfaces", "joints") and TIME in known
     if led and name in scene.controls and scene.collisions:
         return (
@@ -256,7 +264,13 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
                 yield Limit((*at, "shape", *several, "disc"), shape.disc, *_POSITIVE)
     for name, surface in scene.surfaces.items():
         if surface.radius is not None:
-            yield Limit(("surfaces", name, "radius"), surface.radius, *_POSITIVE)
+            discs = [own.radius for own in scene.contacts.values() if own.surface == name]
+            bounds, advice = _POSITIVE, ""
+            if discs and not surface.hollow:
+                advice = "a point cannot touch a corner (radius 0), a contact with a radius can"
+                if None not in discs:
+                    bounds, advice = (0.0, _MAX_NUMBER, "must be zero or positive, not {:g}"), ""
+            yield Limit(("surfaces", name, "radius"), surface.radius, *bounds, advice)
         if surface.incline is not None:
             yield Limit(("surfaces", name, "incline"), surface.incline, *_INCLINES)
     for name, contact in scene.contacts.items():
@@ -402,8 +416,8 @@ def check_rim(surface: Surface, loc: Loc) -> None:
     if surface.edge is not None:
         raise DeclarationProblem(
             "a disc (a contact with a radius) cannot touch an edge, which has ends",
-            advice="declare a line, and for each end a small circle; enable each contact on its "
-            "side of the end",
+            advice="declare a line, and for each end a circle of radius 0; enable each contact on "
+            "its side of the end",
             loc=loc,
         )
 

@@ -164,8 +164,9 @@ def _constant_value(node: Node, parameters: Mapping[str, FormulaText]) -> float 
     match node:
         case Number(value=value):
             return value
-        case Unary(operator=sign, operand=Number(value=value)):
-            return -value if sign == "-" else value
+        case Unary(operator=sign, operand=operand):
+            found = _constant_value(operand, parameters)
+            return -found if found is not None and sign == "-" else found
         case Name(name=name) if name in parameters:
             return _constant_value(parse(parameters[name]).root, {})
     return None

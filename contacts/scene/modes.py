@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 
 FORCE_MARGINS = _LOAD, _UPPER, _LOWER = "V", "mu V - H", "mu V + H"
 """Names of a closed contact's force margins: its load, and distances to the cone's two edges."""
-INSIDE, OUTSIDE = "inside", "outside"
+PULL, OUTSIDE = "pull", "outside"
 """Margins of a compliant contact that is free inside its surface: it presses again, or leaves."""
 
 
@@ -31,7 +30,8 @@ class FrictionSymbols(NamedTuple):
     # a coefficient: (1, 0) frictionless, (0, 1) without slide
     edges: Mapping[int, tuple[sp.Expr, sp.Expr]]
     # The coefficient that a mode uses, and its values; empty if they are equal
-    used: Mapping[int, Mapping[sp.Symbol, sp.Expr]] = MappingProxyType({})
+    used: Mapping[int, Mapping[sp.Symbol, sp.Expr]]
+    at_rest: sp.Expr  # The coefficient at rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ class Free(Part):
             margins = [
                 Margin(margins[0].name, gap, "gap", relation, whole_margin),
                 Margin(
-                    f"{contact.name}.{INSIDE}", -contact.compliance, "force", relation, whole_margin
+                    f"{contact.name}.{PULL}", -contact.compliance, "force", relation, whole_margin
                 ),
                 Margin(f"{contact.name}.{OUTSIDE}", -contact.gap, "plain", relation, whole_margin),
             ]
@@ -132,7 +132,8 @@ class Slide(Part):
         """
         name, (n, t) = contact.name, contact.friction.edges[direction]
         t = direction * t
-        margins = [Margin(f"{name}.{_LOAD}", n * contact.V - t * contact.H, "force")]
+        along_edge = n * contact.V - t * contact.H
+        margins = [Margin(f"{name}.{_LOAD}", along_edge, "force", shown=contact.V)]
         if direction:
             margins.append(Margin(f"{name}.slip", direction * contact.slip, "speed"))
         equations = (contact.normal_law, t * contact.V + n * contact.H)
@@ -152,8 +153,14 @@ class Pin(Part):
         margins = [Margin(f"{name}.{_LOAD}", contact.V, "force")]
         if n != 0:
             kind: MarginKind = "hold" if contact.friction.used else "force"
-            margins.append(Margin(f"{name}.{_UPPER}", t * contact.V - n * contact.H, kind))
-            margins.append(Margin(f"{name}.{_LOWER}", t * contact.V + n * contact.H, kind))
+            mu = contact.friction.at_rest
+            for side, H in ((_UPPER, contact.H), (_LOWER, -contact.H)):
+                distance = t * contact.V - n * H
+                margins.append(
+                    Margin(
+                        f"{name}.{side}", distance, kind, shown=mu * contact.V - H, coefficient=mu
+                    )
+                )
         equations = (contact.normal_law, contact.tangential_acceleration)
         holds = () if contact.compliance is not None else (contact.sticking,)
         values = contact.friction.used.get(0, {})
@@ -298,7 +305,7 @@ def _cone_zone_equations(
     bears = n * amount, t * amount
     laws = {amount: amount - along_edge}
     laws |= {f: f - component for f, component in zip((contact.V, contact.H), bears, strict=True)}
-    margins = [Margin(f"{name}.{_LOAD}", amount, "force")]
+    margins = [Margin(f"{name}.{_LOAD}", amount, "force", shown=n * amount)]
     if pinned:
         distance = across_edge if zone == "upper" else -across_edge
         margins.append(Margin(f"{name}.on edge", distance, "force"))

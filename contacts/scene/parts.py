@@ -339,7 +339,7 @@ class Surface(Part):
     circle: Pair | None = declare(
         "Centre of a circle; the solid is inside.", [0, 0], unit="length", default=None
     )
-    radius: FiniteText | None = declare("Of the circle.", "r", unit="length", default=None)
+    radius: FiniteText | None = declare("Radius of the circle.", "r", unit="length", default=None)
     hollow: bool = declare("Puts the solid outside the circle, as in a drum.", True, default=False)
     body: str | None = declare(
         "Body that carries the surface; the surface is given in its frame.", "cart", default=None
@@ -419,7 +419,7 @@ class Surface(Part):
 class Point(Part):
     """A point of a body, in the body's own frame (origin: centre of mass)."""
 
-    body: str = declare("Whose point.", "rod")
+    body: str = declare("Body that has the point.", "rod")
     at: Pair = declare("Position in the body's frame.", [0, "-L"], unit="length", default=(0, 0))
 
 

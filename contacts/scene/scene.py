@@ -110,7 +110,8 @@ class Scene(SceneFields):
         self.counted(values)
         check_physical(self, values)
         check_finite(self, values)
-        check_periods(self.regions, values, self.parameters)
+        changing = {*self.controlled.controller_state, *self.kinematic_names} - {*self.parameters}
+        check_periods(self.regions, values, self.parameters, changing)
         for name, region in self.regions.items():
             for variable, text in region.variables.items():
                 loc = ("regions", name, "variables", variable)

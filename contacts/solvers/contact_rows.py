@@ -196,16 +196,19 @@ def is_compliant(contacts: ContactRows, i: int) -> bool:
 
 
 @kernel
-def joint_work(contacts: ContactRows, impulses: Array, before: Array, free: Array) -> float:
-    """Return the positive part of the work of joints and compliant contacts in a step.
+def joint_work(
+    contacts: ContactRows, impulses: Array, before: Array, free: Array, springs: bool
+) -> float:
+    """Return the positive part of the work of joints, and of compliant contacts, in a step.
 
     A joint returns work as its lever arm turns; a spring returns stored energy.
     """
     rates, work = zero_rates(contacts, 0), 0.0
     write_velocity_change(contacts, impulses, rates)
     for i in range(len(impulses)):
-        if friction_coefficient(contacts.cones[i]) < 0.0 or is_compliant(contacts, i):
-            for d in range(1 if is_compliant(contacts, i) else 2):
+        spring = springs and is_compliant(contacts, i)
+        if friction_coefficient(contacts.cones[i]) < 0.0 or spring:
+            for d in range(1 if spring else 2):
                 both = before[i, d] + free[i, d] + row_velocity(contacts, i, d, rates)
                 work += 0.5 * impulses[i, d] * both
     return max(work, 0.0)
@@ -244,7 +247,8 @@ def one_contact(law: Array, normal: float, slip: float) -> tuple[float, float]:
 def velocity_scale(contacts: ContactRows, q: Array) -> float:
     """Return the velocity that residuals are relative to: the fastest approach at zero impulses.
 
-    At least 1e-7 of the fastest slip; for joints their largest velocity.
+    At least 1e-7 of the fastest slip; for joints their largest velocity. Of the approach of a
+    compliant contact the bodies' part: that of its pad is the depth over the step.
     """
     size = 0.0
     for i in range(len(q)):
@@ -252,7 +256,10 @@ def velocity_scale(contacts: ContactRows, q: Array) -> float:
         if mu < 0.0:
             size = max(size, abs(q[i, 0]), abs(q[i, 1]))
         else:
-            size = max(size, -q[i, 0], _RESTING * abs(q[i, 1]) if mu > 0.0 else 0.0)
+            approach, own = -q[i, 0], contacts.own[i, 0]
+            if is_compliant(contacts, i) and own > 0.0:
+                approach *= 1.0 - contacts.rows[i, 0, 7] * contacts.columns[i, 0, 7] / own
+            size = max(size, approach, _RESTING * abs(q[i, 1]) if mu > 0.0 else 0.0)
     return size
 
 

@@ -266,7 +266,7 @@ def island_impulses(
         contacts, before, free, wanted, rebounds, impulses, tolerance, at_rest, not pushed
     )
     if (stores or (joined and arms)) and error <= tolerance:
-        bound += joint_work(contacts, impulses, before, free)
+        bound += joint_work(contacts, impulses, before, free, True)
     share = work_share(contacts, impulses, before, free, bound)
     if pushed and (error > tolerance or share < 1.0):
         # Stabilisation may push bodies against others and gain energy, or wedge them: then no

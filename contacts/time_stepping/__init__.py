@@ -4,7 +4,8 @@
 points on surfaces (`scene_stepper`) and `contacts.rigid_bodies`. `control` acts and
 `stop_conditions` end a run at the ends of steps, `recorder` makes a trace of `lazy_arcs`, and
 `step_rejection` ends runs whose steps are too long. `solver_residual` and `discretisation_error`
-estimate the errors of a run, `stability` checks explicit forces and their quadrature. The compiled
-`scene_step` of points evaluates a `scene_tape`, solves the linear `equations` and the contact
-problem of `step_contacts`; `settling` derives modes from accelerations where they change.
+estimate the errors of a run, `stability` checks explicit forces and their quadrature, and `chatter`
+finds regions that return after every step. The compiled `scene_step` of points evaluates a
+`scene_tape`, solves the linear `equations` and the contact problem of `step_contacts`; `settling`
+derives modes from accelerations where they change.
 """

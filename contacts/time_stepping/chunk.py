@@ -135,6 +135,10 @@ class SteppedSystem(ABC):
         return {}
 
     @abstractmethod
+    def slips(self, state: Array, time: float) -> Array:
+        """Return the slips (r,) of regions that close without an impact; 0 for other regions."""
+
+    @abstractmethod
     def depth_left(self, state: Array, time: float) -> float:
         """Return the penetration near a state that no motion removes; see `step_rejection`."""
 

@@ -138,12 +138,12 @@ class StepControl:
                 self._setup, recorder.clock, state, self.states
             )
         for _ in range(_MOST_TURNS):
-            watched = self._states.guards(self.states).watch.guards
+            watch = self._states.guards(self.states).watch
             at_end = time, state[None], solved[None]
             known, before, _ = self._zero
             before = before if known == self.states else None
             due = self._due(*at_end, h, recorder.row[None], before)[0][0]
-            true = {(g.place, g.trigger) for g, now in zip(watched, due, strict=True) if now}
+            true = {(g.place, g.trigger) for g, now in zip(watch.guards, due, strict=True) if now}
             firing = self._queues.first(
                 self.states,
                 pending,
@@ -155,7 +155,8 @@ class StepControl:
                     self._warn_of(jump, (*at_end, recorder.row[None]), h)
                 return state
             name, taken = self._states.names[firing.place], firing.taken
-            fired = tuple(g.name for g in watched if (g.place, g.trigger) in firing.due)
+            fired = tuple(g.name for g in watch.guards if (g.place, g.trigger) in firing.due)
+            source = self.states[firing.place]
             self.states = (
                 *self.states[: firing.place],
                 taken.target,
@@ -171,10 +172,21 @@ class StepControl:
             switched, strikes = self._scene.switch(
                 self._states.named(self.states), (state, after, recorder.clock.high)
             )
+            moved = closing.modes | switched
+            if closing.modes:
+                # Forces decide the mode of a contact that the impact leaves without slip.
+                modes = self._scene.steps(recorder.clock.high, h, after, 1).modes
+                self._scene.forget()
+                following = {i: int(modes[0, i]) for i in closing.modes if len(modes)}
+                moved |= {i: code for i, code in following.items() if STATES[code] not in OPEN}
             jump = recorder.turn(
-                name, taken.name, self.states, (state, after), fired, closing.modes | switched,
+                name, taken.name, self.states, (state, after), fired, moved,
                 impulse=closing.impulse, joint_impulse=closing.joint_impulse,
             )  # fmt: skip
+            if watch.of_state.isdisjoint(fired):
+                recorder.chatter.forget(name)
+            else:
+                recorder.chatter.change(name, source, taken.target, recorder.clock.high)
             pending, state = self._queues.pending_after(firing.pending, jump), after
             if strikes:
                 self._pending, self._strikes = pending, True

@@ -17,6 +17,7 @@ from contacts.states import (
     FREE,
     LOCKED,
     OFF_CODE,
+    OPEN_CODE,
     PIN,
     SLIDE_MINUS,
     SLIDE_PLUS,
@@ -26,6 +27,7 @@ from contacts.states import (
     cause_of,
     undetermined_warning,
 )
+from contacts.time_stepping.chatter import Chatter
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.lazy_arcs import ArcMaker, LazyArc, LazyJump, StepRange, Steps, cut
 from statechart.arrays import Array, Bools, Ints
@@ -34,6 +36,13 @@ from statechart.automaton.lazy import LazySequence
 from statechart.automaton.trace import Arc, Jump, Key
 from statechart.automaton.trace_store import Blocks
 
+RESTS = {PIN: (SLIDE_PLUS, SLIDE_MINUS), LOCKED: (SLIP_PLUS, SLIP_MINUS)}
+"""Codes of regions at rest, and of the slips that end in it."""
+
+SLIPS = (*RESTS[PIN], *RESTS[LOCKED])
+"""Codes of slips with a direction."""
+
+_OPEN = FREE, OFF_CODE, OPEN_CODE
 # Largest arc, bytes; a longer one is split.
 _LONGEST = 2**23
 
@@ -43,22 +52,26 @@ class Recorder:
     """Collects steps as arcs and jumps, which are computed on access.
 
     Regions have initial modes (r,); `controls` are states of the controllers, which `turn` changes.
-    `sticks` (r,): regions with pin and slide, and couplings. An impact on a region that is not free
-    has the cause `again`. `joint_forces` (f,) are names. `forces` (r, 2): places of V and H among
-    the further unknowns, or twice that of a torque; None: no forces. Controller variables follow
-    the `coordinates` and their rates. Without `modes`, jumps of regions are only counted, and arcs
-    end where they would. `control_jumps` are those of controllers and the stop.
+    `sticks` (r,): regions with pin and slide, and couplings. `gated`: see `Chatter`. An impact
+    on a region that is not free has the cause `again`. `joint_forces` (f,) are names. `forces`
+    (r, 2): places of V and H among the further unknowns, or twice that of a torque; None: no
+    forces. Controller variables follow the `coordinates` and their rates. `slips` are those of
+    `SteppedSystem`; up to `still` they count as rest. Without `modes`, jumps of regions are only
+    counted, and arcs end where they would. `control_jumps` are those of controllers and the stop.
     """
 
     regions: Sequence[str]
     start: Ints
     controls: Key
     sticks: Bools
+    gated: Bools
     again: str
     joint_forces: Sequence[str]
     forces: Ints | None
     energy: Callable[[Array, Array], Array]
     coordinates: int
+    slips: Callable[[Array, float], Array]
+    still: float
     modes: bool = True
     clock: Clock = field(default_factory=Clock)
     control_jumps: list[Jump] = field(default_factory=list)
@@ -69,6 +82,7 @@ class Recorder:
         self._keys: dict[bytes, Key] = {}
         self.row, self._sticking = self.start, bool(self.sticks.any())
         self._raw = self.start
+        self.chatter = Chatter(self.regions, self.gated, self.start)
         self.key = self._key(self.start)
         self.start_key = self.key
         self._began = self.clock
@@ -90,6 +104,7 @@ class Recorder:
     def add(self, chunk: Chunk) -> None:
         """Append steps."""
         shown = self.recorded_modes(chunk)
+        self.chatter.add(shown, self.clock.high, chunk.h)
         hit: Bools = np.any(chunk.struck, axis=1)
         steps = Steps.of(chunk, hit, self.coordinates, self.clock)
         if self.forces is not None:
@@ -191,8 +206,9 @@ class Recorder:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Warnings of undetermined forces, once each."""
-        return tuple(dict.fromkeys(map(undetermined_warning, self.indeterminate.values())))
+        """Warnings of undetermined forces, once each, and of chatter."""
+        undetermined = dict.fromkeys(map(undetermined_warning, self.indeterminate.values()))
+        return *undetermined, *self.chatter.remarks
 
     def _key(self, row: Ints) -> Key:
         states = self._keys.get(row.tobytes())
@@ -203,16 +219,23 @@ class Recorder:
     def recorded_modes(self, chunk: Chunk) -> Ints:
         """Return the recorded modes: a slip lasts to the end of the step in which it stops.
 
-        Not if an impact stops it.
+        Not if an impact stops it. A region that closes without an impact slips first, too.
         """
         codes = chunk.modes
         if not self._sticking:
             return codes
         before = np.vstack([self._raw, codes[:-1]])
-        slid = np.isin(before, (SLIDE_PLUS, SLIDE_MINUS, SLIP_PLUS, SLIP_MINUS))
-        rests = (codes == PIN) | (codes == LOCKED)
+        slid, rests = np.isin(before, SLIPS), np.isin(codes, [*RESTS])
         in_impact = chunk.struck | chunk.impulses.any(axis=2)
-        return np.where(rests & slid & self.sticks & ~in_impact, before, codes)
+        shown = np.where(rests & slid & self.sticks & ~in_impact, before, codes)
+        calm = ~np.any(chunk.struck, axis=1, keepdims=True)
+        stops = rests & np.isin(before, _OPEN) & self.sticks & calm
+        for k in np.flatnonzero(stops.any(axis=1)).tolist():
+            slips = self.slips(chunk.states[k], self.clock.high + k * chunk.h)
+            for i in np.flatnonzero(stops[k] & (np.abs(slips) > self.still)).tolist():
+                forward, backward = RESTS[int(codes[k, i])]
+                shown[k, i] = forward if slips[i] > 0.0 else backward
+        return shown
 
     def _before(self, shown: Ints) -> Ints:
         return np.vstack([self.row, shown[:-1]])

@@ -47,6 +47,7 @@ from contacts.time_stepping.step_contacts import (
     coupling_loads,
     energy_added,
     find_active,
+    free_rows,
     group_island,
     group_members,
     impact_order_matters,
@@ -365,10 +366,21 @@ def _step_group(
     # Before the contact history changes.
     mixed = is_mixed_with_impacts(scene, memory, tape, island, h)
     write_modes(scene, memory, island, contacts, steady, met, k, chunk)
-    shared = share_forces(scene, memory, island, contacts, modes, steady, k, chunk)
+    rows = free_rows(scene, tape, contacts, columns)
+    redundant, shared = share_forces(scene, island, rows, contacts.cones, modes, steady)
     for a in range(len(members)):
         i, at = members[a], n + scene.joints + 2 * members[a]
+        chunk.shared[k, i] = redundant[a]
+        if shared[a, 0] > 0.0 and not memory.closed[i] and redundant.any() and not island.hit.any():
+            # Another contact carried its share.
+            memory.closed[i] = True
+            chunk.codes[k, i] = modes[a]
         for d in range(2):
+            # Joints bear the rest.
+            for j in range(n, columns.shape[1]):
+                rest = columns[2 * a + d, j] * (shared[a, d] - steady[a, d])
+                equations.change[j] += rest
+                equations.lasting[j] += rest
             force = math.nan if mixed else shared[a, d] / h
             chunk.solved[k, at + d] = 0.0 if chunk.codes[k, i] == FREE else force
     if impact_order_matters(scene, island, contacts, k, chunk):
@@ -465,7 +477,8 @@ def keep_leaving(
                     island.bias[a, 0] = 0.0
                 copy_numbers(memory.impulses[members[a]], island.chosen[a])
             error, _ = coordinate_impulses(contacts, island, scene.impulse_tolerance)
-            share_loads(scene, island, contacts)
+            rows = free_rows(scene, tape, contacts, columns)
+            share_loads(scene, island, rows, contacts.cones)
             for a in range(len(members)):
                 i, solved = members[a], error <= scene.impulse_tolerance
                 presses = solved and island.chosen[a, 0] > 0.0

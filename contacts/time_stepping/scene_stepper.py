@@ -43,6 +43,7 @@ from contacts.states import (
 from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
 from contacts.time_stepping.equations import ContactHistory, StepConstants
+from contacts.time_stepping.recorder import RESTS, SLIPS
 from contacts.time_stepping.scene_step import step_scene
 from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.solver_residual import INDETERMINATE
@@ -343,6 +344,14 @@ class SteppedScene(SteppedSystem):
         loads = n + r + 2 * np.arange(c - source.couplings, c)
         return chunk._replace(solved=np.delete(chunk.solved, loads, axis=1))
 
+    def slips(self, state: Array, time: float) -> Array:
+        """Return the slips of couplings and compliant contacts; see `SteppedSystem`."""
+        slips = self._source.equations(self._values, state, time).velocities[:, 1]
+        # The impact of a rigid contact may stop its slip, and that of its rolling resistance.
+        loads = np.where(self._carriers >= 0, self._carriers, np.arange(len(slips)))
+        rigid = (loads < len(slips) - self._source.couplings) & (self._soft[loads, 0] == 0.0)
+        return np.where(rigid, 0.0, slips)
+
     def depth_left(self, state: Array, time: float) -> float:
         """Return the penetration that no motion removes; see `SteppedSystem`."""
         n, at = self._source.size, self._source.equations(self._values, state, time)
@@ -501,9 +510,9 @@ class SteppedScene(SteppedSystem):
             inside = np.where(np.isfinite(mu), mu * normal - tangential, np.inf)
         # Friction stays at its bound where a slip decays to round-off.
         before = np.vstack([self._saved.codes, codes[:-1]])
-        slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
-        rests = np.vstack([memory.rests, slid & (codes == PIN)])
-        bounded = rests[:-1] & (codes == PIN) & (inside <= _AT_BOUND * normal)
+        sticks, slid = np.isin(codes, [*RESTS]), np.isin(before, SLIPS)
+        rests = np.vstack([memory.rests, slid & sticks])
+        bounded = rests[:-1] & sticks & (inside <= _AT_BOUND * normal)
         memory.rests, memory.at_bound = rests[-1], memory.at_bound | bounded.any(axis=0)
         for k, values in enumerate((normal, inside)):
             borne = (codes != FREE) & (codes != OFF_CODE) & ~np.isnan(values)

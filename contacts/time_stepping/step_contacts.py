@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from contacts.solvers.contact_rows import ContactRows, velocity_scale
+from contacts.solvers.dependence import CANCELLING
 from contacts.solvers.impulse_coupling import coupled_contacts
 from contacts.solvers.redundancy import shared_forces
 from contacts.solvers.step_impulses import (
@@ -476,8 +477,9 @@ def split_forces(
             modes[a] = FREE if after[a, 1] != 0.0 else LOCKED
         elif steady[a, 0] > 0.0:
             modes[a] = mode_of_impulse(steady[a], after[a, 1], slides[a], cones[a], directed)
-        elif pushes[a, 0] <= 0.0 and under[a, 0] == 0.0:
-            modes[a] = mode_of_impulse(steady[a], slip, slip != 0.0, cones[a], directed)
+        elif pushes[a, 0] <= 0.0 and abs(under[a, 0]) <= scene.round_off:
+            sliding = abs(slip) > scene.round_off
+            modes[a] = mode_of_impulse(steady[a], slip, sliding, cones[a], directed)
     return steady, modes
 
 
@@ -633,40 +635,79 @@ def impact_order_matters(
 
 
 @kernel
-def share_loads(scene: StepConstants, island: Island, contacts: ContactRows) -> None:
-    """Share undetermined impulses among all touching contacts, in place."""
-    m, pushes, cones = len(island.members), island.chosen, contacts.cones
+def _add_held(held: Array, impulse: float, row: Array, sizes: Array) -> None:
+    """Add an impulse along a held row to the row of a contact, and the sizes of its terms."""
+    for j in range(len(held)):
+        row[j] += impulse * held[j]
+        sizes[j] += abs(impulse * held[j])
+
+
+@kernel
+def free_rows(
+    scene: StepConstants, tape: TapeValues, contacts: ContactRows, columns: Array
+) -> Array:
+    """Return the rows of contacts without the part that joints and lasting contacts hold.
+
+    J + G^T L, with the impulses L of what holds per unit impulse: `columns` from n on. Round-off
+    counts as zero.
+    """
+    n, rows = tape.size, contacts.rows
+    if columns.shape[1] == n:
+        return rows
+    rows, sizes, largest = rows.copy(), np.abs(rows), np.zeros(n)
+    for a in range(len(rows)):
+        for d in range(2):
+            at = n
+            for i in range(len(scene.bilateral)):
+                row = tape.first + tape.per * i
+                for e in range(scene.bilateral[i]):
+                    held = tape.numbers[row + e * n : row + (e + 1) * n]
+                    _add_held(held, columns[2 * a + d, at], rows[a, d], sizes[a, d])
+                    at += 1
+            for i in range(scene.joints):
+                # The impulse of a joint that is off is zero.
+                row = tape.first + tape.per * len(scene.bilateral) + (n + JOINT) * i
+                held = tape.numbers[row : row + n]
+                _add_held(held, columns[2 * a + d, at + i], rows[a, d], sizes[a, d])
+            for j in range(n):
+                largest[j] = max(largest[j], sizes[a, d, j])
+    for a in range(len(rows)):
+        for d in range(2):
+            part = 0.0
+            for j in range(n):
+                part = max(part, sizes[a, d, j] / largest[j] if largest[j] > 0.0 else 0.0)
+            for j in range(n):
+                if abs(rows[a, d, j]) <= CANCELLING * part * largest[j]:
+                    rows[a, d, j] = 0.0
+    return rows
+
+
+@kernel
+def share_loads(scene: StepConstants, island: Island, rows: Array, cones: Array) -> None:
+    """Share undetermined impulses among all touching contacts, in place; see `free_rows`."""
+    m, pushes = len(island.members), island.chosen
     modes = np.full(m, FREE)
     for a in range(m):
         if m < 2 or _is_finite(scene, island.members[a]):
             return
         slip, directed = island.after[a, 1], scene.slips[island.members[a]] == 2
-        if pushes[a, 0] > 0.0 or island.after[a, 0] == 0.0:
-            sliding = slip != 0.0 and (pushes[a, 0] <= 0.0 or is_sliding(cones[a], pushes[a], slip))
+        if pushes[a, 0] > 0.0 or abs(island.after[a, 0]) <= scene.round_off:
+            sliding = abs(slip) > scene.round_off
+            sliding = sliding and (pushes[a, 0] <= 0.0 or is_sliding(cones[a], pushes[a], slip))
             modes[a] = mode_of_impulse(pushes[a], slip, sliding, cones[a], directed)
-    copy_rows(shared_forces(modes, cones, contacts.rows, pushes)[1], pushes)
+    copy_rows(shared_forces(modes, cones, rows, pushes)[1], pushes)
 
 
 @kernel
 def share_forces(
-    scene: StepConstants, memory: ContactHistory, island: Island, contacts: ContactRows,
-    modes: Ints, steady: Array, k: int, chunk: Chunk,
-) -> Array:  # fmt: skip
-    """Write the contacts with undetermined forces; return the forces, shared."""
-    m, struck = len(steady), island.hit.any()
+    scene: StepConstants, island: Island, rows: Array, cones: Array, modes: Ints, steady: Array
+) -> tuple[Bools, Array]:
+    """Return the contacts with undetermined forces, and the forces, shared; see `free_rows`."""
     for i in island.members:
         # Compliance determines the load sharing.
-        if m < 2 or scene.compliance[i, 0] > 0.0:
-            return steady
-    redundant, result = shared_forces(modes, contacts.cones, contacts.rows, steady)
-    for a in range(m):
-        i = island.members[a]
-        chunk.shared[k, i] = redundant[a]
-        if result[a, 0] > 0.0 and not memory.closed[i] and not struck:
-            # Another contact carried its share.
-            memory.closed[i] = True
-            chunk.codes[k, i] = modes[a]
-    return result
+        if len(steady) < 2 or scene.compliance[i, 0] > 0.0:
+            return np.zeros(len(steady), np.bool_), steady
+    return shared_forces(modes, cones, rows, steady)
 
 
 @kernel

@@ -36,6 +36,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import sympy as sp
 
 from contacts.dynamics.controllers import Controllers
 from contacts.dynamics.mechanics import Mechanics
@@ -124,11 +125,14 @@ class SteppedRun:
             inputs.codes,
             inputs.controls,
             stepper.sticks,
+            stepper.gated[: len(inputs.codes)],
             stepper.again,
             stepper.joint_forces,
             stepper.forces,
             lambda states, times: stepper.energy.table(states, values, times)[:, 0],
             len(stepper.angles),
+            self.system.slips,
+            self.setup.residual_slip,
             records or (watch is not None and watch.events),
         )
         self.stops = StopConditions(stepper.stops, self.setup)
@@ -431,12 +435,21 @@ class Stepper(ABC):
         self.parameter_names = mechanics.parameters.names
         self.regions = tuple(region.name for region in regions)
         self.again, self.forces, self.sticks = again, forces, sticks
+        self.gated = np.array([self._reads_motion(name) for name in self.regions], np.bool_)
         joints = (f"{row.joint}.{row.component}" for row in mechanics.joint_rows)
         self.joint_forces = (*joints, *(f"{name}.M" for name in turning))
         self.angles = np.array([name.endswith(".angle") for name in mechanics.names])
         unknowns = (*mechanics.a, *mechanics.unknown_forces, *mechanics.controls)
         self.stops = StopTapes(mechanics, unknowns, regions)
         self.energy: Tape = mechanics.tape([mechanics.energy])
+
+    def _reads_motion(self, name: str) -> bool:
+        """Return whether a coordinate or rate decides the relation `enabled` of a region."""
+        one = self._scene.contacts.get(name) or self._scene.couplings.get(name)
+        gate = self._mechanics.gate(name) if one is not None and one.enabled else None
+        atoms = () if gate is None else gate.atoms
+        read = set[sp.Basic]().union(*(a.margin.free_symbols for a in atoms if not a.is_end))
+        return not read.isdisjoint(self._mechanics.variables)
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         """Check the initial state; see `TimeStepper.start`."""

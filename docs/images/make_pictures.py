@@ -19,6 +19,7 @@ if __name__ == "__main__":
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
             page = stick.report(Path(place) / "stick.html")
             with Browser(Path(place) / "browser", width=1280, height=900) as browser:
+                browser.do("Emulation.setScrollbarsHidden", hidden=True)
                 browser.open(page)
                 browser.value("go(Math.round(0.8 * last))")
                 browser.screenshot(HERE / "toppling_stick_page.png")

@@ -122,12 +122,19 @@ def _solve_mode(
         used = set().union(*map(free_symbols, equations))
         equations += [unknown for unknown in automaton.unknowns if unknown not in used]
     unknowns: dict[sp.Symbol, None] = {}
-    for unknown in automaton.unknowns:
+    for unknown in _paired_unknowns(automaton):
         by = carried.get(unknown)
         own = [unknown] if by is None else [c for c in carriers if by.has(c)]
         unknowns |= dict.fromkeys(own)
     solved = solve_linear(equations, tuple(unknowns), len(automaton.equations))
     return (*unit.solved(solved), *_solve_shared(loads, substitution))
+
+
+def _paired_unknowns(automaton: Automaton) -> list[sp.Symbol]:
+    """Return the unknowns in the order of their equations: those of regions last."""
+    of_regions = [force for region in automaton.regions for force in region.forces]
+    known = {*of_regions}
+    return [*(unknown for unknown in automaton.unknowns if unknown not in known), *of_regions]
 
 
 def _minimal(
@@ -155,7 +162,7 @@ def _minimal(
         return [e.xreplace(known).xreplace(substitution) for e in equations]
 
     left = [coordinates.accelerations[i] for i in coordinates.remaining(elimination)]
-    forces = [u for u in automaton.unknowns if u not in coordinates.accelerations]
+    forces = [u for u in _paired_unknowns(automaton) if u not in coordinates.accelerations]
     free = [force for force in forces if force not in elimination.forces]
     held = [force for force in forces if force in elimination.forces]
     moving = [e.xreplace(substitution) for e in unit.motion(motion)]

@@ -39,11 +39,19 @@ class Margin:
     kind: MarginKind = "plain"
     relation: str = ""  # name of the relation of which it is one of several atoms
     whole: sp.Expr | None = None  # margin of that relation; None if it depends on states
+    # Quantity that the name stands for, if the expression is a multiple of it; reports show it
+    shown: sp.Expr | None = None
+    # Coefficient in that quantity, which is left out of reports where this is infinite
+    coefficient: sp.Expr | None = None
 
     def replaced(self, values: Mapping[sp.Symbol, sp.Expr]) -> Margin:
         """Return the margin with values substituted for symbols."""
-        whole_margin = None if self.whole is None else self.whole.xreplace(values)
-        return replace(self, expression=self.expression.xreplace(values), whole=whole_margin)
+        expressions = {
+            name: one.xreplace(values)
+            for name in ("expression", "whole", "shown", "coefficient")
+            if (one := getattr(self, name)) is not None
+        }
+        return replace(self, **expressions)
 
 
 def whole_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
@@ -60,6 +68,21 @@ def whole_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
         if not margin.relation or margin.whole is not None
     }
     return tuple(found.values())
+
+
+def shown_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
+    """Return the margins of whole relations, as the quantities after which they are named."""
+    return tuple(
+        margin if margin.shown is None else replace(margin, expression=margin.shown)
+        for margin in whole_margins(margins)
+    )
+
+
+def coefficients_of(margins: Sequence[Margin]) -> tuple[sp.Expr, ...]:
+    """Return the coefficients in margins; zero where there is none."""
+    import sympy as sp
+
+    return tuple(sp.S.Zero if m.coefficient is None else m.coefficient for m in margins)
 
 
 def margins_of(
@@ -172,6 +195,14 @@ class History(NamedTuple):
     initial: str  # default target; `parent` for a history of regions
 
 
+def updates_text(updates: Mapping[str, str | int | float]) -> str:
+    """Return updates as text, without variables that no file declares: these have a dot.
+
+    They are clocks and counts of transitions, and places that joints capture.
+    """
+    return ", ".join(f"{name} := {to}" for name, to in updates.items() if "." not in name)
+
+
 @dataclass(frozen=True, eq=False)
 class Nesting:
     """Declared hierarchy of a flattened region."""
@@ -279,7 +310,7 @@ class Region:
     listed: tuple[str, ...] = ()  # superstates declared as states: slide, for its directions
     impact_cause: str = ""  # further cause of a jump with an impulse on it, unless a contact
     nesting: Nesting = field(default_factory=Nesting)
-    forces: tuple[sp.Symbol, ...] = ()  # unknowns hidden while it is captured (see `Role`)
+    forces: tuple[sp.Symbol, ...] = ()  # its unknowns; hidden while it is captured (see `Role`)
     default: str = ""  # state omitted in names of modes, such as `free`
     claims: Callable[[str], tuple[Claim, ...]] = lambda _: ()  # state -> relations for tests
 

@@ -70,7 +70,7 @@ class Switches:
         on_surfaces = [(s, e.xreplace(held)) for s, e in self.definitions]
         definitions, sliding_shares = self._sliding(on_surfaces, sliding, known)
         known |= {self.signs[i]: share for i, share in zip(sliding, sliding_shares, strict=True)}
-        own = [replace(m, expression=m.expression.xreplace(known)) for m in self.margins]
+        own = [margin.replaced(known) for margin in self.margins]
         names = set[str]()
         margins = []
         for i, (function, sign) in enumerate(zip(self.functions, signs, strict=True)):

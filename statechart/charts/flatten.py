@@ -15,7 +15,15 @@ from itertools import chain, product
 from math import prod
 from typing import NamedTuple
 
-from statechart.automaton.regions import DONE, Choice, Edge, HierarchicalEdge, History, Nesting
+from statechart.automaton.regions import (
+    DONE,
+    Choice,
+    Edge,
+    HierarchicalEdge,
+    History,
+    Nesting,
+    updates_text,
+)
 from statechart.charts.transitions import BaseRegion, BaseState, Transition
 from statechart.charts.tree import HISTORIES, ROOT, Sort, Tree, tree
 from statechart.documents.declaration import TIME
@@ -114,7 +122,7 @@ class FlatRegion:
     def edges(self) -> tuple[Edge, ...]:
         """The transitions as labelled edges."""
         return tuple(
-            Edge(t.name, t.source, t.target, t.trigger, t.reset(self.timers), on_zeno=t.on_zeno)
+            Edge(t.name, t.source, t.target, t.trigger, t.reset(), on_zeno=t.on_zeno)
             for t in self.transitions
         )
 
@@ -401,10 +409,9 @@ class FlatTransition:
         """The trigger as text."""
         return " and ".join(dict.fromkeys(member.trigger for member in self.members))
 
-    def reset(self, apart: Collection[str] = ()) -> str:
-        """Return the updates as text, without the variables `apart`."""
-        updates = (update for block in self.blocks for update in block.items())
-        return ", ".join(f"{name} := {to}" for name, to in updates if name not in apart)
+    def reset(self) -> str:
+        """Return the updates of declared variables as text."""
+        return ", ".join(filter(None, map(updates_text, self.blocks)))
 
 
 class Trigger(NamedTuple):

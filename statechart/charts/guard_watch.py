@@ -72,7 +72,7 @@ class GuardWatch:
 
     `margins` names the atoms of all guards, `firsts` is the place of the first atom of each guard.
     `timed` atoms depend smoothly on time alone, `closed` atoms include their boundary. `single` is
-    true if every guard has one atom.
+    true if every guard has one atom. `of_state` are the names of guards that read more than time.
     """
 
     def __init__(
@@ -95,6 +95,7 @@ class GuardWatch:
         firsts: list[int] = []
         timed: list[bool] = []
         closed: list[bool] = []
+        self.of_state = set[str]()
         order = {v: place for place, v in enumerate(rates)}
         for guard, condition in zip(self.guards, self.conditions, strict=True):
             firsts.append(len(names))
@@ -108,6 +109,8 @@ class GuardWatch:
                 self.atoms.append(found)
                 alone = free_symbols(margin) <= {time, *timers, *parameters}
                 timed.append(alone and not found.kinked)
+                if not alone:
+                    self.of_state.add(guard.name)
                 closed.append(not atom.strict)
         self.margins, self.firsts = tuple(names), tuple(firsts)
         self.timed, self.closed = np.array(timed, np.bool_), np.array(closed, np.bool_)

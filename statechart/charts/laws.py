@@ -102,6 +102,7 @@ class _Symbols:
             **self.parameters.symbols,
             TIME: self.time,
         }
+        self.flow = cache(lambda text: parse(text).to_sympy(self.known))
 
     def setup(self, overrides: Mapping[str, float], relative: float) -> Setup:
         """Evaluate parameters and the initial state."""
@@ -121,7 +122,7 @@ def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
             return State()
         return State(
             tuple(
-                symbols.rates[variable] - parse(flow).to_sympy(symbols.known)
+                symbols.rates[variable] - symbols.flow(flow)
                 for variable, flow in flat.flows(state).items()
             ),
             guard_margins(flat, state, symbols.known),
@@ -221,7 +222,8 @@ class ChartLaws:
                 after, summed = self._updated(setup, clock, taken.name, taken.blocks, state, sizes)
         target = (*flow.mode[:place], taken.target, *flow.mode[place + 1 :])
         considered = self._considered[place](taken)
-        jump = at.jump(name, taken.name, target, after, considered=considered)
+        path = () if taken.guard is not None or taken.on_zeno else (taken.trigger,)
+        jump = at.jump(name, taken.name, target, after, path=path, considered=considered)
         held = {region: end for region, end in flow.held.items() if region != name}
         following = flow._replace(
             mode=target,
@@ -323,12 +325,9 @@ class ChartLaws:
         self, place: int, state: str
     ) -> tuple[list[Guard], dict[sp.Symbol, sp.Expr]]:
         region = self._flat[self._regions[place]]
-        known, variables = self._symbols.known, self._symbols.variables
-        flows = {
-            variables[variable]: parse(text).to_sympy(known)
-            for variable, text in region.flows(state).items()
-        }
-        return guards(place, region, state), flows
+        symbols, flows = self._symbols, region.flows(state)
+        rates = {symbols.variables[name]: symbols.flow(text) for name, text in flows.items()}
+        return guards(place, region, state), rates
 
     def _updated(
         self,

@@ -13,6 +13,7 @@ from statechart.documents.documented import declare
 from statechart.documents.outputs import Event, EventText, check_event, parse_events
 from statechart.errors import DeclarationProblem, Loc, undeclared
 from statechart.formulas.formula import parse
+from statechart.formulas.tree import names_in
 
 SEVERAL_SOURCES = "write one transition for each, or one from a state that holds them"
 _OUTSIDE = "transitions: [{name: go, from: STATE, to: STATE, on: EVENT}] beside `states`"
@@ -267,12 +268,12 @@ def check_changes(
     *loc: str | int,
     variables: Collection[str],
     known: Collection[str],
-    further: Collection[str] = (),
+    controls: Collection[str] = (),
     of: str = "",
 ) -> None:
     """Check that updates and flows change declared `variables` by formulas over `known`.
 
-    Flows may use `further` names; `of` names the owner of the variables in messages. Raises
+    Flows may use `controls`; `of` names the owner of the variables in messages. Raises
     `DeclarationProblem`.
     """
     changes: list[tuple[Mapping[str, fields.FiniteText], Loc]] = []
@@ -281,27 +282,41 @@ def check_changes(
             changes += [(getattr(state, key), (*at, key)) for key in ("flows", "entry", "exit")]
     for transition, at in declared_transitions(holder, *loc):
         changes.append((transition.updates, (*at, "updates")))
+    unset = "nothing sets parameters or time"
+    if of:
+        unset = "updates and flows change variables of their region, not motion or parameters"
     for texts, at in changes:
         for variable, text in texts.items():
             if variable not in variables:
                 rate = re.sub(r"^d(er\()?|[_.]?dot$|['()]", "", variable)
-                is_rate = at[-1] == "flows" and rate in variables
+                if at[-1] == "flows" and rate in variables:
+                    advice = f"write {rate}: a flow is its rate"
+                elif variable in controls:
+                    advice = (
+                        "updates and flows change variables of their region; a state sets a "
+                        f"control, sets: {{{variable}: 1}}"
+                    )
+                elif variable in known:
+                    advice = f"{unset}; declare a variable of another name"
+                else:
+                    advice = undeclared(variable, variables)
                 raise DeclarationProblem(
                     f"no variable {variable!r}{of}",
-                    advice=f"write {rate}: a flow is its rate"
-                    if is_rate
-                    else undeclared(variable, variables),
+                    advice=advice,
                     loc=(*at, variable),
                     key=True,
                 )
-            names = {*known, *further} if at[-1] == "flows" else known
+            names = {*known, *controls} if at[-1] == "flows" else known
             fields.check_names(parse(text), names, *at, variable)
 
 
 def check_periods(
-    regions: Mapping[str, BaseRegion], values: Mapping[str, float] | None, known: Collection[str]
+    regions: Mapping[str, BaseRegion],
+    values: Mapping[str, float] | None,
+    known: Collection[str],
+    changing: Collection[str],
 ) -> None:
-    """Check that delays and periods are positive formulas of parameters.
+    """Check that delays and periods are positive formulas of parameters, of nothing `changing`.
 
     Raises `DeclarationProblem`.
     """
@@ -310,6 +325,14 @@ def check_periods(
             if transition.period is None:
                 continue
             loc = (*at, "after" if transition.every is None else "every")
+            for node in names_in(parse(transition.period).root):
+                if node.name in changing:
+                    raise DeclarationProblem(
+                        f"{node.name!r} changes during a run, and a period is constant",
+                        advice="write a guard on a variable with the flow 1",
+                        loc=loc,
+                        offset=node.offset,
+                    )
             fields.check_names(parse(transition.period), known, *loc)
             if values is None:
                 continue

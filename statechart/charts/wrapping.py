@@ -21,7 +21,7 @@ from statechart.documents.documented import leaves
 from statechart.documents.fields import TIME, value_of
 from statechart.errors import DeclarationProblem, FormulaError, Loc
 from statechart.formulas.formula import Formula, parse
-from statechart.formulas.relation import parse_relation
+from statechart.formulas.relation import Comparison, parse_relation
 from statechart.formulas.tree import JUMPS, Call, calls_in, names_in
 
 Document = TypeVar("Document", bound=Declaration)
@@ -167,6 +167,43 @@ def check_wrapping(
                     loc=loc,
                     offset=call.offset,
                 )
+        if loc[0] not in _NOT_WRAPPED and isinstance(text, str):
+            _check_bound(text, loc)
+
+
+def _check_bound(text: str, loc: Loc) -> None:
+    """Check a relation of one comparison, of `mod` with a number or with its period.
+
+    Parameters may change before a run, and other comparisons may hold for a span of time.
+    """
+    wraps = {wrap.call.offset: wrap for wrap in periodic_calls(text)}
+    try:
+        one = parse_relation(text).root if wraps else None
+    except FormulaError:  # A formula, not a relation.
+        return
+    if not isinstance(one, Comparison) or one.operator in ("==", "!="):
+        return
+    below = one.operator in ("<", "<=")
+    for side, bound, capped in ((one.left, one.right, below), (one.right, one.left, not below)):
+        wrap = wraps.get(side.root.offset) if isinstance(side.root, Call) else None
+        if wrap is None or wrap.call.function != "mod":
+            continue
+        period = parse(wrap.period)
+        if capped:
+            missed = not bound.names and bound.value({}) <= 0.0
+        else:
+            numbers = not bound.names and not period.names
+            missed = bound.root == period.root or (numbers and bound.value({}) >= period.value({}))
+        if missed:
+            call = text[wrap.call.offset : wrap.call.marks[-1] + 1]
+            regular = f", or a transition with every: {wrap.period}" if wrap.value == TIME else ""
+            raise DeclarationProblem(
+                f"{call} is 0 for an instant and stays below {wrap.period}: the comparison holds "
+                "for no span of time",
+                advice=f"write {call} <= D with a number D above 0{regular}",
+                loc=loc,
+                offset=wrap.call.offset,
+            )
 
 
 def _check(document: Declaration, wrap: Wrap, loc: Loc, values: Mapping[str, float]) -> None:

@@ -19,6 +19,7 @@ from statechart.automaton.regions import (
     Region,
     hierarchical_edges,
     replace_complete_sets,
+    updates_text,
 )
 from statechart.automaton.trace import Key, Role, Trace
 from statechart.diagram.layout.ring import MAX_STEPS
@@ -450,8 +451,8 @@ def _actions(region: Region, state: str) -> tuple[str, ...]:
     nesting = region.nesting
 
     def updates(word: str, blocks: Mapping[str, Mapping[str, str | int | float]]) -> Iterator[str]:
-        if block := blocks.get(state):
-            yield f"{word} / " + ", ".join(f"{name} := {text}" for name, text in block.items())
+        if text := updates_text(blocks.get(state, {})):
+            yield f"{word} / {text}"
 
     rates = (f"{name}' = {text}" for name, text in nesting.flows.get(state, {}).items())
     return (*updates("entry", nesting.entries), *updates("exit", nesting.exits), *rates)
@@ -469,13 +470,16 @@ def _conditions(automaton: Automaton, region: Region, state: str) -> tuple[str, 
 def _condition(automaton: Automaton, region: Region, state: str) -> list[str]:
     built = region.build(Role(state))
     prefix = f"{region.name}."
-    # Plain margins are guards, shown on edges.
-    conditions = [
-        f"{m.name.removeprefix(prefix)} {_sense(automaton, m)} 0"
-        for m in built.margins
-        if m.kind != "plain"
+    conditions: dict[str, list[str]] = {}
+    for margin in built.margins:
+        if margin.kind != "plain":  # plain margins are guards, shown on edges
+            name = margin.name.removeprefix(prefix)
+            alternatives = conditions.setdefault(margin.relation or margin.name, [])
+            alternatives.append(f"{name} {_sense(automaton, margin)} 0")
+    return [
+        *map(" or ".join, conditions.values()),
+        *(m.name.removeprefix(prefix) for m in built.invariants),
     ]
-    return [*conditions, *(m.name.removeprefix(prefix) for m in built.invariants)]
 
 
 def _sense(automaton: Automaton, margin: Margin) -> str:

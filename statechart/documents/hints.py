@@ -49,7 +49,7 @@ _KINDS: Mapping[str, tuple[tuple[type, ...], str]] = {
 """Annotation of an argument -> its types, and their name."""
 
 YAML_HINTS: Mapping[str, str] = {
-    r"'\t'": "indent by spaces, not by tabs",
+    r"'\t'": "write spaces, not tabs",
     "mapping values are not allowed": "write key: value, and indent the keys of one mapping alike; "
     "text with a colon stands in quotes",
     "found character '|' that cannot start": "write abs(...)",
@@ -59,12 +59,12 @@ YAML_HINTS: Mapping[str, str] = {
     "expected the node content, but found ','": "there is a comma too many",
     "could not find expected ':'": "write key: value",
     "expected '<document start>'": "one model a file; what belongs to it stands in one mapping",
-    "expected ',' or '}'": "close with } what { opened, and put commas between",
-    "expected ',' or ']'": "close with ] what [ opened, and put commas between",
+    "expected ',' or '}'": "close the {{{line}, and put commas between",
+    "expected ',' or ']'": "close the [{line}, and put commas between",
     "expected <block end>": "indent keys of one mapping alike",
-    "found unexpected end of stream": "close what was opened: a quote, a bracket or a brace",
+    "found unexpected end of stream": "close the quote that opens here",
 }
-"""Words of a YAML error message -> advice."""
+"""Words of a YAML error message -> advice; `line` names another line, on which a bracket opens."""
 
 
 OTHER_VALUES: Mapping[str, str] = {

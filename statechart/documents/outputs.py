@@ -175,8 +175,16 @@ class Count(Part):
         return parse_events(self.count)
 
 
+_WHOLE_RUN = dict.fromkeys(
+    ("at", "before", "during"),
+    "the formula alone, as an extreme is over the whole run; a value has at, an integral during",
+)
+
+
 class Minimum(Part):
     """The least value of a formula over the run."""
+
+    OTHER_WORDS: ClassVar = _WHOLE_RUN
 
     minimum: FiniteText = declare(
         "Formula whose least value is reported.", "stick.y", unit="that of the formula"
@@ -185,6 +193,8 @@ class Minimum(Part):
 
 class Maximum(Part):
     """The greatest value of a formula over the run."""
+
+    OTHER_WORDS: ClassVar = _WHOLE_RUN
 
     maximum: FiniteText = declare(
         "Formula whose greatest value is reported.", "tip.V", unit="that of the formula"

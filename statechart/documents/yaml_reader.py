@@ -102,10 +102,17 @@ class _Builder:
             elif mark and "mapping values are not allowed" in str(error.problem):
                 self._check_colon(text, mark.line)
             self._check_blanks(text, mark.line if mark else 0)
+            opened = error.context_mark or mark
+            if "unexpected end of stream" in str(error.problem) and opened:
+                mark = opened
             message = " ".join(str(error.problem or error.context).split())
             place = self._at(mark.line, mark.column) if mark else self._at(0, 0)
             advice = next((hint for words, hint in YAML_HINTS.items() if words in message), "")
-            if message.startswith("expected <block end>"):
+            above = opened and mark and opened.line < mark.line
+            advice = advice.format(line=f" of line {opened.line + 1}" if above else "")
+            if closing := re.match(r"expected <block end>, but (?:got|found) '([\]}])'", message):
+                message, advice = f"this {closing[1]} closes nothing", "remove it"
+            elif message.startswith("expected <block end>"):
                 message = "this line is indented neither as the line above nor as its parent"
             raise place.error(f"not YAML: {message}", advice) from None
         except ReaderError as error:

@@ -35,7 +35,7 @@ from statechart.execution.event_classification import closing, from_here, only_s
 from statechart.execution.filippov import Filippov
 from statechart.execution.flow import FOLLOWED, UNFOLLOWED, Advance
 from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, loop_error
-from statechart.execution.outcome import Progress, error_of
+from statechart.execution.outcome import TWO_BOUNDS, Progress, error_of
 from statechart.execution.zeno import Accumulation, summed
 from statechart.formulas.series import sizes_at
 from statechart.kernels.polynomials import term_sizes
@@ -538,10 +538,7 @@ class Execution:
                         "or a contact"
                     )
                 elif dict(self.entered[self.flow.moving].watched).get(fired[0]) == "plain":
-                    advice = (
-                        "; if it switches what decides it, give it two bounds: guards of a region "
-                        "that switch its states, and enabled: in(REGION.STATE)"
-                    )
+                    advice = f"; {TWO_BOUNDS}"
                 self.failure = errors.EventLoop(
                     f"{', '.join(fired)} falls at t = {self.clock.high:.6g}, but no jump follows"
                     + advice

@@ -11,6 +11,11 @@ from statechart.errors import SimulationError
 from statechart.tabular import pluralise
 
 _PROGRESS_AFTER = 1.0  # seconds of wall time before progress is shown, and between lines
+TWO_BOUNDS = (
+    "if it switches what decides it, give it two bounds: guards of a region that switch its "
+    "states, and enabled: in(REGION.STATE)"
+)
+"""Advice against a relation that its own consequences change back."""
 _MOVES = 0.2  # seconds between updates of a bar
 
 

@@ -219,6 +219,8 @@ class AtomsAt:
 
     def truth(self, condition: Condition, first: int, active: Active) -> bool | None:
         """Return whether a condition with atoms from `first` on is true just after this instant."""
+        if condition.single:
+            return self.holds(first)
         return condition.truth(lambda k: self.holds(first + k), active)
 
     def touched(self, condition: Condition, first: int, active: Active) -> bool:

@@ -8,11 +8,13 @@ from collections.abc import Collection, Iterable, Mapping
 
 from statechart.errors import close_matches
 
+_TOGETHER = "digits of a number stand together: 10000, or 1e4"
 _CHARACTERS: Mapping[str, str] = {
     **dict.fromkeys("²³⁴", "write a power as **"),
     **dict.fromkeys("\u00b7\u00d7\u2219\u22c5", "write a product as *"),
     **dict.fromkeys("\u2212\u2013\u2014", "a minus is -"),  # the sign, and dashes
     **dict.fromkeys("≤≥", "compare with <=, <, >= or >"),
+    "≠": "counts are compared with !=",
     "÷": "write a quotient as a/b",
     "√": "write sqrt(...)",
     "π": "write pi",
@@ -27,8 +29,8 @@ _CHARACTERS: Mapping[str, str] = {
     "||": "where one is enough, write `or`",
     "!": "write `not`",
     "~": "write `not`, or != between counts",
-    "'": "digits of a number stand together: 10000, or 1e4",
-    "_": "digits of a number stand together: 10000, or 1e4",
+    "'": f"write the rate of x as dx; {_TOGETHER}",
+    "_": _TOGETHER,
     **dict.fromkeys("\u201c\u201d\u201e\u2018\u2019\u00ab\u00bb", "a number needs no quotes"),
 }
 _GREEK = ("GREEK SMALL LETTER ", "GREEK CAPITAL LETTER ", "MICRO SIGN")
@@ -132,7 +134,8 @@ _WORDS: Mapping[str, str] = {
     **dict.fromkeys(("int", "trunc"), "write floor(x)"),
     **dict.fromkeys(("fmod", "remainder"), "write mod(x, y)"),
     "nan": "nan is not a value; write a number",
-    "in": "write in(REGION.STATE)",
+    "in": "in(REGION.STATE) stands in conditions; an output is {integral: 1, during: "
+    "{REGION: STATE}}",
     "der": "a rate stands in flows; of a coordinate x it is dx",
     **dict.fromkeys(("pre", "previous"), "updates see the values before; write the variable"),
     **dict.fromkeys(

@@ -179,6 +179,9 @@ class Reader:
             node = self.sum()
             self.close(token)
             return node
+        if token.text in (")", ","):
+            advice = "write a number or a name before it"
+            self.source.fail(f"unexpected {token.text!r}", token.offset, advice)
         self.token = token
         return self._unexpected()
 

@@ -25,13 +25,13 @@ const round = (x) => {
   const power = 10 ** Math.floor(Math.log10(x));
   return [5, 2, 1].map((s) => s * power).find((s) => s <= x * (1 + 1e-9));
 };
-// Round numbers between two, a few of them.
+// Round numbers between two, with at most so many steps between them.
 function ticks(low, high, most) {
   const power = 10 ** Math.floor(Math.log10((high - low) / most || 1));
-  const step = [1, 2, 5, 10].map((s) => s * power).find((s) => (high - low) / s <= most * (1 + 1e-9));
-  const found = [];
-  for (let k = Math.ceil(low / step - 1e-9); k * step <= high * (1 + 1e-12) + 1e-9 * step; k++) found.push(k * step);
-  return found;
+  const ends = (step) => [Math.ceil(low / step - 1e-9), Math.floor(high / step * (1 + 1e-12) + 1e-9)];
+  const step = [1, 2, 5, 10].map((s) => s * power).find((s) => ends(s)[1] - ends(s)[0] <= most);
+  const [first, last] = ends(step);
+  return Array.from({ length: last - first + 1 }, (_, k) => (first + k) * step);
 }
 
 // The scene: y is up, so every place is written with its y turned round.

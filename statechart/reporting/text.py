@@ -236,7 +236,12 @@ def explained(
     changed = change(event)
     time = number(event["t"], digits)
     title = f"t = {time}, jump {event['j']}: {what}{'; ' if changed else ''}{changed}"
-    fired = ", ".join(map(_guard, event["fired"])) or (_IMMEDIATE if step is None else _STEPPED)
+    path = event["path"]
+    if awaited := [] if event["fired"] else [step for step in path if step.startswith("on ")]:
+        path = []
+    fired = ", ".join(map(_guard, event["fired"] or awaited)) or (
+        _IMMEDIATE if step is None else _STEPPED
+    )
     margins = sorted(
         event.get("margins", {}).items(), key=lambda item: item[0] not in event["fired"]
     )
@@ -248,7 +253,7 @@ def explained(
         "fired": [(fired,)],
         "margins": columns(dict(margins)),
         "impulse": [*impulses.items(), *columns(event.get("joint_impulse", {}))],
-        "path": [(step,) for step in event["path"]],
+        "path": [(step,) for step in path],
     }
     if event["energy"] is not None:
         before, after = (number(energy, digits) for energy in event["energy"])

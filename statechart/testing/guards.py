@@ -110,7 +110,7 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
                 lasts = (jump.j if before else jump.j + 1) in flowed
                 # A mode of zero duration has no forces.
                 if lasts or not observer.programs.needed((margin.expression,)):
-                    _assert_at(observer, trace, jump, margin, before=before)
+                    _assert_at(observer, trace, jump, margin, before=before, lasts=lasts)
     if trace.step is None:
         assert_invariant_relations(subject, trace)
 
@@ -130,11 +130,12 @@ def _invariants(subject: Subject, arc: Arc) -> list[Margin]:
 
 
 def _assert_at(
-    observer: Observer, trace: Trace, jump: Jump, margin: Margin, *, before: bool
+    observer: Observer, trace: Trace, jump: Jump, margin: Margin, *, before: bool, lasts: bool
 ) -> None:
     """Check an invariant at a jump, possibly in a mode of zero duration."""
     expression = margin.expression
     mode = observer.automaton.label(jump.source if before else jump.target)
+    mode += "" if lasts else ", which lasts no time"
     if expression == -sp.oo:
         raise AssertionError(f"{margin.name} does not hold at t = {jump.t:.6g} in {mode}")
     if expression == sp.oo:

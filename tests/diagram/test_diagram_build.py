@@ -78,6 +78,25 @@ def test_one_contact_is_drawn_as_boxes_in_boxes() -> None:
     assert sum(link.cause in ("liftoff", "touchdown", "stick") for link in chart.links) == 4
 
 
+def test_places_that_a_joint_captures_are_not_drawn_as_formulas() -> None:
+    text = (
+        "kind: scene\nname: s\nbodies: {b: {mass: 1, inertia: 1}}\n"
+        "joints: {j: {point: {body: b, at: [1, 0]}, to: [0, time], angle: held, rest: captured, "
+        "enabled: time >= 1}}\nstop: {time: 2}\n"
+    )
+    runner = Runner(read_text(text))
+    (chart,) = build(runner.automaton, runner.start()[0]).charts
+    assert [(node.name, node.actions) for node in chart.nodes] == [("off", ()), ("closed", ())]
+    assert [(link.cause, link.reset) for link in chart.links] == [("disable", ""), ("enable", "")]
+
+
+def test_a_compliant_contact_is_free_above_its_surface_or_where_it_would_pull() -> None:
+    runner = Runner("soft_landing")
+    diagram = build(runner.automaton, runner.start()[0])
+    held = {node.name: node.invariants for node in diagram.charts[0].nodes}
+    assert held["free"] == ("gap >= 0 or pull >= 0",)
+
+
 def test_a_choice_of_targets_shows_the_reset_of_each() -> None:
     runner = Runner("toppling_stick")
     (chart,) = build(runner.automaton, runner.start()[0]).charts

@@ -152,6 +152,11 @@ outputs:
             "forces: {f: @{body: grain}}\ncontrols:",
             "neither force nor moment is given",
         ),
+        (
+            "controls:",
+            "forces: {f: {body: grain, force: [0, 1], at: [@time, 0]}}\ncontrols:",
+            "'time': the point of a force is fixed in its body; let moment change instead",
+        ),
         ("mass: 1", "mass: @nan", "nan is not a value; write a number"),
         ("{disc: r}", "@[" + "{disc: r}, " * 17 + "]", "must have at most 16 items, not 17"),
     ],

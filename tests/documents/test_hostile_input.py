@@ -147,17 +147,21 @@ def test_formulas_cannot_escape_the_sandbox(text: str) -> None:
         parse_relation(f"0 <= {text}").require({"x", "g"})
 
 
-@pytest.mark.parametrize("field", [*FORMULAS, *RELATIONS])
 @pytest.mark.parametrize("text", ESCAPES, ids=lambda text: ascii(text[:40]))
-def test_documents_cannot_escape_the_sandbox(text: str, field: str) -> None:
+def test_documents_cannot_escape_the_sandbox(text: str) -> None:
     shown = text if len(text) < 5000 else text[:5000]
-    hostile = f"0 <= {shown}" if field in RELATIONS else shown
-    document = BUILT.format(**FORMULAS | RELATIONS | {field: quoted(hostile)})
-    with pytest.raises(DeclarationError) as caught:
-        validate(read_text(document, "f.yaml"), Chart)
-    assert caught.value.line == next(
-        number for number, line in enumerate(document.splitlines(), 1) if quoted(hostile) in line
-    )
+    for field in (*FORMULAS, *RELATIONS):
+        hostile = f"0 <= {shown}" if field in RELATIONS else shown
+        document = BUILT.format(**FORMULAS | RELATIONS | {field: quoted(hostile)})
+        try:
+            validate(read_text(document, "f.yaml"), Chart)
+        except DeclarationError as error:
+            line = error.line
+        else:
+            pytest.fail(f"{field} lets it through")
+        lines = enumerate(document.splitlines(), 1)
+        place = next(number for number, line in lines if quoted(hostile) in line)
+        assert line == place, field
 
 
 def test_document_without_escapes_is_valid() -> None:
@@ -198,7 +202,7 @@ LAUGHS = "a: &a [x, x]\n" + "".join(
         ("a: \x1b[31m\n", "1:4", "U+001B"),
         ("a:\n\tb: 1\n", "2:1", "not YAML"),
         ("a: [1\n", "2:1", "not YAML"),
-        ("a: 'x\n", "2:1", "not YAML"),
+        ("a: 'x\n", "1:4", "not YAML"),
         ("a: b: c\n", "1:5", "not YAML"),
         ("a: " + "9" * 10_000, "1:4", "too many digits"),
         ("", "1:1", "empty"),

@@ -85,8 +85,25 @@ MISTAKES = {
                            "cannot ask for the force tip.V; write enabled: in(REGION.STATE), and"),
     "two surfaces": ("surface: ground", "surface: [ground, wall]", "write a contact for each surf"),
     "a place in time": ("inertia: m*L**2/3, start: {y: h, angle: 0.3}", "position: [time, 0]",
-                        "this value is constant; a joint leads a point of a body"),
+                        "this value is constant; a body with a shape that follows a path"),
     "a wall": ("{height: 0}", "{x: 1}", "unknown key 'x'; write line: [[1, -1], [1, 1]], a wall"),
+    "an update of a control": (
+        "stop: {", "controls: {u: 0}\nregions: {r: {initial: a, states: {a: {}}, transitions: "
+        "[{name: t, from: a, every: 1, updates: {u: 1}}]}}\nstop: {",
+        "a state sets a control, sets: {u: 1}",
+    ),
+    "an update of a parameter": (
+        "stop: {", "regions: {r: {initial: a, states: {a: {}}, transitions: "
+        "[{name: t, from: a, every: 1, updates: {g: 1}}]}}\nstop: {",
+        "change variables of their region, not motion or parameters; declare a variable of another",
+    ),
+    "an update of a coordinate": (
+        "stop: {", "regions: {r: {initial: a, states: {a: {}}, transitions: "
+        "[{name: t, from: a, every: 1, updates: {rod.x: 1}}]}}\nstop: {",
+        "change variables of their region, not motion or parameters; declare a variable of another",
+    ),
+    "an extreme at an event": ("outputs:", "outputs:\n  most: {maximum: rod.y, at: end}",
+                               "an extreme is over the whole run"),
     "a formula of a control": ("stop: {", "controls: {u: rod.y}\nstop: {", "else write its form"),
     "a state as a relation": ("rod.angle <= -pi/2", "rod.up", "write it as x <= 0, or in(rod.up)"),
     "moment of inertia": ("inertia: m", "J: m", "unknown key 'J'; write inertia"),
@@ -156,8 +173,12 @@ MISTAKES = {
     "coordinate as a number": ("outputs:", "coordinates: {q: 1}\noutputs:", "such as {start: 0.2}"),
     "mode at the start": ("outputs:", "modes: {tip: pin}\noutputs:", "its gap is open or opening"),
     "tab": ("  ground", "\tground", "9:1: not YAML: found character '\\t' that cannot start any "
-            "token; indent by spaces, not by tabs"),
-    "brace left open": ("-pi/2}}", "-pi/2}", "close with } what { opened"),
+            "token; write spaces, not tabs"),
+    "brace left open": ("-pi/2}}", "-pi/2}", "13:1: not YAML: expected ',' or '}', but "
+                        "got '<scalar>'; close the { of line 12, and put commas between"),
+    "brace too many": ("-pi/2}}", "-pi/2}}}", "not YAML: this } closes nothing; remove it"),
+    "quote left open": ("friction: mu", "friction: 'mu", "not YAML: found unexpected end of strea"
+                        "m; close the quote that opens here"),
     "nothing for a kind": ("kind: scene", "kind:", "1:1: kind: nothing is written; begin with"),
     "nothing for gravity": ("gravity: g", "gravity:", "5:1: gravity: nothing is written; write a"),
     "nothing for an end": ("time: 1", "time: ", "12:8: stop.time: nothing is written"),
@@ -210,10 +231,13 @@ MISTAKES = {
     "number before a parenthesis": ("m*L**2", "2(m)", "unexpected '('; write a product as a*b"),
     "parenthesis left open": ("m*L**2", "(m*L", "never closed; write ) behind what it holds"),
     "parenthesis never opened": ("m*L**2", "m*L)", "')'; there is no ( before it that it could"),
+    "nothing in a parenthesis": ("m*L**2", "sin()", "unexpected ')'; write a number or a name be"),
+    "comma before anything": ("m*L**2/3", "'max(, m)'", "','; write a number or a name before it"),
     "sign at the end": ("m*L**2/3", "m*L*", "7:31: bodies.rod.inertia: formula 'm*L*': the formula "
                         "ends early; write what follows the last sign"),
     "two points": ("g: 9.81", "g: 9.8.1", "'9.8' runs into '.'; a number has one point: 1.5"),
-    "digits in groups by a sign": ("g: 9.81", "g: 9'810", "digits of a number stand together"),
+    "digits in groups by a sign": ("g: 9.81", "g: 9'810", "write the rate of x as dx; digits"),
+    "prime of a rate": ("g: 9.81", "g: x'", "write the rate of x as dx"),
     "restitution of an engine of games": (
         "restitution: e", "bounce: 0.5", "unknown key 'bounce'; write restitution"
     ),
@@ -397,7 +421,13 @@ OF_CHARTS = {
     "a delay in words": ("{T: 1}", '{T: "delay(T, 1)"}', "equations with delays are not solved"),
     "guard left out": (", guard: T >= 20", "",
                        "needs one of guard, on, after, every; write guard: x <="),
-    "state as a function": ("T >= 20", "In('on')", "unknown function 'In'; write in(REGION.STATE)"),
+    "state as a function": ("T >= 20", "In('on')", "unknown function 'In'; in(REGION.STATE)"),
+    "state as an output": ("stop:", "outputs: {o: {value: in(switch.on)}}\nstop:",
+                           "an output is {integral: 1, during: {REGION: STATE}}"),
+    "unequal sign": ("T >= 20", "n ≠ 20", "counts are compared with !="),
+    "variable as a delay": ("guard: T >= 20", "after: T", "'T' changes during a run, and a period "
+                            "is constant; write a guard on a variable with the flow 1"),
+    "time that is set": ("n: n + 1", "time: 0", "nothing sets parameters or time; declare a var"),
     "capital or": ("T >= 20", "T >= 20 OR T < 3", "write `and`, `or`, `not` in small letters"),
     "capital not": ("T >= 20", "NOT T < 3", "write `and`, `or`, `not` in small letters"),
     "exclusive or": ("T >= 20", "T >= 20 xor T < 3", "write a and not b or b and not a"),
@@ -447,6 +477,9 @@ def test_base_scene_of_the_mistakes_is_valid() -> None:
         ("m: 1, L: 0.5", "m: 1, L: 0.5, t0: 45", ""),
         ("angle: 0.3", "angle: h",
          "bodies.rod.start.angle: 45 radians are 7.16 turns; of degrees wr"),
+        ("angle: 0.3", "angle: -h",
+         "bodies.rod.start.angle: -45 radians are 7.16 turns; of degrees wr"),
+        ("gravity: g", "gravity: -g", "gravity: -9.81 acts upwards, as it is the acceleration do"),
         ("gravity: g", "gravity: [0, -9.81]", ""),
         ("gravity: g", "gravity: -9.81",
          "gravity: -9.81 acts upwards, as it is the acceleration do"),
@@ -460,7 +493,9 @@ def test_base_scene_of_the_mistakes_is_valid() -> None:
 )  # fmt: skip
 def test_likely_mistakes_give_warnings(old: str, new: str, reported: str) -> None:
     assert old in SCENE
-    text = SCENE.replace(old, new, 1).replace("h: 1", "h: 45" if "angle: h" in new else "h: 1")
+    text = SCENE.replace(old, new, 1).replace(
+        "h: 1", "h: 45" if new in ("angle: h", "angle: -h") else "h: 1"
+    )
     _, warnings = Runner(read_text(text, "f.yaml")).start()
     assert [reported in warning for warning in warnings] == ([True] if reported else [])
 

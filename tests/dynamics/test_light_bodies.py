@@ -67,3 +67,17 @@ def test_a_body_that_always_rebounds_is_not_named(e: float) -> None:
     thrown = thrown.replace("0.4, restitution: 0}", "0.4, restitution: e}", 1)
     found = _pulled(thrown.replace("{m: 1,", f"{{e: {e}, m: 1,"), 1e-6)
     assert any("'light'" in warning for warning in found.warnings) == (e == 0.0)
+
+
+@pytest.mark.parametrize(("start", "named"), [("{}", True), ("{dy: 1}", False), ("{y: 1}", False)])
+def test_a_body_that_starts_at_rest_on_a_perfectly_elastic_surface_is_named(
+    start: str, named: bool
+) -> None:
+    text = _SCENE.replace("light: {mass: m}", f"light: {{mass: m, start: {start}}}")
+    found = _pulled(text.replace("0.4, restitution: 0}", "0.4, restitution: 1}", 1), 1e-6)
+    assert any("'light'" in warning for warning in found.warnings) == named
+    if named:
+        # The bound of friction is 4 m, the pull 4 m t: the warning gives the delay.
+        (warning,) = (each for each in found.warnings if "'light'" in each)
+        share = float(warning.split("by up to ")[1].split(" of its weight")[0])
+        assert found.outputs["slip"] - 1.0 == pytest.approx(10.0 * share / 4.0, rel=0.1)

@@ -14,6 +14,7 @@ import statechart
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, NoConsistentMode
 from statechart.loading.load import interpret
+from statechart.running.runner import Runner
 from statechart.testing.checking import check
 
 _BREAKS = """
@@ -659,3 +660,34 @@ joints:
     result = statechart.run(read_text(coupled + outputs))
     assert result.outputs["w"] == pytest.approx(3.0, rel=1e-12)
     assert result.outputs["turned"] == pytest.approx(7.5, abs=1e-6)
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+def test_feet_bear_a_load_that_a_switched_joint_and_a_locked_coupling_carry(engine: str) -> None:
+    """Moments about the middle of the feet: 0.2 (V1 - V0) + g (0.1 sin a - 0.02 m) = 0."""
+    text = """
+kind: scene
+name: laden
+parameters: {a: 0.14, m: 0.4, I: 0.02}
+gravity: 9.81
+bodies:
+  box: {mass: 1, inertia: I, start: {x: -0.1*sin(a), y: 0.1*cos(a), angle: a}}
+  load: {mass: m, inertia: 0.01, start: {x: 0.02, y: 0.3}}
+surfaces: {floor: {incline: a}}
+contacts:
+  left: {point: {body: box, at: [-0.2, -0.1]}, surface: floor, friction: 0.9, restitution: 0}
+  right: {point: {body: box, at: [0.2, -0.1]}, surface: floor, friction: 0.9, restitution: 0}
+joints:
+  rail: {point: {body: load}, to: {body: box}, rest: captured, enabled: time >= 0}
+couplings: {rub: {bodies: [load, box], limit: 5}}
+outputs: {left: {value: left.V}, right: {value: right.V}, along: {value: left.H}}
+stop: {time: 0.1}
+"""
+    g, a, m = 9.81, 0.14, 0.4
+    result = Runner(interpret(read_text(text)), engine=engine).run()
+    outputs, sum_of_both = result.outputs, (1.0 + m) * g * math.cos(a)
+    difference = g * (0.02 * m - 0.1 * math.sin(a)) / 0.2
+    assert not result.trace.jumps
+    assert outputs["left"] == pytest.approx(0.5 * (sum_of_both - difference), abs=1e-9)
+    assert outputs["right"] == pytest.approx(0.5 * (sum_of_both + difference), abs=1e-9)
+    assert outputs["along"] == pytest.approx(0.5 * (1.0 + m) * g * math.sin(a), abs=1e-9)

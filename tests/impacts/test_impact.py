@@ -52,8 +52,9 @@ def after(snapshot: Snapshot, result: Impact) -> tuple[float, float]:
 
 @pytest.mark.parametrize("case", GOLDEN, ids=lambda c: f"phi={c['phi_deg']} e={c['e']}")
 def test_routh_path_with_poisson_restitution(case: dict) -> None:
-    snapshot = rod(math.radians(case["phi_deg"]), case["u_minus"], case["v_minus"])
-    result = impact(snapshot, 0, law(case["mu"], "poisson"), case["e"])
+    tilt, u, v, e = (float(case[key]) for key in ("phi_deg", "u_minus", "v_minus", "e"))
+    snapshot = rod(math.radians(tilt), u, v)
+    result = impact(snapshot, 0, law(case["mu"], "poisson"), e)
     expected = case["routh_poisson"]
     assert list(result.path) == expected["sequence"]
     assert result.normal == pytest.approx(float(expected["Py"]), abs=1e-11)

@@ -271,3 +271,73 @@ def test_unequal_balls_strike_one_after_another():
         assert result.outputs["of_two"] == 2
         assert result.outputs["clicks"] == pytest.approx(clicks, abs=step)
         assert result.trace.final[[2, 5, 8]] == pytest.approx(angles, abs=0.5 * step)
+
+
+RAM = f"""
+kind: scene
+name: ram
+parameters: {{a: 0.2, l: 0.6, torque: 3, mu: 0.3, m: 2}}
+gravity: {G}
+coordinates: {{q: {{start: pi + 0.1}}}}
+bodies:
+  crank: {{mass: 1, inertia: 0.05, position: [0, 0.1], angle: q}}
+  ram:
+    mass: 1
+    position: [a*cos(q) + sqrt(l**2 - (a*sin(q))**2), 0.1]
+    shape: {{polygon: [[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]}}
+  box:
+    mass: m
+    inertia: m*0.04/6
+    shape: {{polygon: [[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]}}
+    start: {{x: a*cos(pi + 0.1) + sqrt(l**2 - (a*sin(pi + 0.1))**2) + 0.25, y: 0.1}}
+surfaces: {{floor: {{height: 0}}}}
+forces: {{motor: {{body: crank, moment: torque}}}}
+collisions:
+  pushes: {{bodies: [ram, box], friction: 0, restitution: 0}}
+  rubs: {{bodies: [box], surfaces: [floor], friction: mu, restitution: 0}}
+stop: {{time: 0.43}}
+settings: {{engine: impulse, step: STEP}}
+outputs:
+  leaves: {{value: time, at: each ram.liftoff}}
+  strikes: {{value: time, at: each ram.touchdown}}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-3, 7e-4, 2.5e-4, 1e-4])
+def test_a_ram_that_slows_down_leaves_its_box_once(step):
+    """The face that it pushes bears at one of its two ends.
+
+    As its path bent by more than gravity, the other end pressed and both left in turn.
+    """
+    a, long, torque, mu, m = 0.2, 0.6, 3.0, 0.3, 2.0
+
+    def path(q):
+        """Return the place of the ram and its first two derivatives."""
+        root, bent = math.sqrt(long**2 - (a * math.sin(q)) ** 2), a * a * math.sin(2 * q) / 2
+        first = -a * math.sin(q) - bent / root
+        turned = a * a * math.cos(2 * q) / root + bent**2 / root**3
+        return a * math.cos(q) + root, first, -a * math.cos(q) - turned
+
+    def push(_, state, moved, drag):
+        q, w = state
+        _, first, second = path(q)
+        force = torque - moved * first * second * w * w - drag * first
+        return [w, force / (0.05 + moved * first**2)]
+
+    def meets(_, state, *_rest):
+        return path(state[0])[0] - path(math.pi + 0.1)[0] - 0.1
+
+    def leaves(t, state, moved, drag):
+        _, first, second = path(state[0])
+        return first * push(t, state, moved, drag)[1] + second * state[1] ** 2 + mu * G
+
+    meets.terminal = leaves.terminal = True
+    exact = {"rtol": 1e-11, "atol": 1e-12}
+    way = solve_ivp(push, (0, 1), [math.pi + 0.1, 0], args=(1, 0), events=meets, **exact)
+    q, w = way.y[:, -1]
+    first = path(q)[1]
+    w *= (0.05 + first**2) / (0.05 + (1 + m) * first**2)
+    rest = solve_ivp(push, (0, 1), [q, w], args=(1 + m, mu * m * G), events=leaves, **exact)
+    outputs = run(RAM, step=step).outputs
+    assert outputs["strikes"] == pytest.approx([way.t[-1]], abs=step)
+    assert outputs["leaves"] == pytest.approx([way.t[-1] + rest.t[-1]], abs=2 * step)

@@ -162,8 +162,8 @@ def test_no_bounce_is_missed_on_hills_where_sampling_tunnels(engine: str, case: 
         assert found == pytest.approx(float(bounce["t"]), abs=1e-13 * max(1.0, amplification))
 
 
-def test_2000_random_steep_hills_without_a_tunnel(engine: str) -> None:
-    count = 2000 if engine == "taylor" else 200
+def test_random_steep_hills_without_a_tunnel(engine: str) -> None:
+    count = 1000 if engine == "taylor" else 60
     random_ = random.Random(20)
     for _ in range(count):
         A, k = 10 ** random_.uniform(-2, 0.3), 10 ** random_.uniform(0, 2)

@@ -2,9 +2,11 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from contacts.kind import automaton
 from contacts.scene.scene import Scene
@@ -15,7 +17,9 @@ from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs, extremes, outputs_of
+from statechart.reporting import report as reporting
 from statechart.reporting.report import Computation, report
+from statechart.running.runner import Runner
 
 MODELS = Path(__file__).parents[2] / "models"
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "toppling_stick.json").read_text())
@@ -220,12 +224,59 @@ def test_margins_are_the_least_values_of_their_modes(stick: Observer) -> None:
     margins = report(stick, trace)["margins"]
     assert margins["fallen"] == pytest.approx(0.0, abs=1e-15)
     assert margins["fallen backward"] == pytest.approx(math.pi / 2 + 0.01, abs=1e-14)
-    cone_n = 1.0 / math.hypot(1.0, 0.2)
-    pinned = stick.sample(trace, ["tip.V", "tip.H"], per_step=16)
-    rows = pinned.j == 0
-    edge = cone_n * (0.2 * pinned.columns["tip.V"] + pinned.columns["tip.H"])[rows]
-    assert margins["tip.mu V + H"] == pytest.approx(edge.min(), abs=1e-13)
+    samples = stick.sample(trace, ["tip.V", "tip.H"], per_step=16)
+    distance = (0.2 * samples.columns["tip.V"] + samples.columns["tip.H"])[samples.j == 0]
+    assert margins["tip.mu V + H"] == pytest.approx(distance.min(), abs=1e-13)
     assert -1e-11 < margins["tip.mu V - H"] <= 0.0
+    assert margins["tip.V"] == pytest.approx(samples.columns["tip.V"].min(), abs=1e-13)
+
+
+def test_margins_of_forces_are_forces_with_events_and_by_steps() -> None:
+    """A block on a slope slides and stops: V = m g cos, and mu V -+ H = m g (mu cos -+ sin)."""
+    block = {
+        "kind": "scene", "name": "block", "gravity": 10.0, "parameters": {"mu": 0.75},
+        "bodies": {"block": {"mass": 2.0, "start": {"dx": 0.8, "dy": 0.6}}},
+        "surfaces": {"slope": {"line": [[0, 0], [4, 3]]}},
+        "contacts": {"base": {
+            "point": {"body": "block"}, "surface": "slope", "modes": ["slide", "pin"],
+            "friction": "mu + 0.25",
+        }},
+        "stop": {"time": 1.0},
+    }  # fmt: skip
+    runner = Runner(Scene.model_validate(block))
+    result = runner.run()
+    (stop,) = result.to_dict(explain=True)["events"]
+    assert stop["margins"] == {"base.V": pytest.approx(16.0), "base.slip": pytest.approx(0.0)}
+    margins = result.to_dict()["margins"]
+    assert margins["base.V"] == pytest.approx(16.0)
+    assert margins["base.mu V + H"] == pytest.approx(16.0 + 12.0)
+    assert margins["base.mu V - H"] == pytest.approx(16.0 - 12.0)
+    stepped = Runner(runner.model, engine="impulse", step=1e-3).run().to_dict()["margins"]
+    assert stepped["base.V"] == pytest.approx(16.0)
+    # Infinite friction has no edges at a finite distance.
+    rough = runner.run({"mu": math.inf}).to_dict()["margins"]
+    assert rough["base.V"] == pytest.approx(16.0)
+    assert not any("mu V" in name for name in rough)
+
+
+def test_margins_without_a_value_are_reported(
+    stick: Observer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Infinite friction alone leaves out a margin, not a value that is nan."""
+    trace = run(stick)
+    lowest = reporting.lowest
+
+    def without_values(*arguments: Any) -> NDArray[np.float64]:
+        found = lowest(*arguments)
+        found[: len(found) // 2] = math.nan
+        return found
+
+    before = set(reporting.margins(stick, trace))
+    monkeypatch.setattr(reporting, "lowest", without_values)
+    found = reporting.margins(stick, trace)
+    assert "tip.mu V - H" in before
+    assert set(found) == before
+    assert all(map(math.isnan, found.values()))
 
 
 def test_output_scale_is_the_running_maximum() -> None:

@@ -375,6 +375,16 @@ def test_curves_have_round_ticks_and_values_under_the_cursor(browser, result):
 
 
 @in_browser
+def test_every_axis_has_two_to_five_ticks(browser):
+    assert browser.value("ticks(-4.43, 4.43, 4)") == [-4, -2, 0, 2, 4]
+    counts = browser.value(
+        "[...Array(999).keys()].map((k) => ticks(-(k % 37) / 36, 1.013 ** k / 1e3, 4).length)"
+    )
+    assert min(counts) >= 2
+    assert max(counts) <= 5
+
+
+@in_browser
 def test_a_wide_page_shows_reasons_next_to_the_scene(page, tmp_path):
     with Browser(tmp_path / "browser", width=1280) as opened:
         opened.open(page)

@@ -59,3 +59,13 @@ def test_poses_of_many_instants_place_points_at_once() -> None:
     points, poses = rng.normal(size=(4, 2)), rng.normal(size=(5, 3))
     expected = [place_points(points, pose) for pose in poses]
     assert place_points(points, poses).tolist() == np.array(expected).tolist()
+
+
+def test_fixed_and_led_bodies_have_names_unless_there_are_many_of_a_sort() -> None:
+    """Six crates stand in a row; the disc and the one led paddle are named."""
+    film = film_of("ramp_and_paddle", [0.0, 1e-3])
+    assert {shape.name for shape in film.shapes} == {"", "disc", "paddle"}
+    few = film_of("ramp_and_paddle", [0.0, 1e-3], n=5)
+    assert {shape.name for shape in few.shapes} == {
+        *(f"crate{k}" for k in range(5)), "disc", "paddle",
+    }  # fmt: skip

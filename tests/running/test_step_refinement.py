@@ -170,7 +170,8 @@ def test_runs_that_do_not_converge_end_with_exit_code_1(
     # The last digits of a distance, which no step settles.
     scene = tmp_path / "noise.yaml"
     scene.write_text(BLOCK.replace("{value: block.x}", "{value: sin(1e12*block.x)}"))
-    code = main(["run", str(scene), "--engine", "impulse", "--accuracy", "1e-3", "--json"])
+    arguments = ["run", str(scene), "--engine", "impulse", "--step", "0.05"]
+    code = main([*arguments, "--accuracy", "1e-3", "--json"])
     said = capsys.readouterr()
     report = json.loads(said.out)
     assert code == 1

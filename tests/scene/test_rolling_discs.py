@@ -39,7 +39,7 @@ def model(surface: str = HOLLOW, radius: str = "r") -> Any:
     ("surface", "radius", "reported"),
     [
         ("ring: {height: x**2}", "r", "write a slope as an incline or a line"),
-        ("ring: {edge: [[0, 0], [1, 0]]}", "r", "a small circle"),
+        ("ring: {edge: [[0, 0], [1, 0]]}", "r", "for each end a circle of radius 0"),
         (HOLLOW, "0", "contacts.rim.radius: must be positive, not 0"),
         (HOLLOW, "-r", "must be positive, not -0.2"),
         (HOLLOW, "1/0", "radius"),
@@ -53,6 +53,47 @@ def test_surfaces_that_a_disc_cannot_touch_are_reported(
     with pytest.raises(DeclarationError) as caught:
         statechart.run(model(surface, radius))
     assert reported in str(caught.value)
+
+
+KERB = """
+kind: scene
+name: kerb
+parameters: {r: 0.3, h: 0.08, v: 1.5}
+gravity: 9.81
+bodies: {wheel: {mass: 5, inertia: 5*r**2/2, start: {x: -1, y: r, dx: v, dangle: -v/r}}}
+surfaces: {road: {height: 0}, corner: {circle: [0, h], radius: 0}}
+contacts:
+  tread: {point: {body: wheel}, radius: r, surface: road, friction: 1, restitution: 0}
+  kerb: {point: {body: wheel}, radius: r, surface: corner, friction: inf, restitution: 0}
+stop: {time: 1, conditions: {over: wheel.x >= 0}}
+outputs:
+  t: {value: time, at: first kerb.touchdown}
+  w: {value: wheel.dangle, at: first kerb.touchdown}
+  top: {value: wheel.dangle}
+"""
+
+
+@pytest.mark.parametrize("settings", [{"engine": "taylor"}, {"engine": "scipy"}, {"step": 5e-4}])
+def test_a_wheel_climbs_a_corner_which_is_a_circle_of_radius_zero(settings: dict[str, Any]) -> None:
+    engine = {"engine": "impulse"} if "step" in settings else {}
+    found = statechart.run(interpret(read_text(KERB, "f.yaml")), **settings, **engine).outputs
+    r, h, v, g = 0.3, 0.08, 1.5, 9.81
+    # The angular momentum about the corner stays.
+    w = (v * (r - h) + r * v / 2) / (1.5 * r**2)
+    top = math.sqrt(w**2 - 2 * g * h / (1.5 * r**2))
+    close = 5e-3 if engine else 1e-11
+    assert found["t"] == pytest.approx((1 - math.sqrt(r**2 - (r - h) ** 2)) / v, rel=close)
+    assert (found["w"], found["top"]) == pytest.approx((-w, -top), rel=close)
+
+
+def test_a_point_cannot_touch_a_corner() -> None:
+    text = KERB.replace(
+        "point: {body: wheel}, radius: r, surface: corner", "point: {body: wheel}, surface: corner"
+    )
+    with pytest.raises(
+        DeclarationError, match=r"radius: must be positive, not 0; a point cannot touch a corner"
+    ):
+        interpret(read_text(text, "f.yaml"))
 
 
 def test_a_disc_that_loops_keeps_its_energy_and_its_place() -> None:

@@ -276,17 +276,16 @@ def test_a_truncated_complete_store_is_reported(
     )
 
 
-@pytest.mark.parametrize("tile", [4096, 2])
 @pytest.mark.parametrize(
-    ("model", "over"),
-    [(STICK, {"mu": [0.2, 0.4], "I_G": [0.0, 1.0]}), ("bouncing_ball_hills", LISTS)],
+    ("model", "over", "tile"),
+    [(STICK, {"mu": [0.2, 0.4], "I_G": [0.0, 1.0]}, 4096), ("bouncing_ball_hills", LISTS, 2)],
 )
 def test_a_store_that_lost_a_chunk_is_refused_with_its_name(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    tile: int,
     model: str,
     over: dict[str, list[float]],
+    tile: int,
 ) -> None:
     monkeypatch.setattr(plans, "_CHUNK", tile)
     store = tmp_path / "a.zarr"

@@ -505,7 +505,7 @@ stop: {time: 0.5}
 """
     model = interpret(read_text(text.replace("E", "0.03")))
     assert by_events(model).trace.final_mode[-1] == "four"
-    coarse, fine = by_steps(model, 1e-3), by_steps(model, 1e-6)
+    coarse, fine = by_steps(model, 1e-3), by_steps(model, 1e-5)
     assert coarse.trace.final_mode[-1] != "four"
     assert len(coarse.warnings) == 1
     assert "and are left out, but r." in coarse.warnings[0]
@@ -742,3 +742,92 @@ def test_steps_warn_of_an_instant_that_they_pass_over(
     assert not any(passes in warning for warning in trace.warnings)
     if "b.x" in relation and "**" not in relation:
         assert trace.jumps[-1].t == pytest.approx(1.25, abs=1e-9)
+
+
+# A hand closes on a point that rebounds, with a motor that is stronger than its friction.
+GRIPPED = """
+kind: scene
+name: gripped
+gravity: 9.81
+bodies: {a: {mass: 2, start: {x: 0.5, y: 0.4, dy: -1}}, b: {mass: 1, start: {y: 0.2}}}
+surfaces: {floor: {height: 0}}
+contacts: {d: {point: {body: b}, surface: floor, friction: 0.3, restitution: 0.4, impact: moreau}}
+joints: {j: {point: {body: b}, to: {body: a}, enabled: in(hand.shut), rest: captured}}
+controls: {push: 0}
+forces: {motor: {body: a, force: [push, 2*9.81 + 0.4*push]}}
+regions:
+  hand:
+    initial: open
+    states: {open: {}, shut: {sets: {push: F}}}
+    transitions: [{name: close, from: open, to: shut, on: d.touchdown}]
+stop: {time: 0.4}
+"""
+
+
+@pytest.mark.parametrize(("force", "mode"), [(1, "pin"), (4, "slide+")])
+def test_a_joint_that_closes_on_a_rebound_leaves_the_mode_that_forces_decide(
+    force: float, mode: str
+) -> None:
+    scene = interpret(read_text(GRIPPED.replace("F}", f"{force}}}")))
+    for options in ({"engine": "taylor"}, {"engine": "impulse", "step": 1e-4}):
+        jumps = statechart.run(scene, **options).trace.jumps
+        assert [(jump.region, jump.cause) for jump in jumps] == [
+            ("d", "touchdown"), ("hand", "close"), ("j", "enable"),
+        ]  # fmt: skip
+        assert jumps[-1].target[0] == mode
+
+
+@pytest.mark.parametrize("body", ["inertia: 1", "inertia: 1, shape: {disc: 0.1}"])
+@pytest.mark.parametrize("slips", [True, False])
+def test_a_brake_that_closes_on_a_small_slip_locks_in_an_event_of_its_own(
+    body: str, slips: bool
+) -> None:
+    """A wheel decays to s = exp(-10), which a brake of M = 2 stops ln(1 + 40 s/2)/40 later."""
+    text = f"""
+kind: scene
+name: braked
+gravity: 0
+bodies: {{wheel: {{mass: 1, {body}, start: {{dangle: 1}}}}}}
+{"collisions: {all: {bodies: [wheel], friction: 0, restitution: 0}}" if "shape" in body else ""}
+forces: {{drag: {{body: wheel, moment: -40*wheel.dangle}}}}
+couplings: {{brake: {{bodies: [wheel], limit: 2, enabled: time >= {0.25 if slips else 0.9}}}}}
+regions:
+  control:
+    initial: waiting
+    states: {{waiting: {{}}, heard: {{}}}}
+    transitions: [{{name: hear, from: waiting, to: heard, on: brake.lock}}]
+stop: {{time: 1}}
+"""
+    model, slip = interpret(read_text(text)), math.exp(-10.0)
+    causes = ["close", "lock", "hear"] if slips else ["close"]
+    if "shape" not in body:
+        for engine in ("taylor", "scipy"):
+            jumps = Runner(model, engine=engine, tolerance=1e-13).run().trace.jumps
+            assert [jump.cause for jump in jumps] == causes
+            for jump in jumps[1:]:
+                lock = math.log1p(40.0 * slip / 2.0) / 40.0
+                assert jump.t - 0.25 == pytest.approx(lock, rel=1e-6)
+    for step in (1e-3, H):
+        jumps = by_steps(model, step).trace.jumps
+        assert [jump.cause for jump in jumps] == causes
+        assert jumps[-1].t == pytest.approx(0.25 if slips else 0.9, abs=3.0 * step)
+
+
+@pytest.mark.parametrize("compliant", [True, False])
+def test_a_compliant_contact_lands_before_it_sticks(compliant: bool) -> None:
+    """Its force begins at zero and stops no slip at once, while an impact does."""
+    law = "stiffness: 1000, damping: 20" if compliant else "restitution: 0"
+    text = f"""
+kind: scene
+name: landing
+gravity: 9.81
+bodies: {{point: {{mass: 1, start: {{y: 0.01, dx: 1e-8}}}}}}
+surfaces: {{floor: {{height: 0}}}}
+contacts: {{tip: {{point: {{body: point}}, surface: floor, friction: 0.5, {law}}}}}
+stop: {{time: 0.05}}
+"""
+    model = interpret(read_text(text))
+    causes = ["touchdown", "stick"] if compliant else ["touchdown"]
+    for result in (Runner(model, engine="taylor").run(), by_steps(model, 1e-3)):
+        assert [jump.cause for jump in result.trace.jumps] == causes
+        assert result.trace.jumps[-1].t == pytest.approx(math.sqrt(0.02 / 9.81), abs=3e-3)

@@ -250,3 +250,22 @@ settings: {{engine: impulse, step: 1e-3}}
         if warned
         else ()
     )
+
+
+@pytest.mark.parametrize(("drag", "warned"), [("100*wheel.dangle", True), ("1", False)])
+def test_a_lock_with_its_couple_at_the_limit_gives_a_warning(drag: str, warned: bool) -> None:
+    """A moment balances a brake but for the drag: the slip is exp(-100 t), to its round-off."""
+    text = f"""
+kind: scene
+name: creeping
+gravity: 0
+bodies: {{wheel: {{mass: 1, inertia: 1, start: {{dangle: 1}}}}}}
+couplings: {{brake: {{bodies: [wheel], limit: 5}}}}
+forces: {{push: {{body: wheel, moment: "5 - {drag}"}}}}
+stop: {{time: 3}}
+settings: {{engine: impulse, step: 1e-3}}
+"""
+    result = Runner(interpret(read_text(text))).run()
+    assert [jump.cause for jump in result.trace.jumps] == ["lock"]
+    words = "brake comes to rest with its friction at the bound: it sticks, and might slip on"
+    assert result.warnings == ((words,) if warned else ())
