@@ -14,7 +14,6 @@ from contacts.solvers.saddle_point import (
     SINGULAR,
     SOLVED,
     UNDETERMINED,
-    largest_size,
     saddle_workspace,
     solve_in,
 )
@@ -258,9 +257,9 @@ def solve_modes(
                             columns[m, i] += by * jacobians[r, 1, i]
                 m += 1
         rank, first, bearing = m, in_order, in_order
-        # The row of a brake is zero where joints hold what it moves.
-        braked = m == 1 and code[owners[0]] == LOCKED and largest_size(rows[0]) == 0.0
-        if m > 1 or braked:
+        # The row of one contact is zero where joints hold it closed: then only `FREE` is a mode, the
+        # joints bear all. A brake has no mode without its row: locked it is redundant.
+        if m > 1 or (m == 1 and code[owners[0]] == LOCKED):
             rank, row_order, _ = independent_rows(rows[:m])
             force_rank, order, _ = independent_rows(columns[:m])
             if rank != force_rank:
