@@ -4,9 +4,8 @@ The suite runs the first, for reproducible results; the second is for developers
 (``pytest --hypothesis-profile=explore``).
 
 Collected tests live to the end, so they are excluded from garbage collection, which would take a
-fifth of the collection time. As in the command line, matrices are multiplied by one thread, which
-two workers on two cores would otherwise double, and the collector runs more rarely: compiled models
-are permanent, too.
+fifth of the collection time. Each process has one BLAS thread, and collects more rarely, as the
+command line does: compiled models are permanent, too.
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ from hypothesis import settings
 
 EXPLORED = 1000
 
-# Objects that are made between two collections of garbage.
-COLLECTED_AFTER = 50_000
+# New objects after which garbage is collected.
+GC_THRESHOLD = 50_000
 
 # Workers inherit it; libraries read it when they are imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -59,5 +58,5 @@ def pytest_collection() -> Generator[None, object, object]:
         return (yield)
     finally:
         gc.freeze()
-        gc.set_threshold(COLLECTED_AFTER)
+        gc.set_threshold(GC_THRESHOLD)
         gc.enable()

@@ -77,12 +77,13 @@ def friction_cones(
         # A contact without the mode slide has an unlimited friction force.
         smooth = name in scene.contacts and scene.contacts[name].frictionless
         edge = (sp.S.One, sp.S.Zero) if smooth else (sp.S.Zero, sp.S.One)
-        return FrictionSymbols(dict.fromkeys((0, 1, -1), edge))
+        at_rest = sp.S.Zero if smooth else sp.oo
+        return FrictionSymbols(dict.fromkeys((0, 1, -1), edge), {}, at_rest)
     at_rest = coefficients["cone_n"], coefficients["cone_t"]
     law = scene.friction_of(name)
     assert law is not None
     if not law.splits:
-        return FrictionSymbols(dict.fromkeys((0, 1, -1), at_rest), at_rest=coefficients["friction"])
+        return FrictionSymbols(dict.fromkeys((0, 1, -1), at_rest), {}, coefficients["friction"])
     used = sp.Symbol(f"{name}.friction", real=True)
     edges, values = {0: at_rest}, {0: {used: coefficients["static"]}}
     for direction in (1, -1):

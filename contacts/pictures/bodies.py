@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
@@ -58,11 +58,11 @@ class BodyShapes:
         shapes_found: list[Shape] = []
         regions = {name: k for k, name in enumerate(self._scene.bodies)}
         prescribed = [body.fixed for body in self._scene.bodies.values() if body.prescribed]
+        many = {fixed for fixed, number in Counter(prescribed).items() if number > _NAMED}
         for name, body in self._scene.bodies.items():
             if body.shape:
                 region = regions[name] if self._scene.collisions and not body.prescribed else -1
-                many = body.prescribed and prescribed.count(body.fixed) > _NAMED
-                shown = "" if many else name
+                shown = "" if body.prescribed and body.fixed in many else name
                 shapes_found += [self._shape(name, part, region, shown) for part in body.shape]
             elif name in fixed:
                 points = self._points(name, idle) or self._points(name, frozenset())

@@ -265,9 +265,12 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
     for name, surface in scene.surfaces.items():
         if surface.radius is not None:
             discs = [own.radius for own in scene.contacts.values() if own.surface == name]
-            corner = discs and None not in discs and not surface.hollow
-            bounds = (0.0, _MAX_NUMBER) if corner else _POSITIVE
-            yield Limit(("surfaces", name, "radius"), surface.radius, *bounds)
+            bounds, advice = _POSITIVE, ""
+            if discs and not surface.hollow:
+                advice = "a point cannot touch a corner (radius 0), a contact with a radius can"
+                if None not in discs:
+                    bounds, advice = (0.0, _MAX_NUMBER, "must be zero or positive, not {:g}"), ""
+            yield Limit(("surfaces", name, "radius"), surface.radius, *bounds, advice)
         if surface.incline is not None:
             yield Limit(("surfaces", name, "incline"), surface.incline, *_INCLINES)
     for name, contact in scene.contacts.items():

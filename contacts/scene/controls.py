@@ -249,7 +249,7 @@ class Controls:
                 name,
                 variables=region.variables,
                 known=known,
-                further=self.declared,
+                controls=self.declared,
                 of=f" of region {name!r}",
             )
 

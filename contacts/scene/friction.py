@@ -39,8 +39,8 @@ class Friction(Part):
         "Coefficient at rest: a pin holds up to static times V.", "mu_s", unit="1"
     )
     kinetic: FormulaText = declare(
-        "Coefficient in motion, at most static at rest; a formula of the contact's slip too, "
-        "smooth on each side of 0.",
+        "Coefficient in motion, at most static at rest; a formula of the contact's slip too, such "
+        "as 0.2 + 0.2*exp(-abs(slip)/0.1), smooth on each side of 0.",
         "mu_k",
         unit="1",
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
@@ -31,8 +30,8 @@ class FrictionSymbols(NamedTuple):
     # a coefficient: (1, 0) frictionless, (0, 1) without slide
     edges: Mapping[int, tuple[sp.Expr, sp.Expr]]
     # The coefficient that a mode uses, and its values; empty if they are equal
-    used: Mapping[int, Mapping[sp.Symbol, sp.Expr]] = MappingProxyType({})
-    at_rest: sp.Expr | int = 0  # The coefficient at rest
+    used: Mapping[int, Mapping[sp.Symbol, sp.Expr]]
+    at_rest: sp.Expr  # The coefficient at rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,10 +153,14 @@ class Pin(Part):
         margins = [Margin(f"{name}.{_LOAD}", contact.V, "force")]
         if n != 0:
             kind: MarginKind = "hold" if contact.friction.used else "force"
-            limit = contact.friction.at_rest * contact.V
+            mu = contact.friction.at_rest
             for side, H in ((_UPPER, contact.H), (_LOWER, -contact.H)):
                 distance = t * contact.V - n * H
-                margins.append(Margin(f"{name}.{side}", distance, kind, shown=limit - H))
+                margins.append(
+                    Margin(
+                        f"{name}.{side}", distance, kind, shown=mu * contact.V - H, coefficient=mu
+                    )
+                )
         equations = (contact.normal_law, contact.tangential_acceleration)
         holds = () if contact.compliance is not None else (contact.sticking,)
         values = contact.friction.used.get(0, {})

@@ -14,8 +14,12 @@ from contacts.states import OFF, OFF_CODE, OPEN_CODE
 from statechart.arrays import Bools, Ints
 from statechart.execution.outcome import TWO_BOUNDS
 
-# Visits of one step, without a longer one to the same state, from which a region chatters.
+# Visits of one step, without a longer one to the same state, from which a region chatters. A
+# decaying oscillation passes a boundary a few times; chatter goes on to the end of the run.
 _VISITS = 8
+# Steps of a stay from which the region follows a motion that the steps resolve, below 0.2 rad a
+# step: a cam closes a switch for one step in each turn.
+_RESOLVED = 32
 
 
 class Chatter:
@@ -31,8 +35,8 @@ class Chatter:
         self._off = _inactive(start[self._places])
         self._steps = 0
         self._last: dict[str, tuple[int, str]] = {}
-        # Region and state -> number of visits, and time of the first.
-        self._visits: dict[tuple[str, str], tuple[int, float]] = {}
+        # Region -> state -> number of visits, and time of the first.
+        self._visits: dict[str, dict[str, tuple[int, float]]] = {}
         self._since: dict[str, float] = {}
 
     def add(self, codes: Ints, start: float, h: float) -> None:
@@ -55,12 +59,14 @@ class Chatter:
         self._last[region] = step, source
         if step == entered:
             return
-        visit = region, source
+        visits = self._visits.setdefault(region, {})
+        if step - entered >= _RESOLVED:
+            visits.clear()
         if target != before or step - entered > 1:
-            self._visits.pop(visit, None)
+            visits.pop(source, None)
             return
-        count, first = self._visits.get(visit, (0, time))
-        self._visits[visit] = count + 1, first
+        count, first = visits.get(source, (0, time))
+        visits[source] = count + 1, first
         if count + 1 == _VISITS:
             self._since.setdefault(region, first)
 
@@ -73,7 +79,7 @@ class Chatter:
         """A warning for each region that chatters."""
         return tuple(
             f"{region} returns to its last state after one step, again and again from "
-            f"t = {since:.6g} on; {TWO_BOUNDS}"
+            f"t = {since:.6g} on; write a shorter step or, {TWO_BOUNDS}"
             for region, since in self._since.items()
         )
 

@@ -7,7 +7,6 @@ choice.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
@@ -39,14 +38,17 @@ class Margin:
     whole: sp.Expr | None = None  # margin of that relation; None if it depends on states
     # Quantity that the name stands for, if the expression is a multiple of it; reports show it
     shown: sp.Expr | None = None
+    # Coefficient in that quantity, which is left out of reports where this is infinite
+    coefficient: sp.Expr | None = None
 
     def replaced(self, values: Mapping[sp.Symbol, sp.Expr]) -> Margin:
         """Return the margin with values substituted for symbols."""
-        expression, whole_margin, shown = (
-            None if one is None else one.xreplace(values)
-            for one in (self.expression, self.whole, self.shown)
-        )
-        return replace(self, expression=expression, whole=whole_margin, shown=shown)
+        expressions = {
+            name: one.xreplace(values)
+            for name in ("expression", "whole", "shown", "coefficient")
+            if (one := getattr(self, name)) is not None
+        }
+        return replace(self, **expressions)
 
 
 def whole_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
@@ -73,9 +75,11 @@ def shown_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
     )
 
 
-def is_shown(margin: Margin, value: float) -> bool:
-    """Return whether reports show a value of a margin: the limit of infinite friction is not."""
-    return margin.shown is None or math.isfinite(value)
+def coefficients_of(margins: Sequence[Margin]) -> tuple[sp.Expr, ...]:
+    """Return the coefficients in margins; zero where there is none."""
+    import sympy as sp
+
+    return tuple(sp.S.Zero if m.coefficient is None else m.coefficient for m in margins)
 
 
 def margins_of(

@@ -268,12 +268,12 @@ def check_changes(
     *loc: str | int,
     variables: Collection[str],
     known: Collection[str],
-    further: Collection[str] = (),
+    controls: Collection[str] = (),
     of: str = "",
 ) -> None:
     """Check that updates and flows change declared `variables` by formulas over `known`.
 
-    Flows may use `further` names; `of` names the owner of the variables in messages. Raises
+    Flows may use `controls`; `of` names the owner of the variables in messages. Raises
     `DeclarationProblem`.
     """
     changes: list[tuple[Mapping[str, fields.FiniteText], Loc]] = []
@@ -282,19 +282,22 @@ def check_changes(
             changes += [(getattr(state, key), (*at, key)) for key in ("flows", "entry", "exit")]
     for transition, at in declared_transitions(holder, *loc):
         changes.append((transition.updates, (*at, "updates")))
+    unset = "nothing sets parameters or time"
+    if of:
+        unset = "updates and flows change variables of their own region alone"
     for texts, at in changes:
         for variable, text in texts.items():
             if variable not in variables:
                 rate = re.sub(r"^d(er\()?|[_.]?dot$|['()]", "", variable)
                 if at[-1] == "flows" and rate in variables:
                     advice = f"write {rate}: a flow is its rate"
-                elif of and variable in {*known, *further}:
+                elif variable in controls:
                     advice = (
                         "updates and flows change variables of their region; a state sets a "
                         f"control, sets: {{{variable}: 1}}"
                     )
-                elif variable in {*known, *further}:
-                    advice = "nothing sets parameters or time; declare a variable of another name"
+                elif variable in known:
+                    advice = f"{unset}; declare a variable of another name"
                 else:
                     advice = undeclared(variable, variables)
                 raise DeclarationProblem(
@@ -303,7 +306,7 @@ def check_changes(
                     loc=(*at, variable),
                     key=True,
                 )
-            names = {*known, *further} if at[-1] == "flows" else known
+            names = {*known, *controls} if at[-1] == "flows" else known
             fields.check_names(parse(text), names, *at, variable)
 
 

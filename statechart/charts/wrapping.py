@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import Any, NamedTuple, TypeVar
 
 from pydantic import BaseModel
@@ -168,29 +168,33 @@ def check_wrapping(
                     offset=call.offset,
                 )
         if loc[0] not in _NOT_WRAPPED and isinstance(text, str):
-            _check_spans(text, loc, values)
+            _check_bound(text, loc)
 
 
-def _check_spans(text: str, loc: Loc, values: Mapping[str, float]) -> None:
-    """Check that a comparison of `mod` with a fixed bound holds for a span of time.
+def _check_bound(text: str, loc: Loc) -> None:
+    """Check a relation of one comparison, of `mod` with a number or with its period.
 
-    A bound of other parameters than the period may leave no span: ``mod(time, T) < duty*T``.
+    Parameters may change before a run, and other comparisons may hold for a span of time.
     """
-    wraps = {f"mod.at{wrap.call.offset}": wrap for wrap in periodic_calls(text)}
-    shown = text
-    for name, wrap in reversed(wraps.items()):
-        shown = shown[: wrap.call.offset] + name + shown[wrap.call.marks[-1] + 1 :]
+    wraps = {wrap.call.offset: wrap for wrap in periodic_calls(text)}
     try:
-        comparisons = parse_relation(shown).inequalities if wraps else ()
+        one = parse_relation(text).root if wraps else None
     except FormulaError:  # A formula, not a relation.
         return
-    for one, (own, wrap) in product(comparisons, wraps.items()):
-        names = one.left.names | one.right.names
-        if wrap.call.function != "mod" or own not in names:
+    if not isinstance(one, Comparison) or one.operator in ("==", "!="):
+        return
+    below = one.operator in ("<", "<=")
+    for side, bound, capped in ((one.left, one.right, below), (one.right, one.left, not below)):
+        wrap = wraps.get(side.root.offset) if isinstance(side.root, Call) else None
+        if wrap is None or wrap.call.function != "mod":
             continue
-        period = value_of(wrap.period, values, *loc)
-        fixed = names - {own} <= parse(wrap.period).names
-        if fixed and not _holds_between(one, own, period, values):
+        period = parse(wrap.period)
+        if capped:
+            missed = not bound.names and bound.value({}) <= 0.0
+        else:
+            numbers = not bound.names and not period.names
+            missed = bound.root == period.root or (numbers and bound.value({}) >= period.value({}))
+        if missed:
             call = text[wrap.call.offset : wrap.call.marks[-1] + 1]
             regular = f", or a transition with every: {wrap.period}" if wrap.value == TIME else ""
             raise DeclarationProblem(
@@ -200,21 +204,6 @@ def _check_spans(text: str, loc: Loc, values: Mapping[str, float]) -> None:
                 loc=loc,
                 offset=wrap.call.offset,
             )
-
-
-def _holds_between(one: Comparison, name: str, period: float, values: Mapping[str, float]) -> bool:
-    """Return whether a comparison holds for a span of values of `name` from 0 to `period`.
-
-    True, too, where it is not linear.
-    """
-    sides = (one.left, one.right) if one.operator in ("<", "<=") else (one.right, one.left)
-    first, middle, last = (
-        sides[0].value({**values, name: part * period})
-        - sides[1].value({**values, name: part * period})
-        for part in (0.0, 0.5, 1.0)
-    )
-    straight = abs(first - 2.0 * middle + last) <= 1e-12 * max(abs(first), abs(last))
-    return not straight or min(first, last) < 0.0 or (first == last == 0.0 and not one.strict)
 
 
 def _check(document: Declaration, wrap: Wrap, loc: Loc, values: Mapping[str, float]) -> None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _DONE, _FAILED, _WRONG = 0, 1, 2
 
 # Objects that are made between two looks for garbage; Python's 700 are too few for so many.
-_COLLECTED_AFTER = 200_000
+_GC_THRESHOLD = 200_000
 
 # Defaults for libraries. Threads take longer to start than products of our small matrices take,
 # pydantic searches every installed package for plugins, and our integers are too small to gain by
@@ -45,7 +45,7 @@ def program() -> int:
         # Imports and the compilation of a model make a million permanent objects; collecting
         # garbage among them takes a tenth of a start. `verbs` enables the collector.
         gc.disable()
-        gc.set_threshold(_COLLECTED_AFTER)
+        gc.set_threshold(_GC_THRESHOLD)
         code = main()
         # At exit the interpreter looks for garbage among them again, which takes 0.2 s.
         gc.freeze()

@@ -59,12 +59,12 @@ YAML_HINTS: Mapping[str, str] = {
     "expected the node content, but found ','": "there is a comma too many",
     "could not find expected ':'": "write key: value",
     "expected '<document start>'": "one model a file; what belongs to it stands in one mapping",
-    "expected ',' or '}'": "close the {, and put commas between",
-    "expected ',' or ']'": "close the [, and put commas between",
+    "expected ',' or '}'": "close the {{{line}, and put commas between",
+    "expected ',' or ']'": "close the [{line}, and put commas between",
     "expected <block end>": "indent keys of one mapping alike",
     "found unexpected end of stream": "close the quote that opens here",
 }
-"""Words of a YAML error message -> advice."""
+"""Words of a YAML error message -> advice; `line` names another line, on which a bracket opens."""
 
 
 OTHER_VALUES: Mapping[str, str] = {

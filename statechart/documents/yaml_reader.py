@@ -108,8 +108,8 @@ class _Builder:
             message = " ".join(str(error.problem or error.context).split())
             place = self._at(mark.line, mark.column) if mark else self._at(0, 0)
             advice = next((hint for words, hint in YAML_HINTS.items() if words in message), "")
-            if opened and mark and opened.line < mark.line:
-                advice = re.sub(r"(?<=close the .),", f" of line {opened.line + 1},", advice)
+            above = opened and mark and opened.line < mark.line
+            advice = advice.format(line=f" of line {opened.line + 1}" if above else "")
             if closing := re.match(r"expected <block end>, but (?:got|found) '([\]}])'", message):
                 message, advice = f"this {closing[1]} closes nothing", "remove it"
             elif message.startswith("expected <block end>"):

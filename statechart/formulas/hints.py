@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Mapping
 
 from statechart.errors import close_matches
 
+_TOGETHER = "digits of a number stand together: 10000, or 1e4"
 _CHARACTERS: Mapping[str, str] = {
     **dict.fromkeys("²³⁴", "write a power as **"),
     **dict.fromkeys("\u00b7\u00d7\u2219\u22c5", "write a product as *"),
@@ -28,8 +29,8 @@ _CHARACTERS: Mapping[str, str] = {
     "||": "where one is enough, write `or`",
     "!": "write `not`",
     "~": "write `not`, or != between counts",
-    "'": "write the rate of x as dx, and a number without marks between its digits: 10000",
-    "_": "digits of a number stand together: 10000, or 1e4",
+    "'": f"write the rate of x as dx; {_TOGETHER}",
+    "_": _TOGETHER,
     **dict.fromkeys("\u201c\u201d\u201e\u2018\u2019\u00ab\u00bb", "a number needs no quotes"),
 }
 _GREEK = ("GREEK SMALL LETTER ", "GREEK CAPITAL LETTER ", "MICRO SIGN")

@@ -111,11 +111,6 @@ class Relation:
         return tuple(term for term in _terms(self.root) if isinstance(term, Comparison))
 
     @cached_property
-    def inequalities(self) -> tuple[Comparison, ...]:
-        """The comparisons of its negation normal form."""
-        return tuple(term for term in _terms(_normal(self.root)) if isinstance(term, Comparison))
-
-    @cached_property
     def members(self) -> tuple[InState, ...]:
         """Its terms `in(REGION.STATE)`, from left to right."""
         return tuple(term for term in _terms(self.root) if isinstance(term, InState))

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import decimals
-from statechart.automaton.regions import Margin, Mode, is_shown, shown_margins
+from statechart.automaton.regions import Mode, coefficients_of, shown_margins
 from statechart.automaton.trace import Jump, Key, Role, Roles, Trace
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
@@ -138,27 +138,35 @@ class Observer:
             roles = () if stepped else sampling.roles_at(trace, jump.j, jump.source, ends=True)
             remaining.setdefault((jump.source, roles), []).append(place)
         for flow, places in remaining.items():
-            margins, rows = self._margins_before_jumps(
+            names, rows = self._margins_before_jumps(
                 trace, *flow, [jumps[place] for place in places]
             )
-            for place, row in zip(places, rows.tolist(), strict=True):
-                values = zip(margins, row, strict=True)
-                tables[place] = {m.name: v for m, v in values if is_shown(m, v)}
+            for place, row in zip(places, rows, strict=True):
+                values, coefficients = np.split(row, 2)
+                limited = ~np.isinf(coefficients)
+                pairs = zip(names, values.tolist(), limited, strict=True)
+                tables[place] = {name: value for name, value, shown in pairs if shown}
         return tables
 
     def _margins_before_jumps(
         self, trace: Trace, key: Key, roles: Roles, jumps: Sequence[Jump]
-    ) -> tuple[tuple[Margin, ...], Array]:
-        """Return the margins of a flow, and their values before the jumps that ended it."""
+    ) -> tuple[tuple[str, ...], Array]:
+        """Return names of a flow's margins, and rows before the jumps that ended it.
+
+        A row has the values of the margins, then their coefficients.
+        """
         if trace.step is not None:  # time stepping builds no modes
             states = zip(self.automaton.recorded_regions(key), key, strict=True)
             margins = shown_margins(m for r, state in states for m in r.build(Role(state)).margins)
-            return margins, self.at(trace, [m.expression for m in margins], jumps, before=True)
+            expressions = *(m.expression for m in margins), *coefficients_of(margins)
+            names = tuple(m.name for m in margins)
+            return names, self.at(trace, expressions, jumps, before=True)
         mode = self.modes_of(trace)(roles)
         margins = () if mode is None else shown_margins(mode.margins)
         points = self._instants(trace, [sampling.side_of(jump, True) for jump in jumps])
-        tape = self.programs.tape(tuple(m.expression for m in margins), mode)
-        return margins, tape.table(points.states, trace.values, points.times)
+        expressions = *(m.expression for m in margins), *coefficients_of(margins)
+        tape = self.programs.tape(expressions, mode)
+        return tuple(m.name for m in margins), tape.table(points.states, trace.values, points.times)
 
     def _table(
         self, trace: Trace, expressions: tuple[sp.Expr, ...], points: sampling.Points

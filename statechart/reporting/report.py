@@ -17,7 +17,7 @@ import sympy as sp
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD, moving_mode
-from statechart.automaton.regions import Invariant, is_shown, shown_margins
+from statechart.automaton.regions import Invariant, coefficients_of, shown_margins
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
@@ -180,10 +180,13 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
     for (roles, _), arcs in flows.items():
         compiled = simulator.modes.compiled(roles, trace.zeros)
         shown = shown_margins(compiled.mode.margins)
-        tape = observer.programs.tape(tuple(m.expression for m in shown), compiled.mode)
-        found = lowest(tape, arcs, trace.values)
-        for margin, value in zip(shown, found.tolist(), strict=True):
-            if not is_shown(margin, value):
+        expressions = *(m.expression for m in shown), *coefficients_of(shown)
+        tape = observer.programs.tape(expressions, compiled.mode)
+        found, coefficients = np.split(lowest(tape, arcs, trace.values), 2)
+        for margin, value, coefficient in zip(
+            shown, found.tolist(), coefficients.tolist(), strict=True
+        ):
+            if math.isinf(coefficient):
                 continue
             before = least.get(margin.name, math.inf)
             # NaN compares false and persists.

@@ -384,17 +384,42 @@ outputs: {on: {value: time, at: each r.on}}
         "mod(time, 1) >= 1",
         "mod(time, T) >= T",
         "mod(time, T) < 0",
-        "not mod(time, T) > 0",
-        "2*T <= T - mod(time, T) or r.x",
-        "1 - mod(time, 1) >= 1 and time >= 2",
-        "mod(time, T) == 0",
-        "mod(time + 0.5, T) <= 0",
+        "1/2 <= mod(time, 1/4)",
+        "0 >= (mod(time + 0.5, T))",
     ],
 )
 def test_comparisons_that_a_mod_fulfils_for_instants_only_are_refused(guard: str) -> None:
-    text = PULSES.replace("GUARD", guard.replace(" or r.x", " or in(r.b)"))
+    text = PULSES.replace("GUARD", guard)
     with pytest.raises(DeclarationError, match="the comparison holds for no span of time"):
         interpret(read_text(text))
+
+
+@pytest.mark.parametrize("guard", ["mod(time, T) != 0", "not mod(time, T) == 0"])
+def test_equality_of_a_mod_is_refused_as_of_any_changing_value(guard: str) -> None:
+    with pytest.raises(DeclarationError, match=r"compares .*, which changes between events"):
+        interpret(read_text(PULSES.replace("GUARD", guard)))
+
+
+def test_bounds_of_parameters_are_accepted_as_they_may_change_before_a_run() -> None:
+    chart = interpret(read_text(PULSES.replace("GUARD", "mod(time, T) <= T - 1")))
+    halves = run(chart, parameters={"T": 1.5}).outputs["on"]
+    assert halves == pytest.approx([0.0, 1.5, 3.0], abs=1e-12)
+
+
+@pytest.mark.parametrize("enabled", ["WINDOW", "not (PHASE >= 0.1 and PHASE < 0.5)"])
+def test_a_brake_is_enabled_outside_a_window_of_each_period(enabled: str) -> None:
+    enabled = enabled.replace("WINDOW", "PHASE <= 0 or PHASE >= 0.5 or PHASE < 0.1")
+    text = f"""
+kind: scene
+name: n
+bodies: {{w: {{mass: 1, inertia: 1, start: {{dangle: 9}}}}}}
+joints: {{axle: {{point: {{body: w}}, to: [0, 0]}}}}
+couplings: {{b: {{bodies: [w], limit: 2, enabled: '{enabled.replace("PHASE", "mod(time, 1)")}'}}}}
+stop: {{time: 2}}
+"""
+    final = run(interpret(read_text(text))).trace
+    rate = final.final[final.variables.index("w.dangle")]
+    assert rate == pytest.approx(9 - 2 * 2 * 0.6, abs=1e-12)
 
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
@@ -404,6 +429,7 @@ def test_comparisons_that_a_mod_fulfils_for_instants_only_are_refused(guard: str
         ("mod(time, T) <= 0.1", 0.0),
         ("mod(time, T) < duty*T", 0.0),
         ("T <= 4*mod(time, T) and mod(time, T) < 0.5", 0.25),
+        ("mod(time, T) <= 0 or mod(time, T) < 0.1", 0.0),
     ],
 )
 def test_comparisons_that_a_mod_fulfils_for_a_span_fire_in_every_period(

@@ -92,6 +92,16 @@ MISTAKES = {
         "[{name: t, from: a, every: 1, updates: {u: 1}}]}}\nstop: {",
         "a state sets a control, sets: {u: 1}",
     ),
+    "an update of a parameter": (
+        "stop: {", "regions: {r: {initial: a, states: {a: {}}, transitions: "
+        "[{name: t, from: a, every: 1, updates: {g: 1}}]}}\nstop: {",
+        "change variables of their own region alone; declare a variable of another name",
+    ),
+    "an update of a coordinate": (
+        "stop: {", "regions: {r: {initial: a, states: {a: {}}, transitions: "
+        "[{name: t, from: a, every: 1, updates: {rod.x: 1}}]}}\nstop: {",
+        "change variables of their own region alone; declare a variable of another name",
+    ),
     "an extreme at an event": ("outputs:", "outputs:\n  most: {maximum: rod.y, at: end}",
                                "an extreme is over the whole run"),
     "a formula of a control": ("stop: {", "controls: {u: rod.y}\nstop: {", "else write its form"),
@@ -226,7 +236,7 @@ MISTAKES = {
     "sign at the end": ("m*L**2/3", "m*L*", "7:31: bodies.rod.inertia: formula 'm*L*': the formula "
                         "ends early; write what follows the last sign"),
     "two points": ("g: 9.81", "g: 9.8.1", "'9.8' runs into '.'; a number has one point: 1.5"),
-    "digits in groups by a sign": ("g: 9.81", "g: 9'810", "without marks between its digits"),
+    "digits in groups by a sign": ("g: 9.81", "g: 9'810", "write the rate of x as dx; digits"),
     "prime of a rate": ("g: 9.81", "g: x'", "write the rate of x as dx"),
     "restitution of an engine of games": (
         "restitution: e", "bounce: 0.5", "unknown key 'bounce'; write restitution"

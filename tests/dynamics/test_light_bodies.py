@@ -77,4 +77,7 @@ def test_a_body_that_starts_at_rest_on_a_perfectly_elastic_surface_is_named(
     found = _pulled(text.replace("0.4, restitution: 0}", "0.4, restitution: 1}", 1), 1e-6)
     assert any("'light'" in warning for warning in found.warnings) == named
     if named:
-        assert found.outputs["slip"] != pytest.approx(1.0, abs=1e-6)
+        # The bound of friction is 4 m, the pull 4 m t: the warning gives the delay.
+        (warning,) = (each for each in found.warnings if "'light'" in each)
+        share = float(warning.split("by up to ")[1].split(" of its weight")[0])
+        assert found.outputs["slip"] - 1.0 == pytest.approx(10.0 * share / 4.0, rel=0.1)

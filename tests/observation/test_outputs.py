@@ -2,9 +2,11 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from contacts.kind import automaton
 from contacts.scene.scene import Scene
@@ -15,6 +17,7 @@ from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs, extremes, outputs_of
+from statechart.reporting import report as reporting
 from statechart.reporting.report import Computation, report
 from statechart.running.runner import Runner
 
@@ -254,6 +257,26 @@ def test_margins_of_forces_are_forces_with_events_and_by_steps() -> None:
     rough = runner.run({"mu": math.inf}).to_dict()["margins"]
     assert rough["base.V"] == pytest.approx(16.0)
     assert not any("mu V" in name for name in rough)
+
+
+def test_margins_without_a_value_are_reported(
+    stick: Observer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Infinite friction alone leaves out a margin, not a value that is nan."""
+    trace = run(stick)
+    lowest = reporting.lowest
+
+    def without_values(*arguments: Any) -> NDArray[np.float64]:
+        found = lowest(*arguments)
+        found[: len(found) // 2] = math.nan
+        return found
+
+    before = set(reporting.margins(stick, trace))
+    monkeypatch.setattr(reporting, "lowest", without_values)
+    found = reporting.margins(stick, trace)
+    assert "tip.mu V - H" in before
+    assert set(found) == before
+    assert all(map(math.isnan, found.values()))
 
 
 def test_output_scale_is_the_running_maximum() -> None:

@@ -86,6 +86,16 @@ def test_a_wheel_climbs_a_corner_which_is_a_circle_of_radius_zero(settings: dict
     assert (found["w"], found["top"]) == pytest.approx((-w, -top), rel=close)
 
 
+def test_a_point_cannot_touch_a_corner() -> None:
+    text = KERB.replace(
+        "point: {body: wheel}, radius: r, surface: corner", "point: {body: wheel}, surface: corner"
+    )
+    with pytest.raises(
+        DeclarationError, match=r"radius: must be positive, not 0; a point cannot touch a corner"
+    ):
+        interpret(read_text(text, "f.yaml"))
+
+
 def test_a_disc_that_loops_keeps_its_energy_and_its_place() -> None:
     found = statechart.run(model(), tolerance=2.2e-16)
     trace = found.trace

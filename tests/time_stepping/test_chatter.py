@@ -62,6 +62,9 @@ def test_a_relay_without_a_band_gives_a_warning_by_steps() -> None:
     assert [w for w in stepped.warnings if w.startswith("r returns") and ADVICE in w]
     banded = text.replace("p.dx >= 0", "p.dx >= 0.01")
     assert not statechart.run(interpret(read_text(banded)), engine="impulse", step=1e-3).warnings
+    # In a step of 0.02 the rate crosses both bounds.
+    (warning,) = statechart.run(interpret(read_text(banded)), engine="impulse", step=0.02).warnings
+    assert "write a shorter step or, if it switches what decides it, give it two" in warning
 
 
 @pytest.mark.parametrize(
@@ -72,3 +75,15 @@ def test_pulses_of_one_step_and_lasting_brakes_give_none(enabled: str) -> None:
     run = statechart.run(wheel(limit, enabled), engine="impulse", step=1e-3)
     assert not run.warnings
     assert "b close" in {f"{jump.region} {jump.cause}" for jump in run.trace.jumps}
+
+
+@pytest.mark.parametrize("limit", [1e-6, 20])
+def test_a_cam_that_closes_a_switch_for_one_step_in_each_turn_gives_none(limit: float) -> None:
+    # At 100 rad/s a turn takes 63 steps, and the cam is 0.98 steps wide.
+    scene = wheel(limit, "cos(w.angle) >= 0.9988")
+    start = Body(mass=1, inertia=1, start={"angle": 1, "dangle": 100})
+    scene = scene.model_copy(update={"bodies": {"w": start}})
+    stepped = statechart.run(scene, engine="impulse", step=1e-3, until=0.9)
+    closings = [jump.t for jump in stepped.trace.jumps if jump.cause == "close"]
+    assert 12 <= len(closings) <= 15
+    assert not stepped.warnings
