@@ -257,8 +257,8 @@ def solve_modes(
                             columns[m, i] += by * jacobians[r, 1, i]
                 m += 1
         rank, first, bearing = m, in_order, in_order
-        # The row of one contact is zero where joints hold it closed: then only `FREE` is a mode, the
-        # joints bear all. A brake has no mode without its row: locked it is redundant.
+        # The row of a contact is zero where joints hold it closed: only `FREE` is a mode then, and
+        # joints bear all. A locked brake whose row is zero is redundant.
         if m > 1 or (m == 1 and code[owners[0]] == LOCKED):
             rank, row_order, _ = independent_rows(rows[:m])
             force_rank, order, _ = independent_rows(columns[:m])
