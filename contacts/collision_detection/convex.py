@@ -36,9 +36,13 @@ _SAME_LENGTH = 1e-9
 _SAME_DIRECTION = 1e-3
 # Cosine between opposite normals above which only the ends of an edge touch.
 _FACING = 0.1
-# Difference of equal gaps, relative to that distance, and distance of corners that meet, relative
-# to the smaller reach: far above round-off.
+# Difference of equal gaps, relative to that distance: far above round-off.
 _EVEN = 1e-6
+# Distance of corners that meet, and of faces that end side by side, relative to the smaller reach:
+# far above round-off.
+_MEETING = 1e-6
+# Features of contact points are numbers of two corners or edges, of polygons with fewer corners.
+_MOST_CORNERS = 64
 
 
 @kernel
@@ -154,9 +158,15 @@ def _clip_edges(
         if gap <= within:
             sign = -1.0 if flip else 1.0
             write_contact(manifold[count], -sign * nx, -sign * ny, x, y, gap)
-            features[count] = 6 * (64 * edge + facing) + 2 * which + (1 if flip else 0)
+            features[count] = 6 * (_MOST_CORNERS * edge + facing) + 2 * which + (1 if flip else 0)
             count += 1
     return count
+
+
+@kernel
+def _feature_of_corners(a: int, b: int) -> int:
+    """Return the feature of two corners: negative, as those of edges are not."""
+    return -1 - (_MOST_CORNERS * a + b)
 
 
 @kernel
@@ -174,7 +184,7 @@ def _nearest_corners(
         return 0
     nx, ny = (one[a, 0] - other[b, 0]) / best, (one[a, 1] - other[b, 1]) / best
     write_contact(manifold[0], nx, ny, other[b, 0], other[b, 1], best)
-    features[0] = -1 - (64 * a + b)
+    features[0] = _feature_of_corners(a, b)
     return 1
 
 
@@ -207,9 +217,9 @@ def _meeting_corners(
         for k in (edge_of_other, (edge_of_other + 1) % len(other)):
             x, y = one[i, 0] - other[k, 0], one[i, 1] - other[k, 1]
             gap = nx * x + ny * y
-            if norm(x, y) <= _EVEN * width and gap <= within:
+            if norm(x, y) <= _MEETING * width and gap <= within:
                 write_contact(manifold[0], nx, ny, other[k, 0], other[k, 1], gap)
-                features[0] = -1 - (64 * i + k)
+                features[0] = _feature_of_corners(i, k)
                 return 1
     return 0
 
@@ -336,7 +346,7 @@ def _polygons(
             if farther
             else _separation_along(one, edge, other)
         )
-        if abs(across) <= _EVEN * width:
+        if abs(across) <= _MEETING * width:
             return 0
     if abs(second - first) <= _PREFERRED * width:
         length = _edge_length(one, edge)

@@ -27,7 +27,7 @@ from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.errors import NoConsistentMode
 
-# Margins of a contact that position and velocity determine; so they do the pull of a compliant one.
+# Margins of a contact that position and velocity determine, as they do the pull of a compliant one.
 _KINEMATIC_MARGINS = ("gap", "slip", PULL, OUTSIDE)
 
 

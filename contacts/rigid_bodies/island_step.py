@@ -28,6 +28,7 @@ from contacts.collision_detection.midpoint import Midpoint, apply_link_impulse
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.solvers.contact_rows import (
     HELD,
+    PAD,
     PAIR,
     ContactRows,
     apply_impulse,
@@ -263,7 +264,7 @@ def _add_pads(
             sign = 1.0 if twin == ROLLS else -1.0
             space.rows[a, 0, 6], space.columns[a, 0, 6] = sign, sign * own
         if active.compliances[i] > 0.0:
-            space.rows[a, 0, 7], space.columns[a, 0, 7] = 1.0, active.compliances[i]
+            space.rows[a, 0, PAD], space.columns[a, 0, PAD] = 1.0, active.compliances[i]
     return n_moving
 
 
@@ -481,7 +482,7 @@ def close_joints(
         error, fast, work, moving = _follow_arms(
             numbers, space, contacts, island, h, with_impacts, turns
         )
-        impulse_work = joint_work(contacts, chosen, start, unforced, False)
+        impulse_work = joint_work(contacts, chosen, start, unforced)
         if impulse_work > bound + _MOST_WORK * moving:
             # Wedged joints close with unbounded work.
             work = max(work, impulse_work)

@@ -34,6 +34,9 @@ side q, trial impulses, saved impulses."""
 PAIR = 2
 """Bodies per contact. The third block is the contact's pad, if there are pads."""
 
+PAD = 3 * PAIR + 1
+"""Column of a compliant contact's pad along the normal, in `ContactRows.rows`."""
+
 # Relative round-off of a contact's velocity under its own impulses.
 _ROW_ROUND_OFF = 1e-13
 # Relative to the fastest slip: a slower approach is round-off of rest, and only friction is to be
@@ -192,25 +195,42 @@ def write_velocity_change(contacts: ContactRows, impulses: Array, rates: Array) 
 @kernel
 def is_compliant(contacts: ContactRows, i: int) -> bool:
     """Return whether contact i is compliant: it moves a pad."""
-    return contacts.padded == 1 and contacts.rows[i, 0, 7] != 0.0
+    return contacts.padded == 1 and contacts.rows[i, 0, PAD] != 0.0
 
 
 @kernel
-def joint_work(
-    contacts: ContactRows, impulses: Array, before: Array, free: Array, springs: bool
+def _row_work(
+    contacts: ContactRows, i: int, d: int, impulses: Array, before: Array, free: Array, rates: Array
 ) -> float:
-    """Return the positive part of the work of joints, and of compliant contacts, in a step.
+    """Return the work of an impulse along d in a step in which all impulses add `rates`."""
+    both = before[i, d] + free[i, d] + row_velocity(contacts, i, d, rates)
+    return 0.5 * impulses[i, d] * both
 
-    A joint returns work as its lever arm turns; a spring returns stored energy.
-    """
+
+@kernel
+def joint_work(contacts: ContactRows, impulses: Array, before: Array, free: Array) -> float:
+    """Return the work of joints in a step: a joint returns work as its lever arm turns."""
     rates, work = zero_rates(contacts, 0), 0.0
     write_velocity_change(contacts, impulses, rates)
     for i in range(len(impulses)):
-        spring = springs and is_compliant(contacts, i)
-        if friction_coefficient(contacts.cones[i]) < 0.0 or spring:
-            for d in range(1 if spring else 2):
-                both = before[i, d] + free[i, d] + row_velocity(contacts, i, d, rates)
-                work += 0.5 * impulses[i, d] * both
+        if friction_coefficient(contacts.cones[i]) < 0.0:
+            for d in range(2):
+                work += _row_work(contacts, i, d, impulses, before, free, rates)
+    return work
+
+
+@kernel
+def returned_work(contacts: ContactRows, impulses: Array, before: Array, free: Array) -> float:
+    """Return the positive part of the work of joints and compliant contacts in a step.
+
+    A compliant contact returns stored energy.
+    """
+    work = joint_work(contacts, impulses, before, free)
+    rates = zero_rates(contacts, 0)
+    write_velocity_change(contacts, impulses, rates)
+    for i in range(len(impulses)):
+        if is_compliant(contacts, i):
+            work += _row_work(contacts, i, 0, impulses, before, free, rates)
     return max(work, 0.0)
 
 
@@ -247,8 +267,8 @@ def one_contact(law: Array, normal: float, slip: float) -> tuple[float, float]:
 def velocity_scale(contacts: ContactRows, q: Array) -> float:
     """Return the velocity that residuals are relative to: the fastest approach at zero impulses.
 
-    At least 1e-7 of the fastest slip; for joints their largest velocity. Of the approach of a
-    compliant contact the bodies' part: that of its pad is the depth over the step.
+    At least 1e-7 of the fastest slip; for joints their largest velocity. A compliant contact counts
+    with the approach of its bodies, not with that of its pad, which is the depth over the step.
     """
     size = 0.0
     for i in range(len(q)):
@@ -258,7 +278,7 @@ def velocity_scale(contacts: ContactRows, q: Array) -> float:
         else:
             approach, own = -q[i, 0], contacts.own[i, 0]
             if is_compliant(contacts, i) and own > 0.0:
-                approach *= 1.0 - contacts.rows[i, 0, 7] * contacts.columns[i, 0, 7] / own
+                approach *= 1.0 - contacts.rows[i, 0, PAD] * contacts.columns[i, 0, PAD] / own
             size = max(size, approach, _RESTING * abs(q[i, 1]) if mu > 0.0 else 0.0)
     return size
 

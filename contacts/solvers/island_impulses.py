@@ -17,7 +17,7 @@ from contacts.solvers.contact_rows import (
     ContactRows,
     friction_coefficient,
     is_compliant,
-    joint_work,
+    returned_work,
     row_velocity,
     write_velocity_change,
     zero_rates,
@@ -266,7 +266,7 @@ def island_impulses(
         contacts, before, free, wanted, rebounds, impulses, tolerance, at_rest, not pushed
     )
     if (stores or (joined and arms)) and error <= tolerance:
-        bound += joint_work(contacts, impulses, before, free, True)
+        bound += returned_work(contacts, impulses, before, free)
     share = work_share(contacts, impulses, before, free, bound)
     if pushed and (error > tolerance or share < 1.0):
         # Stabilisation may push bodies against others and gain energy, or wedge them: then no

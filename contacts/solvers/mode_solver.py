@@ -14,7 +14,6 @@ from contacts.solvers.saddle_point import (
     SINGULAR,
     SOLVED,
     UNDETERMINED,
-    largest_size,
     saddle_workspace,
     solve_in,
 )
@@ -258,9 +257,9 @@ def solve_modes(
                             columns[m, i] += by * jacobians[r, 1, i]
                 m += 1
         rank, first, bearing = m, in_order, in_order
-        # The row of a brake is zero where joints hold what it moves.
-        braked = m == 1 and code[owners[0]] == LOCKED and largest_size(rows[0]) == 0.0
-        if m > 1 or braked:
+        # The row of a contact is zero where joints hold it closed: only `FREE` is a mode then, and
+        # joints bear all. A locked brake whose row is zero is redundant.
+        if m > 1 or (m == 1 and code[owners[0]] == LOCKED):
             rank, row_order, _ = independent_rows(rows[:m])
             force_rank, order, _ = independent_rows(columns[:m])
             if rank != force_rank:

@@ -371,8 +371,8 @@ def _step_group(
     for a in range(len(members)):
         i, at = members[a], n + scene.joints + 2 * members[a]
         chunk.shared[k, i] = redundant[a]
-        if shared[a, 0] > 0.0 and not memory.closed[i] and redundant.any() and not island.hit.any():
-            # Another contact carried its share.
+        if shared[a, 0] > 0.0 and not memory.closed[i] and not island.hit.any():
+            # Its share of the load was in the force of another contact.
             memory.closed[i] = True
             chunk.codes[k, i] = modes[a]
         for d in range(2):

@@ -635,21 +635,22 @@ def impact_order_matters(
 
 
 @kernel
-def _add_held(held: Array, impulse: float, row: Array, sizes: Array) -> None:
-    """Add an impulse along a held row to the row of a contact, and the sizes of its terms."""
-    for j in range(len(held)):
-        row[j] += impulse * held[j]
-        sizes[j] += abs(impulse * held[j])
+def _add_multiple(other: Array, factor: float, row: Array, sizes: Array) -> None:
+    """Add a multiple of another row to a row, and the sizes of the terms to `sizes`."""
+    for j in range(len(other)):
+        row[j] += factor * other[j]
+        sizes[j] += abs(factor * other[j])
 
 
 @kernel
 def free_rows(
     scene: StepConstants, tape: TapeValues, contacts: ContactRows, columns: Array
 ) -> Array:
-    """Return the rows of contacts without the part that joints and lasting contacts hold.
+    """Return the rows of contacts without the part that joints and bilateral contacts bear.
 
-    J + G^T L, with the impulses L of what holds per unit impulse: `columns` from n on. Round-off
-    counts as zero.
+    J + L G, with the rows G of joints and bilateral contacts, and their impulses L per unit impulse
+    of a contact: `columns` from n on. Entries up to ``CANCELLING r c`` are zero, with the largest
+    terms c of their coordinate, and the largest r of their row relative to these.
     """
     n, rows = tape.size, contacts.rows
     if columns.shape[1] == n:
@@ -661,14 +662,14 @@ def free_rows(
             for i in range(len(scene.bilateral)):
                 row = tape.first + tape.per * i
                 for e in range(scene.bilateral[i]):
-                    held = tape.numbers[row + e * n : row + (e + 1) * n]
-                    _add_held(held, columns[2 * a + d, at], rows[a, d], sizes[a, d])
+                    bears = tape.numbers[row + e * n : row + (e + 1) * n]
+                    _add_multiple(bears, columns[2 * a + d, at], rows[a, d], sizes[a, d])
                     at += 1
             for i in range(scene.joints):
                 # The impulse of a joint that is off is zero.
                 row = tape.first + tape.per * len(scene.bilateral) + (n + JOINT) * i
-                held = tape.numbers[row : row + n]
-                _add_held(held, columns[2 * a + d, at + i], rows[a, d], sizes[a, d])
+                bears = tape.numbers[row : row + n]
+                _add_multiple(bears, columns[2 * a + d, at + i], rows[a, d], sizes[a, d])
             for j in range(n):
                 largest[j] = max(largest[j], sizes[a, d, j])
     for a in range(len(rows)):

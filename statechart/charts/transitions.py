@@ -284,7 +284,7 @@ def check_changes(
         changes.append((transition.updates, (*at, "updates")))
     unset = "nothing sets parameters or time"
     if of:
-        unset = "updates and flows change variables of their region, not motion or parameters"
+        unset = "updates and flows change variables of their own region alone"
     for texts, at in changes:
         for variable, text in texts.items():
             if variable not in variables:

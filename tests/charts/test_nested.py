@@ -244,7 +244,7 @@ regions:
         ("after: D", "after: 0*D", "0*D", "must be a finite time above 0, not 0; write a number"),
         ("after: D", "after: -1", "-1", "must be a finite time above 0"),
         ("after: D", "every: D - 2", "D - 2", "must be a finite time above 0"),
-        ("after: D", "after: x", "x}", "unknown name 'x'"),
+        ("after: D", "after: x", "x}", "'x' changes during a run"),
         ("from: a, to: b", "from: l1, to: r1", "r1,", "active side by side; leave it as a whole"),
         ("from: a, to: b", "from: c, to: b", "c,", "no state 'c'"),
         (

@@ -95,12 +95,12 @@ MISTAKES = {
     "an update of a parameter": (
         "stop: {", "regions: {r: {initial: a, states: {a: {}}, transitions: "
         "[{name: t, from: a, every: 1, updates: {g: 1}}]}}\nstop: {",
-        "change variables of their region, not motion or parameters; declare a variable of another",
+        "change variables of their own region alone; declare a variable of another name",
     ),
     "an update of a coordinate": (
         "stop: {", "regions: {r: {initial: a, states: {a: {}}, transitions: "
         "[{name: t, from: a, every: 1, updates: {rod.x: 1}}]}}\nstop: {",
-        "change variables of their region, not motion or parameters; declare a variable of another",
+        "change variables of their own region alone; declare a variable of another name",
     ),
     "an extreme at an event": ("outputs:", "outputs:\n  most: {maximum: rod.y, at: end}",
                                "an extreme is over the whole run"),

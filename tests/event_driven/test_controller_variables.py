@@ -114,7 +114,7 @@ def test_unused_variables_do_not_change_the_motion(model: str) -> None:
             "burns: {sets",
             "burns: {flows: {n: 1}, sets",
             "n: 1}",
-            "if it is new, give its start: variables: {n: 0}",
+            "change variables of their own region alone; declare a variable of another name",
         ),
         ("guard: n >= 1", "guard: N >= 1", "N >=", "unknown name 'N'"),
         ("done: {}", "done: {states: {a: {}}}", "done:", "and no initial one"),

@@ -61,3 +61,31 @@ def test_energy_and_depth_stay_within_the_bounds_of_a_step(start, restitution, l
     numbers = body_numbers(scene, scene.values())
     assert_energy_of_steps(numbers, subject, trace)
     assert_depths(numbers, trace)
+
+
+SHAPES = {
+    "stick": "[[-0.3, -0.02], [0.3, -0.02], [0.3, 0.02], [-0.3, 0.02]]",
+    "wedge": "[[-0.2, -0.1], [0.3, -0.1], [-0.2, 0.15]]",
+    "hexagon": "[[0.2, 0], [0.1, 0.17], [-0.1, 0.17], [-0.2, 0], [-0.1, -0.17], [0.1, -0.17]]",
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize(("restitution", "friction"), [(0, "0"), (0, "0.5"), (1, "0.5")])
+def test_tumbling_shapes_gain_no_energy(shape: str, restitution: int, friction: str) -> None:
+    # Corners turn off and onto the ground and other bodies by up to 0.3 rad in a step.
+    text = HEAP.format(
+        n=6, e=restitution, mu=friction, phase=1.0, time=0.8, step=1e-2,
+        aside=0.2, apart=0.5, lifted=0.5, tilt=3, speed=2,
+    )  # fmt: skip
+    corners = "[[-0.2, -0.1], [0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]]"
+    text = text.replace(corners, SHAPES[shape])
+    text = text.replace("      dx:", "      dangle: 30*cos(2*index)\n      dx:")
+    assert SHAPES[shape] in text
+    subject = Subject(interpret(read_text(text)))
+    trace = subject.case({}).trace
+    assert trace.outcome.succeeded, trace.message
+    scene = subject.model
+    numbers = body_numbers(scene, scene.values())
+    assert_energy_of_steps(numbers, subject, trace)
+    assert_depths(numbers, trace)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 import statechart
@@ -81,3 +83,37 @@ def test_a_brake_on_a_welded_body_is_locked_and_bears_nothing(engine: str) -> No
     run = welded(engine)
     assert run.trace.start_mode == ("locked",)
     assert run.outputs["couple"] == pytest.approx(-1, abs=1e-12)
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+@pytest.mark.parametrize("angle", [0.3, 0.7])
+@pytest.mark.parametrize("units", [1.0, 1e-6])
+def test_a_brake_in_a_triangle_of_bars_bears_nothing(
+    engine: str, angle: float, units: float
+) -> None:
+    # By hand: by symmetry the ridge pushes p with H along x; moments about a: H = g c / (2 s).
+    c, s = units * math.cos(angle), units * math.sin(angle)
+    start = {"y": 0.5 * s}
+    scene = Scene(
+        name="triangle",
+        gravity=10,
+        bodies={
+            "p": Body(mass=1, inertia=units**2, start={**start, "x": 0.5 * c, "angle": angle}),
+            "q": Body(mass=1, inertia=units**2, start={**start, "x": 1.5 * c, "angle": -angle}),
+        },
+        joints={
+            "a": Joint(point=Point(body="p", at=(-0.5 * units, 0)), to=(0, 0)),
+            "m": Joint(
+                point=Point(body="p", at=(0.5 * units, 0)),
+                to=Point(body="q", at=(-0.5 * units, 0)),
+            ),
+            "b": Joint(point=Point(body="q", at=(0.5 * units, 0)), to=(2 * c, 0)),
+        },
+        couplings={"c": Coupling(bodies=["p"], limit=3 * units)},
+        stop=Stop(time=0.05),
+        outputs={"X": Value(value="a.X"), "Y": Value(value="a.Y"), "M": Value(value="c.M")},
+    )
+    run = statechart.run(scene, engine=engine)
+    assert run.trace.start_mode == ("locked",)
+    expected = {"X": 5.0 * c / s, "Y": 10.0, "M": 0.0}
+    assert run.outputs == pytest.approx(expected, abs=1e-9)
