@@ -62,6 +62,8 @@ from statechart.kernels.tapes import BLOCK, allocate_registers
 _LATEST = 0.5 - TIME_MARGIN
 # Round-off of velocities, relative to the fastest approach.
 _SPEED_ROUND_OFF = 1e-6
+# Round-off of the slip of a coupling, relative to its terms.
+_SLIP_ROUND_OFF = 1e-13
 # Displacement in a step, relative to the smallest body, below which no body passes another or is
 # deep in it.
 _FAR = 0.1
@@ -272,10 +274,12 @@ def _store_couplings(
     at = 3 * (bodies - numbers.links.bodies) + numbers.links.size + joint_forces(numbers)
     for c in range(len(limits)):
         i = first + c
-        slip = active.free[i, 1] + active.bias[i, 1]
-        slip += velocity(active.bodies, active.rows, rates, i, 1)
-        slip -= velocity(active.bodies, active.rows, space.mid.free_rates, i, 1)
-        slips = abs(slip) > max(space.known[i], active.levels[i, 2])
+        turned = velocity(active.bodies, active.rows, rates, i, 1)
+        free = velocity(active.bodies, active.rows, space.mid.free_rates, i, 1)
+        slip = active.free[i, 1] + active.bias[i, 1] + turned - free
+        terms = abs(active.free[i, 1]) + abs(active.bias[i, 1]) + abs(turned) + abs(free)
+        none = max(space.known[i], _SLIP_ROUND_OFF * terms)
+        slips = abs(slip) > max(none, active.levels[i, 2])
         mode = LOCKED
         if slips:
             mode = SLIP_PLUS if signs[c] * slip > 0.0 else SLIP_MINUS
@@ -289,7 +293,7 @@ def _store_couplings(
         for d in range(WARM_START_COLUMNS):
             warm.contacts[i, d] = 0.0
         warm.contacts[i, 2], warm.contacts[i, 3] = active.pushes[i]
-        warm.contacts[i, 8] = space.known[i]
+        warm.contacts[i, 8] = none
         warm.contacts[i, 9] = 1.0 if slips else 0.0
     warm.n_contacts[0] = first + len(limits)
 
