@@ -28,6 +28,9 @@ _ROUNDING_UNITS = 16.0
 _MAX_TURN_MOTION = 2.0
 # Beyond these the squares of lengths, times and rates overflow or underflow.
 _MIN_SIZE, _MAX_SIZE = 1e-100, 1e100
+# The longest duration that gives a length. A later end means "late enough": with T = 1e8 the
+# round-off of g T^2 would hide a fall of 1.
+_LONGEST = 1e4
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +92,10 @@ class ScaleTape:
 
     The length is the largest of the extents (radii, points of bodies, levers of surfaces that
     turn), the differences of positions, the initial gaps and the ranges of the prescribed motions;
-    and at least the stopping distance ``v^2 / a``. If all are zero, the length is the distance
-    ``a T^2`` covered by the run; T is the duration, or the period of springs. The depth of a point
-    below its surface counts where it exceeds the round-off of that distance. The acceleration is
-    the largest of gravity (or of the forces without it) and of the prescribed motions; speed and
+    and at least the stopping distance ``v^2 / a``. Without extents, and if none of the others
+    exceeds the round-off of the distances ``v T`` and ``a T^2`` covered by the run, the length is
+    that distance; T is the duration up to 1e4, or a shorter period of springs. The acceleration
+    is the largest of gravity (or of the forces without it) and of the prescribed motions; speed and
     force follow.
 
     The outputs of `tape` are groups of numbers that begin at `begins` (g + 1,). `places` counts the
@@ -341,7 +344,7 @@ def measure(
         push = lever * max(abs(ranges[2 * paths + i, 0]), abs(ranges[2 * paths + i, 1]))
         acceleration = max(acceleration, push) if push < math.inf else acceleration
     rounding = _ROUNDING_UNITS * EPS * coordinates
-    spread = max(high[GAPS], high[ACROSS] - low[ACROSS], high[UPWARD] - low[UPWARD])
+    spread = max(largest[GAPS], high[ACROSS] - low[ACROSS], high[UPWARD] - low[UPWARD])
     extent = max(largest[EXTENTS], largest[LEVERS])
     length = extent
     if spread > rounding:
@@ -349,20 +352,15 @@ def measure(
     if acceleration > 0.0:
         reach = min(reach, driven_speed * driven_speed / acceleration)
     length, start, speed = max(length, reach), largest[SPEEDS], max(largest[SPEEDS], driven_speed)
-    period = duration
+    period = min(duration, _LONGEST)
     if largest[STIFFNESS] * (duration * duration) > 1.0:
-        period = 1.0 / math.sqrt(largest[STIFFNESS])
+        period = min(period, 1.0 / math.sqrt(largest[STIFFNESS]))
     farthest = max(speed * period, acceleration * (period * period))
-    stopping = 0.0
-    if acceleration > 0.0:
-        stopping = min(start * period, start * start / acceleration)
-    # Formulas of places on a surface may be below it by round-off, which gives no length.
-    if -low[GAPS] > max(rounding, EPS * farthest):
-        length = max(length, -low[GAPS])
-    if max(length, stopping) <= _MIN_SIZE:
+    # Initial distances below the round-off of the distance covered give no length.
+    if extent <= _MIN_SIZE and length <= max(_MIN_SIZE, EPS * farthest):
         length = farthest if farthest > 0.0 else 1.0
     elif acceleration > 0.0:
-        length = max(length, stopping)
+        length = max(length, min(start * duration, start * start / acceleration))
         speed = start
     acceleration = max(acceleration, speed * speed / length)
     if acceleration == 0.0:

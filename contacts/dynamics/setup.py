@@ -60,7 +60,7 @@ class SceneSetup(Setup):
 
     @property
     def residual_slip(self) -> float:
-        """Largest slip after steps that counts as rest: that of round-off, in `slip_tolerance`."""
+        """Largest slip after a step that counts as rest: twice the round-off of speeds."""
         return 2.0 * self.rounded * self.scales.speed
 
     @property

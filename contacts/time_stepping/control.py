@@ -10,6 +10,7 @@ beyond a transition are reverted.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -27,14 +28,14 @@ from contacts.dynamics.starting import check_closing
 from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.states import CLOSED, OPEN, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
-from contacts.time_stepping.recorder import Recorder
+from contacts.time_stepping.recorder import RESTS, Recorder
 from contacts.time_stepping.stop_conditions import ActiveStates, first_undefined
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Raised, Region
 from statechart.automaton.trace import Jump, Key
 from statechart.charts.guard_watch import EventQueues
-from statechart.errors import EventLoop, UnsolvedImpulses
+from statechart.errors import EventLoop, SimulationError, UnsolvedImpulses
 
 _MAX_LISTED = 4  # Transitions listed in the error of an endless sequence.
 _MOST_TURNS = 100
@@ -173,12 +174,12 @@ class StepControl:
                 self._states.named(self.states), (state, after, recorder.clock.high)
             )
             moved = closing.modes | switched
-            if closing.modes:
+            if resting := [i for i, code in closing.modes.items() if code in RESTS]:
                 # Forces decide the mode of a contact that the impact leaves without slip.
-                modes = self._scene.steps(recorder.clock.high, h, after, 1).modes
+                with suppress(SimulationError):  # the run may end before this step
+                    [codes] = self._scene.steps(recorder.clock.high, h, after, 1).modes.tolist()
+                    moved |= {i: codes[i] for i in resting if STATES[codes[i]] not in OPEN}
                 self._scene.forget()
-                following = {i: int(modes[0, i]) for i in closing.modes if len(modes)}
-                moved |= {i: code for i, code in following.items() if STATES[code] not in OPEN}
             jump = recorder.turn(
                 name, taken.name, self.states, (state, after), fired, moved,
                 impulse=closing.impulse, joint_impulse=closing.joint_impulse,

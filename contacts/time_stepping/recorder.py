@@ -219,7 +219,8 @@ class Recorder:
     def recorded_modes(self, chunk: Chunk) -> Ints:
         """Return the recorded modes: a slip lasts to the end of the step in which it stops.
 
-        Not if an impact stops it. A region that closes without an impact slips first, too.
+        An impact that stops a slip ends it at once. A region that closes without an impact slips in
+        the step in which it closes.
         """
         codes = chunk.modes
         if not self._sticking:

@@ -12,9 +12,6 @@ from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-import numpy as np
-
-from statechart.arrays import Bools
 from statechart.formulas.relation import Relation, parse_relation
 
 if TYPE_CHECKING:
@@ -370,10 +367,10 @@ class Mode:
     anchors: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)  # constant -> expression
 
     @cached_property
-    def varying(self) -> Bools:
+    def varying(self) -> tuple[bool, ...]:
         """Mask (n,) of the variables whose rates are not identically zero."""
         defined = dict(self.definitions)
-        return np.array([defined.get(rate, rate) != 0 for rate in self.rates], np.bool_)
+        return tuple(defined.get(rate, rate) != 0 for rate in self.rates)
 
     @cached_property
     def roots(self) -> tuple[sp.Pow, ...]:

@@ -188,8 +188,9 @@ def _check_bound(text: str, loc: Loc) -> None:
         wrap = wraps.get(side.root.offset) if isinstance(side.root, Call) else None
         if wrap is None or wrap.call.function != "mod":
             continue
-        period = parse(wrap.period)
+        period, advised = parse(wrap.period), f">= D with a number D below {wrap.period}"
         if capped:
+            advised = "<= D with a number D above 0"
             missed = not bound.names and bound.value({}) <= 0.0
         else:
             numbers = not bound.names and not period.names
@@ -200,7 +201,7 @@ def _check_bound(text: str, loc: Loc) -> None:
             raise DeclarationProblem(
                 f"{call} is 0 for an instant and stays below {wrap.period}: the comparison holds "
                 "for no span of time",
-                advice=f"write {call} <= D with a number D above 0{regular}",
+                advice=f"write {call} {advised}{regular}",
                 loc=loc,
                 offset=wrap.call.offset,
             )

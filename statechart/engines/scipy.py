@@ -76,7 +76,7 @@ class SciPy(Engine):
             definitions = tuple((s, _clamp_roots(e)) for s, e in mode.definitions)
             clamped = replace(mode, definitions=definitions)
             trial_rates = automaton.tape([_clamp_roots(rate) for rate in mode.rates], clamped)
-        return _Stepper(rates, trial_rates, rooted, mode.varying)
+        return _Stepper(rates, trial_rates, rooted, np.array(mode.varying))
 
     def steps(
         self,

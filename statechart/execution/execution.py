@@ -332,7 +332,7 @@ class Execution:
             return
         terms = np.abs(self.state) if self.flow.sizes is None else self.flow.sizes
         self._sizes = np.max([self._sizes, terms, np.abs(self.state)], axis=0)
-        varying = self.modes.mode(self.flow.roles, self.zeros).varying
+        varying = np.array(self.modes.mode(self.flow.roles, self.zeros).varying)
         largest = self._sizes.max(initial=0.0, where=varying)
         sizes = np.where(self._sizes > 0.0, self._sizes, largest)
         self.engine.sizes = sizes if sizes.all() else None

@@ -345,8 +345,8 @@ class Advance:
         """
         scales = self.engine.sizes
         if scales is None:
-            states = self.path.coefficients[first : self.path.count, :, 0]
-            largest = np.abs(states).max(initial=0.0, where=self.compiled.mode.varying)
+            terms = np.abs(self.path.coefficients[first : self.path.count]).sum(axis=2)
+            largest = terms.max(initial=0.0, where=np.array(self.compiled.mode.varying))
             scales = np.full(len(self.initial), min(largest, 1.0) or 1.0)
         smallest: Array = np.maximum(LEAST * scales, self.engine.floor)
         return smallest

@@ -121,7 +121,7 @@ def test_a_run_locates_every_window_of_a_swing(engine: str) -> None:
 
 
 @both
-@pytest.mark.parametrize("width", [1e-8, 3e-9])
+@pytest.mark.parametrize("width", [1e-7, 3e-9])
 @pytest.mark.parametrize("loop", [True, False])
 def test_scenes_see_windows_in_guards_stops_and_conditions(
     engine: str, width: float, loop: bool, monkeypatch: pytest.MonkeyPatch

@@ -112,15 +112,15 @@ def test_block_above_its_floor_by_round_off_rests(h: float, unit: float) -> None
 
 
 @pytest.mark.parametrize("name", ENGINES)
-@pytest.mark.parametrize(("until", "T"), [(1e8, 1), (1e12, 1), (1e8, 1e6), (1e8, 1e-6)])
-def test_a_late_end_hides_no_fall_and_no_slip(name: str, until: float, T: float) -> None:
-    text = DROP.replace("dx: 0.7*L/T", "dx: v*L/T").replace("h: 1,", "h: 1, v: 0,")
+@pytest.mark.parametrize("until", [1e8, 1e12])
+def test_a_late_end_hides_no_fall_and_no_slip(name: str, until: float) -> None:
+    text = DROP.replace("dx: 0.7*L/T", "dx: v").replace("h: 1,", "h: 1, v: 0,")
     model = simulator(text, name)
-    fallen = model.run({"e": 0.0, "T": T}, until=until * T).jumps
-    assert [jump.t / T for jump in fallen] == pytest.approx([math.sqrt(2 / 9.81)], abs=1e-12)
-    slid = model.run({"h": 0.0, "v": 2.0, "T": T}, until=until * T)
+    fallen = model.run({"e": 0.0}, until=until).jumps
+    assert [jump.t for jump in fallen] == pytest.approx([math.sqrt(2 / 9.81)], abs=1e-12)
+    slid = model.run({"h": 0.0, "v": 2.0}, until=until)
     assert [jump.cause for jump in slid.jumps] == ["stick"]
-    assert slid.jumps[0].t / T == pytest.approx(2.0 / (0.5 * 9.81), abs=1e-12)
+    assert slid.jumps[0].t == pytest.approx(2.0 / (0.5 * 9.81), abs=1e-12)
     assert slid.final[0] == pytest.approx(2.0**2 / 9.81, abs=1e-12)
 
 

@@ -242,7 +242,7 @@ bodies:
     mass: 0.01
     inertia: 0.01*s**2/6
     shape: {polygon: [[-s/2, -s/2], [s/2, -s/2], [s/2, s/2], [-s/2, s/2]]}
-    copies: 5
+    copies: 8
     start: {y: 0.1 + 0.1*index, angle: index, dangle: 30}
   crate:
     fixed: true
