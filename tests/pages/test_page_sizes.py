@@ -242,8 +242,8 @@ bodies:
     mass: 0.01
     inertia: 0.01*s**2/6
     shape: {polygon: [[-s/2, -s/2], [s/2, -s/2], [s/2, s/2], [-s/2, s/2]]}
-    copies: 8
-    start: {y: 0.1 + 0.1*index, angle: index, dangle: 30}
+    copies: 5
+    start: {y: 0.1 + 0.1*index, angle: index, dangle: 50}
   crate:
     fixed: true
     start: {x: 0.2, y: w}
