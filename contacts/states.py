@@ -56,6 +56,14 @@ SLIPPING = ("slip+", "slip-")
 """States of a coupling that slips: its first body turns ahead of the other, or behind it."""
 
 
+RESTS = {PIN: (SLIDE_PLUS, SLIDE_MINUS), LOCKED: (SLIP_PLUS, SLIP_MINUS)}
+"""Codes of states at rest, and of the slips that end in them."""
+
+
+SLIPS = (*RESTS[PIN], *RESTS[LOCKED])
+"""Codes of slips with a direction."""
+
+
 CLOSED = "closed"
 """The superstate of those that touch the surface."""
 

@@ -63,7 +63,7 @@ _LATEST = 0.5 - TIME_MARGIN
 # Round-off of velocities, relative to the fastest approach.
 _SPEED_ROUND_OFF = 1e-6
 # Round-off of the slip of a coupling, relative to its terms.
-_SLIP_ROUND_OFF = 1e-13
+_COUPLING_ROUND_OFF = 1e-13
 # Displacement in a step, relative to the smallest body, below which no body passes another or is
 # deep in it.
 _FAR = 0.1
@@ -278,7 +278,7 @@ def _store_couplings(
         free = velocity(active.bodies, active.rows, space.mid.free_rates, i, 1)
         slip = active.free[i, 1] + active.bias[i, 1] + turned - free
         terms = abs(active.free[i, 1]) + abs(active.bias[i, 1]) + abs(turned) + abs(free)
-        none = max(space.known[i], _SLIP_ROUND_OFF * terms)
+        none = max(space.known[i], _COUPLING_ROUND_OFF * terms)
         slips = abs(slip) > max(none, active.levels[i, 2])
         mode = LOCKED
         if slips:

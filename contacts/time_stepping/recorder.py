@@ -15,14 +15,10 @@ import numpy as np
 
 from contacts.states import (
     FREE,
-    LOCKED,
     OFF_CODE,
-    OPEN_CODE,
-    PIN,
-    SLIDE_MINUS,
-    SLIDE_PLUS,
-    SLIP_MINUS,
-    SLIP_PLUS,
+    OPEN,
+    RESTS,
+    SLIPS,
     STATES,
     cause_of,
     undetermined_warning,
@@ -36,13 +32,7 @@ from statechart.automaton.lazy import LazySequence
 from statechart.automaton.trace import Arc, Jump, Key
 from statechart.automaton.trace_store import Blocks
 
-RESTS = {PIN: (SLIDE_PLUS, SLIDE_MINUS), LOCKED: (SLIP_PLUS, SLIP_MINUS)}
-"""Codes of regions at rest, and of the slips that end in it."""
-
-SLIPS = (*RESTS[PIN], *RESTS[LOCKED])
-"""Codes of slips with a direction."""
-
-_OPEN = FREE, OFF_CODE, OPEN_CODE
+_OPEN = [code for code, state in STATES.items() if state in OPEN]
 # Largest arc, bytes; a longer one is split.
 _LONGEST = 2**23
 

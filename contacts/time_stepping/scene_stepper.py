@@ -36,14 +36,15 @@ from contacts.states import (
     OPEN,
     OPEN_CODE,
     PIN,
+    RESTS,
     SLIDE_MINUS,
     SLIDE_PLUS,
+    SLIPS,
     STATES,
 )
 from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
 from contacts.time_stepping.equations import ContactHistory, StepConstants
-from contacts.time_stepping.recorder import RESTS, SLIPS
 from contacts.time_stepping.scene_step import step_scene
 from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.solver_residual import INDETERMINATE
