@@ -274,7 +274,8 @@ class Scene(SceneFields):
 
     def _check_enabled(self, findings: Findings, relations: Iterable[str], *at: str | int) -> None:
         parameters = frozenset(self.parameters)
-        seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
+        seen = self.kinematic_names | self.placed_names
+        seen |= {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
         seen |= {f"{coupling}.slip" for coupling in self.couplings}
         ropes = {joint_name for joint_name, joint in self.joints.items() if joint.rope is not None}
         for place, text in enumerate(relations):
