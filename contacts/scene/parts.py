@@ -72,25 +72,19 @@ class Body(Part):
     OTHER_WORDS: ClassVar = {
         "m": "mass",
         "weight": "mass; its weight is mass times gravity",
-        **dict.fromkeys(("I", "J", "moment_of_inertia"), "inertia"),
-        **dict.fromkeys(("count", "number", "n"), "copies"),
-        **dict.fromkeys(("velocity", "vel", "linear_velocity"), "start: {dx: ..., dy: ...}"),
-        **dict.fromkeys(("angular_velocity", "omega"), "start: {dangle: ...}"),
+        "I J moment_of_inertia": "inertia",
+        "count number n": "copies",
+        "velocity vel linear_velocity": "start: {dx: ..., dy: ...}",
+        "angular_velocity omega": "start: {dangle: ...}",
         "radius": "shape: {disc: r}, and radius: r of its contacts",
-        **dict.fromkeys(
-            ("damping", "linear_damping", "drag"),
-            "forces: {drag: {body: rod, force: [-c*rod.dx, -c*rod.dy]}}",
-        ),
-        **dict.fromkeys(("pos", "origin"), "start: {x: ..., y: ...}"),
-        **dict.fromkeys(
-            ("geom", "geometry", "collision", "visual", "collider", "fixtures", "size"),
-            "shape: [{disc: r}], or a polygon, and collisions for how it rebounds",
+        "damping linear_damping drag": "forces: {drag: {body: rod, force: [-c*rod.dx, -c*rod.dy]}}",
+        "pos origin": "start: {x: ..., y: ...}",
+        "geom geometry collision visual collider fixtures size": (
+            "shape: [{disc: r}], or a polygon, and collisions for how it rebounds"
         ),
         "inertial": "mass, and inertia",
-        **dict.fromkeys(
-            ("static", "immovable", "is_static", "frozen", "anchored"),
-            "fixed: true, of a body with a shape that collides; else "
-            "surfaces: {floor: {height: 0}}",
+        "static immovable is_static frozen anchored": (
+            "fixed: true, of a body with a shape that collides; else surfaces: {floor: {height: 0}}"
         ),
         "type": "fixed: true, of a body that stands still; every other body with a mass moves",
         "fixed_rotation": "no inertia: a particle does not turn; a shape needs a large one",
@@ -300,15 +294,13 @@ class Surface(Part):
     """
 
     OTHER_WORDS: ClassVar = {
-        **dict.fromkeys(("slope", "angle"), "incline"),
-        **dict.fromkeys(("y", "level"), "height"),
-        **dict.fromkeys(
-            ("plane", "halfspace", "half_space", "type", "normal", "offset", "pos"),
-            "height: 0, incline: ANGLE, or line: [[0, 0], [1, 0]]",
+        "slope angle": "incline",
+        "y level": "height",
+        "plane halfspace type normal offset pos": (
+            "height: 0, incline: ANGLE, or line: [[0, 0], [1, 0]]"
         ),
-        **dict.fromkeys(
-            ("profile", "polyline", "points", "vertices", "mesh", "polygon", "heightfield"),
-            "height: FORMULA of x, or several surfaces, such as edge: [[0, 0], [1, 2]]",
+        "profile polyline points vertices mesh polygon heightfield": (
+            "height: FORMULA of x, or several surfaces, such as edge: [[0, 0], [1, 2]]"
         ),
         "velocity": "displacement: [v*time, 0]",
         "x": "line: [[1, -1], [1, 1]], a wall; the solid is on the right of its direction",
@@ -440,11 +432,10 @@ class Contact(Part):
     OTHER_WORDS: ClassVar = {
         **LAW_WORDS,
         "r": "radius",
-        **dict.fromkeys(
-            ("between", "bodies", "body1", "body2", "body_a", "body_b"),
-            "point: {body: rod}, and surface: NAME; shapes have collisions",
+        "between bodies body1 body2 body_a body_b": (
+            "point: {body: rod}, and surface: NAME; shapes have collisions"
         ),
-        **dict.fromkeys(("body", "at"), "point: {body: rod, at: [0, -L]}"),
+        "body at": "point: {body: rod, at: [0, -L]}",
     }
 
     point: Point = declare(

@@ -69,13 +69,11 @@ class Declaration(Part):
     METHODS: ClassVar[tuple[str, ...]] = ("check", "diagram", "equations", "modes", "with_")
 
     OTHER_WORDS: ClassVar[Mapping[str, str]] = {
-        **dict.fromkeys(
-            ("until", "t_end", "tspan", "t_span", "duration", "end"), "stop: {time: 10}"
-        ),
-        **dict.fromkeys(("dt", "timestep"), "settings: {engine: impulse, step: 1e-3}"),
+        "until t_end tspan t_span duration end": "stop: {time: 10}",
+        "dt timestep": "settings: {engine: impulse, step: 1e-3}",
         "constants": "parameters",
         "iterations": "settings: {impulse_tolerance: 1e-8}",
-        **dict.fromkeys(("sensor", "sensors", "output"), "outputs: {NAME: {value: FORMULA}}"),
+        "sensor sensors output": "outputs: {NAME: {value: FORMULA}}",
     }
 
     kind: str = declare("Kind of the document.", "scene")
