@@ -204,8 +204,7 @@ class Joint(Part):
             raise DeclarationProblem(
                 "a joint is a rod or a rope",
                 advice="write rope: L for a distance of at most L, rod: L for exactly L",
-                loc=("rope",),
-                key=True,
+                key=("rope",),
             )
         for key in distance:
             others = [k for k in ("angle", "limits", "rest") if getattr(self, k) is not None]
@@ -213,8 +212,7 @@ class Joint(Part):
                 raise DeclarationProblem(
                     f"a {key} has no {others[0]}",
                     advice=f"declare another joint for it, beside the {key}",
-                    loc=(others[0],),
-                    key=True,
+                    key=(others[0],),
                 )
             if not isinstance(self.to, Point) and None in (self.to.x, self.to.y):
                 raise DeclarationProblem(
@@ -224,22 +222,19 @@ class Joint(Part):
             raise DeclarationProblem(
                 "an angle that is held has no limits",
                 advice="write angle: held, or limits: [least, greatest]",
-                loc=("limits",),
-                key=True,
+                key=("limits",),
             )
         if self.restitution is not None and self.rope is None and self.limits is None:
             raise DeclarationProblem(
                 "restitution is for a rope, and for limits",
                 advice="remove it: a joint that closes stops its points without rebound",
-                loc=("restitution",),
-                key=True,
+                key=("restitution",),
             )
         if self.rest is not None and not self.enabled:
             raise DeclarationProblem(
                 "a joint without enabled is closed from the start, and captures nothing",
                 advice="write enabled: RELATION, or remove rest",
-                loc=("rest",),
-                key=True,
+                key=("rest",),
             )
         return self
 

@@ -47,7 +47,7 @@ class Shape(Part):
                 advice="write polygon: [[-1, -1], [1, -1], [0, 1]], or disc: 0.5",
             )
         if self.disc is None and self.at != (0, 0):
-            raise DeclarationProblem("a polygon has no at", loc=("at",), key=True)
+            raise DeclarationProblem("a polygon has no at", key=("at",))
         return self
 
 
@@ -86,16 +86,14 @@ def check_compliant(law: Any, rigid: tuple[str, ...]) -> None:
         raise DeclarationProblem(
             "damping belongs to a compliant contact",
             advice="give a stiffness, too",
-            loc=("damping",),
-            key=True,
+            key=("damping",),
         )
     for key in rigid:
         if law.stiffness is not None and key in law.model_fields_set:
             raise DeclarationProblem(
                 f"a compliant contact has no impacts, and no {key}",
                 advice=f"remove {key}, or stiffness; damping takes energy out of a bounce",
-                loc=(key,),
-                key=True,
+                key=(key,),
             )
 
 

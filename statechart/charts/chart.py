@@ -145,8 +145,7 @@ class Chart(Declaration):
                 raise DeclarationProblem(
                     f"{name!r} is {taken}",
                     advice="choose another name",
-                    loc=("variables", name),
-                    key=True,
+                    key=("variables", name),
                     see=() if name == TIME else ("parameters", name),
                 )
         self.check_values(self.values())
@@ -191,8 +190,7 @@ class Chart(Declaration):
                     f"region {loc[1]!r} in state {loc[-3]!r} and region {owner[1]!r} in state "
                     f"{owner[-3]!r} both give {name!r} a flow, the other as {{see}}",
                     advice="let one region own the variable",
-                    loc=loc,
-                    key=True,
+                    key=loc,
                     see=owner,
                 )
         for region, flat in self.flat.items():
@@ -202,8 +200,7 @@ class Chart(Declaration):
                     f"{shared.one!r} and {shared.other!r}, which may be active together, both "
                     f"give {shared.what!r} a flow",
                     advice="let one region own the variable",
-                    loc=("regions", region),
-                    key=True,
+                    key=("regions", region),
                 )
         return self
 

@@ -295,8 +295,7 @@ def check_changes(
                 raise DeclarationProblem(
                     f"no variable {variable!r}{of}",
                     advice=advice,
-                    loc=(*at, variable),
-                    key=True,
+                    key=(*at, variable),
                 )
             names = {*known, *controls} if at[-1] == "flows" else known
             fields.check_names(parse(text), names, *at, variable)

@@ -317,8 +317,7 @@ class Declaration(Part):
                     raise DeclarationProblem(
                         f"unknown name {name!r}",
                         advice=close_matches(name, named),
-                        loc=("units", name),
-                        key=True,
+                        key=("units", name),
                     )
         for label, relation in self.stop.conditions.items():
             with found:
@@ -381,8 +380,7 @@ class Declaration(Part):
             raise DeclarationProblem(
                 f"{TIME!r} is the time of the run",
                 advice="choose another name",
-                loc=("parameters", TIME),
-                key=True,
+                key=("parameters", TIME),
             )
         found = Findings()
         for name, text in self.parameters.items():
@@ -407,8 +405,7 @@ class Declaration(Part):
                     raise DeclarationProblem(
                         f"no parameter {name!r}",
                         advice=close_matches(name, self.parameters),
-                        loc=("ranges", name),
-                        key=True,
+                        key=("ranges", name),
                     )
                 if least > greatest:
                     raise DeclarationProblem(
