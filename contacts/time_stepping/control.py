@@ -247,7 +247,8 @@ class StepControl:
         touching = [
             i
             for i, code in enumerate(recorder.row[: len(contacts)].tolist())
-            if STATES[code] not in OPEN or contacts[i].name in struck
+            if contacts[i].name in self._rigid
+            and (STATES[code] not in OPEN or contacts[i].name in struck)
         ]
         if touching and len(snapshot.velocity):
             # As with events, a contact that can slip under kinetic friction does.
