@@ -8,7 +8,6 @@ written, does not end a run: the code is compiled again.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -16,8 +15,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
-
-from filelock import FileLock
 
 _DIGEST = 16  # bytes: damage is an accident, not an attack
 
@@ -88,6 +85,8 @@ class CodeCache:
     @contextmanager
     def turn(self) -> Iterator[None]:
         """Let one process compile at a time, as far as files can be locked."""
+        from filelock import FileLock  # slow import
+
         with ExitStack() as stack:
             for folder in self._folders:
                 # A folder that cannot be written, no locks, or a process that has stopped.
@@ -124,7 +123,9 @@ def _content_since(file: Path, changed: float, size: int) -> bytes:
 
 
 def _digest(data: bytes) -> bytes:
-    return hashlib.blake2b(data, digest_size=_DIGEST).digest()
+    from hashlib import blake2b  # slow import
+
+    return blake2b(data, digest_size=_DIGEST).digest()
 
 
 def _hex(text: str) -> str:

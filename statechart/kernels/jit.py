@@ -24,12 +24,13 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-LOADING = 0.15
-"""Seconds of all interpreted kernels before numba is imported to load cached ones; that takes as
-long."""
+LOADING = 0.08
+"""Seconds of all interpreted kernels before numba is imported to load cached ones: that takes 0.15,
+and models need less than 0.07 or far more."""
 
-LINKING = 0.02
-"""Seconds of one interpreted kernel before it is loaded from the cache, where numba is imported."""
+LINKING = 0.005
+"""Seconds of one interpreted kernel before it is loaded from the cache, where numba is imported;
+that takes as long."""
 
 HOT = 0.25
 """Seconds of one interpreted kernel before it is compiled, which takes one to forty."""
@@ -43,12 +44,12 @@ _CLOCK = 32  # calls between two looks at the clock, which takes as long as a sm
 class _Interpreter:
     """State of the interpretation of kernels.
 
-    The kernel under way is given up at the CPU time `until`, infinite where none is; `calls` are
-    the kernels called by interpreted kernels, `spent` the seconds of all; `ahead_of_time`: this
-    process runs to fill the cache.
+    `kernel` is under way since the CPU time `began`; `calls` are the kernels called by interpreted
+    kernels, `spent` the seconds of those before; `ahead_of_time`: this process fills the cache.
     """
 
-    until, calls, spent, ahead_of_time = math.inf, 0, 0.0, False
+    kernel: Kernel | None = None
+    began, calls, spent, ahead_of_time = 0.0, 0, 0.0, False
 
 
 class Kernel(Compilable):
@@ -108,25 +109,28 @@ class Kernel(Compilable):
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the function."""
-        if _Interpreter.until < math.inf:
+        outer = _Interpreter.kernel
+        if outer is not None:
             _Interpreter.calls += 1
-            if _Interpreter.calls % _CLOCK == 0 and thread_time() > _Interpreter.until:
+            looks = _Interpreter.calls % _CLOCK == 0
+            if looks and outer._is_hot(thread_time() - _Interpreter.began):
                 raise TimeoutError
             return self.written(*arguments)
         if self._hot or self._is_hot():
             return self.compiled(*arguments)
         return self._interpret(arguments)
 
-    def _is_hot(self) -> bool:
-        loads = self._spent >= LINKING if numba_is_imported() else _Interpreter.spent >= LOADING
-        enough = LINKING if _Interpreter.ahead_of_time else HOT
-        self._hot = self._spent >= enough or (loads and self.is_cached)
+    def _is_hot(self, under_way: float = 0.0) -> bool:
+        """Return whether to compile it, after this many seconds of the present call."""
+        own, total = self._spent + under_way, _Interpreter.spent + under_way
+        loads = own >= LINKING if numba_is_imported() else total >= LOADING
+        hot = own >= HOT or _Interpreter.ahead_of_time
+        self._hot = hot or (loads and self.is_cached)
         return self._hot
 
     def _interpret(self, arguments: tuple[Any, ...]) -> Any:
         before = [(array, array.copy()) for array in _arrays(arguments) if array.flags.writeable]
-        began = thread_time()
-        _Interpreter.until = began + HOT - self._spent
+        _Interpreter.kernel, _Interpreter.began = self, thread_time()
         try:
             with np.errstate(all="ignore"):
                 return _python_numbers(self.written(*arguments))
@@ -134,10 +138,10 @@ class Kernel(Compilable):
             # It took too long, or only compiled code gives an infinity or no number.
             self._hot = True
         finally:
-            took = thread_time() - began
+            took = thread_time() - _Interpreter.began
             self._spent += took
             _Interpreter.spent += took
-            _Interpreter.until = math.inf
+            _Interpreter.kernel = None
         for array, content in before:
             array[...] = content
         return self.compiled(*arguments)
@@ -188,7 +192,7 @@ def intrinsic(as_written: Callable[..., Any]) -> Callable[[Callable[..., Any]], 
 
 @contextmanager
 def ahead_of_time() -> Iterator[None]:
-    """Compile kernels sooner, for runs whose purpose is to fill the cache."""
+    """Interpret no kernels, in runs whose purpose is to fill the cache."""
     _Interpreter.ahead_of_time = True
     try:
         yield

@@ -140,22 +140,16 @@ def sample_states(coeffs: Array, times: Array, tau: Array) -> Array:
     return result
 
 
-@kernel
 def term_sizes(times: Array, coeffs: Array) -> Array:
-    """Return the sum of absolute terms of each variable at the end of an arc."""
-    last, n, terms = len(coeffs) - 1, coeffs.shape[1], coeffs.shape[2]
+    """Terms of the variables in the last step of an arc, and their rates times its length.
+
+    Shape (n, d + 2); (n, d + 1) without the rates if the arc lasts for no time.
+    """
     # A last step below the round-off of time has no rate: use the one before.
-    long = last
-    while long >= 0 and times[long + 1] == times[long]:
-        long -= 1
-    if long < 0:
-        return coeffs[last].copy()
-    result = np.empty((n, terms + 1))
-    duration = times[long + 1] - times[long]
-    for v in range(n):
-        rate = 0.0
-        for k in range(terms):
-            result[v, k] = coeffs[last, v, k]
-            rate += k * coeffs[long, v, k]
-        result[v, terms] = rate / duration * times[last + 1]
-    return result
+    long = np.flatnonzero(np.diff(times))
+    if not len(long):
+        return coeffs[-1].copy()
+    step = long[-1]
+    rates = (np.arange(coeffs.shape[2]) * coeffs[step]).sum(axis=1)
+    lengths = times[-1] / (times[step + 1] - times[step])
+    return np.append(coeffs[-1], rates[:, None] * lengths, axis=1)

@@ -134,6 +134,19 @@ def test_hot_kernel_is_compiled_and_restarted(cold, monkeypatch):
     assert cold._hot
 
 
+def test_a_kernel_on_disk_is_loaded_during_its_first_call(cold, monkeypatch):
+    monkeypatch.setattr(jit, "numba_is_imported", lambda: True)
+    monkeypatch.setattr(jit, "LINKING", 1e-9)
+    result = np.zeros(400)
+    cold.is_cached = False
+    assert cold(np.full(400, 16.0), result) == (4.0, 400)
+    assert not cold._hot
+    cold.is_cached, cold._spent = True, 0.0
+    assert cold(np.full(400, 25.0), result) == (5.0, 400)
+    assert set(result.tolist()) == {5.0}
+    assert cold._hot
+
+
 @pytest.mark.parametrize(
     ("verb", "model"),
     [
