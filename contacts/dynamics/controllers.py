@@ -265,5 +265,4 @@ class ControlGuards:
 
     def sizes(self, setup: SceneSetup) -> Array:
         """Return the sizes of the inputs."""
-        assert setup.sizes is not None
         return np.concatenate([setup.sizes, self.typical(setup), np.zeros_like(self._unknown)])

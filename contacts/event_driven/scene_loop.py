@@ -45,7 +45,6 @@ from contacts.event_driven.compiled_instants import (
 from contacts.modes.compiled_classification import InstantConstants, allowed, classify
 from contacts.states import CODES, FREE, OFF, OFF_CODE, PIN, superstates_of
 from statechart.arrays import Array, Bools, Ints, Ints32
-from statechart.automaton.laws import Setup
 from statechart.automaton.trace_store import ARCS, EVENTS, TERMS, TIMES, TraceBuffer
 from statechart.engines.compiled_flow import (
     DURATION_ENDED,
@@ -521,11 +520,14 @@ class SceneLoop:
         return self._call(self._scene, batch, block, result)
 
     def resume(
-        self, setup: Setup, floor: float, block: TraceBuffer, result: BatchResult, series: Array
+        self,
+        setup: SceneSetup,
+        floor: float,
+        block: TraceBuffer,
+        result: BatchResult,
+        series: Array,
     ) -> None:
         """Resume a run."""
-        assert isinstance(setup, SceneSetup)
-        assert setup.sizes is not None
         numbers, (watch, _) = self._scene.numbers, self._buffers
         scales = setup.scales
         numbers.values[:], numbers.sizes[:] = result.values[0], setup.sizes
