@@ -9,7 +9,6 @@ from typing import Any, Self, get_args
 from pydantic import model_validator
 
 from contacts.scene.checks import (
-    check_carrier,
     check_collisions,
     check_copies,
     check_coupled,
@@ -178,7 +177,13 @@ class Scene(SceneFields):
                 check_member(kind, referred, known, *loc)
         for name, surface in self.surfaces.items():
             with findings:
-                check_carrier(self, name, surface.body)
+                carrier = self.bodies.get(surface.body or "")
+                if carrier is not None and carrier.copies is not None:
+                    raise DeclarationProblem(
+                        f"one body carries a surface, and {surface.body!r} has copies",
+                        advice="declare the body that carries it by itself, without copies",
+                        loc=("surfaces", name, "body"),
+                    )
         for name, mode in self.initial_modes.items():
             if name not in self.contacts or not self._on_a_surface(name):
                 continue
