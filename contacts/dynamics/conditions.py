@@ -117,9 +117,7 @@ class Conditions:
             outputs, unknowns=unknowns, definitions=mechanics.controlled(states)
         )
         self._derivatives = MarginDerivatives(
-            mechanics.state,
-            mechanics.parameters.ordered,
-            mechanics.time,
+            mechanics.state, mechanics.parameters.ordered, mechanics.time
         )
 
     def slots(self, margins: Sequence[str]) -> Ints:

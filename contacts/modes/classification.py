@@ -13,13 +13,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from contacts.dynamics.contact_law import ContactLaw, bounds, cones
+from contacts.dynamics.contact_law import ContactLaw, bounds, cones, coupling_law
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import EDGES, PerContact, Snapshot
 from contacts.modes.candidates import (
@@ -38,10 +38,7 @@ from contacts.modes.candidates import (
 from contacts.modes.load_sharing import bearing_contacts, prestressed_contacts, rank
 from contacts.scene.couplings import LIMIT_MARGINS
 from contacts.scene.modes import FORCE_MARGINS, OWN
-from contacts.solvers.mode_solver import (
-    choose_edges,
-    judge_forces,
-)
+from contacts.solvers.mode_solver import choose_edges, judge_forces
 from contacts.states import (
     CODES,
     COUPLING_STATES,
@@ -264,12 +261,8 @@ def choose(
     Raises `NoConsistentMode` or `AmbiguousMode` with every candidate and its reason, and
     `NonFinite` if the state has no finite forces.
     """
-    laws, scales, tie, slip_tolerance = (
-        setup.contacts,
-        setup.scales,
-        setup.tie,
-        setup.slip_tolerance,
-    )
+    laws, scales = setup.contacts, setup.scales
+    tie, slip_tolerance = setup.tie, setup.slip_tolerance
     count, resting = len(laws), _signs_at_rest(snapshot, slip_tolerance)
     before = before or Before(bearing=frozenset(range(count)))
     if resting:
@@ -343,10 +336,7 @@ def choose(
 
 
 def _continuing_candidates(
-    agreeing: list[Candidate],
-    tried: Iterable[Candidate],
-    case: Case,
-    before: Before,
+    agreeing: list[Candidate], tried: Iterable[Candidate], case: Case, before: Before
 ) -> list[Candidate]:
     """Return the consistent candidates that continue the previous motion, or all of them.
 
@@ -534,10 +524,7 @@ def _opens_more(taken: Candidate, other: Candidate, closed: Sequence[bool]) -> b
 
 
 def _note_held_contacts(
-    snapshot: Snapshot,
-    laws: Sequence[ContactLaw],
-    closed: Sequence[bool],
-    states: tuple[str, ...],
+    snapshot: Snapshot, laws: Sequence[ContactLaw], closed: Sequence[bool], states: tuple[str, ...]
 ) -> tuple[str, ...]:
     """Return a note on contacts that joints hold closed, whose forces are undetermined."""
     if snapshot.reduction is None:
@@ -562,19 +549,14 @@ def _note_held_contacts(
 def _options(
     contact: PerContact, law: ContactLaw, touching: bool, at_rest: bool
 ) -> tuple[str, ...]:
+    """Return the possible states of a contact: with slip those of its direction."""
     if not touching:
         off_name = DISENGAGED if law.coupling else OFF
         return (off_name if contact.gap == math.inf else "free",)
-    return _open_states(law.states, contact.slip > 0.0, at_rest)
-
-
-@lru_cache(maxsize=1024)
-def _open_states(states: tuple[str, ...], forward: bool, at_rest: bool) -> tuple[str, ...]:
-    """Return the possible states of a touching contact with this direction of slip."""
-    direction = ("slide+", "slip+") if forward else ("slide-", "slip-")
+    direction = ("slide+", "slip+") if contact.slip > 0.0 else ("slide-", "slip-")
     return tuple(
         state
-        for state in states
+        for state in law.states
         if state not in INACTIVE and (state in ("free", "slide") or at_rest or state in direction)
     )
 
@@ -605,7 +587,7 @@ def _laws_of(snapshot: Snapshot, which: Sequence[int]) -> tuple[ContactLaw, ...]
     """Return signs as laws of couplings."""
     assert snapshot.signs is not None
     names = [snapshot.signs.frictions[k].name for k in which]
-    return tuple(ContactLaw(n, COUPLING_STATES, 0.0, 1.0, 0.0, "newton", True) for n in names)
+    return tuple(coupling_law(name, COUPLING_STATES) for name in names)
 
 
 def _with_signs(snapshot: Snapshot, which: Sequence[int]) -> Snapshot:

@@ -19,16 +19,7 @@ from contacts.solvers.mode_solver import (
     list_combinations,
     solve_modes,
 )
-from contacts.states import (
-    CODES,
-    FREE,
-    INACTIVE,
-    OFF_CODE,
-    PIN,
-    SLIDE,
-    SLIDE_MINUS,
-    SLIDE_PLUS,
-)
+from contacts.states import CODES, FREE, INACTIVE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel
 
