@@ -228,13 +228,7 @@ def _solve_struck(tape: SnapshotTape, landing: Landing, jam: Jam | None) -> _Str
     if not stands_for_bounces(bounces, elastic.snapshot, captured.snapshot, closed):
         return elastic
     lasting = correct_durations(
-        bounces,
-        setup,
-        snapshot_at,
-        elastic.snapshot,
-        captured.snapshot,
-        captured.state,
-        closed,
+        bounces, setup, snapshot_at, elastic.snapshot, captured.snapshot, captured.state, closed
     )
     return elastic if lasting is None else captured._replace(bounce_times=lasting)
 

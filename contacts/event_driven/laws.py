@@ -171,12 +171,7 @@ class SceneLaws:
             snapshot = hidden(self.tape.at(setup.values, state, 0.0), off)
         warnings = self._start_warnings(setup, state, off)
         choice = choose_at_rest(
-            setup,
-            snapshot,
-            touching,
-            state,
-            hidden_at(self.tape, setup.values, 0.0, off),
-            Before(),
+            setup, snapshot, touching, state, hidden_at(self.tape, setup.values, 0.0, off), Before()
         )
         moving = moving_mode(choice.roles)
         starts = listed_mode(moving, setup, snapshot)

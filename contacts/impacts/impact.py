@@ -226,12 +226,7 @@ class Impact:
 
 
 def impact(
-    snapshot: Snapshot,
-    place: int,
-    law: ContactLaw,
-    restitution: float,
-    *,
-    braking: bool = False,
+    snapshot: Snapshot, place: int, law: ContactLaw, restitution: float, *, braking: bool = False
 ) -> Impact:
     """Return the outcome of an impact at the contact of this index, the only closed one.
 

@@ -331,9 +331,7 @@ def properties(declared: Scene) -> tuple[Property, ...]:
         Property("V >= 0 and |H| <= mu V", each(partial(assert_cone, scene)), none),
         *(limits if scene.couplings else []),
         Property(
-            "no force without contact",
-            each(partial(assert_no_force_when_free, scene)),
-            never_free,
+            "no force without contact", each(partial(assert_no_force_when_free, scene)), never_free
         ),
         Property(
             "impulses push, within friction", each(partial(assert_impulses, mechanics)), never_free
