@@ -76,7 +76,6 @@ class ControlledLaws:
         return self._states.settle_start(lambda states: self._begin(setup, states), due_in)
 
     def _begin(self, setup: SceneSetup, controllers: Key) -> tuple[Flow, Array]:
-        """Return the first flow with initial states of controllers."""
         state = self._states.enter_initial_states(setup, Clock(), setup.initial, controllers)
         inner = replace(self._within(setup, controllers), initial=state)
         flow, state = self._at(controllers).begin(inner)
@@ -198,12 +197,10 @@ class ControlledLaws:
         return self._contacts.remarks(setup, arcs)
 
     def _laws_in(self, states: Key) -> SceneLaws:
-        """Return the contacts' laws with the controllers in `states`."""
         start, named = self._contacts, self._states.named(states)
         return SceneLaws(self._mechanics, start.numbers, named, start)
 
     def _within(self, setup: SceneSetup, states: Key) -> SceneSetup:
-        """Return the setup with the coefficients of `states`."""
         if not self._varying:
             return setup
         laws = self._contacts.numbers.contacts(setup.values, self._states.named(states))
@@ -230,7 +227,6 @@ class ControlledLaws:
         return truths, truths.rows
 
     def _holding(self, at: SceneInstant) -> set[tuple[int, int]]:
-        """Return the guards of event transitions that hold."""
         setup, clock, _, flow, state, _ = at
         guarded = self._states.guards(flow.mode[self._count :], at_events=True)
         rows = guarded.atoms_at(setup, clock.high, state, self._solved(at))
@@ -257,7 +253,6 @@ class ControlledLaws:
         return np.concatenate([accelerations, forces[:contact_count].ravel(), couples, joints])
 
     def _parted(self, flow: Flow) -> Flow:
-        """Return the flow of the contacts alone."""
         return flow._replace(mode=flow.mode[: self._count], roles=flow.roles[: self._count])
 
     def _joined(

@@ -369,7 +369,6 @@ class SceneLaws:
         return self._impact(here, [jam.place], jam)
 
     def _grown(self, here: Landing) -> Jam | None:
-        """Return the jam if a force grows without bound."""
         shut = [state not in OPEN for state in here.moving]
         return unbounded_jam(here.at.setup, here.snapshot, shut)
 
@@ -411,7 +410,6 @@ class SceneLaws:
         return jump, flow_in(setup, target, choice)
 
     def _of_forces(self, fired: tuple[str, ...]) -> bool:
-        """Return whether only margins of contact forces fell."""
         kinds = (*FORCE_MARGINS, *LIMIT_MARGINS)
         forces = {f"{name}.{force}" for name in self._names for force in kinds}
         return bool(fired) and forces.issuperset(fired)

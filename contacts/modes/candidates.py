@@ -221,7 +221,6 @@ def resistance_pairs(laws: tuple[ContactLaw, ...]) -> tuple[tuple[int, int], ...
 def _combinations(
     options: tuple[Sequence[str], ...], pairs: tuple[tuple[int, int], ...]
 ) -> tuple[tuple[tuple[str, ...], ...], Ints]:
-    """Return every combination of states, as names and as codes."""
     combinations = tuple(
         states
         for states in product(*options)

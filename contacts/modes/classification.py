@@ -574,7 +574,6 @@ def _verdict(candidate: Candidate, tie: float) -> str:
 
 
 def _signs_at_rest(snapshot: Snapshot, still_below: float) -> list[int]:
-    """Return the signs at rest: with rates of at most `still_below`."""
     if snapshot.signs is None:
         return []
     slips, _, limits = snapshot.signs.numbers.T
@@ -584,7 +583,6 @@ def _signs_at_rest(snapshot: Snapshot, still_below: float) -> list[int]:
 
 
 def _laws_of(snapshot: Snapshot, which: Sequence[int]) -> tuple[ContactLaw, ...]:
-    """Return signs as laws of couplings."""
     assert snapshot.signs is not None
     names = [snapshot.signs.frictions[k].name for k in which]
     return tuple(coupling_law(name, COUPLING_STATES) for name in names)

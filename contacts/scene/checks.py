@@ -561,7 +561,6 @@ def _check_places(corners: _Corners) -> None:
 
 
 def _check_crossings(corners: _Corners) -> None:
-    """Check that no edges cross."""
     edges = list(zip(corners, [*corners[1:], corners[0]], strict=True))
     for i, j in combinations(range(len(edges)), 2):
         (a, b), (c, d) = edges[i], edges[j]

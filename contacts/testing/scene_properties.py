@@ -282,7 +282,6 @@ def _work_of_catches(
 
 
 def _work_of_joints(mechanics: Mechanics, subject: Subject, trace: Trace, jump: Jump) -> float:
-    """Return the work of led joints in an impact."""
     rates = [row.path_rate for row in mechanics.joint_rows]
     names = [f"{row.joint}.{row.component}" for row in mechanics.joint_rows]
     impulses = [jump.joint_impulse.get(name, 0.0) for name in names]

@@ -241,7 +241,6 @@ class _Change:
         return self._value(name, value, unit)
 
     def _formula(self, text: FormulaText, factor: float) -> FormulaText:
-        """Return a formula with inputs and result in the new units."""
         if isinstance(text, str):
             text = self._read(parse(text), self._factors)
         return _times(text, factor)
