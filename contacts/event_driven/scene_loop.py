@@ -394,14 +394,6 @@ def _tolerances(scene: SceneConstants, scales: Array, kinds: Array) -> None:
     kinds[HOLD], kinds[IMPLIED] = HOLD_PART * kinds[FORCE], IMPLIED_BAND * kinds[SPEED]
 
 
-@kernel
-def _no_series(series: Array) -> None:
-    for i in range(series.shape[0]):
-        for k in range(WIDTH):
-            series[i, k] = 0.0
-        series[i, HIGH] = math.nan
-
-
 @kernel(interpreted=False)
 def run_batch(
     program: ModeTable, workspace: FlowWorkspace, scene: SceneConstants, first_watch: FlowInputs,
@@ -446,7 +438,8 @@ def run_batch(
             ends[runs.FIRST_MODE] = mode
             copy_numbers(numbers.values, result.values[row])
             copy_numbers(numbers.initial, result.initial[row])
-            _no_series(scene.series)
+            scene.series[:] = 0.0
+            scene.series[:, HIGH] = math.nan
         pauses, run = 0, RunState(clock, place, state, scene.series, run_states)
         while True:
             ends[runs.REASON], ends[runs.MARGIN], clock[runs.T_REST] = _run(
@@ -632,7 +625,7 @@ def _buffers(
         numbers.conditions.slots(loop.margins),
         np.empty(variables + 1),
         0.0,
-        allowed(tuple([law.states for law in laws])),
+        allowed([law.states for law in laws]),
         np.empty((contacts, 2)),
         np.empty(contacts),
         np.array([restitution_meaning(law) for law in laws], np.int64),
