@@ -45,7 +45,7 @@ from contacts.event_driven.impact_jump import (
 )
 from contacts.event_driven.switching import Switching, alike
 from contacts.impacts.bounces import reopens_immediately, rest_of_passages
-from contacts.impacts.jamming import Jam, listed_mode, off_state, strike_jammed, unbounded_jam
+from contacts.impacts.jamming import Jam, listed_mode, off_state, resolve_jam, strike_jammed
 from contacts.impacts.simultaneous import impacts
 from contacts.modes.classification import Before, Choice
 from contacts.modes.feasibility import scene_feasibility
@@ -370,7 +370,7 @@ class SceneLaws:
 
     def _grown(self, here: Landing) -> Jam | None:
         shut = [state not in OPEN for state in here.moving]
-        return unbounded_jam(here.at.setup, here.snapshot, shut)
+        return resolve_jam(here.at.setup, here.snapshot, shut, unbounded=True)
 
     def _enter(self, here: Landing, choice: Choice) -> JumpResult:
         """Return the jump to a mode; None if the flow already moves in it."""

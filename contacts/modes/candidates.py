@@ -10,7 +10,7 @@ of contacts are dependent, a mode is consistent if some forces in the cones expl
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import product
 from typing import NamedTuple
@@ -114,11 +114,6 @@ class Candidate(NamedTuple):
         if kind == _OUTSIDE_ALL:
             return _UNEXPLAINED
         return f"{contact}: " + _REASONS[kind].format(number)
-
-
-def consistent(tried: Iterable[Candidate], tie: float) -> list[Candidate]:
-    """Return the candidates that violate no inequality by more than `tie`."""
-    return [c for c in tried if c.violation <= tie]
 
 
 def candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:

@@ -30,7 +30,6 @@ from contacts.modes.candidates import (
     Case,
     candidates,
     closedness_key,
-    consistent,
     lemke_candidates,
     resistance_pairs,
     same_motion,
@@ -281,11 +280,11 @@ def choose(
     by_pivoting = touching > _MAX_ENUMERATED
     if by_pivoting:
         tried = lemke_candidates(case, options)
-        agreeing = consistent(tried, tie)
+        agreeing = [c for c in tried if c.violation <= tie]
     if not agreeing and touching <= _MAX_ENUMERATED_LAST:
         by_pivoting = False
         tried = candidates(case, options)
-        agreeing = consistent(tried, tie)
+        agreeing = [c for c in tried if c.violation <= tie]
     if not agreeing:
         if not (np.isfinite(snapshot.forces).all() and np.isfinite(snapshot.mass).all()):
             raise NonFinite(

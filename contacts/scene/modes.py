@@ -81,11 +81,6 @@ class ContactSymbols:
     compliance: sp.Expr | None = None
 
     @property
-    def tangent(self) -> _Pair:
-        """Unit tangent of the surface: the normal, turned clockwise."""
-        return self.normal[1], -self.normal[0]
-
-    @property
     def normal_law(self) -> sp.Expr:
         """Equation along the normal of a closed contact: this expression is zero."""
         if self.compliance is None:
