@@ -25,10 +25,10 @@ from contacts.states import CLOSED, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
-from statechart.automaton.laws import Feasibility, Flow, JumpResult, moving_mode, roles_in
+from statechart.automaton.laws import Flow, JumpResult, moving_mode, roles_in
 from statechart.automaton.margin_derivatives import MarginDerivatives
 from statechart.automaton.regions import Region, active_in
-from statechart.automaton.trace import Arc, Jump, Key, Roles
+from statechart.automaton.trace import Jump, Key, Roles
 from statechart.charts.guard_watch import EventQueues, GuardTruths, transition_outcomes
 
 
@@ -62,6 +62,7 @@ class ControlledLaws:
             r.name: transition_outcomes(r) for r in regions if r.name in self._controllers
         }
         self._queues = EventQueues(regions, self._controllers)
+        self.feasibility, self.remarks = contacts.feasibility, contacts.remarks
 
     def begin(self, setup: SceneSetup) -> tuple[Flow, Array]:
         """Return the first flow; transitions that are due there follow as jumps."""
@@ -185,16 +186,6 @@ class ControlledLaws:
         depends_on_states = self._states.joints or self._leads
         laws = self._at(moving_mode(roles[self._count :])) if depends_on_states else self._contacts
         return laws.constraints(setup, roles[: self._count], start, anchor)
-
-    def feasibility(
-        self, regions: Sequence[Region], setup: SceneSetup, state: Array, time: float
-    ) -> Feasibility:
-        """Judge every product mode by the velocities that its contacts require."""
-        return self._contacts.feasibility(regions, setup, state, time)
-
-    def remarks(self, setup: SceneSetup, arcs: Sequence[Arc]) -> tuple[str, ...]:
-        """Return warnings about contacts that stay off, see `handovers`."""
-        return self._contacts.remarks(setup, arcs)
 
     def _laws_in(self, states: Key) -> SceneLaws:
         start, named = self._contacts, self._states.named(states)

@@ -319,7 +319,7 @@ class SceneLaws:
         here = self._landing(at, hidden(snapshot, mode))
         if not here.hitting:
             return None
-        after = impact_jump(self.tape, here, self._struck(here.hitting))[0].after
+        after = impact_jump(self.tape, here, (self._names[here.hitting[0]], "touchdown"))[0].after
         return after, self.tape.at(at.setup.values, after, at.clock.high)
 
     def _landing(self, at: SceneInstant, snapshot: Snapshot) -> Landing:
@@ -501,14 +501,12 @@ class SceneLaws:
         failing = self.conditions.at(setup, state, time).failing()
         return scene_feasibility(regions, setup, self.snapshot(setup, state, time), failing)
 
-    def _struck(self, hitting: list[int], jam: Jam | None = None) -> tuple[str, str]:
-        """Return region and cause of an impact; round-off decides between simultaneous ones."""
-        return self._names[hitting[0]], "touchdown" if jam is None else "jam"
-
     def _impact(
         self, here: Landing, hitting: list[int], jam: Jam | None = None
     ) -> tuple[Jump, Flow]:
-        jump, flow, following = impact_jump(self.tape, here, self._struck(hitting, jam), jam)
+        # Round-off decides which of simultaneous impacts is named.
+        event = self._names[hitting[0]], "touchdown" if jam is None else "jam"
+        jump, flow, following = impact_jump(self.tape, here, event, jam)
         setup, closed, (before, after) = here.at.setup, here.closed, jump.energy or (0.0, 0.0)
         striking = [
             shut and not law.coupling for shut, law in zip(closed, setup.contacts, strict=True)
