@@ -451,7 +451,8 @@ def _at_static_friction(found: Sequence[Candidate], case: Case) -> list[Candidat
         ]
     )
     static = case._replace(snapshot=snapshot._replace(contacts=contacts, limits=limits))
-    return [c for c in found if consistent(candidates(static, [(s,) for s in c.states]), case.tie)]
+    alone = ((c, candidates(static, [(state,) for state in c.states])) for c in found)
+    return [c for c, solved in alone if any(one.violation <= case.tie for one in solved)]
 
 
 def _more_sticking(case: Case) -> Sequence[int]:
