@@ -232,34 +232,32 @@ def test_lengths_of_any_size_and_long_names_are_shown(length, width, tmp_path):
         assert opened.said == []
 
 
-FALLING_DICE = """\
-kind: scene
-name: dice
-parameters: {s: 0.016, w: 0.05}
-gravity: 9.81
-bodies:
-  die:
-    mass: 0.01
-    inertia: 0.01*s**2/6
-    shape: {polygon: [[-s/2, -s/2], [s/2, -s/2], [s/2, s/2], [-s/2, s/2]]}
-    copies: 5
-    start: {y: 0.1 + 0.1*index, angle: index, dangle: 50}
-  crate:
-    fixed: true
-    start: {x: 0.2, y: w}
-    shape: {polygon: [[-w, -w], [w, -w], [w, w], [-w, w]]}
-surfaces: {floor: {height: 0}}
-collisions: {dice: {bodies: [die, crate], surfaces: [floor], friction: 0.3, restitution: 0.4}}
-settings: {engine: impulse, step: 1/60}
-stop: {time: 3}
+def chain(clock: str, states: int, wait: float) -> str:
+    """Return a region of states that follow each other."""
+    flows = "".join(f"      s{k}: {{flows: {{{clock}: 1}}}}\n" for k in range(states))
+    moves = "".join(
+        f"      - {{name: e{k}, from: s{k - 1}, to: s{k}, guard: {clock} >= {k * wait}}}\n"
+        for k in range(1, states)
+    )
+    return f"  {clock}:\n    initial: s0\n    states:\n{flows}    transitions:\n{moves}"
+
+
+# Its diagram is a table of 20 columns and 3 rows.
+WIDE = f"""\
+kind: chart
+name: wide
+variables: {{a: 0, b: 0}}
+regions:
+{chain("a", 20, 0.1)}{chain("b", 3, 1.0)}
+stop: {{time: 3}}
 """
 
 
 @in_browser
 @pytest.mark.parametrize(("width", "least"), [(390, 8.0), (1000, 6.0), (1280, 5.0)])
 def test_letters_of_a_diagram_that_graphviz_shrinks_are_legible(tmp_path, width, least):
-    file = tmp_path / "dice.yaml"
-    file.write_text(FALLING_DICE, encoding="utf-8")
+    file = tmp_path / "wide.yaml"
+    file.write_text(WIDE, encoding="utf-8")
     with Browser(tmp_path / "browser", width=width) as opened:
         opened.open(statechart.run(file).report(tmp_path / "page.html"))
         assert opened.value("shrunk") < 0.7
