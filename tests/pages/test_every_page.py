@@ -55,7 +55,7 @@ def test_every_page_is_small_silent_and_consistent(name: str, tmp_path: Path) ->
     page = result.report(tmp_path / "page.html")
     assert page.stat().st_size < MOST
     dark = models.names().index(name) % 2 == 1
-    with Browser(tmp_path / "browser", dark=dark) as browser:
+    with Browser(dark=dark) as browser:
         browser.open(page)
         paper = browser.value("getComputedStyle(document.body).backgroundColor")
         assert paper == ("rgb(22, 25, 29)" if dark else "rgb(255, 255, 255)")
