@@ -54,7 +54,9 @@ def test_the_error_of_time_stepping_falls_with_the_step(model: str) -> None:
     # The ball's bounces accumulate: its modes are never those of the reference, its path is.
     runner = Runner(model)
     steps = [Setting(engine="impulse", step=runner.end() * 1e-3 * 0.5**k) for k in range(7)]
-    found = traded(runner, settings=steps)
+    # The hopper hops all the time.
+    until = 0.3 * runner.end() if model == "hopper" else None
+    found = traded(runner, settings=steps, until=until)
     assert found.points[-1].same_modes is (model != "bouncing_ball")
     (slope,) = slopes(found)
     assert slope.points >= 5
