@@ -138,8 +138,8 @@ class DeclarationProblem(ValueError):
     loc : tuple of str or int
         Keys and indices from the validated value down to the field concerned; empty for the
         value itself.
-    key : bool
-        Whether the key is wrong rather than its value.
+    key : tuple of str or int
+        The place instead of `loc`, if its key is wrong rather than its value.
     offset : int
         Where in the field's text, counted from 0.
     text : str
@@ -154,13 +154,14 @@ class DeclarationProblem(ValueError):
     _: KW_ONLY
     advice: str = ""
     loc: Loc = ()
-    key: bool = False
+    key: Loc = ()
     offset: int = 0
     text: str = ""
     see: Loc = ()
     others: tuple[DeclarationProblem, ...] = ()
 
     def __post_init__(self) -> None:
+        self.loc = self.key or self.loc
         super().__init__(self.message)
 
     def __str__(self) -> str:

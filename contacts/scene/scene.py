@@ -108,10 +108,10 @@ class Scene(SceneFields):
         pins = [] if self.collisions else [n for n, x in self.joints.items() if x.rope is None]
         check_wrapping(self, values, [("joints", name, "to") for name in pins])
         self.counted(values)
+        changing = {*self.controlled.controller_state, *self.kinematic_names} - {*self.parameters}
+        check_periods(self.regions, self.parameters, changing)
         check_physical(self, values)
         check_finite(self, values)
-        changing = {*self.controlled.controller_state, *self.kinematic_names} - {*self.parameters}
-        check_periods(self.regions, values, self.parameters, changing)
         for name, region in self.regions.items():
             for variable, text in region.variables.items():
                 loc = ("regions", name, "variables", variable)
@@ -140,8 +140,7 @@ class Scene(SceneFields):
                     raise DeclarationProblem(
                         f"{name!r} is a {one} already, {{see}}",
                         advice=f"choose another name for the {section[:-1]}",
-                        loc=(section, name),
-                        key=True,
+                        key=(section, name),
                         see=(things[name], name),
                     )
                 things[name] = section
@@ -232,8 +231,7 @@ class Scene(SceneFields):
                     raise DeclarationProblem(
                         "a position is a formula of coordinates, and the scene has none",
                         advice=FREE_START,
-                        loc=("bodies", name, "position"),
-                        key=True,
+                        key=("bodies", name, "position"),
                     )
         check_formulas(self, findings)
         check_led_surfaces(self, findings)
@@ -274,7 +272,8 @@ class Scene(SceneFields):
 
     def _check_enabled(self, findings: Findings, relations: Iterable[str], *at: str | int) -> None:
         parameters = frozenset(self.parameters)
-        seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
+        seen = self.kinematic_names | self.placed_names
+        seen |= {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
         seen |= {f"{coupling}.slip" for coupling in self.couplings}
         ropes = {joint_name for joint_name, joint in self.joints.items() if joint.rope is not None}
         for place, text in enumerate(relations):
@@ -311,8 +310,7 @@ class Scene(SceneFields):
                     raise DeclarationProblem(
                         "it moves no body",
                         advice="use it in the position or the angle of a body, or remove it",
-                        loc=("coordinates", name),
-                        key=True,
+                        key=("coordinates", name),
                     )
 
     @model_validator(mode="after")
@@ -371,7 +369,7 @@ def _fields(scene: Scene) -> dict[str, Any]:
 def _twice(name: str, loc: Loc, before: Loc, of: str = "") -> DeclarationProblem:
     what = "declared twice, first as {see}" if before else "the time of the run"
     advice = f"choose another name{of}"
-    return DeclarationProblem(f"{name!r} is {what}", advice=advice, loc=loc, key=True, see=before)
+    return DeclarationProblem(f"{name!r} is {what}", advice=advice, key=loc, see=before)
 
 
 def _active(states: Iterable[str]) -> dict[str, None]:

@@ -23,17 +23,13 @@ class Transition(fields.Part):
     """A transition between states of a region, with its trigger and updates."""
 
     OTHER_WORDS: ClassVar = {
-        **dict.fromkeys(("when", "if", "cond", "condition"), "guard"),
-        **dict.fromkeys(("event", "trigger"), "on: REGION.EVENT, or guard: RELATION"),
-        **dict.fromkeys(
-            ("reset", "reinit", "action", "actions", "assign", "do", "effect", "set"),
-            "updates: {VARIABLE: FORMULA}",
-        ),
-        **dict.fromkeys(("timeout", "delay"), "after"),
+        "when if cond condition": "guard",
+        "event trigger": "on: REGION.EVENT, or guard: RELATION",
+        "reset reinit action actions assign do effect set": "updates: {VARIABLE: FORMULA}",
+        "timeout delay": "after",
         "priority": "the transitions in their order: of those that are due the first is taken",
-        **dict.fromkeys(
-            ("send", "raise", "emit", "broadcast"),
-            "in another region on: REGION.NAME; the name of a transition is its event",
+        "send raise emit broadcast": (
+            "in another region on: REGION.NAME; the name of a transition is its event"
         ),
         "source": "from",
         "target": "to",
@@ -156,18 +152,14 @@ class BaseState(fields.Part):
     """
 
     OTHER_WORDS: ClassVar = {
-        **dict.fromkeys(("on", "after", "always"), _OUTSIDE),
-        **dict.fromkeys(("children", "substates"), "states"),
-        **dict.fromkeys(("onentry", "on_enter", "enter", "en"), "entry: {VARIABLE: FORMULA}"),
-        **dict.fromkeys(("onexit", "leave", "ex"), "exit: {VARIABLE: FORMULA}"),
-        **dict.fromkeys(
-            ("do", "ode", "dynamics", "equation", "equations", "der"), "flows: {VARIABLE: FORMULA}"
-        ),
-        **dict.fromkeys(
-            ("during", "du"), "flows: {VARIABLE: FORMULA}, or a transition with every: PERIOD"
-        ),
-        **dict.fromkeys(("parallel", "type"), "regions: {NAME: ...} in it, or final: true"),
-        **dict.fromkeys(("end", "terminal"), "final: true"),
+        "on after always": _OUTSIDE,
+        "children substates": "states",
+        "onentry on_enter enter en": "entry: {VARIABLE: FORMULA}",
+        "onexit leave ex": "exit: {VARIABLE: FORMULA}",
+        "do ode dynamics equation equations der": "flows: {VARIABLE: FORMULA}",
+        "during du": "flows: {VARIABLE: FORMULA}, or a transition with every: PERIOD",
+        "parallel type": "regions: {NAME: ...} in it, or final: true",
+        "end terminal": "final: true",
     }
 
     initial: str | None = declare(
@@ -224,7 +216,7 @@ class BaseRegion(fields.Part):
 
     OTHER_WORDS: ClassVar = {
         "history": "states: {NAME: {history: deep}} beside regions",
-        **dict.fromkeys(("parallel", "type"), "regions: {NAME: ...} in a state"),
+        "parallel type": "regions: {NAME: ...} in a state",
     }
 
     initial: str = declare("State at the start.", "flight")
@@ -303,29 +295,36 @@ def check_changes(
                 raise DeclarationProblem(
                     f"no variable {variable!r}{of}",
                     advice=advice,
-                    loc=(*at, variable),
-                    key=True,
+                    key=(*at, variable),
                 )
             names = {*known, *controls} if at[-1] == "flows" else known
             fields.check_names(parse(text), names, *at, variable)
 
 
+def periods_in(holder: Holder, *loc: str | int) -> Iterator[tuple[Loc, fields.FormulaText]]:
+    """Yield the places and texts of the delays and periods of transitions."""
+    for transition, at in declared_transitions(holder, *loc):
+        if transition.period is not None:
+            yield (*at, "after" if transition.every is None else "every"), transition.period
+
+
+PERIOD = "must be a finite time above 0, not {:g}"
+PERIOD_ADVICE = "write a number, or a formula of parameters, such as 0.02"
+
+
 def check_periods(
     regions: Mapping[str, BaseRegion],
-    values: Mapping[str, float] | None,
     known: Collection[str],
     changing: Collection[str],
+    values: Mapping[str, float] | None = None,
 ) -> None:
-    """Check that delays and periods are positive formulas of parameters, of nothing `changing`.
+    """Check that delays and periods are formulas of parameters, of nothing `changing`.
 
-    Raises `DeclarationProblem`.
+    With `values` of the parameters they must be positive. Raises `DeclarationProblem`.
     """
     for name, region in regions.items():
-        for transition, at in declared_transitions(region, "regions", name):
-            if transition.period is None:
-                continue
-            loc = (*at, "after" if transition.every is None else "every")
-            for node in names_in(parse(transition.period).root):
+        for loc, period in periods_in(region, "regions", name):
+            for node in names_in(parse(period).root):
                 if node.name in changing:
                     raise DeclarationProblem(
                         f"{node.name!r} changes during a run, and a period is constant",
@@ -333,16 +332,12 @@ def check_periods(
                         loc=loc,
                         offset=node.offset,
                     )
-            fields.check_names(parse(transition.period), known, *loc)
+            fields.check_names(parse(period), known, *loc)
             if values is None:
                 continue
-            found = fields.value_of(transition.period, values, *loc)
+            found = fields.value_of(period, values, *loc)
             if not 0.0 < found < float("inf"):
-                raise DeclarationProblem(
-                    f"must be a finite time above 0, not {found:g}",
-                    advice="write a number, or a formula of parameters, such as 0.02",
-                    loc=loc,
-                )
+                raise DeclarationProblem(PERIOD.format(found), advice=PERIOD_ADVICE, loc=loc)
 
 
 def check_listening(
