@@ -533,6 +533,22 @@ def test_slip_sustained_by_rolling_resistance_survives_an_impact(
     assert "rim_rolling" not in landing.impulse
 
 
+@pytest.mark.parametrize("engine", ["taylor", "scipy", "impulse"])
+def test_rolling_resistance_stops_a_slip_that_friction_alone_leaves(engine: str) -> None:
+    text = ROLLING.replace("y: r, dx: v0, dangle: -v0/r", "y: 0.3, dangle: 8")
+    text = text.replace("rolling_resistance: L", "rolling_resistance: 0.005")
+    text = text.replace("friction: 0.5", "friction: 0.1")
+    setting = {"step": 1e-4} if engine == "impulse" else {}
+    trace = statechart.run(interpret(read_text(text)), engine=engine, **setting).trace
+    # With both at their bounds the slip would end at 0.8 - 3.5*0.1*V - 25*0.005*V < 0.
+    normal = math.sqrt(2 * 9.81 * 0.2)
+    tangential = (0.1 * 8 - 0.1 * 0.005 * normal / 0.004) / 3.5
+    near = 1e-3 if engine == "impulse" else EXACT
+    expected = -tangential, tangential / 0.1
+    assert trace.jumps[0].after[[3, 5]] == pytest.approx(expected, abs=near)
+    assert trace.jumps[0].target[0] == "pin"
+
+
 def test_an_impact_by_steps_lists_the_impulse_of_rolling_resistance() -> None:
     text = ROLLING.replace("y: r, dx: v0, dangle: -v0/r", "y: 0.3, dx: 2")
     text = text.replace("rolling_resistance: L", "rolling_resistance: 0.02")
