@@ -13,6 +13,7 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +30,7 @@ from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.states import CLOSED, OPEN, RESTS, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.recorder import Recorder
+from contacts.time_stepping.settling import LEFT
 from contacts.time_stepping.stop_conditions import ActiveStates, first_undefined
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
@@ -83,9 +85,11 @@ class StepControl:
         self._bouncing = {
             law.name: i for i, law in enumerate(setup.contacts) if law.restitution > 0.0
         }
-        # Transition -> warning of bounces shorter than a step that it waits for.
+        # Transition -> warning of events that steps leave out, or add.
         self._left_out = dict[str, str]()
+        self._closed_at = dict[str, float]()  # Time at which these contacts closed last.
         self._rigid = {law.name for law in setup.contacts if not law.coupling}
+        self._couplings = {law.name: i for i, law in enumerate(setup.contacts) if law.coupling}
 
     def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
         """Return the steps until a controller may act, and whether one may."""
@@ -128,6 +132,11 @@ class StepControl:
             and not (jump.impulse or jump.target[self._bouncing[jump.region]] in OPEN)
             and jump.source[self._bouncing[jump.region]] in OPEN
         ]
+        self._warn_of_sticking(
+            jumps,
+            (np.array([recorder.clock.high]), state[None], solved[None], recorder.row[None]),
+            h,
+        )
         for first, *others in _simultaneous(jumps):
             # Simultaneous jumps of several contacts are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
@@ -152,8 +161,23 @@ class StepControl:
                 partial(self._holding, *at_end, recorder.row[None]),
             )
             if firing is None:
+                at = *at_end, recorder.row[None]
                 for jump in last_bounces:
-                    self._warn_of(jump, (*at_end, recorder.row[None]), h)
+                    self._warn_of(
+                        jump,
+                        f"{jump.region}: from t = {jump.t:.6g} on bounces are shorter than a step "
+                        f"of {h:g} and are left out, but {{}} waits for one; use a shorter step",
+                        at,
+                    )
+                for jump, name in product(jumps, self._couplings):
+                    place = self._couplings[name]
+                    if jump.impulse and jump.source[place] == jump.target[place] == "locked":
+                        why = (
+                            f"{name}: the impact at t = {jump.t:.6g} may make it slip for less "
+                            f"than a step of {h:g}, and {{}} waits for that; use a shorter step"
+                        )
+                        for cause in ("slip", "lock"):
+                            self._warn_of(_event(jump, name, cause), why, at)
                 return state
             name, taken = self._states.names[firing.place], firing.taken
             fired = tuple(g.name for g in watch.guards if (g.place, g.trigger) in firing.due)
@@ -211,20 +235,34 @@ class StepControl:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Warnings of bounces that controllers wait for and steps leave out."""
+        """Warnings of events that controllers wait for and steps leave out, or add."""
         return tuple(self._left_out.values())
 
-    def _warn_of(self, jump: Jump, at_end: tuple[Array, Array, Array, Ints], h: float) -> None:
-        """Warn if a transition still waits for the touchdown in a jump."""
+    def _warn_of(self, jump: Jump, why: str, at_end: tuple[Array, Array, Array, Ints]) -> None:
+        """Warn if a transition waits for the event of a jump; `why` has a place for its name."""
         pending, holding = self._queues.pending_after({}, jump), partial(self._holding, *at_end)
         firing = self._queues.first(self.states, pending, (), holding)
         if firing is not None:
             name = f"{self._states.names[firing.place]}.{firing.taken.name}"
-            self._left_out.setdefault(
-                name,
-                f"{jump.region}: from t = {jump.t:.6g} on bounces are shorter than a step of {h:g} "
-                f"and are left out, but {name} waits for one; use a shorter step",
-            )
+            self._left_out.setdefault(name, why.format(name))
+
+    def _warn_of_sticking(
+        self, jumps: Sequence[Jump], at_end: tuple[Array, Array, Array, Ints], h: float
+    ) -> None:
+        """Warn if a transition takes the end of a slip for which steps between bounces stand."""
+        for jump in jumps:
+            for name, i in self._bouncing.items():
+                if jump.source[i] in OPEN and jump.target[i] not in OPEN:
+                    self._closed_at[name] = jump.t
+            name = jump.region
+            if jump.cause == "stick" and jump.t - self._closed_at.get(name, -np.inf) <= LEFT * h:
+                self._warn_of(
+                    _event(jump, name, "stick"),
+                    f"{name} sticks at t = {jump.t:.6g}, just after bounces that are shorter than "
+                    f"a step of {h:g}: at their end it may be pinned at once, without the event "
+                    f"that {{}} waits for; wait for {name}.pin",
+                    at_end,
+                )
 
     def _closed(
         self, joint: str, state: Array, recorder: Recorder, h: float, struck: Collection[str]
@@ -334,6 +372,11 @@ class StepControl:
         rows = guards.table(self._setup, times, states, solved[:, self._order])[0]
         active = self._active.at(codes, self.states)
         return guards.watch.holding(rows, self._setup.rounded, lambda *of: bool(active(*of)[0]))
+
+
+def _event(jump: Jump, region: str, cause: str) -> Jump:
+    """Return a jump with this event alone, at the end of another one."""
+    return replace(jump, region=region, cause=cause, source=jump.target, impulse={})
 
 
 def _simultaneous(jumps: Sequence[Jump]) -> Iterator[Sequence[Jump]]:

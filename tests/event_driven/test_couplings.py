@@ -367,6 +367,26 @@ def test_impact_makes_a_locked_coupling_slip() -> None:
     assert [name for name, _ in events(trace)][1] == "brake lock"
 
 
+def test_steps_warn_of_a_slip_shorter_than_a_step_that_a_controller_waits_for() -> None:
+    watch = """regions:
+  watch:
+    initial: rests
+    states: {rests: {}, rings: {}}
+    transitions: [{name: ring, from: rests, to: rings, on: brake.lock}]
+"""
+    model = interpret(read_text(BEAM + watch))
+    # It slips for I w/(T - m g L): 0.2 ms at T = 1e4.
+    exact = statechart.run(model, parameters={"T": 1e4})
+    assert exact.trace.final_mode[-1] == "rings"
+    setting = {"engine": "impulse", "parameters": {"T": 1e4}}
+    coarse = statechart.run(model, step=1e-3, **setting)
+    assert coarse.trace.final_mode[-1] == "rests"
+    assert any("brake: the impact at" in w and "watch.ring waits" in w for w in coarse.warnings)
+    fine = statechart.run(model, step=1e-5, **setting)
+    assert fine.trace.final_mode[-1] == "rings"
+    assert not any("brake: the impact at" in warning for warning in fine.warnings)
+
+
 def test_open_coupling_that_closes_on_turning_wheels_slips_until_the_speeds_meet() -> None:
     text = CLUTCHES.replace("10*sin(10*pi*time)", "0").replace("cos(0.4*pi*time) >= 0", "time >= 9")
     trace = run(text.replace("w0: 10", "w0: 0").replace("p2: {}", "p2: {rate: 3}")).trace

@@ -515,6 +515,46 @@ stop: {time: 0.5}
     assert not plastic.warnings
 
 
+# Two links come to rest between a stop of the first and the ground under the second.
+LINKS = """
+kind: scene
+name: links
+gravity: 9.81
+bodies:
+  b: {mass: 1, inertia: 0.02, start: {x: 0.25, y: 0.25*sin(-0.909), angle: -0.909}}
+  c: {mass: 0.691, inertia: 0.01, start: {x: 0.5 + 0.25*cos(0.909), y: 0.5*sin(-0.909)}}
+surfaces: {floor: {height: -0.871}}
+contacts:
+  tip:
+    {point: {body: c, at: [0.25, 0]}, surface: floor, friction: 0.25, restitution: 0.157,
+     impact: moreau}
+joints:
+  hook:
+    {point: {body: b, at: [-0.25, 0]}, to: ['0.25*(1 - cos(0.909))', 0], limits: [-1.361, 1.151],
+     restitution: 0.127}
+  elbow: {point: {body: c, at: [-0.25, 0]}, to: {body: b, at: [0.25, 0]}}
+regions:
+  watch:
+    initial: moves
+    states: {moves: {}, rests: {}}
+    transitions: [{name: rest, from: moves, to: rests, on: tip.EVENT}]
+stop: {time: 0.6}
+"""
+
+
+def test_steps_warn_of_a_stick_at_the_end_of_bounces_that_a_controller_takes() -> None:
+    model = interpret(read_text(LINKS.replace("EVENT", "stick")))
+    assert by_events(model).trace.final_mode[-1] == "moves"
+    found = by_steps(model, 1e-3)
+    assert found.trace.final_mode[-1] == "rests"
+    assert any("that watch.rest waits for; wait for tip.pin" in w for w in found.warnings)
+    # The state that it names is entered on both.
+    model = interpret(read_text(LINKS.replace("EVENT", "pin")))
+    for result in (by_events(model), by_steps(model, 1e-3)):
+        assert result.trace.final_mode[-1] == "rests"
+        assert not any("wait for tip.pin" in warning for warning in result.warnings)
+
+
 # A damper leads from a body that bounces to one that sticks: at the impact its force vanishes.
 DAMPED = """
 kind: scene
