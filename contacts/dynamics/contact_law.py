@@ -30,6 +30,11 @@ class ContactLaw(NamedTuple):
     carrier: int = -1
 
 
+def coupling_law(name: str, states: tuple[str, ...], carrier: int = -1) -> ContactLaw:
+    """Return the law of a coupling, which only sticks or slips."""
+    return ContactLaw(name, states, 0.0, 1.0, 0.0, "newton", True, carrier)
+
+
 def cones(laws: Sequence[ContactLaw], contacts: Sequence[PerContact]) -> Array:
     """Return the unit edges (c, 6) of the friction cones: at rest, in slide+, in slide-."""
     edges = [
@@ -43,12 +48,6 @@ def sliding_edge(law: ContactLaw, contact: PerContact) -> tuple[float, float]:
     """Return the unit edge of a contact's cone in the direction of its slip."""
     plus_n, plus_t, minus_n, minus_t = contact.edges or 2 * (law.cone_n, law.cone_t)
     return (plus_n, plus_t) if contact.slip > 0.0 else (minus_n, minus_t)
-
-
-def impact_edge(law: ContactLaw, contact: PerContact, slip_tolerance: float) -> tuple[float, float]:
-    """Return the unit edge of the cone in an impact: kinetic if the contact slips before it."""
-    slips = abs(contact.slip) > slip_tolerance
-    return sliding_edge(law, contact) if slips else (law.cone_n, law.cone_t)
 
 
 @lru_cache(maxsize=1024)

@@ -928,3 +928,37 @@ stop: {{time: 0.05}}
     for result in (Runner(model, engine="taylor").run(), by_steps(model, 1e-3)):
         assert [jump.cause for jump in result.trace.jumps] == causes
         assert result.trace.jumps[-1].t == pytest.approx(math.sqrt(0.02 / 9.81), abs=3e-3)
+
+
+# A load that falls and moves joins a block, whose foot slides or rests on the floor.
+JOINED = """
+kind: scene
+name: joined
+gravity: 10
+bodies:
+  block: {mass: 2, start: {dx: BLOCK}}
+  load: {mass: 1, inertia: 1, start: {y: 1, dx: LOAD, dy: -1}}
+surfaces: {floor: {height: 0}}
+contacts:
+  foot:
+    {point: {body: block}, surface: floor, friction: {static: 0.8, kinetic: 0.2}, restitution: 0,
+    impact: moreau}
+joints: {hook: {point: {body: load}, to: {body: block}, rest: captured, enabled: time >= 0.1}}
+forces: {lift: {body: load, force: [0, 10]}}
+stop: {time: 0.11}
+"""
+
+
+@pytest.mark.parametrize(("block", "load"), [(2.0, 0.5), (-1.0, 0.5), (0.0, 1.2), (0.0, 0.1)])
+def test_a_joint_that_closes_meets_kinetic_friction(block: float, load: float) -> None:
+    """The floor takes the momentum 1 of the fall, and friction up to 0.2 along itself."""
+    model = interpret(read_text(JOINED.replace("BLOCK", f"{block}").replace("LOAD", f"{load}")))
+    braked = math.copysign(max(abs(block) - 0.2 * 10.0 * 0.1, 0.0), block)
+    momentum = 2.0 * braked + load
+    speed = math.copysign(max(abs(momentum) - 0.2, 0.0), momentum) / 3.0
+    for result in (Runner(model, engine="taylor").run(), by_steps(model, 1e-3)):
+        [closing] = [jump for jump in result.trace.jumps if jump.cause == "enable"]
+        after = dict(zip(result.trace.variables, closing.after.tolist(), strict=True))
+        assert after["block.dx"] == pytest.approx(speed, abs=1e-9)
+        assert after["load.dx"] == pytest.approx(speed, abs=1e-9)
+        assert closing.impulse["foot"][0] == pytest.approx(1.0, abs=1e-9)
