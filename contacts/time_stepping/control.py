@@ -9,7 +9,7 @@ beyond a transition are reverted.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -29,7 +29,7 @@ from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.states import CLOSED, OPEN, RESTS, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.recorder import Recorder
-from contacts.time_stepping.stop_conditions import ActiveStates, first_undefined
+from contacts.time_stepping.stop_conditions import ActiveStates, first_undefined, passed_spans
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Raised, Region
@@ -83,7 +83,8 @@ class StepControl:
         self._bouncing = {
             law.name: i for i, law in enumerate(setup.contacts) if law.restitution > 0.0
         }
-        # Transition -> warning of bounces shorter than a step that it waits for.
+        # Transition -> warning of bounces shorter than a step that it waits for, or of a guard that
+        # is true within a step only.
         self._left_out = dict[str, str]()
         self._rigid = {law.name for law in setup.contacts if not law.coupling}
 
@@ -104,6 +105,7 @@ class StepControl:
         acts = bool(may_act.any())
         end = int(np.argmax(may_act)) if acts else len(may_act) - 1
         self._zero = self.states, zero[end - 1] if end else before, zero[end]
+        self._note_passed(chunk.first(end + 1), start, shown)
         if end == len(may_act) - 1:
             return chunk, acts
         self._scene.forget()
@@ -321,6 +323,21 @@ class StepControl:
         stays = np.isfinite(rate) | np.vstack([first, near[:-1]])
         atoms: Bools = np.where(near, guards.watch.closed & stays & ~rises, true)
         return guards.watch.truths(atoms, self._active.at(codes, self.states)), near
+
+    def _note_passed(self, chunk: Chunk, start: float, codes: Ints) -> None:
+        """Note warnings of guards that are true within a step only."""
+        guards = self._states.guards(self.states)
+        if guards.watch.single:
+            return
+        times, unknown = np.append(start, chunk.ends(start)), np.full(len(self._order), np.nan)
+        solved = np.tile(unknown, (len(times), 1))
+        margins = guards.table(self._setup, times, chunk.states, solved)[..., 0]
+
+        def active(k: int, n: int) -> Callable[[str, str], Bools]:
+            return self._active.at(np.tile(codes[k], (n, 1)), self.states)
+
+        found = passed_spans(guards.watch, margins, chunk, start, active)
+        self._left_out = found | self._left_out
 
     def _holding(
         self, times: Array, states: Array, solved: Array, codes: Ints

@@ -745,6 +745,49 @@ def test_steps_warn_of_an_instant_that_they_pass_over(
         assert trace.jumps[-1].t == pytest.approx(1.25, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("guard", "span"),
+    [
+        ("b.x >= 0.70003 and b.x <= 0.70007", True),
+        ("b.x > 0.70003 and not time >= 0.70007 and in(r.a)", True),
+        ("abs(b.x - 0.70005) <= 2e-5", True),
+        ("b.x >= 0.70007 and b.x <= 0.70003", False),
+        ("b.x >= 0.7515 and b.y <= 0.0001", False),  # b rebounds from the floor at 0.75.
+    ],
+)
+@pytest.mark.parametrize("stops", [False, True])
+def test_steps_warn_of_relations_that_are_true_within_a_step_only(
+    guard: str, span: bool, stops: bool
+) -> None:
+    text = f"""
+kind: scene
+name: passing
+parameters: {{g: 10}}
+gravity: g
+bodies: {{b: {{mass: 1, start: {{y: g*0.75**2/2, dx: 1}}}}}}
+surfaces: {{floor: {{height: 0}}}}
+contacts: {{c: {{point: {{body: b}}, surface: floor, friction: 0, restitution: 1}}}}
+regions:
+  r:
+    initial: a
+    states: {{a: {{}}, b: {{}}}}
+    transitions: [{{name: go, from: a, to: b, guard: "{guard}"}}]
+stop: {{time: 0.8}}
+"""
+    if stops:
+        text = re.sub("transitions: .*", "transitions: []", text)
+        text = text.replace("time: 0.8", f"time: 0.8, conditions: {{go: '{guard}'}}")
+    model = interpret(read_text(text))
+    coarse, fine = by_steps(model, 1e-3), by_steps(model, 1e-5)
+    assert [jump.cause for jump in coarse.trace.jumps] == ["touchdown"]
+    words = f"{'' if stops else 'r.'}go is true within the step of 0.001 at t = 0.7, at neither end"
+    assert [w.split(":")[0] for w in coarse.warnings if "within" in w] == [words] * span
+    assert not any("within the step" in w for w in fine.warnings)
+    assert [jump.t for jump in fine.trace.jumps if jump.cause in ("go", "stop")] == (
+        [pytest.approx(0.70003, abs=2.1e-5)] if span else []
+    )
+
+
 # A hand closes on a point that rebounds, with a motor that is stronger than its friction.
 GRIPPED = """
 kind: scene
