@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.gates import (
     FAILS,
     PER_CONDITION,
@@ -23,7 +22,7 @@ from contacts.dynamics.gates import (
     write_node_verdicts,
 )
 from contacts.dynamics.snapshot import SCALARS
-from contacts.impacts.impact import ENDED, MEANINGS, RAISES, solve_impact
+from contacts.impacts.impact import ENDED, RAISES, solve_impact
 from contacts.impacts.impulses import strike_group
 from contacts.modes.compiled_classification import (
     InstantConstants,
@@ -31,7 +30,6 @@ from contacts.modes.compiled_classification import (
     violates_constraints,
     write_edges,
 )
-from contacts.scene.parts import MOREAU
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Ints
 from statechart.automaton.trace_store import EVENTS, JUMP_OBJECT, TraceBuffer
@@ -192,11 +190,6 @@ def solve_impact_instant(
     return c, path, bits
 
 
-def restitution_meaning(law: ContactLaw) -> int:
-    """Return the kind of restitution of a path's impact; -1 for Moreau's law."""
-    return -1 if law.impact == MOREAU else MEANINGS[law.impact]
-
-
 @kernel
 def conditions(
     program: ModeTable, watch: FlowInputs, scene: InstantConstants, state: Array, time: float
@@ -266,12 +259,11 @@ def switch_contacts(
         unsure = unsure or (node_verdicts[i] != FAILS and (node_verdicts[i] == UNSURE or undefined))
         if changed < 0 and target[c] != source[c]:
             changed = c
-        near_surface = abs(gap) <= _CORNER_GAPS * scene.gap
-        stays = stays or (near_surface and target[c] != OFF_CODE)
-        leaves = leaves or (near_surface and target[c] == OFF_CODE and source[c] != OFF_CODE)
-        neighbour_off = neighbour_off or (
-            near_surface and target[c] == OFF_CODE and source[c] == OFF_CODE
-        )
+        if abs(gap) <= _CORNER_GAPS * scene.gap:
+            is_off, was_off = target[c] == OFF_CODE, source[c] == OFF_CODE
+            stays = stays or not is_off
+            leaves = leaves or (is_off and not was_off)
+            neighbour_off = neighbour_off or (is_off and was_off)
     # Python handles a corner where no other contact takes over.
     unsure = unsure or (leaves and neighbour_off and not stays)
     return -2 if unsure else changed
@@ -411,10 +403,8 @@ def jump_instant(
             changed += 1
         row = _PER_CAUSE * changed + _cause(source[changed], target[changed])
     for c in range(contacts):
-        gap, was_closed = (
-            numbers[scalars + SCALARS * c],
-            source[c] != FREE and source[c] != OFF_CODE,
-        )
+        gap = numbers[scalars + SCALARS * c]
+        was_closed = source[c] != FREE and source[c] != OFF_CODE
         if target[c] != FREE:
             watch.parameters[scene.offsets[c]] = 0.0
         elif was_closed or c == struck or (struck >= 0 and (group >> c) & 1 == 1):
