@@ -28,20 +28,16 @@ class OutputStream(Protocol):
     @property
     def events(self) -> bool:
         """True if it needs jumps, and the modes of arcs."""
-        ...
 
     @property
     def motion(self) -> bool:
         """True if it needs the arcs and jumps of the whole run."""
-        ...
 
     def add(self, piece: Trace) -> None:
         """Process the arcs and jumps since the last call."""
-        ...
 
     def end(self, piece: Trace) -> Mapping[str, Any]:
         """Process the last arcs and jumps; return the outputs."""
-        ...
 
 
 class RecordingPolicy(NamedTuple):
@@ -77,14 +73,12 @@ class TimeStepper(Protocol):
 
         Raises `DeclarationProblem` if no run can start, `SimulationError` for unsupported models.
         """
-        ...
 
     def run(self, overrides: Mapping[str, float], request: StepRequest) -> Trace:
         """Run from the declared initial state.
 
         The outcome of the trace says whether the run is complete.
         """
-        ...
 
     def stream(
         self, overrides: Mapping[str, float], sampling: Sampling, request: StepRequest
@@ -93,7 +87,6 @@ class TimeStepper(Protocol):
 
         Raises `SimulationError` if the run cannot go on, after its last item.
         """
-        ...
 
 
 @dataclass(frozen=True)

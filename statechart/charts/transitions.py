@@ -301,10 +301,7 @@ def check_changes(
                 else:
                     advice = undeclared(variable, variables)
                 raise DeclarationProblem(
-                    f"no variable {variable!r}{of}",
-                    advice=advice,
-                    loc=(*at, variable),
-                    key=True,
+                    f"no variable {variable!r}{of}", advice=advice, loc=(*at, variable), key=True
                 )
             names = {*known, *controls} if at[-1] == "flows" else known
             fields.check_names(parse(text), names, *at, variable)

@@ -151,9 +151,7 @@ class Setting:
             "add --engine impulse, in a file engine: impulse, or remove the step",
         )
         self._refuse(
-            others,
-            f"the engine {self.engine} has no {{}}",
-            "remove it, or take the engine impulse",
+            others, f"the engine {self.engine} has no {{}}", "remove it, or take the engine impulse"
         )
 
     def _refuse(self, parts: Sequence[str], message: str, advice: str) -> None:

@@ -128,10 +128,7 @@ def _empty(
         # Keys that should be indented below it are unknown in its column.
         below = unknown and shown.startswith("{")
         if str(loc[-1]).isdecimal():
-            yield at.error(
-                f"{loc[-1]!r} is not a name",
-                "decimals have a point: 9.81",
-            )
+            yield at.error(f"{loc[-1]!r} is not a name", "decimals have a point: 9.81")
             continue
         if "=" in str(loc[-1]):
             yield at.error("a key has a colon", no_name(str(loc[-1])))

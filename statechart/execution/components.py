@@ -103,10 +103,7 @@ class MergedRun:
     """Merged run of an automaton from those of its components."""
 
     def __init__(
-        self,
-        automaton: Automaton,
-        setup: Setup,
-        runs: Sequence[tuple[Component, Places, Trace]],
+        self, automaton: Automaton, setup: Setup, runs: Sequence[tuple[Component, Places, Trace]]
     ) -> None:
         self._automaton, self._setup = automaton, setup
         self._parts = [_ComponentRun(*run) for run in runs]

@@ -13,14 +13,7 @@ import numpy as np
 
 from statechart import errors, interrupts
 from statechart.automaton.clock import Clock, between
-from statechart.automaton.laws import (
-    UNBOUNDED,
-    Flow,
-    Instant,
-    Setup,
-    flow_sizes,
-    roles_in,
-)
+from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup, flow_sizes, roles_in
 from statechart.automaton.regions import Margin
 from statechart.automaton.switches import is_of_switch
 from statechart.automaton.time_stepper import Sample, Sampling, unread

@@ -69,11 +69,7 @@ class Simulator:
         self._places: list[Places] | None = None
 
     def run(
-        self,
-        parameters: Mapping[str, float] | None = None,
-        *,
-        until: float,
-        throw: bool = True,
+        self, parameters: Mapping[str, float] | None = None, *, until: float, throw: bool = True
     ) -> Trace:
         """Run from the declared initial state.
 
@@ -157,11 +153,7 @@ class Simulator:
         )
 
     def certified(
-        self,
-        trace: Trace,
-        parameters: Mapping[str, float] | None = None,
-        *,
-        until: float,
+        self, trace: Trace, parameters: Mapping[str, float] | None = None, *, until: float
     ) -> Trace:
         """Repeat a run with proved bounds of the local error of every step."""
         from statechart.execution.certificate import Certificate
@@ -173,11 +165,7 @@ class Simulator:
         return execution.run()
 
     def stream(
-        self,
-        parameters: Mapping[str, float],
-        sampling: Sampling,
-        *,
-        until: float,
+        self, parameters: Mapping[str, float], sampling: Sampling, *, until: float
     ) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps of a run as they are computed; see `Execution.stream`.
 

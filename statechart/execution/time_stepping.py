@@ -39,11 +39,7 @@ class SteppingSimulator:
         self.progress = progress
 
     def run(
-        self,
-        parameters: Mapping[str, float] | None = None,
-        *,
-        until: float,
-        throw: bool = True,
+        self, parameters: Mapping[str, float] | None = None, *, until: float, throw: bool = True
     ) -> Trace:
         """Run from the declared initial state, as `Simulator.run` does."""
         shown = Progress(until) if self.progress else None
@@ -61,11 +57,7 @@ class SteppingSimulator:
         return trace
 
     def stream(
-        self,
-        parameters: Mapping[str, float],
-        sampling: time_stepper.Sampling,
-        *,
-        until: float,
+        self, parameters: Mapping[str, float], sampling: time_stepper.Sampling, *, until: float
     ) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps of a run as they are computed, as `Simulator.stream` does."""
         return self.stepper.stream(parameters, sampling, self._request(until))

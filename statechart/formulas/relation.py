@@ -279,11 +279,7 @@ class _RelationReader(Reader):
         term = self.disjunction()
         self.close(token)
         if self.token.text in (*_COMPARISONS, "+", "-", "*", "/", "**"):
-            self.source.fail(
-                "a relation is not a number",
-                self.token.offset,
-                "it is true or false",
-            )
+            self.source.fail("a relation is not a number", self.token.offset, "it is true or false")
         return term
 
     def _member(self) -> Term:
