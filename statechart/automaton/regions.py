@@ -258,14 +258,10 @@ class Loads:
 class Hold:
     """Holonomic constraints with their acceleration equations and workless forces."""
 
-    places: tuple[
-        sp.Expr, ...
-    ]  # constraint functions of the positions, each = 0, scaled as lengths
+    places: tuple[sp.Expr, ...]  # constraint functions of positions, each = 0, scaled as lengths
     equations: tuple[sp.Expr, ...]  # as many, each = 0: second derivatives of `places`
     forces: tuple[sp.Symbol, ...]  # as many
-    anchors: Mapping[sp.Symbol, sp.Expr] = field(
-        default_factory=dict
-    )  # constant of a flow -> value
+    anchors: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)  # constant -> value
     steep: bool = False  # gradients may grow without bound
 
 

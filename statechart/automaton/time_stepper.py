@@ -50,10 +50,6 @@ class RecordingPolicy(NamedTuple):
 RECORD_ALL = RecordingPolicy()
 
 
-def _show_nothing(time: float, jumps: int, steps: int) -> None:
-    """Show no progress."""
-
-
 class StepRequest(NamedTuple):
     """Step size, end, limits and recording of a run by steps."""
 
@@ -62,7 +58,7 @@ class StepRequest(NamedTuple):
     max_jumps: int  # a run ends after so many
     impulses: Impulses = DEFAULT_IMPULSES
     policy: RecordingPolicy = RECORD_ALL
-    show: Callable[[float, int, int], None] = _show_nothing  # takes time, jumps and steps
+    show: Callable[[float, int, int], None] = lambda *_: None  # takes time, jumps and steps
 
 
 class TimeStepper(Protocol):

@@ -10,7 +10,6 @@ import tempfile
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -129,9 +128,22 @@ class RecordedEvent(NamedTuple):
     after: Array  # (n,)
 
 
-def trace_buffer(variables: int) -> TraceBuffer:
-    """Return an empty buffer for states of `variables` variables."""
-    return _empty((_ARCS, _TIMES, _TERMS, _ARCS), variables)
+def trace_buffer(
+    variables: int, capacity: tuple[int, int, int, int] = (_ARCS, _TIMES, _TERMS, _ARCS)
+) -> TraceBuffer:
+    """Return an empty buffer for arcs, times, coefficients and events of `variables` variables."""
+    arcs, times, terms, events = capacity
+    return TraceBuffer(
+        np.empty((arcs, 4), np.int32),
+        np.empty((arcs, 2), np.int64),
+        np.empty((arcs, 2)),
+        np.empty(times),
+        np.empty(terms),
+        np.empty((events, 6), np.int32),
+        np.empty((events, 6)),
+        np.empty((events, 2, variables)),
+        np.zeros(4, np.int64),
+    )
 
 
 def arc_polynomials(block: TraceBuffer, row: int, variables: int) -> tuple[Array, Array]:
@@ -158,26 +170,6 @@ def event_of(block: TraceBuffer, row: int, j: int, kinds: Sequence[Kind]) -> Rec
     return RecordedEvent(j, kinds[source][0], kinds[target][0], *codes, *numbers, *states)
 
 
-@lru_cache(maxsize=64)
-def _no_buffer(variables: int) -> TraceBuffer:
-    return _empty((0, 0, 0, 0), variables)
-
-
-def _empty(capacity: tuple[int, int, int, int], variables: int) -> TraceBuffer:
-    arcs, times, terms, events = capacity
-    return TraceBuffer(
-        np.empty((arcs, 4), np.int32),
-        np.empty((arcs, 2), np.int64),
-        np.empty((arcs, 2)),
-        np.empty(times),
-        np.empty(terms),
-        np.empty((events, 6), np.int32),
-        np.empty((events, 6)),
-        np.empty((events, 2, variables)),
-        np.zeros(4, np.int64),
-    )
-
-
 def copy_buffer(buffer: TraceBuffer) -> TraceBuffer:
     """Return a copy of the written part of a buffer."""
     arcs, times, terms, events = buffer.used.tolist()
@@ -202,7 +194,7 @@ class TraceStore:
         jump: Callable[[RecordedEvent], Jump] | None,
         last: Callable[[], Jump] | None = None,
     ) -> None:
-        self.buffer = _no_buffer(variables) if buffer is None else buffer
+        self.buffer = trace_buffer(variables, (0, 0, 0, 0)) if buffer is None else buffer
         self.variables = variables
         self._kinds, self._jump = kinds, jump
         self.made: dict[int, Jump] = {}
@@ -261,7 +253,7 @@ class TraceStore:
     def close(self) -> tuple[LazySequence[Arc], LazySequence[Jump]]:
         """Release the buffer; return arcs and jumps of the complete run."""
         self.seal()
-        self.buffer = _no_buffer(self.variables)
+        self.buffer = trace_buffer(self.variables, (0, 0, 0, 0))
         sequences = self.arcs, self.jumps
         # Without reference cycles, the trace is freed with its last reference.
         del self.arcs, self.jumps
@@ -289,7 +281,7 @@ class TraceStore:
         else:
             # Longer than the buffer: a separate block.
             self.seal()
-            block = _empty((1, len(times), size, 0), self.variables)
+            block = trace_buffer(self.variables, (1, len(times), size, 0))
         arc, at, place, _ = block.used.tolist()
         block.arcs[arc] = self.kind(mode, roles), len(self.jumps), steps, width
         block.places[arc] = at, place

@@ -168,10 +168,8 @@ class Setting:
         bound, allowed = self.impulse_bound, self.impulse_tolerance
         if bound is not None and allowed is not None and bound < allowed:
             raise DeclarationProblem(
-                (
-                    f"impulse_bound, {bound:g}, is below impulse_tolerance, {allowed:g}, so that "
-                    "runs within the tolerance would end"
-                ),
+                f"impulse_bound, {bound:g}, is below impulse_tolerance, {allowed:g}, so that "
+                "runs within the tolerance would end",
                 advice="give a larger bound, or a smaller tolerance",
                 loc=("impulse_bound",),
             )

@@ -603,12 +603,8 @@ class Execution:
         if widened > _MAX_WIDENING * default:
             return False
         self.flow = self.flow._replace(tolerances={**self.flow.tolerances, margin: widened})
-        self.warnings[
-            (
-                f"t = {self.clock.high:.6g}: {margin} is zero to round-off; its tolerance there is "
-                f"{widened:.3g}"
-            )
-        ] = None
+        warning = f"{margin} is zero to round-off; its tolerance there is {widened:.3g}"
+        self.warnings[f"t = {self.clock.high:.6g}: {warning}"] = None
         return True
 
     def show(self, local: float = 0.0, steps: int = 0) -> None:

@@ -7,7 +7,6 @@ programs are cached over the runs of a simulator.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, TypeAlias
 
@@ -221,15 +220,6 @@ FormulaLike: TypeAlias = "str | int | float | sp.Expr"
 """Text over the names of observables, or an expression in the symbols of the automaton."""
 
 
-@dataclass(frozen=True, eq=False)
-class Active:
-    """Integrands of one mode."""
-
-    places: list[int]
-    expressions: tuple[sp.Expr, ...]
-    needed: bool
-
-
 class Programs:
     """Cache of compiled formulas; `solved` are the unknowns and controls of modes."""
 
@@ -240,7 +230,6 @@ class Programs:
         self._given: frozenset[sp.Basic] = frozenset(given_symbols)
         self._parsed = cache(lambda text: parse(text).to_sympy(automaton.observables))
         self._tape, self.needed = cache(self._compiled), cache(self._needed)
-        self.active = cache(self._active)
 
     def expression(self, formula: FormulaLike) -> sp.Expr:
         """Return a formula in the symbols of the automaton; raise `FormulaError`."""
@@ -249,14 +238,6 @@ class Programs:
     def expressions(self, formulas: Iterable[FormulaLike]) -> tuple[sp.Expr, ...]:
         """Return formulas in the symbols of the automaton."""
         return tuple([self.expression(formula) for formula in formulas])
-
-    def _active(
-        self, key: Key, where: tuple[sampling.Where, ...], expressions: tuple[sp.Expr, ...]
-    ) -> Active:
-        """Return the integrands of the mode `key`."""
-        places = sampling.places_in(self._automaton.recorded_regions(key), key, where)
-        chosen = tuple([expressions[i] for i in places])
-        return Active(places, chosen, self.needed(chosen))
 
     def _needed(self, expressions: tuple[sp.Expr, ...]) -> bool:
         """Return whether the expressions use unknowns or controls."""
