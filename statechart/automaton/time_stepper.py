@@ -40,16 +40,6 @@ class OutputStream(Protocol):
         """Process the last arcs and jumps; return the outputs."""
 
 
-class RecordingPolicy(NamedTuple):
-    """Stored parts of a run, and the outputs computed from the rest."""
-
-    record: Record = Record.MODES
-    outputs: OutputStream | None = None
-
-
-RECORD_ALL = RecordingPolicy()
-
-
 class StepRequest(NamedTuple):
     """Step size, end, limits and recording of a run by steps."""
 
@@ -57,7 +47,8 @@ class StepRequest(NamedTuple):
     until: float  # the end of the last step
     max_jumps: int  # a run ends after so many
     impulses: Impulses = DEFAULT_IMPULSES
-    policy: RecordingPolicy = RECORD_ALL
+    record: Record = Record.MODES  # stored parts of the run
+    outputs: OutputStream | None = None  # computed from the rest
     show: Callable[[float, int, int], None] = lambda *_: None  # takes time, jumps and steps
 
 

@@ -46,12 +46,10 @@ class _ComponentRun:
 
     @cached_property
     def arcs(self) -> list[Arc]:
-        """Its arcs."""
         return list(self.trace.arcs)
 
     @cached_property
     def starts(self) -> list[Clock]:
-        """Starts of the arcs."""
         return [arc.start for arc in self.arcs]
 
     def rank(self, j: int) -> tuple[bool, int, str]:
@@ -73,7 +71,6 @@ class _ComponentRun:
         return self.trace.passed_roles.get(count) or roles_in(self.key(count))
 
     def arc(self, time: Clock) -> Arc:
-        """Return the arc at a time."""
         return self.arcs[max(bisect_right(self.starts, time) - 1, 0)]
 
     def state(self, time: Clock) -> Array:

@@ -238,9 +238,9 @@ class Simulator:
         )  # fmt: skip
 
     def known(self) -> list[tuple[frozenset[int], LoopModes]]:
-        """Return the modes of compiled loops, by zero parameters."""
+        """Return the modes of compiled loops with the automaton's setup, by zero parameters."""
         setup = self.automaton.setup
-        return [(zeros, modes) for zeros, modes in self._loops.items() if modes.follows(setup)]
+        return [(zeros, m) for zeros, m in self._loops.items() if m.laws.setup == setup]
 
     def _loop(self, zeros: frozenset[int]) -> LoopModes | None:
         """Return the modes of the compiled loop, or None if the model has no loop."""

@@ -43,8 +43,7 @@ class SteppingSimulator:
     ) -> Trace:
         """Run from the declared initial state, as `Simulator.run` does."""
         shown = Progress(until) if self.progress else None
-        policy = time_stepper.RecordingPolicy(self.record, self.new_outputs())
-        request = self._request(until)._replace(policy=policy)
+        request = self._request(until)._replace(record=self.record, outputs=self.new_outputs())
         try:
             trace = self.stepper.run(
                 parameters or {}, request if shown is None else request._replace(show=shown.show)

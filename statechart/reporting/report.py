@@ -96,9 +96,9 @@ def report(
         "modes_built": trace.counts.get("modes_built", 0),
         "built": built(observer, trace),
         "left_out": unused,
-        "modes": [dict(zip(trace.regions, key, strict=True)) for key in trace.modes],
+        "modes": [_states_by_region(trace, key) for key in trace.modes],
         "indeterminate": [
-            {"mode": dict(zip(trace.regions, key, strict=True)), "regions": names}
+            {"mode": _states_by_region(trace, key), "regions": names}
             for key, names in trace.indeterminate.items()
         ],
         "events": [],
@@ -277,8 +277,6 @@ def _event(
     hurried: bool,
 ) -> dict[str, Any]:
     names = trace.variables
-    before, after = jump.before.tolist(), jump.after.tolist()
-    energy = None if jump.energy is None else list(jump.energy)
     event: dict[str, Any] = {
         "t": jump.t,
         "j": jump.j,
@@ -286,8 +284,8 @@ def _event(
         "cause": jump.cause,
         "from": _states_by_region(trace, jump.source),
         "to": _states_by_region(trace, jump.target),
-        "state": dict(zip(names, after, strict=True)),
-        "state_before": dict(zip(names, before, strict=True)),
+        "state": dict(zip(names, jump.after.tolist(), strict=True)),
+        "state_before": dict(zip(names, jump.before.tolist(), strict=True)),
         "impulse": {
             region: {"normal": normal, "tangential": tangential}
             for region, (normal, tangential) in jump.impulse.items()
@@ -296,18 +294,12 @@ def _event(
         "fired": list(jump.fired),
         "path": list(jump.path),
         "considered": {} if hurried else dict(jump.considered),
-        "energy": energy,
+        "energy": None if jump.energy is None else list(jump.energy),
         "skipped": jump.skipped,
         "condition": condition,
     }
     if explained is not None:
         event["margins"] = explained
-    numbers = [*before, *after, *(energy or ()), jump.skipped, condition or 0.0]
-    numbers += [size for pair in jump.impulse.values() for size in pair]
-    numbers += jump.joint_impulse.values()
-    numbers += (explained or {}).values()
-    if all(map(math.isfinite, numbers)):
-        return event
     safe: dict[str, Any] = json_safe(event)
     return safe
 
@@ -341,7 +333,7 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
         known |= {mode.rates[place] for place in mode.eliminated}
         solved = {s for s, _ in mode.definitions if s in unknowns} - known
         modes[key] = {
-            "mode": dict(zip(trace.regions, key, strict=True)),
+            "mode": _states_by_region(trace, key),
             "integrated": [n for i, n in coordinates if i not in mode.eliminated],
             "eliminated": [n for i, n in coordinates if i in mode.eliminated],
             "unknowns": len(solved),
