@@ -9,7 +9,6 @@ from __future__ import annotations
 import tempfile
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -154,15 +153,6 @@ def arc_polynomials(block: TraceBuffer, row: int, variables: int) -> tuple[Array
     return block.times[at : at + steps + 1], terms.reshape(steps, variables, width)
 
 
-def arc_of(block: TraceBuffer, row: int, variables: int, kinds: Sequence[Kind]) -> Arc:
-    """Return an arc of a sealed block."""
-    kind, j = block.arcs[row, :2].tolist()
-    mode, roles = kinds[kind]
-    start = Clock._make(block.starts[row].tolist())
-    times, terms = arc_polynomials(block, row, variables)
-    return Arc(mode, roles, start, j, times, terms)
-
-
 def event_of(block: TraceBuffer, row: int, j: int, kinds: Sequence[Kind]) -> RecordedEvent:
     """Return an event of a block, preceded by `j` jumps."""
     source, target, *codes = block.events[row].tolist()
@@ -231,10 +221,11 @@ class TraceStore:
 
     def _arc(self, place: int) -> Arc:
         block, row = self._locate(self._arcs, place)
-        arc = arc_of(block, row, self.variables, self._kinds)
+        kind, j = block.arcs[row, :2].tolist()
+        times, terms = arc_polynomials(block, row, self.variables)
         if block is self.buffer:  # overwritten by later arcs
-            arc = replace(arc, times=arc.times.copy(), coefficients=arc.coefficients.copy())
-        return arc
+            times, terms = times.copy(), terms.copy()
+        return Arc(*self._kinds[kind], Clock._make(block.starts[row].tolist()), j, times, terms)
 
     def _event(self, j: int) -> Jump:
         jump = self.made.get(j)

@@ -27,6 +27,7 @@ from statechart.execution.simulator import Simulator
 from statechart.formulas.tape import contiguous
 from statechart.kernels.polynomials import sample_states
 from statechart.observation.observer import Observer
+from statechart.observation.sampling import sample_arcs, subdivide
 
 # Samples per step, and arcs per batch.
 _GRID, _MAX_ARCS = 16, 1024
@@ -187,28 +188,14 @@ class _GuardScan:
 
         One more sample near each end of an arc brackets a minimum next to it.
         """
-        s = np.arange(_GRID) / _GRID
-        counts = [len(arc.coefficients) for arc in arcs]
-        last = np.cumsum(counts) - 1
-        of = np.repeat(np.arange(len(arcs)), counts)
-        terms = np.concatenate([arc.coefficients for arc in arcs])
-        step_starts = np.concatenate([arc.times[:-1] for arc in arcs])
-        spans = np.concatenate([np.diff(arc.times) for arc in arcs])
-        first = last + 1 - np.array(counts)
-        edges = (first, np.array([_EDGE])), (last, np.array([1.0 - _EDGE, 1.0]))
-        taus, rows, owners = [], [], []
-        for steps, places in ((np.arange(len(terms)), s), *edges):
-            tau = step_starts[steps, None] + places * spans[steps, None]
-            powers = places ** np.arange(terms.shape[2])[:, None]
-            states = np.swapaxes(terms[steps] @ powers, 1, 2).reshape(-1, terms.shape[1])
-            owner = np.repeat(of[steps], len(places))
-            times = np.array([arc.start.high for arc in arcs])[owner] + tau.ravel()
-            taus.append(tau.ravel())
-            rows.append(self._table(states, times))
-            owners.append(owner)
-        tau, of = np.concatenate(taus), np.concatenate(owners)
-        order = np.lexsort((tau, of))
-        return tau[order], np.concatenate(rows)[order], of[order]
+        local = []
+        for arc, tau in zip(arcs, subdivide(arcs, _GRID), strict=True):
+            begin, end = arc.times.item(1), arc.times.item(-1)
+            near = [_EDGE * begin], [end - _EDGE * (end - arc.times.item(-2))]
+            local.append(np.concatenate([tau[:1], near[0], tau[1:-1], near[1], tau[-1:]]))
+        points = sample_arcs(arcs, local)
+        of = np.repeat(np.arange(len(arcs)), [len(tau) for tau in local])
+        return np.concatenate(local), self._table(points.states, points.times), of
 
     def _minima(
         self, arc: Arc, k: int, left: float, right: float, shifts: Array
