@@ -5,7 +5,7 @@
     StatechartError
       DeclarationError        the input is wrong: what, where (file:line:column), what to do
         FormulaError          a formula in it cannot be read or evaluated
-      SimulationError         a run cannot go on: why, with the trace so far; a class for each reason
+      SimulationError         a run cannot go on: why, with the trace so far, by class
 
 `DeclarationProblem` stands outside the tree: validators of pydantic models raise it to point at a
 field; `statechart.documents.validation.validate` turns it into a `DeclarationError`.
@@ -125,8 +125,8 @@ class DeclarationProblem(ValueError):
     loc : tuple of str or int
         Keys and indices from the validated value down to the field concerned; empty for the
         value itself.
-    key : bool
-        Whether the key is wrong rather than its value.
+    key : tuple of str or int
+        The place instead of `loc`, if its key is wrong rather than its value.
     offset : int
         Where in the field's text, counted from 0.
     text : str
@@ -141,13 +141,14 @@ class DeclarationProblem(ValueError):
     _: KW_ONLY
     advice: str = ""
     loc: Loc = ()
-    key: bool = False
+    key: Loc = ()
     offset: int = 0
     text: str = ""
     see: Loc = ()
     others: tuple[DeclarationProblem, ...] = ()
 
     def __post_init__(self) -> None:
+        self.loc = self.key or self.loc
         super().__init__(self.message)
 
     def __str__(self) -> str:

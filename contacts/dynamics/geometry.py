@@ -20,6 +20,8 @@ from statechart.documents.declaration import TIME
 from statechart.formulas.formula import parse
 
 Vector = tuple[sp.Expr, sp.Expr]
+Frame = tuple[Vector, sp.Expr]
+"""Origin and angle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +47,7 @@ class Rim:
             rolled = self.radius * self.turn
             return _sum(centre, tangent, rolled), tangent
         (x, y), _ = self.circle
-        back = _rotation(-self._orbit_angle)
+        back = rotation(-self._orbit_angle)
         return back((centre[0] - x, centre[1] - y)), back(tangent)
 
     def centre(self, anchor: Vector, tangent: Vector) -> Vector:
@@ -54,9 +56,7 @@ class Rim:
             return anchor
         if self.circle is None:
             return _sum(anchor, tangent, -self.radius * self.turn)
-        (x, y), _ = self.circle
-        dx, dy = _rotation(self._orbit_angle)(anchor)
-        return x + dx, y + dy
+        return in_world((self.circle[0], self._orbit_angle), anchor)
 
     @property
     def _orbit_angle(self) -> sp.Expr:
@@ -69,9 +69,17 @@ def _sum(place: Vector, direction: Vector, by: sp.Expr) -> Vector:
     return place[0] + by * direction[0], place[1] + by * direction[1]
 
 
-def _rotation(angle: sp.Expr) -> Callable[[Vector], Vector]:
+def rotation(angle: sp.Expr) -> Callable[[Vector], Vector]:
+    """Return the rotation of vectors by an angle."""
     c, s = sp.cos(angle), sp.sin(angle)
     return lambda v: (c * v[0] - s * v[1], s * v[0] + c * v[1])
+
+
+def in_world(frame: Frame, place: Vector) -> Vector:
+    """Return the position in the world of a place in a frame."""
+    (x, y), angle = frame
+    dx, dy = rotation(angle)(place)
+    return x + dx, y + dy
 
 
 class Geometry:
@@ -109,52 +117,48 @@ class Geometry:
                 terms.append(sp.diff(expression, x) * dx)
         return sp.Add(*terms)
 
-    def body_frame(self, name: str) -> tuple[Vector, sp.Expr]:
+    def body_frame(self, name: str) -> Frame:
         """Return the centre of mass and the angle of a body."""
         body = self.scene.bodies[name]
         if body.position is not None:
-            x, y = (self._formula(text) for text in body.position)
-            return (x, y), self._formula(body.angle) if body.angle is not None else sp.S.Zero
+            return self.vector(body.position), self.formula(body.angle or 0)
         coordinates = {c: self.known[f"{name}.{c}"] for c in body.coordinates}
         return (coordinates["x"], coordinates["y"]), coordinates.get("angle", sp.S.Zero)
 
     def point(self, point: Point) -> Vector:
         """Return the position of a point of a body."""
-        (x, y), angle = self.body_frame(point.body)
-        local_x, local_y = (self._formula(text) for text in point.at)
-        c, s = sp.cos(angle), sp.sin(angle)
-        return x + local_x * c - local_y * s, y + local_x * s + local_y * c
+        return in_world(self.body_frame(point.body), self.vector(point.at))
 
     def curved(self, name: str) -> bool:
         """Return whether a contact's surface is the graph of a function that is not linear."""
-        height = self.scene.surfaces[self.scene.contacts[name].surface].height
+        height = self.scene.surface_of(name).height
         x = sp.Symbol("x", real=True)
-        return height is not None and sp.diff(self._formula(height, x=x), x, 2) != 0
+        return height is not None and sp.diff(self.formula(height, x=x), x, 2) != 0
 
-    def _formula(self, text: str | int | float, **further: sp.Expr) -> sp.Expr:
+    def formula(self, text: str | int | float, **further: sp.Expr) -> sp.Expr:
+        """Return the expression of a formula; `further` names precede those of `known`."""
         return parse(text).to_sympy({**self.known, **further})
 
+    def vector(self, pair: Pair) -> Vector:
+        """Return the expressions of two components."""
+        return self.formula(pair[0]), self.formula(pair[1])
+
     def _corners(self, line: tuple[Pair, Pair]) -> tuple[Vector, Vector]:
-        (x0, y0), (x1, y1) = line
-        return (self._formula(x0), self._formula(y0)), (self._formula(x1), self._formula(y1))
+        return self.vector(line[0]), self.vector(line[1])
 
     def joint_end(self, to: Point | Path) -> Vector:
         """Return the position that a joint holds its point at; 0 for a component without a row."""
-        if isinstance(to, Point):
-            return self.point(to)
-        return self._formula(to.x or 0), self._formula(to.y or 0)
+        return self.point(to) if isinstance(to, Point) else self.vector((to.x or 0, to.y or 0))
 
     def edge_ends(self, surface: Surface) -> tuple[Vector, ...]:
         """Return the ends of an edge in the world; () for other surfaces."""
         if surface.edge is None:
             return ()
-        (x0, y0), angle = self._frame(surface)
-        c, s = sp.cos(angle), sp.sin(angle)
-        return tuple(
-            (x0 + c * x - s * y, y0 + s * x + c * y) for x, y in self._corners(surface.edge)
-        )
+        frame = self.surface_frame(surface)
+        return tuple(in_world(frame, corner) for corner in self._corners(surface.edge))
 
-    def _frame(self, surface: Surface) -> tuple[Vector, sp.Expr]:
+    def surface_frame(self, surface: Surface) -> Frame:
+        """Return the frame of a surface: that of its body, or the one that its path moves."""
         if surface.body is not None:
             return self.body_frame(surface.body)
         x0, y0, angle = surface_frame(surface, self.known)
@@ -162,19 +166,17 @@ class Geometry:
 
     def _rim(self, contact: Contact) -> Rim:
         surface = self.scene.surfaces[contact.surface]
-        radius = self._formula(contact.radius or 0)
-        turn = self.body_frame(contact.point.body)[1] - self._frame(surface)[1]
+        radius = self.formula(contact.radius or 0)
+        turn = self.body_frame(contact.point.body)[1] - self.surface_frame(surface)[1]
         if surface.circle is None or surface.radius is None:
             return Rim(radius, turn)
-        cx, cy = (self._formula(text) for text in surface.circle)
         side = -1 if surface.hollow else 1
-        return Rim(radius, turn, ((cx, cy), self._formula(surface.radius) + side * radius), side)
+        distance = self.formula(surface.radius) + side * radius
+        return Rim(radius, turn, (self.vector(surface.circle), distance), side)
 
     def _in_frame(self, surface: Surface, point: Vector) -> Vector:
-        (x0, y0), angle = self._frame(surface)
-        c, s = sp.cos(angle), sp.sin(angle)
-        dx, dy = point[0] - x0, point[1] - y0
-        return c * dx + s * dy, c * dy - s * dx
+        (x0, y0), angle = self.surface_frame(surface)
+        return rotation(-angle)((point[0] - x0, point[1] - y0))
 
     def _surface(
         self, surface: Surface, x: sp.Symbol, y: sp.Symbol
@@ -184,16 +186,16 @@ class Geometry:
         f / |grad f| is the distance to first order.
         """
         if surface.height is not None:
-            height = self._formula(surface.height, x=x)
+            height = self.formula(surface.height, x=x)
             slope = sp.diff(height, x)
             unit = 1 / sp.sqrt(1 + slope**2)
             return y - height, (-slope * unit, unit), unit
         if surface.circle is not None and surface.radius is not None:
-            cx, cy = (self._formula(text) for text in surface.circle)
+            cx, cy = self.vector(surface.circle)
             distance = sp.sqrt((x - cx) ** 2 + (y - cy) ** 2)
             side = -1 if surface.hollow else 1
             return (
-                side * (distance - self._formula(surface.radius)),
+                side * (distance - self.formula(surface.radius)),
                 (side * (x - cx) / distance, side * (y - cy) / distance),
                 sp.S.One,
             )
@@ -203,8 +205,8 @@ class Geometry:
             length = sp.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2)
             normal = ((y0 - y1) / length, (x1 - x0) / length)
         else:
-            angle = self._formula(surface.incline)  # type: ignore[arg-type]
-            x0, y0 = (self._formula(text) for text in surface.through)
+            angle = self.formula(surface.incline)  # type: ignore[arg-type]
+            x0, y0 = self.vector(surface.through)
             normal = (-sp.sin(angle), sp.cos(angle))
         return normal[0] * (x - x0) + normal[1] * (y - y0), normal, sp.S.One
 
@@ -215,5 +217,5 @@ def surface_frame(surface: Surface, known: Mapping[str, sp.Expr]) -> tuple[sp.Ex
     if turn == 0:
         return dx, dy, turn
     px, py = (parse(text).to_sympy(known) for text in surface.pivot)
-    c, s = sp.cos(turn), sp.sin(turn)
-    return dx + px - c * px + s * py, dy + py - s * px - c * py, turn
+    x, y = rotation(turn)((px, py))
+    return dx + px - x, dy + py - y, turn

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import sympy as sp
 
 from contacts.dynamics.gates import Gate, gate_of
-from contacts.dynamics.geometry import Geometry, Vector, surface_frame
+from contacts.dynamics.geometry import Geometry, Vector, in_world, rotation, surface_frame
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import (
     GAP_OFFSET,
@@ -189,7 +189,7 @@ class Mechanics(Geometry):
         potential = []
         for name, body in self.scene.bodies.items():
             (x, y), _ = self.body_frame(name)
-            potential.append(-self._formula(body.mass) * (gx * x + gy * y))
+            potential.append(-self.formula(body.mass) * (gx * x + gy * y))
         return sp.Add(*kinetic, *potential)
 
     @cached_property
@@ -230,13 +230,12 @@ class Mechanics(Geometry):
         """Acceleration of gravity."""
         declared = self.scene.gravity
         if isinstance(declared, tuple):
-            gx, gy = (self._formula(text) for text in declared)
-            return gx, gy
-        return sp.S.Zero, -self._formula(declared)
+            return self.vector(declared)
+        return sp.S.Zero, -self.formula(declared)
 
     def inertia(self, name: str, body: Body) -> tuple[sp.Expr, sp.Expr]:
         """Return the mass of a body and its moment of inertia, 0 by default."""
-        mass = self._formula(body.mass)
+        mass = self.formula(body.mass)
         if body.inertia is None:
             return mass, sp.S.Zero
         return mass, self.parameters.symbols[f"{name}.inertia"]
@@ -248,8 +247,8 @@ class Mechanics(Geometry):
         for force in self.scene.forces.values():
             point = self.point(Point(body=force.body, at=force.at))
             _, angle = self.body_frame(force.body)
-            components = [self._formula(text, **self.placed) for text in force.force]
-            moment = self._formula(force.moment, **self.placed)
+            components = [self.formula(text, **self.placed) for text in force.force]
+            moment = self.formula(force.moment, **self.placed)
             for i, q in enumerate(self.q):
                 work = [f * sp.diff(p, q) for f, p in zip(components, point, strict=True)]
                 total[i] += sp.Add(*work, moment * sp.diff(angle, q))
@@ -261,7 +260,7 @@ class Mechanics(Geometry):
         gx, gy = self.gravity
         for name, body in self.scene.bodies.items():
             (x, y), _ = self.body_frame(name)
-            mass = self._formula(body.mass)
+            mass = self.formula(body.mass)
             for i, (dx, dy) in enumerate(zip(self.gradient(x), self.gradient(y), strict=True)):
                 if dx != 0 or dy != 0:
                     total[i] += mass * (gx * dx + gy * dy)
@@ -333,7 +332,7 @@ class Mechanics(Geometry):
         (x, y), (x0, y0) = self.point(joint.point), self.joint_end(joint.to)
         if joint.rod is not None:
             # Half the distance squared over the length: smooth, and the distance to first order.
-            length = self._formula(joint.rod)
+            length = self.formula(joint.rod)
             stretch = ((x - x0) ** 2 + (y - y0) ** 2 - length**2) / (2 * length)
             stretch_rate = (
                 (x - x0) * sp.diff(x0, self.time) + (y - y0) * sp.diff(y0, self.time)
@@ -375,12 +374,12 @@ class Mechanics(Geometry):
         A point that circles the end of a rope turns ever faster, as the square of its length.
         """
         rope = self.scene.surfaces.get(reach_of(name))
-        length = self._formula((rope and rope.radius) or 0)
+        length = self.formula((rope and rope.radius) or 0)
         if length.free_symbols <= {*self.parameters.ordered}:
             return ()
         controlled = self.scene.controlled
         texts = {**controlled.controller_state, **controlled.declared}
-        start = {self.known[n]: self._formula(text) for n, text in texts.items()}
+        start = {self.known[n]: self.formula(text) for n, text in texts.items()}
         for _ in texts:
             start = {symbol: value.xreplace(start) for symbol, value in start.items()}
         first = length.xreplace(start).xreplace({self.time: sp.S.Zero})
@@ -388,22 +387,17 @@ class Mechanics(Geometry):
 
     def surface_rate(self, name: str) -> Vector:
         """Return the normal and tangential velocity of a contact's surface that moves in time."""
-        surface = self.scene.surfaces[self.scene.contacts[name].surface]
+        surface = self.scene.surface_of(name)
         frame = surface_frame(surface, self.known)
-        rates = [self.rate(expression) for expression in frame]
-        radius_rate = self.rate(self._formula(surface.radius or 0))
-        if rates == [0, 0, 0]:
-            return -radius_rate if surface.hollow else radius_rate, sp.S.Zero
+        dx, dy, turn = (self.rate(expression) for expression in frame)
+        growth = self.rate(self.formula(surface.radius or 0)) * (-1 if surface.hollow else 1)
+        if dx == dy == turn == 0:
+            return growth, sp.S.Zero
         (n_x, n_y), (t_x, t_y) = self.contact(name).normal, self.contact(name).tangent
         # In its frame, as the normal and the point are.
-        (x, y), (c, s) = self.contact(name).point, (sp.cos(frame[2]), sp.sin(frame[2]))
-        frame_motion = (
-            c * rates[0] + s * rates[1] - rates[2] * y,
-            c * rates[1] - s * rates[0] + rates[2] * x,
-        )
-        normal = n_x * frame_motion[0] + n_y * frame_motion[1]
-        normal += -radius_rate if surface.hollow else radius_rate
-        return normal, t_x * frame_motion[0] + t_y * frame_motion[1]
+        (x, y), (own_dx, own_dy) = self.contact(name).point, rotation(-frame[2])((dx, dy))
+        u, w = own_dx - turn * y, own_dy + turn * x
+        return n_x * u + n_y * w + growth, t_x * u + t_y * w
 
     def contact(self, name: str) -> ContactSymbols:
         """Return the quantities of a contact or a coupling; cached."""
@@ -431,7 +425,7 @@ class Mechanics(Geometry):
         Those of rolling resistance are divided by the normal force of its contact.
         """
         static, kinetic = self.scene.couplings[name].bounds
-        return self._formula(static, **self.placed), self._formula(kinetic, **self.placed)
+        return self.formula(static, **self.placed), self.formula(kinetic, **self.placed)
 
     def coupling(self, name: str) -> CouplingSymbols:
         """Return the quantities of a coupling."""
@@ -448,13 +442,13 @@ class Mechanics(Geometry):
                 for key, symbol in self._coefficients[name].items():
                     values[symbol] = self.parameters.symbols[f"{name}.{key}.{state}"]
         for control, text in self._controls.values(region, state).items():
-            values[self.known[control]] = self._formula(text)
+            values[self.known[control]] = self.formula(text)
         flows = self._controls.flows(region, state)
-        values |= {self.controller_rates[v]: self._formula(text) for v, text in flows.items()}
+        values |= {self.controller_rates[v]: self.formula(text) for v, text in flows.items()}
         variables = {*self.scene.regions[region].variables, *self._controls.flat[region].timers}
         for name in variables & self._led.keys():
             rate, acceleration = self._led[name]
-            values[rate] = self._formula(flows.get(name, 0))
+            values[rate] = self.formula(flows.get(name, 0))
             values[acceleration] = self.rate(values[rate])
         active = self._controls.flat[region].active(state)
         for (controller, name), symbol in self._asked.items():
@@ -579,17 +573,13 @@ class Mechanics(Geometry):
         """Return the displacement of a point from its anchor, in the world, and the anchor."""
         x, y = (sp.Symbol(f"{name}.{axis}0", real=True) for axis in "xy")
         anchors = {x: anchor[0], y: anchor[1]}
-        centre_x, centre_y = self._rim(contact).centre((x, y), tangent)
+        centre = self._rim(contact).centre((x, y), tangent)
         surface, point = self.scene.surfaces[contact.surface], self.point(contact.point)
         if surface.body is None:
-            position = self._in_frame(surface, point)
-            return (position[0] - centre_x, position[1] - centre_y), anchors
-        (x0, y0), angle = self.body_frame(surface.body)
-        c, s = sp.cos(angle), sp.sin(angle)
-        return (
-            point[0] - x0 - c * centre_x + s * centre_y,
-            point[1] - y0 - s * centre_x - c * centre_y,
-        ), anchors
+            point = self._in_frame(surface, point)
+        else:
+            centre = in_world(self.body_frame(surface.body), centre)
+        return (point[0] - centre[0], point[1] - centre[1]), anchors
 
     def _surface_geometry(
         self, surface: Surface, radius: sp.Expr, centre: Vector
@@ -671,7 +661,7 @@ class Mechanics(Geometry):
     def _compliance(self, contact: Contact, local: _SurfaceGeometry) -> sp.Expr | None:
         if contact.stiffness is None:
             return None
-        k, d = (self._formula(text or 0) for text in (contact.stiffness, contact.damping))
+        k, d = (self.formula(text or 0) for text in (contact.stiffness, contact.damping))
         return -k * local.gap - d * local.gap_rate
 
     def _coupling_symbols(self, name: str) -> ContactSymbols:
@@ -700,11 +690,11 @@ class Mechanics(Geometry):
     def _arm(self, point: Point) -> sp.Expr:
         """Return the radius of gyration about a point, which converts angles to lengths."""
         mass, inertia = self.inertia(point.body, self.scene.bodies[point.body])
-        x, y = (self._formula(text) for text in point.at)
+        x, y = self.vector(point.at)
         return sp.sqrt(inertia / mass + x**2 + y**2)
 
     def _stop(self, name: str, contact: Contact, stop: Stop) -> ContactSymbols:
-        turn = self.body_frame(contact.point.body)[1] - self._formula(stop.limit)
+        turn = self.body_frame(contact.point.body)[1] - self.formula(stop.limit)
         if stop.other is not None:
             turn -= self.body_frame(stop.other)[1]
         turn *= stop.side

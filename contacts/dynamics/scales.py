@@ -17,7 +17,6 @@ from contacts.scene.joints import Path
 from statechart.arrays import EPS, Array, Ints
 from statechart.automaton.margin_derivatives import derivative
 from statechart.errors import DeclarationProblem
-from statechart.formulas.formula import parse
 from statechart.kernels.jets import tape_ranges
 from statechart.kernels.jit import kernel
 
@@ -116,7 +115,7 @@ class ScaleTape:
         gaps = [mechanics.contact(name).gap for name in scene.contacts]
         lengths = [*(place for _, place in places), *gaps]
         speeds = [mechanics.rate(place) for _, place in places]
-        masses = [parse(body.mass).to_sympy(mechanics.known) for body in scene.bodies.values()]
+        masses = [mechanics.formula(body.mass) for body in scene.bodies.values()]
         accelerations = [
             (force / mechanics.mass_matrix[i, i], q)
             for i, (force, q) in enumerate(
@@ -127,8 +126,7 @@ class ScaleTape:
         pushes = [push for push, _ in accelerations]
         extents = _extents(mechanics)
         springs = [] if extents else [derivative(push, q) for push, q in accelerations]
-        end = scene.stop.time
-        duration = parse(end).to_sympy(mechanics.known) if end is not None else sp.S.One
+        duration = mechanics.formula(1 if scene.stop.time is None else scene.stop.time)
         moving: dict[sp.Symbol, list[sp.Expr]] = {q: [] for q in mechanics.q}
         for _, place in places:
             for q in moving.keys() & place.free_symbols:
@@ -236,7 +234,7 @@ def _extents(mechanics: Mechanics) -> list[sp.Expr]:
     texts += [scene.surfaces[contact.surface].radius for contact in scene.contacts.values()]
     texts += [text for contact in scene.contacts.values() for text in contact.point.at]
     texts += [t for joint in scene.joints.values() for t in (*joint.point.at, joint.rod)]
-    extents = [parse(text).to_sympy(mechanics.known) for text in texts if text is not None]
+    extents = [mechanics.formula(text) for text in texts if text is not None]
     return [extent for extent in extents if extent != 0]
 
 
@@ -248,22 +246,19 @@ def _prescribed(mechanics: Mechanics) -> tuple[list[sp.Expr], list[sp.Expr], lis
     levers: list[sp.Expr] = []
     for contact in scene.contacts.values():
         surface = scene.surfaces[contact.surface]
-        shifts[parse(surface.radius or 0).to_sympy(mechanics.known)] = None
+        shifts[mechanics.formula(surface.radius or 0)] = None
         if not surface.moves:
             continue
-        shifts |= dict.fromkeys(
-            parse(text).to_sympy(mechanics.known) for text in surface.displacement
-        )
+        shifts |= dict.fromkeys(mechanics.vector(surface.displacement))
         angle = surface_frame(surface, mechanics.known)[2]
         if angle != 0:
-            px, py = (parse(text).to_sympy(mechanics.known) for text in surface.pivot)
+            px, py = mechanics.vector(surface.pivot)
             x, y = mechanics.point(contact.point)
             turns.append(angle)
             levers.append(sp.sqrt((x - px) ** 2 + (y - py) ** 2))
     for joint in scene.joints.values():
         if isinstance(joint.to, Path):
-            texts = [text for text in (joint.to.x, joint.to.y) if text is not None]
-            shifts |= dict.fromkeys(parse(text).to_sympy(mechanics.known) for text in texts)
+            shifts |= dict.fromkeys(mechanics.joint_end(joint.to))
     return [shift for shift in shifts if mechanics.time in shift.free_symbols], turns, levers
 
 

@@ -101,10 +101,7 @@ class SceneNumbers:
         # Bodies, and the indices of their moments of inertia among the values.
         self.inertias = [(name, self.places.get(f"{name}.inertia")) for name in scene.bodies]
         self.lint = (*lint(scene), *_unpressed(mechanics), *undecided_couplings(mechanics))
-        masses = {
-            name: sp.Abs(parse(body.mass).to_sympy(mechanics.known))
-            for name, body in scene.bodies.items()
-        }
+        masses = {n: sp.Abs(mechanics.formula(body.mass)) for n, body in scene.bodies.items()}
         # Their shares in the mass of all bodies.
         self._unloaded = _unloaded_bodies(scene)
         shares = [masses[name] / sp.Add(*masses.values()) for name in self._unloaded]
@@ -116,9 +113,7 @@ class SceneNumbers:
         varying = [limit for limit in limits(scene) if parse(limit.text).names]
         if all(scene.controlled.region_of(limit.text) is None for limit in varying):
             bounded = [
-                parse(limit.text).to_sympy(
-                    {**mechanics.known, **{n: sp.Float(s) for n, s in limit.slips.items()}}
-                )
+                mechanics.formula(limit.text, **{n: sp.Float(s) for n, s in limit.slips.items()})
                 for limit in varying
             ]
             if not any(expression.has(sp.oo) for expression in bounded):

@@ -153,7 +153,10 @@ class BodyShapes:
         """
         coordinates = {name: self._coordinates(name) for name in self._scene.bodies}
         shapes = {coordinates[name] for name, body in self._scene.bodies.items() if body.shape}
-        poses, names = self._sampled_poses(), list(self._scene.bodies)
+        names = list(self._scene.bodies)
+        frames = [self._mechanics.body_frame(name) for name in names]
+        tried = self._links.sample_values([e for (x, y), angle in frames for e in (x, y, angle)])
+        poses = tried.reshape(len(tried), -1, 3)
         size = float(np.abs(poses[..., :2]).max(initial=0.0))
 
         def places(frames: Array, of: Array) -> tuple[Array, Array]:
@@ -180,11 +183,6 @@ class BodyShapes:
         used = {symbol for part in (x, y, angle) for symbol in part.free_symbols}
         return frozenset(used.intersection(self._mechanics.q))
 
-    def _sampled_poses(self) -> Array:
-        frames = [self._mechanics.body_frame(name) for name in self._scene.bodies]
-        tried = self._links.sample_values([e for (x, y), angle in frames for e in (x, y, angle)])
-        return tried.reshape(len(tried), -1, 3)
-
     def _joints(self) -> list[Shape]:
         shapes = []
         for name, joint in self._scene.joints.items():
@@ -210,7 +208,8 @@ class BodyShapes:
                 (
                     one
                     for key, one in scene.joints.items()
-                    if key == own or (own is None and {*bodies} == _bodies_of(one))
+                    if key == own
+                    or (own is None and {*bodies} == {end.body for end in one.ends.values()})
                 ),
                 None,
             )
@@ -273,10 +272,6 @@ def disc_of(scene: Scene, contact: Contact, number: Callable[[str | int | float]
         if shape.disc is not None and at == tuple(map(number, shape.at)):
             return number(shape.disc)
     return 0.0
-
-
-def _bodies_of(joint: Joint) -> set[str]:
-    return {end.body for end in joint.ends.values()}
 
 
 def _distinct(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:

@@ -13,7 +13,7 @@ from contacts.scene.joints import Force
 from contacts.scene.parts import Point
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.formulas.formula import evaluator, parse
+from statechart.formulas.formula import evaluator
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 from statechart.pictures.film import WORLD, Shape, ShapeKind
@@ -164,7 +164,7 @@ class Links:
         regions = self._scene.controlled.flat.items()
         states = [(name, state) for name, region in regions for state in region.states]
         for sets in [mechanics.sets(*state) for state in states] or [{}]:
-            x, y = (parse(text).to_sympy(mechanics.known) for text in force.force)
+            x, y = mechanics.vector(force.force)
             for symbol in reversed(mechanics.controls):
                 value = {**initial_values, **sets}[symbol]
                 x, y = x.subs(symbol, value), y.subs(symbol, value)
@@ -175,11 +175,8 @@ class Links:
         return there[0] - here[0], there[1] - here[1]
 
     def _opposite(self, one: Force, other: Force) -> bool:
-        known = self._mechanics.known
-        return all(
-            sp.expand(parse(a).to_sympy(known) + parse(b).to_sympy(known)) == 0
-            for a, b in zip(one.force, other.force, strict=True)
-        )
+        forces = self._mechanics.vector(one.force), self._mechanics.vector(other.force)
+        return all(sp.expand(a + b) == 0 for a, b in zip(*forces, strict=True))
 
 
 def compile_expressions(automaton: Automaton, expressions: Sequence[sp.Expr]) -> Tape:

@@ -10,7 +10,7 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from contacts.dynamics.geometry import Vector, surface_frame
+from contacts.dynamics.geometry import rotation, surface_frame
 from contacts.dynamics.mechanics import Mechanics
 from contacts.pictures.bodies import BodyShapes, disc_of, led_ends
 from contacts.pictures.links import compile_expressions
@@ -139,7 +139,7 @@ class SceneStage:
 
     def _below(self, touch: Touch, moments: FilmInstants) -> Array:
         """Return the surface point of a contact: vertically below it on a graph."""
-        surface = self._scene.surfaces[self._scene.contacts[touch.name].surface]
+        surface = self._scene.surface_of(touch.name)
         gap = moments.columns[f"{touch.name}.gap"][:, None]
         if surface.height is None or "x" not in parse(surface.height).names or surface.turn != 0:
             return touch.places - gap * touch.normals
@@ -161,26 +161,15 @@ class SceneStage:
 
     @cached_property
     def _contact_tapes(self) -> dict[str, Tape]:
-        return {
-            name: compile_expressions(self._automaton, [*self._point(name), *self._normal(name)])
-            for name in self._scene.contacts
-        }
-
-    def _point(self, name: str) -> Vector:
-        contact, normal = self._scene.contacts[name], self._normal(name)
-        x, y = self._mechanics.point(contact.point)
-        radius = parse(contact.radius or 0).to_sympy(self._mechanics.known)
-        return x - radius * normal[0], y - radius * normal[1]
-
-    def _normal(self, name: str) -> Vector:
-        surface = self._scene.surfaces[self._scene.contacts[name].surface]
-        x, y = self._mechanics.contact(name).normal
-        if surface.body is None:
-            angle = surface_frame(surface, self._mechanics.known)[2]
-        else:
-            angle = self._mechanics.body_frame(surface.body)[1]
-        c, s = sp.cos(angle), sp.sin(angle)
-        return c * x - s * y, s * x + c * y
+        """The points of contacts, and the normals of their surfaces there, in the world."""
+        mechanics, tapes = self._mechanics, {}
+        for name, contact in self._scene.contacts.items():
+            angle = mechanics.surface_frame(self._scene.surface_of(name))[1]
+            n_x, n_y = rotation(angle)(mechanics.contact(name).normal)
+            (x, y), radius = mechanics.point(contact.point), mechanics.formula(contact.radius or 0)
+            expressions = [x - radius * n_x, y - radius * n_y, n_x, n_y]
+            tapes[name] = compile_expressions(self._automaton, expressions)
+        return tapes
 
     def _poses(self, moments: FilmInstants) -> Array:
         moving = self._frames.table(moments.states, moments.values, moments.times)

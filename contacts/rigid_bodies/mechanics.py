@@ -209,7 +209,7 @@ class BodyMechanics(Mechanics):
             if self.scene.bodies[name].coordinates:
                 copies_of.setdefault(owner, []).append(name)
         for owner, names in copies_of.items():
-            mass = self._formula(self.scene.bodies[names[0]].mass)
+            mass = self.formula(self.scene.bodies[names[0]].mass)
             x, y, dx, dy, turn = (
                 [self.known[f"{name}.{c}"] for name in names]
                 for c in ("x", "y", "dx", "dy", "dangle")

@@ -640,17 +640,14 @@ def check_turns(scene: SceneFields) -> None:
                 raise DeclarationProblem(
                     f"{end.body!r} is a particle, which has no angle",
                     advice=f"give it an inertia, or remove {key}",
-                    loc=("joints", name, key),
-                    key=True,
+                    key=("joints", name, key),
                 )
 
 
 def check_copies(scene: SceneFields) -> None:
     """Check the requirements of copies of bodies."""
     if INDEX in scene.parameters and any(b.copies is not None for b in scene.bodies.values()):
-        raise DeclarationProblem(
-            f"{INDEX!r} is the number of a copy", loc=("parameters", INDEX), key=True
-        )
+        raise DeclarationProblem(f"{INDEX!r} is the number of a copy", key=("parameters", INDEX))
     for name, body in scene.bodies.items():
         if body.copies is None:
             continue
@@ -659,15 +656,13 @@ def check_copies(scene: SceneFields) -> None:
             raise DeclarationProblem(
                 f"{clashes[0]!r} is the name of a copy of {name!r}",
                 advice="choose another name",
-                loc=("bodies", clashes[0]),
-                key=True,
+                key=("bodies", clashes[0]),
             )
         if not scene.collisions:
             raise DeclarationProblem(
                 "copies of a body need collisions that they take part in",
                 advice="declare collisions, or each body by itself",
-                loc=("bodies", name, "copies"),
-                key=True,
+                key=("bodies", name, "copies"),
             )
 
 
@@ -701,8 +696,7 @@ def check_coupled(scene: SceneFields, name: str) -> None:
         raise DeclarationProblem(
             "its bodies turn as prescribed, and no couple changes that",
             advice="name a body with an inertia",
-            loc=("couplings", name),
-            key=True,
+            key=("couplings", name),
         )
 
 
@@ -732,15 +726,14 @@ def check_collisions(scene: SceneFields) -> None:
         absent["modes"] = "remove it: bodies start in the modes of what they touch"
     for section, advice in absent.items():
         raise DeclarationProblem(
-            f"a scene with collisions has no {section} yet", advice=advice, loc=(section,), key=True
+            f"a scene with collisions has no {section} yet", advice=advice, key=(section,)
         )
     for name, joint in scene.joints.items():
         if joint.rope is not None and joint.enabled:
             raise DeclarationProblem(
                 "a rope of bodies that collide is never off",
                 advice="remove enabled, or let a joint with rod hold the distance",
-                loc=("joints", name, "enabled"),
-                key=True,
+                key=("joints", name, "enabled"),
             )
     _check_controller_state(scene)
     _check_joined(scene)
@@ -756,8 +749,7 @@ def check_collisions(scene: SceneFields) -> None:
             raise DeclarationProblem(
                 "copies of a body that coordinates place would all be in one place",
                 advice="declare each body by itself",
-                loc=("bodies", name, "copies"),
-                key=True,
+                key=("bodies", name, "copies"),
             )
         if body.prescribed:
             _check_path(scene, name)
@@ -765,8 +757,7 @@ def check_collisions(scene: SceneFields) -> None:
         raise DeclarationProblem(
             "all bodies are fixed or led, and nothing moves by itself",
             advice="declare a body with a mass, an inertia and a shape",
-            loc=("bodies",),
-            key=True,
+            key=("bodies",),
         )
     for name, collision in scene.collisions.items():
         at = ("collisions", name)
@@ -776,16 +767,14 @@ def check_collisions(scene: SceneFields) -> None:
                 raise DeclarationProblem(
                     f"body {name_of!r} has no shape",
                     advice="give it a polygon or a disc",
-                    loc=("bodies", name_of),
-                    key=True,
+                    key=("bodies", name_of),
                 )
         discs = (s.disc for name_of in collision.bodies for s in scene.bodies[name_of].shape)
         if collision.rolling_resistance is not None and not any(discs):
             raise DeclarationProblem(
                 "rolling resistance is of a disc that rolls, and no body has a disc",
                 advice="list a body with shape: {disc: r}, or remove it",
-                loc=(*at, "rolling_resistance"),
-                key=True,
+                key=(*at, "rolling_resistance"),
             )
         for place, name_of in enumerate(collision.surfaces):
             check_member("surface", name_of, scene.surfaces, *at, "surfaces", place)
@@ -875,8 +864,7 @@ def check_prescribed(scene: SceneFields, findings: Findings) -> None:
                     "a fixed body takes part in collisions, and the scene has none",
                     advice="declare collisions; what points touch is a surface: "
                     "surfaces: {wall: {line: [[1, 0], [1, 1]]}}",
-                    loc=("bodies", name, "fixed"),
-                    key=True,
+                    key=("bodies", name, "fixed"),
                 )
 
 

@@ -197,8 +197,7 @@ class Controls:
                     advice=close_matches(control, self.declared)
                     if self.declared
                     else f"declare it: controls: {{{control}: 0}}",
-                    loc=loc,
-                    key=True,
+                    key=loc,
                 )
             check_names(parse(text), names, *loc)
             owner, in_state, first_loc = owners.setdefault(control, (region, state, loc))
@@ -207,8 +206,7 @@ class Controls:
                     f"region {region!r} in state {state!r} and region {owner!r} in state "
                     f"{in_state!r} both set {control!r}, the other as {{see}}",
                     advice="let one region set it; give the other a control of its own",
-                    loc=loc,
-                    key=True,
+                    key=loc,
                     see=first_loc,
                 )
         for region, flat in self.flat.items():
@@ -219,16 +217,14 @@ class Controls:
                         f"{one!r} and {other!r}, which may be active together, both {verb} "
                         f"{name!r}",
                         advice="let one of their regions do it",
-                        loc=("regions", region),
-                        key=True,
+                        key=("regions", region),
                     )
         for control in self.declared:
             if control not in owners:
                 raise DeclarationProblem(
                     f"no state sets {control!r}",
                     advice="set it in a state of a region; else write its formula where it is used",
-                    loc=("controls", control),
-                    key=True,
+                    key=("controls", control),
                 )
         try:
             _ = self.order
@@ -236,8 +232,7 @@ class Controls:
             circle = " -> ".join(reversed(error.args[1]))
             raise DeclarationProblem(
                 f"controls depend on each other in a circle: {circle}",
-                loc=("controls", error.args[1][0]),
-                key=True,
+                key=("controls", error.args[1][0]),
             ) from None
 
     def check_controller_state(self, known: Collection[str]) -> None:

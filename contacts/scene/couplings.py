@@ -36,14 +36,13 @@ class Coupling(Part):
     """
 
     OTHER_WORDS: ClassVar = {
-        **dict.fromkeys(("torque", "moment", "friction", "capacity", "max_torque"), "limit"),
+        "torque moment friction capacity max_torque": "limit",
         "body": "bodies: [arm]",
-        **dict.fromkeys(("flange_a", "flange_b"), "bodies: [a, b]"),
-        **dict.fromkeys(("engaged", "active", "when", "condition"), "enabled"),
+        "flange_a flange_b": "bodies: [a, b]",
+        "engaged active when condition": "enabled",
         "ratio": "coordinates: {q: {}}, and bodies with angle: q and angle: -q/2",
-        **dict.fromkeys(
-            ("static", "kinetic", "peak", "mu", "mue_pos", "fn_max"),
-            "limit: {static: s, kinetic: k}, couples such as mu*N*r",
+        "static kinetic peak mu mue_pos fn_max": (
+            "limit: {static: s, kinetic: k}, couples such as mu*N*r"
         ),
     }
 

@@ -153,8 +153,7 @@ def _check_names(scene: SceneFields, added: AbstractSet[str]) -> None:
             raise DeclarationProblem(
                 f"{name!r} is a region of {name.rpartition('_')[0]!r}",
                 advice="choose another name",
-                loc=(section, name),
-                key=True,
+                key=(section, name),
             )
 
 

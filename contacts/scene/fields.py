@@ -80,34 +80,23 @@ class SceneFields(Declaration):
     OTHER_WORDS: ClassVar = {
         **Declaration.OTHER_WORDS,
         "g": "gravity",
-        **dict.fromkeys(
-            ("controller", "controllers"),
-            "controls: {u: 0}, and regions: {NAME: {initial: ..., states: ...}} that set it",
+        "controller controllers": (
+            "controls: {u: 0}, and regions: {NAME: {initial: ..., states: ...}} that set it"
         ),
-        **dict.fromkeys(("body", "links", "worldbody", "objects"), "bodies"),
-        **dict.fromkeys(("simulation", "option", "solver"), "settings"),
-        **dict.fromkeys(("keyframe", "qpos", "initial", "start"), "start: {x: 0, y: 1} of a body"),
-        **dict.fromkeys(("ground", "floor", "plane", "walls"), "surfaces: {floor: {height: 0}}"),
-        **dict.fromkeys(("actuator", "actuators"), "forces: {motor: {body: arm, moment: M}}"),
-        **dict.fromkeys(
-            ("spring", "springs"), "forces: {spring: {body: rod, force: [-k*rod.x, 0]}}"
+        "body links worldbody objects": "bodies",
+        "simulation option solver": "settings",
+        "keyframe qpos initial start": "start: {x: 0, y: 1} of a body",
+        "ground floor plane walls": "surfaces: {floor: {height: 0}}",
+        "actuator actuators": "forces: {motor: {body: arm, moment: M}}",
+        "spring springs": "forces: {spring: {body: rod, force: [-k*rod.x, 0]}}",
+        "motor motors": "forces: {motor: {body: arm, moment: M}}, or controls and regions",
+        "damper dampers": "forces: {damper: {body: rod, force: [-c*rod.dx, 0]}}",
+        "gear gears pulley pulleys": (
+            "coordinates: {q: {}}, and bodies placed by it, with angle: q and angle: -q/2"
         ),
-        **dict.fromkeys(
-            ("motor", "motors"), "forces: {motor: {body: arm, moment: M}}, or controls and regions"
-        ),
-        **dict.fromkeys(
-            ("damper", "dampers"), "forces: {damper: {body: rod, force: [-c*rod.dx, 0]}}"
-        ),
+        "hinges constraints": "joints: {NAME: {point: {body: arm}, to: [0, 0]}}",
+        "brake brakes clutch clutches": "couplings: {brake: {bodies: [wheel], limit: M_max}}",
         **JOINT_WORDS,
-        **dict.fromkeys(
-            ("gear", "gears", "pulley", "pulleys"),
-            "coordinates: {q: {}}, and bodies placed by it, with angle: q and angle: -q/2",
-        ),
-        **dict.fromkeys(("hinges", "constraints"), JOINT_WORDS["hinge"]),
-        **dict.fromkeys(
-            ("brake", "brakes", "clutch", "clutches"),
-            "couplings: {brake: {bodies: [wheel], limit: M_max}}",
-        ),
     }
 
     kind: Literal["scene"] = declare("Kind of the document.", "scene", default="scene")

@@ -23,15 +23,12 @@ class Friction(Part):
     """Coefficients of friction at rest and in motion."""
 
     OTHER_WORDS: ClassVar = {
-        **dict.fromkeys(
-            ("mu", "coefficient"), "friction: 0.5, or friction: {static: s, kinetic: k}"
-        ),
-        **dict.fromkeys(("mu_s", "static_friction"), "static"),
-        **dict.fromkeys(("mu_k", "dynamic", "sliding", "dynamic_friction"), "kinetic"),
+        "mu coefficient": "friction: 0.5, or friction: {static: s, kinetic: k}",
+        "mu_s static_friction": "static",
+        "mu_k dynamic sliding dynamic_friction": "kinetic",
         "coulomb": "a number instead of the mapping, or static and kinetic",
-        **dict.fromkeys(
-            ("viscous", "stribeck"),
-            "{static: 0.5, kinetic: 0.3 + 0.2*exp(-abs(slip)/0.1)}, of points on surfaces",
+        "viscous stribeck": (
+            "{static: 0.5, kinetic: 0.3 + 0.2*exp(-abs(slip)/0.1)}, of points on surfaces"
         ),
     }
 

@@ -12,15 +12,10 @@ from statechart.documents.fields import FiniteText, FormulaText, Part
 from statechart.errors import DeclarationProblem
 
 JOINT_WORDS = {
-    **dict.fromkeys(
-        ("hinge", "pin", "revolute", "pivot"), "joints: {NAME: {point: {body: arm}, to: [0, 0]}}"
-    ),
+    "hinge pin revolute pivot": "joints: {NAME: {point: {body: arm}, to: [0, 0]}}",
     "weld": "joints: {NAME: {point: {body: arm}, to: [0, 0], angle: held}}",
-    **{
-        word: f"joints: {{NAME: {{point: {{body: load}}, to: [0, 0], {key}: L}}}}"
-        for key, words in (("rope", ("rope", "ropes", "cables")), ("rod", ("rod", "rods")))
-        for word in words
-    },
+    "rope ropes cables": "joints: {NAME: {point: {body: load}, to: [0, 0], rope: L}}",
+    "rod rods": "joints: {NAME: {point: {body: load}, to: [0, 0], rod: L}}",
 }
 """Names of joints in other programs -> what to write here."""
 
@@ -30,15 +25,14 @@ class Force(Part):
 
     OTHER_WORDS: ClassVar = {
         "torque": "moment",
-        **dict.fromkeys(("stiffness", "spring", "k"), "force: [-k*rod.x, 0]"),
-        **dict.fromkeys(("damping", "c"), "force: [-c*rod.dx, 0]"),
-        **dict.fromkeys(("rest_length", "length", "l0"), "it into the force: [-k*(rod.x - L), 0]"),
-        **dict.fromkeys(
-            ("between", "bodies", "from", "to", "type"),
-            "one force for each body: {body: a, force: [0, F]}, {body: b, force: [0, -F]}",
+        "stiffness spring k": "force: [-k*rod.x, 0]",
+        "damping c": "force: [-c*rod.dx, 0]",
+        "rest_length length l0": "it into the force: [-k*(rod.x - L), 0]",
+        "between bodies from to type": (
+            "one force for each body: {body: a, force: [0, F]}, {body: b, force: [0, -F]}"
         ),
-        **dict.fromkeys(("fx", "fy", "x", "y"), "force: [fx, fy]"),
-        **dict.fromkeys(("point", "application_point", "position"), "at: [x, y], in its frame"),
+        "fx fy x y": "force: [fx, fy]",
+        "point application_point position": "at: [x, y], in its frame",
     }
 
     body: str = declare("Body on which it acts.", "rod")
@@ -111,29 +105,21 @@ class Joint(Part):
     OTHER_WORDS: ClassVar = {
         "friction": "couplings: {bearing: {joint: NAME, limit: M_max}}",
         "damping": "a moment among the forces: {body: arm, moment: -c*arm.dangle}",
-        **dict.fromkeys(("stiffness", "spring"), "a moment among the forces: -k*arm.angle"),
-        **dict.fromkeys(
-            ("motor", "motor_speed", "enable_motor"),
-            "a moment among the forces, or to: {x: ..., y: ...}, a path in time",
+        "stiffness spring": "a moment among the forces: -k*arm.angle",
+        "motor motor_speed enable_motor": (
+            "a moment among the forces, or to: {x: ..., y: ...}, a path in time"
         ),
         "fixed": "angle: held",
         "type": "what it holds: to: [0, 0], angle: held, rope: L or rod: L",
-        **dict.fromkeys(("child", "body", "body_b", "body2"), "point: {body: arm, at: [-L, 0]}"),
-        **dict.fromkeys(
-            ("parent", "body_a", "body1", "origin", "anchor", "between", "bodies"),
-            "to: [0, 0], or to: {body: rod, at: [0, L]}",
+        "child body body_b body2": "point: {body: arm, at: [-L, 0]}",
+        "parent body_a body1 origin anchor between bodies": (
+            "to: [0, 0], or to: {body: rod, at: [0, L]}"
         ),
-        **dict.fromkeys(
-            ("break_force", "breaking_force", "max_force", "strength"),
-            'enabled: "hypot(JOINT.X, JOINT.Y) <= F"',
-        ),
-        **dict.fromkeys(
-            ("lower", "lower_angle", "upper", "upper_angle", "min_angle", "max_angle", "range"),
-            "limits: [a, b]",
-        ),
-        **dict.fromkeys(("length", "distance", "rigid"), "rod: L, which holds the distance"),
-        **dict.fromkeys(("cable", "string", "max_length", "max_distance"), "rope: L"),
-        **dict.fromkeys(("active", "when", "condition"), "enabled: RELATION"),
+        "break_force breaking_force max_force strength": 'enabled: "hypot(JOINT.X, JOINT.Y) <= F"',
+        "lower lower_angle upper upper_angle min_angle max_angle range": "limits: [a, b]",
+        "length distance rigid": "rod: L, which holds the distance",
+        "cable string max_length max_distance": "rope: L",
+        "active when condition": "enabled: RELATION",
         "axis": "to: {x: f} or {y: f}, which leaves the other component free",
         **JOINT_WORDS,
     }
@@ -218,8 +204,7 @@ class Joint(Part):
             raise DeclarationProblem(
                 "a joint is a rod or a rope",
                 advice="write rope: L for a distance of at most L, rod: L for exactly L",
-                loc=("rope",),
-                key=True,
+                key=("rope",),
             )
         for key in distance:
             others = [k for k in ("angle", "limits", "rest") if getattr(self, k) is not None]
@@ -227,8 +212,7 @@ class Joint(Part):
                 raise DeclarationProblem(
                     f"a {key} has no {others[0]}",
                     advice=f"declare another joint for it, beside the {key}",
-                    loc=(others[0],),
-                    key=True,
+                    key=(others[0],),
                 )
             if not isinstance(self.to, Point) and None in (self.to.x, self.to.y):
                 raise DeclarationProblem(
@@ -238,22 +222,19 @@ class Joint(Part):
             raise DeclarationProblem(
                 "an angle that is held has no limits",
                 advice="write angle: held, or limits: [least, greatest]",
-                loc=("limits",),
-                key=True,
+                key=("limits",),
             )
         if self.restitution is not None and self.rope is None and self.limits is None:
             raise DeclarationProblem(
                 "restitution is for a rope, and for limits",
                 advice="remove it: a joint that closes stops its points without rebound",
-                loc=("restitution",),
-                key=True,
+                key=("restitution",),
             )
         if self.rest is not None and not self.enabled:
             raise DeclarationProblem(
                 "a joint without enabled is closed from the start, and captures nothing",
                 advice="write enabled: RELATION, or remove rest",
-                loc=("rest",),
-                key=True,
+                key=("rest",),
             )
         return self
 

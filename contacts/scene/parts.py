@@ -72,25 +72,19 @@ class Body(Part):
     OTHER_WORDS: ClassVar = {
         "m": "mass",
         "weight": "mass; its weight is mass times gravity",
-        **dict.fromkeys(("I", "J", "moment_of_inertia"), "inertia"),
-        **dict.fromkeys(("count", "number", "n"), "copies"),
-        **dict.fromkeys(("velocity", "vel", "linear_velocity"), "start: {dx: ..., dy: ...}"),
-        **dict.fromkeys(("angular_velocity", "omega"), "start: {dangle: ...}"),
+        "I J moment_of_inertia": "inertia",
+        "count number n": "copies",
+        "velocity vel linear_velocity": "start: {dx: ..., dy: ...}",
+        "angular_velocity omega": "start: {dangle: ...}",
         "radius": "shape: {disc: r}, and radius: r of its contacts",
-        **dict.fromkeys(
-            ("damping", "linear_damping", "drag"),
-            "forces: {drag: {body: rod, force: [-c*rod.dx, -c*rod.dy]}}",
-        ),
-        **dict.fromkeys(("pos", "origin"), "start: {x: ..., y: ...}"),
-        **dict.fromkeys(
-            ("geom", "geometry", "collision", "visual", "collider", "fixtures", "size"),
-            "shape: [{disc: r}], or a polygon, and collisions for how it rebounds",
+        "damping linear_damping drag": "forces: {drag: {body: rod, force: [-c*rod.dx, -c*rod.dy]}}",
+        "pos origin": "start: {x: ..., y: ...}",
+        "geom geometry collision visual collider fixtures size": (
+            "shape: [{disc: r}], or a polygon, and collisions for how it rebounds"
         ),
         "inertial": "mass, and inertia",
-        **dict.fromkeys(
-            ("static", "immovable", "is_static", "frozen", "anchored"),
-            "fixed: true, of a body with a shape that collides; else "
-            "surfaces: {floor: {height: 0}}",
+        "static immovable is_static frozen anchored": (
+            "fixed: true, of a body with a shape that collides; else surfaces: {floor: {height: 0}}"
         ),
         "type": "fixed: true, of a body that stands still; every other body with a mass moves",
         "fixed_rotation": "no inertia: a particle does not turn; a shape needs a large one",
@@ -228,39 +222,34 @@ class Body(Part):
                 raise DeclarationProblem(
                     "a free body has its own angle",
                     advice="give its initial value under start, or give a position as well",
-                    loc=("angle",),
-                    key=True,
+                    key=("angle",),
                 )
             for name in self.start:
                 if name.removeprefix("d") not in self.coordinates:
                     raise DeclarationProblem(
                         "a particle has no angle",
                         advice="remove it, or give the body an inertia",
-                        loc=("start", name),
-                        key=True,
+                        key=("start", name),
                     )
             return self
         if self.start:
             raise DeclarationProblem(
                 "a body with a position has no start",
                 advice="write the start of its coordinates",
-                loc=("start",),
-                key=True,
+                key=("start",),
             )
         if self.prescribed and self.inertia is not None:
             raise DeclarationProblem(
                 "a body that is led along a path has no inertia",
                 advice="remove it: nothing that touches the body moves it; or give it a mass",
-                loc=("inertia",),
-                key=True,
+                key=("inertia",),
             )
         if self.inertia is not None and self.angle is None:
             raise DeclarationProblem(
                 "a body with an inertia and a position needs an angle",
                 advice="give the angle as a formula of the coordinates, or remove the inertia; "
                 + FREE_START,
-                loc=("inertia",),
-                key=True,
+                key=("inertia",),
             )
         return self
 
@@ -271,8 +260,7 @@ class Body(Part):
                 raise DeclarationProblem(
                     f"a fixed body has no {key}",
                     advice="remove it; its place is start: {x: 0, y: 1, angle: 0}",
-                    loc=(key,),
-                    key=True,
+                    key=(key,),
                 )
         for name in self.start:
             if name.startswith("d"):
@@ -280,15 +268,13 @@ class Body(Part):
                     "a fixed body has no velocity",
                     advice="remove it; a body that moves as prescribed has a path, position: "
                     '["v*time", 0]',
-                    loc=("start", name),
-                    key=True,
+                    key=("start", name),
                 )
         if not self.shape:
             raise DeclarationProblem(
                 "a fixed body needs a shape, by which others touch it",
                 advice="give it a polygon or a disc",
-                loc=("fixed",),
-                key=True,
+                key=("fixed",),
             )
 
 
@@ -300,15 +286,13 @@ class Surface(Part):
     """
 
     OTHER_WORDS: ClassVar = {
-        **dict.fromkeys(("slope", "angle"), "incline"),
-        **dict.fromkeys(("y", "level"), "height"),
-        **dict.fromkeys(
-            ("plane", "halfspace", "half_space", "type", "normal", "offset", "pos"),
-            "height: 0, incline: ANGLE, or line: [[0, 0], [1, 0]]",
+        "slope angle": "incline",
+        "y level": "height",
+        "plane halfspace type normal offset pos": (
+            "height: 0, incline: ANGLE, or line: [[0, 0], [1, 0]]"
         ),
-        **dict.fromkeys(
-            ("profile", "polyline", "points", "vertices", "mesh", "polygon", "heightfield"),
-            "height: FORMULA of x, or several surfaces, such as edge: [[0, 0], [1, 2]]",
+        "profile polyline points vertices mesh polygon heightfield": (
+            "height: FORMULA of x, or several surfaces, such as edge: [[0, 0], [1, 2]]"
         ),
         "velocity": "displacement: [v*time, 0]",
         "x": "line: [[1, -1], [1, 1]], a wall; the solid is on the right of its direction",
@@ -397,9 +381,7 @@ class Surface(Part):
                 advice="write height: 0 for flat ground, incline: alpha for a slope",
             )
         if self.incline is None and self.through != (0, 0):
-            raise DeclarationProblem(
-                "only an incline goes through a point", loc=("through",), key=True
-            )
+            raise DeclarationProblem("only an incline goes through a point", key=("through",))
         if (self.circle is None) != (self.radius is None):
             raise DeclarationProblem(
                 "a circle has a centre and a radius",
@@ -407,12 +389,10 @@ class Surface(Part):
                 loc=("radius",),
             )
         if self.hollow and self.circle is None:
-            raise DeclarationProblem("only a circle is hollow", loc=("hollow",), key=True)
+            raise DeclarationProblem("only a circle is hollow", key=("hollow",))
         for key in ("displacement", "turn"):
             if self.body is not None and getattr(self, key) not in ((0, 0), 0):
-                raise DeclarationProblem(
-                    "a surface carried by a body moves with it", loc=(key,), key=True
-                )
+                raise DeclarationProblem("a surface carried by a body moves with it", key=(key,))
         return self
 
 
@@ -440,11 +420,10 @@ class Contact(Part):
     OTHER_WORDS: ClassVar = {
         **LAW_WORDS,
         "r": "radius",
-        **dict.fromkeys(
-            ("between", "bodies", "body1", "body2", "body_a", "body_b"),
-            "point: {body: rod}, and surface: NAME; shapes have collisions",
+        "between bodies body1 body2 body_a body_b": (
+            "point: {body: rod}, and surface: NAME; shapes have collisions"
         ),
-        **dict.fromkeys(("body", "at"), "point: {body: rod, at: [0, -L]}"),
+        "body at": "point: {body: rod, at: [0, -L]}",
     }
 
     point: Point = declare(
@@ -524,8 +503,7 @@ class Contact(Part):
             raise DeclarationProblem(
                 "rolling resistance is of a disc that rolls",
                 advice="give the contact a radius, or remove it",
-                loc=("rolling_resistance",),
-                key=True,
+                key=("rolling_resistance",),
             )
         if len({mode.mode for mode in self.modes}) != len(self.modes):
             raise DeclarationProblem(
@@ -548,15 +526,13 @@ class Contact(Part):
             raise DeclarationProblem(
                 "friction has no meaning for a contact that cannot slide",
                 advice="list slide among the modes, or remove friction",
-                loc=("friction",),
-                key=True,
+                key=("friction",),
             )
         if "free" not in self.kinds and self.restitution is not None:
             raise DeclarationProblem(
                 "restitution has no meaning for a contact that is never free",
                 advice="list free among the modes, or remove restitution",
-                loc=("restitution",),
-                key=True,
+                key=("restitution",),
             )
         if self.frictionless and "pin" in self.kinds and "slide" in self.kinds:
             raise DeclarationProblem(

@@ -140,8 +140,7 @@ class Scene(SceneFields):
                     raise DeclarationProblem(
                         f"{name!r} is a {one} already, {{see}}",
                         advice=f"choose another name for the {section[:-1]}",
-                        loc=(section, name),
-                        key=True,
+                        key=(section, name),
                         see=(things[name], name),
                     )
                 things[name] = section
@@ -232,8 +231,7 @@ class Scene(SceneFields):
                     raise DeclarationProblem(
                         "a position is a formula of coordinates, and the scene has none",
                         advice=FREE_START,
-                        loc=("bodies", name, "position"),
-                        key=True,
+                        key=("bodies", name, "position"),
                     )
         check_formulas(self, findings)
         check_led_surfaces(self, findings)
@@ -311,8 +309,7 @@ class Scene(SceneFields):
                     raise DeclarationProblem(
                         "it moves no body",
                         advice="use it in the position or the angle of a body, or remove it",
-                        loc=("coordinates", name),
-                        key=True,
+                        key=("coordinates", name),
                     )
 
     @model_validator(mode="after")
@@ -371,7 +368,7 @@ def _fields(scene: Scene) -> dict[str, Any]:
 def _twice(name: str, loc: Loc, before: Loc, of: str = "") -> DeclarationProblem:
     what = "declared twice, first as {see}" if before else "the time of the run"
     advice = f"choose another name{of}"
-    return DeclarationProblem(f"{name!r} is {what}", advice=advice, loc=loc, key=True, see=before)
+    return DeclarationProblem(f"{name!r} is {what}", advice=advice, key=loc, see=before)
 
 
 def _active(states: Iterable[str]) -> dict[str, None]:

@@ -24,13 +24,9 @@ class Shape(Part):
     """The outline of a body, or a part of it, in its own frame: a convex polygon, or a disc."""
 
     OTHER_WORDS: ClassVar = {
-        **dict.fromkeys(
-            ("box", "rectangle", "rect", "size"), "polygon: [[-a, -b], [a, -b], [a, b], [-a, b]]"
-        ),
-        **dict.fromkeys(("circle", "sphere", "radius"), "disc: r"),
-        **dict.fromkeys(
-            ("square", "points", "vertices", "corners"), "polygon: [[-1, -1], [1, -1], [0, 1]]"
-        ),
+        "box rectangle rect size": "polygon: [[-a, -b], [a, -b], [a, b], [-a, b]]",
+        "circle sphere radius": "disc: r",
+        "square points vertices corners": "polygon: [[-1, -1], [1, -1], [0, 1]]",
         "capsule": "shape: [{polygon: ...}, {disc: r, at: [a, 0]}, {disc: r, at: [-a, 0]}]",
         "mesh": "polygon: [[x, y], ...], its outline",
     }
@@ -51,7 +47,7 @@ class Shape(Part):
                 advice="write polygon: [[-1, -1], [1, -1], [0, 1]], or disc: 0.5",
             )
         if self.disc is None and self.at != (0, 0):
-            raise DeclarationProblem("a polygon has no at", loc=("at",), key=True)
+            raise DeclarationProblem("a polygon has no at", key=("at",))
         return self
 
 
@@ -70,29 +66,16 @@ Shapes = Annotated[
 LAW_WORDS = {
     "k": "stiffness",
     "d": "damping",
-    **dict.fromkeys(
-        ("spring", "solref", "solimp", "hunt_crossley_dissipation", "point_contact_stiffness"),
-        "stiffness, and damping",
-    ),
+    "spring solref solimp point_contact_stiffness": "stiffness, and damping",
+    "hunt_crossley_dissipation": "stiffness, and damping",
     "rolling_friction": "rolling_resistance: LENGTH",
     "mu": "friction",
     "material": "friction, and restitution",
-    **dict.fromkeys(
-        (
-            "mu_s",
-            "mu_k",
-            "mu_static",
-            "mu_dynamic",
-            "static_friction",
-            "kinetic_friction",
-            "dynamic_friction",
-            "friction_coefficient",
-            "coulomb_friction",
-        ),
-        "friction: a number for both, or friction: {static: 0.5, kinetic: 0.3}",
+    "mu_s mu_k mu_static mu_dynamic static_friction kinetic_friction dynamic_friction"
+    " friction_coefficient coulomb_friction": (
+        "friction: a number for both, or friction: {static: 0.5, kinetic: 0.3}"
     ),
-    **dict.fromkeys(("e", "bounce", "bounciness", "elasticity", "cor"), "restitution"),
-    **dict.fromkeys(("coefficientOfRestitution", "coefficient_of_restitution"), "restitution"),
+    "e bounce bounciness elasticity cor coefficient_of_restitution": "restitution",
 }
 """Names of coefficients in other programs -> ours."""
 
@@ -103,16 +86,14 @@ def check_compliant(law: Any, rigid: tuple[str, ...]) -> None:
         raise DeclarationProblem(
             "damping belongs to a compliant contact",
             advice="give a stiffness, too",
-            loc=("damping",),
-            key=True,
+            key=("damping",),
         )
     for key in rigid:
         if law.stiffness is not None and key in law.model_fields_set:
             raise DeclarationProblem(
                 f"a compliant contact has no impacts, and no {key}",
                 advice=f"remove {key}, or stiffness; damping takes energy out of a bounce",
-                loc=(key,),
-                key=True,
+                key=(key,),
             )
 
 
@@ -121,9 +102,8 @@ class Collision(Part):
 
     OTHER_WORDS: ClassVar = {
         **LAW_WORDS,
-        **dict.fromkeys(
-            ("pairs", "layer", "layers", "mask", "category", "group", "category_bits", "mask_bits"),
-            "bodies: [die, cup], which collide with each other; one list for each group",
+        "pairs layer layers mask category group category_bits mask_bits": (
+            "bodies: [die, cup], which collide with each other; one list for each group"
         ),
         "sensor": "a relation among conditions, guards or outputs, such as die.y < 0",
     }

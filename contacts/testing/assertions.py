@@ -123,10 +123,8 @@ def missed_by_slopes(
     powers = ((tau - arc.times[steps])[:, None] / h) ** (orders - 1)
     rates = simulator.modes.compiled(arc.roles, trace.zeros).rates
     rates_there = rates.table(states, trace.values, times)
-    off = (
-        np.einsum("mvk,mk->mv", arc.coefficients[steps][:, :, 1:] * orders, powers)
-        - h * rates_there
-    )
+    off = np.einsum("mvk,mk->mv", arc.coefficients[steps][:, :, 1:] * orders, powers)
+    off -= h * rates_there
     off = np.abs(off) + h * np.abs(rates.table(states + off, trace.values, times) - rates_there)
     most = np.zeros((len(spans), states.shape[1]))
     np.maximum.at(most, steps, off)
@@ -140,20 +138,7 @@ def missed_by_slopes(
 
 
 def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
-    """Check that coupling torques are within their limits, and oppose slip.
-
-    Parameters
-    ----------
-    mechanics : Mechanics
-        Mechanics of the scene.
-    subject, trace : Subject, Trace
-        The compiled scene, and a run of it.
-
-    Raises
-    ------
-    AssertionError
-        If a torque exceeds its limit, or acts along the slip.
-    """
+    """Check that coupling torques are within their limits, and oppose slip."""
     scene, known = mechanics.scene, subject.automaton.observables
     expressions = [
         expression
@@ -165,19 +150,9 @@ def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None
     for arc, tau in dense(trace):
         times = arc.start.high + (arc.start.low + tau)
         columns = iter(subject.solved(trace, arc, tau, expressions).T)
-        rows = zip(
-            scene.couplings,
-            moving_mode(arc.roles)[first:],
-            columns,
-            columns,
-            columns,
-            columns,
-            strict=False,
-        )
-        for name, state, couple, slip, static, kinetic in rows:
-            limit = np.zeros_like(couple) if state in OPEN else kinetic
-            if state == "locked":
-                limit = static
+        for name, state in zip(scene.couplings, moving_mode(arc.roles)[first:], strict=False):
+            couple, slip, static, kinetic = (next(columns) for _ in range(4))
+            limit = static if state == "locked" else kinetic * (state not in OPEN)
             if trace.step is not None:
                 # A step uses the limit at its middle, which ends the halves of one with an impact.
                 by_steps = limit.reshape(len(arc.times) - 1, -1)
@@ -196,19 +171,7 @@ def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None
 
 
 def assert_no_less(values: Array, least: Array, what: str, times: Array, state: str) -> None:
-    """Check that values (m,) are nowhere below the least ones.
-
-    Parameters
-    ----------
-    values, least, times : (m,) array
-    what, state : str
-        Names of the quantity and of the mode, for messages.
-
-    Raises
-    ------
-    AssertionError
-        At the value that is farthest below.
-    """
+    """Check that values (m,) of the quantity `what` are nowhere below the `least` ones."""
     if not (values >= least).all():
         m = int(np.argmin(values - least))
         raise AssertionError(f"{what} is {values[m]:.6g} at t = {times[m]:.6g} in {state}")

@@ -259,11 +259,8 @@ def _scene(subject: Subject) -> Scene:
 
 def _body_numbers(subject: Subject, trace: Trace) -> BodyNumbers:
     scene = _scene(subject)
-    return body_numbers(scene, scene.values(_values(scene, trace)))
-
-
-def _values(scene: Scene, trace: Trace) -> dict[str, float]:
-    return {name: trace.parameters[name] for name in scene.parameters}
+    overrides = {name: trace.parameters[name] for name in scene.parameters}
+    return body_numbers(scene, scene.values(overrides))
 
 
 def _depths(subject: Subject, trace: Trace) -> None:
@@ -305,6 +302,7 @@ def _pushed(subject: Subject) -> bool:
 def body_properties(declared: Scene) -> tuple[Property, ...]:
     """Return the properties of a scene of colliding bodies."""
     soft = [law.stiffness is not None for law in declared.collisions.values()]
+    limits = [Property("couples are within their limits", each(_couples))]
     return (
         Property(
             "no body is deeper than a step takes it",
@@ -313,11 +311,7 @@ def body_properties(declared: Scene) -> tuple[Property, ...]:
         ),
         Property("no force without contact", each(_fall)),
         Property("impulses push, within friction", each(_impulses)),
-        *(
-            [Property("couples are within their limits", each(_couples))]
-            if declared.couplings
-            else []
-        ),
+        *(limits if declared.couplings else []),
         Property(
             "energy grows by no more than the scheme's bound",
             each(_energy),

@@ -324,23 +324,19 @@ def properties(declared: Scene) -> tuple[Property, ...]:
     mechanics = Mechanics(scene)
     none = "" if scene.contacts else "the scene has no contacts"
     free = any("free" in contact.kinds for contact in scene.contacts.values())
+    never_free = none or ("" if free else "no contact can be free")
+    limits = [Property("couples are within their limits", each(partial(assert_couples, mechanics)))]
     return (
         Property("no contact is inside its surface", each(partial(assert_gaps, scene)), none),
         Property("V >= 0 and |H| <= mu V", each(partial(assert_cone, scene)), none),
-        *(
-            [Property("couples are within their limits", each(partial(assert_couples, mechanics)))]
-            if scene.couplings
-            else []
-        ),
+        *(limits if scene.couplings else []),
         Property(
             "no force without contact",
             each(partial(assert_no_force_when_free, scene)),
-            none or ("" if free else "no contact can be free"),
+            never_free,
         ),
         Property(
-            "impulses push, within friction",
-            each(partial(assert_impulses, mechanics)),
-            none or ("" if free else "no contact can be free"),
+            "impulses push, within friction", each(partial(assert_impulses, mechanics)), never_free
         ),
         Property("energy never grows", each(partial(assert_energy, mechanics))),
         *image_properties(declared),

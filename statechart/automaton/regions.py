@@ -40,6 +40,7 @@ class Margin:
     shown: sp.Expr | None = None
     # Coefficient in that quantity, which is left out of reports where this is infinite
     coefficient: sp.Expr | None = None
+    strict: bool = False  # of a relation of one atom that is false on its boundary
 
     def replaced(self, values: Mapping[sp.Symbol, sp.Expr]) -> Margin:
         """Return the margin with values substituted for symbols."""
@@ -89,7 +90,8 @@ def margins_of(
     condition = relation.condition(known)
     names = condition.names(name)
     if condition.single:
-        return condition, (Margin(name, condition.atoms[0].expression),)
+        (atom,) = condition.atoms
+        return condition, (Margin(name, atom.expression, strict=atom.strict),)
     whole = None if relation.members else relation.margin(known)
     return condition, tuple(
         Margin(one, atom.expression, relation=name, whole=whole)

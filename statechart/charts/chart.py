@@ -67,16 +67,12 @@ class Chart(Declaration):
 
     OTHER_WORDS: ClassVar = {
         **Declaration.OTHER_WORDS,
-        **dict.fromkeys(("datamodel", "data", "locals", "vars"), "variables: {x: 0}"),
-        **dict.fromkeys(("controls", "inputs"), "variables: {u: 0}, and entry: {u: 1} in states"),
-        **dict.fromkeys(("clocks", "timers"), "variables: {c: 0} with flows: {c: 1}, or after: T"),
-        **dict.fromkeys(
-            ("equations", "initial_equation"), "variables: {x: 0}, and flows of states"
-        ),
+        "datamodel data locals vars": "variables: {x: 0}",
+        "controls inputs": "variables: {u: 0}, and entry: {u: 1} in states",
+        "clocks timers": "variables: {c: 0} with flows: {c: 1}, or after: T",
+        "equations initial_equation": "variables: {x: 0}, and flows of states",
         "events": "a transition; its name is an event that other regions hear",
-        **dict.fromkeys(
-            ("initial", "states", "transitions"), "regions: {NAME: {initial: ..., states: ...}}"
-        ),
+        "initial states transitions": "regions: {NAME: {initial: ..., states: ...}}",
     }
 
     kind: Literal["chart"] = declare("Kind of the document.", "chart", default="chart")
@@ -149,8 +145,7 @@ class Chart(Declaration):
                 raise DeclarationProblem(
                     f"{name!r} is {taken}",
                     advice="choose another name",
-                    loc=("variables", name),
-                    key=True,
+                    key=("variables", name),
                     see=() if name == TIME else ("parameters", name),
                 )
         self.check_values(self.values())
@@ -195,8 +190,7 @@ class Chart(Declaration):
                     f"region {loc[1]!r} in state {loc[-3]!r} and region {owner[1]!r} in state "
                     f"{owner[-3]!r} both give {name!r} a flow, the other as {{see}}",
                     advice="let one region own the variable",
-                    loc=loc,
-                    key=True,
+                    key=loc,
                     see=owner,
                 )
         for region, flat in self.flat.items():
@@ -206,8 +200,7 @@ class Chart(Declaration):
                     f"{one!r} and {other!r}, which may be active together, both give {name!r} a "
                     "flow",
                     advice="let one region own the variable",
-                    loc=("regions", region),
-                    key=True,
+                    key=("regions", region),
                 )
         return self
 

@@ -378,8 +378,7 @@ class FlatRegion:
         return DeclarationProblem(
             f"more than {MAX_CONFIGURATIONS} {what} of {self.name!r}",
             advice="make regions of a state regions of the model: these are not multiplied",
-            loc=self._loc,
-            key=True,
+            key=self._loc,
         )
 
 

@@ -23,17 +23,13 @@ class Transition(fields.Part):
     """A transition between states of a region, with its trigger and updates."""
 
     OTHER_WORDS: ClassVar = {
-        **dict.fromkeys(("when", "if", "cond", "condition"), "guard"),
-        **dict.fromkeys(("event", "trigger"), "on: REGION.EVENT, or guard: RELATION"),
-        **dict.fromkeys(
-            ("reset", "reinit", "action", "actions", "assign", "do", "effect", "set"),
-            "updates: {VARIABLE: FORMULA}",
-        ),
-        **dict.fromkeys(("timeout", "delay"), "after"),
+        "when if cond condition": "guard",
+        "event trigger": "on: REGION.EVENT, or guard: RELATION",
+        "reset reinit action actions assign do effect set": "updates: {VARIABLE: FORMULA}",
+        "timeout delay": "after",
         "priority": "the transitions in their order: of those that are due the first is taken",
-        **dict.fromkeys(
-            ("send", "raise", "emit", "broadcast"),
-            "in another region on: REGION.NAME; the name of a transition is its event",
+        "send raise emit broadcast": (
+            "in another region on: REGION.NAME; the name of a transition is its event"
         ),
         "source": "from",
         "target": "to",
@@ -156,18 +152,14 @@ class BaseState(fields.Part):
     """
 
     OTHER_WORDS: ClassVar = {
-        **dict.fromkeys(("on", "after", "always"), _OUTSIDE),
-        **dict.fromkeys(("children", "substates"), "states"),
-        **dict.fromkeys(("onentry", "on_enter", "enter", "en"), "entry: {VARIABLE: FORMULA}"),
-        **dict.fromkeys(("onexit", "leave", "ex"), "exit: {VARIABLE: FORMULA}"),
-        **dict.fromkeys(
-            ("do", "ode", "dynamics", "equation", "equations", "der"), "flows: {VARIABLE: FORMULA}"
-        ),
-        **dict.fromkeys(
-            ("during", "du"), "flows: {VARIABLE: FORMULA}, or a transition with every: PERIOD"
-        ),
-        **dict.fromkeys(("parallel", "type"), "regions: {NAME: ...} in it, or final: true"),
-        **dict.fromkeys(("end", "terminal"), "final: true"),
+        "on after always": _OUTSIDE,
+        "children substates": "states",
+        "onentry on_enter enter en": "entry: {VARIABLE: FORMULA}",
+        "onexit leave ex": "exit: {VARIABLE: FORMULA}",
+        "do ode dynamics equation equations der": "flows: {VARIABLE: FORMULA}",
+        "during du": "flows: {VARIABLE: FORMULA}, or a transition with every: PERIOD",
+        "parallel type": "regions: {NAME: ...} in it, or final: true",
+        "end terminal": "final: true",
     }
 
     initial: str | None = declare(
@@ -224,7 +216,7 @@ class BaseRegion(fields.Part):
 
     OTHER_WORDS: ClassVar = {
         "history": "states: {NAME: {history: deep}} beside regions",
-        **dict.fromkeys(("parallel", "type"), "regions: {NAME: ...} in a state"),
+        "parallel type": "regions: {NAME: ...} in a state",
     }
 
     initial: str = declare("State at the start.", "flight")
@@ -301,7 +293,7 @@ def check_changes(
                 else:
                     advice = undeclared(variable, variables)
                 raise DeclarationProblem(
-                    f"no variable {variable!r}{of}", advice=advice, loc=(*at, variable), key=True
+                    f"no variable {variable!r}{of}", advice=advice, key=(*at, variable)
                 )
             names = {*known, *controls} if at[-1] == "flows" else known
             fields.check_names(parse(text), names, *at, variable)

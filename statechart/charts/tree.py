@@ -144,8 +144,7 @@ def tree(region: BaseRegion, *loc: str | int) -> Tree:
             raise DeclarationProblem(
                 f"a second state {name!r} of the region",
                 advice="names of states are unique in a region; choose another",
-                loc=at,
-                key=True,
+                key=at,
             )
         places[name] = index
         if isinstance(holder, BaseState):
@@ -198,7 +197,7 @@ def _sort(holder: Holder) -> Sort:
 def _check_none(keys: Sequence[str], at: Loc, reason: str, advice: str) -> None:
     if keys:
         raise DeclarationProblem(
-            f"{reason}: it has no {keys[0]!r}", advice=advice, loc=(*at, keys[0]), key=True
+            f"{reason}: it has no {keys[0]!r}", advice=advice, key=(*at, keys[0])
         )
 
 
@@ -223,22 +222,19 @@ def _check_state(name: str, state: BaseState, at: Loc) -> None:
         raise DeclarationProblem(
             f"{name!r} has states and regions",
             advice="put the states into a region of their own; only histories stand beside regions",
-            loc=(*at, "regions"),
-            key=True,
+            key=(*at, "regions"),
         )
     if state.states and not state.regions and state.initial is None:
         raise DeclarationProblem(
             f"{name!r} has states, and no initial one",
             advice=f"write initial: {next(iter(state.states))}",
-            loc=at,
-            key=True,
+            key=at,
         )
     if (state.regions or not state.states) and state.initial is not None:
         raise DeclarationProblem(
             f"{name!r} has `initial`, but no `states` of its own",
             advice="write it in its regions" if state.regions else "add states, or remove it",
-            loc=(*at, "initial"),
-            key=True,
+            key=(*at, "initial"),
         )
 
 
@@ -311,8 +307,7 @@ def _arrow(
             f"{declared.name!r} is internal, and leads to no state in {declared.source!r}",
             advice="write from: a state with states, and to: one of these; without `to` nothing is "
             "left, either",
-            loc=(*at, "internal"),
-            key=True,
+            key=(*at, "internal"),
         )
     if target < 0:
         return Arrow(declared, source, -1)

@@ -69,13 +69,11 @@ class Declaration(Part):
     METHODS: ClassVar[tuple[str, ...]] = ("check", "diagram", "equations", "modes", "with_")
 
     OTHER_WORDS: ClassVar[Mapping[str, str]] = {
-        **dict.fromkeys(
-            ("until", "t_end", "tspan", "t_span", "duration", "end"), "stop: {time: 10}"
-        ),
-        **dict.fromkeys(("dt", "timestep"), "settings: {engine: impulse, step: 1e-3}"),
+        "until t_end tspan t_span duration end": "stop: {time: 10}",
+        "dt timestep": "settings: {engine: impulse, step: 1e-3}",
         "constants": "parameters",
         "iterations": "settings: {impulse_tolerance: 1e-8}",
-        **dict.fromkeys(("sensor", "sensors", "output"), "outputs: {NAME: {value: FORMULA}}"),
+        "sensor sensors output": "outputs: {NAME: {value: FORMULA}}",
     }
 
     kind: str = declare("Kind of the document.", "scene")
@@ -319,8 +317,7 @@ class Declaration(Part):
                     raise DeclarationProblem(
                         f"unknown name {name!r}",
                         advice=close_matches(name, named),
-                        loc=("units", name),
-                        key=True,
+                        key=("units", name),
                     )
         for label, relation in self.stop.conditions.items():
             with found:
@@ -383,8 +380,7 @@ class Declaration(Part):
             raise DeclarationProblem(
                 f"{TIME!r} is the time of the run",
                 advice="choose another name",
-                loc=("parameters", TIME),
-                key=True,
+                key=("parameters", TIME),
             )
         found = Findings()
         for name, text in self.parameters.items():
@@ -409,8 +405,7 @@ class Declaration(Part):
                     raise DeclarationProblem(
                         f"no parameter {name!r}",
                         advice=close_matches(name, self.parameters),
-                        loc=("ranges", name),
-                        key=True,
+                        key=("ranges", name),
                     )
                 if least > greatest:
                     raise DeclarationProblem(

@@ -167,7 +167,7 @@ class Part(BaseModel, metaclass=Documented):
     )
 
     OTHER_WORDS: ClassVar[Mapping[str, str]] = {}
-    """Key of another program -> our notation."""
+    """Keys of other programs, separated by blanks -> our notation."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in type(self).model_fields:

@@ -186,7 +186,7 @@ def word_elsewhere(model: type[BaseModel], word: str) -> str:
 def _own_word(member: type[BaseModel], word: str | int) -> str:
     key = _plain(str(word))
     words: Mapping[str, str] = getattr(member, "OTHER_WORDS", {})
-    return next((written for other, written in words.items() if _plain(other) == key), "")
+    return next((own for others, own in words.items() if key in map(_plain, others.split())), "")
 
 
 def _plain(word: str) -> str:

@@ -105,9 +105,7 @@ class Value(Part):
 
     OTHER_WORDS: ClassVar = {
         "when": "at",
-        **dict.fromkeys(
-            ("every", "times", "sample"), "--samples after `run`, for a table over time"
-        ),
+        "every times sample": "--samples after `run`, for a table over time",
     }
 
     value: FiniteText = declare(

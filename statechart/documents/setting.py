@@ -158,7 +158,7 @@ class Setting:
         """Raise an error at the first of the parts that is set."""
         for what in parts:
             if getattr(self, what) is not None:
-                raise DeclarationProblem(message.format(what), advice=advice, loc=(what,), key=True)
+                raise DeclarationProblem(message.format(what), advice=advice, key=(what,))
 
     def _check_bounds(self) -> None:
         for what, (highest, words) in _BOUNDS.items():

@@ -35,8 +35,8 @@ class Stop(Part):
     """End of a run: at a time, or when a condition becomes true."""
 
     OTHER_WORDS: ClassVar = {
-        **dict.fromkeys(("duration", "until", "end", "t", "t_end", "tmax", "t_max"), "time"),
-        **dict.fromkeys(("when", "if", "condition"), "conditions: {fallen: RELATION}"),
+        "duration until end t t_end tmax t_max": "time",
+        "when if condition": "conditions: {fallen: RELATION}",
     }
 
     time: FormulaText | None = declare(
@@ -53,11 +53,11 @@ class Settings(Part):
     """Computation of a run; everything has a sensible default."""
 
     OTHER_WORDS: ClassVar = {
-        **dict.fromkeys(("dt", "timestep"), "step"),
-        **dict.fromkeys(("solver", "integrator"), "engine"),
+        "dt timestep": "step",
+        "solver integrator": "engine",
         "iterations": "impulse_tolerance",
         "fps": "step; a film takes --speed",
-        **dict.fromkeys(("rtol", "atol"), "tolerance"),
+        "rtol atol": "tolerance",
         "max": "max_step, or max_jumps",
     }
 

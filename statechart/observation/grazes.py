@@ -54,6 +54,7 @@ class Graze(NamedTuple):
     uncertainty: float  # Error of the least value.
     fired: bool
     turned: bool = False  # An event of another region turned it back.
+    placed: str = ""  # The event of another region that put it on its boundary for an instant.
 
 
 def graze_warnings(found: Sequence[Graze]) -> tuple[str, ...]:
@@ -67,6 +68,12 @@ def graze_warnings(found: Sequence[Graze]) -> tuple[str, ...]:
 def _sentence(several: Sequence[Graze]) -> str:
     graze, count = several[0], len(several) - 1
     further = f"; {count} further time{'s' if count > 1 else ''}" if count else ""
+    if graze.placed:
+        return (
+            f"{graze.guard} is true at the instant t = {graze.t:.6g} only, at which {graze.placed} "
+            f"puts it on its boundary, and does not fire{further}; write every: PERIOD, on: EVENT, "
+            "or a relation that holds for a span"
+        )
     if graze.turned:
         return (
             f"{graze.guard} reaches its boundary at t = {graze.t:.6g}, where another event "
@@ -100,10 +107,17 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
     for arc in trace.arcs:
         groups.setdefault((arc.roles, arc.coefficients.shape[2]), []).append(arc)
     last_arcs = {arc.j: arc for arc in trace.arcs}
+    begun = {id(arc) for arc in {arc.j: arc for arc in reversed(trace.arcs)}.values() if arc.j}
     ended = {
         id(last_arcs[jump.j]): jump for jump in trace.jumps if jump.fired and jump.j in last_arcs
     }
     times = [jump.t for jump in trace.jumps]
+
+    def simultaneous(t: float) -> Sequence[Jump]:
+        tolerance = _SAME_INSTANT * max(t, 1.0)
+        begin = bisect_left(times, t - tolerance)
+        return trace.jumps[begin : bisect_right(times, t + tolerance)]
+
     stops = {stop.name for stop in simulator.automaton.stops}
     approaches: list[Graze] = []
     scales = sizes(trace)
@@ -115,11 +129,10 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
             ends = [(arc, ended[id(arc)]) for arc in batch if id(arc) in ended]
             approaches += scan.beyond(ends)
             joints = [(arc, None) for arc in batch if arc is not last_arcs[arc.j]]
-            for graze in scan.turned_back([*ends, *joints]):
-                tolerance = _SAME_INSTANT * max(graze.t, 1.0)
-                begin = bisect_left(times, graze.t - tolerance)
-                simultaneous = trace.jumps[begin : bisect_right(times, graze.t + tolerance)]
-                if graze.guard.split(".")[0] not in _changed(trace, simultaneous, graze.guard):
+            starts = [(arc, simultaneous(arc.start.high)) for arc in batch if id(arc) in begun]
+            for graze in (*scan.turned_back([*ends, *joints]), *scan.placed(starts)):
+                changed = _changed(trace, simultaneous(graze.t), graze.guard)
+                if graze.guard.split(".")[0] not in changed:
                     approaches.append(graze)
     return tuple(sorted(approaches, key=lambda one: one.t))
 
@@ -143,6 +156,12 @@ class _GuardScan:
         wholes = whole_margins(compiled.mode.margins)
         self._watched = tuple((margin.name, margin.kind) for margin in wholes)
         self._stops = stops
+        self._judged = np.array([
+            margin.kind == "plain"
+            and (margin.name in stops or ("." in margin.name and ": " not in margin.name))
+            for margin in wholes
+        ], np.bool_)  # fmt: skip
+        self._strict = np.array([margin.strict for margin in wholes], np.bool_)
         # Atom -> its relation.
         self._named = {margin.name: margin.name for margin in wholes}
         self._named |= {m.name: m.relation for m in compiled.mode.margins if m.whole is not None}
@@ -262,11 +281,7 @@ class _GuardScan:
         The state after that event decides whether they fire. Where a relation of a guard ends, or a
         function switches, there is no jump.
         """
-        places = [
-            k
-            for k, (name, kind) in enumerate(self._watched)
-            if kind == "plain" and (name in self._stops or ("." in name and ": " not in name))
-        ]
+        places = np.flatnonzero(self._judged).tolist()
         if not (ends and places):
             return
         rows = self._last([arc for arc, _ in ends])[:, :, places]
@@ -275,13 +290,26 @@ class _GuardScan:
             near = np.abs(rows[:, 2]) <= self._near * np.abs(rows[:, 3])
         for i, place in np.argwhere(falling & near).tolist():
             (arc, jump), k = ends[i], places[place]
-            name, _ = self._watched[k]
-            if jump and name == self._named.get(jump.fired[0]) and name not in self._stops:
-                continue
             begin, end = arc.times[-2:].tolist()
             at = self._least(arc, k, end - _EXTRAPOLATED * (end - begin), end)
             if graze := self._open(arc, k, at, 0.0, fired=False):
                 yield graze._replace(t=arc.start.high + end, turned=jump is not None)
+
+    def placed(self, starts: Sequence[tuple[Arc, Sequence[Jump]]]) -> Iterator[Graze]:
+        """Yield false guards that jumps put on their boundary, and that rise from there.
+
+        As ``mod(time, T) <= D`` with D = 0, they are true at one instant.
+        """
+        for arc, jumps in starts:
+            tau = np.array([0.0, _EXTRAPOLATED * arc.times.item(1)])
+            states = np.vstack([jumps[0].before, sample_states(arc.coefficients, arc.times, tau)])
+            before, now, soon = self._table(states, arc.start.high + np.array([0.0, *tau]))
+            with np.errstate(all="ignore"):
+                touched = (np.abs(now) <= self._near * soon) & (before > np.abs(now))
+            for k in np.flatnonzero(touched & self._judged & ~self._strict).tolist():
+                graze = self._open(arc, k, 0.0, 0.0, fired=False)
+                if graze and abs(graze.least) <= graze.uncertainty < before[k]:
+                    yield graze._replace(placed=f"{jumps[0].region}.{jumps[0].cause}")
 
     def _last(self, arcs: Sequence[Arc]) -> Array:
         """Return the guards after the end of flows, there and shortly before, (m, 5, k)."""

@@ -193,6 +193,50 @@ def test_a_stop_condition_that_an_event_turns_back_gives_a_warning(
     assert warning.startswith("full reaches its boundary at t = 1, where another event reverses it")
 
 
+@pytest.mark.parametrize(
+    ("guard", "event", "count"),
+    [
+        ("mod(time, 1)**2 <= 0", "mod.wrap", 3),
+        ("time - floor(time) <= 0", "floor.rise", 3),
+        ("-floor(-time) - time >= 1 and x >= 1.5", "floor.fall", 2),
+        ("mod(time, 1) <= D or x >= 9", "mod.wrap", 3),
+        ("y <= 0", "m.back", 3),
+        ("y < 0", "", 0),
+        ("mod(time, 1) < D", "", 0),
+        ("y <= 0.1", "", 0),
+    ],
+)
+def test_a_guard_that_an_event_puts_on_its_boundary_for_an_instant_gives_a_warning(
+    engine: str, guard: str, event: str, count: int
+) -> None:
+    text = f"""
+kind: chart
+name: saw
+parameters: {{D: 0}}
+variables: {{x: 0, y: 0.5}}
+regions:
+  m:
+    initial: a
+    states: {{a: {{flows: {{x: 1, y: 1}}}}}}
+    transitions: [{{name: back, from: a, every: 1, updates: {{y: 0}}}}]
+  e:
+    initial: w
+    states: {{w: {{}}, d: {{}}}}
+    transitions: [{{name: hit, from: w, to: d, guard: "{guard}"}}]
+stop: {{time: 3.5}}
+outputs: {{hits: {{count: e.hit}}}}
+"""
+    result = statechart.run(read_text(text), engine=engine)
+    assert result.outputs["hits"] == (guard == "y <= 0.1")
+    assert len(result.warnings) == bool(event)
+    for warning in result.warnings:
+        first, further = 4 - count, f"; {count - 1} further time{'s' if count > 2 else ''}"
+        assert warning.startswith(
+            f"e.hit is true at the instant t = {first} only, at which {event} puts it on its "
+            f"boundary, and does not fire{further}; write every"
+        )
+
+
 def test_two_feet_that_touch_at_one_instant_give_no_warning(engine: str) -> None:
     text = """
 kind: scene
