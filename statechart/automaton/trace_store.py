@@ -222,10 +222,11 @@ class TraceStore:
     def _arc(self, place: int) -> Arc:
         block, row = self._locate(self._arcs, place)
         kind, j = block.arcs[row, :2].tolist()
+        mode, roles = self._kinds[kind]
         times, terms = arc_polynomials(block, row, self.variables)
         if block is self.buffer:  # overwritten by later arcs
             times, terms = times.copy(), terms.copy()
-        return Arc(*self._kinds[kind], Clock._make(block.starts[row].tolist()), j, times, terms)
+        return Arc(mode, roles, Clock._make(block.starts[row].tolist()), j, times, terms)
 
     def _event(self, j: int) -> Jump:
         jump = self.made.get(j)
