@@ -76,11 +76,12 @@ def shown_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
     )
 
 
-def coefficients_of(margins: Sequence[Margin]) -> tuple[sp.Expr, ...]:
-    """Return the coefficients in margins; zero where there is none."""
+def with_coefficients(margins: Sequence[Margin]) -> tuple[sp.Expr, ...]:
+    """Return the expressions of margins, then the coefficients in them, 0 without one."""
     import sympy as sp
 
-    return tuple(sp.S.Zero if m.coefficient is None else m.coefficient for m in margins)
+    coefficients = (sp.S.Zero if m.coefficient is None else m.coefficient for m in margins)
+    return (*(m.expression for m in margins), *coefficients)
 
 
 def margins_of(

@@ -25,7 +25,6 @@ from statechart.execution.event_classification import (
 )
 from statechart.execution.simulator import Simulator
 from statechart.formulas.tape import contiguous
-from statechart.kernels.polynomials import sample_states
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import sample_arcs, subdivide
 
@@ -227,7 +226,7 @@ class _GuardScan:
         lefts, rights = np.full(len(shifts), left), np.full(len(shifts), right)
         for _ in range(_REFINEMENTS):
             tau = np.linspace(lefts, rights, _GRID + 1, axis=1)
-            states = sample_states(arc.coefficients, arc.times, tau.ravel())
+            states = arc.states(tau.ravel())
             shifted = (states.reshape(*tau.shape, -1) + shifts[:, None]).reshape(states.shape)
             values = self._table(shifted, arc.start.high + tau.ravel())[:, k].reshape(tau.shape)
             i = values.argmin(axis=1)
@@ -271,7 +270,7 @@ class _GuardScan:
         errors = np.diag(self._errors)
         shifts = np.vstack([np.zeros(len(errors)), errors, -errors])
         times, minima = self._minima(arc, k, left, right, shifts)
-        state = sample_states(arc.coefficients, arc.times, times[:1])[0]
+        state = arc.states(times[:1])[0]
         round_off = margin_errors(self._guards, k, state, self._round_off, self._values, t)
         return bool(np.abs(minima - minima[0]).max() > round_off)
 
@@ -302,7 +301,7 @@ class _GuardScan:
         """
         for arc, jumps in starts:
             tau = np.array([0.0, _EXTRAPOLATED * arc.times.item(1)])
-            states = np.vstack([jumps[0].before, sample_states(arc.coefficients, arc.times, tau)])
+            states = np.vstack([jumps[0].before, arc.states(tau)])
             before, now, soon = self._table(states, arc.start.high + np.array([0.0, *tau]))
             with np.errstate(all="ignore"):
                 touched = (np.abs(now) <= self._near * soon) & (before > np.abs(now))
@@ -323,7 +322,7 @@ class _GuardScan:
 
     def _open(self, arc: Arc, k: int, tau: float, further: float, *, fired: bool) -> Graze | None:
         """Return the graze of a guard if its least value is within its uncertainty."""
-        state = sample_states(arc.coefficients, arc.times, np.array([tau]))[0]
+        state = arc.states(np.array([tau]))[0]
         t = arc.start.high + tau
         name, kind = self._watched[k]
         lowest = self._table(state[None], np.array([t])).item(k) + further

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import decimals
-from statechart.automaton.regions import Mode, coefficients_of, shown_margins
+from statechart.automaton.regions import Mode, shown_margins, with_coefficients
 from statechart.automaton.trace import Jump, Key, Role, Roles, Trace
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
@@ -157,15 +157,14 @@ class Observer:
         if trace.step is not None:  # time stepping builds no modes
             states = zip(self.automaton.recorded_regions(key), key, strict=True)
             margins = shown_margins(m for r, state in states for m in r.build(Role(state)).margins)
-            expressions = *(m.expression for m in margins), *coefficients_of(margins)
-            names = tuple(m.name for m in margins)
-            return names, self.at(trace, expressions, jumps, before=True)
-        mode = self.modes_of(trace)(roles)
-        margins = () if mode is None else shown_margins(mode.margins)
-        points = self._instants(trace, [sampling.side_of(jump, True) for jump in jumps])
-        expressions = *(m.expression for m in margins), *coefficients_of(margins)
-        tape = self.programs.tape(expressions, mode)
-        return tuple(m.name for m in margins), tape.table(points.states, trace.values, points.times)
+            rows = self.at(trace, with_coefficients(margins), jumps, before=True)
+        else:
+            mode = self.modes_of(trace)(roles)
+            margins = () if mode is None else shown_margins(mode.margins)
+            tape = self.programs.tape(with_coefficients(margins), mode)
+            before, times = [jump.before for jump in jumps], [jump.t for jump in jumps]
+            rows = tape.table(before, trace.values, times)
+        return tuple(m.name for m in margins), rows
 
     def _table(
         self, trace: Trace, expressions: tuple[sp.Expr, ...], points: sampling.Points

@@ -16,7 +16,7 @@ import sympy as sp
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD, moving_mode
-from statechart.automaton.regions import Invariant, coefficients_of, shown_margins
+from statechart.automaton.regions import Invariant, shown_margins, with_coefficients
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
@@ -180,8 +180,7 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
     for roles, arcs in flows.items():
         compiled = simulator.modes.compiled(roles, trace.zeros)
         shown = shown_margins(compiled.mode.margins)
-        expressions = *(m.expression for m in shown), *coefficients_of(shown)
-        tape = observer.programs.tape(expressions, compiled.mode)
+        tape = observer.programs.tape(with_coefficients(shown), compiled.mode)
         found, coefficients = np.split(lowest(tape, arcs, trace.values), 2)
         for margin, value, coefficient in zip(
             shown, found.tolist(), coefficients.tolist(), strict=True
