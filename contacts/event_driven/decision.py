@@ -76,7 +76,7 @@ def _level_feet(
 
     Two compliant feet of a body aslant by an angle a pin its rotation by forces of its moment / a.
     If these are too large, the feet move by less than the tolerance of slip: one of them implies
-    the other, until a margin of kind `implied` falls.
+    the other, until a margin of kind `implied` falls. Feet of a body that turns part at once.
     """
     sticking = [
         i
@@ -94,7 +94,7 @@ def _level_feet(
         weights = np.linalg.lstsq(earlier.T, jacobians[i, 1] * levers)[0]
         row, bias = weights @ jacobians[independent, 1], weights @ biases[independent, 1]
         off = np.abs((row - jacobians[i, 1]) * levers).max() / scales.length
-        if off > DEAD_POINT or abs(bias - biases[i, 1]) > DEAD_POINT * scales.acceleration:
+        if off > DEAD_POINT or abs(bias - biases[i, 1]) > USER_DIGITS * scales.acceleration:
             independent.append(i)
             continue
         # The body moves along with this speed.

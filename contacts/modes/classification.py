@@ -408,8 +408,9 @@ def _select_candidate(
             for c in less
             if not same_motion(c, taken, scales, _CONTINUES) and not _slips_more(c, taken, firmer)
         ]
-    if not rivals:
-        return taken, ""
+    starting = _at_static_friction([taken, *rivals], case) if rivals and firmer else []
+    if not rivals or len(starting) == 1:
+        return (starting or [taken])[0], ""
     labels = ", ".join(_label(laws, c.states) for c in [taken, *rivals])
     opened = [
         c
@@ -447,6 +448,21 @@ def _is_held_by_friction(taken: Candidate, other: Candidate, firmer: Sequence[in
 def _slips_more(c: Candidate, d: Candidate, firmer: Sequence[int]) -> bool:
     """Return whether friction holds a contact in d that slips in c, and none the other way."""
     return _is_held_by_friction(d, c, firmer) > _is_held_by_friction(c, d, firmer)
+
+
+def _at_static_friction(found: Sequence[Candidate], case: Case) -> list[Candidate]:
+    """Return the candidates in which static friction does not hold the slips that begin."""
+    snapshot, limits = case.snapshot, case.snapshot.limits.copy()
+    rests = np.array(case.at_rest, np.bool_)[len(case.at_rest) - len(limits) :]
+    limits[rests, 1] = limits[rests, 0]
+    contacts = tuple(
+        [
+            contact._replace(edges=None) if still else contact
+            for contact, still in zip(snapshot.contacts, case.at_rest, strict=True)
+        ]
+    )
+    static = case._replace(snapshot=snapshot._replace(contacts=contacts, limits=limits))
+    return [c for c in found if consistent(candidates(static, [(s,) for s in c.states]), case.tie)]
 
 
 def _more_sticking(case: Case) -> Sequence[int]:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.dynamics.contact_law import cones
+from contacts.dynamics.contact_law import impact_edge
 from contacts.dynamics.controllers import Controllers
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.projection import on_constraints
@@ -247,10 +247,16 @@ class StepControl:
         touching = [
             i
             for i, code in enumerate(recorder.row[: len(contacts)].tolist())
-            if STATES[code] not in OPEN or contacts[i].name in struck
+            if contacts[i].name in self._rigid
+            and (STATES[code] not in OPEN or contacts[i].name in struck)
         ]
         if touching and len(snapshot.velocity):
-            edges = cones(contacts, snapshot.contacts)[touching, :2].copy()
+            edges = np.array(
+                [
+                    impact_edge(contacts[i], snapshot.contacts[i], setup.slip_tolerance)
+                    for i in touching
+                ]
+            )
             jacobians = snapshot.jacobians[touching]
             matrix, _ = delassus_matrix(snapshot.mass, jacobians, snapshot.forces)
             least, nothing = jacobians @ snapshot.velocity, np.zeros(len(edges))

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 
 from statechart import sweep
 from statechart.documents.yaml_reader import read_text
-from statechart.errors import DeclarationError
+from statechart.errors import AmbiguousMode, DeclarationError
 from statechart.running.result import Result
 from statechart.running.runner import Runner
 
@@ -321,3 +321,39 @@ def test_both_sides_of_zero_have_their_own_friction(engine: str) -> None:
     for v0, mu in ((1.0, 0.4), (-1.0, 0.2)):
         sticks = ran(text, engine, v0=v0).outputs["sticks"]
         assert sticks == pytest.approx([1.0 / (mu * G)], abs=1e-12)
+
+
+INCHWORM = """
+kind: scene
+name: inchworm
+parameters: {m: 1}
+gravity: 10
+bodies: {tail: {mass: 1}, head: {mass: m, start: {x: 1, dx: 0.2}}}
+surfaces: {floor: {height: 0}}
+contacts:
+  rear: {point: {body: tail}, surface: floor, friction: {static: 0.6, kinetic: 0.4}, IMPACT}
+  front: {point: {body: head}, surface: floor, friction: {static: 0.6, kinetic: 0.4}, IMPACT}
+joints: {back: {point: {body: tail}, to: {body: head}, rod: 1 + 0.1*sin(2*time)}}
+stop: {time: 1.5}
+""".replace("IMPACT", "restitution: 0, impact: moreau")
+
+
+@every
+@pytest.mark.parametrize(("m", "grips"), [(0.9, "rear"), (1.1, "front")])
+def test_foot_that_static_friction_holds_less_breaks_loose(
+    engine: str, m: float, grips: str
+) -> None:
+    """Where the back shortens, the head breaks loose under 6 m + 0.4 m, the tail under 6 + 0.4."""
+    result = ran(INCHWORM, engine, m=m)
+    length = 1.0 + 0.1 * math.sin(3.0)
+    tail = 0.0 if grips == "rear" else 1.1 - length
+    assert result.trace.final[0] == pytest.approx(tail, abs=near(engine, 1e-9))
+    assert result.trace.final[2] == pytest.approx(tail + length, abs=near(engine, 1e-9))
+    modes = dict(zip(("rear", "front"), result.trace.jumps[-1].target, strict=True))
+    assert modes[grips] == "pin"
+
+
+@both
+def test_feet_of_which_none_breaks_loose_first_are_ambiguous(engine: str) -> None:
+    with pytest.raises(AmbiguousMode, match="does not decide between rear:pin front:slide-"):
+        ran(INCHWORM, engine)

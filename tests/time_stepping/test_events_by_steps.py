@@ -777,6 +777,29 @@ def test_a_joint_that_closes_on_a_rebound_leaves_the_mode_that_forces_decide(
         assert jumps[-1].target[0] == mode
 
 
+SEIZED = """
+kind: scene
+name: seized
+gravity: 10
+bodies: {a: {mass: 2, start: {x: 0.5, y: 0.4}}, b: {mass: 1, start: {dx: 2}}}
+surfaces: {floor: {height: 0}}
+contacts:
+  d: {point: {body: b}, surface: floor, friction: {static: 0.6, kinetic: 0.3}, restitution: 0}
+joints: {j: {point: {body: b}, to: {body: a}, enabled: time >= 0.1, rest: captured}}
+stop: {time: 0.1}
+"""
+
+
+@pytest.mark.parametrize("engine", ["taylor", "impulse"])
+def test_a_joint_that_closes_on_a_sliding_body_brakes_it_by_kinetic_friction(engine: str) -> None:
+    options = {"step": 1e-3} if engine == "impulse" else {}
+    jump = statechart.run(read_text(SEIZED), engine=engine, **options).trace.jumps[0]
+    # Before, a falls at 1 and b slides at 1.7.
+    assert jump.impulse["d"] == pytest.approx((2 * 1, -0.3 * 2 * 1), rel=1e-9)
+    speed = (1.7 - 0.3 * 2 * 1) / (2 + 1)
+    np.testing.assert_allclose(jump.after[4:8], [speed, 0, speed, 0], rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("body", ["inertia: 1", "inertia: 1, shape: {disc: 0.1}"])
 @pytest.mark.parametrize("slips", [True, False])
 def test_a_brake_that_closes_on_a_small_slip_locks_in_an_event_of_its_own(
