@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
 import base64
+import functools
 import json
 import os
 import shutil
 import subprocess
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -21,21 +24,14 @@ FOUND = next(
 """The program, where one is installed."""
 
 
-class Browser:
-    """One page in a browser of its own.
+class _Program:
+    """The browser of a test process: it takes half a second to start."""
 
-    Attributes
-    ----------
-    said : list of str
-        What the page wrote to its console, errors too.
-    """
-
-    def __init__(
-        self, folder: Path, width: int = 1200, height: int = 1000, dark: bool = False
-    ) -> None:
+    def __init__(self) -> None:
         assert FOUND is not None
         to_browser, self._out = os.pipe()
         self._in, from_browser = os.pipe()
+        folder = tempfile.mkdtemp(prefix="browser")
 
         # The browser reads at 3 and writes at 4.
         pipes = f"3</proc/self/fd/{to_browser} 4>/proc/self/fd/{from_browser}"
@@ -44,16 +40,66 @@ class Browser:
             FOUND, "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-pipe",
             "--disable-dev-shm-usage", f"--user-data-dir={folder}", "about:blank",
         ]  # fmt: skip
-        self._process = subprocess.Popen(
+        process = subprocess.Popen(
             command, pass_fds=(to_browser, from_browser), stderr=subprocess.DEVNULL
         )
         os.close(to_browser)
         os.close(from_browser)
-        self._left, self._count, self.said = b"", 0, list[str]()
-        self._session = ""
-        page = next(t for t in self.do("Target.getTargets")["targetInfos"] if t["type"] == "page")
-        attached = self.do("Target.attachToTarget", targetId=page["targetId"], flatten=True)
-        self._session = attached["sessionId"]
+        self._left, self._count = b"", 0
+        self.said: dict[str, list[str]] = {}
+
+        @atexit.register
+        def stop() -> None:
+            process.kill()
+            process.wait()
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def do(self, session: str, method: str, **parameters: Any) -> dict[str, Any]:
+        """Ask a page, or without a session the browser, and return the answer."""
+        self._count += 1
+        message: dict[str, Any] = {"id": self._count, "method": method, "params": parameters}
+        if session:
+            message["sessionId"] = session
+        os.write(self._out, json.dumps(message).encode() + b"\0")
+        while True:
+            answer = self.next()
+            if answer.get("id") == self._count:
+                assert "error" not in answer, answer
+                return dict(answer["result"])
+
+    def next(self) -> dict[str, Any]:
+        """Return the next message, and note it if it is one of a page's console."""
+        while b"\0" not in self._left:
+            part = os.read(self._in, 1 << 16)
+            assert part, "the browser has ended"
+            self._left += part
+        text, _, self._left = self._left.partition(b"\0")
+        message = dict(json.loads(text))
+        if message.get("method") in (
+            "Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded",
+        ):  # fmt: skip
+            self.said[message["sessionId"]].append(json.dumps(message["params"])[:500])
+        return message
+
+
+_program = functools.cache(_Program)
+
+
+class Browser:
+    """One page in a window and a profile of its own.
+
+    Attributes
+    ----------
+    said : list of str
+        What the page wrote to its console, errors too.
+    """
+
+    def __init__(self, width: int = 1200, height: int = 1000, dark: bool = False) -> None:
+        self._program, self._session = _program(), ""
+        self._profile = self.do("Target.createBrowserContext")
+        page = self.do("Target.createTarget", url="about:blank", **self._profile)
+        self._session = self.do("Target.attachToTarget", **page, flatten=True)["sessionId"]
+        self.said = self._program.said[self._session] = []
         for domain in ("Page", "Runtime", "Log"):
             self.do(f"{domain}.enable")
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
@@ -65,32 +111,19 @@ class Browser:
         return self
 
     def __exit__(self, *_: object) -> None:
-        os.close(self._out)
-        os.close(self._in)
-        self._process.kill()
-        self._process.wait()
+        self._session = ""
+        self.do("Target.disposeBrowserContext", **self._profile)
 
     def do(self, method: str, **parameters: Any) -> dict[str, Any]:
         """Ask for something and return the answer."""
-        self._count += 1
-        message: dict[str, Any] = {"id": self._count, "method": method, "params": parameters}
-        if self._session:
-            message["sessionId"] = self._session
-        os.write(self._out, json.dumps(message).encode() + b"\0")
-        while True:
-            answer = self._next()
-            if answer.get("id") == self._count:
-                assert "error" not in answer, answer
-                return dict(answer["result"])
-            self._hear(answer)
+        return self._program.do(self._session, method, **parameters)
 
     def open(self, path: Path) -> None:
         """Open a file and wait until it is there."""
         self.do("Page.navigate", url=path.resolve().as_uri())
         while True:
-            answer = self._next()
-            self._hear(answer)
-            if answer.get("method") == "Page.loadEventFired":
+            message = self._program.next()
+            if message.get("method") == "Page.loadEventFired":
                 return
 
     def value(self, script: str) -> Any:
@@ -122,17 +155,3 @@ class Browser:
         """Write a screenshot of the whole page as a PNG."""
         shot = self.do("Page.captureScreenshot", captureBeyondViewport=True)
         path.write_bytes(base64.b64decode(shot["data"]))
-
-    def _next(self) -> dict[str, Any]:
-        while b"\0" not in self._left:
-            part = os.read(self._in, 1 << 16)
-            assert part, "the browser has ended"
-            self._left += part
-        message, _, self._left = self._left.partition(b"\0")
-        return dict(json.loads(message))
-
-    def _hear(self, answer: dict[str, Any]) -> None:
-        if answer.get("method") in (
-            "Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded",
-        ):  # fmt: skip
-            self.said.append(json.dumps(answer["params"])[:500])

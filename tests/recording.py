@@ -17,9 +17,11 @@ from typing import Any
 
 import llvmlite.binding as llvm
 import numba
+from runs import diagram
 
 import models
 from statechart.cli.main import main
+from statechart.diagram.write import write
 
 FOLDER = Path(__file__).parent / "recorded"
 ENGINES = {"taylor": (), "scipy": (), "impulse": ("--step", "1e-3")}
@@ -43,7 +45,7 @@ def record(model: str, folder: Path) -> dict[str, Any]:
     found["modes"] = json.loads(_said("modes", model, "--json")[1])
     for suffix in ("dot", "mmd", "scxml"):
         drawn = folder / f"{model}.{suffix}"
-        _said("draw", model, "-o", str(drawn))
+        write(diagram(model), drawn)
         lines = drawn.read_text(encoding="utf-8").splitlines()
         found[suffix] = [len(lines), *(line[:_LINES] for line in lines[:_LINES])]
     return found

@@ -12,6 +12,7 @@ import models
 import statechart
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
+from statechart.diagram.model import Diagram
 from statechart.documents.setting import Setting
 from statechart.engines.engine import Engine
 from statechart.engines.scipy import SciPy
@@ -21,7 +22,9 @@ from statechart.loading.kind import kind
 from statechart.loading.load import load
 from statechart.observation.observers import Observers
 from statechart.observation.outputs import Outputs
+from statechart.running.drawing import drawn
 from statechart.running.result import Result
+from statechart.running.runner import Runner
 
 # These models show runs that cannot continue.
 PARADOXICAL = ("no_slip_pencil",)
@@ -98,6 +101,18 @@ def run(model: str, name: str, until: float = 1000.0, **parameters: float) -> Tr
 def outputs(model: str, name: str, trace: Trace) -> dict[str, Any]:
     """Return the declared outputs of a run."""
     return _reader(model, name).of(trace)
+
+
+@functools.cache
+def shipped(model: str) -> Result:
+    """Return the run of a shipped model as it is declared."""
+    return statechart.run(model, throw=False)
+
+
+@functools.cache
+def diagram(model: str) -> Diagram:
+    """Return the statechart of a shipped model."""
+    return drawn(Runner(model))[0]
 
 
 def modes(trace: Trace) -> list[str]:

@@ -45,12 +45,6 @@ def sliding_edge(law: ContactLaw, contact: PerContact) -> tuple[float, float]:
     return (plus_n, plus_t) if contact.slip > 0.0 else (minus_n, minus_t)
 
 
-def impact_edge(law: ContactLaw, contact: PerContact, slip_tolerance: float) -> tuple[float, float]:
-    """Return the unit edge of the cone in an impact: kinetic if the contact slips before it."""
-    slips = abs(contact.slip) > slip_tolerance
-    return sliding_edge(law, contact) if slips else (law.cone_n, law.cone_t)
-
-
 @lru_cache(maxsize=1024)
 def carriers(laws: tuple[ContactLaw, ...]) -> Ints:
     """Return the indices (c,) of the contacts that load couplings; -1 elsewhere."""

@@ -517,7 +517,7 @@ class Mechanics(Geometry):
         coupling = scene.couplings.get(name)
         contact = coupling or scene.contacts[name]
         if name not in self._gates:
-            known = self.known | {
+            known = {**self.known, **self.placed} | {
                 f"{other}.{quantity}": getattr(self.contact(other), quantity)
                 for other in scene.frictional
                 for quantity in (("slip",) if other in scene.couplings else ("gap", "slip"))

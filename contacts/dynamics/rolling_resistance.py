@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from contacts.dynamics.contact_law import ContactLaw, impact_edge
+from contacts.dynamics.contact_law import ContactLaw, sliding_edge
 from contacts.dynamics.snapshot import Snapshot, answer, solve_kkt
 from statechart.arrays import Array
 
@@ -50,7 +50,8 @@ def apply_rolling_resistance(
         for d, impulse in zip(sticking, solved[1][1:].tolist(), strict=True):
             rolled[law.carrier, d] += share * impulse
         normal, tangential = rolled[law.carrier].tolist()
-        edge = impact_edge(cone, touching, slip_tolerance)
+        slipped = abs(touching.slip) > slip_tolerance
+        edge = sliding_edge(cone, touching) if slipped else (cone.cone_n, cone.cone_t)
         if 1 not in sticking or edge[0] * abs(tangential) <= edge[1] * normal:
             velocity, impulses = velocity + share * solved[0], rolled
             continue

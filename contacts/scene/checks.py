@@ -22,6 +22,7 @@ from contacts.scene.friction import (
 )
 from contacts.scene.parts import Surface, used_names
 from contacts.scene.shapes import INDEX
+from statechart.charts.transitions import PERIOD, PERIOD_ADVICE, periods_in
 from statechart.documents.declaration import TIME
 from statechart.documents.documented import leaves
 from statechart.documents.fields import (
@@ -249,7 +250,10 @@ _INCLINES = (
 
 
 def limits(scene: SceneFields) -> Iterator[Limit]:
-    """Yield the limits of masses, inertias, friction, restitution, radii and inclines."""
+    """Yield the limits of masses, inertias, friction, restitution, radii, inclines and periods."""
+    for name, region in scene.regions.items():
+        for loc, period in periods_in(region, "regions", name):
+            yield Limit(loc, period, *_POSITIVE[:2], PERIOD, PERIOD_ADVICE)
     for name, body in scene.bodies.items():
         at: Loc = ("bodies", name)
         if not body.prescribed:

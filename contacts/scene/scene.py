@@ -108,10 +108,10 @@ class Scene(SceneFields):
         pins = [] if self.collisions else [n for n, x in self.joints.items() if x.rope is None]
         check_wrapping(self, values, [("joints", name, "to") for name in pins])
         self.counted(values)
+        changing = {*self.controlled.controller_state, *self.kinematic_names} - {*self.parameters}
+        check_periods(self.regions, self.parameters, changing)
         check_physical(self, values)
         check_finite(self, values)
-        changing = {*self.controlled.controller_state, *self.kinematic_names} - {*self.parameters}
-        check_periods(self.regions, values, self.parameters, changing)
         for name, region in self.regions.items():
             for variable, text in region.variables.items():
                 loc = ("regions", name, "variables", variable)
@@ -272,7 +272,8 @@ class Scene(SceneFields):
 
     def _check_enabled(self, findings: Findings, relations: Iterable[str], *at: str | int) -> None:
         parameters = frozenset(self.parameters)
-        seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
+        seen = self.kinematic_names | self.placed_names
+        seen |= {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
         seen |= {f"{coupling}.slip" for coupling in self.couplings}
         ropes = {joint_name for joint_name, joint in self.joints.items() if joint.rope is not None}
         for place, text in enumerate(relations):

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.dynamics.contact_law import impact_edge
+from contacts.dynamics.contact_law import sliding_edge
 from contacts.dynamics.controllers import Controllers
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.projection import on_constraints
@@ -251,12 +251,8 @@ class StepControl:
             and (STATES[code] not in OPEN or contacts[i].name in struck)
         ]
         if touching and len(snapshot.velocity):
-            edges = np.array(
-                [
-                    impact_edge(contacts[i], snapshot.contacts[i], setup.slip_tolerance)
-                    for i in touching
-                ]
-            )
+            # As with events, a contact that can slip under kinetic friction does.
+            edges = np.array([sliding_edge(contacts[i], snapshot.contacts[i]) for i in touching])
             jacobians = snapshot.jacobians[touching]
             matrix, _ = delassus_matrix(snapshot.mass, jacobians, snapshot.forces)
             least, nothing = jacobians @ snapshot.velocity, np.zeros(len(edges))

@@ -17,6 +17,7 @@ from contacts.states import (
     FREE,
     OFF_CODE,
     OPEN,
+    OPEN_CODE,
     RESTS,
     SLIPS,
     STATES,
@@ -104,13 +105,17 @@ class Recorder:
             if shared:
                 self._note_shared(chunk.shared[first:k])
             first = k + int(hit[k])
-            # A disabled contact that closes at once is free first, as with events.
-            was, now = self.row, shown[k]
+            # A disabled contact that closes at once is free first, as with events. A slip that has
+            # stopped in the step before, and a coupling that opens or closes, precede an impact.
+            was, now, last = self.row, shown[k], chunk.modes[k - 1] if k else self._raw
             enabled = (was == OFF_CODE) & (now != OFF_CODE) & (chunk.struck[k] | (now != FREE))
-            if enabled.any():
+            stopped = hit[k] & self.sticks & np.isin(was, SLIPS) & np.isin(last, [*RESTS])
+            turned = hit[k] & ((was == OPEN_CODE) != (now == OPEN_CODE))
+            if (enabled | stopped | turned).any():
                 done = self._flow(steps, done, k, 0)
                 opened = np.where(enabled, FREE, np.where(now == OFF_CODE, OFF_CODE, was))
-                self._change(opened, chunk.states[k])
+                early = np.where(turned, now, np.where(stopped, last, opened))
+                self._change(early, chunk.states[k])
             done = self._flow(steps, done, k, first - k)
             if hit[k]:
                 self._strike(steps, k, shown[k])
@@ -219,8 +224,7 @@ class Recorder:
         slid, rests = np.isin(before, SLIPS), np.isin(codes, [*RESTS])
         in_impact = chunk.struck | chunk.impulses.any(axis=2)
         shown = np.where(rests & slid & self.sticks & ~in_impact, before, codes)
-        calm = ~np.any(chunk.struck, axis=1, keepdims=True)
-        stops = rests & np.isin(before, _OPEN) & self.sticks & calm
+        stops = rests & np.isin(before, _OPEN) & self.sticks & ~in_impact
         for k in np.flatnonzero(stops.any(axis=1)).tolist():
             slips = self.slips(chunk.states[k], self.clock.high + k * chunk.h)
             for i in np.flatnonzero(stops[k] & (np.abs(slips) > self.still)).tolist():

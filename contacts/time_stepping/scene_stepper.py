@@ -44,7 +44,7 @@ from contacts.states import (
 )
 from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
-from contacts.time_stepping.equations import ContactHistory, StepConstants
+from contacts.time_stepping.equations import LANDED, ContactHistory, StepConstants
 from contacts.time_stepping.scene_step import step_scene
 from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.solver_residual import INDETERMINATE
@@ -246,8 +246,9 @@ class SteppedScene(SteppedSystem):
         return bool(self._step_state.contacts.light[0])
 
     def press(self, closed: Bools) -> None:
-        """Let contacts (c,) be closed and sliding, as after earlier steps."""
+        """Let contacts (c,) be closed and sliding, and forces decide modes, as after impacts."""
         self._step_state.contacts.closed[:] = self._step_state.contacts.slip[:] = closed
+        self._step_state.contacts.settling[:] = LANDED
 
     def hold(self, stopped: Mapping[int, tuple[float, float]]) -> dict[int, int]:
         """Let stopped contacts last; see `SteppedSystem`."""
@@ -652,11 +653,12 @@ class SceneStepper(Stepper):
             return trial, trial.steps(0.0, h, setup.initial, 1)
 
         trial, first = try_step(np.zeros_like(off))
-        codes = first.codes[0]
-        # Contacts that strike at once are free before; jamming ones slide before.
-        resting = first.struck[0] & slow
+        codes = first.modes[0]
+        # Contacts that strike at once are free before. Jamming ones slide before, and so do those
+        # that the short step stops.
         slides = np.where(measured[:, 2] > 0.0, SLIDE_PLUS, SLIDE_MINUS)
-        codes = np.where(resting, slides, np.where(first.struck[0], FREE, codes))
+        slips = slow & (first.struck[0] | ((codes == PIN) & ~sticks))
+        codes = np.where(slips, slides, np.where(first.struck[0], FREE, codes))
         if sliding.any() and try_step(sliding)[1].stats[0, CHOSEN]:
             warnings.append(f"at the start {INDETERMINATE}")
         if trial.filled:

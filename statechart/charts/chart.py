@@ -131,7 +131,7 @@ class Chart(Declaration):
         """Check parameters, initial values and periods of transitions."""
         super().check_values(values)
         check_wrapping(self, values)
-        transitions.check_periods(self.regions, values, self.parameters, self.variables)
+        transitions.check_periods(self.regions, self.parameters, self.variables, values)
         for name, text in self.variables.items():
             value = fields.value_of(text, values, "variables", name)
             if abs(value) == float("inf"):

@@ -43,6 +43,7 @@ from statechart.charts.guard_watch import (
     transition_outcomes,
     values_after,
 )
+from statechart.charts.transitions import check_periods
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FiniteText
 from statechart.errors import DeclarationProblem, NonFinite, StatechartError, Unsupported, Zeno
@@ -86,7 +87,7 @@ class _Symbols:
     """Symbols with neutral names, since SymPy interprets names such as I or beta."""
 
     def __init__(self, chart: Chart) -> None:
-        timers = chart.clocks
+        self.chart, timers = chart, chart.clocks
         starts = {**chart.variables, **dict.fromkeys(timers, 0)}
         self.variables = {name: sp.Symbol(f"v{i}", real=True) for i, name in enumerate(starts)}
         self.rates = {name: sp.Symbol(f"r{i}", real=True) for i, name in enumerate(starts)}
@@ -105,8 +106,14 @@ class _Symbols:
         self.flow = cache(lambda text: parse(text).to_sympy(self.known))
 
     def setup(self, overrides: Mapping[str, float], relative: float) -> Setup:
-        """Evaluate parameters and the initial state."""
+        """Evaluate parameters and the initial state.
+
+        Raises `DeclarationProblem` for a period that is not positive, or a start that is infinite.
+        """
         values, initial = self.parameters.values(overrides)
+        if overrides:
+            chart = self.chart
+            check_periods(chart.regions, chart.parameters, chart.variables, chart.values(overrides))
         for name, value in zip(self.variables, initial, strict=True):
             if not np.isfinite(value):
                 raise DeclarationProblem(

@@ -299,22 +299,30 @@ def check_changes(
             fields.check_names(parse(text), names, *at, variable)
 
 
+def periods_in(holder: Holder, *loc: str | int) -> Iterator[tuple[Loc, fields.FormulaText]]:
+    """Yield the places and texts of the delays and periods of transitions."""
+    for transition, at in declared_transitions(holder, *loc):
+        if transition.period is not None:
+            yield (*at, "after" if transition.every is None else "every"), transition.period
+
+
+PERIOD = "must be a finite time above 0, not {:g}"
+PERIOD_ADVICE = "write a number, or a formula of parameters, such as 0.02"
+
+
 def check_periods(
     regions: Mapping[str, BaseRegion],
-    values: Mapping[str, float] | None,
     known: Collection[str],
     changing: Collection[str],
+    values: Mapping[str, float] | None = None,
 ) -> None:
-    """Check that delays and periods are positive formulas of parameters, of nothing `changing`.
+    """Check that delays and periods are formulas of parameters, of nothing `changing`.
 
-    Raises `DeclarationProblem`.
+    With `values` of the parameters they must be positive. Raises `DeclarationProblem`.
     """
     for name, region in regions.items():
-        for transition, at in declared_transitions(region, "regions", name):
-            if transition.period is None:
-                continue
-            loc = (*at, "after" if transition.every is None else "every")
-            for node in names_in(parse(transition.period).root):
+        for loc, period in periods_in(region, "regions", name):
+            for node in names_in(parse(period).root):
                 if node.name in changing:
                     raise DeclarationProblem(
                         f"{node.name!r} changes during a run, and a period is constant",
@@ -322,16 +330,12 @@ def check_periods(
                         loc=loc,
                         offset=node.offset,
                     )
-            fields.check_names(parse(transition.period), known, *loc)
+            fields.check_names(parse(period), known, *loc)
             if values is None:
                 continue
-            found = fields.value_of(transition.period, values, *loc)
+            found = fields.value_of(period, values, *loc)
             if not 0.0 < found < float("inf"):
-                raise DeclarationProblem(
-                    f"must be a finite time above 0, not {found:g}",
-                    advice="write a number, or a formula of parameters, such as 0.02",
-                    loc=loc,
-                )
+                raise DeclarationProblem(PERIOD.format(found), advice=PERIOD_ADVICE, loc=loc)
 
 
 def check_listening(

@@ -21,6 +21,7 @@ from statechart.engines.taylor_loop import (
     SLOPE_ERROR_FACTOR,
     advance_clock,
     call_step,
+    limit_step,
     scale_series,
     slope_error,
 )
@@ -364,6 +365,7 @@ def flow_to_event(
         h[0] = min(remaining, watch.max_step)
         reconstruct_any(dependent, state, start + times[n_steps])
         call_step(address, state, pars, clock, h, series)
+        limit_step(series, h, state)
         if pending and _has_wrong_slope(prepared[0], rates, watch, workspace, n_steps - 1, length):
             return UNRESOLVED, -1, 0, boxes
         length = h[0]

@@ -19,11 +19,11 @@ from statechart.formulas.writer import join_exponentials
 
 # No warnings on stdout about an unusable disk cache.
 hy.set_logger_level_error()
-# A process that opens heyoka's database of compiled equations sums the sizes of all its rows: 2 s
-# for 6 GB, and the default limit is 21 GB. A folder of our own leaves the user's limit alone.
+# A process that opens heyoka's database of compiled equations sums the sizes of all its rows: 25 ms
+# for 100 MB, and the default limit is 21 GB. A folder of our own leaves the user's limit alone.
 with suppress(RuntimeError):  # a folder that cannot be written
     hy.llvm_state.set_diskcache_path(str(Path.home() / ".cache" / "statechart" / "heyoka"))
-    hy.llvm_state.set_diskcache_limit(100_000_000)
+    hy.llvm_state.set_diskcache_limit(40_000_000)  # a hundred modes
 
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     sp.sin: hy.sin,

@@ -24,6 +24,7 @@ from statechart.engines.taylor_loop import (
     MAX_SLOPE_ERROR,
     MIN_MOTION,
     Step,
+    limited_length,
     taylor_steps,
 )
 from statechart.errors import NonFinite, StepFailure, Unsupported
@@ -243,6 +244,10 @@ def _one_by_one(
         for _ in range(MAX_HALVINGS):
             stepper.state[:], stepper.integrator.time = started, began
             h = step(longest, True)[1]
+            limit = limited_length(now.astype(float), float(h))
+            if limit < h:
+                longest = type(h)(limit)
+                continue
             slopes = now * (order * h**order)
             ends = stepper.state.astype(float)
             rates = stepper.rates.values(ends, watch.parameters, time + float(h))

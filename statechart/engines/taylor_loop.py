@@ -116,6 +116,9 @@ MIN_MOTION = 1e-6
 # A slope error is round-off if it is below `_MAX_ROUND_OFF`, and halving the step leaves more than
 # `_MIN_REDUCTION` of it: the truncation error falls with a power above the order.
 _MAX_ROUND_OFF, _MIN_REDUCTION = 1e-3, 0.25
+# heyoka's tolerance is absolute where all variables are below 1. Below this largest variable the
+# length of a step is taken relative to it.
+_SMALL, _SHORTER = 1e-3, 0.99
 # Largest number of halvings of a step, for rates that end in a singularity.
 MAX_HALVINGS = 40
 
@@ -142,6 +145,49 @@ def slope_error(row: Array, h: float, series: Array, errors: Array, motions: Arr
             return math.inf
         worst, largest_motion = max(worst, error), max(largest_motion, motion)
     return worst / largest_motion
+
+
+@kernel
+def limited_length(series: Array, h: float) -> float:
+    """Return the length of a step by Jorba and Zou, relative to small variables; at most `h`.
+
+    The size is the largest sum of absolute terms, so that a start at zero has one. Polynomials of
+    lower order, as clocks, are exact and do not count.
+    """
+    order = series.shape[1] - 1
+    while True:
+        size, last, before = 0.0, 0.0, 0.0
+        for v in range(series.shape[0]):
+            ends = abs(series[v, order]), abs(series[v, order - 1])
+            if ends[0] > 0.0 or ends[1] > 0.0:
+                last, before, terms = max(last, ends[0]), max(before, ends[1]), 0.0
+                for k in range(order, -1, -1):
+                    terms = terms * h + abs(series[v, k])
+                size = max(size, terms)
+        if not 0.0 < size < _SMALL:
+            return h
+        for _ in range(order - 1):
+            last, before = last * h, before * h
+        last *= h
+        excess = max((last / size) ** (1.0 / order), (before / size) ** (1.0 / (order - 1)))
+        # heyoka's factor of safety
+        ratio = math.exp(-2.0 - 0.7 / (order - 1)) / excess if excess > 0.0 else 1.0
+        if not ratio < _SHORTER:
+            return h
+        h *= ratio
+
+
+@kernel
+def limit_step(series: Array, length: Array, state: Array) -> None:
+    """Shorten a step of `length` (1,), and write its end to the state (see `limited_length`)."""
+    h = limited_length(series, length[0])
+    if h < length[0]:
+        length[0] = h
+        for v in range(series.shape[0]):
+            value = 0.0
+            for k in range(series.shape[1] - 1, -1, -1):
+                value = value * h + series[v, k]
+            state[v] = value
 
 
 @kernel
@@ -218,6 +264,7 @@ def taylor_steps(
         copy_numbers(state, current)
         step[0] = 0.0 if done else min(remaining, step_limit)
         call_step(address, state, parameters, clock, step, series)
+        limit_step(series, step, state)
         # The step before a repeated one is already checked.
         if n_steps > 0 and not repeats:
             last = n_steps - 1

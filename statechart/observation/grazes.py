@@ -8,7 +8,7 @@ overshoot below the tolerance at the start of the flow is a missed event, and is
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Callable, Iterator, Sequence, Set
 from typing import NamedTuple
 
 import numpy as np
@@ -117,6 +117,13 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
         begin = bisect_left(times, t - tolerance)
         return trace.jumps[begin : bisect_right(times, t + tolerance)]
 
+    def is_unmoved(guard: str, t: float) -> bool:
+        moved = {jump.region or guard for jump in simultaneous(t)}
+        for jump in simultaneous(t):
+            states = zip(trace.regions, jump.source, jump.target, strict=True)
+            moved |= {name for name, before, after in states if before != after}
+        return guard.split(".")[0] not in moved
+
     stops = {stop.name for stop in simulator.automaton.stops}
     approaches: list[Graze] = []
     scales = sizes(trace)
@@ -129,20 +136,9 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
             approaches += scan.beyond(ends)
             joints = [(arc, None) for arc in batch if arc is not last_arcs[arc.j]]
             starts = [(arc, simultaneous(arc.start.high)) for arc in batch if id(arc) in begun]
-            for graze in (*scan.turned_back([*ends, *joints]), *scan.placed(starts)):
-                changed = _changed(trace, simultaneous(graze.t), graze.guard)
-                if graze.guard.split(".")[0] not in changed:
-                    approaches.append(graze)
+            approaches += scan.turned_back([*ends, *joints], is_unmoved)
+            approaches += [one for one in scan.placed(starts) if is_unmoved(one.guard, one.t)]
     return tuple(sorted(approaches, key=lambda one: one.t))
-
-
-def _changed(trace: Trace, jumps: Sequence[Jump], stop: str) -> set[str]:
-    """Return the regions that jumps change; `stop` for the end of the run."""
-    found = {jump.region or stop for jump in jumps}
-    for jump in jumps:
-        states = zip(trace.regions, jump.source, jump.target, strict=True)
-        found |= {region for region, before, after in states if before != after}
-    return found
 
 
 class _GuardScan:
@@ -274,11 +270,13 @@ class _GuardScan:
         round_off = margin_errors(self._guards, k, state, self._round_off, self._values, t)
         return bool(np.abs(minima - minima[0]).max() > round_off)
 
-    def turned_back(self, ends: Sequence[tuple[Arc, Jump | None]]) -> Iterator[Graze]:
+    def turned_back(
+        self, ends: Sequence[tuple[Arc, Jump | None]], is_unmoved: Callable[[str, float], bool]
+    ) -> Iterator[Graze]:
         """Yield guards and stop conditions within their error of zero at another event.
 
-        The state after that event decides whether they fire. Where a relation of a guard ends, or a
-        function switches, there is no jump.
+        The state after that event decides whether they fire, if their region `is_unmoved` by it.
+        Where a relation of a guard ends, or a function switches, there is no jump.
         """
         places = np.flatnonzero(self._judged).tolist()
         if not (ends and places):
@@ -290,9 +288,11 @@ class _GuardScan:
         for i, place in np.argwhere(falling & near).tolist():
             (arc, jump), k = ends[i], places[place]
             begin, end = arc.times[-2:].tolist()
-            at = self._least(arc, k, end - _EXTRAPOLATED * (end - begin), end)
-            if graze := self._open(arc, k, at, 0.0, fired=False):
-                yield graze._replace(t=arc.start.high + end, turned=jump is not None)
+            t = arc.start.high + end
+            if is_unmoved(self._watched[k][0], t):
+                at = self._least(arc, k, end - _EXTRAPOLATED * (end - begin), end)
+                if graze := self._open(arc, k, at, 0.0, fired=False):
+                    yield graze._replace(t=t, turned=jump is not None)
 
     def placed(self, starts: Sequence[tuple[Arc, Sequence[Jump]]]) -> Iterator[Graze]:
         """Yield false guards that jumps put on their boundary, and that rise from there.

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 from runs import run_chart as run
 
+import statechart
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.loading.load import interpret
@@ -440,3 +443,30 @@ def test_timed_transitions_need_no_variables(tmp_path: Path, engine: str) -> Non
     result = run(tmp_path, TIMED, engine)
     assert result.outputs["t"] == pytest.approx(2.0, abs=1e-12)
     assert result.trace.final_mode == ("answered", "q")
+
+
+_TIMED = """
+name: timed
+parameters: {T: 1}
+regions:
+  r: {initial: a, states: {a: {}, b: {}}, transitions: [{name: go, from: a, to: b, KEY: T - 0.5}]}
+stop: {time: 3}
+outputs: {t: {value: time, at: first go}}
+"""
+
+
+@pytest.mark.parametrize("kind", ["kind: chart", "kind: scene\nbodies: {b: {mass: 1}}"])
+@pytest.mark.parametrize("key", ["after", "every"])
+def test_periods_of_the_parameters_of_a_run_are_positive(kind: str, key: str) -> None:
+    model = interpret(read_text(kind + _TIMED.replace("KEY", key)))
+    engines: tuple[dict[str, Any], ...] = ({"engine": "taylor"}, {"engine": "scipy"})
+    if "scene" in kind:
+        engines += ({"engine": "impulse", "step": 1e-3},)
+    for options in engines:
+        made = statechart.run(model, parameters={"T": 1.25}, **options)
+        assert made.outputs["t"] == pytest.approx(0.75, abs=1e-12)
+        for wrong in (0.5, 0.0, math.inf):
+            with pytest.raises(DeclarationError, match=f"{key}: must be .*finite.* not"):
+                statechart.run(model, parameters={"T": wrong}, **options)
+    cells = statechart.sweep(model, {"T": [0.25, 1.25]})
+    assert cells["outcome"].values.tolist() == ["DECLARATION_ERROR", "HORIZON"]

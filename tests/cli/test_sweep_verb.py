@@ -12,7 +12,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -226,9 +225,7 @@ def same(one: Path, other: Path) -> None:
 
 
 def test_processes_give_the_same_bits(tmp_path: Path, whole: Path) -> None:
-    script = Path(sys.executable).with_name("statechart")
-    arguments: list[Any] = ["sweep", STICK, *OVER, "-o"]
-    subprocess.run([script, *arguments, tmp_path / "two.zarr", "--workers", "2"], check=True)
+    assert main(["sweep", STICK, *OVER, "-o", str(tmp_path / "two.zarr"), "--workers", "2"]) == 0
     same(whole, tmp_path / "two.zarr")
 
 

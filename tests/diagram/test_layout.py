@@ -7,6 +7,7 @@ import json
 import pytest
 from layouts import border, line, texts
 from layouts import clashes as clashes_of
+from runs import diagram
 
 import models
 from statechart.diagram.dot import dot
@@ -18,20 +19,18 @@ from statechart.running.drawing import drawn
 from statechart.running.runner import Runner
 
 
-def clashes(diagram: Diagram, guards: Guards = "legend") -> list[str]:
-    return clashes_of(dot(diagram, guards))
+def clashes(drawn: Diagram, guards: Guards = "legend") -> list[str]:
+    return clashes_of(dot(drawn, guards))
 
 
 @pytest.mark.parametrize("name", models.names())
 def test_no_text_of_a_shipped_model_is_on_a_line_or_on_text(name: str) -> None:
-    runner = Runner(name)
-    diagram, _ = drawn(runner)
-    assert clashes(diagram) == []
+    assert clashes(diagram(name)) == []
 
 
 @pytest.mark.parametrize("name", ["toppling_stick", "double_contact_bar", "simplest_walker"])
 def test_pictures_with_inline_guards_have_no_clashes(name: str) -> None:
-    assert clashes(drawn(Runner(name))[0], "inline") == []
+    assert clashes(diagram(name), "inline") == []
 
 
 @pytest.mark.parametrize("name", ["toppling_stick", "compass_walker", "sliding_ladder"])
@@ -41,7 +40,7 @@ def test_pictures_of_visited_modes_have_no_clashes(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["double_contact_bar", "toppling_stick", "rimless_wheel"])
 def test_a_slide_of_a_thousand_pixels_shows_it_legibly(name: str) -> None:
-    laid = json.loads(render(dot(drawn(Runner(name))[0]), "json"))
+    laid = json.loads(render(dot(diagram(name)), "json"))
     width = float(laid["bb"].split(",")[2])
     sizes = [
         one["size"]
@@ -88,7 +87,7 @@ stop: {time: 1}
 
 @pytest.mark.parametrize("name", ["sliding_ladder", "compass_walker", "double_contact_bar"])
 def test_the_dot_of_a_start_lies_on_no_frame_of_a_grid(name: str) -> None:
-    laid = json.loads(render(dot(drawn(Runner(name))[0]), "json"))
+    laid = json.loads(render(dot(diagram(name)), "json"))
     dots = [border(item) for item in laid["objects"] if item.get("shape") == "circle"]
     frames = [border(item) for item in laid["objects"] if "dashed" in item.get("style", "")]
     assert len(dots) == 1

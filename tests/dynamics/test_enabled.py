@@ -22,6 +22,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.documents.yaml_writer import dump
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.execution.simulator import Simulator
+from statechart.running.runner import run
 from statechart.testing.agreement import assert_same
 from statechart.testing.subject import Subject
 
@@ -222,3 +223,31 @@ def test_a_declared_mode_is_checked_against_the_conditions() -> None:
             ),
             Scene,
         )
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [*((name, "") for name in (*ENGINES, "impulse")), ("impulse", ", shape: {disc: 0.1}")],
+)
+def test_a_relation_reads_places_and_rates_of_bodies_that_formulas_place(
+    name: str, shape: str
+) -> None:
+    """From 30 degrees on, where its tip rises above 1/2, a brake stops an arm from 2 in 2/3."""
+    text = f"""
+kind: scene
+name: arm
+coordinates: {{q: {{start: 0, rate: 2}}}}
+bodies:
+  arm: {{mass: 1, inertia: 1, position: [0, 0], angle: q{shape}}}
+  tip: {{mass: 1e-9, position: [cos(q), sin(q)]}}
+couplings: {{brake: {{bodies: [arm], limit: 3, enabled: tip.y >= 0.5 and tip.dx <= 1}}}}
+{"collisions: {a: {bodies: [arm], friction: 0, restitution: 0}}" if shape else ""}
+stop: {{time: 2}}
+"""
+    scene = validate(read_text(text), Scene)
+    story = _story(run(scene, engine=name, step=1e-3 if name == "impulse" else None).trace)
+    assert [cause for cause, _ in story] == ["close", "lock"]
+    within = 2e-3 if name == "impulse" else 1e-8
+    assert [t for _, t in story] == pytest.approx([math.pi / 12, math.pi / 12 + 2 / 3], abs=within)
+    if name == "taylor":
+        _hold(scene)

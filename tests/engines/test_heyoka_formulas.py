@@ -81,4 +81,4 @@ def test_the_database_of_compiled_equations_is_our_own_and_bounded():
     """Opening it sums the sizes of its rows: 2 s for 6 GB, in heyoka's own with its 21 GB."""
     path = hy.llvm_state.get_diskcache_path()
     assert path.parts[-3:] == (".cache", "statechart", "heyoka")
-    assert hy.llvm_state.get_diskcache_limit() == 100_000_000
+    assert hy.llvm_state.get_diskcache_limit() == 40_000_000

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from browser import FOUND, Browser
+from runs import shipped
 
 import models
 import statechart
@@ -51,11 +52,11 @@ def at_rest(result: statechart.Result, *times: float) -> bool:
 
 @pytest.mark.parametrize("name", models.names())
 def test_every_page_is_small_silent_and_consistent(name: str, tmp_path: Path) -> None:
-    result = statechart.run(name, throw=False)
+    result = shipped(name)
     page = result.report(tmp_path / "page.html")
     assert page.stat().st_size < MOST
     dark = models.names().index(name) % 2 == 1
-    with Browser(tmp_path / "browser", dark=dark) as browser:
+    with Browser(dark=dark) as browser:
         browser.open(page)
         paper = browser.value("getComputedStyle(document.body).backgroundColor")
         assert paper == ("rgb(22, 25, 29)" if dark else "rgb(255, 255, 255)")

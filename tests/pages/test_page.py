@@ -29,8 +29,8 @@ def page(result, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def browser(page, tmp_path_factory):
-    with Browser(tmp_path_factory.mktemp("browser")) as opened:
+def browser(page):
+    with Browser() as opened:
         opened.open(page)
         yield opened
 
@@ -188,7 +188,7 @@ def test_clicking_a_curve_selects_its_time(browser, result):
 @pytest.mark.parametrize("name", ["compass_walker", "hopper", "sampled_balance", "dragged_stick"])
 def test_labels_are_legible_and_inside_at_a_thousand_pixels(name, tmp_path):
     shown = statechart.run(name, throw=False).report(tmp_path / "page.html")
-    with Browser(tmp_path / "browser", width=1000) as opened:
+    with Browser(width=1000) as opened:
         opened.open(shown)
         letters = (
             "[...document.querySelectorAll('#diagram text')].map((e) =>"
@@ -216,7 +216,7 @@ def test_labels_are_legible_and_inside_at_a_thousand_pixels(name, tmp_path):
 def test_pages_print_nothing_on_the_console(name, tmp_path):
     shown = statechart.run(name, throw=False).report(tmp_path / "page.html")
     assert shown.stat().st_size < 3_000_000
-    with Browser(tmp_path / "browser", dark=True) as opened:
+    with Browser(dark=True) as opened:
         opened.open(shown)
         opened.value("go(last)")
         assert opened.said == []
@@ -312,7 +312,7 @@ def test_current_state_is_coloured_and_other_states_are_faint(browser, result):
 @in_browser
 def test_round_off_in_curves_reads_as_zero_and_arrows_stay_whole(tmp_path):
     result = statechart.run("compass_walker", until=1.0)
-    with Browser(tmp_path / "browser") as opened:
+    with Browser() as opened:
         opened.open(result.report(tmp_path / "page.html"))
         values = opened.value(
             "[...document.querySelectorAll('#curves .value')].map(e => +e.textContent)"
@@ -325,7 +325,7 @@ def test_round_off_in_curves_reads_as_zero_and_arrows_stay_whole(tmp_path):
 @in_browser
 def test_only_the_current_visit_of_a_repeated_mode_is_lit(tmp_path):
     result = statechart.run("woodpecker", until=0.3)
-    with Browser(tmp_path / "browser") as opened:
+    with Browser() as opened:
         opened.open(result.report(tmp_path / "page.html"))
         words = "[...document.querySelectorAll('#diagram g.{}')].map((e) => e.textContent.trim())"
         states = opened.value(words.format("state"))
@@ -385,8 +385,8 @@ def test_every_axis_has_two_to_five_ticks(browser):
 
 
 @in_browser
-def test_a_wide_page_shows_reasons_next_to_the_scene(page, tmp_path):
-    with Browser(tmp_path / "browser", width=1280) as opened:
+def test_a_wide_page_shows_reasons_next_to_the_scene(page):
+    with Browser(width=1280) as opened:
         opened.open(page)
         place = "document.querySelector('{}').getBoundingClientRect()"
         scene, why = (place.format(selector) for selector in ("#scene", "#why"))
@@ -427,7 +427,7 @@ def test_a_page_draws_ropes_and_springs_as_a_picture_does(tmp_path):
     (ax,) = picture(film).axes
     lines = [line.get_xydata() for line in ax.lines]
     drawn = {len(xy): xy[np.isfinite(xy[:, 0])] for xy in lines}
-    with Browser(tmp_path / "browser") as opened:
+    with Browser() as opened:
         opened.open(result.report(tmp_path / "rope.html"))
         opened.value("go(0)")
         for kind, count in (("rope", 2), ("spring", 21), ("damper", 16)):

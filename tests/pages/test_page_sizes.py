@@ -16,7 +16,7 @@ in_browser = pytest.mark.skipif(FOUND is None, reason="no Chromium is installed 
 def test_slider_follows_the_cursor_at_constant_width(tmp_path):
     result = statechart.run("hopper")
     box = "document.querySelector('#slider').getBoundingClientRect()"
-    with Browser(tmp_path / "browser", width=1000) as opened:
+    with Browser(width=1000) as opened:
         opened.open(result.report(tmp_path / "page.html"))
         widths = set()
         for part in range(21):
@@ -34,7 +34,7 @@ def test_slider_follows_the_cursor_at_constant_width(tmp_path):
 def test_curves_are_legible_on_a_phone(tmp_path):
     result = statechart.run("compass_walker", until=2.0)
     shown = result.report(tmp_path / "page.html")
-    with Browser(tmp_path / "browser", width=390) as opened:
+    with Browser(width=390) as opened:
         opened.open(shown)
         assert opened.value("document.documentElement.scrollWidth") <= 390
         sizes = "[...document.querySelectorAll('#curves text')].map((e) => 11 * e.getScreenCTM().a)"
@@ -79,7 +79,7 @@ def test_text_has_sufficient_contrast(dark, tmp_path):
     result = statechart.run("four_legged_table")
     colours = """[...document.querySelectorAll("h1, h2, p, td, li, #curves text")].map((e) =>
         getComputedStyle(e)[e.tagName === "text" ? "fill" : "color"])"""
-    with Browser(tmp_path / "browser", dark=dark) as opened:
+    with Browser(dark=dark) as opened:
         opened.open(result.report(tmp_path / "page.html"))
         paper = opened.value("getComputedStyle(document.body).backgroundColor")
         found = set(opened.value(colours))
@@ -101,7 +101,7 @@ def test_words_in_modes_that_are_not_active_have_sufficient_contrast(dark, tmp_p
                 && a.y + a.height >= b.y + b.height && getComputedStyle(shape).fill !== "none";
         }), word].map((e) => [getComputedStyle(e).fill, +getComputedStyle(e).opacity]));
     })"""
-    with Browser(tmp_path / "browser", dark=dark) as opened:
+    with Browser(dark=dark) as opened:
         opened.open(result.report(tmp_path / "page.html"))
         card = opened.value("getComputedStyle(byId('diagram')).backgroundColor")
         found = opened.value(layers)
@@ -123,7 +123,7 @@ def test_a_page_that_was_resized_is_as_if_opened_so(name, tmp_path):
     )].map((e) => { const b = e.getBoundingClientRect();
         return [b.x, b.y + scrollY, b.width, b.height].map(Math.round); })"""
     middle = "go(Math.round(0.6 * last))"
-    with Browser(tmp_path / "browser", width=390) as opened:
+    with Browser(width=390) as opened:
         opened.open(shown)
         opened.value(middle)
         before = opened.value(laid)
@@ -142,7 +142,7 @@ def test_active_mode_is_visible_on_a_phone(tmp_path):
         const box = byId("diagram").getBoundingClientRect();
         const node = document.querySelector("#diagram g.lit").getBoundingClientRect();
         return node.x >= box.x - 1 && node.right <= box.right + 1; })()"""
-    with Browser(tmp_path / "browser", width=390) as opened:
+    with Browser(width=390) as opened:
         opened.open(result.report(tmp_path / "page.html"))
         assert opened.value("byId('diagram').scrollWidth > byId('diagram').clientWidth + 100")
         for part in range(11):
@@ -154,7 +154,7 @@ def test_active_mode_is_visible_on_a_phone(tmp_path):
 def test_remarks_that_are_too_long_name_fewer_curves(tmp_path):
     result = statechart.run("arch", until=0.02)
     remarks = "[...document.querySelectorAll('#curves text')].map((e) => e.textContent)"
-    with Browser(tmp_path / "browser", width=390) as opened:
+    with Browser(width=390) as opened:
         opened.open(result.report(tmp_path / "page.html"))
         found = [text for text in opened.value(remarks) if text.startswith("not drawn")]
     assert found
@@ -182,7 +182,7 @@ def test_lines_of_couplings_are_behind_bodies(tmp_path):
         ".querySelector('#scene .reaction').compareDocumentPosition(body)"
         " & Node.DOCUMENT_POSITION_FOLLOWING))"
     )
-    with Browser(tmp_path / "browser") as opened:
+    with Browser() as opened:
         opened.open(shown)
         assert opened.value(follows) == [True, True]
 
@@ -210,7 +210,7 @@ def test_lengths_of_any_size_and_long_names_are_shown(length, width, tmp_path):
     file = tmp_path / "rod.yaml"
     file.write_text(ROD.format(length=length, one="the_end_on_the_left_of_this_very_long_rod"))
     shown = statechart.run(file).report(tmp_path / "page.html")
-    with Browser(tmp_path / "browser", width=width) as opened:
+    with Browser(width=width) as opened:
         opened.open(shown)
         assert opened.value("document.documentElement.scrollWidth") <= width
         opened.screenshot(tmp_path / "shot.png")
@@ -232,35 +232,33 @@ def test_lengths_of_any_size_and_long_names_are_shown(length, width, tmp_path):
         assert opened.said == []
 
 
-FALLING_DICE = """\
-kind: scene
-name: dice
-parameters: {s: 0.016, w: 0.05}
-gravity: 9.81
-bodies:
-  die:
-    mass: 0.01
-    inertia: 0.01*s**2/6
-    shape: {polygon: [[-s/2, -s/2], [s/2, -s/2], [s/2, s/2], [-s/2, s/2]]}
-    copies: 5
-    start: {y: 0.1 + 0.1*index, angle: index, dangle: 50}
-  crate:
-    fixed: true
-    start: {x: 0.2, y: w}
-    shape: {polygon: [[-w, -w], [w, -w], [w, w], [-w, w]]}
-surfaces: {floor: {height: 0}}
-collisions: {dice: {bodies: [die, crate], surfaces: [floor], friction: 0.3, restitution: 0.4}}
-settings: {engine: impulse, step: 1/60}
-stop: {time: 3}
+def chain(clock: str, states: int, wait: float) -> str:
+    """Return a region of states that follow each other."""
+    flows = "".join(f"      s{k}: {{flows: {{{clock}: 1}}}}\n" for k in range(states))
+    moves = "".join(
+        f"      - {{name: e{k}, from: s{k - 1}, to: s{k}, guard: {clock} >= {k * wait}}}\n"
+        for k in range(1, states)
+    )
+    return f"  {clock}:\n    initial: s0\n    states:\n{flows}    transitions:\n{moves}"
+
+
+# Its diagram is a table of 20 columns and 3 rows.
+WIDE = f"""\
+kind: chart
+name: wide
+variables: {{a: 0, b: 0}}
+regions:
+{chain("a", 20, 0.1)}{chain("b", 3, 1.0)}
+stop: {{time: 3}}
 """
 
 
 @in_browser
 @pytest.mark.parametrize(("width", "least"), [(390, 8.0), (1000, 6.0), (1280, 5.0)])
 def test_letters_of_a_diagram_that_graphviz_shrinks_are_legible(tmp_path, width, least):
-    file = tmp_path / "dice.yaml"
-    file.write_text(FALLING_DICE, encoding="utf-8")
-    with Browser(tmp_path / "browser", width=width) as opened:
+    file = tmp_path / "wide.yaml"
+    file.write_text(WIDE, encoding="utf-8")
+    with Browser(width=width) as opened:
         opened.open(statechart.run(file).report(tmp_path / "page.html"))
         assert opened.value("shrunk") < 0.7
         letters = (

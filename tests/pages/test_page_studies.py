@@ -103,7 +103,7 @@ def test_study_fits_any_screen(width: int, dark: bool, study: Study, tmp_path: P
     page = statechart.run("toppling_stick", engine="taylor").report(
         tmp_path / "page.html", study=study
     )
-    with Browser(tmp_path / "browser", width=width, dark=dark) as opened:
+    with Browser(width=width, dark=dark) as opened:
         opened.open(page)
         opened.value("byId('figure').decode()")
         assert opened.value("byId('figure').naturalWidth") > 600

@@ -241,9 +241,9 @@ def test_an_accuracy_is_delivered_on_random_scenes_or_refused_with_the_reason() 
     sys.modules[spec.name] = benchmark
     spec.loader.exec_module(benchmark)
     judges = benchmark.Judges()
-    found = [judges.judge(scene, parameters) for scene, parameters in benchmark.draws(24, 7)]
+    found = [judges.judge(scene, parameters) for scene, parameters in benchmark.draws(12, 7)]
     assert not [j for j in found if j.verdict == "missed"]
-    assert sum(j.verdict == "delivered" for j in found) >= 20
+    assert sum(j.verdict == "delivered" for j in found) >= 10
     assert all(j.reason for j in found if j.verdict != "delivered")
 
 

@@ -49,12 +49,15 @@ def test_slopes_are_those_of_theory(model: str) -> None:
         assert not any(box.contains(*ax.transData.transform(xy)) for line in marks for xy in line)
 
 
-@pytest.mark.parametrize("model", ["stick_slip_block", "two_balls", "hopper", "bouncing_ball"])
-def test_the_error_of_time_stepping_falls_with_the_step(model: str) -> None:
+@pytest.mark.parametrize(
+    ("model", "part"),
+    [("stick_slip_block", 0.3), ("two_balls", 1.0), ("hopper", 0.3), ("bouncing_ball", 1.0)],
+)
+def test_the_error_of_time_stepping_falls_with_the_step(model: str, part: float) -> None:
     # The ball's bounces accumulate: its modes are never those of the reference, its path is.
     runner = Runner(model)
     steps = [Setting(engine="impulse", step=runner.end() * 1e-3 * 0.5**k) for k in range(7)]
-    found = traded(runner, settings=steps)
+    found = traded(runner, settings=steps, until=part * runner.end())
     assert found.points[-1].same_modes is (model != "bouncing_ball")
     (slope,) = slopes(found)
     assert slope.points >= 5

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from functools import cache
 from itertools import pairwise
 
@@ -836,6 +837,36 @@ stop: {{time: 1}}
         assert jumps[-1].t == pytest.approx(0.25 if slips else 0.9, abs=3.0 * step)
 
 
+@pytest.mark.parametrize("landing", [0.2505, 0.2515, 0.3])
+@pytest.mark.parametrize("shape", ["", "{disc: 0.1}"])
+def test_a_strike_elsewhere_hides_no_slip_of_a_closing_brake(landing: float, shape: str) -> None:
+    """The brake closes at 0.25 and locks in the step to 0.251; a ball falls beside its wheel."""
+    text = f"""
+kind: scene
+name: struck
+gravity: 9.81
+bodies:
+  wheel: {{mass: 1, inertia: 1, start: {{x: 5, y: 5, dangle: {math.exp(-10.0)!r}}}}}
+  ball: {{mass: 1, inertia: 1, start: {{y: {0.5 * 9.81 * landing**2!r}}}}}
+surfaces: {{floor: {{height: 0}}}}
+contacts: {{tip: {{point: {{body: ball}}, surface: floor, friction: 0, restitution: 0.5}}}}
+joints: {{axle: {{point: {{body: wheel}}, to: [5, 5]}}}}
+couplings: {{brake: {{bodies: [wheel], limit: 2, enabled: time >= 0.25}}}}
+stop: {{time: 0.32}}
+"""
+    if shape:
+        text = re.sub("contacts: .*", "", text).replace("mass: 1", f"mass: 1, shape: {shape}")
+        text = text.replace("start: {y: ", "start: {y: 0.1 + ")
+        text += (
+            "collisions: {a: {bodies: [ball], surfaces: [floor], restitution: 0.5, friction: 0}}"
+        )
+    jumps = by_steps(interpret(read_text(text)), 1e-3).trace.jumps
+    locks = [(jump.t, jump.cause) for jump in jumps if jump.region == "brake"]
+    assert locks == [(pytest.approx(0.25), "close"), (pytest.approx(0.251), "lock")]
+    (touchdown,) = (jump.t for jump in jumps if jump.cause == "touchdown")
+    assert touchdown == pytest.approx(landing, abs=1.1e-3)
+
+
 @pytest.mark.parametrize("compliant", [True, False])
 def test_a_compliant_contact_lands_before_it_sticks(compliant: bool) -> None:
     """Its force begins at zero and stops no slip at once, while an impact does."""
@@ -854,3 +885,37 @@ stop: {{time: 0.05}}
     for result in (Runner(model, engine="taylor").run(), by_steps(model, 1e-3)):
         assert [jump.cause for jump in result.trace.jumps] == causes
         assert result.trace.jumps[-1].t == pytest.approx(math.sqrt(0.02 / 9.81), abs=3e-3)
+
+
+# A load that falls and moves joins a block, whose foot slides or rests on the floor.
+JOINED = """
+kind: scene
+name: joined
+gravity: 10
+bodies:
+  block: {mass: 2, start: {dx: BLOCK}}
+  load: {mass: 1, inertia: 1, start: {y: 1, dx: LOAD, dy: -1}}
+surfaces: {floor: {height: 0}}
+contacts:
+  foot:
+    {point: {body: block}, surface: floor, friction: {static: 0.8, kinetic: 0.2}, restitution: 0,
+    impact: moreau}
+joints: {hook: {point: {body: load}, to: {body: block}, rest: captured, enabled: time >= 0.1}}
+forces: {lift: {body: load, force: [0, 10]}}
+stop: {time: 0.11}
+"""
+
+
+@pytest.mark.parametrize(("block", "load"), [(2.0, 0.5), (-1.0, 0.5), (0.0, 1.2), (0.0, 0.1)])
+def test_a_joint_that_closes_meets_kinetic_friction(block: float, load: float) -> None:
+    """The floor takes the momentum 1 of the fall, and friction up to 0.2 along itself."""
+    model = interpret(read_text(JOINED.replace("BLOCK", f"{block}").replace("LOAD", f"{load}")))
+    braked = math.copysign(max(abs(block) - 0.2 * 10.0 * 0.1, 0.0), block)
+    momentum = 2.0 * braked + load
+    speed = math.copysign(max(abs(momentum) - 0.2, 0.0), momentum) / 3.0
+    for result in (Runner(model, engine="taylor").run(), by_steps(model, 1e-3)):
+        [closing] = [jump for jump in result.trace.jumps if jump.cause == "enable"]
+        after = dict(zip(result.trace.variables, closing.after.tolist(), strict=True))
+        assert after["block.dx"] == pytest.approx(speed, abs=1e-9)
+        assert after["load.dx"] == pytest.approx(speed, abs=1e-9)
+        assert closing.impulse["foot"][0] == pytest.approx(1.0, abs=1e-9)

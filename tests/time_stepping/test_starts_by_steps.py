@@ -1,0 +1,78 @@
+"""Runs by steps start in the modes of the event-driven engines, without events of their own."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from contacts.scene.scene import Scene
+from statechart.automaton.trace import Trace
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret
+from statechart.running.runner import Runner
+
+ENGINES = pytest.mark.parametrize("engine", ["taylor", "scipy", 1e-3, 1e-5])
+
+
+def trace_of(text: str, engine: str | float) -> Trace:
+    model = interpret(read_text(text))
+    assert isinstance(model, Scene)
+    if isinstance(engine, str):
+        return Runner(model, engine=engine).run().trace
+    return Runner(model, engine="impulse", step=engine).run().trace
+
+
+# A bar lies with one end on a smooth floor, and a brake of its rotation bears a part of its weight.
+LEANING = """
+kind: scene
+name: leaning
+gravity: 10
+bodies: {bar: {mass: 1, inertia: 0.02}}
+surfaces: {floor: {height: 0}}
+contacts: {end: {point: {body: bar, at: [-0.25, 0]}, surface: floor, friction: 0, restitution: 0}}
+couplings: {rub: {bodies: [bar], limit: 2.5*PART}}
+regions:
+  control:
+    initial: low
+    states: {low: {}, high: {}}
+    transitions: [{name: rise, from: low, to: high, on: rub.slip}]
+stop: {time: 0.02}
+"""
+
+
+@ENGINES
+@pytest.mark.parametrize("part", [0.5, 0.99, 1.01])
+def test_a_brake_that_cannot_hold_slips_from_the_start(part: float, engine: str | float) -> None:
+    trace = trace_of(LEANING.replace("PART", f"{part}"), engine)
+    slips = part < 1.0
+    assert trace.start_mode == ("slide", "slip-" if slips else "locked", "low")
+    assert not trace.jumps
+    # V = m (g - 0.25 turn), 0.02 turn = 0.25 V - limit.
+    turn = 2.5 * (1.0 - part) / (0.02 + 0.25**2) if slips else 0.0
+    spun = dict(zip(trace.variables, trace.final.tolist(), strict=True))["bar.dangle"]
+    assert spun == pytest.approx(-0.02 * turn, rel=1e-3, abs=1e-9)
+
+
+# The gap is 3 * 0.1 - 0.3, round-off of either sign.
+TOUCHING = """
+kind: scene
+name: touching
+gravity: 10
+bodies: {ball: {mass: 1, start: {y: START, dx: 0.5}}}
+surfaces: {floor: {height: 0}}
+contacts: {foot: {point: {body: ball}, surface: floor, friction: 0.2, stiffness: 400}}
+stop: {time: 0.05}
+"""
+
+
+@ENGINES
+@pytest.mark.parametrize("start", ["0.1 + 0.2 - 0.3", "0.3 - 0.2 - 0.1", "0"])
+def test_a_compliant_contact_that_touches_is_closed_from_the_start(
+    start: str, engine: str | float
+) -> None:
+    trace = trace_of(TOUCHING.replace("START", start), engine)
+    assert trace.start_mode == ("slide+",)
+    assert not trace.jumps
+    depth = 10.0 / 400.0 * (1.0 - math.cos(20.0 * 0.05))
+    assert trace.final[1] == pytest.approx(-depth, rel=2e-3)
