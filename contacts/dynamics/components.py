@@ -16,7 +16,6 @@ from contacts.scene.modes import Bearing
 from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton, Component, Places
 from statechart.automaton.components import Data, compose_components, split
-from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Role
 
 _REGIONS = ("contacts", "couplings", "regions")
@@ -79,10 +78,8 @@ def _structure_key(value: Any) -> Any:
     return value if value in (0, 1) else "a number"
 
 
-def _restrict(numbers: SceneNumbers, setup: Setup, places: Places) -> SceneSetup:
+def _restrict(numbers: SceneNumbers, setup: SceneSetup, places: Places) -> SceneSetup:
     """Restrict the setup of a scene to a component; the scales remain those of the scene."""
-    assert isinstance(setup, SceneSetup)
-    assert setup.sizes is not None
     values, variables = setup.values[places.parameters], places.variables
     moving = variables[variables < len(setup.scales.sizes)]
     return replace(

@@ -117,9 +117,7 @@ class Conditions:
             outputs, unknowns=unknowns, definitions=mechanics.controlled(states)
         )
         self._derivatives = MarginDerivatives(
-            mechanics.state,
-            mechanics.parameters.ordered,
-            mechanics.time,
+            mechanics.state, mechanics.parameters.ordered, mechanics.time
         )
 
     def slots(self, margins: Sequence[str]) -> Ints:
@@ -162,7 +160,6 @@ class ConditionsAt:
         if not self._of.present:
             return np.empty(0)
         setup = self._setup
-        assert setup.sizes is not None
         sizes = np.append(setup.sizes, setup.scales.length / setup.scales.speed)
         return conditions_at(
             *self._of.tape.program, sizes, setup.precision, state, setup.values, self._time
@@ -317,7 +314,6 @@ class ConditionsAt:
     def _derivative_sign(self, roles: Roles, k: int) -> float:
         """Return the sign of the first nonzero derivative of an atom's margin in a mode."""
         of, setup = self._of, self._setup
-        assert setup.sizes is not None
         sizes = np.maximum(np.abs(self._state), setup.sizes)
         margin, moving = of._conditions[k].margin, (*roles, *of._roles)
         return of._derivatives.sign(

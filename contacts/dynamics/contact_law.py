@@ -30,6 +30,11 @@ class ContactLaw(NamedTuple):
     carrier: int = -1
 
 
+def coupling_law(name: str, states: tuple[str, ...], carrier: int = -1) -> ContactLaw:
+    """Return the law of a coupling, which only sticks or slips."""
+    return ContactLaw(name, states, 0.0, 1.0, 0.0, "newton", True, carrier)
+
+
 def cones(laws: Sequence[ContactLaw], contacts: Sequence[PerContact]) -> Array:
     """Return the unit edges (c, 6) of the friction cones: at rest, in slide+, in slide-."""
     edges = [

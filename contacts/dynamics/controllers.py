@@ -247,13 +247,7 @@ class ControlGuards:
         return self.watch.at(setup, self.inputs(state, solved), self.sizes(setup), time)
 
     def table(
-        self,
-        setup: SceneSetup,
-        times: Array,
-        states: Array,
-        solved: Array,
-        *,
-        order: int = 0,
+        self, setup: SceneSetup, times: Array, states: Array, solved: Array, *, order: int = 0
     ) -> Array:
         """Return `GuardWatch.table` for instants (m,), states (m, 2 n) and unknowns (m, u)."""
         inputs = np.hstack([states, solved, np.tile(self._unknown, (len(states), 1))])
@@ -265,5 +259,4 @@ class ControlGuards:
 
     def sizes(self, setup: SceneSetup) -> Array:
         """Return the sizes of the inputs."""
-        assert setup.sizes is not None
         return np.concatenate([setup.sizes, self.typical(setup), np.zeros_like(self._unknown)])

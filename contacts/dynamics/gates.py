@@ -204,21 +204,10 @@ def write_node_verdicts(nodes: Ints, verdicts: Ints, node_verdicts: Ints) -> Non
     for i in range(nodes.shape[0] - 1, -1, -1):
         above = nodes[i, 1]
         if above >= 0:
-            every = nodes[above, 0] == EVERY
-            node_verdicts[above] = (
-                min(node_verdicts[above], node_verdicts[i])
-                if every
-                else max(node_verdicts[above], node_verdicts[i])
-            )
-
-
-@kernel
-def watches_gap(verdict: int, gap: float, gap_tolerance: float) -> bool:
-    """Return whether the gap of a contact that is off is watched, given its gate's verdict.
-
-    An unsure gate fails if the contact is off although its gap is not below -`gap_tolerance`.
-    """
-    return verdict == HOLDS or (verdict == UNSURE and gap < -gap_tolerance)
+            if nodes[above, 0] == EVERY:
+                node_verdicts[above] = min(node_verdicts[above], node_verdicts[i])
+            else:
+                node_verdicts[above] = max(node_verdicts[above], node_verdicts[i])
 
 
 @kernel
@@ -347,5 +336,7 @@ def margin_bands(
     for i in range(nodes.shape[0]):
         if nodes[i, 1] < 0:
             gap = values[PER_CONDITION * (count + nodes[i, 2])]
-            if watches_gap(node_verdicts[i], gap, gap_tolerance):
+            # An unsure gate fails if the contact is off although its gap is open.
+            unsure = node_verdicts[i] == UNSURE and gap < -gap_tolerance
+            if unsure or node_verdicts[i] == HOLDS:
                 bands[2 * count + nodes[i, 2]] = UNDERFLOW

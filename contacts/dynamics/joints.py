@@ -124,7 +124,9 @@ def motions(numbers: JointNumbers, velocity: Array, groups: Sequence[JointGroup]
             left.append(np.eye(size)[columns])
             continue
         jacobian = numbers.jacobian[np.ix_(rows, columns)]
-        scale = column_scales(without_noise(jacobian))
+        # Scaling of columns would enlarge round-off, such as cos(pi/2).
+        noise = CANCELLING * np.abs(jacobian).max(axis=1, keepdims=True, initial=0.0)
+        scale = column_scales(np.where(np.abs(jacobian) > noise, jacobian, 0.0))
         outer, sizes, right = np.linalg.svd(jacobian * scale)
         row_space, null_space = right[: len(rows)], right[len(rows) :]
         null_space = np.where(np.abs(null_space) > ROUND_OFF, null_space, 0.0)
@@ -138,15 +140,6 @@ def motions(numbers: JointNumbers, velocity: Array, groups: Sequence[JointGroup]
         left.append(np.zeros((len(null_space), size)))
         left[-1][:, columns] = null_space / scale
     return Motions(np.hstack(basis), np.vstack(left), particular[0], particular[1])
-
-
-def without_noise(jacobian: Array) -> Array:
-    """Return the rows (m, n) without entries that may be round-off, such as cos(pi/2).
-
-    Scaling of columns would enlarge them.
-    """
-    noise = CANCELLING * np.abs(jacobian).max(axis=1, keepdims=True, initial=0.0)
-    return np.where(np.abs(jacobian) > noise, jacobian, 0.0)
 
 
 def dependent(rows: Sequence[tuple[str, Array]]) -> str:

@@ -393,11 +393,11 @@ class Mechanics(Geometry):
         growth = self.rate(self.formula(surface.radius or 0)) * (-1 if surface.hollow else 1)
         if dx == dy == turn == 0:
             return growth, sp.S.Zero
-        (n_x, n_y), (t_x, t_y) = self.contact(name).normal, self.contact(name).tangent
         # In its frame, as the normal and the point are.
-        (x, y), (own_dx, own_dy) = self.contact(name).point, rotation(-frame[2])((dx, dy))
+        (x, y), (n_x, n_y) = self.contact(name).point, self.contact(name).normal
+        own_dx, own_dy = rotation(-frame[2])((dx, dy))
         u, w = own_dx - turn * y, own_dy + turn * x
-        return n_x * u + n_y * w + growth, t_x * u + t_y * w
+        return n_x * u + n_y * w + growth, n_y * u - n_x * w
 
     def contact(self, name: str) -> ContactSymbols:
         """Return the quantities of a contact or a coupling; cached."""
@@ -658,12 +658,6 @@ class Mechanics(Geometry):
         forces = tuple(row.force for row in self.joint_rows)
         return ((*normal, *pads), (*tangential, *none)), rows, forces
 
-    def _compliance(self, contact: Contact, local: _SurfaceGeometry) -> sp.Expr | None:
-        if contact.stiffness is None:
-            return None
-        k, d = (self.formula(text or 0) for text in (contact.stiffness, contact.damping))
-        return -k * local.gap - d * local.gap_rate
-
     def _coupling_symbols(self, name: str) -> ContactSymbols:
         """Return the quantities of a coupling: its slip is an angular rate, its gap is zero."""
         guide = self.scene.along_guide(name)
@@ -738,6 +732,8 @@ class Mechanics(Geometry):
         tangential_a = sp.Add(bias_t, *self._nonzero(jacobian_t))
         offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", sp.S.Zero)
         point = x - rim.radius * normal[0], y - rim.radius * normal[1]
+        k, d = self.vector((contact.stiffness or 0, contact.damping or 0))
+        press = None if contact.stiffness is None else -k * local.gap - d * local.gap_rate
         return ContactSymbols(
             name, local.gap, offset, local.gap_rate, slip, point, anchor, slipping, normal,
             jacobian_n, jacobian_t, bias_n, bias_t, normal_a, tangential_a,
@@ -746,5 +742,5 @@ class Mechanics(Geometry):
             # The implicit function, not the distance: it is linear in y for a height.
             Hold((local.function,), (normal_a,), (V,), steep=self.curved(name)),
             Hold(stuck, (normal_a, tangential_a), (V, H), anchors),
-            self._compliance(contact, local),
+            press,
         )  # fmt: skip

@@ -17,7 +17,6 @@ from contacts.dynamics.parameters import MASS_UNIT
 from statechart.automaton.reduction import Coordinates, Elimination
 from statechart.formulas.formula import parse
 
-_Terms = dict[sp.Expr, sp.Expr]
 _Pair = tuple[sp.Expr, sp.Expr]
 
 
@@ -131,16 +130,11 @@ def _constraint_forces(
     return [tuple(j * f for j in row) for f, row in jacobians.items() if f in working]
 
 
-def _terms(expression: sp.Expr, variables: Collection[sp.Symbol]) -> _Terms:
-    terms: _Terms = {}
+def _collect(expression: sp.Expr, variables: Collection[sp.Symbol]) -> sp.Expr:
+    terms: dict[sp.Expr, sp.Expr] = {}
     for term in sp.Add.make_args(sp.expand_mul(expression)):
         coefficient, varying = term.as_independent(*variables, as_Add=False)
         terms[varying] = terms.get(varying, sp.S.Zero) + coefficient
-    return terms
-
-
-def _collect(expression: sp.Expr, variables: Collection[sp.Symbol]) -> sp.Expr:
-    terms = _terms(expression, variables)
     return sp.Add(*(c * varying for varying, c in terms.items() if c != 0))
 
 

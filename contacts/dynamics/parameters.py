@@ -133,8 +133,8 @@ def scene_parameters(scene: Scene) -> Parameters:
 
 def _sizes(scene: Scene, coordinates: int) -> dict[str, sp.Expr]:
     """Return the sizes of coordinates and rates, zero until they are known, for `enabled`."""
-    gated = [*scene.contacts.values()], [*scene.couplings.values()]
-    used = any(one.enabled for group in gated for one in group)
+    used = any(contact.enabled for contact in scene.contacts.values())
+    used = used or any(coupling.enabled for coupling in scene.couplings.values())
     return {f"{SIZE}{i}": sp.S.Zero for i in range(2 * coordinates if used else 0)}
 
 

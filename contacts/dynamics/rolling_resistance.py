@@ -22,7 +22,8 @@ def apply_rolling_resistance(
     The angular impulse is at most a length times the normal impulse, opposes the rotation after the
     impact and does not reverse it. A contact that sticks after the impact still sticks if friction
     suffices, kinetic friction where it slipped before; else the slip goes on, and friction is on
-    the edge of its cone. One that does not rebound remains closed.
+    the edge of its cone. A slip that the angular impulse stops has ended. One that does not rebound
+    remains closed.
     """
     for place, law in rolling(laws):
         if not impulses[law.carrier, 0] > 0.0:
@@ -30,34 +31,45 @@ def apply_rolling_resistance(
         limit = float(snapshot.limits[place - len(laws)][1])
         bound = limit * float(impulses[law.carrier, 0])
         touching, cone = snapshot.contacts[law.carrier], laws[law.carrier]
-        jacobian = snapshot.jacobians[law.carrier]
-        change, couple = velocity - snapshot.velocity, snapshot.jacobians[place, 1]
-        slip = snapshot.contacts[place].slip + float(couple @ change)
-        if not abs(slip) > slip_tolerance or bound == 0.0:
-            continue
-        after = [
-            rate + float(row @ change)
-            for rate, row in zip((touching.gap_rate, touching.slip), jacobian, strict=True)
-        ]
-        sticking = [d for d in range(2) if abs(after[d]) <= slip_tolerance]
-        rows = np.array([couple, *(jacobian[d] for d in sticking)])
-        solved = answer(snapshot, rows, rows, np.array([-slip, *(0.0 for _ in sticking)]))
-        if solved is None:
-            continue
-        share = min(1.0, bound / abs(solved[1][0])) if solved[1][0] != 0.0 else 1.0
-        rolled = impulses.copy()
-        rolled[place, 1] = share * solved[1][0]
-        for d, impulse in zip(sticking, solved[1][1:].tolist(), strict=True):
-            rolled[law.carrier, d] += share * impulse
-        normal, tangential = rolled[law.carrier].tolist()
-        slipped = abs(touching.slip) > slip_tolerance
-        edge = sliding_edge(cone, touching) if slipped else (cone.cone_n, cone.cone_t)
-        if 1 not in sticking or edge[0] * abs(tangential) <= edge[1] * normal:
-            velocity, impulses = velocity + share * solved[0], rolled
-            continue
-        edge = edge[0], math.copysign(edge[1], tangential)
-        change, impulses = _continue_slip(snapshot, impulses, place, law.carrier, slip, limit, edge)
-        velocity = velocity + change
+        jacobian, couple = snapshot.jacobians[law.carrier], snapshot.jacobians[place, 1]
+        stops = True
+        while stops:
+            change = velocity - snapshot.velocity
+            slip = snapshot.contacts[place].slip + float(couple @ change)
+            if not (abs(slip) > slip_tolerance and bound > 0.0):
+                break
+            after = [
+                rate + float(row @ change)
+                for rate, row in zip((touching.gap_rate, touching.slip), jacobian, strict=True)
+            ]
+            sticking = [d for d in range(2) if abs(after[d]) <= slip_tolerance]
+            rows = np.array([couple, *(jacobian[d] for d in sticking)])
+            solved = answer(snapshot, rows, rows, np.array([-slip, *(0.0 for _ in sticking)]))
+            if solved is None:
+                break
+            share = min(1.0, bound / abs(solved[1][0])) if solved[1][0] != 0.0 else 1.0
+            # Where it would turn a slip round, the rest of it acts on a contact that sticks.
+            braking = 0.0
+            if 1 not in sticking:
+                braking = -share * float(jacobian[1] @ solved[0]) / after[1]
+            stops = braking > 1.0
+            share = share / braking if stops else share
+            bound -= share * abs(float(solved[1][0]))
+            rolled = impulses.copy()
+            rolled[place, 1] += share * solved[1][0]
+            for d, impulse in zip(sticking, solved[1][1:].tolist(), strict=True):
+                rolled[law.carrier, d] += share * impulse
+            normal, tangential = rolled[law.carrier].tolist()
+            slipped = abs(touching.slip) > slip_tolerance
+            edge = sliding_edge(cone, touching) if slipped else (cone.cone_n, cone.cone_t)
+            if 1 not in sticking or edge[0] * abs(tangential) <= edge[1] * normal:
+                velocity, impulses = velocity + share * solved[0], rolled
+                continue
+            edge = edge[0], math.copysign(edge[1], tangential)
+            change, impulses = _continue_slip(
+                snapshot, impulses, place, law.carrier, slip, limit, edge
+            )
+            velocity = velocity + change
     return velocity, impulses
 
 

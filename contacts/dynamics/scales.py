@@ -308,11 +308,8 @@ def measure(
         if i < places or i >= begins[GRAVITY]:
             in_range = in_range and abs(numbers[i]) <= _MAX_SIZE
     duration, levers = horizon(numbers, begins), begins[LEVERS + 1] - begins[LEVERS]
-    coordinates, reach, driven_speed = (
-        max(largest[PLACES], largest[ACROSS], largest[UPWARD]),
-        0.0,
-        0.0,
-    )
+    coordinates = max(largest[PLACES], largest[ACROSS], largest[UPWARD])
+    reach = driven_speed = 0.0
     for i in range(paths):
         lowest, highest = ranges[i, 0], ranges[i, 1]
         rate = max(abs(ranges[paths + i, 0]), abs(ranges[paths + i, 1]))

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.scales import Scales
 from contacts.scene.parts import Resolution, Simultaneous
-from statechart.automaton.laws import Setup
+from statechart.arrays import Array
+from statechart.automaton.laws import InstantOf, Setup
 
 # Hysteresis of force margins, relative to the force scale: a mode is left below -FORCE_BAND and
 # entered above half of that. It covers the round-off of a solved mode, and is independent of the
@@ -34,6 +35,7 @@ ROUNDING = 1e-13
 class SceneSetup(Setup):
     """Parameters, initial state, scales and tolerances of one run of a scene."""
 
+    sizes: Array  # (n,): Scales of the variables
     scales: Scales  # Scales of this run
     contacts: tuple[ContactLaw, ...]  # With this run's coefficients
     # `simultaneous`, `paradox`: Laws of simultaneous impacts and of Painleve's paradox
@@ -67,6 +69,10 @@ class SceneSetup(Setup):
     def force_uncertainty(self) -> float:
         """Uncertainty of forces in the scales: beyond it a force is certainly off its bound."""
         return self.capture / self.scales.speed
+
+
+SceneInstant = InstantOf[SceneSetup]
+"""End of a flow of a scene."""
 
 
 def tolerated(relative: float) -> tuple[float, float, float]:

@@ -15,7 +15,7 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from contacts.dynamics.conditions import Conditions, undecided_couplings
-from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.contact_law import ContactLaw, coupling_law
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT, with_sizes
 from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
@@ -253,23 +253,20 @@ class SceneNumbers:
         names = [*self.scene.contacts]
         places, fixed = self.coefficients(states)
         coefficients = np.where(places >= 0, values[places], fixed).tolist()
-        return tuple(
-            ContactLaw(name, self._region_states[name], n, t, e, contact.impact)
-            for (name, contact), (n, t, e) in zip(
-                self.scene.contacts.items(), coefficients, strict=True
-            )
-        ) + tuple(
-            ContactLaw(
-                name,
-                self._region_states[name],
-                0.0,
-                1.0,
-                0.0,
-                "newton",
-                True,
-                names.index(coupling.contact) if isinstance(coupling, Rolling) else -1,
-            )
-            for name, coupling in self.scene.couplings.items()
+        contacts = zip(self.scene.contacts.items(), coefficients, strict=True)
+        carriers = (
+            names.index(coupling.contact) if isinstance(coupling, Rolling) else -1
+            for coupling in self.scene.couplings.values()
+        )
+        return (
+            *(
+                ContactLaw(name, self._region_states[name], n, t, e, contact.impact)
+                for (name, contact), (n, t, e) in contacts
+            ),
+            *(
+                coupling_law(name, self._region_states[name], carrier)
+                for name, carrier in zip(self.scene.couplings, carriers, strict=True)
+            ),
         )
 
     def coefficients(self, states: Mapping[str, str] | None = None) -> tuple[Ints, Array]:
@@ -288,25 +285,15 @@ class SceneNumbers:
                 return self.places.get(name, -1)
 
             # Without symbols: smooth (1, 0), or unable to slip (0, 1), as in `friction_cones`.
-            places_of_contacts = [
-                (
-                    place(name, "cone_n", None if law is None else law.both),
-                    place(name, "cone_t", None if law is None else law.both),
-                    place(name, "restitution", contact.restitution),
-                )
-                for name, contact in self.scene.contacts.items()
-                for law in (self.scene.friction_of(name),)
-            ]
-            fixed = [
-                (1.0, 0.0, 0.0) if contact.frictionless else (0.0, 1.0, 0.0)
-                for contact in self.scene.contacts.values()
-            ]
-            shape = len(places_of_contacts), 3
-            arrays = (
-                np.array(places_of_contacts, np.int64).reshape(shape),
-                np.array(fixed, float).reshape(shape),
-            )
-            self._coefficients[key] = arrays
+            places, fixed = [], []
+            for name, contact in self.scene.contacts.items():
+                law = self.scene.friction_of(name)
+                cone = [place(name, key, law and law.both) for key in ("cone_n", "cone_t")]
+                places.append([*cone, place(name, "restitution", contact.restitution)])
+                fixed.append((1.0, 0.0, 0.0) if contact.frictionless else (0.0, 1.0, 0.0))
+            self._coefficients[key] = (
+                np.array(places, np.int64).reshape(-1, 3), np.array(fixed, float).reshape(-1, 3)
+            )  # fmt: skip
         return self._coefficients[key]
 
 

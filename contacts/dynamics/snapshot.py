@@ -305,7 +305,6 @@ def close_compliant(snapshot: Snapshot, closed: Sequence[bool]) -> Snapshot:
 
 
 def _reduce(whole: Snapshot, joints: JointNumbers, groups: Sequence[JointGroup]) -> Snapshot:
-    """Return the snapshot reduced to the motions that joints allow."""
     allowed = motions(joints, whole.velocity, groups)
     basis = allowed.basis
     mass = basis.T @ whole.mass @ basis

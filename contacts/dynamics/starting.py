@@ -132,31 +132,23 @@ def check_start(
         )
     if "free" in law.states:
         return
-    loc = ("contacts", law.name, "modes")
+    slips = abs(slip) > 2.0 * speed_tolerance and gap_rate >= -speed_tolerance
     if gap > gap_tolerance:
-        raise DeclarationProblem(
-            f"contact {law.name!r} starts {gap:.6g} off its surface, "
-            "and free is not among its modes",
-            advice="add free, or start the body on the surface",
-            loc=loc,
-        )
-    if gap_rate > speed_tolerance:
-        raise DeclarationProblem(
-            f"contact {law.name!r} starts leaving its surface at {gap_rate:.6g}, "
-            "and free is not among its modes",
-            advice="add free, or start the body along the surface",
-            loc=loc,
-        )
-    if (
-        law.states == ("pin",)
-        and abs(slip) > 2.0 * speed_tolerance
-        and gap_rate >= -speed_tolerance
-    ):
-        raise DeclarationProblem(
-            f"contact {law.name!r} starts slipping at {slip:.6g}, and slide is not among its modes",
-            advice="add slide, with a friction, or start its point at rest",
-            loc=loc,
-        )
+        state, missing = f"{gap:.6g} off its surface", "free"
+        advice = "add free, or start the body on the surface"
+    elif gap_rate > speed_tolerance:
+        state, missing = f"leaving its surface at {gap_rate:.6g}", "free"
+        advice = "add free, or start the body along the surface"
+    elif law.states == ("pin",) and slips:
+        state, missing = f"slipping at {slip:.6g}", "slide"
+        advice = "add slide, with a friction, or start its point at rest"
+    else:
+        return
+    raise DeclarationProblem(
+        f"contact {law.name!r} starts {state}, and {missing} is not among its modes",
+        advice=advice,
+        loc=("contacts", law.name, "modes"),
+    )
 
 
 def _solid(surface: Surface) -> str:

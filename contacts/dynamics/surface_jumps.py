@@ -60,7 +60,6 @@ def modes_after_jump(
 
 
 def _displacement_error(surface: str, contact: str, depth: float) -> NoConsistentMode:
-    """Return the error of a jump that displaces a surface into a point."""
     problem = f"surface {surface!r} jumps {depth:.3g} deep into the point of {contact!r}"
     if surface == reach_of(contact):
         problem = f"rope {contact!r} jumps to {depth:.3g} below the distance of its ends"

@@ -36,11 +36,11 @@ def close_immediately(
     at: Callable[[Array], Snapshot],
     flow: Flow,
     jump: Jump,
-    participating: Sequence[bool],
+    took_part: Sequence[bool],
     period: float,
     remaining: float,
 ) -> tuple[Jump, Flow] | None:
-    """Close the participating contacts at once; return the last jump and the flow after it.
+    """Close the contacts that `took_part` at once; return the last jump and the flow after it.
 
     Returns None while the flights are too high. Example: a light ball between the floor and a heavy
     body that comes down on it. `jump` is the last impact and `flow` follows it; `period` is the
@@ -48,23 +48,13 @@ def close_immediately(
     """
     state = jump.after
     snapshot = hidden(at(state), flow.mode)
-    participating = [
-        participates and mode not in INACTIVE
-        for participates, mode in zip(participating, flow.mode, strict=True)
-    ]
-    rates = [
-        c.gap_rate
-        for c, participates in zip(snapshot.contacts, participating, strict=True)
-        if participates
-    ]
+    took = [one and mode not in INACTIVE for one, mode in zip(took_part, flow.mode, strict=True)]
+    rates = [c.gap_rate for c, one in zip(snapshot.contacts, took, strict=True) if one]
     if not rates:
         return None
     height, gap_tolerance = max(rates) * period / 4.0, setup.tolerances["gap"]
     before = moving_mode(flow.roles)
-    closing = [
-        participates or mode not in OPEN
-        for participates, mode in zip(participating, before, strict=True)
-    ]
+    closing = [one or mode not in OPEN for one, mode in zip(took, before, strict=True)]
     key = tuple(
         "slide" if closes and mode in OPEN else mode
         for mode, closes in zip(before, closing, strict=True)
@@ -76,7 +66,7 @@ def close_immediately(
         if early and (height > low or _moves_tangentially(key, at(state), state, setup)):
             return None
         try:
-            sequence = impacts(snapshot, setup.contacts, participating, "sequential")
+            sequence = impacts(snapshot, setup.contacts, took, "sequential")
         except NoConsistentMode:
             return None
         warnings.append(sequence.warning)
@@ -163,11 +153,9 @@ def _velocity_after_impacts(
         (slip + tangent @ change) * np.sign(slip) < -setup.slip_tolerance
         for slip, tangent in slides
     )
-    return (
-        None
-        if reversed_slip or sizes[0] > _MAX_MAGNIFICATION * sizes[1]
-        else snapshot.velocity + change
-    )
+    if reversed_slip or sizes[0] > _MAX_MAGNIFICATION * sizes[1]:
+        return None
+    return snapshot.velocity + change
 
 
 def _change(

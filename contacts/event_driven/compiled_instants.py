@@ -266,12 +266,11 @@ def switch_contacts(
         unsure = unsure or (node_verdicts[i] != FAILS and (node_verdicts[i] == UNSURE or undefined))
         if changed < 0 and target[c] != source[c]:
             changed = c
-        near_surface = abs(gap) <= _CORNER_GAPS * scene.gap
-        stays = stays or (near_surface and target[c] != OFF_CODE)
-        leaves = leaves or (near_surface and target[c] == OFF_CODE and source[c] != OFF_CODE)
-        neighbour_off = neighbour_off or (
-            near_surface and target[c] == OFF_CODE and source[c] == OFF_CODE
-        )
+        if abs(gap) <= _CORNER_GAPS * scene.gap:
+            is_off, was_off = target[c] == OFF_CODE, source[c] == OFF_CODE
+            stays = stays or not is_off
+            leaves = leaves or (is_off and not was_off)
+            neighbour_off = neighbour_off or (is_off and was_off)
     # Python handles a corner where no other contact takes over.
     unsure = unsure or (leaves and neighbour_off and not stays)
     return -2 if unsure else changed
@@ -411,10 +410,8 @@ def jump_instant(
             changed += 1
         row = _PER_CAUSE * changed + _cause(source[changed], target[changed])
     for c in range(contacts):
-        gap, was_closed = (
-            numbers[scalars + SCALARS * c],
-            source[c] != FREE and source[c] != OFF_CODE,
-        )
+        gap = numbers[scalars + SCALARS * c]
+        was_closed = source[c] != FREE and source[c] != OFF_CODE
         if target[c] != FREE:
             watch.parameters[scene.offsets[c]] = 0.0
         elif was_closed or c == struck or (struck >= 0 and (group >> c) & 1 == 1):

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from contacts.dynamics.conditions import hidden
 from contacts.dynamics.projection import Projection
-from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.setup import SceneInstant, SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers, setup_rules
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.compiled_instants import CAUSES
@@ -22,7 +22,7 @@ from contacts.impacts.impulses import STATES as IMPULSE_STATES
 from contacts.states import CODES, OFF, OFF_CODE, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
-from statechart.automaton.laws import Flow, Instant, Setup, roles_in
+from statechart.automaton.laws import Flow, JumpResult, roles_in
 from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.automaton.trace_store import RecordedEvent
@@ -40,7 +40,7 @@ class CompiledSceneLaws:
         numbers: SceneNumbers,
         snapshots: SnapshotTape,
         projection: Projection,
-        ask: Callable[[Instant], tuple[Jump | None, Flow] | None],
+        ask: Callable[[SceneInstant], JumpResult],
     ) -> None:
         self._names, self._projection, self._ask = names, projection, ask
         self._snapshots = snapshots
@@ -76,15 +76,13 @@ class CompiledSceneLaws:
         states = [OFF_CODE if state == OFF else CODES[state] for state in mode]
         return [*states, *(self._of_margins.get(name, 0) for name in margins)]
 
-    def tolerances(self, setup: Setup, state: Array, time: float) -> Mapping[str, float]:
+    def tolerances(self, setup: SceneSetup, state: Array, time: float) -> Mapping[str, float]:
         """Return the special tolerances of margins in a flow from a state, by margin."""
-        assert isinstance(setup, SceneSetup)
         tolerances = self._conditions.at(setup, state, time).tolerances()
         return {**setup.bands, **tolerances} if tolerances else setup.bands
 
-    def takes(self, setup: Setup, flow: Flow, state: Array, time: float) -> bool:
+    def takes(self, setup: SceneSetup, flow: Flow, state: Array, time: float) -> bool:
         """Return whether a flow skips no bounces and has the default tolerances."""
-        assert isinstance(setup, SceneSetup)
         conditions = self._conditions
         own = {*conditions.names, *conditions.back, *conditions.gaps}
         special = {n: t for n, t in flow.tolerances.items() if n not in own}
@@ -106,7 +104,7 @@ class CompiledSceneLaws:
             return self._names[event.struck], "touchdown"
         return cause(self._names, event.source, event.target, False)
 
-    def jump(self, setup: Callable[[], Setup], event: RecordedEvent, fired: str) -> Jump:
+    def jump(self, setup: Callable[[], SceneSetup], event: RecordedEvent, fired: str) -> Jump:
         """Return the jump of an event recorded by the loop."""
         region, cause = self.about(event)
         impulse: Mapping[str, tuple[float, float]] = {}
@@ -136,15 +134,14 @@ class CompiledSceneLaws:
         )
 
     def _explain(
-        self, field: str, setup: Callable[[], Setup], event: RecordedEvent, fired: str
+        self, field: str, setup: Callable[[], SceneSetup], event: RecordedEvent, fired: str
     ) -> Mapping[str, Any]:
         """Return `impulse` or `considered` of a jump, computed by the laws in Python on demand."""
         numbers = setup()
-        assert isinstance(numbers, SceneSetup)
         if field == "considered" and (rebound := self._rebound(numbers, event)) is not None:
             return rebound
         flow, clock = flow_in(numbers, event.source), Clock(event.t)
-        at = Instant(numbers, clock, event.j, flow, event.before, (fired,) if fired else ())
+        at = SceneInstant(numbers, clock, event.j, flow, event.before, (fired,) if fired else ())
         result = self._ask(at)
         assert result is not None
         assert result[0] is not None

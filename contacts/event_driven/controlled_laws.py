@@ -16,7 +16,7 @@ import numpy as np
 
 from contacts.dynamics.controllers import Controllers
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.setup import SceneInstant, SceneSetup
 from contacts.dynamics.snapshot import close_compliant
 from contacts.dynamics.surface_jumps import modes_after_jump
 from contacts.event_driven.laws import SceneLaws
@@ -25,10 +25,10 @@ from contacts.states import CLOSED, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
-from statechart.automaton.laws import Feasibility, Flow, Instant, Setup, moving_mode, roles_in
+from statechart.automaton.laws import Flow, JumpResult, moving_mode, roles_in
 from statechart.automaton.margin_derivatives import MarginDerivatives
 from statechart.automaton.regions import Region, active_in
-from statechart.automaton.trace import Arc, Jump, Key, Roles
+from statechart.automaton.trace import Jump, Key, Roles
 from statechart.charts.guard_watch import EventQueues, GuardTruths, transition_outcomes
 
 
@@ -62,31 +62,29 @@ class ControlledLaws:
             r.name: transition_outcomes(r) for r in regions if r.name in self._controllers
         }
         self._queues = EventQueues(regions, self._controllers)
+        self.feasibility, self.remarks = contacts.feasibility, contacts.remarks
 
-    def begin(self, setup: Setup) -> tuple[Flow, Array]:
+    def begin(self, setup: SceneSetup) -> tuple[Flow, Array]:
         """Return the first flow; transitions that are due there follow as jumps."""
-        assert isinstance(setup, SceneSetup)
 
         def due_in(controllers: Key, start: tuple[Flow, Array]) -> Set[tuple[int, int]]:
             flow, state = start
             laws = self._at(controllers)
             within = laws.held.within(setup, flow, state, 0.0, laws.tape)
-            truths, _ = self._guard_truths(Instant(within, Clock(), 0, flow, state))
+            truths, _ = self._guard_truths(SceneInstant(within, Clock(), 0, flow, state))
             return frozenset() if truths is None else truths.due()
 
         return self._states.settle_start(lambda states: self._begin(setup, states), due_in)
 
     def _begin(self, setup: SceneSetup, controllers: Key) -> tuple[Flow, Array]:
-        """Return the first flow with initial states of controllers."""
         state = self._states.enter_initial_states(setup, Clock(), setup.initial, controllers)
         inner = replace(self._within(setup, controllers), initial=state)
         flow, state = self._at(controllers).begin(inner)
         return self._joined(setup, Clock(), flow, controllers, state), state
 
-    def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
+    def jump(self, at: SceneInstant) -> JumpResult:
         """Classify the contacts, then evaluate the controllers."""
         setup, clock, _, flow, state, fired = at
-        assert isinstance(setup, SceneSetup)
         controllers = flow.mode[self._count :]
         laws = self._at(controllers)
         setup = laws.held.within(setup, flow, state, clock.high, laws.tape)
@@ -149,28 +147,27 @@ class ControlledLaws:
         return jump, self._joined(setup, clock, following, states, after, flow)
 
     def _closed(
-        self, at: Instant, joint: str, cause: str, states: Key, state: Array
+        self, at: SceneInstant, joint: str, cause: str, states: Key, state: Array
     ) -> tuple[Jump, Flow]:
         """Close a joint that is on in `states`; `state` includes the captured values."""
-        assert isinstance(at.setup, SceneSetup)
         inner = self._within(at.setup, states)
         parted = at._replace(setup=inner, flow=self._parted(at.flow), state=state)
         jump, flow = self._at(states).close(parted, joint, cause)
         return self._joined_jump(at, replace(jump, before=at.state), flow, states)
 
-    def _joined_jump(self, at: Instant, jump: Jump, flow: Flow, states: Key) -> tuple[Jump, Flow]:
+    def _joined_jump(
+        self, at: SceneInstant, jump: Jump, flow: Flow, states: Key
+    ) -> tuple[Jump, Flow]:
         """Return a jump of the contacts and its flow with controllers in `states`."""
-        assert isinstance(at.setup, SceneSetup)
         jump = replace(jump, source=at.flow.mode, target=(*jump.target, *states))
         pending = self._queues.pending_after(at.flow.pending, jump)
         source = at.flow._replace(pending=pending)
         return jump, self._joined(at.setup, at.clock, flow, states, jump.after, source)
 
     def accumulate(
-        self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
+        self, setup: SceneSetup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
     ) -> tuple[Jump, Flow] | None:
         """Skip accumulating impacts, unless a controller reacts to them."""
-        assert isinstance(setup, SceneSetup)
         if jumps[-1].region in self._controllers:
             return None
         controllers = flow.mode[self._count :]
@@ -181,39 +178,28 @@ class ControlledLaws:
         jump, following = result
         return jump, self._joined(setup, clock, following, controllers, jump.after, flow)
 
-    def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
+    def constraints(
+        self, setup: SceneSetup, roles: Roles, start: float, anchor: Array
+    ) -> Constraints:
         """Return the constraints of the closed contacts of `roles`, and of pinned points."""
         # Switched joints and led surfaces depend on the states of controllers.
         depends_on_states = self._states.joints or self._leads
         laws = self._at(moving_mode(roles[self._count :])) if depends_on_states else self._contacts
         return laws.constraints(setup, roles[: self._count], start, anchor)
 
-    def feasibility(
-        self, regions: Sequence[Region], setup: Setup, state: Array, time: float
-    ) -> Feasibility:
-        """Judge every product mode by the velocities that its contacts require."""
-        return self._contacts.feasibility(regions, setup, state, time)
-
-    def remarks(self, setup: Setup, arcs: Sequence[Arc]) -> tuple[str, ...]:
-        """Return warnings about contacts that stay off, see `handovers`."""
-        return self._contacts.remarks(setup, arcs)
-
     def _laws_in(self, states: Key) -> SceneLaws:
-        """Return the contacts' laws with the controllers in `states`."""
         start, named = self._contacts, self._states.named(states)
         return SceneLaws(self._mechanics, start.numbers, named, start)
 
     def _within(self, setup: SceneSetup, states: Key) -> SceneSetup:
-        """Return the setup with the coefficients of `states`."""
         if not self._varying:
             return setup
         laws = self._contacts.numbers.contacts(setup.values, self._states.named(states))
         return replace(setup, contacts=laws)
 
-    def _guard_truths(self, at: Instant) -> tuple[GuardTruths | None, Array]:
+    def _guard_truths(self, at: SceneInstant) -> tuple[GuardTruths | None, Array]:
         """Return the judgement of the guards, or None far from all boundaries; and their rows."""
         setup, clock, _, flow, state, fired = at
-        assert isinstance(setup, SceneSetup)
         guarded = self._states.guards(flow.mode[self._count :])
         tolerances = np.array([flow.tolerances[margin] for margin in guarded.watch.margins])
         rows = guarded.atoms_at(setup, clock.high, state)
@@ -231,18 +217,15 @@ class ControlledLaws:
         truths = GuardTruths(guarded.watch, at, inputs, sizes, self._derivatives, active)
         return truths, truths.rows
 
-    def _holding(self, at: Instant) -> set[tuple[int, int]]:
-        """Return the guards of event transitions that hold."""
+    def _holding(self, at: SceneInstant) -> set[tuple[int, int]]:
         setup, clock, _, flow, state, _ = at
-        assert isinstance(setup, SceneSetup)
         guarded = self._states.guards(flow.mode[self._count :], at_events=True)
         rows = guarded.atoms_at(setup, clock.high, state, self._solved(at))
         return guarded.watch.holding(rows, setup.precision, active_in(self._regions, flow.mode))
 
-    def _solved(self, at: Instant) -> Array | None:
+    def _solved(self, at: SceneInstant) -> Array | None:
         """Return accelerations and forces in the mode; None if they are undetermined."""
         setup, clock, _, flow, state, _ = at
-        assert isinstance(setup, SceneSetup)
         controllers = flow.mode[self._count :]
         inner = self._within(setup, controllers)
         snapshot = self._at(controllers).snapshot(inner, state, clock.high)
@@ -261,7 +244,6 @@ class ControlledLaws:
         return np.concatenate([accelerations, forces[:contact_count].ravel(), couples, joints])
 
     def _parted(self, flow: Flow) -> Flow:
-        """Return the flow of the contacts alone."""
         return flow._replace(mode=flow.mode[: self._count], roles=flow.roles[: self._count])
 
     def _joined(

@@ -18,7 +18,6 @@ from contacts.scene.lint import (
 )
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
-from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Arc, Key
 from statechart.formulas.tape import Tape
 
@@ -42,9 +41,8 @@ class Handovers:
         self._gated = {i: name for i, name in names if mechanics.gate(name) is not None}
         self._tapes: dict[Key, Tape] = {}
 
-    def remarks(self, setup: Setup, arcs: Sequence[Arc]) -> tuple[str, ...]:
+    def remarks(self, setup: SceneSetup, arcs: Sequence[Arc]) -> tuple[str, ...]:
         """Return a warning for each contact that has missed its surface by a small depth."""
-        assert isinstance(setup, SceneSetup)
         if not self._gated:
             return ()
         arcs, gap_tolerance = list(arcs), setup.tolerances["gap"]

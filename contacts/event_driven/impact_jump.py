@@ -12,7 +12,7 @@ from contacts.dynamics.conditions import hidden_at
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import constraint_key, landed
 from contacts.dynamics.rolling_resistance import apply_rolling_resistance, couples
-from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.setup import SceneInstant, SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.event_driven.decision import check_listed, choose_mode, explain_choice
 from contacts.impacts.bounces import correct_durations, remaining_bounces, stands_for_bounces
@@ -22,7 +22,7 @@ from contacts.modes.classification import Before, Choice, ForceUncertainty
 from contacts.scene.modes import OUTSIDE, PULL
 from contacts.states import INACTIVE, OPEN
 from statechart.arrays import Array
-from statechart.automaton.laws import Flow, Instant, moving_mode, roles_in
+from statechart.automaton.laws import Flow, moving_mode, roles_in
 from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.errors import NoConsistentMode
@@ -34,8 +34,7 @@ _KINEMATIC_MARGINS = ("gap", "slip", PULL, OUTSIDE)
 class Landing(NamedTuple):
     """End of a flow, projected onto its constraints."""
 
-    at: Instant  # With the projected state.
-    setup: SceneSetup
+    at: SceneInstant  # With the projected state.
     snapshot: Snapshot  # At the projected state.
     moving: Key  # The mode in which the flow moves.
     closed: list[bool]  # Mask of the closed contacts.
@@ -43,7 +42,7 @@ class Landing(NamedTuple):
     @property
     def slow(self) -> float:
         """Tolerance of speeds."""
-        return self.setup.tolerances["speed"]
+        return self.at.setup.tolerances["speed"]
 
     @property
     def hitting(self) -> list[int]:
@@ -58,11 +57,10 @@ def uncertainty_at(
 
     Returns None if a mode has been chosen since.
     """
-    at, names = landing.at, [law.name for law in landing.setup.contacts]
+    at, names = landing.at, [law.name for law in landing.at.setup.contacts]
     if not at.fired and not at.flow.near_bound:
         return None
-
-    around = hidden_at(tape, landing.setup.values, at.clock.high, at.flow.mode)
+    around = hidden_at(tape, at.setup.values, at.clock.high, at.flow.mode)
     certain_modes = tuple(["free"] * len(names)) if at.flow.near_bound else landing.moving
     off_margins = tuple(f"{name}.{state}:" for name in names for state in INACTIVE)
     kinematic = tuple(f"{name}.{kind}" for name in names for kind in _KINEMATIC_MARGINS)
@@ -75,7 +73,7 @@ def uncertainty_at(
         )
     ]
     state = at.state if after is None else after
-    return ForceUncertainty(around, landing.setup, state, certain_modes, uncertain)
+    return ForceUncertainty(around, at.setup, state, certain_modes, uncertain)
 
 
 class _Struck(NamedTuple):
@@ -134,10 +132,10 @@ def impact_jump(
     `event` is the region and the cause of the jump. `before` is the state that a closing joint
     meets, whose velocity it does not allow.
     """
-    at, setup, closed, speed_tolerance = landing.at, landing.setup, landing.closed, landing.slow
+    at, setup, closed = landing.at, landing.at.setup, landing.closed
     struck = _solve_struck(tape, landing, jam)
     laws, contacts, bounce_times = struck.laws, struck.snapshot.contacts, struck.bounce_times
-    touching = struck.snapshot.remaining(closed, speed_tolerance)
+    touching = struck.snapshot.remaining(closed, landing.slow)
     mode, moved_by, after, settled = _choose_entered(tape, landing, struck, touching)
     target = listed_mode(mode, setup, struck.snapshot)
     energy = tape.at(setup.values, after, at.clock.high).energy
@@ -186,7 +184,7 @@ def impact_jump(
 
 def _solve_struck(tape: SnapshotTape, landing: Landing, jam: Jam | None) -> _Struck:
     """Compute an impact, and sum the bounces that follow it if that is possible."""
-    (_, clock, _, flow, state, _), setup, snapshot, _, closed = landing
+    (setup, clock, _, flow, state, _), snapshot, _, closed = landing
     snapshot_at = hidden_at(tape, setup.values, clock.high, flow.mode)
 
     def apply(
@@ -230,13 +228,7 @@ def _solve_struck(tape: SnapshotTape, landing: Landing, jam: Jam | None) -> _Str
     if not stands_for_bounces(bounces, elastic.snapshot, captured.snapshot, closed):
         return elastic
     lasting = correct_durations(
-        bounces,
-        setup,
-        snapshot_at,
-        elastic.snapshot,
-        captured.snapshot,
-        captured.state,
-        closed,
+        bounces, setup, snapshot_at, elastic.snapshot, captured.snapshot, captured.state, closed
     )
     return elastic if lasting is None else captured._replace(bounce_times=lasting)
 
@@ -245,7 +237,7 @@ def _choose_entered(
     tape: SnapshotTape, landing: Landing, struck: _Struck, touching: list[bool]
 ) -> tuple[Key, Choice | Roles, Array, bool]:
     """Return the mode after an impact, its choice or roles, the state, and if it is settled."""
-    setup, following = landing.setup, struck.snapshot
+    setup, following = landing.at.setup, struck.snapshot
     # If a contact still approaches after a sequence of impacts, the next jump is its impact.
     settled = not following.approaching(landing.closed, landing.slow)
     check_listed(setup, following, touching)

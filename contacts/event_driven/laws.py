@@ -20,7 +20,7 @@ from contacts.dynamics.projection import (
     landed,
     on_constraints,
 )
-from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.setup import SceneInstant, SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape, close_compliant
 from contacts.dynamics.starting import (
@@ -45,7 +45,7 @@ from contacts.event_driven.impact_jump import (
 )
 from contacts.event_driven.switching import Switching, alike
 from contacts.impacts.bounces import reopens_immediately, rest_of_passages
-from contacts.impacts.jamming import Jam, listed_mode, off_state, strike_jammed, unbounded_jam
+from contacts.impacts.jamming import Jam, listed_mode, off_state, resolve_jam, strike_jammed
 from contacts.impacts.simultaneous import impacts
 from contacts.modes.classification import Before, Choice
 from contacts.modes.feasibility import scene_feasibility
@@ -60,8 +60,7 @@ from statechart.automaton.laws import (
     CompiledLaws,
     Feasibility,
     Flow,
-    Instant,
-    Setup,
+    JumpResult,
     moving_mode,
     roles_in,
     uncaptured,
@@ -123,13 +122,12 @@ class SceneLaws:
             return None
         return CompiledSceneLaws(self._names, self.numbers, self.tape, self._projection, self.jump)
 
-    def snapshot(self, setup: Setup, state: Array, time: float) -> Snapshot:
+    def snapshot(self, setup: SceneSetup, state: Array, time: float) -> Snapshot:
         """Return the snapshot at a state."""
         return self.tape.at(setup.values, state, time)
 
-    def begin(self, setup: Setup) -> tuple[Flow, Array]:
+    def begin(self, setup: SceneSetup) -> tuple[Flow, Array]:
         """Return the first mode, checked against the declared one."""
-        assert isinstance(setup, SceneSetup)
         flow, state = self._initial_flow(setup, setup.initial)
         own, _ = self.special_tolerances(setup, flow, state, 0.0)
         return flow._replace(tolerances={**flow.tolerances, **own}) if own else flow, state
@@ -173,12 +171,7 @@ class SceneLaws:
             snapshot = hidden(self.tape.at(setup.values, state, 0.0), off)
         warnings = self._start_warnings(setup, state, off)
         choice = choose_at_rest(
-            setup,
-            snapshot,
-            touching,
-            state,
-            hidden_at(self.tape, setup.values, 0.0, off),
-            Before(),
+            setup, snapshot, touching, state, hidden_at(self.tape, setup.values, 0.0, off), Before()
         )
         moving = moving_mode(choice.roles)
         starts = listed_mode(moving, setup, snapshot)
@@ -200,23 +193,19 @@ class SceneLaws:
         weak = weak_coupling_warnings(setup.contacts, snapshot.limits, setup.tolerances["force"])
         return "; ".join([*hovering, *weak])
 
-    def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
+    def jump(self, at: SceneInstant) -> JumpResult:
         """Classify every contact; see `contacts.modes.classification`."""
         if at.flow.signs and not self._mechanics.scene.regions:
-            assert isinstance(at.setup, SceneSetup)
             within = self.held.within(at.setup, at.flow, at.state, at.clock.high, self.tape)
             at = at._replace(setup=within)
         return self._watched(at, self._with_gap_offsets(at, self._jump(at)))
 
-    def _watched(
-        self, at: Instant, result: tuple[Jump | None, Flow] | None
-    ) -> tuple[Jump | None, Flow] | None:
+    def _watched(self, at: SceneInstant, result: JumpResult) -> JumpResult:
         """Set the special tolerances of a flow, also of one that continues.
 
         A jump that leaves a state on the boundary of a condition is classified again.
         """
         setup, clock = at.setup, at.clock
-        assert isinstance(setup, SceneSetup)
         jump, flow = (None, at.flow) if result is None else result
         after = flow.start if jump is None else jump.after
         state = at.state if after is None else after
@@ -244,9 +233,7 @@ class SceneLaws:
             own |= self.compliance.tolerances(setup, moving_mode(flow.roles), state, time)
         return own, on_boundary
 
-    def _with_gap_offsets(
-        self, at: Instant, result: tuple[Jump | None, Flow] | None
-    ) -> tuple[Jump | None, Flow] | None:
+    def _with_gap_offsets(self, at: SceneInstant, result: JumpResult) -> JumpResult:
         """Measure the gaps of starting flights from their round-off."""
         if result is None or (jump := result[0]) is None:
             return result
@@ -273,26 +260,24 @@ class SceneLaws:
             values[offsets] = new_offsets
         return jump, flow._replace(values=values)
 
-    def _jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
+    def _jump(self, at: SceneInstant) -> JumpResult:
         setup, clock, _, flow, state, fired = at
-        assert isinstance(setup, SceneSetup)
         snapshot = self.tape.at(setup.values, state, clock.high)
-        strike = partial(self._strike, at, setup, snapshot)
-        switched = self._switching.switched(at, setup, snapshot, strike)
+        strike = partial(self._strike, at, snapshot)
+        switched = self._switching.switched(at, snapshot, strike)
         if switched:
-            return self._switching.jump(at, setup, snapshot, switched)
-        here = self._landing(at, setup, hidden(snapshot, flow.mode))
+            return self._switching.jump(at, snapshot, switched)
+        here = self._landing(at, hidden(snapshot, flow.mode))
         if fired == (UNBOUNDED,):
             return self._unbounded(here)
         for name in self._names:
             if f"{name}.{HAULED}" in fired:
                 raise winch_end_message(name, clock.high)
-        hitting = here.hitting
-        if hitting:
-            return self._impact(here, hitting)
+        if here.hitting:
+            return self._impact(here, here.hitting)
         touching = here.snapshot.remaining(here.closed, here.slow)
         uncertainty = uncertainty_at(self.tape, here)
-        before = Before.flow(at.flow.roles, here.moving)
+        before = Before.flow(flow.roles, here.moving)
         around = hidden_at(self.tape, setup.values, clock.high, flow.mode)
         choice = choose_at_rest(
             setup, here.snapshot, touching, here.at.state, around, before, uncertainty
@@ -303,15 +288,14 @@ class SceneLaws:
                 grown = self._grown(here)
                 choice = choice if grown is None else dataclasses.replace(choice, why=grown.why)
             return self._impact(here, [choice.place], choice)
-        return self._enter(at, here, choice)
+        return self._enter(here, choice)
 
-    def close(self, at: Instant, joint: str, cause: str) -> tuple[Jump, Flow]:
+    def close(self, at: SceneInstant, joint: str, cause: str) -> tuple[Jump, Flow]:
         """Close a joint: its points stop, and so do contacts that are closed, without rebound.
 
         Raises `NoConsistentMode` if the points of the joint are apart.
         """
         setup = at.setup
-        assert isinstance(setup, SceneSetup)
         snapshot = hidden(self.tape.at(setup.values, at.state, at.clock.high), at.flow.mode)
         near = setup.tolerances["gap"]
         apart = max(_START_DEPTH * setup.scales.length, near)
@@ -319,36 +303,32 @@ class SceneLaws:
         state = on_constraints(("free",) * len(self._names), snapshot, at.state)
         after = hidden(self.tape.at(setup.values, state, at.clock.high), at.flow.mode)
         plastic = tuple(law._replace(restitution=0.0) for law in setup.contacts)
-        here = Landing(
-            at._replace(state=state),
-            dataclasses.replace(setup, contacts=plastic),
-            after,
-            moving_mode(at.flow.roles),
-            [c.gap <= near for c in after.contacts],
-        )
+        at_rest = at._replace(setup=dataclasses.replace(setup, contacts=plastic), state=state)
+        closed = [c.gap <= near for c in after.contacts]
+        here = Landing(at_rest, after, moving_mode(at.flow.roles), closed)
         jump, flow, _ = impact_jump(self.tape, here, (joint, cause), before=at.state)
         _, energy_after = jump.energy or (0.0, 0.0)
         energy = snapshot.energy, energy_after
         return dataclasses.replace(jump, before=at.state, energy=energy), flow
 
     def _strike(
-        self, at: Instant, setup: SceneSetup, snapshot: Snapshot, mode: Key
+        self, at: SceneInstant, snapshot: Snapshot, mode: Key
     ) -> tuple[Array, Snapshot] | None:
         """Return the state and snapshot after an impact of the contacts of a mode."""
         at = at._replace(flow=at.flow._replace(mode=mode, roles=roles_in(mode)))
-        here = self._landing(at, setup, hidden(snapshot, mode))
+        here = self._landing(at, hidden(snapshot, mode))
         if not here.hitting:
             return None
-        after = impact_jump(self.tape, here, self._struck(here.hitting))[0].after
-        return after, self.tape.at(setup.values, after, at.clock.high)
+        after = impact_jump(self.tape, here, (self._names[here.hitting[0]], "touchdown"))[0].after
+        return after, self.tape.at(at.setup.values, after, at.clock.high)
 
-    def _landing(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> Landing:
+    def _landing(self, at: SceneInstant, snapshot: Snapshot) -> Landing:
         """Project the state onto the constraints of the flow.
 
         Between steps dense output leaves them by its own error: a contact that was closed counts as
         closed.
         """
-        flow, moving = at.flow, moving_mode(at.flow.roles)
+        setup, flow, moving = at.setup, at.flow, moving_mode(at.flow.roles)
         held = constraint_key(flow.roles, snapshot.soft)
         state = landed(held, snapshot, at.state, setup.tolerances)
         slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
@@ -371,11 +351,11 @@ class SceneLaws:
             for name, was, c in zip(self._names, moving, snapshot.contacts, strict=True)
         ]
         snapshot = close_compliant(snapshot, closed)
-        return Landing(at._replace(state=state), setup, snapshot, moving, closed)
+        return Landing(at._replace(state=state), snapshot, moving, closed)
 
     def _unbounded(self, here: Landing) -> tuple[Jump, Flow] | None:
         """Resolve a flow that ends because a force grows without bound."""
-        setup, snapshot, moving = here.setup, here.snapshot, here.moving
+        setup, snapshot, moving = here.at.setup, here.snapshot, here.moving
         jam = self._grown(here)
         if jam is None:
             sizes = np.append(setup.scales.coordinates, np.ones(snapshot.unreduced.pads))
@@ -389,13 +369,13 @@ class SceneLaws:
         return self._impact(here, [jam.place], jam)
 
     def _grown(self, here: Landing) -> Jam | None:
-        """Return the jam if a force grows without bound."""
         shut = [state not in OPEN for state in here.moving]
-        return unbounded_jam(here.setup, here.snapshot, shut)
+        return resolve_jam(here.at.setup, here.snapshot, shut, unbounded=True)
 
-    def _enter(self, at: Instant, here: Landing, choice: Choice) -> tuple[Jump | None, Flow] | None:
+    def _enter(self, here: Landing, choice: Choice) -> JumpResult:
         """Return the jump to a mode; None if the flow already moves in it."""
-        (_, clock, _, flow, state, fired), setup, snapshot, moving, _ = here
+        at, snapshot, moving, _ = here
+        setup, clock, _, flow, state, fired = at
         target = choice.taken.states
         skipping = moving != flow.mode
         if target == moving and not (skipping and fired == ("zeno",)):
@@ -430,7 +410,6 @@ class SceneLaws:
         return jump, flow_in(setup, target, choice)
 
     def _of_forces(self, fired: tuple[str, ...]) -> bool:
-        """Return whether only margins of contact forces fell."""
         kinds = (*FORCE_MARGINS, *LIMIT_MARGINS)
         forces = {f"{name}.{force}" for name in self._names for force in kinds}
         return bool(fired) and forces.issuperset(fired)
@@ -458,14 +437,13 @@ class SceneLaws:
         )
 
     def accumulate(
-        self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
+        self, setup: SceneSetup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
     ) -> tuple[Jump, Flow] | None:
         """Close all contacts of impacts whose intervals shrink to zero.
 
         For example a block that rocks from corner to corner; bounces of one contact are summed at
         its impact (`contacts.impacts.bounces`).
         """
-        assert isinstance(setup, SceneSetup)
         jump = jumps[-1]
         same_event = jump.region, jump.cause
         since = [j for j, past in enumerate(jumps[:-1]) if (past.region, past.cause) == same_event]
@@ -510,28 +488,26 @@ class SceneLaws:
         at = partial(self.tape.at, setup.values, time=clock.high)
         return close_immediately(setup, at, flow, jump, took_part, period, rest)
 
-    def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
+    def constraints(
+        self, setup: SceneSetup, roles: Roles, start: float, anchor: Array
+    ) -> Constraints:
         """Return the constraints of the closed contacts of `roles`, and of pinned points."""
-        assert isinstance(setup, SceneSetup)
         return self._projection.constraints(setup, roles, start, anchor)
 
     def feasibility(
-        self, regions: Sequence[Region], setup: Setup, state: Array, time: float
+        self, regions: Sequence[Region], setup: SceneSetup, state: Array, time: float
     ) -> Feasibility:
         """Test every product mode by the velocities that it requires."""
-        assert isinstance(setup, SceneSetup)
         failing = self.conditions.at(setup, state, time).failing()
         return scene_feasibility(regions, setup, self.snapshot(setup, state, time), failing)
-
-    def _struck(self, hitting: list[int], jam: Jam | None = None) -> tuple[str, str]:
-        """Return region and cause of an impact; round-off decides between simultaneous ones."""
-        return self._names[hitting[0]], "touchdown" if jam is None else "jam"
 
     def _impact(
         self, here: Landing, hitting: list[int], jam: Jam | None = None
     ) -> tuple[Jump, Flow]:
-        jump, flow, following = impact_jump(self.tape, here, self._struck(hitting, jam), jam)
-        setup, closed, (before, after) = here.setup, here.closed, jump.energy or (0.0, 0.0)
+        # Round-off decides which of simultaneous impacts is named.
+        event = self._names[hitting[0]], "touchdown" if jam is None else "jam"
+        jump, flow, following = impact_jump(self.tape, here, event, jam)
+        setup, closed, (before, after) = here.at.setup, here.closed, jump.energy or (0.0, 0.0)
         striking = [
             shut and not law.coupling for shut, law in zip(closed, setup.contacts, strict=True)
         ]

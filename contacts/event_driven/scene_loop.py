@@ -45,7 +45,6 @@ from contacts.event_driven.compiled_instants import (
 from contacts.modes.compiled_classification import InstantConstants, allowed, classify
 from contacts.states import CODES, FREE, OFF, OFF_CODE, PIN, superstates_of
 from statechart.arrays import Array, Bools, Ints, Ints32
-from statechart.automaton.laws import Setup
 from statechart.automaton.trace_store import ARCS, EVENTS, TERMS, TIMES, TraceBuffer
 from statechart.engines.compiled_flow import (
     DURATION_ENDED,
@@ -395,14 +394,6 @@ def _tolerances(scene: SceneConstants, scales: Array, kinds: Array) -> None:
     kinds[HOLD], kinds[IMPLIED] = HOLD_PART * kinds[FORCE], IMPLIED_BAND * kinds[SPEED]
 
 
-@kernel
-def _no_series(series: Array) -> None:
-    for i in range(series.shape[0]):
-        for k in range(WIDTH):
-            series[i, k] = 0.0
-        series[i, HIGH] = math.nan
-
-
 @kernel(interpreted=False)
 def run_batch(
     program: ModeTable, workspace: FlowWorkspace, scene: SceneConstants, first_watch: FlowInputs,
@@ -447,7 +438,8 @@ def run_batch(
             ends[runs.FIRST_MODE] = mode
             copy_numbers(numbers.values, result.values[row])
             copy_numbers(numbers.initial, result.initial[row])
-            _no_series(scene.series)
+            scene.series[:] = 0.0
+            scene.series[:, HIGH] = math.nan
         pauses, run = 0, RunState(clock, place, state, scene.series, run_states)
         while True:
             ends[runs.REASON], ends[runs.MARGIN], clock[runs.T_REST] = _run(
@@ -521,11 +513,14 @@ class SceneLoop:
         return self._call(self._scene, batch, block, result)
 
     def resume(
-        self, setup: Setup, floor: float, block: TraceBuffer, result: BatchResult, series: Array
+        self,
+        setup: SceneSetup,
+        floor: float,
+        block: TraceBuffer,
+        result: BatchResult,
+        series: Array,
     ) -> None:
         """Resume a run."""
-        assert isinstance(setup, SceneSetup)
-        assert setup.sizes is not None
         numbers, (watch, _) = self._scene.numbers, self._buffers
         scales = setup.scales
         numbers.values[:], numbers.sizes[:] = result.values[0], setup.sizes
@@ -630,7 +625,7 @@ def _buffers(
         numbers.conditions.slots(loop.margins),
         np.empty(variables + 1),
         0.0,
-        allowed(tuple([law.states for law in laws])),
+        allowed([law.states for law in laws]),
         np.empty((contacts, 2)),
         np.empty(contacts),
         np.array([restitution_meaning(law) for law in laws], np.int64),

@@ -9,14 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.dynamics.conditions import Conditions, ConditionsAt, hidden
-from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.setup import SceneInstant, SceneSetup
 from contacts.dynamics.snapshot import Snapshot
 from contacts.event_driven.decision import choose_mode
 from contacts.impacts.jamming import Jam, engaged_state, off_state
 from contacts.modes.classification import Before
 from contacts.states import INACTIVE, OFF, cause_of
 from statechart.arrays import Array
-from statechart.automaton.laws import Flow, Instant
+from statechart.automaton.laws import Flow
 from statechart.automaton.trace import Jump, Key, Role, Roles
 from statechart.errors import NonFinite, SimulationError
 
@@ -128,13 +128,11 @@ class Switching:
             certified.update(i for i in places if on_boundary[i] and on and on[i])
         return certified
 
-    def switched(
-        self, at: Instant, setup: SceneSetup, snapshot: Snapshot, strike: Strike
-    ) -> dict[int, str]:
+    def switched(self, at: SceneInstant, snapshot: Snapshot, strike: Strike) -> dict[int, str]:
         """Return the contacts that go off, with a failing condition, or come back, with ""."""
         if not self._conditions.present:
             return {}
-        site = self._site(setup, snapshot, at.state, at.clock.high)
+        site = self._site(at.setup, snapshot, at.state, at.clock.high)
         on = [state not in INACTIVE for state in at.flow.mode]
         self.verdicts = self._atom_verdicts(site, at.fired, on)
         failing = self._conditions.first(self.verdicts)
@@ -156,7 +154,7 @@ class Switching:
         return result
 
     def _struck_too(
-        self, at: Instant, site: _Site, failing: tuple[str, ...], strike: Strike
+        self, at: SceneInstant, site: _Site, failing: tuple[str, ...], strike: Strike
     ) -> tuple[str, ...]:
         """Return the conditions that fail unless an impact sends the bodies back.
 
@@ -211,10 +209,10 @@ class Switching:
         ]
 
     def jump(
-        self, at: Instant, setup: SceneSetup, snapshot: Snapshot, switched: Mapping[int, str]
+        self, at: SceneInstant, snapshot: Snapshot, switched: Mapping[int, str]
     ) -> tuple[Jump, Flow]:
         """Disable or enable contacts; the others are classified next."""
-        flow = at.flow
+        setup, flow = at.setup, at.flow
         mode, roles = list(flow.mode), list(flow.roles)
         for place, why in switched.items():
             law, contact = setup.contacts[place], snapshot.contacts[place]
@@ -235,13 +233,13 @@ class Switching:
             considered={f"{name}:{flow.mode[place]}": reason, f"{name}:{mode[place]}": "taken"},
             energy=(snapshot.energy, snapshot.energy),
         )
-        following = flow._replace(mode=tuple(mode), roles=tuple(roles), warning="", settled=False)
-        if not any(role.captured for role in roles):
-            # The skipped bounces belonged to a contact that is off now.
-            following = following._replace(remaining=math.inf)
-        return jump, following._replace(
-            warning=self._corner_warning(setup, snapshot, flow.mode, tuple(mode))
-        )
+        warning = self._corner_warning(setup, snapshot, flow.mode, tuple(mode))
+        # Without captured contacts, the skipped bounces belonged to one that is off now.
+        captured = any(role.captured for role in roles)
+        return jump, flow._replace(
+            mode=tuple(mode), roles=tuple(roles), warning=warning, settled=False,
+            remaining=flow.remaining if captured else math.inf,
+        )  # fmt: skip
 
     def _corner_warning(
         self, setup: SceneSetup, snapshot: Snapshot, before: Key, after: Key

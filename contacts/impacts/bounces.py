@@ -120,7 +120,6 @@ def correct_durations(
 
 
 def _moved(snapshot: Snapshot, state: Array, accelerations: Array, duration: float) -> Array:
-    """Return a state after a time under the accelerations of its snapshot."""
     if snapshot.reduction is not None:
         accelerations = snapshot.reduction.basis @ accelerations + snapshot.reduction.drift
     n, later = snapshot.size, state.copy()

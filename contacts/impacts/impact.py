@@ -226,12 +226,7 @@ class Impact:
 
 
 def impact(
-    snapshot: Snapshot,
-    place: int,
-    law: ContactLaw,
-    restitution: float,
-    *,
-    braking: bool = False,
+    snapshot: Snapshot, place: int, law: ContactLaw, restitution: float, *, braking: bool = False
 ) -> Impact:
     """Return the outcome of an impact at the contact of this index, the only closed one.
 
@@ -254,24 +249,19 @@ def impact(
         velocity,
     )
     path = segment_names(code)
-    if status == WEDGED:
-        raise NoConsistentMode(
-            f"{law.name}: the impact wedges the point: it cannot slip either way, and is "
-            f"driven into its surface at {-u_n:.3g}"
-        )
-    if status == ENDLESS:
-        raise NoConsistentMode(
-            f"{law.name}: the impact's path does not end (approach {-u_n:.3g}, slip {u_t:.3g}); "
-            f"it went {', '.join(path)}"
-        )
-    if status == POWERLESS:
-        raise NoConsistentMode(
-            "no impulse changes the velocity of the contact: joints or prescribed motions hold its "
-            "body; let a spring or a rope give way"
-        )
+    if status == ENDED:
+        return Impact(velocity, normal, tangential, path)
     if status == UNSOLVED:
         raise SingularMode(numbers.INEXACT_SYSTEM)
-    return Impact(velocity, normal, tangential, path)
+    reasons = {
+        WEDGED: f"{law.name}: the impact wedges the point: it cannot slip either way, and is "
+        f"driven into its surface at {-u_n:.3g}",
+        ENDLESS: f"{law.name}: the impact's path does not end (approach {-u_n:.3g}, slip "
+        f"{u_t:.3g}); it went {', '.join(path)}",
+        POWERLESS: "no impulse changes the velocity of the contact: joints or prescribed motions "
+        "hold its body; let a spring or a rope give way",
+    }
+    raise NoConsistentMode(reasons[status])
 
 
 def segment_names(code: int) -> tuple[str, ...]:

@@ -282,24 +282,11 @@ def hold_at_rest(start: Array, cones: Array) -> None:
 def strike_group(
     scene: InstantConstants, numbers: Array, group: Ints, velocity: Array, impulse: Array
 ) -> int:
-    """Compute the plastic impact of a coupled group of contacts.
+    """Compute the plastic impact of the closed contacts `group` (g,), which are coupled.
 
-    Parameters
-    ----------
-    scene : InstantConstants
-    numbers : (o,) array
-        Snapshot of the scene (`contacts.dynamics.snapshot.SnapshotTape`).
-    group : (g,) array of int64
-        The closed contacts.
-    velocity : (n,) array
-        Rates of the coordinates; updated.
-    impulse : (c, 2) array
-        Filled for the contacts of the group.
-
-    Returns
-    -------
-    int
-        Modes in digits of base 8 above 1, the first contact the lowest; 0 in an ambiguous case.
+    `numbers` (o,) are the snapshot of the scene. Updates `velocity` (n,), and writes the `impulse`
+    (c, 2) of the group. Returns the modes in digits of base 8 above 1, the first contact the
+    lowest; 0 in an ambiguous case.
     """
     n, count, contacts = velocity.shape[0], group.shape[0], scene.allowed.shape[0]
     if count > _MAX_ENUMERATED:

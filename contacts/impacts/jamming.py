@@ -165,24 +165,20 @@ def listed_mode(key: Key, setup: SceneSetup, snapshot: Snapshot) -> Key:
     )
 
 
-def resolve_jam(setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool]) -> Jam | None:
-    """Return the jam of a state without a consistent mode; None if no impact resolves it."""
-    paradoxes_met = paradoxes(setup, snapshot, touching)
-    for group in groups(snapshot, strike_jammed(setup.contacts, touching)):
-        if len(group) == 1 and group[0] in paradoxes_met:
-            place = group[0]
-            return Jam(str(paradoxes_met[place]), place, _sliding(setup, snapshot, place))
-    return None
+def resolve_jam(
+    setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool], *, unbounded: bool = False
+) -> Jam | None:
+    """Return the jam of a state without a consistent mode; None if no impact resolves it.
 
-
-def unbounded_jam(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> Jam | None:
-    """Return the jam at the end of a flow in which p falls to zero with b < 0."""
-    paradoxes_met = paradoxes(setup, snapshot, closed, _UNBOUNDED_P)
-    for group in groups(snapshot, strike_jammed(setup.contacts, closed)):
-        paradox = paradoxes_met.get(group[0])
-        if len(group) == 1 and paradox is not None and paradox.b < 0.0:
-            why = f"the force of {paradox.contact} grows without bound: {paradox}"
-            return Jam(why, group[0], _sliding(setup, snapshot, group[0]))
+    `unbounded` asks for that at the end of a flow in which p falls to zero with b < 0.
+    """
+    paradoxes_met = paradoxes(setup, snapshot, closed, _UNBOUNDED_P if unbounded else 0.0)
+    for place, *others in groups(snapshot, strike_jammed(setup.contacts, closed)):
+        paradox = paradoxes_met.get(place)
+        if others or paradox is None or (unbounded and not paradox.b < 0.0):
+            continue
+        grows = f"the force of {paradox.contact} grows without bound: " if unbounded else ""
+        return Jam(f"{grows}{paradox}", place, _sliding(setup, snapshot, place))
     return None
 
 

@@ -99,7 +99,6 @@ def groups(snapshot: Snapshot, closed: Sequence[bool]) -> list[list[int]]:
 
 
 def _single_impact(snapshot: Snapshot, laws: Sequence[ContactLaw], place: int) -> _GroupImpacts:
-    """Compute the impact of one contact by its own law."""
     law = laws[place]
     if law.impact == MOREAU:
         return _solve_simultaneously(snapshot, laws, [place], True)
@@ -180,7 +179,6 @@ def _work_free_shares(
 
 
 def _work(snapshot: Snapshot, group: Sequence[int], solution: Impulses) -> tuple[float, float]:
-    """Return work and size of its terms for one solution (`work_of`)."""
     before = np.array([snapshot.contacts[i][1:3] for i in group])
     problem = ImpactProblem(
         snapshot.mass, snapshot.jacobians[group], np.empty((0, 2)), before, snapshot.velocity, True
@@ -238,7 +236,6 @@ def _solve_sequentially(
 
 
 def _with_velocity(snapshot: Snapshot, velocity: Array) -> Snapshot:
-    """Return the snapshot at other rates of the coordinates."""
     contacts = []
     for contact, jacobian in zip(snapshot.contacts, snapshot.jacobians, strict=True):
         normal, slip = (jacobian @ (velocity - snapshot.velocity)).tolist()

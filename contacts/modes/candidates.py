@@ -10,7 +10,7 @@ of contacts are dependent, a mode is consistent if some forces in the cones expl
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import product
 from typing import NamedTuple
@@ -36,17 +36,8 @@ from contacts.solvers.mode_solver import (
     solve_modes,
 )
 from contacts.solvers.saddle_point import CONTRADICTORY, REDUNDANT, SOLVED, UNDETERMINED
-from contacts.states import (
-    CODES,
-    FREE,
-    LOCKED,
-    OPEN,
-    PIN,
-    SLIDE_MINUS,
-    SLIDE_PLUS,
-    STICKING,
-)
-from statechart.arrays import Array, Bools, Ints
+from contacts.states import CODES, FREE, LOCKED, OPEN, PIN, SLIDE_MINUS, SLIDE_PLUS, STICKING
+from statechart.arrays import Array, Ints
 from statechart.automaton.laws import roles_in
 from statechart.automaton.trace import Roles
 
@@ -125,11 +116,6 @@ class Candidate(NamedTuple):
         return f"{contact}: " + _REASONS[kind].format(number)
 
 
-def consistent(tried: Iterable[Candidate], tie: float) -> list[Candidate]:
-    """Return the candidates that violate no inequality by more than `tie`."""
-    return [c for c in tried if c.violation <= tie]
-
-
 def candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     """Solve every combination of `options` (states per contact).
 
@@ -148,10 +134,10 @@ def _solved_combinations(
     snapshot, laws, closed, at_rest, scales, tie, _ = case
     edges = bounds(laws, snapshot)
     count, contacts = codes.shape
-    touching = tuple(c and not law.coupling for c, law in zip(closed, laws, strict=True))
+    touching = [c and not law.coupling for c, law in zip(closed, laws, strict=True)]
     equations = ModeEquations(
         snapshot.mass, snapshot.forces, snapshot.jacobians, snapshot.biases, edges,
-        carriers(tuple(laws)), _flags(touching), _flags(tuple(at_rest)),
+        carriers(tuple(laws)), np.array(touching, np.bool_), np.array(at_rest, np.bool_),
     )  # fmt: skip
     status, accelerations, forces, verdicts = solutions = ModeSolutions(
         np.empty(count, np.int64), np.empty((count, len(snapshot.forces))),
@@ -177,11 +163,7 @@ def _refuse(candidate: Candidate, why: str) -> Candidate:
 
 
 def _explain(
-    case: Case,
-    edges: Array,
-    codes: Ints,
-    solved: list[Candidate],
-    redundant: Sequence[int],
+    case: Case, edges: Array, codes: Ints, solved: list[Candidate], redundant: Sequence[int]
 ) -> None:
     """Check whether forces in the cones explain the motion of candidates with dependent rows."""
     snapshot, scales, tie = case.snapshot, case.scales, case.tie
@@ -199,24 +181,21 @@ def _explain(
         if represented[place]:
             solved[k] = _refuse(candidate, _DUPLICATE)
             continue
-        shared_forces = None
+        shared_forces, code = None, codes[k]
+        # A mode within a failed one has fewer forces to explain the same motion.
         if not any(
-            _is_within(codes[k], code) and same_motion(rejected, candidate, scales, _EXACT)
-            for rejected, code in failed
+            ((code == other) | (code == FREE) | (other == PIN) | (other == LOCKED)).all()
+            and same_motion(rejected, candidate, scales, _EXACT)
+            for rejected, other in failed
         ):
-            chosen = np.empty((len(codes[k]), 2))
-            choose_edges(edges, codes[k], chosen)
+            chosen = np.empty((len(code), 2))
+            choose_edges(edges, code, chosen)
+            loaded_by = carriers(tuple(case.laws))
             shared_forces = share(
-                codes[k],
-                snapshot,
-                chosen,
-                carriers(tuple(case.laws)),
-                candidate.forces,
-                inward,
-                case.signs,
+                code, snapshot, chosen, loaded_by, candidate.forces, inward, case.signs
             )
         if shared_forces is None or shared_forces.violation > tie * scales.force:
-            failed.append((candidate, codes[k]))
+            failed.append((candidate, code))
             solved[k] = _refuse(candidate, _UNEXPLAINED)
             continue
         excess = shared_forces.violation / scales.force
@@ -225,15 +204,6 @@ def _explain(
             shared = shared._replace(violation=excess, broken=("", _OUTSIDE_ALL, excess))
         solved[k] = shared
         represented |= np.abs(motions - motions[place]).max(1, initial=0.0) <= largest
-
-
-def _is_within(code: Ints, other: Ints) -> bool:
-    return bool(((code == other) | (code == FREE) | (other == PIN) | (other == LOCKED)).all())
-
-
-@lru_cache(maxsize=1024)
-def _flags(marks: tuple[bool, ...]) -> Bools:
-    return np.array(marks, dtype=np.bool_)
 
 
 @lru_cache(maxsize=1024)
@@ -246,7 +216,6 @@ def resistance_pairs(laws: tuple[ContactLaw, ...]) -> tuple[tuple[int, int], ...
 def _combinations(
     options: tuple[Sequence[str], ...], pairs: tuple[tuple[int, int], ...]
 ) -> tuple[tuple[tuple[str, ...], ...], Ints]:
-    """Return every combination of states, as names and as codes."""
     combinations = tuple(
         states
         for states in product(*options)

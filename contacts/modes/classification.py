@@ -13,13 +13,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from contacts.dynamics.contact_law import ContactLaw, bounds, cones
+from contacts.dynamics.contact_law import ContactLaw, bounds, cones, coupling_law
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import EDGES, PerContact, Snapshot
 from contacts.modes.candidates import (
@@ -30,7 +30,6 @@ from contacts.modes.candidates import (
     Case,
     candidates,
     closedness_key,
-    consistent,
     lemke_candidates,
     resistance_pairs,
     same_motion,
@@ -38,10 +37,7 @@ from contacts.modes.candidates import (
 from contacts.modes.load_sharing import bearing_contacts, prestressed_contacts, rank
 from contacts.scene.couplings import LIMIT_MARGINS
 from contacts.scene.modes import FORCE_MARGINS, OWN
-from contacts.solvers.mode_solver import (
-    choose_edges,
-    judge_forces,
-)
+from contacts.solvers.mode_solver import choose_edges, judge_forces
 from contacts.states import (
     CODES,
     COUPLING_STATES,
@@ -264,12 +260,8 @@ def choose(
     Raises `NoConsistentMode` or `AmbiguousMode` with every candidate and its reason, and
     `NonFinite` if the state has no finite forces.
     """
-    laws, scales, tie, slip_tolerance = (
-        setup.contacts,
-        setup.scales,
-        setup.tie,
-        setup.slip_tolerance,
-    )
+    laws, scales = setup.contacts, setup.scales
+    tie, slip_tolerance = setup.tie, setup.slip_tolerance
     count, resting = len(laws), _signs_at_rest(snapshot, slip_tolerance)
     before = before or Before(bearing=frozenset(range(count)))
     if resting:
@@ -288,11 +280,11 @@ def choose(
     by_pivoting = touching > _MAX_ENUMERATED
     if by_pivoting:
         tried = lemke_candidates(case, options)
-        agreeing = consistent(tried, tie)
+        agreeing = [c for c in tried if c.violation <= tie]
     if not agreeing and touching <= _MAX_ENUMERATED_LAST:
         by_pivoting = False
         tried = candidates(case, options)
-        agreeing = consistent(tried, tie)
+        agreeing = [c for c in tried if c.violation <= tie]
     if not agreeing:
         if not (np.isfinite(snapshot.forces).all() and np.isfinite(snapshot.mass).all()):
             raise NonFinite(
@@ -343,10 +335,7 @@ def choose(
 
 
 def _continuing_candidates(
-    agreeing: list[Candidate],
-    tried: Iterable[Candidate],
-    case: Case,
-    before: Before,
+    agreeing: list[Candidate], tried: Iterable[Candidate], case: Case, before: Before
 ) -> list[Candidate]:
     """Return the consistent candidates that continue the previous motion, or all of them.
 
@@ -462,7 +451,8 @@ def _at_static_friction(found: Sequence[Candidate], case: Case) -> list[Candidat
         ]
     )
     static = case._replace(snapshot=snapshot._replace(contacts=contacts, limits=limits))
-    return [c for c in found if consistent(candidates(static, [(s,) for s in c.states]), case.tie)]
+    alone = ((c, candidates(static, [(state,) for state in c.states])) for c in found)
+    return [c for c, solved in alone if any(one.violation <= case.tie for one in solved)]
 
 
 def _more_sticking(case: Case) -> Sequence[int]:
@@ -550,10 +540,7 @@ def _opens_more(taken: Candidate, other: Candidate, closed: Sequence[bool]) -> b
 
 
 def _note_held_contacts(
-    snapshot: Snapshot,
-    laws: Sequence[ContactLaw],
-    closed: Sequence[bool],
-    states: tuple[str, ...],
+    snapshot: Snapshot, laws: Sequence[ContactLaw], closed: Sequence[bool], states: tuple[str, ...]
 ) -> tuple[str, ...]:
     """Return a note on contacts that joints hold closed, whose forces are undetermined."""
     if snapshot.reduction is None:
@@ -578,19 +565,14 @@ def _note_held_contacts(
 def _options(
     contact: PerContact, law: ContactLaw, touching: bool, at_rest: bool
 ) -> tuple[str, ...]:
+    """Return the possible states of a contact: with slip those of its direction."""
     if not touching:
         off_name = DISENGAGED if law.coupling else OFF
         return (off_name if contact.gap == math.inf else "free",)
-    return _open_states(law.states, contact.slip > 0.0, at_rest)
-
-
-@lru_cache(maxsize=1024)
-def _open_states(states: tuple[str, ...], forward: bool, at_rest: bool) -> tuple[str, ...]:
-    """Return the possible states of a touching contact with this direction of slip."""
-    direction = ("slide+", "slip+") if forward else ("slide-", "slip-")
+    direction = ("slide+", "slip+") if contact.slip > 0.0 else ("slide-", "slip-")
     return tuple(
         state
-        for state in states
+        for state in law.states
         if state not in INACTIVE and (state in ("free", "slide") or at_rest or state in direction)
     )
 
@@ -608,7 +590,6 @@ def _verdict(candidate: Candidate, tie: float) -> str:
 
 
 def _signs_at_rest(snapshot: Snapshot, still_below: float) -> list[int]:
-    """Return the signs at rest: with rates of at most `still_below`."""
     if snapshot.signs is None:
         return []
     slips, _, limits = snapshot.signs.numbers.T
@@ -618,10 +599,9 @@ def _signs_at_rest(snapshot: Snapshot, still_below: float) -> list[int]:
 
 
 def _laws_of(snapshot: Snapshot, which: Sequence[int]) -> tuple[ContactLaw, ...]:
-    """Return signs as laws of couplings."""
     assert snapshot.signs is not None
     names = [snapshot.signs.frictions[k].name for k in which]
-    return tuple(ContactLaw(n, COUPLING_STATES, 0.0, 1.0, 0.0, "newton", True) for n in names)
+    return tuple(coupling_law(name, COUPLING_STATES) for name in names)
 
 
 def _with_signs(snapshot: Snapshot, which: Sequence[int]) -> Snapshot:

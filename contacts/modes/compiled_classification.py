@@ -6,7 +6,7 @@ that needs a projection) is left to `contacts.modes.classification`.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,16 +19,7 @@ from contacts.solvers.mode_solver import (
     list_combinations,
     solve_modes,
 )
-from contacts.states import (
-    CODES,
-    FREE,
-    INACTIVE,
-    OFF_CODE,
-    PIN,
-    SLIDE,
-    SLIDE_MINUS,
-    SLIDE_PLUS,
-)
+from contacts.states import CODES, FREE, INACTIVE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel
 
@@ -67,8 +58,7 @@ class InstantConstants(NamedTuple):
     capture: float  # Rebounds slower than this may be summed with those that follow
 
 
-@lru_cache(maxsize=1024)
-def allowed(states: tuple[tuple[str, ...], ...]) -> Bools:
+def allowed(states: Sequence[Sequence[str]]) -> Bools:
     """Return the mask (c, 5) of the state codes of every contact's region."""
     allowed = np.zeros((len(states), len({*CODES.values()})), np.bool_)
     for i, several in enumerate(states):
@@ -126,21 +116,11 @@ def classify(
     scene: InstantConstants, numbers: Array, n: int, after_flow: bool, states_before: Ints,
     lowest: float, states: Ints,
 ) -> bool:  # fmt: skip
-    """Classify every contact; False if the mode is ambiguous.
+    """Write the state of every contact to `states` (c,); False if the mode is ambiguous.
 
-    Parameters
-    ----------
-    scene : InstantConstants
-    numbers : (o,) array
-        Snapshot of the scene.
-    n : int
-        Number of coordinates.
-    after_flow, states_before
-        Whether a flow ends here, and the states (c,) of the contacts; those that are off stay off.
-    lowest : float
-        Lower bound of the gaps of contacts that are free.
-    states : (c,) array
-        Filled with the state of every contact.
+    `numbers` (o,) are the snapshot of `n` coordinates, `states_before` (c,) the states of contacts
+    before; those that are off stay off. `after_flow` is true if a flow ends here. `lowest` is the
+    lower bound of the gaps of free contacts.
     """
     allowed, speed_tolerance, tie = scene.allowed, scene.speed, scene.tie
     contacts = states.shape[0]
@@ -163,10 +143,8 @@ def classify(
             return False
         if violates_constraints(scene, numbers, place, states_before[c]):
             return False
-        closed[c], at_rest[c] = (
-            gap_closed and rate <= speed_tolerance,
-            abs(slip) <= 2.0 * speed_tolerance,
-        )
+        closed[c] = gap_closed and rate <= speed_tolerance
+        at_rest[c] = abs(slip) <= 2.0 * speed_tolerance
         if not closed[c] and not allowed[c, FREE]:
             return False
         if closed[c] and not after_flow and violates_constraints(scene, numbers, place, SLIDE):

@@ -72,18 +72,11 @@ class ModeVerdict:
 def feasible_modes(
     jacobians: ArrayLike, options: Sequence[Sequence[str]], names: Sequence[str] | None = None
 ) -> tuple[ModeVerdict, ...]:
-    """Judge every combination of `options`.
+    """Judge every combination of `options`, in the order of ``itertools.product(*options)``.
 
-    Returns
-    -------
-    tuple of Feasibility
-        In the order of ``itertools.product(*options)``. A mode that is possible only by a margin
-        of less than 1e-8, with rows and columns of the Jacobian scaled to 1, is infeasible.
-
-    Raises
-    ------
-    ValueError
-        If there are more than 4096 combinations, a state is unknown, or a number is not finite.
+    A mode that is possible only by a margin of less than 1e-8, with rows and columns of the
+    Jacobian scaled to 1, is infeasible. Raises `ValueError` if there are more than 4096
+    combinations, a state is unknown, or a number is not finite.
 
     Examples
     --------

@@ -98,7 +98,6 @@ class BodyShapes:
         return places
 
     def _rolling_discs(self, name: str) -> list[Shape]:
-        """Return the discs of a body whose rims are in contact, each once."""
         frame = self._frames[name]
         discs = {
             (self._vector(contact.point.at), self._number(contact.radius)): None

@@ -158,7 +158,6 @@ class Links:
         return bool((power > _FOLLOWS * size).any() and (power > -_FOLLOWS * size).all())
 
     def _alternatives(self, force: Force) -> Iterator[tuple[sp.Expr, sp.Expr]]:
-        """Yield the components of a force in each controller state."""
         mechanics = self._mechanics
         initial_values = dict(mechanics.controlled())
         regions = self._scene.controlled.flat.items()

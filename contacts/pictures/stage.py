@@ -328,7 +328,6 @@ def include_nearest_points(cloud: Array, surfaces: Sequence[Shape], poses: Array
 
 
 def _smooth(values: Array) -> Array:
-    """Return a moving average with constant extrapolation."""
     width = max(1, round(_SMOOTH * len(values)))
     padded = np.concatenate([np.full(width, values[0]), values, np.full(width, values[-1])])
     kernel = np.hanning(2 * width + 1) if width > 1 else np.array([0.25, 0.5, 0.25])

@@ -12,15 +12,8 @@ from typing import NamedTuple
 from pydantic import BaseModel
 
 from contacts.scene.fields import SceneFields
-from contacts.scene.friction import (
-    AT_REST,
-    SLIP,
-    Friction,
-    check_sides,
-    friction_law,
-    friction_texts,
-)
-from contacts.scene.parts import Surface, used_names
+from contacts.scene.friction import AT_REST, SLIP, Friction, check_sides, friction_law
+from contacts.scene.parts import Body, Surface, used_names
 from contacts.scene.shapes import INDEX
 from statechart.charts.transitions import PERIOD, PERIOD_ADVICE, periods_in
 from statechart.documents.declaration import TIME
@@ -329,19 +322,21 @@ def _friction_limits(
         return
     for side in (1.0, -1.0) if law.varies else (1.0,):
         slips = dict.fromkeys(law.slips, side * AT_REST)
-        for at, text in friction_texts(friction, loc):
-            yield Limit(at, text, 0.0, math.inf, slips=slips)
-        if isinstance(friction, Friction):
-            yield Limit(
-                loc,
-                f"({law.static}) - ({law.kinetic})",
-                0.0,
-                math.inf,
-                "the static coefficient {:g} is below the kinetic one at rest, {:g}",
-                "exchange them, or write one number for both",
-                (law.static, law.kinetic),
-                slips,
-            )
+        if not isinstance(friction, Friction):
+            yield Limit(loc, law.kinetic, 0.0, math.inf, slips=slips)
+            continue
+        yield Limit((*loc, "static"), law.static, 0.0, math.inf, slips=slips)
+        yield Limit((*loc, "kinetic"), law.kinetic, 0.0, math.inf, slips=slips)
+        yield Limit(
+            loc,
+            f"({law.static}) - ({law.kinetic})",
+            0.0,
+            math.inf,
+            "the static coefficient {:g} is below the kinetic one at rest, {:g}",
+            "exchange them, or write one number for both",
+            (law.static, law.kinetic),
+            slips,
+        )
 
 
 def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
@@ -570,7 +565,6 @@ def _check_places(corners: _Corners) -> None:
 
 
 def _check_crossings(corners: _Corners) -> None:
-    """Check that no edges cross."""
     edges = list(zip(corners, [*corners[1:], corners[0]], strict=True))
     for i, j in combinations(range(len(edges)), 2):
         (a, b), (c, d) = edges[i], edges[j]
@@ -704,16 +698,6 @@ def check_coupled(scene: SceneFields, name: str) -> None:
         )
 
 
-def check_carrier(scene: SceneFields, surface: str, body: str | None) -> None:
-    """Check that a surface is carried by one body, not by copies."""
-    if body in scene.bodies and scene.bodies[body].copies is not None:
-        raise DeclarationProblem(
-            f"one body carries a surface, and {body!r} has copies",
-            advice="declare the body that carries it by itself, without copies",
-            loc=("surfaces", surface, "body"),
-        )
-
-
 def check_collisions(scene: SceneFields) -> None:
     """Check the requirements of collisions."""
     if not scene.collisions:
@@ -740,7 +724,7 @@ def check_collisions(scene: SceneFields) -> None:
                 key=("joints", name, "enabled"),
             )
     _check_controller_state(scene)
-    _check_joined(scene)
+    _check_joint_ends(scene)
     for name, body in scene.bodies.items():
         if not (body.prescribed or body.linked) and body.inertia is None:
             raise DeclarationProblem(
@@ -796,37 +780,43 @@ def _check_path(scene: SceneFields, name: str) -> None:
                     advice="let it depend on time, controls and variables; a force follows bodies",
                     loc=("bodies", name, "angle" if key == "angle" else "position"),
                 )
-    motion = "is fixed" if scene.bodies[name].fixed else "moves as prescribed"
     for force, declared in scene.forces.items():
         if scene.owners().get(declared.body, declared.body) == name:
             raise DeclarationProblem(
-                f"{name!r} {motion}, and no force moves it",
+                f"{name!r} {_motion(scene.bodies[name])}, and no force moves it",
                 advice="remove the force, or give the body a mass and no path",
                 loc=("forces", force, "body"),
             )
-    for joint, declared_joint in scene.joints.items():
-        for key, end in declared_joint.ends.items():
-            if scene.owners().get(end.body) == name:
-                raise DeclarationProblem(
-                    f"{name!r} {motion}, and joints hold bodies that move by themselves",
-                    advice="hold the other body to the place, to: [0, 1], or along the path, "
-                    'to: ["v*time", 1]',
-                    loc=("joints", joint, key, "body"),
-                )
 
 
-def _check_joined(scene: SceneFields) -> None:
-    """Check that joints hold free bodies: coordinates place others where joints would."""
+def _motion(body: Body) -> str:
+    return "is fixed" if body.fixed else "moves as prescribed"
+
+
+def _check_joint_ends(scene: SceneFields) -> None:
+    """Check that joints hold free bodies."""
+    owners = scene.owners()
     for name, joint in scene.joints.items():
         for key, end in joint.ends.items():
-            body = scene.bodies.get(end.body)
-            if body is not None and body.linked:
-                raise DeclarationProblem(
+            owner = owners[end.body]
+            body = scene.bodies[owner]
+            if body.linked:
+                problem = (
                     "coordinates place this body, and joints of a scene with collisions hold free "
-                    "bodies",
-                    advice="place the other body by coordinates, too, as the joint holds it",
-                    loc=("joints", name, key, "body"),
+                    "bodies"
                 )
+                advice = "place the other body by coordinates, too, as the joint holds it"
+            elif body.prescribed:
+                problem = (
+                    f"{owner!r} {_motion(body)}, and joints hold bodies that move by themselves"
+                )
+                advice = (
+                    "hold the other body to the place, to: [0, 1], or along the path, "
+                    'to: ["v*time", 1]'
+                )
+            else:
+                continue
+            raise DeclarationProblem(problem, advice=advice, loc=("joints", name, key, "body"))
 
 
 def _moving_names(scene: SceneFields) -> set[str]:

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 LIMIT_MARGINS = _UPPER, _LOWER = "limit - M", "limit + M"
 """Names of the margins of a locked coupling."""
-_SLIP = "slip"
 _DIRECTIONS = {"slip+": 1, "slip-": -1}
 
 
@@ -163,7 +162,7 @@ def coupling_state(symbols: CouplingSymbols, role: Role) -> State:
     return State(
         (couple + direction * kinetic,),
         (
-            Margin(f"{name}.{_SLIP}", direction * contact.slip, "speed"),
+            Margin(f"{name}.slip", direction * contact.slip, "speed"),
             Margin(f"{name}.limit", kinetic, "force"),
         ),
     )

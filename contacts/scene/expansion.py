@@ -23,13 +23,7 @@ from statechart.documents.fields import FiniteText, FormulaText
 from statechart.errors import DeclarationProblem
 from statechart.formulas.condition import InState, Or
 from statechart.formulas.formula import parse
-from statechart.formulas.relation import (
-    Comparison,
-    Negation,
-    Term,
-    conjunction,
-    parse_relation,
-)
+from statechart.formulas.relation import Comparison, Negation, Term, conjunction, parse_relation
 
 if TYPE_CHECKING:
     from contacts.scene.fields import SceneFields
@@ -290,8 +284,8 @@ def _frame(scene: SceneFields, name: str) -> tuple[str, str, str]:
     return f"{name}.x", f"{name}.y", f"{name}.angle" if body.inertia is not None else "0"
 
 
-def _rotated_formulas(vector: tuple[str, str], angle: str, back: bool = False) -> tuple[str, str]:
-    x, y = vector
+def _rotated_formulas(vector: Pair, angle: str, back: bool = False) -> tuple[str, str]:
+    x, y = map(str, vector)
     if angle == "0":
         return x, y
     c, s, sign, opposite_sign = f"cos({angle})", f"sin({angle})", "-+"[back], "+-"[back]
@@ -301,7 +295,7 @@ def _rotated_formulas(vector: tuple[str, str], angle: str, back: bool = False) -
 def _capture_formulas(scene: SceneFields, name: str, joint: Joint) -> dict[str, str]:
     """Return the formulas of the captured pose of a joint, by variable."""
     x, y, angle = _frame(scene, joint.point.body)
-    arm_x, arm_y = _rotated_formulas(_texts(joint.point.at), angle)
+    arm_x, arm_y = _rotated_formulas(joint.point.at, angle)
     position = f"{x} + {arm_x}", f"{y} + {arm_y}"
     if isinstance(joint.to, Point):
         x0, y0, angle0 = _frame(scene, joint.to.body)
@@ -315,10 +309,6 @@ def _capture_formulas(scene: SceneFields, name: str, joint: Joint) -> dict[str, 
         variable: values[variable.rpartition(".")[2]]
         for variable in captured_variables(name, joint)
     }
-
-
-def _texts(pair: Pair) -> tuple[str, str]:
-    return str(pair[0]), str(pair[1])
 
 
 def _as_captured(name: str, joint: Joint) -> Joint:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 from pydantic import Discriminator, Tag
@@ -116,17 +116,6 @@ def coefficients(friction: FormulaText | Friction) -> tuple[FormulaText, Formula
     if isinstance(friction, Friction):
         return friction.static, friction.kinetic
     return friction, friction
-
-
-def friction_texts(
-    friction: FormulaText | Friction | None, loc: Loc
-) -> Iterator[tuple[Loc, FormulaText]]:
-    """Yield the formulas of a declared friction, and their places."""
-    if isinstance(friction, Friction):
-        yield (*loc, "static"), friction.static
-        yield (*loc, "kinetic"), friction.kinetic
-    elif friction is not None:
-        yield loc, friction
 
 
 def check_sides(text: FormulaText, slips: Collection[str], loc: Loc) -> None:

@@ -57,13 +57,10 @@ def _warnings(scene: SceneFields) -> Iterator[str]:
     yield from _static_by_hand(scene)
     if scene.collisions:
         yield from _idle(scene)
-    with suppress(DeclarationError, DeclarationProblem):
-        yield from _spread(scene)
-    with suppress(DeclarationError, DeclarationProblem):
+    for check in (_spread, _starts_inside, nearly_meeting_ends):
         # Other checks report formulas that have no value.
-        yield from _starts_inside(scene)
-    with suppress(DeclarationError, DeclarationProblem):
-        yield from nearly_meeting_ends(scene)
+        with suppress(DeclarationError, DeclarationProblem):
+            yield from check(scene)
     for formula, _ in fields_of(scene):
         for call in calls_in(formula, _OF_ANGLES):
             value = _constant_value(call.arguments[0], {})

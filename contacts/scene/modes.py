@@ -81,11 +81,6 @@ class ContactSymbols:
     compliance: sp.Expr | None = None
 
     @property
-    def tangent(self) -> _Pair:
-        """Unit tangent of the surface: the normal, turned clockwise."""
-        return self.normal[1], -self.normal[0]
-
-    @property
     def normal_law(self) -> sp.Expr:
         """Equation along the normal of a closed contact: this expression is zero."""
         if self.compliance is None:
@@ -196,14 +191,6 @@ OWN = "own"
 """The zone of a contact that does not share its load."""
 
 
-def shared_state(
-    mode: Free | Slide | Pin, contact: ContactSymbols, direction: int, bearing: Bearing
-) -> State:
-    """Return the state of a contact that shares its load (see `contacts.modes.load_sharing`)."""
-    state = mode.state(contact, direction)
-    return share_of(state, contact, direction, bearing, isinstance(mode, Pin))
-
-
 def share_of(
     state: State,
     contact: ContactSymbols,
@@ -212,7 +199,10 @@ def share_of(
     pinned: bool,
     limit: sp.Expr | None = None,
 ) -> State:
-    """Return a state of a contact, or of a coupling with a limit, with a shared load."""
+    """Return a state of a contact, or of a coupling with a limit, with a shared load.
+
+    See `contacts.modes.load_sharing`.
+    """
     import sympy as sp
 
     zone, places = bearing.zone, bearing.coordinates

@@ -522,18 +522,15 @@ class Contact(Part):
                 advice="write restitution: 0 for an impact without rebound",
                 loc=("restitution",),
             )
-        if "slide" not in self.kinds and self.friction is not None:
-            raise DeclarationProblem(
-                "friction has no meaning for a contact that cannot slide",
-                advice="list slide among the modes, or remove friction",
-                key=("friction",),
-            )
-        if "free" not in self.kinds and self.restitution is not None:
-            raise DeclarationProblem(
-                "restitution has no meaning for a contact that is never free",
-                advice="list free among the modes, or remove restitution",
-                key=("restitution",),
-            )
+        for key, mode, lack in (
+            ("friction", "slide", "cannot slide"), ("restitution", "free", "is never free")
+        ):  # fmt: skip
+            if mode not in self.kinds and getattr(self, key) is not None:
+                raise DeclarationProblem(
+                    f"{key} has no meaning for a contact that {lack}",
+                    advice=f"list {mode} among the modes, or remove {key}",
+                    key=(key,),
+                )
         if self.frictionless and "pin" in self.kinds and "slide" in self.kinds:
             raise DeclarationProblem(
                 "a frictionless contact has no pin",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from contacts.scene.friction import Friction
-from contacts.scene.modes import Bearing, ContactSymbols, shared_state
+from contacts.scene.modes import Bearing, ContactSymbols, share_of
 from contacts.scene.parts import Contact
 from contacts.states import OFF, OPEN, declared_state
 from statechart.automaton.regions import Edge, State
@@ -52,9 +52,10 @@ def contact_state(contact: Contact, symbols: ContactSymbols, role: Role) -> Stat
         return State((symbols.V, symbols.H), (), values=values)
     declared, direction = declared_state(role.state), _DIRECTIONS.get(role.state, 0)
     mode = next(mode for mode in contact.allowed if mode.mode == declared)
+    state = mode.state(symbols, direction)
     if isinstance(role.share, Bearing):
-        return shared_state(mode, symbols, direction, role.share)
-    return mode.state(symbols, direction)
+        return share_of(state, symbols, direction, role.share, pinned=role.state == "pin")
+    return state
 
 
 def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Edge, ...]:

@@ -9,7 +9,6 @@ from typing import Any, Self, get_args
 from pydantic import model_validator
 
 from contacts.scene.checks import (
-    check_carrier,
     check_collisions,
     check_copies,
     check_coupled,
@@ -155,12 +154,8 @@ class Scene(SceneFields):
         return self
 
     @model_validator(mode="after")
-    def _copies_are_whole(self) -> Self:
-        check_copies(self)
-        return self
-
-    @model_validator(mode="after")
     def _names_mean_something(self) -> Self:
+        check_copies(self)
         findings = Findings()
         self._references_exist(findings)
         self._formulas_use_declared_names(findings)
@@ -178,9 +173,15 @@ class Scene(SceneFields):
                 check_member(kind, referred, known, *loc)
         for name, surface in self.surfaces.items():
             with findings:
-                check_carrier(self, name, surface.body)
+                carrier = self.bodies.get(surface.body or "")
+                if carrier is not None and carrier.copies is not None:
+                    raise DeclarationProblem(
+                        f"one body carries a surface, and {surface.body!r} has copies",
+                        advice="declare the body that carries it by itself, without copies",
+                        loc=("surfaces", name, "body"),
+                    )
         for name, mode in self.initial_modes.items():
-            if name not in self.contacts or not self._on_a_surface(name):
+            if name not in self.contacts or self.contacts[name].surface not in self.surfaces:
                 continue
             present = self.region_states(name)
             listed = dict.fromkeys(map(declared_state, present)) | _active(present)
@@ -242,33 +243,30 @@ class Scene(SceneFields):
                 check_coupled(self, name)
             self._check_enabled(findings, coupling.enabled, "couplings", name)
 
-    def _on_a_surface(self, contact: str) -> bool:
-        return self.contacts[contact].surface in self.surfaces
-
     def _check_contact(self, findings: Findings, name: str, contact: Contact) -> None:
         at: Loc = ("contacts", name)
+        self._check_enabled(findings, contact.enabled, *at)
+        surface = self.surfaces.get(contact.surface)
+        if surface is None:
+            return
         with findings:
-            gated = self._on_a_surface(name) and self.gate(name)
-            if gated and "free" not in contact.kinds:
+            if self.gate(name) and "free" not in contact.kinds:
                 raise DeclarationProblem(
                     "a contact that can be off comes back as free",
                     advice="list free among the modes",
                     loc=(*at, "modes"),
                 )
         with findings:
-            if contact.radius is not None and self._on_a_surface(name):
-                check_rim(self.surfaces[contact.surface], (*at, "radius"))
+            if contact.radius is not None:
+                check_rim(surface, (*at, "radius"))
         with findings:
-            if self._on_a_surface(name) and (
-                self.surfaces[contact.surface].body == contact.point.body
-            ):
+            if surface.body == contact.point.body:
                 raise DeclarationProblem(
                     f"its point and its surface are of one body, {contact.point.body!r}: nothing "
                     "can bring them together",
                     advice="name a point of another body, or a surface of another one",
                     loc=(*at, "surface"),
                 )
-        self._check_enabled(findings, contact.enabled, *at)
 
     def _check_enabled(self, findings: Findings, relations: Iterable[str], *at: str | int) -> None:
         parameters = frozenset(self.parameters)
@@ -354,10 +352,6 @@ class Scene(SceneFields):
                     at = ("joints", name, "enabled", place)
                     check_relation(text, names, found, changing, *at)
         findings.check()
-        return self
-
-    @model_validator(mode="after")
-    def _ranges_hold_models(self) -> Self:
         self.check_ranges()
         return self
 

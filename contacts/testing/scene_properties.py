@@ -282,7 +282,6 @@ def _work_of_catches(
 
 
 def _work_of_joints(mechanics: Mechanics, subject: Subject, trace: Trace, jump: Jump) -> float:
-    """Return the work of led joints in an impact."""
     rates = [row.path_rate for row in mechanics.joint_rows]
     names = [f"{row.joint}.{row.component}" for row in mechanics.joint_rows]
     impulses = [jump.joint_impulse.get(name, 0.0) for name in names]
@@ -331,9 +330,7 @@ def properties(declared: Scene) -> tuple[Property, ...]:
         Property("V >= 0 and |H| <= mu V", each(partial(assert_cone, scene)), none),
         *(limits if scene.couplings else []),
         Property(
-            "no force without contact",
-            each(partial(assert_no_force_when_free, scene)),
-            never_free,
+            "no force without contact", each(partial(assert_no_force_when_free, scene)), never_free
         ),
         Property(
             "impulses push, within friction", each(partial(assert_impulses, mechanics)), never_free

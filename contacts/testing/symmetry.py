@@ -188,8 +188,8 @@ class _Change:
             factors[SLIP] = slip
         factors |= {old.rate_name(name): 1.0 / self.time for name in old.coordinates}
         for name in (*old.single_bodies(), *old.bodies):
-            factors |= {f"{name}.{key}": self._start(key) for key in ("x", "y", "angle")}
-            factors |= {f"{name}.{key}": self._start(key) for key in ("dx", "dy", "dangle")}
+            places = ("x", "y", "angle", "dx", "dy", "dangle")
+            factors |= {f"{name}.{key}": self._start(key) for key in places}
         for name in old.expanded.contacts:
             factors |= {f"{name}.gap": self.y, f"{name}.slip": slip}
             factors |= {f"{name}.V": normal, f"{name}.H": tangential}
@@ -198,13 +198,9 @@ class _Change:
             factors |= {f"{name}.M": couple, f"{name}.slip": slip}
         for name in old.joints:
             factors |= {f"{name}.X": tangential, f"{name}.Y": normal}
-            factors |= {
-                f"{name}.x": self.x,
-                f"{name}.y": self.y,
-                f"{name}.turn": self._start("angle"),
-            }
-            moment, factor_x = units["force length"][2], units["force"][2]
-            factors |= {f"{name}.M": moment, f"{name}.T": factor_x}
+            factors |= {f"{name}.x": self.x, f"{name}.y": self.y}
+            factors |= {f"{name}.turn": self._start("angle")}
+            factors |= {f"{name}.M": units["force length"][2], f"{name}.T": units["force"][2]}
         return factors | dict.fromkeys(old.controlled.clocks, self.time)
 
     def _couple(self, name: str) -> tuple[float, float]:
@@ -241,7 +237,6 @@ class _Change:
         return self._value(name, value, unit)
 
     def _formula(self, text: FormulaText, factor: float) -> FormulaText:
-        """Return a formula with inputs and result in the new units."""
         if isinstance(text, str):
             text = self._read(parse(text), self._factors)
         return _times(text, factor)

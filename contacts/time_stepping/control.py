@@ -9,10 +9,11 @@ beyond a transition are reverted.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +30,8 @@ from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.states import CLOSED, OPEN, RESTS, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.recorder import Recorder
-from contacts.time_stepping.stop_conditions import ActiveStates, first_undefined
+from contacts.time_stepping.settling import LEFT
+from contacts.time_stepping.stop_conditions import ActiveStates, first_undefined, passed_spans
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Raised, Region
@@ -83,9 +85,12 @@ class StepControl:
         self._bouncing = {
             law.name: i for i, law in enumerate(setup.contacts) if law.restitution > 0.0
         }
-        # Transition -> warning of bounces shorter than a step that it waits for.
+        # Transition -> warning of events that steps leave out or add, or of a guard that is true
+        # within a step only.
         self._left_out = dict[str, str]()
+        self._closed_at = dict[str, float]()  # Time at which these contacts closed last.
         self._rigid = {law.name for law in setup.contacts if not law.coupling}
+        self._couplings = {law.name: i for i, law in enumerate(setup.contacts) if law.coupling}
 
     def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
         """Return the steps until a controller may act, and whether one may."""
@@ -104,6 +109,7 @@ class StepControl:
         acts = bool(may_act.any())
         end = int(np.argmax(may_act)) if acts else len(may_act) - 1
         self._zero = self.states, zero[end - 1] if end else before, zero[end]
+        self._note_passed(chunk.first(end + 1), start, shown)
         if end == len(may_act) - 1:
             return chunk, acts
         self._scene.forget()
@@ -128,6 +134,11 @@ class StepControl:
             and not (jump.impulse or jump.target[self._bouncing[jump.region]] in OPEN)
             and jump.source[self._bouncing[jump.region]] in OPEN
         ]
+        self._warn_of_sticking(
+            jumps,
+            (np.array([recorder.clock.high]), state[None], solved[None], recorder.row[None]),
+            h,
+        )
         for first, *others in _simultaneous(jumps):
             # Simultaneous jumps of several contacts are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
@@ -152,8 +163,23 @@ class StepControl:
                 partial(self._holding, *at_end, recorder.row[None]),
             )
             if firing is None:
+                at = *at_end, recorder.row[None]
                 for jump in last_bounces:
-                    self._warn_of(jump, (*at_end, recorder.row[None]), h)
+                    self._warn_of(
+                        jump,
+                        f"{jump.region}: from t = {jump.t:.6g} on bounces are shorter than a step "
+                        f"of {h:g} and are left out, but {{}} waits for one; use a shorter step",
+                        at,
+                    )
+                for jump, name in product(jumps, self._couplings):
+                    place = self._couplings[name]
+                    if jump.impulse and jump.source[place] == jump.target[place] == "locked":
+                        why = (
+                            f"{name}: the impact at t = {jump.t:.6g} may make it slip for less "
+                            f"than a step of {h:g}, and {{}} waits for that; use a shorter step"
+                        )
+                        for cause in ("slip", "lock"):
+                            self._warn_of(_event(jump, name, cause), why, at)
                 return state
             name, taken = self._states.names[firing.place], firing.taken
             fired = tuple(g.name for g in watch.guards if (g.place, g.trigger) in firing.due)
@@ -211,20 +237,34 @@ class StepControl:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Warnings of bounces that controllers wait for and steps leave out."""
+        """Warnings of events that controllers wait for and steps leave out, or add."""
         return tuple(self._left_out.values())
 
-    def _warn_of(self, jump: Jump, at_end: tuple[Array, Array, Array, Ints], h: float) -> None:
-        """Warn if a transition still waits for the touchdown in a jump."""
+    def _warn_of(self, jump: Jump, why: str, at_end: tuple[Array, Array, Array, Ints]) -> None:
+        """Warn if a transition waits for the event of a jump; `why` has a place for its name."""
         pending, holding = self._queues.pending_after({}, jump), partial(self._holding, *at_end)
         firing = self._queues.first(self.states, pending, (), holding)
         if firing is not None:
             name = f"{self._states.names[firing.place]}.{firing.taken.name}"
-            self._left_out.setdefault(
-                name,
-                f"{jump.region}: from t = {jump.t:.6g} on bounces are shorter than a step of {h:g} "
-                f"and are left out, but {name} waits for one; use a shorter step",
-            )
+            self._left_out.setdefault(name, why.format(name))
+
+    def _warn_of_sticking(
+        self, jumps: Sequence[Jump], at_end: tuple[Array, Array, Array, Ints], h: float
+    ) -> None:
+        """Warn if a transition takes the end of a slip for which steps between bounces stand."""
+        for jump in jumps:
+            for name, i in self._bouncing.items():
+                if jump.source[i] in OPEN and jump.target[i] not in OPEN:
+                    self._closed_at[name] = jump.t
+            name = jump.region
+            if jump.cause == "stick" and jump.t - self._closed_at.get(name, -np.inf) <= LEFT * h:
+                self._warn_of(
+                    _event(jump, name, "stick"),
+                    f"{name} sticks at t = {jump.t:.6g}, just after bounces that are shorter than "
+                    f"a step of {h:g}: at their end it may be pinned at once, without the event "
+                    f"that {{}} waits for; wait for {name}.pin",
+                    at_end,
+                )
 
     def _closed(
         self, joint: str, state: Array, recorder: Recorder, h: float, struck: Collection[str]
@@ -322,6 +362,21 @@ class StepControl:
         atoms: Bools = np.where(near, guards.watch.closed & stays & ~rises, true)
         return guards.watch.truths(atoms, self._active.at(codes, self.states)), near
 
+    def _note_passed(self, chunk: Chunk, start: float, codes: Ints) -> None:
+        """Note warnings of guards that are true within a step only."""
+        guards = self._states.guards(self.states)
+        if guards.watch.single:
+            return
+        times, unknown = np.append(start, chunk.ends(start)), np.full(len(self._order), np.nan)
+        solved = np.tile(unknown, (len(times), 1))
+        margins = guards.table(self._setup, times, chunk.states, solved)[..., 0]
+
+        def active(k: int, n: int) -> Callable[[str, str], Bools]:
+            return self._active.at(np.tile(codes[k], (n, 1)), self.states)
+
+        found = passed_spans(guards.watch, margins, chunk, start, active)
+        self._left_out = found | self._left_out
+
     def _holding(
         self, times: Array, states: Array, solved: Array, codes: Ints
     ) -> set[tuple[int, int]]:
@@ -330,6 +385,11 @@ class StepControl:
         rows = guards.table(self._setup, times, states, solved[:, self._order])[0]
         active = self._active.at(codes, self.states)
         return guards.watch.holding(rows, self._setup.rounded, lambda *of: bool(active(*of)[0]))
+
+
+def _event(jump: Jump, region: str, cause: str) -> Jump:
+    """Return a jump with this event alone, at the end of another one."""
+    return replace(jump, region=region, cause=cause, source=jump.target, impulse={})
 
 
 def _simultaneous(jumps: Sequence[Jump]) -> Iterator[Sequence[Jump]]:

@@ -387,6 +387,7 @@ class SteppedRun:
                 *self.solver_residual.remarks,
                 *self.system.remarks,
                 *recorder.remarks,
+                *self.stops.remarks,
                 *(() if self.control is None else self.control.remarks),
             ),
             counts={

@@ -40,6 +40,38 @@ class ActiveStates:
         return active
 
 
+def passed_spans(
+    watch: GuardWatch,
+    rows: Array,
+    chunk: Chunk,
+    start: float,
+    active: Callable[[int, int], Callable[[str, str], Bools]],
+) -> dict[str, str]:
+    """Return relation -> warning that it is true within a step without impacts, at neither end.
+
+    `rows` (m + 1, a) are the margins at the start and the ends of the first m steps of a chunk,
+    NaN where unknown; they are interpolated. `active` returns a test of n rows for states that are
+    active in a step.
+    """
+    found = dict[str, str]()
+    turned = np.isfinite(rows[:-1] + rows[1:]) & ((rows[:-1] > 0.0) != (rows[1:] > 0.0))
+    calm = ~np.any(chunk.struck[: len(turned)], axis=1)
+    for k in np.flatnonzero((turned.sum(axis=1) > 1) & calm).tolist():
+        first, last, own = rows[k], rows[k + 1], turned[k]
+        shares = np.sort(first[own] / (first - last)[own])
+        middles = 0.5 * (shares[:-1] + shares[1:])[:, None]
+        at = np.vstack([np.where(own, first + middles * (last - first), last), first, last])
+        atoms = np.where(watch.closed, at <= 0.0, at < 0.0)
+        true = watch.truths(atoms, active(k, len(at)))
+        for i in np.flatnonzero(true[:-2].any(axis=0) & ~true[-2] & ~true[-1]).tolist():
+            name = watch.guards[i].name
+            found[name] = (
+                f"{name} is true within the step of {chunk.h:g} at t = {start + k * chunk.h:.6g}, "
+                "at neither end: steps pass over it; use a shorter step"
+            )
+    return found
+
+
 class StopTapes:
     """Stop conditions over variables and unknowns, watched as guards are.
 
@@ -87,6 +119,13 @@ class StopConditions:
         self._modes: tuple[Ints, Key] = np.zeros((1, 0), int), ()
         # Whether margins were zero at the end of the last step.
         self._near = np.zeros(len(tapes.jumping), dtype=np.bool_)
+        # Condition -> warning that it is true within a step only.
+        self._passed = dict[str, str]()
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Warnings of conditions that steps pass over."""
+        return tuple(self._passed.values())
 
     def unknown(self) -> Array:
         """Return NaN for the unknowns before the first step."""
@@ -109,6 +148,15 @@ class StopConditions:
             return None
         atoms = self._met(_ends(chunk), chunk.ends(start))
         below = self._truths(atoms, chunk.codes, controls)
+        if not self._watch.single:
+            unknown = np.tile(self.unknown(), (len(chunk.states), 1))
+            times = np.append(start, chunk.ends(start))
+            margins = self._table(np.hstack([chunk.states, unknown]), times)[..., 0]
+
+            def active(k: int, n: int) -> Callable[[str, str], Bools]:
+                return self._tapes.active.at(np.tile(chunk.codes[k], (n, 1)), controls)
+
+            self._passed = passed_spans(self._watch, margins, chunk, start, active) | self._passed
         if not below.any():
             return None
         k = int(np.argmax(below.any(axis=1)))

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -110,10 +110,13 @@ class Flow(NamedTuple):
         return None if self.terms is None else np.abs(self.terms).sum(axis=1)
 
 
-class Instant(NamedTuple):
+_Setup = TypeVar("_Setup", bound=Setup, covariant=True)
+
+
+class InstantOf(NamedTuple, Generic[_Setup]):
     """End of a flow, the input of the laws."""
 
-    setup: Setup
+    setup: _Setup
     clock: Clock
     j: int  # number of jumps before it
     flow: Flow  # the flow that ends here
@@ -138,6 +141,12 @@ class Instant(NamedTuple):
         )
 
 
+Instant = InstantOf[Setup]
+
+JumpResult = tuple[Jump | None, Flow] | None
+"""A jump and the flow after it; without a jump the flow goes on in the same mode."""
+
+
 def flow_sizes(setup: Setup, flow: Flow, state: Array) -> Array:
     """Return the sizes (n,) of the terms of the variables, or their magnitudes."""
     result = np.abs(state)
@@ -148,23 +157,23 @@ def flow_sizes(setup: Setup, flow: Flow, state: Array) -> Array:
 
 
 class Laws(Protocol):
-    """Laws of the jumps between flows."""
+    """Laws of the jumps between flows; `setup` is that of their automaton."""
 
     @property
     def compiled_laws(self) -> CompiledLaws | None:
         """The compiled part of the laws."""
 
-    def begin(self, setup: Setup) -> tuple[Flow, Array]:
+    def begin(self, setup: Any) -> tuple[Flow, Array]:
         """Return the first flow and state."""
 
-    def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
+    def jump(self, at: InstantOf[Any]) -> JumpResult:
         """Return the jump at an instant, or None if the mode is kept.
 
         A flow without a jump keeps the mode, with other equations or another initial state.
         """
 
     def accumulate(
-        self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
+        self, setup: Any, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
     ) -> tuple[Jump, Flow] | None:
         """Skip the rest of a Zeno sequence.
 
@@ -173,18 +182,18 @@ class Laws(Protocol):
         if the model does not declare what follows.
         """
 
-    def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
+    def constraints(self, setup: Any, roles: Roles, start: float, anchor: Array) -> Constraints:
         """Return the constraints of a flow that begins in the state `anchor` at `start`."""
 
     def feasibility(
-        self, regions: Sequence[Region], setup: Setup, state: Array, time: float
+        self, regions: Sequence[Region], setup: Any, state: Array, time: float
     ) -> Feasibility | None:
         """Return the feasibility of every product mode at a configuration.
 
         None if all are feasible; see `statechart.automaton.product.feasibility`.
         """
 
-    def remarks(self, setup: Setup, arcs: Sequence[Arc]) -> tuple[str, ...]:
+    def remarks(self, setup: Any, arcs: Sequence[Arc]) -> tuple[str, ...]:
         """Return warnings about a complete run."""
 
 
@@ -223,10 +232,10 @@ class CompiledLaws(Protocol):
     def within(self, mode: Key) -> Tape | None:
         """Return the outputs bounded from below, as `Constraints.within`."""
 
-    def tolerances(self, setup: Setup, state: Array, time: float) -> Mapping[str, float]:
+    def tolerances(self, setup: Any, state: Array, time: float) -> Mapping[str, float]:
         """Return margin -> its own tolerance in a flow from a state."""
 
-    def takes(self, setup: Setup, flow: Flow, state: Array, time: float) -> bool:
+    def takes(self, setup: Any, flow: Flow, state: Array, time: float) -> bool:
         """Return whether it can continue from the start of a flow in a known mode."""
 
     def call(self, loop: Any, relative: float) -> Any:
@@ -239,7 +248,7 @@ class CompiledLaws(Protocol):
         `resume(setup, floor, block, found, series)` continues a run.
         """
 
-    def jump(self, setup: Callable[[], Setup], event: RecordedEvent, fired: str) -> Jump:
+    def jump(self, setup: Callable[[], Any], event: RecordedEvent, fired: str) -> Jump:
         """Return the jump of a recorded event; `setup` returns the setup of its run."""
 
 

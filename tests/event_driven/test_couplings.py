@@ -367,6 +367,26 @@ def test_impact_makes_a_locked_coupling_slip() -> None:
     assert [name for name, _ in events(trace)][1] == "brake lock"
 
 
+def test_steps_warn_of_a_slip_shorter_than_a_step_that_a_controller_waits_for() -> None:
+    watch = """regions:
+  watch:
+    initial: rests
+    states: {rests: {}, rings: {}}
+    transitions: [{name: ring, from: rests, to: rings, on: brake.lock}]
+"""
+    model = interpret(read_text(BEAM + watch))
+    # It slips for I w/(T - m g L): 0.2 ms at T = 1e4.
+    exact = statechart.run(model, parameters={"T": 1e4})
+    assert exact.trace.final_mode[-1] == "rings"
+    setting = {"engine": "impulse", "parameters": {"T": 1e4}}
+    coarse = statechart.run(model, step=1e-3, **setting)
+    assert coarse.trace.final_mode[-1] == "rests"
+    assert any("brake: the impact at" in w and "watch.ring waits" in w for w in coarse.warnings)
+    fine = statechart.run(model, step=1e-5, **setting)
+    assert fine.trace.final_mode[-1] == "rings"
+    assert not any("brake: the impact at" in warning for warning in fine.warnings)
+
+
 def test_open_coupling_that_closes_on_turning_wheels_slips_until_the_speeds_meet() -> None:
     text = CLUTCHES.replace("10*sin(10*pi*time)", "0").replace("cos(0.4*pi*time) >= 0", "time >= 9")
     trace = run(text.replace("w0: 10", "w0: 0").replace("p2: {}", "p2: {rate: 3}")).trace
@@ -531,6 +551,22 @@ def test_slip_sustained_by_rolling_resistance_survives_an_impact(
     assert abs(couple) <= 0.02 * normal + EXACT
     assert landing.joint_impulse["rim_rolling.M"] == pytest.approx(couple, abs=EXACT)
     assert "rim_rolling" not in landing.impulse
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy", "impulse"])
+def test_rolling_resistance_stops_a_slip_that_friction_alone_leaves(engine: str) -> None:
+    text = ROLLING.replace("y: r, dx: v0, dangle: -v0/r", "y: 0.3, dangle: 8")
+    text = text.replace("rolling_resistance: L", "rolling_resistance: 0.005")
+    text = text.replace("friction: 0.5", "friction: 0.1")
+    setting = {"step": 1e-4} if engine == "impulse" else {}
+    trace = statechart.run(interpret(read_text(text)), engine=engine, **setting).trace
+    # With both at their bounds the slip would end at 0.8 - 3.5*0.1*V - 25*0.005*V < 0.
+    normal = math.sqrt(2 * 9.81 * 0.2)
+    tangential = (0.1 * 8 - 0.1 * 0.005 * normal / 0.004) / 3.5
+    near = 1e-3 if engine == "impulse" else EXACT
+    expected = -tangential, tangential / 0.1
+    assert trace.jumps[0].after[[3, 5]] == pytest.approx(expected, abs=near)
+    assert trace.jumps[0].target[0] == "pin"
 
 
 def test_an_impact_by_steps_lists_the_impulse_of_rolling_resistance() -> None:

@@ -16,7 +16,7 @@ from statechart.testing.checking import check
 from statechart.testing.subject import Subject
 
 NAMES = EVENT_BASED
-EXAMPLES = 3
+EXAMPLES = 4
 # Runs of many events, of which two examples take seconds.
 LONG = ("compass_walker", "raibert_hopper", "rimless_wheel")
 # Runs whose small errors grow too large: from bounce to bounce, and where a restitution just below

@@ -516,6 +516,46 @@ stop: {time: 0.5}
     assert not plastic.warnings
 
 
+# Two links come to rest between a stop of the first and the ground under the second.
+LINKS = """
+kind: scene
+name: links
+gravity: 9.81
+bodies:
+  b: {mass: 1, inertia: 0.02, start: {x: 0.25, y: 0.25*sin(-0.909), angle: -0.909}}
+  c: {mass: 0.691, inertia: 0.01, start: {x: 0.5 + 0.25*cos(0.909), y: 0.5*sin(-0.909)}}
+surfaces: {floor: {height: -0.871}}
+contacts:
+  tip:
+    {point: {body: c, at: [0.25, 0]}, surface: floor, friction: 0.25, restitution: 0.157,
+     impact: moreau}
+joints:
+  hook:
+    {point: {body: b, at: [-0.25, 0]}, to: ['0.25*(1 - cos(0.909))', 0], limits: [-1.361, 1.151],
+     restitution: 0.127}
+  elbow: {point: {body: c, at: [-0.25, 0]}, to: {body: b, at: [0.25, 0]}}
+regions:
+  watch:
+    initial: moves
+    states: {moves: {}, rests: {}}
+    transitions: [{name: rest, from: moves, to: rests, on: tip.EVENT}]
+stop: {time: 0.6}
+"""
+
+
+def test_steps_warn_of_a_stick_at_the_end_of_bounces_that_a_controller_takes() -> None:
+    model = interpret(read_text(LINKS.replace("EVENT", "stick")))
+    assert by_events(model).trace.final_mode[-1] == "moves"
+    found = by_steps(model, 1e-3)
+    assert found.trace.final_mode[-1] == "rests"
+    assert any("that watch.rest waits for; wait for tip.pin" in w for w in found.warnings)
+    # The state that it names is entered on both.
+    model = interpret(read_text(LINKS.replace("EVENT", "pin")))
+    for result in (by_events(model), by_steps(model, 1e-3)):
+        assert result.trace.final_mode[-1] == "rests"
+        assert not any("wait for tip.pin" in warning for warning in result.warnings)
+
+
 # A damper leads from a body that bounces to one that sticks: at the impact its force vanishes.
 DAMPED = """
 kind: scene
@@ -743,6 +783,49 @@ def test_steps_warn_of_an_instant_that_they_pass_over(
     assert not any(passes in warning for warning in trace.warnings)
     if "b.x" in relation and "**" not in relation:
         assert trace.jumps[-1].t == pytest.approx(1.25, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("guard", "span"),
+    [
+        ("b.x >= 0.70003 and b.x <= 0.70007", True),
+        ("b.x > 0.70003 and not time >= 0.70007 and in(r.a)", True),
+        ("abs(b.x - 0.70005) <= 2e-5", True),
+        ("b.x >= 0.70007 and b.x <= 0.70003", False),
+        ("b.x >= 0.7515 and b.y <= 0.0001", False),  # b rebounds from the floor at 0.75.
+    ],
+)
+@pytest.mark.parametrize("stops", [False, True])
+def test_steps_warn_of_relations_that_are_true_within_a_step_only(
+    guard: str, span: bool, stops: bool
+) -> None:
+    text = f"""
+kind: scene
+name: passing
+parameters: {{g: 10}}
+gravity: g
+bodies: {{b: {{mass: 1, start: {{y: g*0.75**2/2, dx: 1}}}}}}
+surfaces: {{floor: {{height: 0}}}}
+contacts: {{c: {{point: {{body: b}}, surface: floor, friction: 0, restitution: 1}}}}
+regions:
+  r:
+    initial: a
+    states: {{a: {{}}, b: {{}}}}
+    transitions: [{{name: go, from: a, to: b, guard: "{guard}"}}]
+stop: {{time: 0.8}}
+"""
+    if stops:
+        text = re.sub("transitions: .*", "transitions: []", text)
+        text = text.replace("time: 0.8", f"time: 0.8, conditions: {{go: '{guard}'}}")
+    model = interpret(read_text(text))
+    coarse, fine = by_steps(model, 1e-3), by_steps(model, 1e-5)
+    assert [jump.cause for jump in coarse.trace.jumps] == ["touchdown"]
+    words = f"{'' if stops else 'r.'}go is true within the step of 0.001 at t = 0.7, at neither end"
+    assert [w.split(":")[0] for w in coarse.warnings if "within" in w] == [words] * span
+    assert not any("within the step" in w for w in fine.warnings)
+    assert [jump.t for jump in fine.trace.jumps if jump.cause in ("go", "stop")] == (
+        [pytest.approx(0.70003, abs=2.1e-5)] if span else []
+    )
 
 
 # A hand closes on a point that rebounds, with a motor that is stronger than its friction.
