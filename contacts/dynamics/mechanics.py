@@ -177,7 +177,15 @@ class Mechanics(Geometry):
     @cached_property
     def generalised_forces(self) -> tuple[sp.Expr, ...]:
         """``Q - b`` (n,), which equals ``M a`` without contact and joint forces."""
-        return tuple(q - b for q, b in zip(self._applied, self._inertia[1], strict=True))
+        total = list(self.applied_forces)
+        gx, gy = self.gravity
+        for name, body in self.scene.bodies.items():
+            (x, y), _ = self.body_frame(name)
+            mass = self.formula(body.mass)
+            for i, (dx, dy) in enumerate(zip(self.gradient(x), self.gradient(y), strict=True)):
+                if dx != 0 or dy != 0:
+                    total[i] += mass * (gx * dx + gy * dy)
+        return tuple(q - b for q, b in zip(total, self._inertia[1], strict=True))
 
     @cached_property
     def energy(self) -> sp.Expr:
@@ -252,18 +260,6 @@ class Mechanics(Geometry):
             for i, q in enumerate(self.q):
                 work = [f * sp.diff(p, q) for f, p in zip(components, point, strict=True)]
                 total[i] += sp.Add(*work, moment * sp.diff(angle, q))
-        return tuple(total)
-
-    @cached_property
-    def _applied(self) -> tuple[sp.Expr, ...]:
-        total = list(self.applied_forces)
-        gx, gy = self.gravity
-        for name, body in self.scene.bodies.items():
-            (x, y), _ = self.body_frame(name)
-            mass = self.formula(body.mass)
-            for i, (dx, dy) in enumerate(zip(self.gradient(x), self.gradient(y), strict=True)):
-                if dx != 0 or dy != 0:
-                    total[i] += mass * (gx * dx + gy * dy)
         return tuple(total)
 
     @cached_property

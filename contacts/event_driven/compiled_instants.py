@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.gates import (
     FAILS,
     PER_CONDITION,
@@ -23,7 +22,7 @@ from contacts.dynamics.gates import (
     write_node_verdicts,
 )
 from contacts.dynamics.snapshot import SCALARS
-from contacts.impacts.impact import ENDED, MEANINGS, RAISES, solve_impact
+from contacts.impacts.impact import ENDED, RAISES, solve_impact
 from contacts.impacts.impulses import strike_group
 from contacts.modes.compiled_classification import (
     InstantConstants,
@@ -31,7 +30,6 @@ from contacts.modes.compiled_classification import (
     violates_constraints,
     write_edges,
 )
-from contacts.scene.parts import MOREAU
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Ints
 from statechart.automaton.trace_store import EVENTS, JUMP_OBJECT, TraceBuffer
@@ -190,11 +188,6 @@ def solve_impact_instant(
             return -1, 0, 0
     copy_numbers(after, state)
     return c, path, bits
-
-
-def restitution_meaning(law: ContactLaw) -> int:
-    """Return the kind of restitution of a path's impact; -1 for Moreau's law."""
-    return -1 if law.impact == MOREAU else MEANINGS[law.impact]
 
 
 @kernel

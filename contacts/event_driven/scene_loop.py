@@ -39,10 +39,11 @@ from contacts.event_driven.compiled_instants import (
     hold_conditions,
     jump_instant,
     mode_row,
-    restitution_meaning,
     switch_contacts,
 )
+from contacts.impacts.impact import MEANINGS
 from contacts.modes.compiled_classification import InstantConstants, allowed, classify
+from contacts.scene.parts import MOREAU
 from contacts.states import CODES, FREE, OFF, OFF_CODE, PIN, superstates_of
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.trace_store import ARCS, EVENTS, TERMS, TIMES, TraceBuffer
@@ -472,6 +473,7 @@ def run_batch(
     return batch.inputs.shape[0]
 
 
+_Program = tuple[Ints32, Array, Ints32]
 _STATE_NAMES = {code: name for name, code in CODES.items() if name != OFF} | {OFF_CODE: OFF}
 
 
@@ -490,7 +492,8 @@ class SceneLoop:
         self._scene = _declared(numbers, rules, loop, laws, relative)
         self._buffers = _buffers(numbers, loop, laws)
         self.series = self._scene.series
-        self._inputs: dict[tuple[str, ...], _Inputs] = {}
+        # Parameters -> tape of the setup, indices of its inputs and of these, other inputs.
+        self._inputs: dict[tuple[str, ...], tuple[_Program, list[tuple[int, int]], Array]] = {}
         self._entry: Callable[..., int] | None = None
 
     def inputs(self, names: tuple[str, ...], table: Array) -> tuple[Ints32, Array, Ints32, Array]:
@@ -500,13 +503,12 @@ class SceneLoop:
             literals = self._setup.parameters.literals
             varied = [(i, names.index(name)) for i, name in enumerate(inputs) if name in names]
             fixed = np.array([*(literals.get(name, math.nan) for name in inputs), math.inf])
-            self._inputs[names] = _Inputs(*tape.program, varied, fixed)
-        tape_inputs = self._inputs[names]
-        rows = np.empty((len(table), len(tape_inputs.fixed)))
-        rows[:] = tape_inputs.fixed
-        for place, column in tape_inputs.varied:
+            self._inputs[names] = tape.program, varied, fixed
+        program, varied, fixed = self._inputs[names]
+        rows = np.tile(fixed, (len(table), 1))
+        for place, column in varied:
             rows[:, place] = table[:, column]
-        return tape_inputs.code, tape_inputs.constants, tape_inputs.outputs, rows
+        return (*program, rows)
 
     def start(self, batch: BatchInputs, block: TraceBuffer, result: BatchResult) -> int:
         """Start the runs of a batch; return how many fit into the block."""
@@ -542,16 +544,6 @@ class SceneLoop:
         if self._entry is None:
             self._entry = entry(run_batch, *arguments)
         return self._entry(*arguments)
-
-
-class _Inputs(NamedTuple):
-    """Tape of the setup as a function of some parameters."""
-
-    code: Ints32
-    constants: Array
-    outputs: Ints32
-    varied: list[tuple[int, int]]  # Indices of an input, and of a parameter
-    fixed: Array  # Values of the other inputs
 
 
 _RESUMED = BatchInputs(
@@ -628,7 +620,7 @@ def _buffers(
         allowed([law.states for law in laws]),
         np.empty((contacts, 2)),
         np.empty(contacts),
-        np.array([restitution_meaning(law) for law in laws], np.int64),
+        np.array([-1 if law.impact == MOREAU else MEANINGS[law.impact] for law in laws], np.int64),
         numbers.gap_offsets,
         *[0.0] * 10,
     )

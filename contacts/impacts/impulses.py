@@ -348,8 +348,6 @@ class Impulses:
     change: Array  # (n,): Of the rates of the coordinates
     impulses: Array  # (c, 2): V and H on the body; zero where a contact is not closed
     states: tuple[str, ...]  # open, stick, slip+, slip- or slip (no friction), per contact
-    # Contacts whose impulses the motion does not determine; they have the smallest ones
-    indeterminate: tuple[bool, ...]
     violation: float  # Largest one, relative to the terms of its inequality
 
 
@@ -437,7 +435,6 @@ def _solutions(problem: ImpactProblem, codes: Sequence[Sequence[int]]) -> list[I
                 "stick" if mode == SLIDE and rubs else STATES[mode]
                 for mode, rubs in zip(table[k].tolist(), rough, strict=True)
             ),
-            (False,) * count,
             float(violations[k]),
         )
         for k in np.flatnonzero(violations <= _TIE)
@@ -501,16 +498,14 @@ def _expand_solution(
     code = np.where(is_closed, code, FREE)
     edges = np.empty((len(code), 2))
     choose_edges(problem.cones, code, edges)
-    least_impulses, unknown = smallest_impulses(code, problem.jacobians, edges, collision.impulses)
+    least_impulses, _ = smallest_impulses(code, problem.jacobians, edges, collision.impulses)
     if momentum_residual(problem, collision.change, least_impulses, fastest) > _TIE:
         least_impulses = collision.impulses
     change, impulses = np.zeros(size[0]), np.zeros((size[1], 2))
     change[moved] = collision.change
     impulses[group] = list(map(project_into_cone, least_impulses, edges))
-    states, indeterminate = ["open"] * size[1], [False] * size[1]
-    for k, i in enumerate(group):
-        states[i], indeterminate[i] = collision.states[k], unknown[k]
-    return Impulses(change, impulses, tuple(states), tuple(indeterminate), collision.violation)
+    states = dict.fromkeys(range(size[1]), "open") | dict(zip(group, collision.states, strict=True))
+    return Impulses(change, impulses, tuple(states.values()), collision.violation)
 
 
 def _preference(collision: Impulses) -> tuple[bool, int, int, tuple[str, ...]]:
