@@ -5,20 +5,7 @@
     StatechartError
       DeclarationError        the input is wrong: what, where (file:line:column), what to do
         FormulaError          a formula in it cannot be read or evaluated
-      SimulationError         a run cannot go on: why, with the trace so far
-        NoConsistentMode      no mode explains the state
-        AmbiguousMode         several modes with different motions explain it
-        EventLoop             jumps without end at one instant
-        StepFailure           the integrator cannot meet its tolerance
-        NonFinite             the state became infinite or undefined
-        SingularMode          the equations of a mode do not determine the motion
-        OutOfBudget           the time allowed for a run was over before its end
-        Undecided             a guard could be neither found nor excluded within the search's budget
-        Zeno                  jumps accumulate, and nothing declared says what follows
-        StepTooLarge          a fixed time step is too long for the model
-        UnsolvedImpulses      the impulses of a time step could not be found
-        TooLong               the rest of a run needs more steps or memory than available
-        Unsupported           the engine does not support a part of the model
+      SimulationError         a run cannot go on: why, with the trace so far, by class
 
 `DeclarationProblem` stands outside the tree: validators of pydantic models raise it to point at a
 field; `statechart.documents.validation.validate` turns it into a `DeclarationError`.

@@ -105,8 +105,3 @@ def abridge(items: Sequence[T], half: int = FEW) -> list[T | int]:
     if left_out <= 0:
         return list(items)
     return [*items[:half], left_out, *items[-half:]]
-
-
-def shortest_text(number: float) -> str:
-    """Return the shortest text that reads as a number: ``0.2``, ``10``, ``1e-09``."""
-    return repr(float(number)).removesuffix(".0")

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from statechart.arrays import Array, Ints
+from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel
 
 
@@ -91,17 +91,24 @@ def write_placed_vertices(
 
 
 @kernel
+def _separation_across(one: Array, edge: int, other: Array) -> float:
+    """Return the separation of two polygons along an edge normal of the first."""
+    j = (edge + 1) % len(one)
+    ex, ey = one[j, 0] - one[edge, 0], one[j, 1] - one[edge, 1]
+    length = norm(ex, ey)
+    nx, ny = ey / length, -ex / length
+    least = math.inf
+    for k in range(len(other)):
+        least = min(least, nx * (other[k, 0] - one[edge, 0]) + ny * (other[k, 1] - one[edge, 1]))
+    return least
+
+
+@kernel
 def _separating_edge(one: Array, other: Array) -> tuple[float, int]:
     """Return the largest separation along an edge normal of `one`, and that edge."""
     best, edge = -math.inf, 0
     for i in range(len(one)):
-        j = (i + 1) % len(one)
-        ex, ey = one[j, 0] - one[i, 0], one[j, 1] - one[i, 1]
-        length = norm(ex, ey)
-        nx, ny = ey / length, -ex / length
-        least = math.inf
-        for k in range(len(other)):
-            least = min(least, nx * (other[k, 0] - one[i, 0]) + ny * (other[k, 1] - one[i, 1]))
+        least = _separation_across(one, i, other)
         if least > best:
             best, edge = least, i
     return best, edge
@@ -286,13 +293,18 @@ def shape_contacts(
 
 
 @kernel
-def face_contacts(one: Array, other: Array, flip: bool, manifold: Array, features: Ints) -> int:
-    """Find contact points with the faces of `one` only, not its corners; see `shape_contacts`.
+def face_contacts(
+    one: Array, bare: Bools, other: Array, flip: bool, manifold: Array, features: Ints
+) -> int:
+    """Find contact points with the bare faces of `one`, not its corners; see `shape_contacts`.
 
-    Polygons are (k, 2); `flip`: the first is the second body.
+    Polygons are (k, 2), the bare edges of the first (k,); `flip`: the first is the second body.
     """
-    _, edge = _separating_edge(one, other)
-    return _clip_edges(one, edge, other, 0.0, flip, manifold, features)
+    best, edge = -math.inf, -1
+    for i in range(len(one)):
+        if bare[i] and _separation_across(one, i, other) > best:
+            best, edge = _separation_across(one, i, other), i
+    return _clip_edges(one, edge, other, 0.0, flip, manifold, features) if edge >= 0 else 0
 
 
 @kernel

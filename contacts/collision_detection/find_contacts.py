@@ -242,16 +242,17 @@ def _drop_ghost_contacts(
     """Remove ghost contacts at the first or second of a pair.
 
     If none remains of an overlap, its faces touch: a sharp corner in the angle of two faces is less
-    deep along its own normals.
+    deep along its own normals, and a corner that has just passed a seam along the face behind it.
     """
     manifold, features = points.manifold, points.features
     sides = (pair.p, pair.q) if turn == 0 else (pair.q, pair.p)
     many = near_obstacles(numbers, ground, mid, sides, near, h, manifold, count)
     if many <= 1:
         return count
-    touched = TouchedSide(sides[0], sides[1], 2.0 * turn - 1.0, near.covering[:many])
+    soft = numbers.materials[pair.material, STIFFNESS] > 0.0
+    touched = TouchedSide(sides[0], sides[1], 2.0 * turn - 1.0, near.covering[:many], soft)
     count, barred = drop_internal_edges(numbers, ground, mid, touched, manifold, features, count)
-    if count == 0 and barred:
+    if count == 0 and (barred or soft):
         count = find_face_contacts(numbers, ground, mid, touched, pair.whole, manifold, features)
         if count > 0:
             count, _ = drop_internal_edges(numbers, ground, mid, touched, manifold, features, count)

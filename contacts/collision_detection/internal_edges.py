@@ -239,6 +239,9 @@ class TouchedSide(NamedTuple):
     by: int  # The touching one.
     side: float  # Normals point away from it (1) or into it (-1).
     covering: Ints  # (c,): itself, and the obstacles around; see `near_obstacles`.
+    # Whether the contact is compliant. Points at ends of faces that others continue would make it
+    # stiffer; between rigid bodies they change no motion.
+    soft: bool
 
 
 class Neighbours(NamedTuple):
@@ -413,6 +416,22 @@ def _face_at(
 
 
 @kernel
+def _ends_in_face(
+    one: Obstacle, other: Obstacle, place: tuple[float, float], outward: tuple[float, float],
+    near: float,
+) -> bool:  # fmt: skip
+    """Return whether a face ends at a place and another obstacle continues it."""
+    for i in range(edge_count(one) if one.sort != DISC else 0):
+        ax, ay, ux, uy, length = edge_of(one, i)
+        along = ux * (place[0] - ax) + uy * (place[1] - ay)
+        turned, facing = uy * outward[1] + ux * outward[0], uy * outward[0] - ux * outward[1]
+        at_end = min(abs(along), abs(along - length)) <= near
+        if at_end and abs(turned) <= _LEANS and facing >= 0.0:
+            return continues_face(other, place[0], place[1], ux, uy, near)
+    return False
+
+
+@kernel
 def _covered_length(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: TouchedSide,
     start: tuple[float, float], way: tuple[float, float], along_face: float, length: float,
@@ -441,6 +460,16 @@ def _covered_length(
 
 
 @kernel
+def _is_face_covered(
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: TouchedSide, one: Obstacle, i: int
+) -> bool:
+    """Return whether solid obstacles cover a face of the touched obstacle entirely."""
+    ax, ay, ux, uy, length = edge_of(one, i)
+    covered = _covered_length(numbers, ground, mid, touched, (ax, ay), (ux, uy), 1.0, length)
+    return covered >= length - FLUSH * one.size
+
+
+@kernel
 def _is_covered(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: TouchedSide,
     place: tuple[float, float], outward: tuple[float, float],
@@ -448,11 +477,7 @@ def _is_covered(
     """Return whether a point is on a face that solid obstacles cover entirely."""
     one = make_obstacle(numbers, ground, mid, touched.which, place[0], place[1])
     i = _face_at(one, place, outward, FLUSH)
-    if i < 0:
-        return False
-    ax, ay, ux, uy, length = edge_of(one, i)
-    covered = _covered_length(numbers, ground, mid, touched, (ax, ay), (ux, uy), 1.0, length)
-    return covered >= length - FLUSH * one.size
+    return i >= 0 and _is_face_covered(numbers, ground, mid, touched, one, i)
 
 
 @kernel
@@ -543,7 +568,7 @@ def _classify_point(
     rays: Array,
 ) -> int:  # fmt: skip
     """Classify a contact point on the touched obstacle; see `_OF_FACE`."""
-    which, by, side, covering = touched
+    which, by, side, covering, soft = touched
     all_pieces = len(numbers.pieces.sizes)
     body = numbers.pieces.bodies[which] if which < all_pieces else -1
     nx, ny, x, y, gap = point
@@ -570,10 +595,15 @@ def _classify_point(
         if away > near:
             continue
         offset = True
+        if soft and _ends_in_face(one, other, (u, v), out, near):
+            touching = make_obstacle(numbers, ground, mid, by, u, v)
+            on_it, inward = (u + gap * out[0], v + gap * out[1]), (-out[0], -out[1])
+            if _face_at(touching, on_it, inward, _LEANS) >= 0:
+                return _COVERED
         same = q < all_pieces and numbers.pieces.bodies[q] == body
         if same and away >= -near and _faces_outward(other, (u, v), out, near, rays):
             # Two pieces share a contact: the first has it, unless another piece covers it there.
-            first = TouchedSide(q, by, side, covering)
+            first = TouchedSide(q, by, side, covering, soft)
             if q < which and not _is_covered(numbers, ground, mid, first, (u, v), out):
                 return _COVERED
         elif face < 0 and one.sort == DISC:
@@ -630,7 +660,7 @@ def find_face_contacts(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: TouchedSide, whole: bool,
     manifold: Array, features: Ints,
 ) -> int:  # fmt: skip
-    """Find contact points of a face overlap; return their number.
+    """Find contact points of an overlap with a face; return their number.
 
     `whole`: whether both are pieces; `manifold` (m, FOUND) and `features` (m,) are written.
     """
@@ -640,7 +670,10 @@ def find_face_contacts(
         return 0
     # Plates come first in a pair (see `contacts.collision_detection.surfaces`).
     flip = touched.side > 0.0 if whole else touched.side < 0.0
-    count = face_contacts(one.corners, other.corners, flip, manifold, features)
+    bare = np.empty(len(one.corners), np.bool_)
+    for i in range(len(bare)):
+        bare[i] = not (touched.soft and _is_face_covered(numbers, ground, mid, touched, one, i))
+    count = face_contacts(one.corners, bare, other.corners, flip, manifold, features)
     for i in range(count if not whole else 0):
         manifold[i, 0], manifold[i, 1] = -manifold[i, 0], -manifold[i, 1]
     return count

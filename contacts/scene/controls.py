@@ -211,11 +211,11 @@ class Controls:
                 )
         for region, flat in self.flat.items():
             for verb, section in (("set", "sets"), ("give a flow to", "flows")):
-                shared = flat.shared(section)
-                if shared is not None:
+                if shared := flat.shared(section):
+                    name, one, other = shared
                     raise DeclarationProblem(
-                        f"{shared.one!r} and {shared.other!r}, which may be active together, both "
-                        f"{verb} {shared.what!r}",
+                        f"{one!r} and {other!r}, which may be active together, both {verb} "
+                        f"{name!r}",
                         advice="let one of their regions do it",
                         key=("regions", region),
                     )

@@ -117,7 +117,7 @@ class SteppedRun:
         self._inputs, self.stepper, self.request, self._every = inputs, stepper, request, every
         self.setup, self.system = inputs.setup, inputs.system
         self.control = stepper.control(inputs)
-        values, (record, watch) = self.setup.values, request.policy
+        values, record, watch = self.setup.values, request.record, request.outputs
         # Controllers react to the events of regions.
         records = record is Record.MODES or self.control is not None
         self.recorder = Recorder(
@@ -272,9 +272,9 @@ class SteppedRun:
             return True
         if failure is not None:
             raise failure
-        if self.request.policy.record is Record.NOTHING:
+        if self.request.record is Record.NOTHING:
             return False
-        modes = self.request.policy.record is Record.MODES
+        modes = self.request.record is Record.MODES
         jumps = self.recorder.count if modes else len(self.recorder.control_jumps)
         if jumps >= self.request.max_jumps:
             self.end(Outcome.TOO_MANY_JUMPS, pluralise(self.request.max_jumps, "jump"))
@@ -288,8 +288,8 @@ class SteppedRun:
 
     def _hand_on(self, *, ended: bool = False) -> None:
         """Pass finished arcs and jumps to the watcher, and drop them if they are not recorded."""
-        record, watch = self.request.policy
-        if record is not Record.MODES:
+        watch = self.request.outputs
+        if self.request.record is not Record.MODES:
             watched = watch is not None and (ended or watch.motion)
             arcs, jumps = self.recorder.take_finished(watched=watched)
             if watch is not None and (arcs or jumps):
@@ -336,7 +336,7 @@ class SteppedRun:
 
     def trace(self) -> Trace:
         """Return the trace."""
-        recorder, (record, watch) = self.recorder, self.request.policy
+        recorder, record, watch = self.recorder, self.request.record, self.request.outputs
         recorder.close()
         self._hand_on(ended=True)
         if record is Record.MODES:
@@ -462,7 +462,7 @@ class Stepper(ABC):
 
     def run(self, overrides: Mapping[str, float], request: StepRequest) -> Trace:
         """Run from the declared initial state; see `TimeStepper.run`."""
-        record, watch = request.policy
+        record, watch = request.record, request.outputs
         forces = record is not Record.NOTHING or (watch is not None and watch.motion)
         return SteppedRun(self, self._checked_inputs(overrides, request, forces), request).whole()
 

@@ -32,10 +32,7 @@ _DROPPED = ("doc", "ranges", "invariants", "outputs")
 
 
 def split(
-    data: Data,
-    moving: Collection[str],
-    regions: Collection[str],
-    schema: Path,
+    data: Data, moving: Collection[str], regions: Collection[str], schema: Path
 ) -> list[tuple[Data, dict[str, str]]]:
     """Return the independent parts of a declaration in neutral names; none if it is connected.
 

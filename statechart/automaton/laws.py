@@ -162,18 +162,15 @@ class Laws(Protocol):
     @property
     def compiled_laws(self) -> CompiledLaws | None:
         """The compiled part of the laws."""
-        ...
 
     def begin(self, setup: Any) -> tuple[Flow, Array]:
         """Return the first flow and state."""
-        ...
 
     def jump(self, at: InstantOf[Any]) -> JumpResult:
         """Return the jump at an instant, or None if the mode is kept.
 
         A flow without a jump keeps the mode, with other equations or another initial state.
         """
-        ...
 
     def accumulate(
         self, setup: Any, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
@@ -184,11 +181,9 @@ class Laws(Protocol):
         jump and the flow after it, or None if the sequence must be resolved further. Raises `Zeno`
         if the model does not declare what follows.
         """
-        ...
 
     def constraints(self, setup: Any, roles: Roles, start: float, anchor: Array) -> Constraints:
         """Return the constraints of a flow that begins in the state `anchor` at `start`."""
-        ...
 
     def feasibility(
         self, regions: Sequence[Region], setup: Any, state: Array, time: float
@@ -197,11 +192,9 @@ class Laws(Protocol):
 
         None if all are feasible; see `statechart.automaton.product.feasibility`.
         """
-        ...
 
     def remarks(self, setup: Any, arcs: Sequence[Arc]) -> tuple[str, ...]:
         """Return warnings about a complete run."""
-        ...
 
 
 class CompiledLaws(Protocol):
@@ -210,51 +203,40 @@ class CompiledLaws(Protocol):
     @property
     def tapes(self) -> tuple[Tape, ...]:
         """Tapes that it reads."""
-        ...
 
     @property
     def series(self) -> tuple[tuple[str, str], ...]:
         """Regions and causes of its jumps (see `statechart.execution.zeno`)."""
-        ...
 
     @property
     def setup(self) -> Callable[[Mapping[str, float], float], Setup]:
         """Function that computes the setup of runs that the loop starts."""
-        ...
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings of every run that it starts."""
-        ...
 
     @property
     def has_remarks(self) -> bool:
         """True if `Laws.remarks` applies to its runs."""
-        ...
 
     def compiled(self) -> bool:
         """Return whether the loop is in the disk cache."""
-        ...
 
     def ready(self) -> bool:
         """Return whether the loop is cached and this process has loaded the compiler."""
-        ...
 
     def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
         """Return the data of a mode with these margins, or None if the loop cannot enter it."""
-        ...
 
     def within(self, mode: Key) -> Tape | None:
         """Return the outputs bounded from below, as `Constraints.within`."""
-        ...
 
     def tolerances(self, setup: Any, state: Array, time: float) -> Mapping[str, float]:
         """Return margin -> its own tolerance in a flow from a state."""
-        ...
 
     def takes(self, setup: Any, flow: Flow, state: Array, time: float) -> bool:
         """Return whether it can continue from the start of a flow in a known mode."""
-        ...
 
     def call(self, loop: Any, relative: float) -> Any:
         """Return calls of the loop.
@@ -265,11 +247,9 @@ class CompiledLaws(Protocol):
         `start(rows, block, found)` computes runs, and returns their number when the block is full;
         `resume(setup, floor, block, found, series)` continues a run.
         """
-        ...
 
     def jump(self, setup: Callable[[], Any], event: RecordedEvent, fired: str) -> Jump:
         """Return the jump of a recorded event; `setup` returns the setup of its run."""
-        ...
 
 
 MAX_MODES = 4096

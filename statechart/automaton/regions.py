@@ -76,11 +76,12 @@ def shown_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
     )
 
 
-def coefficients_of(margins: Sequence[Margin]) -> tuple[sp.Expr, ...]:
-    """Return the coefficients in margins; zero where there is none."""
+def with_coefficients(margins: Sequence[Margin]) -> tuple[sp.Expr, ...]:
+    """Return the expressions of margins, then the coefficients in them, 0 without one."""
     import sympy as sp
 
-    return tuple(sp.S.Zero if m.coefficient is None else m.coefficient for m in margins)
+    coefficients = (sp.S.Zero if m.coefficient is None else m.coefficient for m in margins)
+    return (*(m.expression for m in margins), *coefficients)
 
 
 def margins_of(
@@ -260,14 +261,10 @@ class Loads:
 class Hold:
     """Holonomic constraints with their acceleration equations and workless forces."""
 
-    places: tuple[
-        sp.Expr, ...
-    ]  # constraint functions of the positions, each = 0, scaled as lengths
+    places: tuple[sp.Expr, ...]  # constraint functions of positions, each = 0, scaled as lengths
     equations: tuple[sp.Expr, ...]  # as many, each = 0: second derivatives of `places`
     forces: tuple[sp.Symbol, ...]  # as many
-    anchors: Mapping[sp.Symbol, sp.Expr] = field(
-        default_factory=dict
-    )  # constant of a flow -> value
+    anchors: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)  # constant -> value
     steep: bool = False  # gradients may grow without bound
 
 

@@ -162,8 +162,6 @@ class Switches:
             (s, blend([corner[s] for corner in corner_symbols])) for s in blended if s not in fixed
         ]
         definitions += fixed.items()
-        rates = {r for r in self.rates if r.free_symbols & {*signs}}
-        assert not rates  # rates are variables and unknowns
         return definitions, shares
 
 

@@ -28,34 +28,16 @@ class OutputStream(Protocol):
     @property
     def events(self) -> bool:
         """True if it needs jumps, and the modes of arcs."""
-        ...
 
     @property
     def motion(self) -> bool:
         """True if it needs the arcs and jumps of the whole run."""
-        ...
 
     def add(self, piece: Trace) -> None:
         """Process the arcs and jumps since the last call."""
-        ...
 
     def end(self, piece: Trace) -> Mapping[str, Any]:
         """Process the last arcs and jumps; return the outputs."""
-        ...
-
-
-class RecordingPolicy(NamedTuple):
-    """Stored parts of a run, and the outputs computed from the rest."""
-
-    record: Record = Record.MODES
-    outputs: OutputStream | None = None
-
-
-RECORD_ALL = RecordingPolicy()
-
-
-def _show_nothing(time: float, jumps: int, steps: int) -> None:
-    """Show no progress."""
 
 
 class StepRequest(NamedTuple):
@@ -65,8 +47,9 @@ class StepRequest(NamedTuple):
     until: float  # the end of the last step
     max_jumps: int  # a run ends after so many
     impulses: Impulses = DEFAULT_IMPULSES
-    policy: RecordingPolicy = RECORD_ALL
-    show: Callable[[float, int, int], None] = _show_nothing  # takes time, jumps and steps
+    record: Record = Record.MODES  # stored parts of the run
+    outputs: OutputStream | None = None  # computed from the rest
+    show: Callable[[float, int, int], None] = lambda *_: None  # takes time, jumps and steps
 
 
 class TimeStepper(Protocol):
@@ -77,14 +60,12 @@ class TimeStepper(Protocol):
 
         Raises `DeclarationProblem` if no run can start, `SimulationError` for unsupported models.
         """
-        ...
 
     def run(self, overrides: Mapping[str, float], request: StepRequest) -> Trace:
         """Run from the declared initial state.
 
         The outcome of the trace says whether the run is complete.
         """
-        ...
 
     def stream(
         self, overrides: Mapping[str, float], sampling: Sampling, request: StepRequest
@@ -93,7 +74,6 @@ class TimeStepper(Protocol):
 
         Raises `SimulationError` if the run cannot go on, after its last item.
         """
-        ...
 
 
 @dataclass(frozen=True)

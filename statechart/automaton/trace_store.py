@@ -9,8 +9,6 @@ from __future__ import annotations
 import tempfile
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import lru_cache
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -129,41 +127,10 @@ class RecordedEvent(NamedTuple):
     after: Array  # (n,)
 
 
-def trace_buffer(variables: int) -> TraceBuffer:
-    """Return an empty buffer for states of `variables` variables."""
-    return _empty((_ARCS, _TIMES, _TERMS, _ARCS), variables)
-
-
-def arc_polynomials(block: TraceBuffer, row: int, variables: int) -> tuple[Array, Array]:
-    """Return times and coefficients of an arc of a block (see `Arc`)."""
-    steps, width = block.arcs[row, 2:].tolist()
-    at, begin = block.places[row].tolist()
-    terms = block.coefficients[begin : begin + steps * variables * width]
-    return block.times[at : at + steps + 1], terms.reshape(steps, variables, width)
-
-
-def arc_of(block: TraceBuffer, row: int, variables: int, kinds: Sequence[Kind]) -> Arc:
-    """Return an arc of a sealed block."""
-    kind, j = block.arcs[row, :2].tolist()
-    mode, roles = kinds[kind]
-    start = Clock._make(block.starts[row].tolist())
-    times, terms = arc_polynomials(block, row, variables)
-    return Arc(mode, roles, start, j, times, terms)
-
-
-def event_of(block: TraceBuffer, row: int, j: int, kinds: Sequence[Kind]) -> RecordedEvent:
-    """Return an event of a block, preceded by `j` jumps."""
-    source, target, *codes = block.events[row].tolist()
-    numbers, states = block.numbers[row].tolist(), block.states[row].copy()
-    return RecordedEvent(j, kinds[source][0], kinds[target][0], *codes, *numbers, *states)
-
-
-@lru_cache(maxsize=64)
-def _no_buffer(variables: int) -> TraceBuffer:
-    return _empty((0, 0, 0, 0), variables)
-
-
-def _empty(capacity: tuple[int, int, int, int], variables: int) -> TraceBuffer:
+def trace_buffer(
+    variables: int, capacity: tuple[int, int, int, int] = (_ARCS, _TIMES, _TERMS, _ARCS)
+) -> TraceBuffer:
+    """Return an empty buffer for arcs, times, coefficients and events of `variables` variables."""
     arcs, times, terms, events = capacity
     return TraceBuffer(
         np.empty((arcs, 4), np.int32),
@@ -176,6 +143,21 @@ def _empty(capacity: tuple[int, int, int, int], variables: int) -> TraceBuffer:
         np.empty((events, 2, variables)),
         np.zeros(4, np.int64),
     )
+
+
+def arc_polynomials(block: TraceBuffer, row: int, variables: int) -> tuple[Array, Array]:
+    """Return times and coefficients of an arc of a block (see `Arc`)."""
+    steps, width = block.arcs[row, 2:].tolist()
+    at, begin = block.places[row].tolist()
+    terms = block.coefficients[begin : begin + steps * variables * width]
+    return block.times[at : at + steps + 1], terms.reshape(steps, variables, width)
+
+
+def event_of(block: TraceBuffer, row: int, j: int, kinds: Sequence[Kind]) -> RecordedEvent:
+    """Return an event of a block, preceded by `j` jumps."""
+    source, target, *codes = block.events[row].tolist()
+    numbers, states = block.numbers[row].tolist(), block.states[row].copy()
+    return RecordedEvent(j, kinds[source][0], kinds[target][0], *codes, *numbers, *states)
 
 
 def copy_buffer(buffer: TraceBuffer) -> TraceBuffer:
@@ -202,7 +184,7 @@ class TraceStore:
         jump: Callable[[RecordedEvent], Jump] | None,
         last: Callable[[], Jump] | None = None,
     ) -> None:
-        self.buffer = _no_buffer(variables) if buffer is None else buffer
+        self.buffer = trace_buffer(variables, (0, 0, 0, 0)) if buffer is None else buffer
         self.variables = variables
         self._kinds, self._jump = kinds, jump
         self.made: dict[int, Jump] = {}
@@ -239,10 +221,12 @@ class TraceStore:
 
     def _arc(self, place: int) -> Arc:
         block, row = self._locate(self._arcs, place)
-        arc = arc_of(block, row, self.variables, self._kinds)
+        kind, j = block.arcs[row, :2].tolist()
+        mode, roles = self._kinds[kind]
+        times, terms = arc_polynomials(block, row, self.variables)
         if block is self.buffer:  # overwritten by later arcs
-            arc = replace(arc, times=arc.times.copy(), coefficients=arc.coefficients.copy())
-        return arc
+            times, terms = times.copy(), terms.copy()
+        return Arc(mode, roles, Clock._make(block.starts[row].tolist()), j, times, terms)
 
     def _event(self, j: int) -> Jump:
         jump = self.made.get(j)
@@ -261,7 +245,7 @@ class TraceStore:
     def close(self) -> tuple[LazySequence[Arc], LazySequence[Jump]]:
         """Release the buffer; return arcs and jumps of the complete run."""
         self.seal()
-        self.buffer = _no_buffer(self.variables)
+        self.buffer = trace_buffer(self.variables, (0, 0, 0, 0))
         sequences = self.arcs, self.jumps
         # Without reference cycles, the trace is freed with its last reference.
         del self.arcs, self.jumps
@@ -289,7 +273,7 @@ class TraceStore:
         else:
             # Longer than the buffer: a separate block.
             self.seal()
-            block = _empty((1, len(times), size, 0), self.variables)
+            block = trace_buffer(self.variables, (1, len(times), size, 0))
         arc, at, place, _ = block.used.tolist()
         block.arcs[arc] = self.kind(mode, roles), len(self.jumps), steps, width
         block.places[arc] = at, place

@@ -194,11 +194,11 @@ class Chart(Declaration):
                     see=owner,
                 )
         for region, flat in self.flat.items():
-            shared = flat.shared("flows")
-            if shared is not None:
+            if shared := flat.shared("flows"):
+                name, one, other = shared
                 raise DeclarationProblem(
-                    f"{shared.one!r} and {shared.other!r}, which may be active together, both "
-                    f"give {shared.what!r} a flow",
+                    f"{one!r} and {other!r}, which may be active together, both give {name!r} a "
+                    "flow",
                     advice="let one region own the variable",
                     key=("regions", region),
                 )

@@ -157,8 +157,8 @@ class FlatRegion:
         """The states that can raise `done`, and the region itself if it can."""
         return tuple(dict.fromkeys(chain.from_iterable(self.nesting.done.values())))
 
-    def shared(self, part: str) -> Shared | None:
-        """Return the first variable that two orthogonal states both set in `part`."""
+    def shared(self, part: str) -> tuple[str, str, str] | None:
+        """Return the first variable that two orthogonal states set in `part`, and the states."""
         owners: dict[str, list[int]] = {}
         for index, node in enumerate(self._tree.nodes):
             if not isinstance(node.declared, BaseState):
@@ -166,7 +166,7 @@ class FlatRegion:
             for what in getattr(node.declared, part, ()):
                 for other in owners.setdefault(what, []):
                     if self._tree.are_orthogonal(index, other):
-                        return Shared(what, self._tree.nodes[other].name, node.name)
+                        return what, self._tree.nodes[other].name, node.name
                 owners[what].append(index)
         return None
 
@@ -420,14 +420,6 @@ class Trigger(NamedTuple):
     declared: Transition
     events: tuple[Event, ...]
     guard: str | None  # relation that fires it; None where events do
-
-
-class Shared(NamedTuple):
-    """A variable that two states both give a flow or value."""
-
-    what: str
-    one: str
-    other: str
 
 
 def causes_of(regions: Mapping[str, FlatRegion]) -> dict[str, tuple[str, ...]]:

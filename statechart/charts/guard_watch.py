@@ -213,34 +213,28 @@ class _AtomTapes:
 
     @cached_property
     def margin(self) -> Tape:
-        return self._tape(self.expression)  # The margin does not depend on the flow.
-
-    @cached_property
-    def first(self) -> Tape:
-        return self._tape(self._first)
-
-    @cached_property
-    def second(self) -> Tape:
-        return self._tape(time_derivative(self._first, dict(self.flow), self.time))
+        return self.tape(0)
 
     def tape(self, order: int) -> Tape:
-        return self.margin if order == 0 else self.first if order == 1 else self.second
+        expression = self.expression if order == 0 else self._rate if order == 1 else self._bend
+        return tape_with_sizes((expression,), self.inputs, self.parameters, self.time)
 
     @cached_property
     def rests(self) -> bool:
-        return bool(self._first == 0)
+        return bool(self._rate == 0)
 
     @cached_property
     def kinked(self) -> bool:
         """True if the rate may jump: a control has abs, sign, min, max or sat."""
-        return bool(self._first.has(sp.sign))
+        return bool(self._rate.has(sp.sign))
 
     @cached_property
-    def _first(self) -> sp.Expr:
+    def _rate(self) -> sp.Expr:
         return time_derivative(self.expression, dict(self.flow), self.time)
 
-    def _tape(self, expression: sp.Expr) -> Tape:
-        return tape_with_sizes((expression,), self.inputs, self.parameters, self.time)
+    @cached_property
+    def _bend(self) -> sp.Expr:
+        return time_derivative(self._rate, dict(self.flow), self.time)
 
 
 _atom_tapes = lru_cache(4096)(_AtomTapes)
@@ -254,18 +248,13 @@ def tape_with_sizes(
     time: sp.Symbol,
 ) -> Tape:
     """Compile expressions and then the sizes of their terms, in inputs and then their sizes."""
-    sizes = _size_symbols(inputs)
+    sizes = {v: sp.Symbol(f"size_{v.name}", real=True) for v in inputs}
     return compile_tape(
         [*expressions, *(rounding_scale(expression, sizes) for expression in expressions)],
         variables=(*inputs, *sizes.values()),
         parameters=parameters,
         time=time,
     )
-
-
-@lru_cache(64)
-def _size_symbols(inputs: tuple[sp.Symbol, ...]) -> Mapping[sp.Symbol, sp.Symbol]:
-    return {v: sp.Symbol(f"size_{v.name}", real=True) for v in inputs}
 
 
 class GuardTruths:

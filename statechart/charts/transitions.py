@@ -293,9 +293,7 @@ def check_changes(
                 else:
                     advice = undeclared(variable, variables)
                 raise DeclarationProblem(
-                    f"no variable {variable!r}{of}",
-                    advice=advice,
-                    key=(*at, variable),
+                    f"no variable {variable!r}{of}", advice=advice, key=(*at, variable)
                 )
             names = {*known, *controls} if at[-1] == "flows" else known
             fields.check_names(parse(text), names, *at, variable)

@@ -62,12 +62,6 @@ def unexpressed_parts(machine: Machine) -> tuple[str, ...]:
     return tuple(f"{what}: {', '.join(whose)}" for what, whose in losses.items())
 
 
-def _initially_entered(region: Region, start: str) -> set[str]:
-    """Return the initial state of a region with its superstates and default substates."""
-    initial = region.nesting.initial.get("", start)
-    return {*region.active(initial)} | region.entered_with(initial)
-
-
 class _MachineWriter:
     """Writes a machine into `root`; `lost` maps inexpressible parts to their transitions."""
 
@@ -80,11 +74,12 @@ class _MachineWriter:
             event for region in machine.regions for e in region.nesting.edges for event in e.events
         }
         taken: set[str] = {name.lower() for name in self._data}
-        # Initial states, whose entry raises no events.
+        # Initial states with superstates and default substates, whose entry raises no events.
         starting = {
             f"{region.name}.{state}"
             for region, start in zip(machine.regions, machine.start, strict=True)
-            for state in _initially_entered(region, start)
+            for initial in [region.nesting.initial.get("", start)]
+            for state in (*region.active(initial), *region.entered_with(initial))
         }
         self._starting = starting & self._awaited
         self._started = ""

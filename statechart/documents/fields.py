@@ -65,9 +65,7 @@ def check_named_infinity(
     formula = parse(text)
     if formula.names_infinity:
         raise DeclarationProblem(
-            f"formula {formula.text!r}: must be finite",
-            advice=advice,
-            loc=loc,
+            f"formula {formula.text!r}: must be finite", advice=advice, loc=loc
         )
 
 

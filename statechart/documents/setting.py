@@ -151,9 +151,7 @@ class Setting:
             "add --engine impulse, in a file engine: impulse, or remove the step",
         )
         self._refuse(
-            others,
-            f"the engine {self.engine} has no {{}}",
-            "remove it, or take the engine impulse",
+            others, f"the engine {self.engine} has no {{}}", "remove it, or take the engine impulse"
         )
 
     def _refuse(self, parts: Sequence[str], message: str, advice: str) -> None:
@@ -170,10 +168,8 @@ class Setting:
         bound, allowed = self.impulse_bound, self.impulse_tolerance
         if bound is not None and allowed is not None and bound < allowed:
             raise DeclarationProblem(
-                (
-                    f"impulse_bound, {bound:g}, is below impulse_tolerance, {allowed:g}, so that "
-                    "runs within the tolerance would end"
-                ),
+                f"impulse_bound, {bound:g}, is below impulse_tolerance, {allowed:g}, so that "
+                "runs within the tolerance would end",
                 advice="give a larger bound, or a smaller tolerance",
                 loc=("impulse_bound",),
             )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -63,13 +63,13 @@ def declaration_error(
     error: ValidationError, document: Document | Built, model: type[BaseModel]
 ) -> DeclarationError:
     """Return the errors of pydantic as one error with positions."""
-    errors = error.errors(include_url=False)
-    found = [
-        one
-        for details in errors
-        if not _is_implied(details, errors, model) and not _follows_from_empty(details, document)
-        for one in _errors_of(details, document, model)
-    ]
+    errors, found = error.errors(include_url=False), list[DeclarationError]()
+    for details in errors:
+        if _is_implied(details, errors, model) or _follows_from_empty(details, document):
+            continue
+        cause = details.get("ctx", {}).get("error")
+        others = cause.others if isinstance(cause, DeclarationProblem) else ()
+        found += [_to_error(details, one, document, model) for one in (cause, *others)]
     if isinstance(document, Document):
         unknown = {_key(details) for details in errors}
         found += _empty(document, model, unknown)
@@ -128,10 +128,7 @@ def _empty(
         # Keys that should be indented below it are unknown in its column.
         below = unknown and shown.startswith("{")
         if str(loc[-1]).isdecimal():
-            yield at.error(
-                f"{loc[-1]!r} is not a name",
-                "decimals have a point: 9.81",
-            )
+            yield at.error(f"{loc[-1]!r} is not a name", "decimals have a point: 9.81")
             continue
         if "=" in str(loc[-1]):
             yield at.error("a key has a colon", no_name(str(loc[-1])))
@@ -169,17 +166,6 @@ def _key(details: ErrorDetails) -> str | int | None:
 def _lacks_items(details: ErrorDetails) -> bool:
     """Return whether a list is too short."""
     return details["type"] == "missing" and isinstance(details["loc"][-1], int)
-
-
-def _errors_of(
-    details: ErrorDetails, document: Document | Built, model: type[BaseModel]
-) -> Iterator[DeclarationError]:
-    """Yield the errors of pydantic and of our validators."""
-    cause = details.get("ctx", {}).get("error")
-    yield _to_error(details, cause, document, model)
-    if isinstance(cause, DeclarationProblem):
-        for other in cause.others:
-            yield _to_error(details, other, document, model)
 
 
 def _to_error(
@@ -311,39 +297,27 @@ def validate(document: Document, model: type[Model]) -> Model:
     return made
 
 
-class located:  # noqa: N801 - a context manager, faster than a generator
+@contextmanager
+def located(
+    document: Document | None, overrides: Mapping[str, float], loc: Loc | None = None
+) -> Iterator[None]:
     """Convert `DeclarationProblem` and `FormulaError` to `DeclarationError` with positions.
 
     `overrides` are parameters with other values, which may cause the problem. `loc` is the place of
     the evaluated formulas, by default the parameters.
     """
-
-    __slots__ = ("_document", "_loc", "_overrides")
-
-    def __init__(
-        self,
-        document: Document | None,
-        overrides: Mapping[str, float],
-        loc: tuple[str | int, ...] | None = None,
-    ) -> None:
-        self._document, self._overrides, self._loc = document, overrides, loc
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
-        if isinstance(error, DeclarationProblem):
-            found = _locate(self._document, error, self._overrides)
-            others = (_locate(self._document, each, self._overrides) for each in error.others)
-            found.others = tuple(others)
-            raise found from None
-        if isinstance(error, FormulaError):
-            loc = self._loc
-            if loc is None and error.name:
-                loc = ("parameters", error.name)
-            elif loc is None:
-                loc = self._document.where(error.text) if self._document else ()
-            raise _locate(self._document, error.problem(*loc), {}) from None
+    try:
+        yield
+    except DeclarationProblem as error:
+        found = _locate(document, error, overrides)
+        found.others = tuple(_locate(document, each, overrides) for each in error.others)
+        raise found from None
+    except FormulaError as error:
+        if loc is None and error.name:
+            loc = ("parameters", error.name)
+        elif loc is None:
+            loc = document.where(error.text) if document else ()
+        raise _locate(document, error.problem(*loc), {}) from None
 
 
 def _path_parts(document: Document | None, loc: Loc) -> Iterator[str]:

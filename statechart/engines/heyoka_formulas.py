@@ -127,8 +127,15 @@ class Converter:
         return functools.reduce(operation, joined)
 
     def _convert(self, node: sp.Expr) -> Any:
+        if node == self._time:
+            # heyoka's time starts at zero in every arc, so that late arcs lose no digits.
+            self.timed = True
+            return hy.time + hy.par[0]
+        if node in self._definitions:
+            # Only parameters that occur in the rates, as heyoka requires.
+            return self(self._definitions[node])
         if node.is_Symbol:
-            return self._symbol(node)
+            raise StatechartError(f"the unknown {node} is used before it is determined")
         if node.is_Add:
             return self._joined(operator.add, node, node.args)
         if node.is_Mul:
@@ -153,16 +160,6 @@ class Converter:
                 f"the Taylor engine cannot expand {node.func}() in a flow; use engine: scipy"
             )
         return function(*(self(argument) for argument in node.args))
-
-    def _symbol(self, node: sp.Symbol) -> Any:
-        if node == self._time:
-            # heyoka's time starts at zero in every arc, so that late arcs lose no digits.
-            self.timed = True
-            return hy.time + hy.par[0]
-        if node in self._definitions:
-            # Only parameters that occur in the rates, as heyoka requires.
-            return self(self._definitions[node])
-        raise StatechartError(f"the unknown {node} is used before it is determined")
 
     def _power(self, base: sp.Expr, exponent: sp.Expr) -> Any:
         if exponent.is_Integer:

@@ -95,18 +95,15 @@ class Measured(Protocol):
 
     def of(self, model: Declaration) -> bool:
         """Return whether the measurements are of this model."""
-        ...
 
     def shown(self, label: str) -> Mapping[str, Any]:
         """Return the data for the page of a run; `label` marks its own setting."""
-        ...
 
     def choose(self, requested: Setting, *, once: bool) -> Chosen | None:
         """Return the fastest setting for an accuracy, or the most accurate for a budget.
 
         `once`: times are those of the first run of a process, with compilation.
         """
-        ...
 
 
 @dataclass(frozen=True)

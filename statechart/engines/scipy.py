@@ -93,9 +93,18 @@ class SciPy(Engine):
         assert isinstance(stepper, _Stepper)
         reached = path.times.item(path.count)
         start = watch.start + reached
+        solver = stepper.solver
         # Trial steps may overflow, and are rejected.
         with np.errstate(over="ignore", invalid="ignore"):
-            solver = self._step(stepper, watch, start, state, until - reached, continuation)
+            moved = continuation is Continuation.MOVED
+            if moved and self.method == "LSODA" and solver.status == "running":
+                _move(solver, state)
+            elif continuation is not Continuation.ON:
+                if continuation is Continuation.NEW:
+                    stepper.suggested = None
+                solver = self._solver(stepper, watch.parameters, start, state, until - reached)
+                stepper.solver = solver
+            solver.step()
         if solver.status == "failed":
             raise StepFailure(
                 f"{self.method} at t = {start:.6g} needs steps shorter than the resolution of "
@@ -116,30 +125,6 @@ class SciPy(Engine):
         if finished := bool(solver.status == "finished"):
             path.times[path.count] = until
         return finished
-
-    def _step(
-        self,
-        stepper: _Stepper,
-        watch: FlowWatch,
-        start: float,
-        state: Array,
-        duration: float,
-        continuation: Continuation,
-    ) -> Any:
-        solver = stepper.solver
-        if (
-            continuation is Continuation.MOVED
-            and self.method == "LSODA"
-            and solver.status == "running"
-        ):
-            _move(solver, state)
-        elif continuation is not Continuation.ON:
-            if continuation is Continuation.NEW:
-                stepper.suggested = None
-            solver = self._solver(stepper, watch.parameters, start, state, duration)
-            stepper.solver = solver
-        solver.step()
-        return solver
 
     def _solver(
         self, stepper: _Stepper, parameters: Array, start: float, state: Array, duration: float

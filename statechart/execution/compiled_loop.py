@@ -190,10 +190,6 @@ class LoopModes:
         call = self._calls()
         return call if call.starts else None
 
-    def follows(self, setup: Callable[..., Setup]) -> bool:
-        """Return whether the loop's setup is that of `setup`."""
-        return self.laws.setup == setup
-
     def flow(
         self, setup: Setup, kind: Kind, state: Array, time: float, terms: Array | None = None
     ) -> Flow:

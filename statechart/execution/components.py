@@ -46,12 +46,10 @@ class _ComponentRun:
 
     @cached_property
     def arcs(self) -> list[Arc]:
-        """Its arcs."""
         return list(self.trace.arcs)
 
     @cached_property
     def starts(self) -> list[Clock]:
-        """Starts of the arcs."""
         return [arc.start for arc in self.arcs]
 
     def rank(self, j: int) -> tuple[bool, int, str]:
@@ -73,7 +71,6 @@ class _ComponentRun:
         return self.trace.passed_roles.get(count) or roles_in(self.key(count))
 
     def arc(self, time: Clock) -> Arc:
-        """Return the arc at a time."""
         return self.arcs[max(bisect_right(self.starts, time) - 1, 0)]
 
     def state(self, time: Clock) -> Array:
@@ -103,10 +100,7 @@ class MergedRun:
     """Merged run of an automaton from those of its components."""
 
     def __init__(
-        self,
-        automaton: Automaton,
-        setup: Setup,
-        runs: Sequence[tuple[Component, Places, Trace]],
+        self, automaton: Automaton, setup: Setup, runs: Sequence[tuple[Component, Places, Trace]]
     ) -> None:
         self._automaton, self._setup = automaton, setup
         self._parts = [_ComponentRun(*run) for run in runs]
@@ -276,21 +270,17 @@ class MergedRun:
         others = {
             k: run.state_at(counts[k], clock) for k, run in enumerate(self._parts) if k not in jumps
         }
-        states = [others[k] if k in others else jumps[k].before for k in range(len(before))]
-        states_after = [others[k] if k in others else jumps[k].after for k in range(len(before))]
+        states = others | {k: jump.before for k, jump in jumps.items()}
+        states_after = others | {k: jump.after for k, jump in jumps.items()}
         named_jumps = [(self._parts[place].component.named, jump) for place, jump in jumps.items()]
         name, first_jump = named_jumps[0]
         considered = [(name, jump.considered) for name, jump in named_jumps]
         energy = first_jump.energy
         if energy is not None:
-            energy_of_others = sum(
-                run.energy(clock) for k, run in enumerate(self._parts) if k in others
-            )
+            rest = sum(self._parts[k].energy(clock) for k in others)
             energies = [jump.energy for jump in jumps.values() if jump.energy is not None]
-            energy = (
-                energy_of_others + sum(pair[0] for pair in energies),
-                energy_of_others + sum(pair[1] for pair in energies),
-            )
+            start, end = (rest + sum(side) for side in zip(*energies, strict=True))
+            energy = start, end
         return replace(
             first_jump,
             t=time,
@@ -299,8 +289,8 @@ class MergedRun:
             cause=name(first_jump.cause),
             source=self._by_regions(before),
             target=self._by_regions(after),
-            before=self._state(states),
-            after=self._state(states_after),
+            before=self._state([states[k] for k in range(len(states))]),
+            after=self._state([states_after[k] for k in range(len(states))]),
             fired=tuple(name(margin) for margin in first_jump.fired),
             impulse={name(k): v for name, jump in named_jumps for k, v in jump.impulse.items()},
             joint_impulse={

@@ -175,7 +175,7 @@ def first_event(
         guard, full_tolerance = location.guard, watch.tolerances.item(location.guard)
         if not tolerances[guard] < full_tolerance:
             break
-        repeated = _search(watch, path, watch.tolerances, location.step, last)
+        repeated = search_steps(watch, path, watch.tolerances, location.step, last)
         if (
             repeated.crossing
             and repeated.crossing.guard == guard
@@ -193,11 +193,12 @@ def first_event(
             break
         # At least doubled each time, so that the loop ends.
         tolerances[guard] = error if error > 2.0 * tolerances[guard] else full_tolerance
-        found = _search(watch, path, tolerances, location.step, last)
+        found = search_steps(watch, path, tolerances, location.step, last)
     return found
 
 
-def _search(watch: FlowWatch, path: Path, tolerances: Array, first: int, last: int) -> Search:
+def search_steps(watch: FlowWatch, path: Path, tolerances: Array, first: int, last: int) -> Search:
+    """Search steps for the first fall of a watched margin."""
     return search(watch.guards, tolerances, path, watch.parameters, watch.start, first, last)
 
 

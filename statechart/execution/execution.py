@@ -13,14 +13,7 @@ import numpy as np
 
 from statechart import errors, interrupts
 from statechart.automaton.clock import Clock, between
-from statechart.automaton.laws import (
-    UNBOUNDED,
-    Flow,
-    Instant,
-    Setup,
-    flow_sizes,
-    roles_in,
-)
+from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup, flow_sizes, roles_in
 from statechart.automaton.regions import Margin
 from statechart.automaton.switches import is_of_switch
 from statechart.automaton.time_stepper import Sample, Sampling, unread
@@ -610,12 +603,8 @@ class Execution:
         if widened > _MAX_WIDENING * default:
             return False
         self.flow = self.flow._replace(tolerances={**self.flow.tolerances, margin: widened})
-        self.warnings[
-            (
-                f"t = {self.clock.high:.6g}: {margin} is zero to round-off; its tolerance there is "
-                f"{widened:.3g}"
-            )
-        ] = None
+        warning = f"{margin} is zero to round-off; its tolerance there is {widened:.3g}"
+        self.warnings[f"t = {self.clock.high:.6g}: {warning}"] = None
         return True
 
     def show(self, local: float = 0.0, steps: int = 0) -> None:

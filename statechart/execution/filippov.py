@@ -80,10 +80,7 @@ class Filippov:
         at = at._replace(state=state)
         roles = (Role(SWITCHES, share=tuple(signs)),)
         return Resolved(
-            roles,
-            state,
-            self._tolerances(at, (*at.flow.roles, *roles), zeros),
-            tuple(notes),
+            roles, state, self._tolerances(at, (*at.flow.roles, *roles), zeros), tuple(notes)
         )
 
     def _chosen(

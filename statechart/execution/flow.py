@@ -32,6 +32,7 @@ from statechart.execution.event_classification import (
     path_sizes,
     relative_error,
     resolve_search,
+    search_steps,
 )
 from statechart.execution.root_arrival import steps_to_zero
 from statechart.formulas.series import sizes_at
@@ -68,7 +69,7 @@ _DRIFTS, _STILL = 16.0, 1e-9
 STIFF = "the model is stiff"
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(eq=False)
 class Advance:
     """Flow in one mode to the first event or to the end of `duration`; its steps are in the path.
 
@@ -95,22 +96,6 @@ class Advance:
     steps: int = 0
     failure: SimulationError | KeyboardInterrupt | None = None  # The error that stopped the flow.
     unfollowed: float | None = None  # Time from which on the defect of steps has no bound.
-    # Verified steps, and their local end time.
-    _proved: int = field(init=False)
-    _reached: float = field(init=False)
-    # The next chunk: number of steps, end, and how it continues the last one.
-    _count: int = field(init=False)
-    _end: float = field(init=False)
-    _begin: Continuation = field(init=False)
-    # Violation of the last repeated step; steps and time at the last check of pace.
-    _last_defect: float = field(init=False)
-    _mark: tuple[int, float] = field(init=False)
-    # Start of the last step with a large defect, its time and amount; defect known to be round-off;
-    # number of steps without a bound of the defect.
-    _missed: tuple[float, float, float] = field(init=False)
-    _rounded: float = field(init=False)
-    _sizes: Array = field(init=False)  # (n,) largest magnitudes so far
-    _unknown: int = field(init=False)
 
     def run(self) -> Advance:
         """Flow; return this, also after a failure."""
@@ -128,12 +113,17 @@ class Advance:
         return self
 
     def _start(self) -> None:
+        # Verified steps, and their local end time.
         self.state, self._proved, self._reached = self.initial, 0, 0.0
+        # The next chunk: number of steps, how it continues the last one, end.
         self._count, self._begin = FIRST_CHUNK, Continuation.NEW
         self._end = min(self.horizon, self.duration)
+        # Violation of the last repeated step; steps and time at the last check of pace.
         self._last_defect, self._mark = math.inf, (0, 0.0)
+        # Start of the last step with a large defect, its time and amount; defect known to be
+        # round-off; number of steps without a bound of the defect.
         self._missed, self._rounded, self._unknown = (-1.0, 0.0, 0.0), 0.0, 0
-        self._sizes = np.abs(self.initial)
+        self._sizes = np.abs(self.initial)  # (n,) largest magnitudes so far
 
     def _chunk(self) -> None:
         """Take steps and verify them; then continue, end at an event, or repeat them."""
@@ -187,7 +177,7 @@ class Advance:
 
     def _search(self, tolerances: Array, first: int, last: int) -> Search:
         watch, path = self.watch, self.path
-        found = search(watch.guards, tolerances, path, watch.parameters, watch.start, first, last)
+        found = search_steps(watch, path, tolerances, first, last)
         self.boxes += found.boxes
         if found.verdict is Verdict.NONE:
             return found

@@ -69,11 +69,7 @@ class Simulator:
         self._places: list[Places] | None = None
 
     def run(
-        self,
-        parameters: Mapping[str, float] | None = None,
-        *,
-        until: float,
-        throw: bool = True,
+        self, parameters: Mapping[str, float] | None = None, *, until: float, throw: bool = True
     ) -> Trace:
         """Run from the declared initial state.
 
@@ -157,11 +153,7 @@ class Simulator:
         )
 
     def certified(
-        self,
-        trace: Trace,
-        parameters: Mapping[str, float] | None = None,
-        *,
-        until: float,
+        self, trace: Trace, parameters: Mapping[str, float] | None = None, *, until: float
     ) -> Trace:
         """Repeat a run with proved bounds of the local error of every step."""
         from statechart.execution.certificate import Certificate
@@ -173,11 +165,7 @@ class Simulator:
         return execution.run()
 
     def stream(
-        self,
-        parameters: Mapping[str, float],
-        sampling: Sampling,
-        *,
-        until: float,
+        self, parameters: Mapping[str, float], sampling: Sampling, *, until: float
     ) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps of a run as they are computed; see `Execution.stream`.
 
@@ -250,9 +238,9 @@ class Simulator:
         )  # fmt: skip
 
     def known(self) -> list[tuple[frozenset[int], LoopModes]]:
-        """Return the modes of compiled loops, by zero parameters."""
+        """Return the modes of compiled loops with the automaton's setup, by zero parameters."""
         setup = self.automaton.setup
-        return [(zeros, modes) for zeros, modes in self._loops.items() if modes.follows(setup)]
+        return [(zeros, m) for zeros, m in self._loops.items() if m.laws.setup == setup]
 
     def _loop(self, zeros: frozenset[int]) -> LoopModes | None:
         """Return the modes of the compiled loop, or None if the model has no loop."""

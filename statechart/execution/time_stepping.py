@@ -39,16 +39,11 @@ class SteppingSimulator:
         self.progress = progress
 
     def run(
-        self,
-        parameters: Mapping[str, float] | None = None,
-        *,
-        until: float,
-        throw: bool = True,
+        self, parameters: Mapping[str, float] | None = None, *, until: float, throw: bool = True
     ) -> Trace:
         """Run from the declared initial state, as `Simulator.run` does."""
         shown = Progress(until) if self.progress else None
-        policy = time_stepper.RecordingPolicy(self.record, self.new_outputs())
-        request = self._request(until)._replace(policy=policy)
+        request = self._request(until)._replace(record=self.record, outputs=self.new_outputs())
         try:
             trace = self.stepper.run(
                 parameters or {}, request if shown is None else request._replace(show=shown.show)
@@ -61,11 +56,7 @@ class SteppingSimulator:
         return trace
 
     def stream(
-        self,
-        parameters: Mapping[str, float],
-        sampling: time_stepper.Sampling,
-        *,
-        until: float,
+        self, parameters: Mapping[str, float], sampling: time_stepper.Sampling, *, until: float
     ) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps of a run as they are computed, as `Simulator.stream` does."""
         return self.stepper.stream(parameters, sampling, self._request(until))

@@ -139,8 +139,7 @@ _WORDS: Mapping[str, str] = {
     "der": "a rate stands in flows; of a coordinate x it is dx",
     **dict.fromkeys(("pre", "previous"), "updates see the values before; write the variable"),
     **dict.fromkeys(
-        ("edge", "rising", "rise", "change"),
-        "write the relation: a guard fires as it becomes true",
+        ("edge", "rising", "rise", "change"), "write the relation: a guard fires as it becomes true"
     ),
     **dict.fromkeys(
         ("rand", "random", "randn", "noise", "uniform", "normal"),

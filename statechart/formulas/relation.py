@@ -36,8 +36,7 @@ MAX_TERMS = 60
 
 _MAX_CACHED = 4096
 _ORDERED = {"==": ("<=", ">="), "!=": ("<", ">")}
-_EQUALITIES = tuple(_ORDERED)
-_COMPARISONS = (*RELATIONS, *_EQUALITIES)
+_COMPARISONS = (*RELATIONS, *_ORDERED)
 _HOLDS: Mapping[str, Callable[[Any, Any], Any]] = {
     "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
     "==": operator.eq, "!=": operator.ne,
@@ -64,17 +63,9 @@ class Comparison:
     offset: int
     text: str
 
-    def negated(self) -> Comparison:
-        """Return the negated comparison."""
-        return replace(self, operator=_OPPOSITE[self.operator])
-
     def holds(self, left: Any, right: Any) -> Any:
         """Evaluate for values of the sides: numbers, or arrays of one shape."""
         return _HOLDS[self.operator](left, right)
-
-    def ordered(self) -> Iterator[Comparison]:
-        """Yield the two inequalities of an equality."""
-        return (replace(self, operator=sign) for sign in _ORDERED[self.operator])
 
     def margin(self, symbols: Mapping[str, sp.Expr]) -> sp.Expr:
         """Return the margin; see `Relation.margin`."""
@@ -149,7 +140,7 @@ class Relation:
         """Raise `FormulaError` at the first ``==`` or ``!=`` of names that vary along flows."""
         for one in self.comparisons:
             changing_names = sorted((one.left.names | one.right.names).intersection(changing))
-            if one.operator in _EQUALITIES and changing_names:
+            if one.operator in _ORDERED and changing_names:
                 Source(self.text).fail(
                     f"{one.operator} compares {changing_names[0]!r}, which changes between events",
                     one.offset,
@@ -206,10 +197,11 @@ def _normal(term: Term, negated: bool = False) -> Any:
     if isinstance(term, And | Or):
         kind = And if isinstance(term, And) is not negated else Or
         return kind(tuple(_normal(part, negated) for part in term.parts))
-    one = term.negated() if negated else term
-    if one.operator in _EQUALITIES:
-        return (And if one.operator == "==" else Or)(tuple(one.ordered()))
-    return one
+    sign = _OPPOSITE[term.operator] if negated else term.operator
+    if sign in _ORDERED:
+        kind = And if sign == "==" else Or
+        return kind(tuple(replace(term, operator=part) for part in _ORDERED[sign]))
+    return replace(term, operator=sign)
 
 
 def _within(tree: InState, states: States) -> Atom:
@@ -279,11 +271,7 @@ class _RelationReader(Reader):
         term = self.disjunction()
         self.close(token)
         if self.token.text in (*_COMPARISONS, "+", "-", "*", "/", "**"):
-            self.source.fail(
-                "a relation is not a number",
-                self.token.offset,
-                "it is true or false",
-            )
+            self.source.fail("a relation is not a number", self.token.offset, "it is true or false")
         return term
 
     def _member(self) -> Term:

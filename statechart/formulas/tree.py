@@ -203,7 +203,13 @@ def evaluate(node: Node, values: Mapping[str, float], source: Source) -> float:
             return value
     arguments = [evaluate(child, values, source) for child in children(node)]
     try:
-        result = _apply(node, arguments)
+        match node:
+            case Unary():
+                result = -arguments[0] if node.operator == "-" else arguments[0]
+            case Call():
+                result = FUNCTIONS[node.function].evaluate(*arguments)
+            case Binary():
+                result = _OPERATORS[node.operator](*arguments)
     except ZeroDivisionError:
         source.fail("division by zero", node.offset)
     except OverflowError:
@@ -229,17 +235,6 @@ _OPERATORS: Mapping[str, Callable[[float, float], float]] = {
     "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv,
     "**": _checked_power,
 }  # fmt: skip
-
-
-def _apply(node: Node, arguments: list[float]) -> float:
-    match node:
-        case Unary():
-            return -arguments[0] if node.operator == "-" else arguments[0]
-        case Call():
-            return FUNCTIONS[node.function].evaluate(*arguments)
-        case Binary():
-            return _OPERATORS[node.operator](*arguments)
-    raise TypeError(node)
 
 
 def undeclared(node: Name, known: Iterable[str], source: Source) -> NoReturn:

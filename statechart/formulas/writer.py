@@ -371,7 +371,7 @@ def _signed(node: sp.Expr) -> tuple[list[sp.Expr], list[sp.Expr]]:
     plus: list[sp.Expr] = []
     minus: list[sp.Expr] = []
     for term in node.args:
-        if term.could_extract_minus_sign() and _negative(term):
+        if term.as_coeff_Mul()[0].is_negative:
             minus.append(-term)
         else:
             plus.append(term)
@@ -404,10 +404,6 @@ def join_exponentials(factors: Sequence[sp.Expr]) -> tuple[Sequence[sp.Expr], sp
     number, first = numbers[0], exponentials[0]
     left = [factor for factor in factors if factor is not number and factor is not first]
     return [*left, sp.sign(number)], first.args[0] + sp.log(abs(number))
-
-
-def _negative(term: sp.Expr) -> bool:
-    return bool(term.as_coeff_Mul()[0].is_negative)
 
 
 def _sides(square: sp.Expr) -> tuple[sp.Expr, sp.Expr] | None:

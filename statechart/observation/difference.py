@@ -13,7 +13,7 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.trace import Jump, Key, Trace, sizes
-from statechart.observation.sampling import at_times
+from statechart.observation.sampling import at_times, sample_arcs
 from statechart.observation.scales import NO_SCALES, Scales
 from statechart.observation.scales import OutputValue as Output
 from statechart.observation.zeno_tails import drop_summed
@@ -287,8 +287,7 @@ def _scales(reference: Trace, trace: Trace) -> Array:
 
 
 def _sampled_states(trace: Trace, times: Array) -> Array:
-    arcs, local = at_times(trace, times)
-    return np.concatenate([arc.states(tau) for arc, tau in zip(arcs, local, strict=True)])
+    return sample_arcs(*at_times(trace, times)).states
 
 
 _what = attrgetter("region", "cause", "source", "target")

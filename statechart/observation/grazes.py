@@ -25,8 +25,8 @@ from statechart.execution.event_classification import (
 )
 from statechart.execution.simulator import Simulator
 from statechart.formulas.tape import contiguous
-from statechart.kernels.polynomials import sample_states
 from statechart.observation.observer import Observer
+from statechart.observation.sampling import sample_arcs, subdivide
 
 # Samples per step, and arcs per batch.
 _GRID, _MAX_ARCS = 16, 1024
@@ -202,28 +202,14 @@ class _GuardScan:
 
         One more sample near each end of an arc brackets a minimum next to it.
         """
-        s = np.arange(_GRID) / _GRID
-        counts = [len(arc.coefficients) for arc in arcs]
-        last = np.cumsum(counts) - 1
-        of = np.repeat(np.arange(len(arcs)), counts)
-        terms = np.concatenate([arc.coefficients for arc in arcs])
-        step_starts = np.concatenate([arc.times[:-1] for arc in arcs])
-        spans = np.concatenate([np.diff(arc.times) for arc in arcs])
-        first = last + 1 - np.array(counts)
-        edges = (first, np.array([_EDGE])), (last, np.array([1.0 - _EDGE, 1.0]))
-        taus, rows, owners = [], [], []
-        for steps, places in ((np.arange(len(terms)), s), *edges):
-            tau = step_starts[steps, None] + places * spans[steps, None]
-            powers = places ** np.arange(terms.shape[2])[:, None]
-            states = np.swapaxes(terms[steps] @ powers, 1, 2).reshape(-1, terms.shape[1])
-            owner = np.repeat(of[steps], len(places))
-            times = np.array([arc.start.high for arc in arcs])[owner] + tau.ravel()
-            taus.append(tau.ravel())
-            rows.append(self._table(states, times))
-            owners.append(owner)
-        tau, of = np.concatenate(taus), np.concatenate(owners)
-        order = np.lexsort((tau, of))
-        return tau[order], np.concatenate(rows)[order], of[order]
+        local = []
+        for arc, tau in zip(arcs, subdivide(arcs, _GRID), strict=True):
+            begin, end = arc.times.item(1), arc.times.item(-1)
+            near = [_EDGE * begin], [end - _EDGE * (end - arc.times.item(-2))]
+            local.append(np.concatenate([tau[:1], near[0], tau[1:-1], near[1], tau[-1:]]))
+        points = sample_arcs(arcs, local)
+        of = np.repeat(np.arange(len(arcs)), [len(tau) for tau in local])
+        return np.concatenate(local), self._table(points.states, points.times), of
 
     def _minima(
         self, arc: Arc, k: int, left: float, right: float, shifts: Array
@@ -236,7 +222,7 @@ class _GuardScan:
         lefts, rights = np.full(len(shifts), left), np.full(len(shifts), right)
         for _ in range(_REFINEMENTS):
             tau = np.linspace(lefts, rights, _GRID + 1, axis=1)
-            states = sample_states(arc.coefficients, arc.times, tau.ravel())
+            states = arc.states(tau.ravel())
             shifted = (states.reshape(*tau.shape, -1) + shifts[:, None]).reshape(states.shape)
             values = self._table(shifted, arc.start.high + tau.ravel())[:, k].reshape(tau.shape)
             i = values.argmin(axis=1)
@@ -280,7 +266,7 @@ class _GuardScan:
         errors = np.diag(self._errors)
         shifts = np.vstack([np.zeros(len(errors)), errors, -errors])
         times, minima = self._minima(arc, k, left, right, shifts)
-        state = sample_states(arc.coefficients, arc.times, times[:1])[0]
+        state = arc.states(times[:1])[0]
         round_off = margin_errors(self._guards, k, state, self._round_off, self._values, t)
         return bool(np.abs(minima - minima[0]).max() > round_off)
 
@@ -315,7 +301,7 @@ class _GuardScan:
         """
         for arc, jumps in starts:
             tau = np.array([0.0, _EXTRAPOLATED * arc.times.item(1)])
-            states = np.vstack([jumps[0].before, sample_states(arc.coefficients, arc.times, tau)])
+            states = np.vstack([jumps[0].before, arc.states(tau)])
             before, now, soon = self._table(states, arc.start.high + np.array([0.0, *tau]))
             with np.errstate(all="ignore"):
                 touched = (np.abs(now) <= self._near * soon) & (before > np.abs(now))
@@ -336,7 +322,7 @@ class _GuardScan:
 
     def _open(self, arc: Arc, k: int, tau: float, further: float, *, fired: bool) -> Graze | None:
         """Return the graze of a guard if its least value is within its uncertainty."""
-        state = sample_states(arc.coefficients, arc.times, np.array([tau]))[0]
+        state = arc.states(np.array([tau]))[0]
         t = arc.start.high + tau
         name, kind = self._watched[k]
         lowest = self._table(state[None], np.array([t])).item(k) + further

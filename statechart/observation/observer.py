@@ -7,7 +7,6 @@ programs are cached over the runs of a simulator.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, TypeAlias
 
@@ -18,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import decimals
-from statechart.automaton.regions import Mode, coefficients_of, shown_margins
+from statechart.automaton.regions import Mode, shown_margins, with_coefficients
 from statechart.automaton.trace import Jump, Key, Role, Roles, Trace
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
@@ -158,15 +157,14 @@ class Observer:
         if trace.step is not None:  # time stepping builds no modes
             states = zip(self.automaton.recorded_regions(key), key, strict=True)
             margins = shown_margins(m for r, state in states for m in r.build(Role(state)).margins)
-            expressions = *(m.expression for m in margins), *coefficients_of(margins)
-            names = tuple(m.name for m in margins)
-            return names, self.at(trace, expressions, jumps, before=True)
-        mode = self.modes_of(trace)(roles)
-        margins = () if mode is None else shown_margins(mode.margins)
-        points = self._instants(trace, [sampling.side_of(jump, True) for jump in jumps])
-        expressions = *(m.expression for m in margins), *coefficients_of(margins)
-        tape = self.programs.tape(expressions, mode)
-        return tuple(m.name for m in margins), tape.table(points.states, trace.values, points.times)
+            rows = self.at(trace, with_coefficients(margins), jumps, before=True)
+        else:
+            mode = self.modes_of(trace)(roles)
+            margins = () if mode is None else shown_margins(mode.margins)
+            tape = self.programs.tape(with_coefficients(margins), mode)
+            before, times = [jump.before for jump in jumps], [jump.t for jump in jumps]
+            rows = tape.table(before, trace.values, times)
+        return tuple(m.name for m in margins), rows
 
     def _table(
         self, trace: Trace, expressions: tuple[sp.Expr, ...], points: sampling.Points
@@ -221,15 +219,6 @@ FormulaLike: TypeAlias = "str | int | float | sp.Expr"
 """Text over the names of observables, or an expression in the symbols of the automaton."""
 
 
-@dataclass(frozen=True, eq=False)
-class Active:
-    """Integrands of one mode."""
-
-    places: list[int]
-    expressions: tuple[sp.Expr, ...]
-    needed: bool
-
-
 class Programs:
     """Cache of compiled formulas; `solved` are the unknowns and controls of modes."""
 
@@ -240,7 +229,6 @@ class Programs:
         self._given: frozenset[sp.Basic] = frozenset(given_symbols)
         self._parsed = cache(lambda text: parse(text).to_sympy(automaton.observables))
         self._tape, self.needed = cache(self._compiled), cache(self._needed)
-        self.active = cache(self._active)
 
     def expression(self, formula: FormulaLike) -> sp.Expr:
         """Return a formula in the symbols of the automaton; raise `FormulaError`."""
@@ -249,14 +237,6 @@ class Programs:
     def expressions(self, formulas: Iterable[FormulaLike]) -> tuple[sp.Expr, ...]:
         """Return formulas in the symbols of the automaton."""
         return tuple([self.expression(formula) for formula in formulas])
-
-    def _active(
-        self, key: Key, where: tuple[sampling.Where, ...], expressions: tuple[sp.Expr, ...]
-    ) -> Active:
-        """Return the integrands of the mode `key`."""
-        places = sampling.places_in(self._automaton.recorded_regions(key), key, where)
-        chosen = tuple([expressions[i] for i in places])
-        return Active(places, chosen, self.needed(chosen))
 
     def _needed(self, expressions: tuple[sp.Expr, ...]) -> bool:
         """Return whether the expressions use unknowns or controls."""

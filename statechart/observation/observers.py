@@ -38,7 +38,7 @@ class Observers:
         key = setting, start
         found = self._kept.get(key)
         if found is None:
-            simulator = self._simulator(*key)
+            simulator = self.fresh(*key)
             observer = found = self._kept[key] = Observer(simulator)
             if isinstance(simulator, SteppingSimulator) and simulator.record is not Record.MODES:
                 simulator.new_outputs = lambda: OutputAccumulator(outputs_of(observer))
@@ -62,11 +62,10 @@ class Observers:
         """
         return self.floor(setting) if self.engine(setting).sharp else None
 
-    def fresh(self, setting: Setting) -> Simulator | SteppingSimulator:
+    def fresh(
+        self, setting: Setting, start: Start = Start.DECLARED
+    ) -> Simulator | SteppingSimulator:
         """Return a new simulator that shares the solved modes."""
-        return self._simulator(setting, Start.DECLARED)
-
-    def _simulator(self, setting: Setting, start: Start) -> Simulator | SteppingSimulator:
         if setting.step is not None:
             bounds = Impulses(
                 setting.impulse_tolerance or DEFAULT_IMPULSES.tolerance,

@@ -43,6 +43,7 @@ from statechart.observation.sampling import (
     at_endpoints,
     end_of,
     instantaneous_modes,
+    places_in,
     side_of,
     start_of,
     visible_expressions,
@@ -291,14 +292,16 @@ class Outputs:
                 own = [one(kind[0]) if _by_mode(one) else one for one in formulas]
                 if None in own:
                     continue
-                expressions = programs.expressions([one for one in own if one is not None])
-                active = programs.active(kind[0], where, expressions)
-                mode = mode_of(kind) if active.needed and not solved else None
-                if active.places and (mode is not None or solved or not active.needed):
-                    chosen = visible_expressions(active.expressions, mode)
+                regions = self.observer.automaton.recorded_regions(kind[0])
+                active = places_in(regions, kind[0], where)
+                chosen = programs.expressions([one for i in active if (one := own[i]) is not None])
+                needed = programs.needed(chosen)
+                mode = mode_of(kind) if needed and not solved else None
+                if active and (mode is not None or solved or not needed):
+                    chosen = visible_expressions(chosen, mode)
                     made[place] = packed.tape(programs.tape(chosen, mode, known=solved))
-                    unforced[place] = 0 if active.needed else made[place]
-                    columns[place, : len(active.places)] = active.places
+                    unforced[place] = 0 if needed else made[place]
+                    columns[place, : len(active)] = active
             return made, unforced, columns
 
         def separate_tapes(formulas: Sequence[Formula]) -> Ints:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import zip_longest
@@ -17,7 +16,7 @@ import sympy as sp
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD, moving_mode
-from statechart.automaton.regions import Invariant, coefficients_of, shown_margins
+from statechart.automaton.regions import Invariant, shown_margins, with_coefficients
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
@@ -25,6 +24,7 @@ from statechart.formulas.tape import Tape
 from statechart.observation.grazes import graze_warnings, grazes
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import extremes, outputs_of
+from statechart.observation.sampling import sample_arcs, subdivide
 from statechart.reporting.partial_report import PartialReport
 from statechart.tabular import pluralise, readable_count
 
@@ -96,9 +96,9 @@ def report(
         "modes_built": trace.counts.get("modes_built", 0),
         "built": built(observer, trace),
         "left_out": unused,
-        "modes": [dict(zip(trace.regions, key, strict=True)) for key in trace.modes],
+        "modes": [_states_by_region(trace, key) for key in trace.modes],
         "indeterminate": [
-            {"mode": dict(zip(trace.regions, key, strict=True)), "regions": names}
+            {"mode": _states_by_region(trace, key), "regions": names}
             for key, names in trace.indeterminate.items()
         ],
         "events": [],
@@ -174,14 +174,13 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
     simulator = observer.simulator
     assert isinstance(simulator, Simulator)
     least: dict[str, float] = {}
-    flows: dict[tuple[Roles, int], list[Arc]] = {}
+    flows: dict[Roles, list[Arc]] = {}
     for arc in trace.arcs:
-        flows.setdefault((arc.roles, arc.coefficients.shape[2]), []).append(arc)
-    for (roles, _), arcs in flows.items():
+        flows.setdefault(arc.roles, []).append(arc)
+    for roles, arcs in flows.items():
         compiled = simulator.modes.compiled(roles, trace.zeros)
         shown = shown_margins(compiled.mode.margins)
-        expressions = *(m.expression for m in shown), *coefficients_of(shown)
-        tape = observer.programs.tape(expressions, compiled.mode)
+        tape = observer.programs.tape(with_coefficients(shown), compiled.mode)
         found, coefficients = np.split(lowest(tape, arcs, trace.values), 2)
         for margin, value, coefficient in zip(
             shown, found.tolist(), coefficients.tolist(), strict=True
@@ -196,17 +195,11 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
 
 def lowest(tape: Tape, arcs: Sequence[Arc], parameters: Array, per_step: int = 16) -> Array:
     """Return the least value (n_out,) of every output of a tape on a grid along arcs."""
-    s, result = np.arange(per_step + 1) / per_step, np.full(len(tape.outputs), np.inf)
+    result = np.full(len(tape.outputs), np.inf)
     for first in range(0, len(arcs), _MAX_ARCS):
         batch = arcs[first : first + _MAX_ARCS]
-        begin = np.concatenate([arc.times[:-1] for arc in batch])[:, None]
-        end = np.concatenate([arc.times[1:] for arc in batch])[:, None]
-        start = np.repeat([arc.start.high for arc in batch], [len(arc.times) - 1 for arc in batch])
-        terms = np.concatenate([arc.coefficients for arc in batch])
-        local = np.where(s < 1.0, begin + s * (end - begin), end)
-        states = np.swapaxes(terms @ s ** np.arange(terms.shape[2])[:, None], 1, 2)
-        times = (start[:, None] + local).ravel()
-        values = tape.table(states.reshape(-1, terms.shape[1]), parameters, times)
+        points = sample_arcs(batch, subdivide(batch, per_step))
+        values = tape.table(points.states, parameters, points.times)
         result = np.minimum(result, values.min(axis=0, initial=np.inf))
     return result
 
@@ -253,18 +246,10 @@ def json_safe(value: Any) -> Any:
         return value if math.isfinite(value) else repr(float(value))
     if isinstance(value, str | int):
         return value
-    # Safe values are not copied, for the memory of many events.
     if isinstance(value, list | tuple):
-        items = [json_safe(item) for item in value]
-        same = type(value) is list and all(map(operator.is_, items, value))
-        return value if same else items
+        return [json_safe(item) for item in value]
     if isinstance(value, Mapping):
-        safe = {str(key): json_safe(item) for key, item in value.items()}
-        same = type(value) is dict and all(
-            key is mine and item is value[key]
-            for key, (mine, item) in zip(value, safe.items(), strict=False)
-        )
-        return value if same else safe
+        return {str(key): json_safe(item) for key, item in value.items()}
     return value
 
 
@@ -277,8 +262,6 @@ def _event(
     hurried: bool,
 ) -> dict[str, Any]:
     names = trace.variables
-    before, after = jump.before.tolist(), jump.after.tolist()
-    energy = None if jump.energy is None else list(jump.energy)
     event: dict[str, Any] = {
         "t": jump.t,
         "j": jump.j,
@@ -286,8 +269,8 @@ def _event(
         "cause": jump.cause,
         "from": _states_by_region(trace, jump.source),
         "to": _states_by_region(trace, jump.target),
-        "state": dict(zip(names, after, strict=True)),
-        "state_before": dict(zip(names, before, strict=True)),
+        "state": dict(zip(names, jump.after.tolist(), strict=True)),
+        "state_before": dict(zip(names, jump.before.tolist(), strict=True)),
         "impulse": {
             region: {"normal": normal, "tangential": tangential}
             for region, (normal, tangential) in jump.impulse.items()
@@ -296,18 +279,18 @@ def _event(
         "fired": list(jump.fired),
         "path": list(jump.path),
         "considered": {} if hurried else dict(jump.considered),
-        "energy": energy,
+        "energy": None if jump.energy is None else list(jump.energy),
         "skipped": jump.skipped,
         "condition": condition,
     }
     if explained is not None:
         event["margins"] = explained
-    numbers = [*before, *after, *(energy or ()), jump.skipped, condition or 0.0]
+    numbers = [*event["state"].values(), *event["state_before"].values(), *(jump.energy or ())]
+    numbers += [jump.skipped, condition or 0.0, *jump.joint_impulse.values()]
     numbers += [size for pair in jump.impulse.values() for size in pair]
-    numbers += jump.joint_impulse.values()
     numbers += (explained or {}).values()
     if all(map(math.isfinite, numbers)):
-        return event
+        return event  # several times as fast
     safe: dict[str, Any] = json_safe(event)
     return safe
 
@@ -341,7 +324,7 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
         known |= {mode.rates[place] for place in mode.eliminated}
         solved = {s for s, _ in mode.definitions if s in unknowns} - known
         modes[key] = {
-            "mode": dict(zip(trace.regions, key, strict=True)),
+            "mode": _states_by_region(trace, key),
             "integrated": [n for i, n in coordinates if i not in mode.eliminated],
             "eliminated": [n for i, n in coordinates if i in mode.eliminated],
             "unknowns": len(solved),

@@ -218,11 +218,6 @@ def _values(
     return [f"{title}\n", Table(rows)]
 
 
-def explanation(report: Mapping[str, Any], digits: int = DIGITS) -> str:
-    """Return for every jump the guards that fired, margins, effects and candidates."""
-    return write_plain(explain_events(report, digits))
-
-
 def explained(
     event: Mapping[str, Any], step: float | None, digits: int = DIGITS
 ) -> tuple[str, list[tuple[str, list[tuple[str, ...]]]]]:
@@ -271,7 +266,7 @@ def _guard(name: str) -> str:
 
 
 def explain_events(report: Mapping[str, Any], digits: int = DIGITS) -> list[TextBlock]:
-    """Return the titles and tables of `explanation`."""
+    """Return for every jump its title, and a table: guards, margins, effects, candidates."""
     return join_blocks(
         [f"... {event} more: --json --explain or --output has all\n"]
         if isinstance(event, int)

@@ -374,12 +374,11 @@ class _Tightened(_Series):
             return (self.diverged,)
         if self._merged is None:
             return ()
-        return (
-            (
-                f"from t = {self._merged:.6g} on the runs differ in modes shorter than "
-                f"{self._brief:g} of the run, which the error estimate ignores"
-            ),
+        ignored = (
+            f"from t = {self._merged:.6g} on the runs differ in modes shorter than "
+            f"{self._brief:g} of the run, which the error estimate ignores"
         )
+        return (ignored,)
 
 
 def tighten(
@@ -449,21 +448,14 @@ def run_within_budget(
     taken, warnings = spent + runs.seconds, best.warnings
     over = taken > max(_OVERRUN * budget, budget + _MOMENT)
     if best.error is None and best.trace.outcome not in WITHOUT_ERROR:
-        exceeded = (
-            f", of {taken:.2g} s, as the compilation of a mode is not interrupted" if over else ""
-        )
-        warnings = (
-            (
-                f"the budget of {budget:g} s allowed one run{exceeded}; for an error estimate take "
-                f"--budget {_ADVISED * taken:.2g}"
-            ),
-        )
+        reason = ", as the compilation of a mode is not interrupted"
+        exceeded = f", of {taken:.2g} s{reason}" if over else ""
+        advice = f"for an error estimate take --budget {_ADVISED * taken:.2g}"
+        warnings = (f"the budget of {budget:g} s allowed one run{exceeded}; {advice}",)
     elif over:
         warnings += (
-            (
-                f"the run took {taken:.2g} s, more than the budget of {budget:g} s, as the "
-                "compilation of a mode is not interrupted; the next run needs none"
-            ),
+            f"the run took {taken:.2g} s, more than the budget of {budget:g} s, as the "
+            "compilation of a mode is not interrupted; the next run needs none",
         )
     return replace(best, warnings=warnings, cost=runs.cost)
 

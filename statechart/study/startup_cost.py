@@ -33,15 +33,7 @@ class FreshProcess:
 
     def __init__(self, model: Declaration, until: float) -> None:
         self._asked = model, until
-        self._process: subprocess.Popen[bytes] | None = None
-
-    def __enter__(self) -> FreshProcess:
-        """Return itself; `seconds` starts the process."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End the process."""
-        self.close()
+        self._process: subprocess.Popen[bytes] | None = None  # from the first `seconds` on
 
     def seconds(self, setting: Setting) -> float | None:
         """Return the seconds of a first run, or None if no process can be started."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
@@ -227,7 +228,7 @@ def trade(
         settings = plan(runner.automaton, reference.trace.t_end)
     study = study.model_copy(update={"planned": len(settings)})
     made = _Trade(study, settings, folder, progress, known)
-    with fresh:
+    with closing(fresh):
         for setting in settings:
             if made.skips(setting):
                 continue

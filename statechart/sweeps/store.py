@@ -20,7 +20,7 @@ from functools import cache
 from itertools import product
 from pathlib import Path
 from types import EllipsisType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,15 +46,11 @@ _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP)
 _ALL_CHUNKS = {"array.write_empty_chunks": True}
 
 
-class _Kind(NamedTuple):
-    """Type of an array, and its fill value."""
-
-    dtype: Any
-    fill: Any
-
-
-_NUMBER, _TEXT, _FLAG = _Kind(float, math.nan), _Kind(str, ""), _Kind(bool, False)
-_CODE, _COUNT = _Kind("int32", -1), _Kind("int32", 0)
+_Kind = tuple[Any, Any]
+"""Type of an array, and its fill value."""
+_NUMBER, _TEXT, _FLAG, _CODE, _COUNT = (
+    (float, math.nan), (str, ""), (bool, False), ("int32", -1), ("int32", 0),
+)  # fmt: skip
 # In order of writing, the outcome last.
 _OWN: Mapping[str, tuple[_Kind, Mapping[str, str]]] = {
     "message": (_TEXT, {"long_name": "what kept the run from its end"}),
@@ -464,8 +460,8 @@ def create(group: zarr.Group, plan: Plan) -> None:
             name,
             shape=shape,
             chunks=chunks,
-            dtype=kind.dtype,
-            fill_value=kind.fill,
+            dtype=kind[0],
+            fill_value=kind[1],
             dimension_names=dims,
             attributes=dict(attributes),
         )

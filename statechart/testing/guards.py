@@ -22,13 +22,7 @@ from statechart.automaton.regions import Claim, Invariant, Margin, active_in, wh
 from statechart.automaton.trace import Arc, Jump, Key, Role, Trace, sizes
 from statechart.execution.event_classification import STATE_ROUND_OFF, STATE_TOLERANCES
 from statechart.formulas.condition import Active, And, InState, Or
-from statechart.formulas.relation import (
-    Comparison,
-    Negation,
-    Term,
-    conjunction,
-    parse_relation,
-)
+from statechart.formulas.relation import Comparison, Negation, Term, conjunction, parse_relation
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import extremes_along
 from statechart.observation.sampling import instantaneous_modes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from runs import SOUND, run
@@ -11,8 +12,9 @@ from runs import SOUND, run
 import statechart
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
-from statechart.reporting.text import explained, explanation
+from statechart.reporting.text import explain_events, explained
 from statechart.running.runner import Runner
+from statechart.tabular import write_plain
 
 BAR = """\
 kind: scene
@@ -25,6 +27,10 @@ contacts:
   B: {point: {body: bar, at: [1, 0]}, surface: floor, friction: 0.3, restitution: 0}
 stop: {time: 0.45, conditions: {low: bar.y <= 0.05}}
 """
+
+
+def explanation(report: dict[str, Any]) -> str:
+    return write_plain(explain_events(report))
 
 
 def test_margins_of_an_event_belong_to_the_mode_before_it() -> None:

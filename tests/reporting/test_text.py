@@ -23,7 +23,6 @@ from statechart.tabular import (
     number,
     pluralise,
     readable_count,
-    shortest_text,
     table,
 )
 
@@ -139,13 +138,6 @@ def test_a_change_shared_by_many_bodies_is_listed_once() -> None:
     bounce = {"contact": "A", "impulse": {"A": {}}, "from": {"A": "free"}, "to": {"A": "free"}}
     assert change(bounce) == "free again"
     assert change({**bounce, "contact": None, "impulse": {}}) == ""
-
-
-def test_numbers_in_sentences_are_as_short_as_they_read() -> None:
-    numbers = (0.2, 10.0, -0.0, 1e-9, 1e22, 2.0100000000000002, 1 / 3)
-    reported = [shortest_text(number) for number in numbers]
-    assert reported[:3] == ["0.2", "10", "-0"]
-    assert [float(text) for text in reported] == list(numbers)
 
 
 @pytest.mark.parametrize(

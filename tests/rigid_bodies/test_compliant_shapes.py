@@ -294,3 +294,41 @@ def test_soft_fingers_lose_a_box_at_the_same_instant_at_all_steps(h: float) -> N
     assert [jump.cause for jump in found.trace.jumps] == ["touchdown", "slip"]
     assert found.outputs["t"] == pytest.approx(slips, abs=2 * h)
     assert found.outputs["y"] == pytest.approx(y, abs=2 * h**2)
+
+
+SEAMS = """
+kind: scene
+name: seams
+gravity: 9.81
+bodies:
+  box:
+    mass: 1
+    inertia: 0.002
+    shape: {polygon: [[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]}
+    start: {x: 0.945, y: 0.04964, dx: 0.95, angle: -0.00125}
+  FLOOR
+collisions: {all: {bodies: [box, crate], friction: 0.18, stiffness: 13772, damping: 5.04}}
+stop: {time: 0.2}
+outputs:
+  highest: {maximum: box.y}
+  lowest: {minimum: box.y}
+  left: {maximum: box.angle}
+  right: {minimum: box.angle}
+"""
+TILE = "[[-0.5, -0.2], [0.5, -0.2], [0.5, 0], [-0.5, 0]]"
+TILES = f"crate: {{fixed: true, copies: 3, shape: {{polygon: {TILE}}}, start: {{x: index - 0.5}}}}"
+SLAB = "crate: {fixed: true, shape: {polygon: [[-1, -0.2], [2, -0.2], [2, 0], [-1, 0]]}}"
+
+
+@pytest.mark.parametrize("h", [1e-3, 1e-4])
+def test_a_box_slides_over_the_seam_of_two_compliant_crates_as_over_one(h: float) -> None:
+    """It rests on its own corners: crates side by side are one floor, no stiffer at their seam."""
+    tiles, slab = (
+        Runner(interpret(read_text(SEAMS.replace("FLOOR", floor))), engine="impulse", step=h)
+        .run()
+        .outputs
+        for floor in (TILES, SLAB)
+    )
+    depth = 9.81 / (2.0 * 13772)
+    for name, within in {"highest": 0.05, "lowest": 0.05, "left": 0.2, "right": 0.2}.items():
+        assert tiles[name] == pytest.approx(slab[name], abs=within * depth)

@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import sys
+from contextlib import closing
 
 import pytest
 from studies import OSCILLATOR, point, study, traded
@@ -27,7 +28,7 @@ def setting(chosen: Chosen | None) -> Setting | None:
 
 def test_a_first_run_is_timed_in_a_separate_process() -> None:
     model = Runner(read_text(OSCILLATOR)).model
-    with FreshProcess(model, 5.0) as fresh:
+    with closing(FreshProcess(model, 5.0)) as fresh:
         for one in (RK45, Setting(engine="auto", accuracy=1e-3)):
             seconds = fresh.seconds(one)
             assert seconds is not None

@@ -255,9 +255,6 @@ class _Grid:
         half = self.sides[axis][side > 0] + _MARGIN * deep if deep else self.cell[axis] / 2
         return self.places[axis][place] + side * half
 
-    def _node(self, axis: int, place: int, across: int) -> Node:
-        return self.nodes[across][place] if axis == 0 else self.nodes[place][across]
-
     def states(self) -> Iterator[Box]:
         for row, y in zip(self.nodes, self.places[1], strict=True):
             for node, x in zip(row, self.places[0], strict=True):
@@ -312,7 +309,8 @@ class _Grid:
 
     def _end(self, k: int, span: Span, across: int) -> tuple[str, bool]:
         """Return the box at the end of an arrow, and whether it is infeasible."""
-        nodes = [self._node(k, place, across) for place in range(span[0], span[1] + 1)]
+        line = self.nodes[across] if k == 0 else [row[across] for row in self.nodes]
+        nodes = line[span[0] : span[1] + 1]
         impossible = all(node.infeasible is not None for node in nodes)
         if span[0] == span[1]:
             return self.names[nodes[0].name], impossible
