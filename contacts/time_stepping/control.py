@@ -1,10 +1,10 @@
 """Controllers of a time-stepped scene, evaluated at the ends of steps.
 
 A transition on an event fires at the end of its step; one with a guard at the end of the first step
-at which the guard is or becomes true, unless it is about to become false by itself. A quantity that
-stays on its boundary for a step, as the slip of a sticking contact does, is zero up to round-off:
-`<=` and `>=` hold, `<` and `>` do not. Steps are taken in chunks under the present states; those
-beyond a transition are reverted.
+at which the guard is or becomes true, unless it was true before and is about to become false by
+itself. A quantity that stays on its boundary for a step, as the slip of a sticking contact does, is
+zero up to round-off: `<=` and `>=` hold, `<` and `>` do not. Steps are taken in chunks under the
+present states; those beyond a transition are reverted.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from contacts.states import CLOSED, OPEN, RESTS, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.settling import LEFT
-from contacts.time_stepping.stop_conditions import ActiveStates, first_undefined, passed_spans
+from contacts.time_stepping.stop_conditions import ActiveStates, first_undefined, spans_within_steps
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Raised, Region
@@ -78,6 +78,10 @@ class StepControl:
         # States of the controllers, and the atoms of their guards that were zero at the ends of the
         # last step but one and of the last step.
         self._zero: tuple[Key, Bools | None, Bools | None] = (), None, None
+        # Modes in the last steps; truths (m + 1, a) of the atoms at the start and the ends of
+        # these, unknown ones count as true; guards that became true in the last of them.
+        self._shown, self._atoms = np.zeros((0, 0), int), np.ones((1, 0), np.bool_)
+        self._turned_true = set[tuple[int, int]]()
         # A moved surface strikes in the next step, before any other event.
         self._strikes, self._pending = False, dict[str, tuple[Raised, ...]]()
         self._mechanics = mechanics
@@ -99,17 +103,24 @@ class StepControl:
         shown = recorder.recorded_modes(chunk)
         known, _, last = self._zero
         before = last if known == self.states else None
-        due, zero = self._due(
+        due, atoms, zero = self._due(
             chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h, shown, before
         )
-        may_act: Bools = np.any(due, axis=1)
+        self._shown, self._atoms = shown, np.vstack([self._atoms[-1:], atoms])
+        true = self._true(self._atoms, np.vstack([recorder.row, shown]))
+        # An impact within a step leaves margins beyond the bound at which it turns them back.
+        turned = true[1:] & ~true[:-1] & ~np.any(chunk.struck, axis=1)[:, None]
+        may_act: Bools = np.any(due | turned, axis=1)
         if self._queues.waits(self.states):
             may_act |= recorder.changes(chunk)
         may_act[:1] |= self._strikes
         acts = bool(may_act.any())
         end = int(np.argmax(may_act)) if acts else len(may_act) - 1
         self._zero = self.states, zero[end - 1] if end else before, zero[end]
-        self._note_passed(chunk.first(end + 1), start, shown)
+        guards = self._states.guards(self.states).watch.guards
+        self._turned_true = {
+            (g.place, g.trigger) for g, now in zip(guards, turned[end], strict=True) if now
+        }
         if end == len(may_act) - 1:
             return chunk, acts
         self._scene.forget()
@@ -154,8 +165,13 @@ class StepControl:
             at_end = time, state[None], solved[None]
             known, before, _ = self._zero
             before = before if known == self.states else None
-            due = self._due(*at_end, h, recorder.row[None], before)[0][0]
-            true = {(g.place, g.trigger) for g, now in zip(watch.guards, due, strict=True) if now}
+            due, self._atoms, _ = self._due(*at_end, h, recorder.row[None], before)
+            [truths] = self._true(self._atoms, recorder.row[None])
+            true = {
+                (g.place, g.trigger)
+                for g, now, holds in zip(watch.guards, due[0], truths, strict=True)
+                if now or (holds and (g.place, g.trigger) in self._turned_true)
+            }
             firing = self._queues.first(
                 self.states,
                 pending,
@@ -184,6 +200,7 @@ class StepControl:
             name, taken = self._states.names[firing.place], firing.taken
             fired = tuple(g.name for g in watch.guards if (g.place, g.trigger) in firing.due)
             source = self.states[firing.place]
+            self._turned_true = {one for one in self._turned_true if one[0] != firing.place}
             self.states = (
                 *self.states[: firing.place],
                 taken.target,
@@ -217,6 +234,8 @@ class StepControl:
             pending, state = self._queues.pending_after(firing.pending, jump), after
             if strikes:
                 self._pending, self._strikes = pending, True
+                watch = self._states.guards(self.states).watch
+                self._atoms = np.ones((1, len(watch.atoms)), np.bool_)
                 return state
         last = (
             f"{jump.cause} -> {' '.join(jump.target)}"
@@ -338,8 +357,10 @@ class StepControl:
     def _due(
         self, times: Array, states: Array, solved: Array, h: float, codes: Ints,
         before: Bools | None,
-    ) -> tuple[Bools, Bools]:  # fmt: skip
-        """Return the guards (m, g) that are due, and the atoms (m, a) that are zero.
+    ) -> tuple[Bools, Bools, Bools]:  # fmt: skip
+        """Return the guards (m, g) that are due, and the atoms (m, a) that are true, and at zero.
+
+        Atoms that become false within the next step make no guard due.
 
         `codes` (m, r) are modes of contacts; `before` (a,) are the atoms that were zero one step
         earlier, where known.
@@ -350,7 +371,7 @@ class StepControl:
         rate, second = (guards.table(*points, order=order)[..., 0] for order in (1, 2))
         passing = (rate > 0.0) & (margin + h * rate >= 0.0)
         falling = np.minimum(np.nan_to_num(rate, neginf=0.0), 0.0)
-        true: Bools = (margin + _AT_END * h * falling < 0.0) & ~passing
+        true: Bools = margin + _AT_END * h * falling < 0.0
         # A margin that has just come to zero was braked, and need not cross: a strict guard waits
         # until it leaves zero. Times do cross.
         zero = self._setup.rounded * size
@@ -360,21 +381,30 @@ class StepControl:
         first = np.zeros(near.shape[1], np.bool_) if before is None else before
         stays = np.isfinite(rate) | np.vstack([first, near[:-1]])
         atoms: Bools = np.where(near, guards.watch.closed & stays & ~rises, true)
-        return guards.watch.truths(atoms, self._active.at(codes, self.states)), near
+        return self._true(atoms & (near | ~passing), codes), atoms, near
 
-    def _note_passed(self, chunk: Chunk, start: float, codes: Ints) -> None:
-        """Note warnings of guards that are true within a step only."""
+    def _true(self, atoms: Bools, codes: Ints) -> Bools:
+        """Return the guards (m, g) that are true, from their atoms (m, a) and modes (m, r)."""
+        active = self._active.at(codes, self.states)
+        return self._states.guards(self.states).watch.truths(atoms, active)
+
+    def note_spans(self, chunk: Chunk, start: float, end: float) -> None:
+        """Note warnings of guards that are true within a step only, until the run is at `end`.
+
+        The steps are the first of those that `cut` returned last.
+        """
         guards = self._states.guards(self.states)
         if guards.watch.single:
             return
         times, unknown = np.append(start, chunk.ends(start)), np.full(len(self._order), np.nan)
         solved = np.tile(unknown, (len(times), 1))
         margins = guards.table(self._setup, times, chunk.states, solved)[..., 0]
+        times[-1] = end
 
         def active(k: int, n: int) -> Callable[[str, str], Bools]:
-            return self._active.at(np.tile(codes[k], (n, 1)), self.states)
+            return self._active.at(np.tile(self._shown[k], (n, 1)), self.states)
 
-        found = passed_spans(guards.watch, margins, chunk, start, active)
+        found = spans_within_steps(guards.watch, chunk, times, margins, self._atoms, active)
         self._left_out = found | self._left_out
 
     def _holding(
