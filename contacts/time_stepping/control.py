@@ -332,7 +332,7 @@ class StepControl:
                 {
                     i: (snapshot.contacts[i].gap, float(slip))
                     for i, push, slip in zip(touching, impulses[touching], slips, strict=True)
-                    if push[0] > 0.0 and STATES[recorder.row[i]] in OPEN
+                    if push[0] > 0.0
                 }
             )
         pairs = zip(contacts, impulses.tolist(), strict=True)

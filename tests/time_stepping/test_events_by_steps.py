@@ -1055,7 +1055,10 @@ stop: {time: 0.11}
 """
 
 
-@pytest.mark.parametrize(("block", "load"), [(2.0, 0.5), (-1.0, 0.5), (0.0, 1.2), (0.0, 0.1)])
+@pytest.mark.parametrize(
+    ("block", "load"),
+    [(2.0, 0.5), (-1.0, 0.5), (-0.35, 0.4), (-0.3, 1.2), (0.0, 1.2), (0.0, 0.5), (0.0, 0.1)],
+)
 def test_a_joint_that_closes_meets_kinetic_friction(block: float, load: float) -> None:
     """The floor takes the momentum 1 of the fall, and friction up to 0.2 along itself."""
     model = interpret(read_text(JOINED.replace("BLOCK", f"{block}").replace("LOAD", f"{load}")))
@@ -1068,3 +1071,6 @@ def test_a_joint_that_closes_meets_kinetic_friction(block: float, load: float) -
         assert after["block.dx"] == pytest.approx(speed, abs=1e-9)
         assert after["load.dx"] == pytest.approx(speed, abs=1e-9)
         assert closing.impulse["foot"][0] == pytest.approx(1.0, abs=1e-9)
+        slides = {1.0: "slide+", -1.0: "slide-", 0.0: "pin"}
+        assert closing.target[0] == slides[float(np.sign(round(speed, 12)))]
+        assert result.trace.jumps[-1].cause == "enable"
