@@ -30,7 +30,6 @@ from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.states import CLOSED, OPEN, RESTS, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.recorder import Recorder
-from contacts.time_stepping.settling import LEFT
 from contacts.time_stepping.stop_conditions import ActiveStates, first_undefined, spans_within_steps
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
@@ -43,13 +42,16 @@ _MAX_LISTED = 4  # Transitions listed in the error of an endless sequence.
 _MOST_TURNS = 100
 # Part of a step within which a guard counts as true at its end: times are rounded.
 _AT_END = 1e-6
+# Steps after a closing in which a stick may end bounces that are left out: a contact stays closed
+# from an approach of two steps of free fall on, where restitution 1/2 bounces for four more steps.
+_BOUNCED = 4.0
 
 
 class ClosingImpact(NamedTuple):
     """The plastic impact in which a joint closes."""
 
     state: Array
-    modes: dict[int, int]  # Regions that it stops -> their modes.
+    modes: dict[int, int]  # Regions that it strikes -> their modes.
     impulse: dict[str, tuple[float, float]]
     joint_impulse: dict[str, float]
 
@@ -276,7 +278,8 @@ class StepControl:
                 if jump.source[i] in OPEN and jump.target[i] not in OPEN:
                     self._closed_at[name] = jump.t
             name = jump.region
-            if jump.cause == "stick" and jump.t - self._closed_at.get(name, -np.inf) <= LEFT * h:
+            closed_at = self._closed_at.get(name, -np.inf)
+            if jump.cause == "stick" and jump.t - closed_at <= _BOUNCED * h:
                 self._warn_of(
                     _event(jump, name, "stick"),
                     f"{name} sticks at t = {jump.t:.6g}, just after bounces that are shorter than "
