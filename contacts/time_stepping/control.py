@@ -86,7 +86,7 @@ class StepControl:
         self._turned_true = set[tuple[int, int]]()
         # A moved surface strikes in the next step, before any other event.
         self._strikes, self._pending = False, dict[str, tuple[Raised, ...]]()
-        self._mechanics = mechanics
+        self._mechanics, self._tapes = mechanics, dict[Key, SnapshotTape]()
         # Contacts with restitution -> their places.
         self._bouncing = {
             law.name: i for i, law in enumerate(setup.contacts) if law.restitution > 0.0
@@ -189,15 +189,16 @@ class StepControl:
                         f"of {h:g} and are left out, but {{}} waits for one; use a shorter step",
                         at,
                     )
-                for jump, name in product(jumps, self._couplings):
-                    place = self._couplings[name]
+                for jump, (name, place) in product(jumps, self._couplings.items()):
                     if jump.impulse and jump.source[place] == jump.target[place] == "locked":
                         why = (
                             f"{name}: the impact at t = {jump.t:.6g} may make it slip for less "
                             f"than a step of {h:g}, and {{}} waits for that; use a shorter step"
                         )
                         for cause in ("slip", "lock"):
-                            self._warn_of(_event(jump, name, cause), why, at)
+                            event = _event(jump, name, cause)
+                            if self._waiting(event, at) and self._strikes_coupling(jump, place):
+                                self._warn_of(event, why, at)
                 return state
             name, taken = self._states.names[firing.place], firing.taken
             fired = tuple(g.name for g in watch.guards if (g.place, g.trigger) in firing.due)
@@ -263,11 +264,30 @@ class StepControl:
 
     def _warn_of(self, jump: Jump, why: str, at_end: tuple[Array, Array, Array, Ints]) -> None:
         """Warn if a transition waits for the event of a jump; `why` has a place for its name."""
+        name = self._waiting(jump, at_end)
+        if name:
+            self._left_out.setdefault(name, why.format(name))
+
+    def _waiting(self, jump: Jump, at_end: tuple[Array, Array, Array, Ints]) -> str:
+        """Return the name of the transition that waits for the event of a jump, if any."""
         pending, holding = self._queues.pending_after({}, jump), partial(self._holding, *at_end)
         firing = self._queues.first(self.states, pending, (), holding)
-        if firing is not None:
-            name = f"{self._states.names[firing.place]}.{firing.taken.name}"
-            self._left_out.setdefault(name, why.format(name))
+        return "" if firing is None else f"{self._states.names[firing.place]}.{firing.taken.name}"
+
+    def _strikes_coupling(self, jump: Jump, place: int) -> bool:
+        """Return whether the impulses of contacts in a jump alone would make a coupling slip."""
+        laws, first = self._setup.contacts, len(jump.source) - len(self.states)
+        snapshot = self._snapshots(jump.source[first:]).at(self._setup.values, jump.before, jump.t)
+        impulses = np.array([jump.impulse.get(law.name, (0.0, 0.0)) for law in laws])
+        push = np.einsum("ckn,ck->n", snapshot.jacobians, impulses)
+        change = np.linalg.lstsq(snapshot.mass, push)[0]
+        return bool(abs(snapshot.jacobians[place, 1] @ change) > self._setup.slip_tolerance)
+
+    def _snapshots(self, states: Key) -> SnapshotTape:
+        """Return the snapshots in states of the controllers."""
+        if states not in self._tapes:
+            self._tapes[states] = SnapshotTape(self._mechanics, self._states.named(states))
+        return self._tapes[states]
 
     def _warn_of_sticking(
         self, jumps: Sequence[Jump], at_end: tuple[Array, Array, Array, Ints], h: float
@@ -299,8 +319,7 @@ class StepControl:
         `UnsolvedImpulses` if no impulses stop the contacts.
         """
         setup, time, before = self._setup, recorder.clock.high, state
-        named = self._states.named(self.states)
-        tape, contacts = SnapshotTape(self._mechanics, named), setup.contacts
+        tape, contacts = self._snapshots(self.states), setup.contacts
         held, impulses = dict[int, int](), np.zeros((len(contacts), 2))
         snapshot = tape.at(setup.values, state, time)
         check_closing(self._mechanics, snapshot, joint, setup.tolerances["gap"], 2.0 * h)
