@@ -17,7 +17,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, InitVar, dataclass
 from typing import ClassVar
 
 Loc = tuple[str | int, ...]
@@ -141,14 +141,14 @@ class DeclarationProblem(ValueError):
     _: KW_ONLY
     advice: str = ""
     loc: Loc = ()
-    key: Loc = ()
+    key: InitVar[Loc] = ()
     offset: int = 0
     text: str = ""
     see: Loc = ()
     others: tuple[DeclarationProblem, ...] = ()
 
-    def __post_init__(self) -> None:
-        self.loc = self.key or self.loc
+    def __post_init__(self, key: Loc) -> None:
+        self.loc, self.at_key = key or self.loc, bool(key)
         super().__init__(self.message)
 
     def __str__(self) -> str:

@@ -102,6 +102,7 @@ class Browser:
         self.said = self._program.said[self._session] = []
         for domain in ("Page", "Runtime", "Log"):
             self.do(f"{domain}.enable")
+        self.do("Page.setLifecycleEventsEnabled", enabled=True)
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
         self.do("Emulation.setDeviceMetricsOverride", **size)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
@@ -120,10 +121,12 @@ class Browser:
 
     def open(self, path: Path) -> None:
         """Open a file and wait until it is there."""
-        self.do("Page.navigate", url=path.resolve().as_uri())
+        page = self.do("Page.navigate", url=path.resolve().as_uri())
+        loaded = {"frameId": page["frameId"], "loaderId": page["loaderId"], "name": "load"}
         while True:
             message = self._program.next()
-            if message.get("method") == "Page.loadEventFired":
+            found = message.get("params", {}).items()
+            if message.get("sessionId") == self._session and loaded.items() <= found:
                 return
 
     def value(self, script: str) -> Any:

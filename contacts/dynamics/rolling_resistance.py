@@ -96,12 +96,13 @@ def _continue_slip(
     """Return the change of velocity, and the impulses, where a resisted contact goes on to slip.
 
     Its impulse along the `edge` of its cone leaves its gap rate as it is; the angular impulse stops
-    the rotation `slip`, or is `limit` times the normal impulse.
+    the rotation `slip`, or is `limit` times the normal impulse. Both replace those in `impulses`.
     """
     couple, jacobian = snapshot.jacobians[couple_place, 1], snapshot.jacobians[place]
     rates = np.array([-slip, 0.0])
     push, rows = np.array(edge) @ jacobian, np.array([couple, jacobian[0]])
-    solve = partial(solve_kkt, snapshot.mass, -jacobian.T @ impulses[place])
+    replaced = jacobian.T @ impulses[place] + couple * impulses[couple_place, 1]
+    solve = partial(solve_kkt, snapshot.mass, -replaced)
     solved = solve(rows, np.array([couple, push]), rates)
     if solved is None:
         return np.zeros(len(snapshot.velocity)), impulses

@@ -288,7 +288,7 @@ class SceneLaws:
                 grown = self._grown(here)
                 choice = choice if grown is None else dataclasses.replace(choice, why=grown.why)
             return self._impact(here, [choice.place], choice)
-        return self._enter(here, choice)
+        return self._enter(at, here, choice)
 
     def close(self, at: SceneInstant, joint: str, cause: str) -> tuple[Jump, Flow]:
         """Close a joint: its points stop, and so do contacts that are closed, without rebound.
@@ -372,10 +372,9 @@ class SceneLaws:
         shut = [state not in OPEN for state in here.moving]
         return resolve_jam(here.at.setup, here.snapshot, shut, unbounded=True)
 
-    def _enter(self, here: Landing, choice: Choice) -> JumpResult:
-        """Return the jump to a mode; None if the flow already moves in it."""
-        at, snapshot, moving, _ = here
-        setup, clock, _, flow, state, fired = at
+    def _enter(self, at: SceneInstant, here: Landing, choice: Choice) -> JumpResult:
+        """Return the jump to a mode from an instant; None if the flow already moves in it."""
+        (setup, clock, _, flow, state, fired), snapshot, moving, _ = here
         target = choice.taken.states
         skipping = moving != flow.mode
         if target == moving and not (skipping and fired == ("zeno",)):

@@ -152,7 +152,8 @@ def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None
         columns = iter(subject.solved(trace, arc, tau, expressions).T)
         for name, state in zip(scene.couplings, moving_mode(arc.roles)[first:], strict=False):
             couple, slip, static, kinetic = (next(columns) for _ in range(4))
-            limit = static if state == "locked" else kinetic * (state not in OPEN)
+            kinetic = np.zeros_like(kinetic) if state in OPEN else kinetic
+            limit = static if state == "locked" else kinetic
             if trace.step is not None:
                 # A step uses the limit at its middle, which ends the halves of one with an impact.
                 by_steps = limit.reshape(len(arc.times) - 1, -1)

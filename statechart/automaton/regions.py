@@ -40,7 +40,8 @@ class Margin:
     shown: sp.Expr | None = None
     # Coefficient in that quantity, which is left out of reports where this is infinite
     coefficient: sp.Expr | None = None
-    strict: bool = False  # of a relation of one atom that is false on its boundary
+    # Condition of the relation of which it is an atom
+    condition: Condition | None = field(default=None, compare=False)
 
     def replaced(self, values: Mapping[sp.Symbol, sp.Expr]) -> Margin:
         """Return the margin with values substituted for symbols."""
@@ -91,11 +92,10 @@ def margins_of(
     condition = relation.condition(known)
     names = condition.names(name)
     if condition.single:
-        (atom,) = condition.atoms
-        return condition, (Margin(name, atom.expression, strict=atom.strict),)
+        return condition, (Margin(name, condition.atoms[0].expression, condition=condition),)
     whole = None if relation.members else relation.margin(known)
     return condition, tuple(
-        Margin(one, atom.expression, relation=name, whole=whole)
+        Margin(one, atom.expression, relation=name, whole=whole, condition=condition)
         for one, atom in zip(names, condition.atoms, strict=True)
     )
 

@@ -178,7 +178,7 @@ def _to_error(
     if isinstance(cause, DeclarationProblem):
         cause = _locate_in_list(document, cause, loc)
         loc = (*loc, *cause.loc)
-        key, offset = key or bool(cause.key), cause.offset
+        key, offset = key or cause.at_key, cause.offset
         message, advice = _message(document, cause), cause.advice
     else:
         names = known_keys(model, loc[:-1])
@@ -335,7 +335,7 @@ def _message(document: Document | Built | None, problem: DeclarationProblem) -> 
         return problem.message
     path = ".".join(map(str, document.existing(problem.see) if document else problem.see))
     if isinstance(document, Document):
-        place = document.position(problem.see, key=bool(problem.key))
+        place = document.position(problem.see, key=problem.at_key)
         path += f" (line {place.line}, column {place.column})"
     return problem.message.replace("{see}", path)
 
@@ -369,7 +369,7 @@ def _locate(
         message += " (with " + ", ".join(f"{k} = {v:.7g}" for k, v in overrides.items()) + ")"
     if document is None:
         return DeclarationError(message, advice=problem.advice)
-    at = document.position(problem.loc, key=bool(problem.key)).shifted(problem.offset)
+    at = document.position(problem.loc, key=problem.at_key).shifted(problem.offset)
     return at.error(message, problem.advice)
 
 

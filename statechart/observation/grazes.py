@@ -24,6 +24,7 @@ from statechart.execution.event_classification import (
     margin_errors,
 )
 from statechart.execution.simulator import Simulator
+from statechart.formulas.condition import AtomsAt
 from statechart.formulas.tape import contiguous
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import sample_arcs, subdivide
@@ -147,7 +148,7 @@ class _GuardScan:
     def __init__(
         self, trace: Trace, compiled: CompiledMode, stops: Set[str], scales: Array
     ) -> None:
-        self._guards = compiled.wholes
+        self._compiled, self._guards = compiled, compiled.wholes
         wholes = whole_margins(compiled.mode.margins)
         self._watched = tuple((margin.name, margin.kind) for margin in wholes)
         self._stops = stops
@@ -156,7 +157,6 @@ class _GuardScan:
             and (margin.name in stops or ("." in margin.name and ": " not in margin.name))
             for margin in wholes
         ], np.bool_)  # fmt: skip
-        self._strict = np.array([margin.strict for margin in wholes], np.bool_)
         # Atom -> its relation.
         self._named = {margin.name: margin.name for margin in wholes}
         self._named |= {m.name: m.relation for m in compiled.mode.margins if m.whole is not None}
@@ -305,10 +305,31 @@ class _GuardScan:
             before, now, soon = self._table(states, arc.start.high + np.array([0.0, *tau]))
             with np.errstate(all="ignore"):
                 touched = (np.abs(now) <= self._near * soon) & (before > np.abs(now))
-            for k in np.flatnonzero(touched & self._judged & ~self._strict).tolist():
+            for k in np.flatnonzero(touched & self._judged).tolist():
                 graze = self._open(arc, k, 0.0, 0.0, fired=False)
-                if graze and abs(graze.least) <= graze.uncertainty < before[k]:
+                if (
+                    graze
+                    and abs(graze.least) <= graze.uncertainty < before[k]
+                    and self._is_true(graze, states[1])
+                ):
                     yield graze._replace(placed=f"{jumps[0].region}.{jumps[0].cause}")
+
+    def _is_true(self, graze: Graze, state: Array) -> bool:
+        """Return whether a guard is true at the instant of a graze."""
+        guards, margins = self._compiled.guards, self._compiled.mode.margins
+        names = [margin.relation or margin.name for margin in margins]
+        first = names.index(graze.guard)
+        condition = margins[first].condition
+        if condition is None:
+            return True
+        errors = [
+            margin_errors(guards, k, state, self._errors, self._values, graze.t)
+            for k in range(first, first + len(condition.atoms))
+        ]
+        values = guards.values(state, self._values, graze.t)[first:].tolist()
+        closed = [not atom.strict for atom in condition.atoms]
+        atoms = AtomsAt(values, errors, closed, lambda _: 0.0)
+        return atoms.touched(condition, 0, lambda *_: False)
 
     def _last(self, arcs: Sequence[Arc]) -> Array:
         """Return the guards after the end of flows, there and shortly before, (m, 5, k)."""

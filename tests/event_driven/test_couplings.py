@@ -586,6 +586,23 @@ def test_rolling_resistance_stops_a_slip_that_friction_alone_leaves(engine: str)
     assert trace.jumps[0].target[0] == "pin"
 
 
+@ENGINES
+@pytest.mark.parametrize("length", [0.012, 0.02])
+def test_rolling_resistance_that_turns_a_slip_round_stays_within_its_bound(
+    engine: str, length: float
+) -> None:
+    text = ROLLING.replace("y: r, dx: v0, dangle: -v0/r", "y: 0.3, dx: -0.5, dangle: 8")
+    text = text.replace("rolling_resistance: L", f"rolling_resistance: {length}")
+    landing = run(text.replace("friction: 0.5", "friction: 0.02"), engine).trace.jumps[0]
+    # Friction on its edge drives the rotation; the couple is at its bound, or stops the rotation.
+    normal = math.sqrt(2 * 9.81 * 0.2)
+    couple = max(-length * normal, -0.004 * 8 - 0.1 * 0.02 * normal)
+    assert landing.impulse["rim"] == pytest.approx((normal, 0.02 * normal), abs=EXACT)
+    assert landing.joint_impulse["rim_rolling.M"] == pytest.approx(couple, abs=EXACT)
+    spin = 8 + (couple + 0.1 * 0.02 * normal) / 0.004
+    assert landing.after[[3, 5]] == pytest.approx((-0.5 + 0.02 * normal, spin), abs=EXACT)
+
+
 def test_an_impact_by_steps_lists_the_impulse_of_rolling_resistance() -> None:
     text = ROLLING.replace("y: r, dx: v0, dangle: -v0/r", "y: 0.3, dx: 2")
     text = text.replace("rolling_resistance: L", "rolling_resistance: 0.02")

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from fractions import Fraction
 
+import numpy as np
 import pytest
 
 from statechart.automaton.clock import Clock
 from statechart.documents.yaml_reader import read_text
+from statechart.kernels.polynomials import sample_states
 from statechart.running.runner import Runner, run
 
 DROP = """\
@@ -113,3 +115,13 @@ def test_force_settling_below_zero_fires_at_its_crossing(name: str) -> None:
         # V = exp(-time) - pull, down to what rounding makes of it: 1e-12 of the weight.
         passed = -math.log(pull - 1e-11)
         assert trace.t_end == pytest.approx(passed, abs=1e-3)
+
+
+def test_a_jump_begins_where_its_flow_ends_and_not_at_its_projection() -> None:
+    trace = run("toppling_stick", engine="scipy", tolerance=1e-6).trace
+    (reverse,) = [jump for jump in trace.jumps if jump.cause == "reverse"]
+    arc = [arc for arc in trace.arcs if arc.j == reverse.j][-1]
+    end = sample_states(arc.coefficients, arc.times, arc.times[-1:])[0]
+    assert reverse.before.tolist() == end.tolist()
+    # The constraints of the flow are off by the error of its steps.
+    assert 1e-9 < np.abs(reverse.after - reverse.before).max() < 1e-6

@@ -706,6 +706,21 @@ stop: {time: 3}
     image_property("mirror", scene, mirrored).holds(Subject(scene).case({}))
 
 
+def test_an_open_coupling_with_an_infinite_limit_has_no_couple() -> None:
+    scene = model("""
+kind: scene
+name: rotor
+bodies: {rotor: {mass: 3, inertia: 2, start: {dangle: 3}}}
+joints: {pivot: {point: {body: rotor}, to: [0, 0], enabled: time <= 1}}
+couplings: {bearing: {joint: pivot, limit: "exp(1000*max(time - 1.5, 0))"}}
+stop: {time: 3}
+""")
+    properties = {one.name: one for one in contact_properties(scene)}
+    case = Subject(scene).case({})
+    assert [jump.region for jump in case.trace.jumps] == ["pivot", "bearing"]
+    properties["couples are within their limits"].holds(case)
+
+
 @pytest.mark.parametrize("axis", ["x", "y"])
 def test_slips_along_a_guide_turn_round_in_the_mirror_if_it_is_level(axis: str) -> None:
     other = {"x": "y", "y": "x"}[axis]
