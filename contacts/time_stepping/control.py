@@ -27,7 +27,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.dynamics.starting import check_closing
 from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
-from contacts.states import CLOSED, OPEN, RESTS, STATES
+from contacts.states import CLOSED, FREE, OPEN, RESTS, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.stop_conditions import ActiveStates, first_undefined, spans_within_steps
@@ -349,14 +349,19 @@ class StepControl:
             velocity, impulses = apply_rolling_resistance(
                 snapshot, contacts, snapshot.velocity + change, impulses, setup.slip_tolerance
             )
-            state, slips = snapshot.moved(state, velocity), jacobians[:, 1] @ velocity
+            state, rates = snapshot.moved(state, velocity), jacobians @ velocity
+            at_rest = np.isin(recorder.row[touching], [*RESTS])
+            opened = np.array([STATES[code] in OPEN for code in recorder.row[touching].tolist()])
+            leaves = rates[:, 0] > setup.tolerances["speed"]
+            # Some slip, or stop, without an impulse of their own.
+            turned = ~at_rest | (np.abs(rates[:, 1]) > setup.slip_tolerance)
+            turned &= ~opened & ~leaves
             held = self._scene.hold(
                 {
-                    i: (snapshot.contacts[i].gap, float(slip))
-                    for i, push, slip in zip(touching, impulses[touching], slips, strict=True)
-                    if push[0] > 0.0
+                    touching[k]: (snapshot.contacts[touching[k]].gap, float(rates[k, 1]))
+                    for k in np.flatnonzero((impulses[touching, 0] > 0.0) | turned).tolist()
                 }
-            )
+            ) | {touching[k]: FREE for k in np.flatnonzero(~opened & leaves).tolist()}
         pairs = zip(contacts, impulses.tolist(), strict=True)
         return ClosingImpact(
             state,

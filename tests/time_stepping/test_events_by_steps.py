@@ -1074,3 +1074,33 @@ def test_a_joint_that_closes_meets_kinetic_friction(block: float, load: float) -
         slides = {1.0: "slide+", -1.0: "slide-", 0.0: "pin"}
         assert closing.target[0] == slides[float(np.sign(round(speed, 12)))]
         assert result.trace.jumps[-1].cause == "enable"
+
+
+@pytest.mark.parametrize("foot", ["restitution: 0", "stiffness: 1000, damping: 20"])
+@pytest.mark.parametrize(
+    ("block", "load", "place", "mode"),
+    [
+        ("{}", "dx: 1.2", "body: load}, to: {body: block}", "slide+"),
+        ("{}", "dx: -1.2", "body: load}, to: {body: block}", "slide-"),
+        ("{}", "dy: 1", "body: load}, to: {body: block}", "free"),
+        ("{dx: 1.5}", "dx: 0", "body: block}, to: [0, 0]", "pin"),
+    ],
+)
+def test_a_joint_that_closes_without_an_impulse_of_the_floor_decides_its_mode(
+    foot: str, block: str, load: str, place: str, mode: str
+) -> None:
+    """The load shares its momentum with the block, or the world stops the block."""
+    text = JOINED.replace("restitution: 0,\n    impact: moreau", foot)
+    text = text.replace("{dx: BLOCK}", block).replace("dx: LOAD, dy: -1", load)
+    text = text.replace("body: load}, to: {body: block}", place)
+    if foot.startswith("stiffness"):
+        # It rises from the depth of its weight and still touches: 1000 0.02 > 20/3.
+        text = text.replace(f"start: {block}", f"start: {{y: -0.02, {block[1:]}")
+        text, mode = text.replace("y: 1,", "y: 0.98,"), {"free": "pin"}.get(mode, mode)
+    for result in (
+        Runner(interpret(read_text(text)), engine="taylor").run(),
+        by_steps(interpret(read_text(text)), 1e-3),
+    ):
+        [closing] = [jump for jump in result.trace.jumps if jump.cause == "enable"]
+        assert not closing.impulse
+        assert closing.target[0] == mode
