@@ -69,6 +69,11 @@ def choose_mode(
     return choice
 
 
+# Two feet whose centripetal accelerations differ by more than this, relative to the scales, part at
+# once as their body turns: a difference of 5e-6 is a real motion, far above round-off.
+_PARTING = 1e-8
+
+
 def _level_feet(
     setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool]
 ) -> tuple[Snapshot, list[int]]:
@@ -94,7 +99,7 @@ def _level_feet(
         weights = np.linalg.lstsq(earlier.T, jacobians[i, 1] * levers)[0]
         row, bias = weights @ jacobians[independent, 1], weights @ biases[independent, 1]
         off = np.abs((row - jacobians[i, 1]) * levers).max() / scales.length
-        if off > DEAD_POINT or abs(bias - biases[i, 1]) > USER_DIGITS * scales.acceleration:
+        if off > DEAD_POINT or abs(bias - biases[i, 1]) > _PARTING * scales.acceleration:
             independent.append(i)
             continue
         # The body moves along with this speed.

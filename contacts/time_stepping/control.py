@@ -1,10 +1,10 @@
 """Controllers of a time-stepped scene, evaluated at the ends of steps.
 
 A transition on an event fires at the end of its step; one with a guard at the end of the first step
-at which the guard is or becomes true, unless it is about to become false by itself. A quantity that
-stays on its boundary for a step, as the slip of a sticking contact does, is zero up to round-off:
-`<=` and `>=` hold, `<` and `>` do not. Steps are taken in chunks under the present states; those
-beyond a transition are reverted.
+at which the guard is or becomes true, unless it was true before and is about to become false by
+itself. A quantity that stays on its boundary for a step, as the slip of a sticking contact does, is
+zero up to round-off: `<=` and `>=` hold, `<` and `>` do not. Steps are taken in chunks under the
+present states; those beyond a transition are reverted.
 """
 
 from __future__ import annotations
@@ -30,8 +30,7 @@ from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.states import CLOSED, OPEN, RESTS, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.recorder import Recorder
-from contacts.time_stepping.settling import LEFT
-from contacts.time_stepping.stop_conditions import ActiveStates, first_undefined, passed_spans
+from contacts.time_stepping.stop_conditions import ActiveStates, first_undefined, spans_within_steps
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Raised, Region
@@ -43,13 +42,16 @@ _MAX_LISTED = 4  # Transitions listed in the error of an endless sequence.
 _MOST_TURNS = 100
 # Part of a step within which a guard counts as true at its end: times are rounded.
 _AT_END = 1e-6
+# Steps after a closing in which a stick may end bounces that are left out: a contact stays closed
+# from an approach of two steps of free fall on, where restitution 1/2 bounces for four more steps.
+_BOUNCED = 4.0
 
 
 class ClosingImpact(NamedTuple):
     """The plastic impact in which a joint closes."""
 
     state: Array
-    modes: dict[int, int]  # Regions that it stops -> their modes.
+    modes: dict[int, int]  # Regions that it strikes -> their modes.
     impulse: dict[str, tuple[float, float]]
     joint_impulse: dict[str, float]
 
@@ -78,9 +80,13 @@ class StepControl:
         # States of the controllers, and the atoms of their guards that were zero at the ends of the
         # last step but one and of the last step.
         self._zero: tuple[Key, Bools | None, Bools | None] = (), None, None
+        # Modes in the last steps; truths (m + 1, a) of the atoms at the start and the ends of
+        # these, unknown ones count as true; guards that became true in the last of them.
+        self._shown, self._atoms = np.zeros((0, 0), int), np.ones((1, 0), np.bool_)
+        self._turned_true = set[tuple[int, int]]()
         # A moved surface strikes in the next step, before any other event.
         self._strikes, self._pending = False, dict[str, tuple[Raised, ...]]()
-        self._mechanics = mechanics
+        self._mechanics, self._tapes = mechanics, dict[Key, SnapshotTape]()
         # Contacts with restitution -> their places.
         self._bouncing = {
             law.name: i for i, law in enumerate(setup.contacts) if law.restitution > 0.0
@@ -99,17 +105,24 @@ class StepControl:
         shown = recorder.recorded_modes(chunk)
         known, _, last = self._zero
         before = last if known == self.states else None
-        due, zero = self._due(
+        due, atoms, zero = self._due(
             chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h, shown, before
         )
-        may_act: Bools = np.any(due, axis=1)
+        self._shown, self._atoms = shown, np.vstack([self._atoms[-1:], atoms])
+        true = self._true(self._atoms, np.vstack([recorder.row, shown]))
+        # An impact within a step leaves margins beyond the bound at which it turns them back.
+        turned = true[1:] & ~true[:-1] & ~np.any(chunk.struck, axis=1)[:, None]
+        may_act: Bools = np.any(due | turned, axis=1)
         if self._queues.waits(self.states):
             may_act |= recorder.changes(chunk)
         may_act[:1] |= self._strikes
         acts = bool(may_act.any())
         end = int(np.argmax(may_act)) if acts else len(may_act) - 1
         self._zero = self.states, zero[end - 1] if end else before, zero[end]
-        self._note_passed(chunk.first(end + 1), start, shown)
+        guards = self._states.guards(self.states).watch.guards
+        self._turned_true = {
+            (g.place, g.trigger) for g, now in zip(guards, turned[end], strict=True) if now
+        }
         if end == len(may_act) - 1:
             return chunk, acts
         self._scene.forget()
@@ -154,8 +167,13 @@ class StepControl:
             at_end = time, state[None], solved[None]
             known, before, _ = self._zero
             before = before if known == self.states else None
-            due = self._due(*at_end, h, recorder.row[None], before)[0][0]
-            true = {(g.place, g.trigger) for g, now in zip(watch.guards, due, strict=True) if now}
+            due, self._atoms, _ = self._due(*at_end, h, recorder.row[None], before)
+            [truths] = self._true(self._atoms, recorder.row[None])
+            true = {
+                (g.place, g.trigger)
+                for g, now, holds in zip(watch.guards, due[0], truths, strict=True)
+                if now or (holds and (g.place, g.trigger) in self._turned_true)
+            }
             firing = self._queues.first(
                 self.states,
                 pending,
@@ -171,19 +189,21 @@ class StepControl:
                         f"of {h:g} and are left out, but {{}} waits for one; use a shorter step",
                         at,
                     )
-                for jump, name in product(jumps, self._couplings):
-                    place = self._couplings[name]
+                for jump, (name, place) in product(jumps, self._couplings.items()):
                     if jump.impulse and jump.source[place] == jump.target[place] == "locked":
                         why = (
                             f"{name}: the impact at t = {jump.t:.6g} may make it slip for less "
                             f"than a step of {h:g}, and {{}} waits for that; use a shorter step"
                         )
                         for cause in ("slip", "lock"):
-                            self._warn_of(_event(jump, name, cause), why, at)
+                            event = _event(jump, name, cause)
+                            if self._waiting(event, at) and self._strikes_coupling(jump, place):
+                                self._warn_of(event, why, at)
                 return state
             name, taken = self._states.names[firing.place], firing.taken
             fired = tuple(g.name for g in watch.guards if (g.place, g.trigger) in firing.due)
             source = self.states[firing.place]
+            self._turned_true = {one for one in self._turned_true if one[0] != firing.place}
             self.states = (
                 *self.states[: firing.place],
                 taken.target,
@@ -217,6 +237,8 @@ class StepControl:
             pending, state = self._queues.pending_after(firing.pending, jump), after
             if strikes:
                 self._pending, self._strikes = pending, True
+                watch = self._states.guards(self.states).watch
+                self._atoms = np.ones((1, len(watch.atoms)), np.bool_)
                 return state
         last = (
             f"{jump.cause} -> {' '.join(jump.target)}"
@@ -242,11 +264,30 @@ class StepControl:
 
     def _warn_of(self, jump: Jump, why: str, at_end: tuple[Array, Array, Array, Ints]) -> None:
         """Warn if a transition waits for the event of a jump; `why` has a place for its name."""
+        name = self._waiting(jump, at_end)
+        if name:
+            self._left_out.setdefault(name, why.format(name))
+
+    def _waiting(self, jump: Jump, at_end: tuple[Array, Array, Array, Ints]) -> str:
+        """Return the name of the transition that waits for the event of a jump, if any."""
         pending, holding = self._queues.pending_after({}, jump), partial(self._holding, *at_end)
         firing = self._queues.first(self.states, pending, (), holding)
-        if firing is not None:
-            name = f"{self._states.names[firing.place]}.{firing.taken.name}"
-            self._left_out.setdefault(name, why.format(name))
+        return "" if firing is None else f"{self._states.names[firing.place]}.{firing.taken.name}"
+
+    def _strikes_coupling(self, jump: Jump, place: int) -> bool:
+        """Return whether the impulses of contacts in a jump alone would make a coupling slip."""
+        laws, first = self._setup.contacts, len(jump.source) - len(self.states)
+        snapshot = self._snapshots(jump.source[first:]).at(self._setup.values, jump.before, jump.t)
+        impulses = np.array([jump.impulse.get(law.name, (0.0, 0.0)) for law in laws])
+        push = np.einsum("ckn,ck->n", snapshot.jacobians, impulses)
+        change = np.linalg.lstsq(snapshot.mass, push)[0]
+        return bool(abs(snapshot.jacobians[place, 1] @ change) > self._setup.slip_tolerance)
+
+    def _snapshots(self, states: Key) -> SnapshotTape:
+        """Return the snapshots in states of the controllers."""
+        if states not in self._tapes:
+            self._tapes[states] = SnapshotTape(self._mechanics, self._states.named(states))
+        return self._tapes[states]
 
     def _warn_of_sticking(
         self, jumps: Sequence[Jump], at_end: tuple[Array, Array, Array, Ints], h: float
@@ -257,7 +298,8 @@ class StepControl:
                 if jump.source[i] in OPEN and jump.target[i] not in OPEN:
                     self._closed_at[name] = jump.t
             name = jump.region
-            if jump.cause == "stick" and jump.t - self._closed_at.get(name, -np.inf) <= LEFT * h:
+            closed_at = self._closed_at.get(name, -np.inf)
+            if jump.cause == "stick" and jump.t - closed_at <= _BOUNCED * h:
                 self._warn_of(
                     _event(jump, name, "stick"),
                     f"{name} sticks at t = {jump.t:.6g}, just after bounces that are shorter than "
@@ -277,8 +319,7 @@ class StepControl:
         `UnsolvedImpulses` if no impulses stop the contacts.
         """
         setup, time, before = self._setup, recorder.clock.high, state
-        named = self._states.named(self.states)
-        tape, contacts = SnapshotTape(self._mechanics, named), setup.contacts
+        tape, contacts = self._snapshots(self.states), setup.contacts
         held, impulses = dict[int, int](), np.zeros((len(contacts), 2))
         snapshot = tape.at(setup.values, state, time)
         check_closing(self._mechanics, snapshot, joint, setup.tolerances["gap"], 2.0 * h)
@@ -313,7 +354,7 @@ class StepControl:
                 {
                     i: (snapshot.contacts[i].gap, float(slip))
                     for i, push, slip in zip(touching, impulses[touching], slips, strict=True)
-                    if push[0] > 0.0 and STATES[recorder.row[i]] in OPEN
+                    if push[0] > 0.0
                 }
             )
         pairs = zip(contacts, impulses.tolist(), strict=True)
@@ -338,8 +379,10 @@ class StepControl:
     def _due(
         self, times: Array, states: Array, solved: Array, h: float, codes: Ints,
         before: Bools | None,
-    ) -> tuple[Bools, Bools]:  # fmt: skip
-        """Return the guards (m, g) that are due, and the atoms (m, a) that are zero.
+    ) -> tuple[Bools, Bools, Bools]:  # fmt: skip
+        """Return the guards (m, g) that are due, and the atoms (m, a) that are true, and at zero.
+
+        Atoms that become false within the next step make no guard due.
 
         `codes` (m, r) are modes of contacts; `before` (a,) are the atoms that were zero one step
         earlier, where known.
@@ -350,7 +393,7 @@ class StepControl:
         rate, second = (guards.table(*points, order=order)[..., 0] for order in (1, 2))
         passing = (rate > 0.0) & (margin + h * rate >= 0.0)
         falling = np.minimum(np.nan_to_num(rate, neginf=0.0), 0.0)
-        true: Bools = (margin + _AT_END * h * falling < 0.0) & ~passing
+        true: Bools = margin + _AT_END * h * falling < 0.0
         # A margin that has just come to zero was braked, and need not cross: a strict guard waits
         # until it leaves zero. Times do cross.
         zero = self._setup.rounded * size
@@ -360,21 +403,30 @@ class StepControl:
         first = np.zeros(near.shape[1], np.bool_) if before is None else before
         stays = np.isfinite(rate) | np.vstack([first, near[:-1]])
         atoms: Bools = np.where(near, guards.watch.closed & stays & ~rises, true)
-        return guards.watch.truths(atoms, self._active.at(codes, self.states)), near
+        return self._true(atoms & (near | ~passing), codes), atoms, near
 
-    def _note_passed(self, chunk: Chunk, start: float, codes: Ints) -> None:
-        """Note warnings of guards that are true within a step only."""
+    def _true(self, atoms: Bools, codes: Ints) -> Bools:
+        """Return the guards (m, g) that are true, from their atoms (m, a) and modes (m, r)."""
+        active = self._active.at(codes, self.states)
+        return self._states.guards(self.states).watch.truths(atoms, active)
+
+    def note_spans(self, chunk: Chunk, start: float, end: float) -> None:
+        """Note warnings of guards that are true within a step only, until the run is at `end`.
+
+        The steps are the first of those that `cut` returned last.
+        """
         guards = self._states.guards(self.states)
         if guards.watch.single:
             return
         times, unknown = np.append(start, chunk.ends(start)), np.full(len(self._order), np.nan)
         solved = np.tile(unknown, (len(times), 1))
         margins = guards.table(self._setup, times, chunk.states, solved)[..., 0]
+        times[-1] = end
 
         def active(k: int, n: int) -> Callable[[str, str], Bools]:
-            return self._active.at(np.tile(codes[k], (n, 1)), self.states)
+            return self._active.at(np.tile(self._shown[k], (n, 1)), self.states)
 
-        found = passed_spans(guards.watch, margins, chunk, start, active)
+        found = spans_within_steps(guards.watch, chunk, times, margins, self._atoms, active)
         self._left_out = found | self._left_out
 
     def _holding(

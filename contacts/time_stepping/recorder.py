@@ -160,9 +160,9 @@ class Recorder:
         Afterwards the regions `moved` have these modes; the impulses are those of the `Jump`.
         """
         self.close()
-        self.row = self.row.copy()
+        self.row, self._raw = self.row.copy(), self._raw.copy()
         for i, code in moved.items():
-            self.row[i] = code
+            self.row[i] = self._raw[i] = code
         target = (*self._key(self.row)[: len(self.row)], *controls)
         jump = Jump(
             self.clock.high, self.count, region, cause, self.key, target, *states, fired,

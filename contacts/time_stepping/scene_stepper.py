@@ -254,7 +254,8 @@ class SteppedScene(SteppedSystem):
         """Let stopped contacts last; see `SteppedSystem`."""
         memory, codes = self._step_state.contacts, self._step_state.codes
         for i, (gap, slip) in stopped.items():
-            memory.closed[i], memory.target_gap[i] = True, gap
+            if not memory.closed[i]:
+                memory.closed[i], memory.target_gap[i] = True, gap
             slides, directed = abs(slip) > self._still, bool(self._source.slips[i] == 2)
             slip = slip if slides else 0.0
             codes[i] = mode_of_impulse(np.zeros(2), slip, slides, self._cones[i], directed)

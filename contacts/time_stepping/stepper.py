@@ -269,6 +269,10 @@ class SteppedRun:
         if stopped is not None:
             self.state = self.stops.locate(self.recorder, stopped[1])
             self._stop(stopped[1])
+        self.stops.note_spans(chunk, start, self.time, self.recorder.controls)
+        if self.control is not None:
+            self.control.note_spans(chunk, start, self.time)
+        if stopped is not None:
             return True
         if failure is not None:
             raise failure

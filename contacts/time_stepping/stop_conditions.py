@@ -40,33 +40,37 @@ class ActiveStates:
         return active
 
 
-def passed_spans(
+def spans_within_steps(
     watch: GuardWatch,
-    rows: Array,
     chunk: Chunk,
-    start: float,
+    times: Array,
+    rows: Array,
+    atoms: Bools,
     active: Callable[[int, int], Callable[[str, str], Bools]],
 ) -> dict[str, str]:
     """Return relation -> warning that it is true within a step without impacts, at neither end.
 
-    `rows` (m + 1, a) are the margins at the start and the ends of the first m steps of a chunk,
-    NaN where unknown; they are interpolated. `active` returns a test of n rows for states that are
-    active in a step.
+    `times` (m + 1,), `rows` (m + 1, a) and `atoms` (m + 1, a) are the times, margins and truths at
+    the start and the ends of the m steps of a chunk. A run may end before its last step does, at
+    the last of the times. Margins are interpolated, and NaN where unknown. `active` returns a test
+    of n rows for states that are active in a step.
     """
-    found = dict[str, str]()
-    turned = np.isfinite(rows[:-1] + rows[1:]) & ((rows[:-1] > 0.0) != (rows[1:] > 0.0))
-    calm = ~np.any(chunk.struck[: len(turned)], axis=1)
+    found, count = dict[str, str](), len(chunk.codes)
+    turned = np.isfinite(rows[:-1] + rows[1:]) & (rows[:-1] != rows[1:])
+    turned &= atoms[:count] != atoms[1 : count + 1]
+    calm = ~np.any(chunk.struck, axis=1)
     for k in np.flatnonzero((turned.sum(axis=1) > 1) & calm).tolist():
         first, last, own = rows[k], rows[k + 1], turned[k]
         shares = np.sort(first[own] / (first - last)[own])
-        middles = 0.5 * (shares[:-1] + shares[1:])[:, None]
-        at = np.vstack([np.where(own, first + middles * (last - first), last), first, last])
-        atoms = np.where(watch.closed, at <= 0.0, at < 0.0)
-        true = watch.truths(atoms, active(k, len(at)))
+        middles = 0.5 * (shares[:-1] + shares[1:])
+        middles = middles[times[k] + middles * chunk.h < times[-1]]
+        at = np.where(own, first + middles[:, None] * (last - first), last)
+        inside = np.where(watch.closed, at <= 0.0, at < 0.0)
+        true = watch.truths(np.vstack([inside, atoms[k : k + 2]]), active(k, len(at) + 2))
         for i in np.flatnonzero(true[:-2].any(axis=0) & ~true[-2] & ~true[-1]).tolist():
             name = watch.guards[i].name
             found[name] = (
-                f"{name} is true within the step of {chunk.h:g} at t = {start + k * chunk.h:.6g}, "
+                f"{name} is true within the step of {chunk.h:g} at t = {times[k]:.6g}, "
                 "at neither end: steps pass over it; use a shorter step"
             )
     return found
@@ -119,13 +123,16 @@ class StopConditions:
         self._modes: tuple[Ints, Key] = np.zeros((1, 0), int), ()
         # Whether margins were zero at the end of the last step.
         self._near = np.zeros(len(tapes.jumping), dtype=np.bool_)
+        # Truths (m + 1, a) of atoms at the start and the ends of the last steps; unknown ones count
+        # as true.
+        self._atoms = np.ones((1, len(tapes.jumping)), np.bool_)
         # Condition -> warning that it is true within a step only.
-        self._passed = dict[str, str]()
+        self._spans = dict[str, str]()
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """Warnings of conditions that steps pass over."""
-        return tuple(self._passed.values())
+        return tuple(self._spans.values())
 
     def unknown(self) -> Array:
         """Return NaN for the unknowns before the first step."""
@@ -135,8 +142,8 @@ class StopConditions:
         """Return the condition that holds at the start; those on unknowns wait for a step."""
         if not self._tapes.names:
             return None
-        atoms = self._met(np.concatenate([state, self.unknown()])[None], np.zeros(1))
-        below = self._truths(atoms, recorder.start[None], recorder.controls)[0]
+        self._atoms = self._met(np.concatenate([state, self.unknown()])[None], np.zeros(1))
+        below = self._truths(self._atoms, recorder.start[None], recorder.controls)[0]
         return int(np.argmax(below)) if below.any() else None
 
     def first_met(self, chunk: Chunk, start: float, controls: Key) -> tuple[int, int] | None:
@@ -148,20 +155,30 @@ class StopConditions:
             return None
         atoms = self._met(_ends(chunk), chunk.ends(start))
         below = self._truths(atoms, chunk.codes, controls)
-        if not self._watch.single:
-            unknown = np.tile(self.unknown(), (len(chunk.states), 1))
-            times = np.append(start, chunk.ends(start))
-            margins = self._table(np.hstack([chunk.states, unknown]), times)[..., 0]
-
-            def active(k: int, n: int) -> Callable[[str, str], Bools]:
-                return self._tapes.active.at(np.tile(chunk.codes[k], (n, 1)), controls)
-
-            self._passed = passed_spans(self._watch, margins, chunk, start, active) | self._passed
+        self._atoms = np.vstack([self._atoms[-1:], atoms])
         if not below.any():
             return None
         k = int(np.argmax(below.any(axis=1)))
         self._modes = chunk.codes[k : k + 1], controls
         return k, int(np.argmax(below[k]))
+
+    def note_spans(self, chunk: Chunk, start: float, end: float, controls: Key) -> None:
+        """Note warnings of conditions that are true within a step only, until the run is at `end`.
+
+        The steps are the first of those that `first_met` had last.
+        """
+        if self._watch.single:
+            return
+        unknown = np.tile(self.unknown(), (len(chunk.states), 1))
+        times = np.append(start, chunk.ends(start))
+        margins = self._table(np.hstack([chunk.states, unknown]), times)[..., 0]
+        times[-1] = end
+
+        def active(k: int, n: int) -> Callable[[str, str], Bools]:
+            return self._tapes.active.at(np.tile(chunk.codes[k], (n, 1)), controls)
+
+        found = spans_within_steps(self._watch, chunk, times, margins, self._atoms, active)
+        self._spans = found | self._spans
 
     def _truths(self, atoms: Bools, codes: Ints, controls: Key) -> Bools:
         """Return which conditions (k, s) hold, from their atoms (k, a)."""

@@ -387,6 +387,23 @@ def test_steps_warn_of_a_slip_shorter_than_a_step_that_a_controller_waits_for() 
     assert not any("brake: the impact at" in warning for warning in fine.warnings)
 
 
+@pytest.mark.parametrize("struck", [True, False])
+def test_steps_warn_of_impacts_at_the_bodies_of_a_locked_coupling_only(struck: bool) -> None:
+    """A ball falls on the beam of a brake, or on the world beside it."""
+    text = BEAM if struck else BEAM.replace(", body: beam}", "}")
+    watch = """regions:
+  watch:
+    initial: rests
+    states: {rests: {}, rings: {}}
+    transitions: [{name: ring, from: rests, to: rings, on: brake.slip}]
+"""
+    result = statechart.run(
+        read_text(text + watch), engine="impulse", step=1e-3, parameters={"T": 1e4}
+    )
+    assert [jump.cause for jump in result.trace.jumps][:1] == ["touchdown"]
+    assert sum("brake: the impact at" in warning for warning in result.warnings) == struck
+
+
 def test_open_coupling_that_closes_on_turning_wheels_slips_until_the_speeds_meet() -> None:
     text = CLUTCHES.replace("10*sin(10*pi*time)", "0").replace("cos(0.4*pi*time) >= 0", "time >= 9")
     trace = run(text.replace("w0: 10", "w0: 0").replace("p2: {}", "p2: {rate: 3}")).trace

@@ -828,6 +828,72 @@ stop: {{time: 0.8}}
     )
 
 
+PASSING = """
+kind: scene
+name: passing
+gravity: 0
+bodies: {b: {mass: 1, start: {dx: 1}}}
+regions:
+  r:
+    initial: a
+    states: {a: {}, b: {}}
+    transitions: [{name: go, from: a, to: b, guard: "GUARD"}]
+stop: {time: 0.72}
+"""
+
+
+@pytest.mark.parametrize(
+    "guard",
+    [
+        "b.x >= 0.6995 and b.x <= 0.7007",
+        "b.x >= 0.6995 and b.x <= 0.7013",
+        "time >= 0.69995 and time <= 0.70007",
+        "abs(b.x - 0.70005) <= 6e-5",
+    ],
+)
+def test_a_guard_that_is_true_at_the_end_of_one_step_only_fires(guard: str) -> None:
+    model = interpret(read_text(PASSING.replace("GUARD", guard)))
+    exact, found = statechart.run(model, engine="taylor"), by_steps(model, 1e-3)
+    [due], [jump] = exact.trace.jumps, found.trace.jumps
+    assert due.t == pytest.approx(0.7, abs=1e-3)
+    assert jump.t == pytest.approx(0.7, abs=1e-9)
+    assert not any("within" in warning for warning in found.warnings)
+
+
+def test_guards_that_are_true_at_the_end_of_one_step_only_fire_in_their_order() -> None:
+    text = PASSING.replace("GUARD", "b.x >= 0.6995 and b.x <= 0.7007")
+    again = text[text.index("  r:") : text.index("stop:")].replace("  r:", "  s:")
+    model = interpret(read_text(text.replace("stop:", again + "stop:")))
+    jumps = by_steps(model, 1e-3).trace.jumps
+    assert [(jump.region, jump.t) for jump in jumps] == [
+        (region, pytest.approx(0.7, abs=1e-9)) for region in "rs"
+    ]
+
+
+# At 0.7 it ends at the bound.
+@pytest.mark.parametrize("stops", [False, True])
+def test_steps_warn_of_relations_that_end_with_a_step(stops: bool) -> None:
+    text = PASSING.replace("GUARD", "b.x >= 0.6997 and b.x <= 0.7")
+    if stops:
+        text = re.sub("transitions: .*", "transitions: []", text).replace(
+            "0.72}", "0.72, conditions: {go: b.x >= 0.6997 and b.x <= 0.7}}"
+        )
+    found = by_steps(interpret(read_text(text)), 1e-3)
+    assert found.trace.jumps or any("true within the step" in w for w in found.warnings)
+
+
+@pytest.mark.parametrize("early", [0.6955, 0.70001, 0.70006])
+@pytest.mark.parametrize("stops", [False, True])
+def test_steps_warn_of_nothing_after_the_end_of_a_run(early: float, stops: bool) -> None:
+    go = "b.x >= 0.70003 and b.x <= 0.70007"
+    text = PASSING.replace("GUARD", "time > 9" if stops else go)
+    conditions = f"early: b.x >= {early}" + (f", go: {go}" if stops else "")
+    text = text.replace("0.72}", f"0.72, conditions: {{{conditions}}}}}")
+    found = by_steps(interpret(read_text(text)), 1e-3)
+    assert found.trace.t_end == pytest.approx(early, abs=1e-9)
+    assert any("true within the step" in w for w in found.warnings) == (early > 0.70005)
+
+
 # A hand closes on a point that rebounds, with a motor that is stronger than its friction.
 GRIPPED = """
 kind: scene
@@ -989,7 +1055,10 @@ stop: {time: 0.11}
 """
 
 
-@pytest.mark.parametrize(("block", "load"), [(2.0, 0.5), (-1.0, 0.5), (0.0, 1.2), (0.0, 0.1)])
+@pytest.mark.parametrize(
+    ("block", "load"),
+    [(2.0, 0.5), (-1.0, 0.5), (-0.35, 0.4), (-0.3, 1.2), (0.0, 1.2), (0.0, 0.5), (0.0, 0.1)],
+)
 def test_a_joint_that_closes_meets_kinetic_friction(block: float, load: float) -> None:
     """The floor takes the momentum 1 of the fall, and friction up to 0.2 along itself."""
     model = interpret(read_text(JOINED.replace("BLOCK", f"{block}").replace("LOAD", f"{load}")))
@@ -1002,3 +1071,6 @@ def test_a_joint_that_closes_meets_kinetic_friction(block: float, load: float) -
         assert after["block.dx"] == pytest.approx(speed, abs=1e-9)
         assert after["load.dx"] == pytest.approx(speed, abs=1e-9)
         assert closing.impulse["foot"][0] == pytest.approx(1.0, abs=1e-9)
+        slides = {1.0: "slide+", -1.0: "slide-", 0.0: "pin"}
+        assert closing.target[0] == slides[float(np.sign(round(speed, 12)))]
+        assert result.trace.jumps[-1].cause == "enable"
