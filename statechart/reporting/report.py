@@ -96,7 +96,7 @@ def report(
         "modes_built": trace.counts.get("modes_built", 0),
         "built": built(observer, trace),
         "left_out": unused,
-        "modes": [_states_by_region(trace, key) for key in trace.modes],
+        "modes": [],
         "indeterminate": [
             {"mode": _states_by_region(trace, key), "regions": names}
             for key, names in trace.indeterminate.items()
@@ -118,7 +118,10 @@ def report(
         },
     }
     safe: dict[str, Any] = json_safe(result)
-    return safe | {"events": events}
+    return safe | {
+        "modes": [_states_by_region(trace, key) for key in trace.modes],
+        "events": events,
+    }
 
 
 def _outcome(trace: Trace) -> dict[str, Any]:
