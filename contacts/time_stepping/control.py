@@ -162,6 +162,7 @@ class StepControl:
             state = self._states.enter_initial_states(
                 self._setup, recorder.clock, state, self.states
             )
+        failed = set[tuple[int, int]]()
         for _ in range(_MOST_TURNS):
             watch = self._states.guards(self.states).watch
             at_end = time, state[None], solved[None]
@@ -169,11 +170,12 @@ class StepControl:
             before = before if known == self.states else None
             due, self._atoms, _ = self._due(*at_end, h, recorder.row[None], before)
             [truths] = self._true(self._atoms, recorder.row[None])
-            true = {
-                (g.place, g.trigger)
-                for g, now, holds in zip(watch.guards, due[0], truths, strict=True)
-                if now or (holds and (g.place, g.trigger) in self._turned_true)
-            }
+            places = [(guard.place, guard.trigger) for guard in watch.guards]
+            hold = {place for place, now in zip(places, truths, strict=True) if now}
+            # The transition of another region may have turned some true.
+            self._turned_true |= hold & failed
+            true = {place for place, now in zip(places, due[0], strict=True) if now}
+            true |= hold & self._turned_true
             firing = self._queues.first(
                 self.states,
                 pending,
@@ -204,6 +206,7 @@ class StepControl:
             fired = tuple(g.name for g in watch.guards if (g.place, g.trigger) in firing.due)
             source = self.states[firing.place]
             self._turned_true = {one for one in self._turned_true if one[0] != firing.place}
+            failed = {one for one in {*places} - hold if one[0] != firing.place}
             self.states = (
                 *self.states[: firing.place],
                 taken.target,

@@ -849,12 +849,13 @@ stop: {time: 0.72}
         "b.x >= 0.6995 and b.x <= 0.7013",
         "time >= 0.69995 and time <= 0.70007",
         "abs(b.x - 0.70005) <= 6e-5",
+        "mod(time, 0.35) <= 4e-4 and b.x > 0.6",  # A wrap of mod turns it true.
     ],
 )
 def test_a_guard_that_is_true_at_the_end_of_one_step_only_fires(guard: str) -> None:
     model = interpret(read_text(PASSING.replace("GUARD", guard)))
     exact, found = statechart.run(model, engine="taylor"), by_steps(model, 1e-3)
-    [due], [jump] = exact.trace.jumps, found.trace.jumps
+    [due], [jump] = ([j for j in run.trace.jumps if j.cause == "go"] for run in (exact, found))
     assert due.t == pytest.approx(0.7, abs=1e-3)
     assert jump.t == pytest.approx(0.7, abs=1e-9)
     assert not any("within" in warning for warning in found.warnings)
