@@ -244,7 +244,8 @@ def _one_by_one(
         for _ in range(MAX_HALVINGS):
             stepper.state[:], stepper.integrator.time = started, began
             h = step(longest, True)[1]
-            limit = limited_length(now.astype(float), float(h))
+            with np.errstate(over="ignore"):  # an infinite size does not limit the step
+                limit = limited_length(now.astype(float), float(h))
             if limit < h:
                 longest = type(h)(limit)
                 continue
