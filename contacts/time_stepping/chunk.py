@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -127,10 +127,12 @@ class SteppedSystem(ABC):
         Returns the modes of regions whose surface moved, and whether one is struck at once.
         """
 
-    def hold(self, stopped: Mapping[int, tuple[float, float]]) -> dict[int, int]:
-        """Let contacts with these gaps and slips last, and return their modes.
+    def hold(
+        self, stopped: Mapping[int, tuple[float, float]], leaving: Collection[int]
+    ) -> dict[int, int]:
+        """Let contacts with these gaps and slips last, and others leave; return their modes.
 
-        For systems whose joints `StepControl` closes: a joint has stopped the contacts.
+        For systems whose joints `StepControl` closes: a joint has stopped or lifted the contacts.
         """
         return {}
 

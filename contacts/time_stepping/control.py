@@ -27,7 +27,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.dynamics.starting import check_closing
 from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
-from contacts.states import CLOSED, FREE, OPEN, RESTS, STATES
+from contacts.states import CLOSED, OPEN, RESTS, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.stop_conditions import ActiveStates, first_undefined, spans_within_steps
@@ -357,14 +357,15 @@ class StepControl:
             opened = np.array([STATES[code] in OPEN for code in recorder.row[touching].tolist()])
             leaves = rates[:, 0] > setup.tolerances["speed"]
             # Some slip, or stop, without an impulse of their own.
-            turned = ~at_rest | (np.abs(rates[:, 1]) > setup.slip_tolerance)
-            turned &= ~opened & ~leaves
+            changes_mode = ~at_rest | (np.abs(rates[:, 1]) > setup.slip_tolerance)
+            changes_mode &= ~opened & ~leaves
             held = self._scene.hold(
                 {
                     touching[k]: (snapshot.contacts[touching[k]].gap, float(rates[k, 1]))
-                    for k in np.flatnonzero((impulses[touching, 0] > 0.0) | turned).tolist()
-                }
-            ) | {touching[k]: FREE for k in np.flatnonzero(~opened & leaves).tolist()}
+                    for k in np.flatnonzero((impulses[touching, 0] > 0.0) | changes_mode).tolist()
+                },
+                [touching[k] for k in np.flatnonzero(~opened & leaves).tolist()],
+            )
         pairs = zip(contacts, impulses.tolist(), strict=True)
         return ClosingImpact(
             state,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Collection, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
@@ -250,8 +250,10 @@ class SteppedScene(SteppedSystem):
         self._step_state.contacts.closed[:] = self._step_state.contacts.slip[:] = closed
         self._step_state.contacts.settling[:] = LANDED
 
-    def hold(self, stopped: Mapping[int, tuple[float, float]]) -> dict[int, int]:
-        """Let stopped contacts last; see `SteppedSystem`."""
+    def hold(
+        self, stopped: Mapping[int, tuple[float, float]], leaving: Collection[int]
+    ) -> dict[int, int]:
+        """Let stopped contacts last, and others leave; see `SteppedSystem`."""
         memory, codes = self._step_state.contacts, self._step_state.codes
         for i, (gap, slip) in stopped.items():
             if not memory.closed[i]:
@@ -260,7 +262,9 @@ class SteppedScene(SteppedSystem):
             slip = slip if slides else 0.0
             codes[i] = mode_of_impulse(np.zeros(2), slip, slides, self._cones[i], directed)
             memory.modes[i] = codes[i]
-        return {i: int(codes[i]) for i in stopped}
+        for i in leaving:
+            memory.closed[i], memory.modes[i], codes[i] = False, FREE, FREE
+        return {i: int(codes[i]) for i in (*stopped, *leaving)}
 
     def forget(self) -> None:
         """Revert the last steps."""

@@ -1105,3 +1105,13 @@ def test_a_joint_that_closes_without_an_impulse_of_the_floor_decides_its_mode(
         [closing] = [jump for jump in result.trace.jumps if jump.cause == "enable"]
         assert not closing.impulse
         assert closing.target[0] == mode
+
+
+def test_a_contact_that_a_joint_lifts_flies_in_the_next_steps() -> None:
+    """It rises at 0.03/3 and falls at 20/3: it is back after 2 0.01 3/20 = 0.003."""
+    text = JOINED.replace("{dx: BLOCK}", "{}").replace("dx: LOAD, dy: -1", "dy: 0.03")
+    found = by_steps(interpret(read_text(text)), 1e-3)
+    assert [(jump.cause, jump.t) for jump in found.trace.jumps] == [
+        ("enable", pytest.approx(0.1, abs=1e-9)),
+        ("touchdown", pytest.approx(0.103, abs=1.1e-3)),
+    ]
