@@ -9,6 +9,7 @@ present states; those beyond a transition are reverted.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -42,9 +43,6 @@ _MAX_LISTED = 4  # Transitions listed in the error of an endless sequence.
 _MOST_TURNS = 100
 # Part of a step within which a guard counts as true at its end: times are rounded.
 _AT_END = 1e-6
-# Steps after a closing in which a stick may end bounces that are left out: a contact stays closed
-# from an approach of two steps of free fall on, where restitution 1/2 bounces for four more steps.
-_BOUNCED = 4.0
 
 
 class ClosingImpact(NamedTuple):
@@ -96,6 +94,14 @@ class StepControl:
         self._left_out = dict[str, str]()
         self._closed_at = dict[str, float]()  # Time at which these contacts closed last.
         self._rigid = {law.name for law in setup.contacts if not law.coupling}
+        # Steps after a closing in which a stick may end bounces that are left out. A contact closes
+        # in a step that begins with an approach of up to 2 g h, and ends with 3 g h: its bounces
+        # with restitution e last 6 h (e + e^2 + ...) = 6 h e/(1 - e). Steps end up to h later.
+        self._bounced = {
+            law.name: 2.0 + 6.0 * e / (1.0 - e) if e < 1.0 else math.inf
+            for law in setup.contacts
+            for e in [law.restitution]
+        }
         self._couplings = {law.name: i for i, law in enumerate(setup.contacts) if law.coupling}
 
     def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
@@ -301,8 +307,9 @@ class StepControl:
                 if jump.source[i] in OPEN and jump.target[i] not in OPEN:
                     self._closed_at[name] = jump.t
             name = jump.region
-            closed_at = self._closed_at.get(name, -np.inf)
-            if jump.cause == "stick" and jump.t - closed_at <= _BOUNCED * h:
+            if jump.cause != "stick" or name not in self._closed_at:
+                continue
+            if jump.t - self._closed_at[name] <= self._bounced[name] * h:
                 self._warn_of(
                     _event(jump, name, "stick"),
                     f"{name} sticks at t = {jump.t:.6g}, just after bounces that are shorter than "

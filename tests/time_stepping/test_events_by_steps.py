@@ -556,6 +556,33 @@ def test_steps_warn_of_a_stick_at_the_end_of_bounces_that_a_controller_takes() -
         assert not any("wait for tip.pin" in warning for warning in result.warnings)
 
 
+@pytest.mark.parametrize(("speed", "warns"), [(1.7, True), (1.75, True), (2.0, False)])
+def test_bounces_that_steps_leave_out_last_longer_with_more_restitution(
+    speed: float, warns: bool
+) -> None:
+    """The bounces end at 0.1 + 2 0.1 (0.8 + 0.8^2 + ...) = 0.9, and the slip at speed/2."""
+    text = f"""
+kind: scene
+name: skids
+gravity: 10
+bodies: {{b: {{mass: 1, start: {{y: 0.05, dx: {speed}}}}}}}
+surfaces: {{floor: {{height: 0}}}}
+contacts:
+  c: {{point: {{body: b}}, surface: floor, friction: 0.2, restitution: 0.8, impact: moreau}}
+regions:
+  r:
+    initial: moves
+    states: {{moves: {{}}, rests: {{}}}}
+    transitions: [{{name: go, from: moves, to: rests, on: c.stick}}]
+stop: {{time: 1.1}}
+"""
+    model = interpret(read_text(text))
+    exact, found = statechart.run(model, engine="taylor"), by_steps(model, 2e-3)
+    assert exact.trace.final_mode == ("pin", "moves" if speed < 1.8 else "rests")
+    assert found.trace.final_mode == ("pin", "rests")
+    assert any("wait for c.pin" in warning for warning in found.warnings) == warns
+
+
 # A damper leads from a body that bounces to one that sticks: at the impact its force vanishes.
 DAMPED = """
 kind: scene
