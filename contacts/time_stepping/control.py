@@ -31,7 +31,12 @@ from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.states import CLOSED, OPEN, RESTS, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.recorder import Recorder
-from contacts.time_stepping.stop_conditions import ActiveStates, first_undefined, spans_within_steps
+from contacts.time_stepping.stop_conditions import (
+    ActiveStates,
+    first_undefined,
+    spans_within_steps,
+    turned_by_impact,
+)
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Raised, Region
@@ -79,9 +84,9 @@ class StepControl:
         # last step but one and of the last step.
         self._zero: tuple[Key, Bools | None, Bools | None] = (), None, None
         # Modes in the last steps; truths (m + 1, a) of the atoms at the start and the ends of
-        # these, unknown ones count as true; guards that became true in the last of them.
-        self._shown, self._atoms = np.zeros((0, 0), int), np.ones((1, 0), np.bool_)
-        self._turned_true = set[tuple[int, int]]()
+        # these, false where their margins are unknown; guards that became true in the last of them.
+        self._shown, self._atoms = np.zeros((0, 0), int), np.zeros((1, 0), np.bool_)
+        self._became_true = set[tuple[int, int]]()
         # A moved surface strikes in the next step, before any other event.
         self._strikes, self._pending = False, dict[str, tuple[Raised, ...]]()
         self._mechanics, self._tapes = mechanics, dict[Key, SnapshotTape]()
@@ -89,11 +94,6 @@ class StepControl:
         self._bouncing = {
             law.name: i for i, law in enumerate(setup.contacts) if law.restitution > 0.0
         }
-        # Transition -> warning of events that steps leave out or add, or of a guard that is true
-        # within a step only.
-        self._left_out = dict[str, str]()
-        self._closed_at = dict[str, float]()  # Time at which these contacts closed last.
-        self._rigid = {law.name for law in setup.contacts if not law.coupling}
         # Steps after a closing in which a stick may end bounces that are left out. A contact closes
         # in a step that begins with an approach of up to 2 g h, and ends with 3 g h: its bounces
         # with restitution e last 6 h (e + e^2 + ...) = 6 h e/(1 - e). Steps end up to h later.
@@ -102,6 +102,11 @@ class StepControl:
             for law in setup.contacts
             for e in [law.restitution]
         }
+        # Transition -> warning of events that steps leave out or add, or of a guard that is true
+        # within a step only.
+        self._left_out = dict[str, str]()
+        self._closed_at = dict[str, float]()  # Time at which these contacts closed last.
+        self._rigid = {law.name for law in setup.contacts if not law.coupling}
         self._couplings = {law.name: i for i, law in enumerate(setup.contacts) if law.coupling}
 
     def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
@@ -116,9 +121,10 @@ class StepControl:
         )
         self._shown, self._atoms = shown, np.vstack([self._atoms[-1:], atoms])
         true = self._true(self._atoms, np.vstack([recorder.row, shown]))
-        # An impact within a step leaves margins beyond the bound at which it turns them back.
-        turned = true[1:] & ~true[:-1] & ~np.any(chunk.struck, axis=1)[:, None]
-        may_act: Bools = np.any(due | turned, axis=1)
+        by_impact = turned_by_impact(chunk, lambda: self._motion(chunk, start, order=1))
+        certain = atoms & (self._atoms[:-1] | ~by_impact)
+        became_true = self._true(certain, shown) & ~true[:-1]
+        may_act: Bools = np.any(due | became_true, axis=1)
         if self._queues.waits(self.states):
             may_act |= recorder.changes(chunk)
         may_act[:1] |= self._strikes
@@ -126,8 +132,8 @@ class StepControl:
         end = int(np.argmax(may_act)) if acts else len(may_act) - 1
         self._zero = self.states, zero[end - 1] if end else before, zero[end]
         guards = self._states.guards(self.states).watch.guards
-        self._turned_true = {
-            (g.place, g.trigger) for g, now in zip(guards, turned[end], strict=True) if now
+        self._became_true = {
+            (g.place, g.trigger) for g, now in zip(guards, became_true[end], strict=True) if now
         }
         if end == len(may_act) - 1:
             return chunk, acts
@@ -179,9 +185,9 @@ class StepControl:
             places = [(guard.place, guard.trigger) for guard in watch.guards]
             hold = {place for place, now in zip(places, truths, strict=True) if now}
             # The transition of another region may have turned some true.
-            self._turned_true |= hold & failed
+            self._became_true |= hold & failed
             true = {place for place, now in zip(places, due[0], strict=True) if now}
-            true |= hold & self._turned_true
+            true |= hold & self._became_true
             firing = self._queues.first(
                 self.states,
                 pending,
@@ -211,7 +217,7 @@ class StepControl:
             name, taken = self._states.names[firing.place], firing.taken
             fired = tuple(g.name for g in watch.guards if (g.place, g.trigger) in firing.due)
             source = self.states[firing.place]
-            self._turned_true = {one for one in self._turned_true if one[0] != firing.place}
+            self._became_true = {one for one in self._became_true if one[0] != firing.place}
             failed = {one for one in {*places} - hold if one[0] != firing.place}
             self.states = (
                 *self.states[: firing.place],
@@ -434,16 +440,28 @@ class StepControl:
         guards = self._states.guards(self.states)
         if guards.watch.single:
             return
-        times, unknown = np.append(start, chunk.ends(start)), np.full(len(self._order), np.nan)
-        solved = np.tile(unknown, (len(times), 1))
-        margins = guards.table(self._setup, times, chunk.states, solved)[..., 0]
+        times, margins = np.append(start, chunk.ends(start)), self._motion(chunk, start)
         times[-1] = end
+        by_impact = turned_by_impact(chunk, lambda: self._motion(chunk, start, order=1))
 
         def active(k: int, n: int) -> Callable[[str, str], Bools]:
             return self._active.at(np.tile(self._shown[k], (n, 1)), self.states)
 
-        found = spans_within_steps(guards.watch, chunk, times, margins, self._atoms, active)
+        found = spans_within_steps(
+            guards.watch, chunk, times, margins, self._atoms, by_impact, active
+        )
         self._left_out = found | self._left_out
+
+    def _motion(self, chunk: Chunk, start: float, *, order: int = 0) -> Array:
+        """Return margins (m + 1, a), or rates, at the start and the ends of steps.
+
+        They are NaN where accelerations or forces decide them.
+        """
+        times = np.append(start, chunk.ends(start))
+        unknown = np.full((len(times), len(self._order)), np.nan)
+        guards = self._states.guards(self.states)
+        margins: Array = guards.table(self._setup, times, chunk.states, unknown, order=order)
+        return margins[..., 0]
 
     def _holding(
         self, times: Array, states: Array, solved: Array, codes: Ints

@@ -40,32 +40,48 @@ class ActiveStates:
         return active
 
 
+def turned_by_impact(chunk: Chunk, rates: Callable[[], Array]) -> Bools:
+    """Return the atoms (m, a), or (m, 1), whose truth at the end of a step an impact may feign.
+
+    An impact at mid-step may leave a margin beyond the bound at which the motion turns it back.
+    `rates` returns those of margins (m + 1, a), NaN where an impact changes the margin itself.
+    """
+    hit: Bools = np.any(chunk.struck, axis=1)[:, None]
+    if not hit.any():
+        return hit
+    at = rates()
+    return hit & ~((at[:-1] >= 0.0) | (at[1:] <= 0.0))
+
+
 def spans_within_steps(
     watch: GuardWatch,
     chunk: Chunk,
     times: Array,
     rows: Array,
     atoms: Bools,
+    by_impact: Bools,
     active: Callable[[int, int], Callable[[str, str], Bools]],
 ) -> dict[str, str]:
-    """Return relation -> warning that it is true within a step without impacts, at neither end.
+    """Return relation -> warning that it is true within a step, at neither end.
 
     `times` (m + 1,), `rows` (m + 1, a) and `atoms` (m + 1, a) are the times, margins and truths at
     the start and the ends of the m steps of a chunk. A run may end before its last step does, at
-    the last of the times. Margins are interpolated, and NaN where unknown. `active` returns a test
-    of n rows for states that are active in a step.
+    the last of the times. Margins are interpolated, and NaN where unknown. Atoms `by_impact` (of
+    `turned_by_impact`) count as true only if they are so at both ends. `active` returns a test of n
+    rows for states that are active in a step.
     """
     found, count = dict[str, str](), len(chunk.codes)
-    turned = np.isfinite(rows[:-1] + rows[1:]) & (rows[:-1] != rows[1:])
-    turned &= atoms[:count] != atoms[1 : count + 1]
-    calm = ~np.any(chunk.struck, axis=1)
-    for k in np.flatnonzero((turned.sum(axis=1) > 1) & calm).tolist():
-        first, last, own = rows[k], rows[k + 1], turned[k]
-        shares = np.sort(first[own] / (first - last)[own])
+    changed = np.isfinite(rows[:-1] + rows[1:]) & (rows[:-1] != rows[1:]) & ~by_impact
+    changed &= atoms[:count] != atoms[1 : count + 1]
+    for k in np.flatnonzero(changed.sum(axis=1) > 1).tolist():
+        first, last, own = rows[k], rows[k + 1], changed[k]
+        # A margin at zero within round-off may change its truth without a crossing.
+        shares = np.sort(np.clip(first[own] / (first - last)[own], 0.0, 1.0))
         middles = 0.5 * (shares[:-1] + shares[1:])
         middles = middles[times[k] + middles * chunk.h < times[-1]]
         at = np.where(own, first + middles[:, None] * (last - first), last)
         inside = np.where(watch.closed, at <= 0.0, at < 0.0)
+        inside &= ~by_impact[k] | (atoms[k] & atoms[k + 1])
         true = watch.truths(np.vstack([inside, atoms[k : k + 2]]), active(k, len(at) + 2))
         for i in np.flatnonzero(true[:-2].any(axis=0) & ~true[-2] & ~true[-1]).tolist():
             name = watch.guards[i].name
@@ -93,7 +109,10 @@ class StopTapes:
                 for k, (name, text) in enumerate(texts.items())
             ],
             lambda guard: guard.relation.condition(mechanics.observables),
-            {},
+            {
+                **dict(zip(mechanics.q, mechanics.v, strict=True)),
+                **dict(zip(mechanics.v, mechanics.a, strict=True)),
+            },
             inputs=(*mechanics.state, *unknowns),
             parameters=mechanics.parameters.ordered,
             time=mechanics.time,
@@ -123,9 +142,9 @@ class StopConditions:
         self._modes: tuple[Ints, Key] = np.zeros((1, 0), int), ()
         # Whether margins were zero at the end of the last step.
         self._near = np.zeros(len(tapes.jumping), dtype=np.bool_)
-        # Truths (m + 1, a) of atoms at the start and the ends of the last steps; unknown ones count
-        # as true.
-        self._atoms = np.ones((1, len(tapes.jumping)), np.bool_)
+        # Truths (m + 1, a) of atoms at the start and the ends of the last steps, false where their
+        # margins are unknown.
+        self._atoms = np.zeros((1, len(tapes.jumping)), np.bool_)
         # Condition -> warning that it is true within a step only.
         self._spans = dict[str, str]()
 
@@ -170,23 +189,26 @@ class StopConditions:
         if self._watch.single:
             return
         unknown = np.tile(self.unknown(), (len(chunk.states), 1))
-        times = np.append(start, chunk.ends(start))
-        margins = self._table(np.hstack([chunk.states, unknown]), times)[..., 0]
+        times, points = np.append(start, chunk.ends(start)), np.hstack([chunk.states, unknown])
+        margins = self._table(points, times)[..., 0]
+        by_impact = turned_by_impact(chunk, lambda: self._table(points, times, order=1)[..., 0])
         times[-1] = end
 
         def active(k: int, n: int) -> Callable[[str, str], Bools]:
             return self._tapes.active.at(np.tile(chunk.codes[k], (n, 1)), controls)
 
-        found = spans_within_steps(self._watch, chunk, times, margins, self._atoms, active)
+        found = spans_within_steps(
+            self._watch, chunk, times, margins, self._atoms, by_impact, active
+        )
         self._spans = found | self._spans
 
     def _truths(self, atoms: Bools, codes: Ints, controls: Key) -> Bools:
         """Return which conditions (k, s) hold, from their atoms (k, a)."""
         return self._watch.truths(atoms, self._tapes.active.at(codes, controls))
 
-    def _table(self, rows: Array, times: Array) -> Array:
-        """Return the margins of the atoms and the sizes of their terms (k, a, 2)."""
-        return self._watch.table(self._setup, rows, self._sizes, times)
+    def _table(self, rows: Array, times: Array, *, order: int = 0) -> Array:
+        """Return the margins of the atoms, or rates, and the sizes of their terms (k, a, 2)."""
+        return self._watch.table(self._setup, rows, self._sizes, times, order=order)
 
     def _met(self, rows: Array, times: Array) -> Bools:
         margins, terms = np.moveaxis(self._table(rows, times), -1, 0)

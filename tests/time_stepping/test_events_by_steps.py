@@ -888,6 +888,61 @@ def test_a_guard_that_is_true_at_the_end_of_one_step_only_fires(guard: str) -> N
     assert not any("within" in warning for warning in found.warnings)
 
 
+# A ball far away rebounds at 0.6995, within the same step.
+BESIDE_A_BALL = PASSING.replace(
+    "start: {dx: 1}}}",
+    """start: {dx: 1}}, ball: {mass: 1, start: {x: 5, y: 0.6995, dy: -1}}}
+surfaces: {floor: {height: 0}}
+contacts: {c: {point: {body: ball}, surface: floor, friction: 0, restitution: 1}}""",
+)
+
+
+@pytest.mark.parametrize(
+    ("guard", "due"),
+    [
+        ("b.x >= 0.6995 and b.x <= 0.7007", 0.7),
+        ("b.x >= 0.6995 and b.x <= 0.7007 and b.dx > 0 and ball.y < 0.1", 0.7),
+        ("b.x >= 0.69955 and b.x <= 0.69985", math.nan),  # within the step
+    ],
+)
+@pytest.mark.parametrize("stops", [False, True])
+def test_an_impact_elsewhere_hides_no_guard(guard: str, due: float, stops: bool) -> None:
+    text = BESIDE_A_BALL.replace("GUARD", "time > 9" if stops else guard)
+    if stops:
+        text = text.replace("0.72}", f"0.72, conditions: {{go: {guard}}}}}")
+    model = interpret(read_text(text))
+    exact, found = statechart.run(model, engine="taylor"), by_steps(model, 1e-3)
+    assert [j.cause for j in exact.trace.jumps] == ["touchdown", "stop" if stops else "go"]
+    assert any("true within the step" in w for w in found.warnings) == math.isnan(due)
+    times = [jump.t for jump in found.trace.jumps if jump.cause in ("go", "stop")]
+    # A stop is located within its step.
+    late = 1e-3 if stops else 1e-9
+    assert times == ([] if math.isnan(due) else [pytest.approx(due, abs=late)])
+
+
+@pytest.mark.parametrize(
+    "guard", ["b.x >= 0.6998 and ball.y <= 0.0001", "b.x >= 0.6996 and ball.y < 0"]
+)
+def test_a_guard_that_the_motion_turns_back_from_does_not_fire(guard: str) -> None:
+    """The ball is at 0.0003 and at 0.0001 when b passes: a landing depth must not count."""
+    found = by_steps(interpret(read_text(BESIDE_A_BALL.replace("GUARD", guard))), 1e-3)
+    assert [jump.cause for jump in found.trace.jumps] == ["touchdown"]
+    assert not any("within" in warning for warning in found.warnings)
+
+
+def test_margins_at_zero_within_round_off_cross_within_their_step() -> None:
+    """They drift by 1e-17 in a step: in steps before it they would be zero."""
+    bodies = "{b: {mass: 1, start: {x: 1e-17, y: -3e-17, dx: 1e-14, dy: -1e-14}}, "
+    text = f"""
+kind: scene
+name: drifting
+gravity: 0
+bodies: {bodies}far: {{mass: 1, start: {{x: 1, dy: 1}}}}}}
+stop: {{time: 0.01, conditions: {{go: b.x <= 0 and b.y <= 0 and time <= 0.0005}}}}
+"""
+    assert not by_steps(interpret(read_text(text)), 1e-3).warnings
+
+
 def test_guards_that_are_true_at_the_end_of_one_step_only_fire_in_their_order() -> None:
     text = PASSING.replace("GUARD", "b.x >= 0.6995 and b.x <= 0.7007")
     again = text[text.index("  r:") : text.index("stop:")].replace("  r:", "  s:")
