@@ -69,8 +69,9 @@ def choose_mode(
     return choice
 
 
-# Two feet whose centripetal accelerations differ by more than this, relative to the scales, part at
-# once as their body turns: a difference of 5e-6 is a real motion, far above round-off.
+# Centripetal acceleration, relative to the scale, by which two feet differ that part at once as their
+# body turns. Round-off is 6e-18 (a floor that shakes level feet by 0.03 of gravity); the table of
+# `test_compliant_feet` has 2.4e-7 as it swings through level.
 _PARTING = 1e-8
 
 
