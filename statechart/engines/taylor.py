@@ -244,14 +244,15 @@ def _one_by_one(
         for _ in range(MAX_HALVINGS):
             stepper.state[:], stepper.integrator.time = started, began
             h = step(longest, True)[1]
+            taken = float(h)
             with np.errstate(over="ignore"):  # an infinite size does not limit the step
-                limit = limited_length(now.astype(float), float(h))
-            if limit < h:
+                limit = limited_length(now.astype(float), taken)
+            if limit < taken:
                 longest = type(h)(limit)
                 continue
             slopes = now * (order * h**order)
             ends = stepper.state.astype(float)
-            rates = stepper.rates.values(ends, watch.parameters, time + float(h))
+            rates = stepper.rates.values(ends, watch.parameters, time + taken)
             distance = np.abs(slopes.sum(axis=1) - h * rates).max()
             if not distance > MAX_SLOPE_ERROR * max(
                 MIN_MOTION, np.abs(started).max(), np.abs(slopes).sum(axis=1).max()

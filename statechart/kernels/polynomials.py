@@ -150,6 +150,7 @@ def term_sizes(times: Array, coeffs: Array) -> Array:
     if not len(long):
         return coeffs[-1].copy()
     step = long[-1]
-    rates = (np.arange(coeffs.shape[2]) * coeffs[step]).sum(axis=1)
-    lengths = times[-1] / (times[step + 1] - times[step])
-    return np.append(coeffs[-1], rates[:, None] * lengths, axis=1)
+    with np.errstate(all="ignore"):
+        rates = (np.arange(coeffs.shape[2]) * coeffs[step]).sum(axis=1)
+        lengths = times[-1] / (times[step + 1] - times[step])
+        return np.append(coeffs[-1], rates[:, None] * lengths, axis=1)
