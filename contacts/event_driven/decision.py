@@ -69,9 +69,9 @@ def choose_mode(
     return choice
 
 
-# Centripetal acceleration, relative to the scale, by which two feet differ that part at once as their
-# body turns. Round-off is 6e-18 (a floor that shakes level feet by 0.03 of gravity); the table of
-# `test_compliant_feet` has 2.4e-7 as it swings through level.
+# Centripetal acceleration, relative to the scale, by which two feet differ that part at once as
+# their body turns. Round-off is 6e-18 (a floor that shakes level feet by 0.03 of gravity); the
+# table of `test_compliant_feet` has 2.4e-7 as it swings through level.
 _PARTING = 1e-8
 
 
