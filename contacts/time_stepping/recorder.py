@@ -98,24 +98,25 @@ class Recorder:
         self.chatter.add(shown, self.clock.high, chunk.h)
         hit: Bools = np.any(chunk.struck, axis=1)
         steps = Steps.of(chunk, hit, self.coordinates, self.clock)
+        was, last = self._before(shown), np.vstack([self._raw, chunk.modes[:-1]])
         if self.forces is not None:
-            steps = steps.without_forces(self._before(shown), shown, self.forces)
+            steps = steps.without_forces(was, shown, self.forces)
+        # A disabled contact that closes at once is free first, as with events. A slip that has
+        # stopped in the step before, and a coupling that opens or closes, precede an impact.
+        enabled = (was == OFF_CODE) & (shown != OFF_CODE) & (chunk.struck | (shown != FREE))
+        stopped = hit[:, None] & self.sticks & np.isin(was, SLIPS) & np.isin(last, [*RESTS])
+        turned = hit[:, None] & ((was == OPEN_CODE) != (shown == OPEN_CODE))
+        early = np.where(enabled, FREE, np.where(shown == OFF_CODE, OFF_CODE, was))
+        early = np.where(turned, shown, np.where(stopped, last, early))
+        precedes = np.any(enabled | stopped | turned, axis=1)
         first, done, shared = 0, 0, self.modes and bool(chunk.shared.any())
         for k in np.flatnonzero(self._changed(shown) | hit).tolist():
             if shared:
                 self._note_shared(chunk.shared[first:k])
             first = k + int(hit[k])
-            # A disabled contact that closes at once is free first, as with events. A slip that has
-            # stopped in the step before, and a coupling that opens or closes, precede an impact.
-            was, now, last = self.row, shown[k], chunk.modes[k - 1] if k else self._raw
-            enabled = (was == OFF_CODE) & (now != OFF_CODE) & (chunk.struck[k] | (now != FREE))
-            stopped = hit[k] & self.sticks & np.isin(was, SLIPS) & np.isin(last, [*RESTS])
-            turned = hit[k] & ((was == OPEN_CODE) != (now == OPEN_CODE))
-            if (enabled | stopped | turned).any():
+            if precedes[k]:
                 done = self._flow(steps, done, k, 0)
-                opened = np.where(enabled, FREE, np.where(now == OFF_CODE, OFF_CODE, was))
-                early = np.where(turned, now, np.where(stopped, last, opened))
-                self._change(early, chunk.states[k])
+                self._change(early[k], chunk.states[k])
             done = self._flow(steps, done, k, first - k)
             if hit[k]:
                 self._strike(steps, k, shown[k])
