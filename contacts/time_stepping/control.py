@@ -132,7 +132,9 @@ class StepControl:
         end = int(np.argmax(may_act)) if acts else len(may_act) - 1
         self._zero = self.states, zero[end - 1] if end else before, zero[end]
         guards = self._states.guards(self.states).watch.guards
-        self._became_true = {
+        # Guards that became true at the instant of a moved surface wait for its impact.
+        waiting = self._became_true if self._strikes else set[tuple[int, int]]()
+        self._became_true = waiting | {
             (g.place, g.trigger) for g, now in zip(guards, became_true[end], strict=True) if now
         }
         if end == len(may_act) - 1:
@@ -252,8 +254,8 @@ class StepControl:
             pending, state = self._queues.pending_after(firing.pending, jump), after
             if strikes:
                 self._pending, self._strikes = pending, True
-                watch = self._states.guards(self.states).watch
-                self._atoms = np.ones((1, len(watch.atoms)), np.bool_)
+                at_end = time, state[None], solved[None]
+                _, self._atoms, _ = self._due(*at_end, h, recorder.row[None], None)
                 return state
         last = (
             f"{jump.cause} -> {' '.join(jump.target)}"

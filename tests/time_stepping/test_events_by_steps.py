@@ -930,6 +930,42 @@ def test_a_guard_that_the_motion_turns_back_from_does_not_fire(guard: str) -> No
     assert not any("within" in warning for warning in found.warnings)
 
 
+@pytest.mark.parametrize(
+    ("guard", "due"),
+    [
+        ("b.x >= 0.1005 and b.x <= 0.1017", 0.101),
+        ("b.x >= 0.0995 and b.x <= 0.1015", 0.101),  # The impact comes first.
+        ("b.x >= 0.1003 and b.x <= 0.1007", None),
+    ],
+)
+def test_a_moved_surface_that_strikes_hides_no_guard(guard: str, due: float | None) -> None:
+    text = f"""
+kind: scene
+name: lifted
+gravity: 10
+bodies: {{b: {{mass: 1, start: {{y: 1, dx: 1}}}}, block: {{mass: 1, start: {{x: 5}}}}}}
+surfaces: {{floor: {{height: 0, displacement: [0, s]}}}}
+contacts: {{c: {{point: {{body: block}}, surface: floor, friction: 0, restitution: 0}}}}
+regions:
+  m:
+    initial: low
+    variables: {{s: 0}}
+    states: {{low: {{}}, rises: {{flows: {{s: 1}}}}}}
+    transitions: [{{name: up, from: low, to: rises, after: 0.1}}]
+  r:
+    initial: a
+    states: {{a: {{}}, b: {{}}}}
+    transitions: [{{name: go, from: a, to: b, guard: "{guard}"}}]
+stop: {{time: 0.11}}
+"""
+    model = interpret(read_text(text))
+    exact, found = statechart.run(model, engine="taylor"), by_steps(model, 1e-3)
+    assert sorted(j.cause for j in exact.trace.jumps) == ["go", "touchdown", "up"]
+    times = [jump.t for jump in found.trace.jumps if jump.cause == "go"]
+    assert times == ([] if due is None else [pytest.approx(due, abs=1e-9)])
+    assert any("true within the step" in w for w in found.warnings) == (due is None)
+
+
 def test_margins_at_zero_within_round_off_cross_within_their_step() -> None:
     """They drift by 1e-17 in a step: in steps before it they would be zero."""
     bodies = "{b: {mass: 1, start: {x: 1e-17, y: -3e-17, dx: 1e-14, dy: -1e-14}}, "

@@ -79,3 +79,23 @@ def test_a_guard_on_a_control_that_saturates_between_steps(
     result = Runner(read_text(text + _CONTACT), **setting).run()
     near = None if part is None else pytest.approx(part * reach, abs=2.5 * step if step else 1e-12)
     assert result.outputs["t"] == near
+
+
+@pytest.mark.parametrize(
+    ("start", "limit", "first"),
+    [
+        ("dx: 1", 0.0015, 0.001),  # It rests from the start on.
+        ("dx: 1, y: 0.2", 0.2045, 0.204),  # It lands at 0.2.
+    ],
+)
+def test_a_guard_on_a_force_fires_at_the_first_step_that_knows_it(
+    start: str, limit: float, first: float
+) -> None:
+    """The guard is true before, where steps do not know the force, and false a step later."""
+    text = _WATCH.format(force="0", guard=f"c.V >= 5 and b.x <= {limit}")
+    text += _CONTACT.replace("mass: 1", f"mass: 1, start: {{{start}}}")
+    text = text.replace("friction: 0.5", "friction: 0")
+    exact = Runner(read_text(text)).run().outputs["t"]
+    found = Runner(read_text(text), engine="impulse", step=1e-3).run().outputs["t"]
+    assert exact == pytest.approx(0.2 if "y" in start else 0.0, abs=1e-9)
+    assert found == pytest.approx(first, abs=1e-9)
