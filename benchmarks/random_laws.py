@@ -34,9 +34,8 @@ HEAD = "kind: scene\nname: laws\ngravity: 9.81\nstop: {time: 1.5}\nsettings: {ma
 STEPS = 1e-3, 2.5e-4, 6.25e-5, 1.5625e-5  # the next if one is not near
 TOLERANCE = 1e-13  # of SciPy: a slip of 1e-10 that reverses is late by more with its default
 AGREE, NEAR = 1e-6, 0.02  # of final states and times of events: engines; steps
-SAME = (
-    1e-9  # of final motions: engines may count bounces within 1e-6 s, and what each starts, apart
-)
+# Of final motions: engines may count bounces within 1e-6 s, and what each starts, apart.
+SAME = 1e-9
 LONGEST = 60.0  # seconds of a structure: the draw that takes them is refused, others are left out
 KINDS = "right", "warned", "wrong", "refused"
 

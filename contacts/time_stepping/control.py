@@ -94,14 +94,6 @@ class StepControl:
         self._bouncing = {
             law.name: i for i, law in enumerate(setup.contacts) if law.restitution > 0.0
         }
-        # Steps after a closing in which a stick may end bounces that are left out. A contact closes
-        # in a step that begins with an approach of up to 2 g h, and ends with 3 g h: its bounces
-        # with restitution e last 6 h (e + e^2 + ...) = 6 h e/(1 - e). Steps end up to h later.
-        self._bounced = {
-            law.name: 2.0 + 6.0 * e / (1.0 - e) if e < 1.0 else math.inf
-            for law in setup.contacts
-            for e in [law.restitution]
-        }
         # Transition -> warning of events that steps leave out or add, or of a guard that is true
         # within a step only.
         self._left_out = dict[str, str]()
@@ -281,8 +273,7 @@ class StepControl:
 
     def _warn_of(self, jump: Jump, why: str, at_end: tuple[Array, Array, Array, Ints]) -> None:
         """Warn if a transition waits for the event of a jump; `why` has a place for its name."""
-        name = self._waiting(jump, at_end)
-        if name:
+        if name := self._waiting(jump, at_end):
             self._left_out.setdefault(name, why.format(name))
 
     def _waiting(self, jump: Jump, at_end: tuple[Array, Array, Array, Ints]) -> str:
@@ -317,7 +308,8 @@ class StepControl:
             name = jump.region
             if jump.cause != "stick" or name not in self._closed_at:
                 continue
-            if jump.t - self._closed_at[name] <= self._bounced[name] * h:
+            law = self._setup.contacts[self._bouncing[name]]
+            if jump.t - self._closed_at[name] <= _bounces_end(law.restitution) * h:
                 self._warn_of(
                     _event(jump, name, "stick"),
                     f"{name} sticks at t = {jump.t:.6g}, just after bounces that are shorter than "
@@ -473,6 +465,14 @@ class StepControl:
         rows = guards.table(self._setup, times, states, solved[:, self._order])[0]
         active = self._active.at(codes, self.states)
         return guards.watch.holding(rows, self._setup.rounded, lambda *of: bool(active(*of)[0]))
+
+
+def _bounces_end(e: float) -> float:
+    """Return the steps after a closing in which bounces with restitution e end that are left out.
+
+    Steps close at approaches of up to 3 g h: bounces last 6 h (e + e^2 + ...), a step ends later.
+    """
+    return 2.0 + 6.0 * e / (1.0 - e) if e < 1.0 else math.inf
 
 
 def _event(jump: Jump, region: str, cause: str) -> Jump:

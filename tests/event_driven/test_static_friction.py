@@ -343,7 +343,7 @@ stop: {time: 1.5}
 def test_foot_that_static_friction_holds_less_breaks_loose(
     engine: str, m: float, grips: str
 ) -> None:
-    """Where the back shortens, the head breaks loose under 6 m + 0.4 m, the tail under 6 + 0.4."""
+    """As the back shortens, the head breaks loose under 6 m + 0.4 m, the tail under 6 + 0.4."""
     result = ran(INCHWORM, engine, m=m)
     length = 1.0 + 0.1 * math.sin(3.0)
     tail = 0.0 if grips == "rear" else 1.1 - length
