@@ -48,9 +48,12 @@ _FALLS, _GROWS = 0.5, 4.0
 # Residual ratio of successive centres below which another one pays; at the smallest compliance,
 # where a good warm start begins, the first is the last.
 _FURTHER = 0.9
-# Compliance and iteration limit of the refinement of a status. An iteration leaves the larger of
-# compliance times own over joint compliances, and round-off over its square.
-_REFINING, _REFINEMENTS = 1e-5, 32
+# Compliances and iteration limit of the refinement of a status. An iteration leaves the larger of
+# compliance times own over joint compliances, and round-off over its square: the second one for
+# pins that nearly imply each other (feet of a box that is level to 1e-3).
+_REFINING, _LAST_REFINING, _REFINEMENTS = 1e-5, 1e-7, 32
+# Velocity error of a refined status, relative to the fastest approach, that is round-off.
+_REFINED = 1e-13
 # Newton steps per centre; centres without progress at the smallest compliance; eliminations in all,
 # and times contacts (half a second).
 _SETTLING, _IDLE, _MAX_ITERATIONS, _MAX_PRODUCTS = 10, 4, 3000, 2_000_000
@@ -353,6 +356,7 @@ def solve_by_last_status(contacts: ContactRows, q: Array, impulses: Array) -> tu
     """
     count, rates, equations = len(impulses), zero_rates(contacts, 0), allocate_equations(contacts)
     status, edges, taken = np.full(count, -1), np.zeros(count), 0
+    size, best = velocity_scale(contacts, q), np.zeros((count, 2))
     write_velocity_change(contacts, impulses, rates)
     while taken < _SETTLING and _find_status(
         contacts, q, math.inf, impulses, impulses, _REFINING, rates, status, edges
@@ -361,19 +365,26 @@ def solve_by_last_status(contacts: ContactRows, q: Array, impulses: Array) -> tu
             return math.inf, taken + 1
         impulses[:] = 0.0
         rates[:] = 0.0
-        lowest = math.inf
+        lowest, compliance = math.inf, _REFINING
         for _ in range(_REFINEMENTS):
             error = 0.0
             for i in range(count):
                 normal, slip = contact_velocity(contacts, i, q, rates)
                 if status[i] != OPEN:
                     error = max(error, abs(normal), abs(slip) if status[i] == STICKS else 0.0)
+            if error < lowest:
+                copy_rows(impulses, best)
             if not error < _FALLS * lowest:
-                break
-            lowest = error
-            _take_step(contacts, equations, q, impulses, impulses, _REFINING, rates, status, edges)
+                stops = compliance == _LAST_REFINING or error <= _REFINED * size
+                compliance = _LAST_REFINING
+                if stops or not assemble_and_factor(contacts, equations, compliance, status, edges):
+                    break
+            lowest = min(error, lowest)
+            _take_step(contacts, equations, q, impulses, impulses, compliance, rates, status, edges)
+        copy_rows(best, impulses)
+        write_velocity_change(contacts, impulses, rates)
         taken += 1
-    return residual(contacts, q, velocity_scale(contacts, q), impulses, rates), taken
+    return residual(contacts, q, size, impulses, rates), taken
 
 
 @kernel

@@ -140,6 +140,14 @@ class SteppedSystem(ABC):
     def slips(self, state: Array, time: float) -> Array:
         """Return the slips (r,) of regions that close without an impact; 0 for other regions."""
 
+    def slip_errors(self, ends: Array, times: tuple[float, float], codes: Ints) -> Array:
+        """Return the first-order errors of the slips (r,) of regions that land.
+
+        `ends` (2, s) and `times`: states before and after the step before the landing; `codes`
+        (r,): its modes.
+        """
+        return np.zeros(len(codes))
+
     @abstractmethod
     def depth_left(self, state: Array, time: float) -> float:
         """Return the penetration near a state that no motion removes; see `step_rejection`."""

@@ -46,9 +46,10 @@ class Recorder:
     `sticks` (r,): regions with pin and slide, and couplings. `gated`: see `Chatter`. An impact
     on a region that is not free has the cause `again`. `joint_forces` (f,) are names. `forces`
     (r, 2): places of V and H among the further unknowns, or twice that of a torque; None: no
-    forces. Controller variables follow the `coordinates` and their rates. `slips` are those of
-    `SteppedSystem`; up to `still` they count as rest. Without `modes`, jumps of regions are only
-    counted, and arcs end where they would. `control_jumps` are those of controllers and the stop.
+    forces. Controller variables follow the `coordinates` and their rates. `slips` and `slip_errors`
+    are those of `SteppedSystem`; up to `still` they count as rest. Without `modes`, jumps of
+    regions are only counted, and arcs end where they would. `control_jumps` are those of
+    controllers and the stop.
     """
 
     regions: Sequence[str]
@@ -62,6 +63,7 @@ class Recorder:
     energy: Callable[[Array, Array], Array]
     coordinates: int
     slips: Callable[[Array, float], Array]
+    slip_errors: Callable[[Array, tuple[float, float], Ints], Array]
     still: float
     modes: bool = True
     clock: Clock = field(default_factory=Clock)
@@ -216,7 +218,7 @@ class Recorder:
         """Return the recorded modes: a slip lasts to the end of the step in which it stops.
 
         An impact that stops a slip ends it at once. A region that closes without an impact slips in
-        the step in which it closes.
+        the step in which it closes, unless it lands level: it rests from its landing on.
         """
         codes = chunk.modes
         if not self._sticking:
@@ -225,12 +227,32 @@ class Recorder:
         slid, rests = np.isin(before, SLIPS), np.isin(codes, [*RESTS])
         in_impact = chunk.struck | chunk.impulses.any(axis=2)
         shown = np.where(rests & slid & self.sticks & ~in_impact, before, codes)
-        stops = rests & np.isin(before, _OPEN) & self.sticks & ~in_impact
-        for k in np.flatnonzero(stops.any(axis=1)).tolist():
-            slips = self.slips(chunk.states[k], self.clock.high + k * chunk.h)
-            for i in np.flatnonzero(stops[k] & (np.abs(slips) > self.still)).tolist():
+        closes = (rests | np.isin(codes, SLIPS)) & np.isin(before, _OPEN)
+        closes &= self.sticks & ~in_impact
+        level = np.isin(self.row, [*RESTS]) & np.isin(self._raw, SLIPS)
+        resting = [(0, i) for i in np.flatnonzero(level).tolist()]
+        for k in np.flatnonzero(closes.any(axis=1)).tolist():
+            time = self.clock.high + k * chunk.h
+            slips = self.slips(chunk.states[k], time)
+            errors = np.zeros_like(slips)
+            if k > 0 and not chunk.struck[k - 1].any():
+                ends = chunk.states[k - 1 : k + 1]
+                errors = self.slip_errors(ends, (time - chunk.h, time), before[k])
+            level, moves = np.abs(slips) < errors, np.abs(slips) > self.still
+            resting += [(k, i) for i in np.flatnonzero(closes[k] & level).tolist()]
+            for i in np.flatnonzero(closes[k] & rests[k] & moves & ~level).tolist():
                 forward, backward = RESTS[int(codes[k, i])]
                 shown[k, i] = forward if slips[i] > 0.0 else backward
+        for first, i in resting:
+            for k in range(first, len(codes)):
+                times = self.clock.high + chunk.h * np.arange(k, k + 2)
+                began, slip = (s[i] for s in map(self.slips, chunk.states[k : k + 2], times))
+                slows = 0.0 <= slip * began <= began * began
+                if not (rests[k, i] or (codes[k, i] in SLIPS and slows)):
+                    break
+                shown[k, i] = next(rest for rest in RESTS if codes[k, i] in (rest, *RESTS[rest]))
+                if rests[k, i]:
+                    break
         return shown
 
     def _before(self, shown: Ints) -> Ints:

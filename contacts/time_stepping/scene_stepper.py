@@ -234,6 +234,11 @@ class SteppedScene(SteppedSystem):
         self._carriers = carriers(tuple(contacts))
         nowhere = np.zeros(source.soft.n_variables)
         self._soft = source.soft.at(nowhere, self._values, 0.0).reshape(-1, 2)
+        # The impact of a rigid contact may stop its slip, and that of its rolling resistance.
+        loads = np.where(self._carriers >= 0, self._carriers, np.arange(len(contacts)))
+        rigid = np.array([not law.coupling for law in contacts], np.bool_)
+        rigid[rigid] = self._soft[: rigid.sum(), 0] == 0.0
+        self._is_rigid = rigid[loads]
         allowed = [{_CODES[state] for state in law.states} for law in contacts]
         self._undeclared = np.array(
             [[code not in codes for code in range(len(STATES))] for codes in allowed],
@@ -354,10 +359,21 @@ class SteppedScene(SteppedSystem):
     def slips(self, state: Array, time: float) -> Array:
         """Return the slips of couplings and compliant contacts; see `SteppedSystem`."""
         slips = self._source.equations(self._values, state, time).velocities[:, 1]
-        # The impact of a rigid contact may stop its slip, and that of its rolling resistance.
-        loads = np.where(self._carriers >= 0, self._carriers, np.arange(len(slips)))
-        rigid = (loads < len(slips) - self._source.couplings) & (self._soft[loads, 0] == 0.0)
-        return np.where(rigid, 0.0, slips)
+        return np.where(self._is_rigid, 0.0, slips)
+
+    def slip_errors(self, ends: Array, times: tuple[float, float], codes: Ints) -> Array:
+        """Return the errors of slips of compliant contacts; see `SteppedSystem`.
+
+        A contact moves on until it lands, and bodies are as deep on rigid ones as they landed.
+        """
+        c, errors = len(codes) - self._source.couplings, np.zeros(len(codes))
+        before, now = map(partial(self._source.equations, self._values), ends, times)
+        lasts = self._is_rigid[:c] & ~np.isin(codes[:c], (FREE, OFF_CODE))
+        lands = (now.gaps[:c] > 0.0) & (now.gaps[:c] < before.gaps[:c])
+        fallen = (before.gaps[:c] - now.gaps[:c])[lands]
+        changes = np.abs(now.velocities[:c, 1] - before.velocities[:c, 1])[lands]
+        errors[:c][lands] = changes * (1.0 + np.abs(now.gaps[:c][lasts]).max(initial=0.0) / fallen)
+        return errors
 
     def depth_left(self, state: Array, time: float) -> float:
         """Return the penetration that no motion removes; see `SteppedSystem`."""

@@ -617,6 +617,8 @@ def write_modes(
             sliding = is_sliding(cones[a], pushes[a], slip)
             directed = scene.slips[i] == 2
             chunk.codes[k, i] = mode_of_impulse(pushes[a], slip, sliding, cones[a], directed)
+            # The slip of a pinned contact is the residual of the impulses.
+            memory.slip[i] = 0.0 if chunk.codes[k, i] == PIN else slip
 
 
 @kernel

@@ -132,6 +132,7 @@ class SteppedRun:
             lambda states, times: stepper.energy.table(states, values, times)[:, 0],
             len(stepper.angles),
             self.system.slips,
+            self.system.slip_errors,
             self.setup.residual_slip,
             records or (watch is not None and watch.events),
         )

@@ -145,3 +145,66 @@ def test_bounces_within_the_gap_tolerance_end_where_their_series_does(step):
     landings = run(interpret(read_text(BALL)), step=step).trace.jumps
     assert landings[-1].t == pytest.approx(end, abs=20.0 * step)
     assert len(landings) <= 20
+
+
+LEVEL_BOX = """
+kind: scene
+name: level_box
+parameters: {a: -0.002, V: 10*(0.2*cos(a) - 0.1*sin(a))/(0.4*cos(a))}
+gravity: 10
+bodies:
+  b: {mass: 1, inertia: 0.02, start: {x: -0.1*sin(a), y: 0.2*sin(a) + 0.1*cos(a), angle: a}}
+surfaces: {floor: {height: 0}}
+contacts:
+  hard: {point: {body: b, at: [-0.2, -0.1]}, surface: floor, friction: 0.5, restitution: 0,
+    impact: moreau}
+  soft: {point: {body: b, at: [0.2, -0.1]}, surface: floor, friction: {static: 0.8, kinetic: 0.3},
+    stiffness: V/(-0.4*sin(a)), damping: 20}
+forces: {drive: {body: b, force: [0.1*time, 0]}}
+stop: {time: 0.25}
+"""
+
+
+@pytest.mark.parametrize(("engine", "step"), [("taylor", 0.0), ("impulse", 1e-3)])
+def test_pins_that_nearly_imply_each_other_bear_their_forces(engine, step):
+    """Feet at rest hold the angle: moments about the centre give their friction forces.
+
+    ``H = F (y1 - 0)/(y0 - y1)`` of the hard foot, with the heights y of the feet below the centre:
+    it breaks loose at its cone, although kinetic friction would not hold the other foot.
+    """
+    text = LEVEL_BOX + (f"settings: {{engine: impulse, step: {step}}}" if step else "")
+    result = Runner(interpret(read_text(text))).run()
+    lever = (0.2 * math.sin(-0.002) - 0.1 * math.cos(-0.002)) / (-0.4 * math.sin(-0.002))
+    force = result.at(0.15 - 0.5 * step).values["hard.H"]
+    assert force == pytest.approx(lever * 0.1 * (0.15 - 0.5 * step), rel=1e-6)
+    weight = 10 - 10 * (0.5 - 0.25 * math.tan(-0.002))
+    (slip,) = result.trace.jumps
+    assert (slip.region, slip.cause) == ("hard", "slip")
+    assert slip.t == pytest.approx(0.5 * weight / (-0.1 * lever), abs=max(20 * step, 1e-9))
+
+
+LANDING = """
+kind: scene
+name: landing
+parameters: {low: 0}
+gravity: 10
+bodies:
+  b: {mass: 1, inertia: 0.02, start: {x: -0.1*sin(0.3), y: 0.2*sin(0.3) + 0.1*cos(0.3) + 0.05,
+    angle: 0.3}}
+surfaces: {floor: {height: 0}, ground: {height: -low}}
+contacts:
+  hard: {point: {body: b, at: [-0.2, -0.1]}, surface: floor, friction: 1, restitution: 0,
+    impact: moreau}
+  soft: {point: {body: b, at: [0.2, -0.1]}, surface: ground, friction: 2, stiffness: 1e4,
+    damping: 20}
+stop: {time: 0.4}
+"""
+
+
+@pytest.mark.parametrize("step", [0.0, 1e-3, 1e-4, 1e-5])
+@pytest.mark.parametrize(("low", "lands"), [(0.0, "pin"), (0.02, "slide-")])
+def test_a_foot_that_lands_level_with_a_pinned_foot_has_no_slip(step, low, lands):
+    """The slip of a foot about the other is the rate of turn times the difference of heights."""
+    text = LANDING + (f"settings: {{engine: impulse, step: {step}}}" if step else "")
+    jumps = Runner(interpret(read_text(text))).run({"low": low}).trace.jumps
+    assert next(jump.target[1] for jump in jumps if jump.target[1] != "free") == lands
