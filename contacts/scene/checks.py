@@ -6,16 +6,19 @@ import math
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import combinations, pairwise, product
+from string import digits
 from types import MappingProxyType
 from typing import NamedTuple
 
 from pydantic import BaseModel
 
+from contacts.scene.expansion import reach_of
 from contacts.scene.fields import SceneFields
 from contacts.scene.friction import AT_REST, SLIP, Friction, check_sides, friction_law
 from contacts.scene.parts import Body, Surface, used_names
 from contacts.scene.shapes import INDEX
 from statechart.charts.transitions import PERIOD, PERIOD_ADVICE, periods_in
+from statechart.charts.wrapping import WRAP_ADVICE
 from statechart.documents.declaration import TIME
 from statechart.documents.documented import leaves
 from statechart.documents.fields import (
@@ -247,6 +250,9 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
     for name, region in scene.regions.items():
         for loc, period in periods_in(region, "regions", name):
             yield Limit(loc, period, *_POSITIVE[:2], PERIOD, PERIOD_ADVICE)
+        if (count := region.count) is not None:
+            words = f"the period of {name.rstrip(digits)} is {{:g}}"
+            yield Limit(count.loc, count.period, *_POSITIVE[:2], words, WRAP_ADVICE)
     for name, body in scene.bodies.items():
         at: Loc = ("bodies", name)
         if not body.prescribed:
@@ -267,7 +273,10 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
                 advice = "a point cannot touch a corner (radius 0), a contact with a radius can"
                 if None not in discs:
                     bounds, advice = (0.0, _MAX_NUMBER, "must be zero or positive, not {:g}"), ""
-            yield Limit(("surfaces", name, "radius"), surface.radius, *bounds, advice)
+            rope = name.removesuffix(reach_of(""))
+            at = ("surfaces", name, "radius") if rope == name else ("joints", rope, "rope")
+            now = {TIME: 0.0} if TIME in parse(surface.radius).names else {}
+            yield Limit(at, surface.radius, *bounds, advice, slips=now)
         if surface.incline is not None:
             yield Limit(("surfaces", name, "incline"), surface.incline, *_INCLINES)
     for name, contact in scene.contacts.items():

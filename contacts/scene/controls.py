@@ -8,6 +8,8 @@ from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
 from typing import TypeVar
 
+from pydantic import PrivateAttr
+
 from statechart.charts.flatten import FlatRegion, flatten
 from statechart.charts.transitions import BaseRegion, BaseState, check_changes, nested
 from statechart.charts.wrapping import STATE, Count
@@ -61,12 +63,19 @@ class Controller(ControlRegion):
         unit="that of each",
         default={},
     )
+    _count: Count | None = PrivateAttr(None)
+
+    @property
+    def count(self) -> Count | None:
+        """What the region counts, if it counts periods."""
+        return self._count
 
     @classmethod
     def counting(cls, count: Count) -> Controller:
         """Return the region that counts the periods of time in a formula."""
         states = {STATE: ControlState()}
         controller = cls(initial=STATE, states=states, transitions=count.transitions)
+        controller._count = count
         # The name has a dot, which no declared variable has.
         return controller.model_copy(update={"variables": {count.variable: count.initial}})
 

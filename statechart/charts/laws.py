@@ -44,6 +44,7 @@ from statechart.charts.guard_watch import (
     values_after,
 )
 from statechart.charts.transitions import check_periods
+from statechart.charts.wrapping import check_wrapping
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FiniteText
 from statechart.errors import DeclarationProblem, NonFinite, StatechartError, Unsupported, Zeno
@@ -55,7 +56,7 @@ from statechart.formulas.tape import Tape
 def automaton(chart: Chart) -> Automaton:
     """Compose the automaton of a chart; modes are built when a run enters them."""
     declared, chart = chart, chart.expanded
-    symbols = _Symbols(chart)
+    symbols = _Symbols(chart, declared)
     regions = tuple(_region(name, region, symbols) for name, region in chart.flat.items())
     return Automaton(
         name=chart.name,
@@ -86,8 +87,8 @@ def automaton(chart: Chart) -> Automaton:
 class _Symbols:
     """Symbols with neutral names, since SymPy interprets names such as I or beta."""
 
-    def __init__(self, chart: Chart) -> None:
-        self.chart, timers = chart, chart.clocks
+    def __init__(self, chart: Chart, declared: Chart) -> None:
+        self.chart, self.declared, timers = chart, declared, chart.clocks
         starts = {**chart.variables, **dict.fromkeys(timers, 0)}
         self.variables = {name: sp.Symbol(f"v{i}", real=True) for i, name in enumerate(starts)}
         self.rates = {name: sp.Symbol(f"r{i}", real=True) for i, name in enumerate(starts)}
@@ -112,8 +113,9 @@ class _Symbols:
         """
         values, initial = self.parameters.values(overrides)
         if overrides:
-            chart = self.chart
-            check_periods(chart.regions, chart.parameters, chart.variables, chart.values(overrides))
+            chart, known = self.declared, self.declared.values(overrides)
+            check_wrapping(chart, known)
+            check_periods(chart.regions, chart.parameters, chart.variables, known)
         for name, value in zip(self.variables, initial, strict=True):
             if not np.isfinite(value):
                 raise DeclarationProblem(

@@ -26,6 +26,7 @@ from statechart.formulas.tree import JUMPS, Call, calls_in, names_in
 
 Document = TypeVar("Document", bound=Declaration)
 
+WRAP_ADVICE = "write a number above 0, or a formula of parameters"
 STATE = "on"
 """The only state of a region that counts."""
 
@@ -51,11 +52,13 @@ class Wrap(NamedTuple):
 
 
 class Count(NamedTuple):
-    """A counting region: its variable and transitions."""
+    """A counting region: its variable and transitions, the period and where it stands."""
 
     variable: str
     initial: str
     transitions: tuple[Transition, ...]
+    period: str = ""
+    loc: Loc = ()
 
 
 def count_periods(document: Document) -> tuple[Document, Mapping[str, Count]]:
@@ -102,7 +105,15 @@ def count_periods(document: Document) -> tuple[Document, Mapping[str, Count]]:
     fields |= {part: rewritten(value) for part, value in fields.items() if part not in _NOT_WRAPPED}
     if not regions:
         return document, {}
-    counts = {own: _count(own, *key) for key, own in regions.items()}
+    places = {
+        wrap.key: loc
+        for loc, text, _ in reversed([*leaves(document)])
+        for wrap in (periodic_calls(text) if isinstance(text, str) else ())
+    }
+    counts = {
+        own: _count(own, *key)._replace(period=key[2], loc=places[key])
+        for key, own in regions.items()
+    }
     return document.model_construct(**fields), counts
 
 
@@ -228,7 +239,7 @@ def _check(document: Declaration, wrap: Wrap, loc: Loc, values: Mapping[str, flo
     if problem:
         raise DeclarationProblem(
             f"the period of {function} {problem}",
-            advice="write a number above 0, or a formula of parameters",
+            advice=WRAP_ADVICE,
             loc=loc,
             offset=call.offset,
         )

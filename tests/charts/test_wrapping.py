@@ -200,6 +200,16 @@ def test_formulas_that_are_not_periodic_are_refused(path: str, message: str) -> 
         interpret(read_text(f"kind: scene\nname: n\n{text}"))
 
 
+@pytest.mark.parametrize("period", [0.0, -1.0])
+def test_a_period_given_for_a_run_is_refused_at_its_place(period: float) -> None:
+    moved = SAW.replace("X", '"mod(time, T)"').replace("Y", "0")
+    places = {f"kind: scene\n{moved}": "displacement.0", f"kind: chart\n{FLOWS}": "flows.x"}
+    for text, place in places.items():
+        problem = re.escape(f"{place}: the period of mod is {period:g} (with T = {period:g})")
+        with pytest.raises(DeclarationError, match=problem):
+            Runner(interpret(read_text(f"name: n\n{text}"))).run({"T": period}, until=1.0)
+
+
 @pytest.mark.parametrize(
     "section",
     [

@@ -242,6 +242,14 @@ def test_a_mistake_in_a_joint_is_reported(old: str, new: str, reported: str) -> 
         statechart.run(interpret(read_text(_ROPE.replace(old, new), "joint.yaml")))
 
 
+@pytest.mark.parametrize("length", ["L", "L*cos(time)"])
+def test_a_rope_without_length_is_reported_at_its_place(length: str) -> None:
+    text = "parameters: {L: 1}\n" + _ROPE.replace("rope: 1,", f"rope: {length},")
+    assert "parameters" not in _ROPE
+    with pytest.raises(DeclarationError, match=r"joints\.rope\.rope: must be positive, not 0"):
+        Runner(interpret(read_text(text))).run({"L": 0.0})
+
+
 def test_initially_redundant_joint_is_reported() -> None:
     # Its equations were singular: the state was not finite.
     again = "again: {point: {body: b}, to: {body: a}, rod: 0.5, enabled: time < 1}"
