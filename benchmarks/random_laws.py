@@ -3,9 +3,10 @@
 A seed draws the structure of a scene, whose numbers are parameters; each structure runs with
 several draws of them. Taylor and SciPy have to agree: final states and times of events to 1e-6 of
 their size, or, where they count bounces apart, final motions to 1e-9. Time steps of 1, 1/4,
-1/16 or 1/64 ms have to approach them (first order), unless steps warn that they take another law of
-impact. Scenes of bodies with shapes run by steps only. A draw is right, warned of, refused (a run
-ends with a sentence) or wrong.
+1/16, 1/64 or 1/256 ms have to approach them (first order), unless steps warn that they take another
+law of impact. Scenes of bodies with shapes run by steps only. A draw is right, warned of, refused
+(a run ends with a sentence), amplified or wrong. Amplified: parameters that differ by the shortest
+step in ms move its end as far as its steps are off, and it is right up to an earlier end.
 
 Run with ``python benchmarks/random_laws.py STRUCTURES DRAWS SEED [FILE]``, one draw alone with
 ``python benchmarks/random_laws.py scene SEED DRAW > scene.yaml``. FILE keeps the counts of each
@@ -31,13 +32,14 @@ from statechart.errors import StatechartError
 from statechart.running.result import Result
 
 HEAD = "kind: scene\nname: laws\ngravity: 9.81\nstop: {time: 1.5}\nsettings: {max_jumps: 2000}\n"
-STEPS = 1e-3, 2.5e-4, 6.25e-5, 1.5625e-5  # the next if one is not near
+STEPS = tuple(1e-3 / 4**k for k in range(5))  # the next if one is not near
+ENDS = 1.5, 1.0, 0.5, 0.25  # of runs that amplify
 TOLERANCE = 1e-13  # of SciPy: a slip of 1e-10 that reverses is late by more with its default
 AGREE, NEAR = 1e-6, 0.02  # of final states and times of events: engines; steps
 # Of final motions: engines may count bounces within 1e-6 s, and what each starts, apart.
 SAME = 1e-9
 LONGEST = 60.0  # seconds of a structure: the draw that takes them is refused, others are left out
-KINDS = "right", "warned", "wrong", "refused"
+KINDS = "right", "warned", "wrong", "refused", "amplified"
 
 # A scene as lines of its sections, such as {"bodies": ["b: {mass: 1}"]}.
 Scene = dict[str, list[str]]
@@ -372,13 +374,31 @@ def judge(
     text: str, values: Values, stepped: bool, runner: Callable[..., Runner]
 ) -> tuple[str, str]:
     """Return a kind of `KINDS`, and how the runs of a scene differ."""
+    kind, how = "wrong", ""
+    for end in ENDS:
 
-    def run(engine: str, step: float | None = None) -> Result:
-        return runner(text, engine, step).run(values)
+        @cache
+        def run(
+            engine: str, step: float | None = None, by: float = 0.0, end: float = end
+        ) -> Result:
+            moved = {name: x * (1.0 + by) for name, x in values.items()}
+            return runner(text, engine, step).run(moved, until=end)
 
+        kind, differ = compare(stepped, run)
+        if kind != "wrong" or not amplifies(stepped, run):
+            return ("amplified", how) if how and kind == "right" else (kind, how + differ)
+        how += f"up to {end:g}: {differ}; "
+    return kind, how
+
+
+def compare(stepped: bool, run: Callable[..., Result]) -> tuple[str, str]:
+    """Return a kind of `KINDS`, and how the runs of a scene differ."""
     if stepped:
-        kind, how = approach(run("impulse", STEPS[2]), STEPS[:2], run)
-        return (kind, how) if not how else approach(run("impulse", STEPS[3]), STEPS[:3], run)
+        for last in range(2, len(STEPS)):
+            kind, how = approach(run("impulse", STEPS[last]), STEPS[:last], run)
+            if not how:
+                break
+        return kind, how
     one, other = run("taylor"), run("scipy")
     kind = "warned" if {*one.warnings, *other.warnings} else "wrong"
     jumps, off = (one.trace.jumps, other.trace.jumps), distance(one, other)
@@ -390,6 +410,15 @@ def judge(
     if off > AGREE:
         return kind, f"engines: off by {off:.2g}"
     return approach(one, STEPS, run)
+
+
+def amplifies(stepped: bool, run: Callable[..., Result]) -> bool:
+    """Return whether parameters that differ by the shortest step move a run as far as it is off."""
+    step = STEPS[-1]
+    last = run("impulse", step)
+    off = distance(run("impulse", STEPS[-2]) if stepped else run("taylor"), last)
+    share = step / STEPS[0]
+    return max(distance(last, run("impulse", step, way)) for way in (share, -share)) >= off
 
 
 def approach(

@@ -95,7 +95,9 @@ def change_friction(contacts: ContactRows, island: Island, resting: float, struc
     for a in range(len(ways)):
         old, slip, normal = ways[a], island.after[a, 1], island.chosen[a, 0]
         may_switch = island.kinds[a] != ONE and abs(old) != BEGINS and normal > 0.0
-        if not may_switch or slip == 0.0 or (abs(old) == 1 and slip * old > 0.0):
+        # The slip of a contact inside its cone is the residual of the impulses.
+        slips = is_sliding(contacts.cones[a], island.chosen[a], slip)
+        if not (may_switch and slips) or (abs(old) == 1 and slip * old > 0.0):
             continue
         turned = BEGINS if slip > 0.0 else -BEGINS
         if abs(old) == 1:

@@ -7,7 +7,15 @@ import pytest
 from complementarity import every_impulses, impact_problem
 from scipy.optimize import nnls
 
-from contacts.solvers.step_impulses import coordinate_impulses
+from contacts.solvers.contact_rows import BEGINS, ON_TRIAL
+from contacts.solvers.step_impulses import (
+    TWO,
+    change_friction,
+    coordinate_impulses,
+    coordinate_rows,
+    new_island,
+)
+from statechart.kernels.jit import kernel
 
 
 def random_problem(generator, contacts, bodies, friction):
@@ -81,3 +89,23 @@ def test_restitution_is_omitted_if_plastic_impulses_are_undetermined():
     impulses = island.chosen.ravel()
     after = free.ravel() + delassus @ impulses
     assert missed > 1e-9 or 0.5 * impulses @ (before.ravel() + after) <= 1e-9
+
+
+@kernel
+def switched(contacts, island):
+    """Call a function from Python that only kernels call."""
+    return change_friction(contacts, island, 1e-12, False)
+
+
+@pytest.mark.parametrize(("share", "sticks"), [(0.9, True), (1.0, False)])
+def test_static_friction_on_trial_holds_a_contact_inside_its_cone(share, sticks):
+    """The slip of a force inside the cone is the residual of the impulses, at the edge a slip."""
+    cone = np.array([[1.0, 0.6]])
+    contacts = coordinate_rows(np.eye(2)[None], np.eye(2), np.zeros(1), cone)
+    still = np.zeros((1, 2))
+    island = new_island(np.zeros(1, np.int64), still - 1e-3, still, still.copy())
+    island.kinds[0], island.slip_directions[0] = TWO, ON_TRIAL
+    island.frictions[0] = [[1.0, 0.6], [1.0, 0.3], [1.0, 0.3]]
+    island.chosen[0], island.after[0] = (1.0, -share * 0.6), (0.0, 1e-9)
+    assert switched(contacts, island)
+    assert island.slip_directions[0] == (0 if sticks else BEGINS)
