@@ -369,7 +369,7 @@ class SteppedScene(SteppedSystem):
         c, errors = len(codes) - self._source.couplings, np.zeros(len(codes))
         before, now = map(partial(self._source.equations, self._values), ends, times)
         lasts = self._is_rigid[:c] & ~np.isin(codes[:c], (FREE, OFF_CODE))
-        lands = (now.gaps[:c] > 0.0) & (now.gaps[:c] < before.gaps[:c])
+        lands = ~self._is_rigid[:c] & (now.gaps[:c] > 0.0) & (now.gaps[:c] < before.gaps[:c])
         fallen = (before.gaps[:c] - now.gaps[:c])[lands]
         changes = np.abs(now.velocities[:c, 1] - before.velocities[:c, 1])[lands]
         errors[:c][lands] = changes * (1.0 + np.abs(now.gaps[:c][lasts]).max(initial=0.0) / fallen)
