@@ -168,7 +168,7 @@ class SteppedRun:
 
     def _steps(self) -> Iterator[bool]:
         step, until = self.request.step, self.request.until
-        met = self.stops.at_start(self.state, self.recorder)
+        met = self.stops.at_start(self.state, self.recorder, step)
         if met is not None:
             self._stop(met)
             return
@@ -241,15 +241,16 @@ class SteppedRun:
         if failed is not None:
             failure = failed[1]
             chunk = chunk.first(failed[0])
-        lost = self.stops.first_undefined_condition(chunk, start)
+        self.stops.take(chunk, start, self.recorder)
+        lost = self.stops.first_undefined(chunk)
         if lost is None and self.control is not None:
-            lost = self.control.first_undefined_guard(chunk, start)
+            lost = self.control.first_undefined(chunk)
         if lost is not None:
             failure = NonFinite(
                 f"the guard {lost[1]} has no finite value one step of {chunk.h:g} later"
             )
             chunk = chunk.first(lost[0])
-        stopped = self.stops.first_met(chunk, start, self.recorder.controls)
+        stopped = self.stops.first_met(chunk)
         if stopped is not None:
             chunk = chunk.first(stopped[0] + 1)
         if len(chunk.codes):
@@ -269,9 +270,9 @@ class SteppedRun:
         if stopped is not None:
             self.state = self.stops.locate(self.recorder, stopped[1])
             self._stop(stopped[1])
-        self.stops.note_spans(chunk, start, self.time, self.recorder.controls)
+        self.stops.accept(chunk, start, self.time)
         if self.control is not None:
-            self.control.note_spans(chunk, start, self.time)
+            self.control.accept(chunk, start, self.time)
         if stopped is not None:
             return True
         if failure is not None:
