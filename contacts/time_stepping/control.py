@@ -1,10 +1,7 @@
 """Controllers of a time-stepped scene, evaluated at the ends of steps.
 
-A transition on an event fires at the end of its step; one with a guard at the end of the first step
-at which the guard is or becomes true, unless it was true before and is about to become false by
-itself. A quantity that stays on its boundary for a step, as the slip of a sticking contact does, is
-zero up to round-off: `<=` and `>=` hold, `<` and `>` do not. Steps are taken in chunks under the
-present states; those beyond a transition are reverted.
+A transition on an event fires at the end of its step, one with a guard as `guard_truths` says.
+Steps are taken in chunks under the present states; those beyond a transition are reverted.
 """
 
 from __future__ import annotations
@@ -25,7 +22,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.projection import on_constraints
 from contacts.dynamics.rolling_resistance import apply_rolling_resistance, couples
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import SnapshotTape
+from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.dynamics.starting import check_closing
 from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.states import CLOSED, OPEN, RESTS, STATES
@@ -97,7 +94,7 @@ class StepControl:
             return chunk, False
         shown = recorder.recorded_modes(chunk)
         fires, _ = self._truths.take(chunk, start, np.vstack([recorder.row, shown]))
-        may_act: Bools = fires.any(axis=1)
+        may_act: Bools = np.any(fires, axis=1)
         if self._queues.waits(self.states):
             may_act |= recorder.changes(chunk)
         may_act[:1] |= self._strikes
@@ -130,16 +127,12 @@ class StepControl:
             and not (jump.impulse or jump.target[self._bouncing[jump.region]] in OPEN)
             and jump.source[self._bouncing[jump.region]] in OPEN
         ]
-        self._warn_of_sticking(
-            jumps,
-            (np.array([recorder.clock.high]), state[None], solved[None], recorder.row[None]),
-            h,
-        )
+        time, unknowns = np.array([recorder.clock.high]), solved[None]
+        self._warn_of_sticking(jumps, (time, state[None], unknowns, recorder.row[None]), h)
         for first, *others in _simultaneous(jumps):
             # Simultaneous jumps of several contacts are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
             pending = self._queues.pending_after(pending, jump)
-        time = np.array([recorder.clock.high])
         if not self._begun:
             self._begun = True
             state = self._states.enter_initial_states(
@@ -148,7 +141,7 @@ class StepControl:
         failed = set[tuple[int, int]]()
         for _ in range(_MOST_TURNS):
             watch = self._states.guards(self.states).watch
-            at_end = time, state[None], solved[None], recorder.row[None]
+            at_end = time, state[None], unknowns, recorder.row[None]
             due, truths = self._truths.at(recorder.clock.high, state, solved, h, recorder.row)
             hold = self._chosen(truths)
             # The transition of another region may have turned some true.
@@ -256,9 +249,8 @@ class StepControl:
         laws, first = self._setup.contacts, len(jump.source) - len(self.states)
         snapshot = self._snapshots(jump.source[first:]).at(self._setup.values, jump.before, jump.t)
         impulses = np.array([jump.impulse.get(law.name, (0.0, 0.0)) for law in laws])
-        push = np.einsum("ckn,ck->n", snapshot.jacobians, impulses)
-        change = np.linalg.lstsq(snapshot.mass, push)[0]
-        return bool(abs(snapshot.jacobians[place, 1] @ change) > self._setup.slip_tolerance)
+        change = snapshot.jacobians[place, 1] @ _velocity_change(snapshot, impulses)
+        return bool(abs(change) > self._setup.slip_tolerance)
 
     def _snapshots(self, states: Key) -> SnapshotTape:
         """Return the snapshots in states of the controllers."""
@@ -322,11 +314,10 @@ class StepControl:
                     f"no impulses stop the contacts of what joint {joint!r} closes on at "
                     f"t = {time:.6g}; close it away from contacts, or at another time"
                 )
-            push = np.einsum("ckn,ck->n", jacobians, pushes)
-            change = np.linalg.lstsq(snapshot.mass, push)[0]
             impulses[touching] = pushes
+            velocity = snapshot.velocity + _velocity_change(snapshot, impulses)
             velocity, impulses = apply_rolling_resistance(
-                snapshot, contacts, snapshot.velocity + change, impulses, setup.slip_tolerance
+                snapshot, contacts, velocity, impulses, setup.slip_tolerance
             )
             state, rates = snapshot.moved(state, velocity), jacobians @ velocity
             at_rest = np.isin(recorder.row[touching], [*RESTS])
@@ -385,6 +376,13 @@ class StepControl:
         rows = guards.table(self._setup, times, states, solved[:, self._order])[0]
         active = self._active.at(codes, self.states)
         return guards.watch.holding(rows, self._setup.rounded, lambda *of: bool(active(*of)[0]))
+
+
+def _velocity_change(snapshot: Snapshot, impulses: Array) -> Array:
+    """Return the change of velocity (n,) by impulses (c, 2) of contacts."""
+    push = np.einsum("ckn,ck->n", snapshot.jacobians, impulses)
+    change: Array = np.linalg.lstsq(snapshot.mass, push)[0]
+    return change
 
 
 def _bounces_end(e: float) -> float:

@@ -1,24 +1,25 @@
 """Truth of guards in time steps: of transitions of controllers, and of stop conditions.
 
-Steps know margins and rates at their ends and on both sides of an impact. A guard fires at the end
-of a step if it is true there, unless it was true at the start and is about to become false by
-itself. Between these nodes margins are interpolated, by cubics (Hermite) or linearly where a rate
-is unknown: a warning names a guard that is true within a step only.
+A guard fires at the end of a step in which it becomes true and still is, or at which it is true and
+not about to become false by itself. A quantity that stays on its boundary for a step, as the slip
+of a sticking contact does, is zero up to round-off: `<=` and `>=` hold, `<` and `>` do not.
 
-An impact may leave a margin beyond the bound at which the motion turns it back, by the depth of the
-landing. Such an atom counts as true only if it is so at both ends of the step.
+Within a step margins are interpolated, by cubics (Hermite), or linearly in steps with impacts and
+where a rate is unknown: a warning names a guard that is true there, at neither end. An impact may
+leave a margin beyond the bound at which the motion turns it back, by the depth of the landing: such
+an atom is true if it is so at both ends. One that the impact changes is true if it is so at one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 
 from contacts.states import STATES
 from contacts.time_stepping.chunk import Chunk
-from contacts.time_stepping.lazy_arcs import struck
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Key
@@ -59,8 +60,8 @@ class _Ends(NamedTuple):
     rates: Array
     zero: Array  # Round-off of the margins.
     true: Bools
+    due: Bools  # True, and not about to become false within a step.
     near: Bools  # At zero within round-off; not of atoms of time alone.
-    passing: Bools  # About to become false within a step.
 
 
 class StepTruths:
@@ -84,10 +85,8 @@ class StepTruths:
         self._last, self._zero = np.zeros((1, count), np.bool_), np.zeros((2, count), np.bool_)
         self._start = np.full((1, count), np.nan)
         # Atoms on forces that the last steps do not know, and guards that were true but for these.
-        self._forced, self._hidden = (
-            np.zeros(count, np.bool_),
-            np.zeros(len(watch.guards), np.bool_),
-        )
+        self._forced = np.zeros(count, np.bool_)
+        self._hidden = np.zeros(len(watch.guards), np.bool_)
 
     def at(
         self, time: float, state: Array, solved: Array, h: float, codes: Ints
@@ -98,10 +97,10 @@ class StepTruths:
         """
         ends = self._ends(np.array([time]), state[None], solved[None], h, self._zero[:1])
         self._last, self._start = ends.true, ends.margins
-        due = ends.true & (ends.near | ~ends.passing)
-        rows = np.vstack([due, ends.true, ends.true | np.isnan(ends.margins)])
+        unknown = np.isnan(ends.margins)
+        rows = np.vstack([ends.due, ends.true, ends.true | unknown])
         due, true, possible = self._guards(rows, np.tile(codes, (3, 1)))
-        self._hidden, self._forced = possible & ~true, np.isnan(ends.margins[0])
+        self._hidden, self._forced = possible & ~true, unknown[0]
         return due, true
 
     def take(self, chunk: Chunk, start: float, codes: Ints) -> tuple[Bools, Bools]:
@@ -113,18 +112,23 @@ class StepTruths:
             chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h, self._zero[1:]
         )
         self._at, self._codes, self._all = ends, codes[1:], np.vstack([self._last, ends.true])
-        self._turned = np.zeros(ends.true.shape, np.bool_)
-        hit = np.flatnonzero(chunk.struck.any(axis=1))
-        if len(hit) and self._watch.guards:
-            times, states = self._nodes(chunk, hit)
-            solved = np.repeat(chunk.solved[hit], 2, axis=0)
-            times = start + times[:, 1:3].ravel()
-            rates = self._table(times, states[:, 1:3].reshape(len(times), -1), solved, 1)[..., 0]
-            self._turned[hit] = (rates[::2] < 0.0) & (rates[1::2] > 0.0)
+        self._turned, self._jumped = np.zeros((2, *ends.true.shape), np.bool_)
+        if chunk.struck.any():
+            hit = np.flatnonzero(chunk.struck.any(axis=1))
+            sides, delay = chunk.states[[hit, hit + 1]], 0.5 * chunk.h + chunk.impact_delay[hit]
+            sides[:, :, : self._n] = sides[0, :, : self._n]
+            sides[:, :, : self._n] += delay[:, None] * sides[0, :, self._n : 2 * self._n]
+            at = np.tile(start + hit * chunk.h + delay, 2), np.vstack([*sides])
+            solved = np.tile(chunk.solved[hit], (2, 1))
+            (left, right), (fall, rise) = (
+                np.split(self._table(*at, solved, order)[..., 0], 2) for order in (0, 1)
+            )
+            self._turned[hit] = (fall < 0.0) & (rise > 0.0)
+            self._jumped[hit] = (left < 0.0) != (right < 0.0)
         true = self._guards(self._all, codes)
         lasting = ends.true & (self._all[:-1] | ~self._turned)
-        fires = self._guards(ends.true & (ends.near | ~ends.passing), self._codes)
-        return fires | (self._guards(lasting, self._codes) & ~true[:-1]), true[1:]
+        begins = self._guards(lasting, self._codes) & ~true[:-1]
+        return self._guards(ends.due, self._codes) | begins, true[1:]
 
     def undefined(self, chunk: Chunk) -> tuple[int, str] | None:
         """Return the first step at whose end a guard has no value, and its name.
@@ -132,10 +136,11 @@ class StepTruths:
         Forces of steps with impacts are NaN, and so are margins on them. A guard of several atoms
         is undefined if all are.
         """
-        known: Bools = np.isfinite(np.hstack([chunk.states[1:], chunk.solved])).all(axis=1)
-        unknown = np.isnan(self._at.margins[: len(known)]) & known[:, None]
+        unknown: Bools = np.isnan(self._at.margins[: len(chunk.codes)])
         if not unknown.any():
             return None
+        known = np.isfinite(np.hstack([chunk.states[1:], chunk.solved]))
+        unknown &= np.all(known, axis=1, keepdims=True)
         parts = [
             unknown[:, first : first + len(condition.atoms)].all(axis=1)
             for _, condition, first in self._watch.placed
@@ -198,21 +203,11 @@ class StepTruths:
         # The rates of forces are unknown: they stay if they were zero a step ago.
         stays = np.isfinite(rate) | np.vstack([zero, near[:-1]])
         true = np.where(near, self._watch.closed & stays & ~rises, true)
-        return _Ends(margin, rate, least, true, near, passing)
+        return _Ends(margin, rate, least, true, true & (near | ~passing), near)
 
     def _guards(self, atoms: Bools, codes: Ints) -> Bools:
         """Return the guards (m, g) that are true, from their atoms (m, a) and modes (m, r)."""
         return self._watch.truths(atoms, self._active(codes))
-
-    def _nodes(self, chunk: Chunk, hit: Ints) -> tuple[Array, Array]:
-        """Return times and states (q, 4) at both ends of steps, and on both sides of impacts."""
-        left, right = chunk.states[:-1][hit], chunk.states[1:][hit]
-        before = 0.5 * chunk.h + chunk.impact_delay[hit, None]
-        lengths = before, chunk.h - before
-        one, other = struck(left, right, chunk.solved[hit, : self._n], lengths, self._n)
-        places = np.hstack([0.0 * before, before, before, 0.0 * before + chunk.h])
-        states = np.stack([left, one.sum(axis=2), other[..., 0], right], axis=1)
-        return hit[:, None] * chunk.h + places, states
 
     def _crossed(self, chunk: Chunk) -> Bools:
         """Return the steps (m,) in which atoms cross zero in turn, or one there and back."""
@@ -220,7 +215,7 @@ class StepTruths:
         first = np.vstack([self._start, ends.margins])[:count]
         last, change = ends.margins[:count], chunk.h * ends.rates[:count]
         before, after, turned = self._all[:count], self._all[1 : count + 1], self._turned[:count]
-        crossed = np.isfinite(last) & (first != last) & ~turned & (before != after)
+        crossed = (before != after) & ~turned
         # The parabola last - change s + bend s^2, s back from the end.
         bend = first - last + change
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -230,27 +225,22 @@ class StepTruths:
 
     def _within(self, chunk: Chunk, start: float, k: int, end: float) -> Bools:
         """Return the guards (g,) that are true within a step, at neither end."""
-        times, states = np.array([k, k + 1.0]) * chunk.h, chunk.states[k : k + 2]
-        if chunk.struck[k].any():
-            times, states = (nodes[0] for nodes in self._nodes(chunk, np.array([k])))
-        solved = np.tile(chunk.solved[k], (len(times), 1))
-        margins, rates = (self._table(start + times, states, solved, o)[..., 0] for o in (0, 1))
-        ends = self._all[k : k + 2]
-        atoms = [ends]
-        for i in range(0, len(times), 2):
-            length = times[i + 1] - times[i]
-            (a, b), (c, d) = margins[i : i + 2], length * rates[i : i + 2]
-            straight = np.isnan(c + d)
-            c, d = np.where(straight, b - a, c), np.where(straight, b - a, d)
-            cubics = np.array([2.0 * (a - b) + c + d, 3.0 * (b - a) - 2.0 * c - d, c, a])
-            roots = [np.roots(cubic) for cubic in cubics.T if np.isfinite(cubic).all()]
-            real = np.concatenate([root.real[root.imag == 0.0] for root in roots] or [np.zeros(0)])
-            shares = np.sort(np.append(real[(real > _AT_END) & (real < 1.0 - _AT_END)], [0.0, 1.0]))
-            middles = 0.5 * (shares[:-1] + shares[1:])
-            middles = middles[start + times[i] + middles * length < end]
-            at = np.array([np.polyval(cubics, share) for share in middles]).reshape(-1, len(a))
-            inside = np.where(abs(at) <= self._at.zero[k], ends[1], at < 0.0)
-            atoms.append(inside & (~self._turned[k] | ends.all(axis=0)))
-        rows = np.vstack(atoms)
+        h, states, solved = chunk.h, chunk.states[k : k + 2], np.tile(chunk.solved[k], (2, 1))
+        times = start + chunk.h * np.array([k, k + 1.0])
+        (a, b), (c, d) = (self._table(times, states, solved, o)[..., 0] for o in (0, 1))
+        straight = np.isnan(c + d) | chunk.struck[k].any()
+        c, d = (np.where(straight, b - a, h * rate) for rate in (c, d))
+        cubics = np.array([2.0 * (a - b) + c + d, 3.0 * (b - a) - 2.0 * c - d, c, a])
+        roots = [np.roots(cubic) for cubic in cubics.T if np.isfinite(cubic).all()]
+        real = np.array([x.real for x in chain(*roots) if x.imag == 0.0])
+        shares = np.sort(np.append(real[(real > _AT_END) & (real < 1.0 - _AT_END)], [0.0, 1.0]))
+        middles = 0.5 * (shares[:-1] + shares[1:])
+        middles = middles[times[0] + middles * h < end]
+        at = np.array([np.polyval(cubics, share) for share in middles]).reshape(-1, len(a))
+        first, last = self._all[k : k + 2]
+        inside = np.where(np.abs(at) <= self._at.zero[k], last, at < 0.0)
+        inside = np.where(self._turned[k], first & last, inside)
+        inside = np.where(self._jumped[k], first | last, inside)
+        rows = np.vstack([first, last, inside])
         true = self._guards(rows, np.tile(self._codes[k], (len(rows), 1)))
         return true[2:].any(axis=0) & ~true[0] & ~true[1]

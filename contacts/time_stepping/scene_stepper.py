@@ -588,7 +588,7 @@ class SceneStepper(Stepper):
     ) -> RunInputs:
         setup = self._numbers.at(overrides, RELATIVE, stepped=True)
 
-        def begin(controls: Key) -> tuple[RunInputs, Array]:
+        def begin(controls: Key) -> RunInputs:
             failure, warnings = None, tuple[str, ...]()
             off = np.zeros(len(setup.contacts), np.bool_)
             codes, solved = np.full(len(off), FREE), np.zeros(0)
@@ -598,16 +598,17 @@ class SceneStepper(Stepper):
                 failure = error
             scene = SteppedScene(self._tapes, self._numbers, setup, off, allowed, controls)
             change = None if self._scene.regions else scene.change
-            return RunInputs(setup, scene, codes, warnings, controls, failure, change), solved
+            return RunInputs(setup, scene, codes, warnings, controls, solved, failure, change)
 
-        def due_in(_: Key, start: tuple[RunInputs, Array]) -> Set[tuple[int, int]]:
-            inputs, solved = start
-            control = self.control(inputs)
-            if control is None or inputs.failure is not None:
+        def due_in(_: Key, start: RunInputs) -> Set[tuple[int, int]]:
+            control = self.control(start)
+            if control is None or start.failure is not None:
                 return frozenset()
-            return control.due_at_start(setup.initial, solved, inputs.codes, _trial_step(setup))
+            return control.due_at_start(
+                setup.initial, start.solved, start.codes, _trial_step(setup)
+            )
 
-        return self._tapes.settle_start(begin, due_in)[0]
+        return self._tapes.settle_start(begin, due_in)
 
     def _checked(
         self, setup: SceneSetup, allowed: float, controls: Key

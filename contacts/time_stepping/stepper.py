@@ -57,7 +57,7 @@ from contacts.time_stepping.step_rejection import (
 )
 from contacts.time_stepping.stop_conditions import StopConditions, StopTapes
 from statechart import interrupts
-from statechart.arrays import EPS, Bools, Ints
+from statechart.arrays import EPS, Array, Bools, Ints
 from statechart.automaton.regions import Region
 from statechart.automaton.time_stepper import (
     DEFAULT_IMPULSES,
@@ -91,6 +91,7 @@ class RunInputs(NamedTuple):
     codes: Ints  # (r,): initial modes, codes of `contacts.states`.
     warnings: tuple[str, ...]  # Besides those of the setup.
     controls: Key  # Initial states of controllers.
+    solved: Array  # (u,): unknowns at the start, NaN if no step tells them.
     failure: SimulationError | None = None  # Why no step can be taken.
     # Changes values of parameters and returns the setup; None if unsupported.
     change: Callable[[Mapping[str, float]], SceneSetup] | None = None
@@ -168,13 +169,13 @@ class SteppedRun:
 
     def _steps(self) -> Iterator[bool]:
         step, until = self.request.step, self.request.until
-        met = self.stops.at_start(self.state, self.recorder, step)
+        solved = self._inputs.solved
+        met = self.stops.at_start(self.state, solved, self.recorder, step)
         if met is not None:
             self._stop(met)
             return
         yield True
         if self.control is not None:
-            solved = self.stops.unknown()
             self.state = self.control.turn(self.recorder, (), self.state, solved, step)
         whole = math.floor(min(until / step * (1.0 + 4e-16), _COUNTED))
         rest = until - whole * step

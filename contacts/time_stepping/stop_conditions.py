@@ -71,18 +71,16 @@ class StopConditions:
         """Warnings of conditions that steps pass over."""
         return tuple(self._spans.values())
 
-    def unknown(self) -> Array:
-        """Return NaN for the unknowns before the first step."""
-        return np.full(self._tapes.unknowns, np.nan)
-
-    def at_start(self, state: Array, recorder: Recorder, h: float) -> int | None:
-        """Return the condition that holds at the start; those on unknowns wait for a step."""
+    def at_start(self, state: Array, solved: Array, recorder: Recorder, h: float) -> int | None:
+        """Return the condition that holds at the start, with these unknowns, if any."""
         self._controls = recorder.controls
-        _, true = self._truths.at(0.0, state, self.unknown(), h, recorder.start)
+        _, true = self._truths.at(0.0, state, solved, h, recorder.start)
         return int(np.argmax(true)) if true.any() else None
 
     def take(self, chunk: Chunk, start: float, recorder: Recorder) -> None:
         """Evaluate the conditions in steps."""
+        if not self._tapes.names:
+            return
         self._controls = recorder.controls
         self._met = self._truths.take(chunk, start, np.vstack([recorder.row, chunk.codes]))[1]
 
@@ -97,11 +95,12 @@ class StopConditions:
 
     def first_undefined(self, chunk: Chunk) -> tuple[int, str] | None:
         """Return the first step at whose end a condition has no value, and its name."""
-        return self._truths.undefined(chunk)
+        return self._truths.undefined(chunk) if self._tapes.names else None
 
     def accept(self, chunk: Chunk, start: float, end: float) -> None:
         """Continue after steps, the first of those taken last, until the run is at `end`."""
-        self._spans = self._truths.accept(chunk, start, end) | self._spans
+        if self._tapes.names:
+            self._spans = self._truths.accept(chunk, start, end) | self._spans
 
     def _table(self, times: Array, states: Array, solved: Array, order: int = 0) -> Array:
         """Return the margins of the atoms, or derivatives, and the sizes of terms (k, a, 2)."""
