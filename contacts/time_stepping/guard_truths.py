@@ -100,7 +100,8 @@ class StepTruths:
         unknown = np.isnan(ends.margins)
         rows = np.vstack([ends.due, ends.true, ends.true | unknown])
         due, true, possible = self._guards(rows, np.tile(codes, (3, 1)))
-        self._hidden, self._forced = possible & ~true, unknown[0]
+        self._hidden |= possible & ~true
+        self._forced |= unknown[0]
         return due, true
 
     def take(self, chunk: Chunk, start: float, codes: Ints) -> tuple[Bools, Bools]:

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 import statechart
+from contacts.time_stepping import stepper
 from statechart.documents.yaml_reader import read_text
 
 STEP = 1e-3
@@ -68,6 +69,13 @@ def test_guards_on_quantities_that_an_impact_changes(
     assert found == (None if fires is None else pytest.approx(fires, abs=late))
     assert len(warnings) == (warning is not None)
     assert all(w.startswith(f"go is true {warning}") for w in warnings)
+
+
+def test_the_size_of_chunks_changes_no_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    guard = "c.V >= 5 and b.x <= 0.3015"
+    _, expected = by_steps(guard, 0.0, False)
+    monkeypatch.setattr(stepper, "_CHUNK", 1)
+    assert by_steps(guard, 0.0, False) == (None, expected)
 
 
 @pytest.mark.parametrize("height", [0.150501, 0.150502])
