@@ -34,7 +34,6 @@ from contacts.collision_detection.ground import (
     Ground,
     is_far,
     on_surface,
-    remove_surface_motion,
 )
 from contacts.collision_detection.internal_edges import (
     COVERING,
@@ -77,10 +76,9 @@ class CandidatePair(NamedTuple):
     other: int
     key: int  # See `WarmStart`.
     material: int  # Row of the contact law; -1: no contact.
-    # Whether both are pieces; both discs; the surface moves on a path.
+    # Whether both are pieces; both discs.
     whole: bool
     discs: bool
-    moves: bool
     # Whether pieces move little in the step, so that continuous detection is within its error;
     # whether they turn much.
     slowly: bool
@@ -107,16 +105,11 @@ def candidate_pair(
         )
         slowly = not turns and is_relatively_slow(mid.drifts, pieces.sizes, p, q, CROSSED / since)
         rolls = pieces.radii[p] + pieces.radii[q] > 0.0
-        return CandidatePair(
-            p, q, b, other, key, material, True, discs, False, slowly, turns, rolls, size
-        )
+        return CandidatePair(p, q, b, other, key, material, True, discs, slowly, turns, rolls, size)
     other = surfaces.carriers[s]
     material = numbers.laws[numbers.kinds[b], len(numbers.laws) + s] if other != b else -1
-    moves, size = other < 0 and surfaces.moves[s], pieces.sizes[p]
-    rolls = pieces.radii[p] > 0.0
-    return CandidatePair(
-        p, q, b, other, key, material, False, False, moves, True, False, rolls, size
-    )
+    rolls, size = pieces.radii[p] > 0.0, pieces.sizes[p]
+    return CandidatePair(p, q, b, other, key, material, False, False, True, False, rolls, size)
 
 
 # Part of the radii within which a piece that has passed another since the last detection missed it;
@@ -331,8 +324,8 @@ def _move_between(radii: Array, pair: CandidatePair, point: Array, feature: int)
 
 @kernel
 def _write_if_active(
-    numbers: BodyNumbers, ground: Ground, warm: WarmStart, mid: Midpoint, pair: CandidatePair,
-    times: _Times, at: int, at_old: int, m: int, points: _Points, active: ActiveContacts,
+    numbers: BodyNumbers, warm: WarmStart, mid: Midpoint, pair: CandidatePair, times: _Times,
+    at: int, at_old: int, m: int, points: _Points, active: ActiveContacts,
 ) -> bool:  # fmt: skip
     """Return whether a contact point is active in this step; write it as contact m.
 
@@ -348,10 +341,6 @@ def _write_if_active(
     write_contact(mid, pair.body, -1 if prescribed else pair.other, point, m, active)
     if prescribed:
         pull = remove_body_motion(mid, pair.other, point, m, active)
-        mid.force_speed[pair.body] = max(mid.force_speed[pair.body], pull)
-    if pair.moves:
-        s = pair.q - len(numbers.pieces.sizes)
-        pull = remove_surface_motion(ground, numbers.surfaces, s, point, h, m, active)
         mid.force_speed[pair.body] = max(mid.force_speed[pair.body], pull)
     nearing = -active.before[m, 0]
     gained = max(abs(active.free[m, 0] - active.before[m, 0]), times.fall)
@@ -438,17 +427,13 @@ def _write_slip_direction(
 
 @kernel
 def _add_resistance(
-    numbers: BodyNumbers, ground: Ground, warm: WarmStart, mid: Midpoint, pair: CandidatePair,
-    times: _Times, at_old: int, m: int, active: ActiveContacts,
+    numbers: BodyNumbers, warm: WarmStart, mid: Midpoint, pair: CandidatePair, times: _Times,
+    at_old: int, m: int, active: ActiveContacts,
 ) -> None:  # fmt: skip
     """Write the rolling resistance of contact m - 1 as contact m."""
     before = after = 0.0
     if pair.other >= len(numbers.inverse):
         before, after = mid.old_rates[pair.other, 2], mid.free_rates[pair.other, 2]
-    elif pair.moves:
-        frames = ground.frames
-        before = (frames[1, 2] - frames[0, 2]) / times.h
-        after = (frames[2, 2] - frames[1, 2]) / times.h
     write_resistance(numbers, warm, at_old, (before, after), times.h, m, active)
     active.before[m, 1] += velocity(active.bodies, active.rows, mid.old_rates, m, 1)
     active.free[m, 1] += velocity(active.bodies, active.rows, mid.free_rates, m, 1)
@@ -501,12 +486,10 @@ def find_contacts(
             while at_old < warm.n_contacts[0] and keys[at_old, 0] < pair.key:
                 at_old += 1
             for at in range(met):
-                if _write_if_active(
-                    numbers, ground, warm, mid, pair, times, at, at_old, m, points, active
-                ):
+                if _write_if_active(numbers, warm, mid, pair, times, at, at_old, m, points, active):
                     m += 1
                     if m < len(active.hit) and active.rolling_roles[m - 1] == ROLLS:
-                        _add_resistance(numbers, ground, warm, mid, pair, times, at_old, m, active)
+                        _add_resistance(numbers, warm, mid, pair, times, at_old, m, active)
                         m += 1
                 if m == len(active.hit):
                     return DetectionResult(-1, worst[0], worst[1], worst[2], worst[3], worst[4])

@@ -1,4 +1,4 @@
-"""Surfaces at the midpoint of a step, which may move, and contact points of bodies on them."""
+"""Surfaces at the midpoint of a step, and contact points of bodies on them."""
 
 from __future__ import annotations
 
@@ -7,13 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collision_detection.active_contacts import ActiveContacts
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.convex import FOUND, ConvexShape, norm
 from contacts.collision_detection.midpoint import Midpoint
 from contacts.collision_detection.surfaces import (
-    HOLLOW,
-    ROUND,
     SurfaceNumbers,
     crossing_time,
     distance,
@@ -38,8 +35,6 @@ _GRAZED = 0.1
 class Ground(NamedTuple):
     """The surfaces at the midpoint of a step."""
 
-    # (3, s, 3): frames at the previous detection, this one and the next; unused if none moves.
-    paths: Array
     # Registers of the height tape (see `statechart.kernels.tapes.allocate_registers`).
     registers: tuple[int, Array]
     frames: Array  # (3, 3): buffer.
@@ -47,30 +42,20 @@ class Ground(NamedTuple):
 
 
 @kernel
-def _write_frames(ground: Ground, s: int, carrier: int, mid: Midpoint, h: float) -> None:
-    """Write the frames (3, 3) of a moving surface."""
-    for at in range(3):
-        for d in range(3):
-            if carrier >= 0:
-                moved = (at - 1) * h * mid.old_rates[carrier, d]
-                ground.frames[at, d] = mid.poses[carrier, d] + moved
-            else:
-                ground.frames[at, d] = ground.paths[at, s, d]
+def _write_frames(ground: Ground, carrier: int, mid: Midpoint, h: float) -> None:
+    """Write the frames (3, 3) of a carrier at the previous detection, this one and the next."""
+    for d in range(3):
+        now = mid.poses[carrier, d]
+        ground.frames[0, d] = now - h * mid.old_rates[carrier, d]
+        ground.frames[1, d] = now
+        ground.frames[2, d] = now + h * mid.free_rates[carrier, d]
 
 
 @kernel
 def pose_of(numbers: BodyNumbers, ground: Ground, mid: Midpoint, s: int) -> Array:
     """Return the frame (3,) of a surface at this detection."""
-    if numbers.surfaces.carriers[s] >= 0:
-        return mid.poses[numbers.surfaces.carriers[s]]
-    return ground.paths[1, s] if numbers.surfaces.moves[s] else ground.still[1]
-
-
-@kernel
-def _in_frame(frames: Array, x: float, y: float, mid: int) -> tuple[float, float]:
-    """Return where a surface point, now at x, y, is at detection `mid` (0, 1, 2)."""
-    u, v = to_frame(frames[1], x, y)
-    return to_world(frames[mid], u, v)
+    carrier = numbers.surfaces.carriers[s]
+    return mid.poses[carrier] if carrier >= 0 else ground.still[1]
 
 
 @kernel
@@ -78,7 +63,7 @@ def is_far(
     surfaces: SurfaceNumbers, ground: Ground, mid: Midpoint, p: int, s: int, size: float
 ) -> bool:
     """Return whether a piece is out of reach of a fixed surface."""
-    if surfaces.carriers[s] >= 0 or surfaces.moves[s]:
+    if surfaces.carriers[s] >= 0:
         return False
     x, y = mid.centres[p, 0], mid.centres[p, 1]
     return distance(surfaces, s, ground.still[1], x, y) > size + mid.reach[p]
@@ -92,11 +77,11 @@ def on_surface(
     """Find the points of a piece near a surface; return their number, and `crossing_time`."""
     surfaces, x, y = numbers.surfaces, mid.centres[p, 0], mid.centres[p, 1]
     pieces, carrier, within = numbers.pieces, surfaces.carriers[s], mid.reach[p]
-    moves = carrier >= 0 or surfaces.moves[s]
-    frames = ground.frames if moves else ground.still
-    if moves:
-        _write_frames(ground, s, carrier, mid, h)
-        u, v = _in_frame(frames, x, y, 2)
+    frames = ground.frames if carrier >= 0 else ground.still
+    if carrier >= 0:
+        _write_frames(ground, carrier, mid, h)
+        u, v = to_frame(frames[1], x, y)
+        u, v = to_world(frames[2], u, v)
         within += 2.0 * norm(u - x, v - y)
     if distance(surfaces, s, frames[1], x, y) > pieces.sizes[p] + within:
         return 0, 0.0
@@ -150,33 +135,3 @@ def _passed_over(
         if was_clear and deepest < -_GRAZED * pieces.cores[p]:
             inside += 1
     return inside / samples
-
-
-@kernel
-def remove_surface_motion(
-    ground: Ground, surfaces: SurfaceNumbers, s: int, point: Array, h: float, m: int,
-    active: ActiveContacts,
-) -> float:  # fmt: skip
-    """Subtract a surface's motion from a contact's velocities; return its speed change.
-
-    The surface moves from midpoint to midpoint, as bodies do. A circle approaches as its centre
-    does, and slips along its rim.
-    """
-    nx, ny, x, y = point[0], point[1], point[2], point[3]
-    before, free, frames = active.before, active.free, ground.frames
-    a, b = x, y
-    if surfaces.kinds[s] == ROUND or surfaces.kinds[s] == HOLLOW:
-        a, b = to_world(frames[1], surfaces.numbers[s, 0], surfaces.numbers[s, 1])
-    arm = nx * (x - a) + ny * (y - b)
-    for mid in (0, 2):
-        way, turned = (mid - 1.0) / h, frames[mid, 2] - frames[1, 2]
-        u, v = _in_frame(frames, a, b, mid)
-        nearing = way * (nx * (u - a) + ny * (v - b))
-        along = way * (ny * (u - a) - nx * (v - b) - turned * arm)
-        if mid == 0:
-            before[m, 0] -= nearing
-            before[m, 1] -= along
-        else:
-            free[m, 0] -= nearing
-            free[m, 1] -= along
-    return norm(free[m, 0] - before[m, 0], free[m, 1] - before[m, 1])

@@ -29,7 +29,6 @@ from contacts.collision_detection.surfaces import (
     ROUND,
     distance,
     tangent_at,
-    to_frame,
     to_world,
 )
 from statechart.arrays import Array, Ints
@@ -194,31 +193,26 @@ def have_contact_law(numbers: BodyNumbers, one: int, other: int) -> bool:
 
 @kernel
 def _velocity(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, q: int, x: float, y: float, h: float
+    numbers: BodyNumbers, mid: Midpoint, q: int, x: float, y: float
 ) -> tuple[float, float, float]:
     """Return the velocity of a piece's or surface's point at x, y, and its angular velocity."""
-    count, surfaces = len(numbers.pieces.sizes), numbers.surfaces
-    b = numbers.pieces.bodies[q] if q < count else surfaces.carriers[q - count]
-    if b >= 0:
-        turning = mid.old_rates[b, 2]
-        u, v = x - mid.poses[b, 0], y - mid.poses[b, 1]
-        return mid.old_rates[b, 0] - turning * v, mid.old_rates[b, 1] + turning * u, turning
-    if not surfaces.moves[q - count]:
+    count = len(numbers.pieces.sizes)
+    b = numbers.pieces.bodies[q] if q < count else numbers.surfaces.carriers[q - count]
+    if b < 0:
         return 0.0, 0.0, 0.0
-    now, then = ground.paths[1, q - count], ground.paths[2, q - count]
-    u, v = to_frame(now, x, y)
-    u, v = to_world(then, u, v)
-    return (u - x) / h, (v - y) / h, (then[2] - now[2]) / h
+    turning = mid.old_rates[b, 2]
+    u, v = x - mid.poses[b, 0], y - mid.poses[b, 1]
+    return mid.old_rates[b, 0] - turning * v, mid.old_rates[b, 1] + turning * u, turning
 
 
 @kernel
 def is_relatively_still(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], x: float, y: float,
-    h: float, near: float,
+    numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], x: float, y: float, h: float,
+    near: float,
 ) -> bool:  # fmt: skip
     """Return whether the relative motion of two obstacles at x, y is below `near` in a step."""
-    u, v, turning = _velocity(numbers, ground, mid, pair[0], x, y, h)
-    other_u, other_v, other_turning = _velocity(numbers, ground, mid, pair[1], x, y, h)
+    u, v, turning = _velocity(numbers, mid, pair[0], x, y)
+    other_u, other_v, other_turning = _velocity(numbers, mid, pair[1], x, y)
     along, across = u - other_u, v - other_v
     turned = near / FLUSH * (turning - other_turning)
     return h * h * (along * along + across * across + turned * turned) <= near * near
@@ -321,7 +315,7 @@ def near_obstacles(
             at < 0
             or n_near == len(covering)
             or not is_relatively_still(
-                numbers, ground, mid, (one, q), manifold[at, 2], manifold[at, 3], h, near
+                numbers, mid, (one, q), manifold[at, 2], manifold[at, 3], h, near
             )
         ):
             continue
@@ -353,11 +347,10 @@ def _near_obstacle(
 ) -> int:  # fmt: skip
     """Return the first contact point near a piece or surface; -1: none."""
     s = q - len(numbers.pieces.sizes)
-    still = s >= 0 and not (numbers.surfaces.moves[s] or numbers.surfaces.carriers[s] >= 0)
     for i in range(count):
         x, y = manifold[i, 2], manifold[i, 3]
-        if still:
-            away = distance(numbers.surfaces, s, ground.still[1], x, y)
+        if s >= 0:
+            away = distance(numbers.surfaces, s, pose_of(numbers, ground, mid, s), x, y)
         else:
             away = distance_to(make_obstacle(numbers, ground, mid, q, x, y), x, y)
         if away <= _AROUND * size + 2.0 * abs(manifold[i, 4]):

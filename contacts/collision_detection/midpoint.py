@@ -42,10 +42,8 @@ class LimitProgram(NamedTuple):
 class Prescribed(NamedTuple):
     """Prescribed motion and forces of the next steps."""
 
-    # At the midpoints of the previous step, these steps and the one after: frames of surfaces,
-    # world anchors of joints, poses of led bodies, controller variables.
-    frames: Array  # shape (k + 2, s, 3)
-    places: Array  # shape (k + 2, j, 2)
+    # At the midpoints of the previous step, these steps and the one after: poses of led bodies,
+    # controller variables.
     poses: Array  # shape (k + 2, l, 3)
     controller_states: Array  # shape (k + 2, w)
     forces: ForceProgram
@@ -54,10 +52,7 @@ class Prescribed(NamedTuple):
     def after(self, count: int) -> Prescribed:
         """Return the prescribed motion after so many steps."""
         return self._replace(
-            frames=self.frames[count:],
-            places=self.places[count:],
-            poses=self.poses[count:],
-            controller_states=self.controller_states[count:],
+            poses=self.poses[count:], controller_states=self.controller_states[count:]
         )
 
 

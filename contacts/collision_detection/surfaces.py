@@ -1,6 +1,6 @@
 """Contact manifolds of shapes on lines, plates, circles from both sides and graphs.
 
-A surface is evaluated in its own frame, which its path or its carrier moves.
+A surface is evaluated in its own frame, which its carrier moves.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from contacts.collision_detection.convex import (
     shape_contacts,
     write_contact,
 )
-from statechart.arrays import Array, Bools, Ints, Ints32
+from statechart.arrays import Array, Ints, Ints32
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import run_tape
 
@@ -38,7 +38,6 @@ class SurfaceNumbers(NamedTuple):
     # (s, 4): lines: point and outward unit normal; plates: ends; circles: centre and radius.
     numbers: Array
     carriers: Ints  # (s,): bodies that carry them; -1: none.
-    moves: Bools  # (s,): whether they have paths.
     graphs: Ints  # (s,): place of height, slope and curvature in the outputs of the tape.
     # Tape (`statechart.formulas.tape.Tape`) of the graphs, and its parameters.
     code: Ints32
@@ -162,9 +161,8 @@ def surface_contacts(
                 nx, ny, away = c, d, c * (x - a) + d * (y - b)
             else:
                 far = norm(x - a, y - b)
-                if far == 0.0:
-                    continue
-                nx, ny, away = (a - x) / far, (b - y) / far, c - far
+                nx, ny = ((a - x) / far, (b - y) / far) if far > 0.0 else (0.0, 1.0)
+                away = c - far
             if away - radius <= within and count < len(manifold):
                 write_contact(
                     manifold[count], nx, ny, x - radius * nx, y - radius * ny, away - radius

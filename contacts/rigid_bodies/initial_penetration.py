@@ -1,4 +1,4 @@
-"""Initial penetration of bodies in each other and in surfaces; starts outside hollow circles."""
+"""Initial penetration of bodies in each other and in surfaces."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.surfaces import HOLLOW
-from contacts.rigid_bodies.declared_numbers import touchable_surfaces
-from contacts.rigid_bodies.prescribed_motion import Positions
+from contacts.rigid_bodies.declared_numbers import rotated, surface_title
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts
-from contacts.scene.scene import Scene
 from statechart.arrays import Array, Ints
 from statechart.errors import DeclarationProblem
 
@@ -82,6 +80,9 @@ def check_penetration(
     where = deepest_of(b)
     if contacts.is_covered(b):
         b, where, out = _covering_pieces(detect, numbers, names, surfaces, initial, b, deep[b])
+    kinds = zip(surfaces, numbers.surfaces.kinds.tolist(), strict=True)
+    if where in [surface_title(name) for name, kind in kinds if kind == HOLLOW]:
+        out += "; to touch a circle from outside, remove hollow"
     if len(deep) > _PAIR:
         out += f"; {len(deep)} bodies overlap, by {-min(deep.values()):.3g} at most"
     key = "start"
@@ -125,9 +126,8 @@ def _check_crowd(
     if len(members) < _CROWD or len(numbers.joints.bodies):
         return
     one = pieces.begins[:-1][members]
-    x, y, angle = numbers.motion(initial[None])[0][0, members].T
-    (u, v), cos, sin = pieces.middles[one].T, np.cos(angle), np.sin(angle)
-    centres = np.column_stack([x + cos * u - sin * v, y + sin * u + cos * v])
+    poses = numbers.motion(initial[None])[0][0, members]
+    centres = poses[:, :2] + rotated(poses[:, 2], pieces.middles[one])
     cells = np.floor(centres / ((2.0 - _LEFT) / math.sqrt(2.0) * pieces.cores[one])[:, None])
     kinds = numbers.kinds[members]
     _, which, many = np.unique(
@@ -237,50 +237,3 @@ def _covering_pieces(
     every = np.flatnonzero(numbers.laws[numbers.kinds[b], kinds:] >= 0)
     listed = ", ".join(repr(surfaces[s]) for s in every.tolist())
     return b, f"surfaces {listed}", far.replace("from it", "from them")
-
-
-def check_containers(
-    scene: Scene, owners: Sequence[str], numbers: BodyNumbers, initial: Array, paths: Positions
-) -> None:
-    """Check that bodies that collide with a hollow circle start in it, at `initial` (2 n,).
-
-    The scene has its bodies one by one, declared by `owners`; `paths` are the positions at the
-    start.
-
-    Raises `DeclarationProblem` if a body is too large, or starts outside.
-    """
-    names, surfaces = list(scene.bodies), numbers.surfaces
-    moving, frames = len(numbers.inverse), paths.frames[0]
-    poses = numbers.motion(initial[None])[0][0]
-    places = np.concatenate([poses, paths.poses[0], numbers.fixed])
-    for s, name in enumerate(touchable_surfaces(scene)):
-        if surfaces.kinds[s] != HOLLOW:
-            continue
-        x, y, radius, _ = surfaces.numbers[s].tolist()
-        carrier = int(surfaces.carriers[s])
-        u, v, angle = (frames[s] if carrier < 0 else places[carrier]).tolist()
-        cos, sin = math.cos(angle), math.sin(angle)
-        centre = np.array([u + cos * x - sin * y, v + sin * x + cos * y])
-        meets = numbers.laws[numbers.kinds[:moving], len(numbers.laws) + s] >= 0
-        members = [b for b in np.flatnonzero(meets).tolist() if b != carrier]
-        outside = []
-        for b in members:
-            own = slice(*numbers.pieces.begins[b : b + 2].tolist())
-            core = float(numbers.pieces.cores[own].max(initial=0.0))
-            if core > radius:
-                raise DeclarationProblem(
-                    f"body {names[b]!r} does not fit into {name!r}: it reaches {core:.6g} around "
-                    f"its centre, and the circle has a radius of {radius:.6g}",
-                    advice="make the circle larger, or the body smaller",
-                    loc=("bodies", owners[b], "shape"),
-                )
-            if math.hypot(*(places[b, :2] - centre)) >= radius:
-                outside.append(b)
-        if outside:
-            who = "every body" if len(outside) == len(members) else f"body {names[outside[0]]!r}"
-            raise DeclarationProblem(
-                f"{who} starts outside the hollow circle {name!r}",
-                advice=f"start bodies within {radius:.6g} of its centre; to touch a circle "
-                "from outside, remove hollow",
-                loc=("bodies", owners[outside[0]], "start"),
-            )

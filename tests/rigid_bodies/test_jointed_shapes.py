@@ -518,7 +518,7 @@ settings: {{engine: impulse, step: STEP}}
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("to: [0, 0]", "to: [0, 0.1]", "joint 'j0' is open at the start: its point is at"),
+        ("to: [0, 0]", "to: [0, 0.1]", "joint 'j0' is open at the start: its ends are 0.1 apart"),
         ("dangle: w", "dangle: 1", "joint 'j0' does not hold at the start: its ends move apart"),
         ("to: [0, 0]", "to: {body: bar7}", "no body 'bar7'"),
     ],
