@@ -21,16 +21,17 @@ import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
 from contacts.collision_detection.convex import face_contacts, interval_within, norm, write_contact
-from contacts.collision_detection.ground import Ground, pose_of
 from contacts.collision_detection.joints import is_joined
 from contacts.collision_detection.midpoint import Midpoint
 from contacts.collision_detection.surfaces import (
     PLATE,
     ROUND,
+    Ground,
     distance,
     tangent_at,
     to_world,
 )
+from contacts.collision_detection.time_of_impact import carrier_of
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
@@ -66,7 +67,7 @@ def make_obstacle(
         sort = DISC if pieces.radii[q] > 0.0 else POLYGON
         return Obstacle(sort, corners, mid.centres[q], pieces.radii[q], pieces.sizes[q])
     s = q - len(pieces.sizes)
-    pose, two, centre = pose_of(numbers, ground, mid, s), np.zeros((2, 2)), np.zeros(2)
+    pose, two, centre = mid.poses[surfaces.carriers[s]], np.zeros((2, 2)), np.zeros(2)
     a, b, c, d = surfaces.numbers[s]
     if surfaces.kinds[s] == PLATE:
         two[0, 0], two[0, 1] = to_world(pose, a, b)
@@ -76,7 +77,7 @@ def make_obstacle(
     if surfaces.kinds[s] == ROUND:
         centre[0], centre[1] = to_world(pose, a, b)
         return Obstacle(DISC, two[:0], centre, c, c)
-    two[0, 0], two[0, 1], nx, ny = tangent_at(surfaces, s, pose, ground.registers, x, y)
+    two[0, 0], two[0, 1], nx, ny = tangent_at(surfaces, s, pose, ground, x, y)
     two[1, 0], two[1, 1] = two[0, 0] - ny, two[0, 1] + nx
     return Obstacle(HALF, two, centre, 0.0, math.inf)
 
@@ -196,10 +197,7 @@ def _velocity(
     numbers: BodyNumbers, mid: Midpoint, q: int, x: float, y: float
 ) -> tuple[float, float, float]:
     """Return the velocity of a piece's or surface's point at x, y, and its angular velocity."""
-    count = len(numbers.pieces.sizes)
-    b = numbers.pieces.bodies[q] if q < count else numbers.surfaces.carriers[q - count]
-    if b < 0:
-        return 0.0, 0.0, 0.0
+    b = carrier_of(numbers, q)
     turning = mid.old_rates[b, 2]
     u, v = x - mid.poses[b, 0], y - mid.poses[b, 1]
     return mid.old_rates[b, 0] - turning * v, mid.old_rates[b, 1] + turning * u, turning
@@ -350,7 +348,7 @@ def _near_obstacle(
     for i in range(count):
         x, y = manifold[i, 2], manifold[i, 3]
         if s >= 0:
-            away = distance(numbers.surfaces, s, pose_of(numbers, ground, mid, s), x, y)
+            away = distance(numbers.surfaces, s, mid.poses[carrier_of(numbers, q)], x, y)
         else:
             away = distance_to(make_obstacle(numbers, ground, mid, q, x, y), x, y)
         if away <= _AROUND * size + 2.0 * abs(manifold[i, 4]):

@@ -27,7 +27,6 @@ from contacts.collision_detection.couplings import (
     read_limits,
 )
 from contacts.collision_detection.find_contacts import DetectionResult, find_contacts
-from contacts.collision_detection.ground import Ground
 from contacts.collision_detection.joints import OFF, add_joints, is_bound, joint_forces
 from contacts.collision_detection.midpoint import (
     Midpoint,
@@ -372,9 +371,8 @@ def step_bodies(
     n, state = first + links.size, chunk.states[0].copy()
     old, loose, active = space.mid.old_rates, space.mid.free_rates, space.active
     surfaces, sizes = numbers.surfaces, numbers.sizes
-    registers = allocate_registers(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
-    registers[1][1] = 0.0
-    ground, applied = Ground(registers, np.zeros((3, 3)), np.zeros((3, 3))), prescribed.forces
+    ground = allocate_registers(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
+    ground[1][1], applied = 0.0, prescribed.forces
     bounds, limits = prescribed.limits, space.limits
     width = 2 * n + prescribed.controller_states.shape[1]
     acting = allocate_registers(applied.code, applied.constants, applied.values, width, 1)

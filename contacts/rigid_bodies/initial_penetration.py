@@ -11,7 +11,7 @@ from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.surfaces import HOLLOW
 from contacts.rigid_bodies.declared_numbers import rotated, surface_title
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts
-from statechart.arrays import Array, Ints
+from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 
 # Allowed penetration, relative to the inscribed circle: a fast body moves about so far in a step of
@@ -79,7 +79,7 @@ def check_penetration(
         b, out = next(iter(deep)), _STUCK
     where = deepest_of(b)
     if contacts.is_covered(b):
-        b, where, out = _covering_pieces(detect, numbers, names, surfaces, initial, b, deep[b])
+        b, where, out = _covered(numbers, contacts, names, b, where)
     kinds = zip(surfaces, numbers.surfaces.kinds.tolist(), strict=True)
     if where in [surface_title(name) for name, kind in kinds if kind == HOLLOW]:
         out += "; to touch a circle from outside, remove hollow"
@@ -191,49 +191,20 @@ def _way_out(
     return ""
 
 
-def _covering_pieces(
-    detect: Detect,
-    numbers: BodyNumbers,
-    names: Sequence[str],
-    surfaces: Sequence[str],
-    initial: Array,
-    b: int,
-    margin: float,
+def _covered(
+    numbers: BodyNumbers, contacts: DetectedContacts, names: Sequence[str], b: int, where: str
 ) -> tuple[int, str, str]:
     """Return the inner body, the outer one, and advice, if pieces of the outer cover each other.
 
-    No face is left to touch: the outer one is that with which alone the body is as deep.
+    No face is left to touch, and so no contact shows a way out.
     """
-    moving, kinds = len(numbers.inverse), len(numbers.laws)
-    places = numbers.motion(initial[None])[0][0, :, :2]
-    spacing = np.ptp(places[:, 0]) + 4.0 * numbers.sizes.max()
-    reach = numbers.sizes[b] + numbers.sizes
-
-    def as_deep(obstacles: Sequence[int] | Ints, other: int = b) -> bool:
-        """Return whether it is as deep in these kinds and surfaces, without most free bodies."""
-        laws, state = np.full_like(numbers.laws, -1), initial.copy()
-        laws[:, obstacles] = numbers.laws[:, obstacles]
-        for i in range(numbers.free):
-            if i not in (b, other):
-                state[3 * i] += (i + 2.0) * spacing
-        gap = detect(numbers._replace(laws=laws), state).gaps[b]
-        return bool(gap <= (1.0 - _SAME_GAP) * margin)
-
-    prescribed = np.unique(numbers.kinds[moving:])
-    for kind in prescribed.tolist():
-        if as_deep([kind]):
-            owner = names[moving + int(np.argmax(numbers.kinds[moving:] == kind))]
-            return b, f"body {owner!r} or a copy of it", _STUCK
-    others = np.setdiff1d(np.arange(kinds), prescribed)
-    for other in np.flatnonzero(np.hypot(*(places - places[b]).T) < reach[:moving]).tolist():
-        if other != b and as_deep(others, other):
-            one, whole = sorted((b, other), key=lambda i: float(numbers.sizes[i]))
-            far = f"start it {reach[other]:.6g} from the centre of {names[whole]!r}, or move it out"
-            return one, f"body {names[whole]!r}", far
-    far = f"start its centre {numbers.sizes[b]:.6g} from it, or move it out"
-    for s, surface in enumerate(surfaces):
-        if as_deep([kinds + s]):
-            return b, f"surface {surface!r}", far
-    every = np.flatnonzero(numbers.laws[numbers.kinds[b], kinds:] >= 0)
-    listed = ", ".join(repr(surfaces[s]) for s in every.tolist())
-    return b, f"surfaces {listed}", far.replace("from it", "from them")
+    bodies, q = numbers.pieces.bodies, int(contacts.deepest[b])
+    if q >= len(bodies):
+        return b, where, f"start its centre {numbers.sizes[b]:.6g} from it, or move it out"
+    if bodies[q] >= len(numbers.inverse):
+        return b, where, _STUCK
+    pair = b, int(bodies[q])
+    one, whole = sorted(pair, key=lambda i: float(numbers.sizes[i]))
+    reach = float(numbers.sizes[[*pair]].sum())
+    far = f"start it {reach:.6g} from the centre of {names[whole]!r}, or move it out"
+    return one, f"body {names[whole]!r}", far

@@ -9,7 +9,6 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from contacts.collision_detection.active_contacts import ActiveContacts
 from contacts.collision_detection.body_numbers import (
     BOTH,
     TURN,
@@ -20,7 +19,7 @@ from contacts.collision_detection.find_contacts import LANDED
 from contacts.collision_detection.joints import joint_forces
 from contacts.collision_detection.surfaces import GRAPH
 from contacts.rigid_bodies.body_step import StepOptions, step_bodies
-from contacts.rigid_bodies.declared_numbers import joint_ends, openings, rotated
+from contacts.rigid_bodies.declared_numbers import joint_ends, openings, rotated, surface_title
 from contacts.rigid_bodies.default_step import inner_radii
 from contacts.rigid_bodies.mechanics import energy_root
 from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
@@ -172,7 +171,9 @@ _NO_FEATURE = np.iinfo(np.int64).min
 class DetectedContacts(NamedTuple):
     """Contacts and joints of bodies in one state."""
 
-    gaps: Array  # (b,): smallest gap of each body.
+    # (b,): smallest gap of each body, and the piece or surface there.
+    gaps: Array
+    deepest: Ints
     keys: Ints  # (m,): pairs; see `WarmStart`.
     levels: Array  # (m,): target gaps.
     lasts: Bools  # (m,): lasting contacts.
@@ -184,17 +185,17 @@ class DetectedContacts(NamedTuple):
     slips: Array  # (c,): those of couplings before the step.
 
     @classmethod
-    def of(
-        cls, active: ActiveContacts, gaps: Array, warm: WarmStart, numbers: BodyNumbers, modes: Ints
-    ) -> Self:
+    def of(cls, space: Workspace, warm: WarmStart, numbers: BodyNumbers, modes: Ints) -> Self:
         """Return the contacts of a step, which joints and couplings in `modes` follow."""
         holds, couplings, count = numbers.joints.kinds, numbers.couplings, int(warm.n_contacts[0])
+        active = space.active
         many = count - len(modes)
         bodies, rows, contacts_end = active.bodies[:many].copy(), active.rows, many - len(holds)
         both, firm = holds == BOTH, active.materials[contacts_end:many, 0] < 0.0
         joints = [rows[contacts_end:many][firm, 0], rows[contacts_end:many][both & firm, 1]]
         return cls(
-            gaps,
+            space.mid.gaps.copy(),
+            space.mid.deepest.copy(),
             active.keys[:contacts_end, 0].copy(),
             active.levels[:contacts_end, 0].copy(),
             warm.contacts[:contacts_end, 1] == 1.0,
@@ -216,15 +217,12 @@ class DetectedContacts(NamedTuple):
 
         `bodies` are those of the pieces, `known` the names of surfaces (indices behind the pieces).
         """
-        mine = np.flatnonzero((self.normal.bodies == body).any(axis=1))
-        if not len(mine):
+        if not self.gaps[body] < math.inf:
             return ""
-        i = int(mine[np.argmin(self.levels[mine])])
-        p, q = divmod(int(self.keys[i]), len(bodies) + len(known))
+        q = int(self.deepest[body])
         if q >= len(bodies):
-            return f"surface {known[q - len(bodies)]!r}"
-        one, other = int(bodies[p]), int(bodies[q])
-        return f"body {names[other if one == body else one]!r}"
+            return surface_title(known[q - len(bodies)])
+        return f"body {names[int(bodies[q])]!r}"
 
     def is_covered(self, body: int) -> bool:
         """Return whether a body is deeper than its contacts show, inside overlapping pieces."""
@@ -384,10 +382,8 @@ class RigidBodyRun(SteppedSystem):
         self._warm, self._prescribed = WarmStart.allocate(self.numbers), copy(prescribed)
         chunk, status = self._accepted_steps(time, h, state, 1, math.inf)
         self._check_finite(chunk, status)
-        gaps, modes = self._workspace.mid.gaps.copy(), chunk.codes[0, self._moving :]
-        detected = DetectedContacts.of(
-            self._workspace.active, gaps, self._warm, self.numbers, modes
-        )
+        modes = chunk.codes[0, self._moving :]
+        detected = DetectedContacts.of(self._workspace, self._warm, self.numbers, modes)
         self._warm, self._prescribed = before.enlarged_to(self._warm), prescribed
         return detected
 
