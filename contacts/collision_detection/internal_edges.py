@@ -27,6 +27,7 @@ from contacts.collision_detection.surfaces import (
     PLATE,
     ROUND,
     Ground,
+    SurfaceNumbers,
     distance,
     tangent_at,
     to_world,
@@ -67,7 +68,15 @@ def make_obstacle(
         sort = DISC if pieces.radii[q] > 0.0 else POLYGON
         return Obstacle(sort, corners, mid.centres[q], pieces.radii[q], pieces.sizes[q])
     s = q - len(pieces.sizes)
-    pose, two, centre = mid.poses[surfaces.carriers[s]], np.zeros((2, 2)), np.zeros(2)
+    return _surface_obstacle(surfaces, s, mid.poses[surfaces.carriers[s]], ground, x, y)
+
+
+@kernel
+def _surface_obstacle(
+    surfaces: SurfaceNumbers, s: int, pose: Array, ground: Ground, x: float, y: float
+) -> Obstacle:
+    """Return a surface as an obstacle near a point."""
+    two, centre = np.zeros((2, 2)), np.zeros(2)
     a, b, c, d = surfaces.numbers[s]
     if surfaces.kinds[s] == PLATE:
         two[0, 0], two[0, 1] = to_world(pose, a, b)
@@ -279,8 +288,12 @@ def near_obstacles(
     covering[0] = one
     plate = one >= all_pieces
     body = -1 if plate else pieces.bodies[one]
-    size = _half_length(numbers, one - all_pieces) if plate else pieces.sizes[one]
-    if not plate:
+    if plate:
+        s = one - all_pieces
+        pose = mid.poses[surfaces.carriers[s]]
+        size = _surface_obstacle(surfaces, s, pose, ground, 0.0, 0.0).size
+    else:
+        size = pieces.sizes[one]
         first, end = pieces.begins[body], pieces.begins[body + 1]
         is_compound = False
         for q in range(first, end):
@@ -354,12 +367,6 @@ def _near_obstacle(
         if away <= _AROUND * size + 2.0 * abs(manifold[i, 4]):
             return i
     return -1
-
-
-@kernel
-def _half_length(numbers: BodyNumbers, s: int) -> float:
-    a, b, c, d = numbers.surfaces.numbers[s]
-    return 0.5 * norm(c - a, d - b)
 
 
 # Largest angle between a contact normal and that of a face it belongs to, inside the face.

@@ -365,6 +365,17 @@ def test_redundant_joints_give_a_warning():
     assert any("other joints imply 'mid'" in words for words in run(third).warnings)
 
 
+def test_a_propped_cantilever_gives_a_warning():
+    """Welded at one end, it is held; a guide at the other leaves its couple undetermined."""
+    weld = "to: [0, 0], angle: held}"
+    held = chain(1, time=0.1).replace("to: [0, 0]}", weld)
+    assert weld in held
+    assert not run(held).warnings
+    prop = "  far: {point: {body: bar0, at: [0, -l/2]}, to: {x: l*sin(a)}}\n"
+    warnings = run(held.replace("collisions:", prop + "collisions:")).warnings
+    assert any("other joints imply" in words for words in warnings)
+
+
 @pytest.mark.parametrize("digits", [6, 8, 12, 17])
 def test_a_body_on_redundant_joints_stays_at_rest(digits):
     """However exactly they are declared: the three bear the weight, and the disc does not move."""
