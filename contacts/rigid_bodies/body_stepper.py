@@ -285,7 +285,9 @@ class BodyStepper(Stepper):
         poses, rates = bodies.motion(placed[None])
         reach = length = float(np.abs(poses[..., :2]).max() + own.max())
         every = bodies.poses(placed[None], self._paths.at(values, np.zeros(1), remembered[None]))[0]
-        within = float(extent(bodies, every, self._paths) + own.max())
+        # A path without a value at the start is refused later.
+        with np.errstate(invalid="ignore"):
+            within = float(extent(bodies, every, self._paths) + own.max())
         if within > 0.0:
             length = min(length, _MAX_LENGTH * within)
         speed = math.sqrt(math.hypot(*bodies.gravity) * length)
