@@ -70,6 +70,7 @@ from statechart.engines.compiled_flow import (
     flow_to_event,
     is_on_stop_boundary,
 )
+from statechart.engines.taylor_loop import advance_clock
 from statechart.execution import compiled_loop as runs
 from statechart.execution.compiled_loop import LOOK_AHEAD as NEXT_LOOK
 from statechart.execution.compiled_loop import BatchInputs, BatchResult, Loop
@@ -291,17 +292,6 @@ def _write_constraints(
 
 
 @kernel
-def _advance(clock: Array, elapsed: float) -> None:
-    """Advance the clock of a run as `statechart.automaton.clock.Clock.later` does."""
-    high = clock[runs.T_HIGH]
-    total = high + elapsed
-    rounded = total - high
-    error = (high - (total - rounded)) + (elapsed - rounded) + clock[runs.T_LOW]
-    clock[runs.T_HIGH] = total + error
-    clock[runs.T_LOW] = error - (clock[runs.T_HIGH] - total)
-
-
-@kernel
 def _run(
     program: ModeTable, watch: FlowInputs, workspace: FlowWorkspace, scene: InstantConstants,
     block: TraceBuffer, run: RunState, entered: Bools,
@@ -355,7 +345,7 @@ def _run(
         if steps > 0:
             _record_arc(block, workspace, mode, place[runs.N_JUMPS], steps, high, low)
             elapsed = workspace.times[steps]
-            _advance(clock, elapsed)
+            advance_clock(clock, elapsed)
             if elapsed > 0.0:
                 clock[runs.T_HORIZON] = NEXT_LOOK * max(
                     elapsed, clock[runs.T_HIGH] - clock[runs.T_SINCE]
