@@ -22,7 +22,7 @@ from contacts.dynamics.gates import (
     write_node_verdicts,
 )
 from contacts.dynamics.snapshot import SCALARS
-from contacts.impacts.impact import ENDED, RAISES, solve_impact
+from contacts.impacts.impact import ENDED, solve_impact
 from contacts.impacts.impulses import strike_group
 from contacts.modes.compiled_classification import (
     InstantConstants,
@@ -120,16 +120,10 @@ def _single_impact(
     )
     if status != ENDED:
         return 0
-    rise = glide = 0.0
     for i in range(n):
         change = velocity[i] - before[i]
         # As impacts of several contacts at one instant are added up.
-        velocity[i] = before[i] + change
-        rise += jacobian[0, i] * change
-        glide += jacobian[1, i] * change
-    work = normal * (approach + 0.5 * rise) + tangential * (slip + 0.5 * glide)
-    if work > RAISES * (normal * abs(approach) + abs(tangential * slip)):
-        return 0
+        velocity[i] = before[i] + (velocity[i] - before[i])
     impulse[c, 0], impulse[c, 1] = normal, tangential
     return path
 
