@@ -21,13 +21,12 @@ from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT, with_sizes
 from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
 from contacts.dynamics.setup import (
     FORCE_BAND,
-    HOLD_PART,
-    IMPLIED_BAND,
     ROUNDING,
     SHORT,
     SceneSetup,
     force_uncertainty,
     tolerated,
+    write_tolerances,
 )
 from contacts.scene.checks import check_finite, check_physical, limits
 from contacts.scene.couplings import Rolling, coupling_states
@@ -39,7 +38,7 @@ from contacts.states import implied_joints
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.regions import StopCondition
 from statechart.documents.fields import FormulaText
-from statechart.engines.compiled_flow import ModeTable, tape_of
+from statechart.engines.compiled_flow import KINDS, ModeTable, tape_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
@@ -160,7 +159,9 @@ class SceneNumbers:
                     advice="look for a logarithm, a root or a quotient without a value there",
                     loc=("stop", "conditions", name),
                 )
-        gap, speed, force = tolerated(relative)
+        gap, speed = tolerated(relative)
+        tolerances = np.empty(len(KINDS))
+        write_tolerances(gap, speed, scales.numbers, tolerances)
         contacts = self.contacts(values)
         if not stepped:
             shares = self._shares.at(initial, values, 0.0).tolist()
@@ -175,18 +176,10 @@ class SceneNumbers:
                     c.point.body for c, law, at_rest in laws if at_rest or law.restitution != 1
                 }
                 warnings += tuple(_light(light, lasting))
-        tolerances = {
-            "gap": max(gap * scales.length, scales.rounding),
-            "speed": speed * scales.speed,
-            "force": force * scales.force,
-            "hold": HOLD_PART * force * scales.force,
-            "implied": IMPLIED_BAND * speed * scales.speed,
-            "plain": 0.0,
-        }
         return SceneSetup(
             values=values,
             initial=initial,
-            tolerances=tolerances,
+            tolerances=dict(zip(KINDS, tolerances.tolist(), strict=True)),
             short=SHORT,
             warnings=(*self.lint, *warnings, *implied, *_far(scales, self.far)),
             sizes=scales.state(initial[self.scale_tape.size :]),

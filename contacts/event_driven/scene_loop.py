@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import BLIND_GAP, CREEP, DRIFT
 from contacts.dynamics.setup import (
-    FORCE_BAND,
-    HOLD_PART,
-    IMPLIED_BAND,
     SHORT,
     TIE,
     SceneSetup,
     force_uncertainty,
     tolerated,
+    write_tolerances,
 )
 from contacts.dynamics.setup_evaluation import (
     LOOK_AHEAD,
@@ -52,8 +50,6 @@ from statechart.engines.compiled_flow import (
     FIRST_STOP,
     FORCE,
     GAP,
-    HOLD,
-    IMPLIED,
     KINDS,
     LAWS_AT,
     MARGIN_TAPE,
@@ -378,13 +374,6 @@ def _run(
             return runs.FELL, -1, 0.0
 
 
-@kernel
-def _tolerances(scene: SceneConstants, scales: Array, kinds: Array) -> None:
-    kinds[PLAIN], kinds[GAP] = 0.0, max(scene.gap * scales[0], scales[4])
-    kinds[SPEED], kinds[FORCE] = scene.speed * scales[1], FORCE_BAND * scales[3]
-    kinds[HOLD], kinds[IMPLIED] = HOLD_PART * kinds[FORCE], IMPLIED_BAND * kinds[SPEED]
-
-
 @kernel(interpreted=False)
 def run_batch(
     program: ModeTable, workspace: FlowWorkspace, scene: SceneConstants, first_watch: FlowInputs,
@@ -414,7 +403,7 @@ def run_batch(
             if _zeros_differ(numbers.values, batch.zeros):
                 ends[runs.HOW] = runs.OTHER
                 continue
-            _tolerances(scene, numbers.scales, first_watch.kinds)
+            write_tolerances(scene.gap, scene.speed, numbers.scales, first_watch.kinds)
         watch, instants = _write_inputs(scene, batch.floor, first_watch, first_instants)
         if not batch.resumed:
             copy_numbers(numbers.initial, state)
@@ -514,11 +503,8 @@ class SceneLoop:
     ) -> None:
         """Resume a run."""
         numbers, (watch, _) = self._scene.numbers, self._buffers
-        scales = setup.scales
         numbers.values[:], numbers.sizes[:] = result.values[0], setup.sizes
-        numbers.scales[:] = (
-            scales.length, scales.speed, scales.acceleration, scales.force, scales.rounding,
-        )  # fmt: skip
+        numbers.scales[:] = setup.scales.numbers
         numbers.bands[:] = [setup.bands[name] for name in self._setup.stops]
         watch.kinds[:] = [setup.tolerances[kind] for kind in KINDS]
         scene = self._scene._replace(
@@ -568,7 +554,7 @@ def _declared(
     relative: float,
 ) -> SceneConstants:
     count = len(laws)
-    gap, speed, _ = tolerated(relative)
+    gap, speed = tolerated(relative)
     stops = [*numbers.stops]
     return SceneConstants(
         loop.tapes,
