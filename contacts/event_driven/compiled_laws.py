@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, cast
 
-from contacts.dynamics.conditions import hidden
 from contacts.dynamics.projection import Projection
 from contacts.dynamics.setup import SceneInstant, SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers, setup_rules
@@ -19,7 +18,7 @@ from contacts.event_driven.scene_loop import SceneLoop, run_batch
 from contacts.event_driven.switching import alike
 from contacts.impacts.impact import segment_names
 from contacts.impacts.impulses import STATES as IMPULSE_STATES
-from contacts.states import CODES, OFF, OFF_CODE, OPEN
+from contacts.states import CODES, OFF, OFF_CODE
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.laws import Flow, JumpResult, roles_in
@@ -138,26 +137,12 @@ class CompiledSceneLaws:
     ) -> Mapping[str, Any]:
         """Return `impulse` or `considered` of a jump, computed by the laws in Python on demand."""
         numbers = setup()
-        if field == "considered" and (rebound := self._rebound(numbers, event)) is not None:
-            return rebound
         flow, clock = flow_in(numbers, event.source), Clock(event.t)
         at = SceneInstant(numbers, clock, event.j, flow, event.before, (fired,) if fired else ())
         result = self._ask(at)
         assert result is not None
         assert result[0] is not None
         return {"impulse": result[0].impulse, "considered": result[0].considered}[field]
-
-    def _rebound(self, setup: SceneSetup, event: RecordedEvent) -> Mapping[str, str] | None:
-        """Return the explanation of an impact after which all contacts are open, else None."""
-        all_open = event.source == event.target and all(state in OPEN for state in event.source)
-        if event.struck < 0 or not all_open:
-            return None
-        after = hidden(self._snapshots.at(setup.values, event.after, event.t), event.source)
-        speed_tolerance, gap_tolerance = setup.tolerances["speed"], setup.tolerances["gap"]
-        closed = [contact.gap <= gap_tolerance for contact in after.contacts]
-        if any(after.remaining(closed, speed_tolerance)):
-            return None
-        return explain_choice({}, setup.contacts, after.contacts, closed, [False] * len(closed), {})
 
     def _modes(self, event: RecordedEvent) -> Iterator[str]:
         """Yield the modes of the contacts of a group in a plastic impact."""
