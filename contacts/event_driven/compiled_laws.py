@@ -11,8 +11,7 @@ from contacts.dynamics.projection import Projection
 from contacts.dynamics.setup import SceneInstant, SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers, setup_rules
 from contacts.dynamics.snapshot import SnapshotTape
-from contacts.event_driven.compiled_instants import CAUSES
-from contacts.event_driven.decision import cause, explain_choice
+from contacts.event_driven.decision import cause
 from contacts.event_driven.impact_jump import flow_in
 from contacts.event_driven.scene_loop import SceneLoop, run_batch
 from contacts.event_driven.switching import alike
@@ -54,7 +53,7 @@ class CompiledSceneLaws:
         self._of_margins |= {name: -k for k, name in enumerate(conditions.back, 1)}
         self._conditions = conditions
         self.warnings, self.has_remarks = numbers.lint, conditions.present
-        self.series = tuple((name, cause) for name in names for cause in CAUSES)
+        self.series = tuple((name, "touchdown") for name in names)
 
     def compiled(self) -> bool:
         """Return whether the compiled loop is cached on disk."""

@@ -30,7 +30,6 @@ from contacts.dynamics.setup_evaluation import (
 from contacts.dynamics.snapshot import SCALARS
 from contacts.dynamics.starting import starts_hovering
 from contacts.event_driven.compiled_instants import (
-    CAUSES,
     GOES_ON,
     RunState,
     conditions,
@@ -107,7 +106,7 @@ class SceneConstants(NamedTuple):
     speed: float
     force_uncertainty: float
     numbers: Numbers  # Buffer: the numbers of a run.
-    series: Array  # (7 c, ..): of its jumps, for every contact and cause.
+    series: Array  # (c, ..): of the touchdowns of every contact.
 
 
 @kernel
@@ -566,7 +565,7 @@ def _declared(
         speed,
         force_uncertainty(relative),
         run_buffer(len(numbers.parameters.names), len(loop.workspace.state), rules),
-        np.empty((max(len(CAUSES) * count, 4), WIDTH)),
+        np.empty((max(count, 4), WIDTH)),
     )
 
 
