@@ -108,6 +108,7 @@ class SceneNumbers:
         # Quantities with limits `bounds` (2, l), physical ones and shares of light bodies; None if
         # controllers set some of them.
         self.limits: Tape | None = None
+        self.bounds = np.empty((2, 0))
         # Constants are checked when the scene is read.
         varying = [limit for limit in limits(scene) if parse(limit.text).names]
         if all(scene.controlled.region_of(limit.text) is None for limit in varying):
@@ -121,6 +122,11 @@ class SceneNumbers:
                 ranges += [(_MIN_SHARE, math.inf)] * len(shares)
                 self.limits = mechanics.tape([*bounded, *shares])
                 self.bounds = np.array(ranges).reshape(-1, 2).T
+
+    @property
+    def compiled(self) -> bool:
+        """True if `run_numbers` computes the setup of its runs."""
+        return self.limits is not None and MASS_UNIT not in self.places
 
     def at(
         self, overrides: Mapping[str, float], relative: float, *, stepped: bool = False
@@ -369,10 +375,8 @@ class Numbers(NamedTuple):
     bands: Array  # (s,): Tolerances of the stop conditions
 
 
-def setup_rules(numbers: SceneNumbers) -> SetupRules | None:
-    """Return the rules of a scene; None if its runs must be set up one by one."""
-    if numbers.limits is None or MASS_UNIT in numbers.places:
-        return None
+def setup_rules(numbers: SceneNumbers) -> SetupRules:
+    """Return the rules of a scene."""
     return SetupRules(
         np.array([-1 if place is None else place for _, place in numbers.inertias], np.int64),
         np.ascontiguousarray(numbers.bounds[0]),

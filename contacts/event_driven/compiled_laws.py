@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from contacts.dynamics.projection import Projection
 from contacts.dynamics.setup import SceneInstant, SceneSetup
-from contacts.dynamics.setup_evaluation import SceneNumbers, setup_rules
+from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.decision import cause
 from contacts.event_driven.impact_jump import flow_in
@@ -41,10 +41,8 @@ class CompiledSceneLaws:
         ask: Callable[[SceneInstant], JumpResult],
     ) -> None:
         self._names, self._projection, self._ask = names, projection, ask
-        self._snapshots = snapshots
-        self._numbers, conditions = numbers, numbers.conditions
+        self._numbers, conditions, limits = numbers, numbers.conditions, numbers.limits
         self.setup = numbers.at
-        self._rules, limits = setup_rules(numbers), numbers.limits
         self.tapes: tuple[Tape, ...] = snapshots.tape, projection.tape, conditions.tape
         if limits is not None:
             scales = numbers.scale_tape
@@ -94,7 +92,7 @@ class CompiledSceneLaws:
 
     def call(self, loop: Loop, relative: float) -> SceneLoop:
         """Return calls of the loop."""
-        return SceneLoop(self._numbers, self._rules, loop, relative)
+        return SceneLoop(self._numbers, loop, relative)
 
     def about(self, event: RecordedEvent) -> tuple[str, str]:
         """Return the contact that an event is about, and its cause."""

@@ -26,6 +26,7 @@ from contacts.dynamics.setup_evaluation import (
     SetupRules,
     run_buffer,
     run_numbers,
+    setup_rules,
 )
 from contacts.dynamics.snapshot import SCALARS
 from contacts.dynamics.starting import starts_hovering
@@ -458,16 +459,13 @@ _STATE_NAMES = {code: name for name, code in CODES.items() if name != OFF} | {OF
 class SceneLoop:
     """Calls of the compiled loop of a scene (see `statechart.automaton.laws.CompiledLaws.call`).
 
-    Without `rules` the loop starts no runs; `relative` is the tolerance of the integration.
+    `relative` is the tolerance of the integration.
     """
 
-    def __init__(
-        self, numbers: SceneNumbers, rules: SetupRules | None, loop: Loop, relative: float
-    ) -> None:
-        self.loop, self.starts, self._setup = loop, rules is not None, numbers
+    def __init__(self, numbers: SceneNumbers, loop: Loop, relative: float) -> None:
+        self.loop, self.starts, self._setup = loop, numbers.compiled, numbers
         laws = numbers.contacts(np.zeros(len(numbers.parameters.names)))
-        rules = rules or no_rules(numbers)
-        self._scene = _declared(numbers, rules, loop, laws, relative)
+        self._scene = _declared(numbers, loop, laws, relative)
         self._buffers = _buffers(numbers, loop, laws)
         self.series = self._scene.series
         # Parameters -> tape of the setup, indices of its inputs and of these, other inputs.
@@ -527,13 +525,6 @@ _RESUMED = BatchInputs(
 )  # fmt: skip
 
 
-def no_rules(numbers: SceneNumbers) -> SetupRules:
-    """Return empty rules for a loop that starts no runs."""
-    no_numbers, no_places = np.empty(0), np.empty(0, np.int64)
-    forced = np.zeros(len(numbers.stops), np.bool_)
-    return SetupRules(no_places, no_numbers, no_numbers, no_places, 0, 0, 0, forced, numbers.far)
-
-
 def _starts(names: Sequence[str], declared: Mapping[str, str]) -> Bools:
     """Return a mask (c, 6) of the state codes in which a contact may start."""
     may_start = np.zeros((len(names), len(_STATE_NAMES)), np.bool_)
@@ -547,13 +538,12 @@ def _starts(names: Sequence[str], declared: Mapping[str, str]) -> Bools:
 
 def _declared(
     numbers: SceneNumbers,
-    rules: SetupRules,
     loop: Loop,
     laws: Sequence[ContactLaw],
     relative: float,
 ) -> SceneConstants:
     count = len(laws)
-    gap, speed = tolerated(relative)
+    (gap, speed), rules = tolerated(relative), setup_rules(numbers)
     stops = [*numbers.stops]
     return SceneConstants(
         loop.tapes,
