@@ -42,7 +42,7 @@ from contacts.event_driven.compiled_instants import (
 from contacts.impacts.impact import MEANINGS
 from contacts.modes.compiled_classification import InstantConstants, allowed, classify
 from contacts.scene.parts import MOREAU
-from contacts.states import CODES, FREE, OFF, OFF_CODE, PIN, superstates_of
+from contacts.states import FREE, OFF_CODE, PIN, STATES, superstates_of
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.trace_store import ARCS, EVENTS, TERMS, TIMES, TraceBuffer
 from statechart.engines.compiled_flow import (
@@ -101,7 +101,7 @@ class SceneConstants(NamedTuple):
     fixed: Array
     # (b,): index of each margin's tolerance among the bands of `Numbers`; -1 for none.
     sources: Ints
-    starts: Bools  # (c, 6): whether a contact may start in the state of that code.
+    starts: Bools  # (c, 10): whether a contact may start in the state of that code.
     # Tolerances of gaps and speeds, and uncertainty of forces, in the scene's scales.
     gap: float
     speed: float
@@ -453,7 +453,6 @@ def run_batch(
 
 
 _Program = tuple[Ints32, Array, Ints32]
-_STATE_NAMES = {code: name for name, code in CODES.items() if name != OFF} | {OFF_CODE: OFF}
 
 
 class SceneLoop:
@@ -526,11 +525,11 @@ _RESUMED = BatchInputs(
 
 
 def _starts(names: Sequence[str], declared: Mapping[str, str]) -> Bools:
-    """Return a mask (c, 6) of the state codes in which a contact may start."""
-    may_start = np.zeros((len(names), len(_STATE_NAMES)), np.bool_)
+    """Return a mask (c, 10) of the state codes in which a contact may start."""
+    may_start = np.zeros((len(names), len(STATES)), np.bool_)
     for place, name in enumerate(names):
         declared_state = declared.get(name)
-        for code, state in _STATE_NAMES.items():
+        for code, state in STATES.items():
             names_of_state = {state, *superstates_of((state,)).values()}
             may_start[place, code] = declared_state is None or declared_state in names_of_state
     return may_start
