@@ -54,13 +54,7 @@ class Property:
 
 
 def assert_ended(case: Case) -> None:
-    """Check that every run reaches a declared end.
-
-    Parameters
-    ----------
-    case : Case
-        A choice of parameters and its runs.
-    """
+    """Check that every run reaches a declared end."""
     for trace in case.traces.values():
         if not trace.outcome.succeeded:
             raise AssertionError(
@@ -72,11 +66,6 @@ def assert_start(case: Case) -> None:
     """Check that runs start in the declared state, up to projection onto constraints.
 
     Variables that `entry` of an initial state updates are not compared.
-
-    Parameters
-    ----------
-    case : Case
-        A choice of parameters and its runs.
     """
     for trace in case.traces.values():
         declared = case.subject.automaton.setup(case.parameters, trace.tolerance).initial
@@ -101,13 +90,7 @@ def _entry_updates(automaton: Automaton, trace: Trace) -> Iterator[str]:
 
 
 def assert_engines_agree(case: Case) -> None:
-    """Check that all engines agree in modes, times of events and states.
-
-    Parameters
-    ----------
-    case : Case
-        A choice of parameters and its runs.
-    """
+    """Check that all engines agree in modes, times of events and states."""
     first, *others = case.sound
     for other in others:
         loosened = partial(case.loosened, other.tolerance)
@@ -115,13 +98,7 @@ def assert_engines_agree(case: Case) -> None:
 
 
 def assert_prefix(case: Case) -> None:
-    """Check causality: a shorter run is the beginning of the run.
-
-    Parameters
-    ----------
-    case : Case
-        A choice of parameters and its runs.
-    """
+    """Check causality: a shorter run is the beginning of the run."""
     trace = case.sound[0]
     if not trace.arcs:
         raise Undecidable("nothing flows")
@@ -163,13 +140,7 @@ def each(check: Callable[[Subject, Trace], None]) -> Callable[[Case], None]:
 
 
 def generic(subject: Subject) -> tuple[Property, ...]:
-    """Return the properties of every automaton.
-
-    Parameters
-    ----------
-    subject : Subject
-        The model.
-    """
+    """Return the properties of every automaton."""
     states = [(region, state) for region in subject.automaton.regions for state in region.states]
     of_states = any(region.build(Role(state)).invariants for region, state in states)
     no_invariants = not (of_states or subject.automaton.invariants)
@@ -203,13 +174,7 @@ _CONTINUOUS = 100.0
 
 
 def assert_ordered(trace: Trace) -> None:
-    """Check that arcs and jumps are contiguous on hybrid time (t, j).
-
-    Parameters
-    ----------
-    trace : Trace
-        A run.
-    """
+    """Check that arcs and jumps are contiguous on hybrid time (t, j)."""
     t, j = 0.0, 0
     # Sums of fixed steps have round-off.
     allowed = ROUND_OFF * trace.t_end if trace.step is not None else 0.0
@@ -231,15 +196,7 @@ def assert_ordered(trace: Trace) -> None:
 
 
 def assert_edges(automaton: Automaton, trace: Trace) -> None:
-    """Check that every jump is an edge of the automaton, region by region.
-
-    Parameters
-    ----------
-    automaton : Automaton
-        Automaton of the model.
-    trace : Trace
-        A run of it.
-    """
+    """Check that every jump is an edge of the automaton, region by region."""
     mode = trace.start_mode
     for jump in trace.jumps:
         place = f"jump {jump.j} at t = {jump.t:.7g} ({jump.region} {jump.cause})"
@@ -259,13 +216,7 @@ def assert_edges(automaton: Automaton, trace: Trace) -> None:
 
 
 def assert_continuous(trace: Trace) -> None:
-    """Check that states are continuous except at jumps.
-
-    Parameters
-    ----------
-    trace : Trace
-        A run.
-    """
+    """Check that states are continuous except at jumps."""
     error = ROUND_OFF if trace.step is not None else max(trace.tolerance, ROUND_OFF)
     allowed = _CONTINUOUS * error * sizes(trace) + largest_projection(trace)
     state, j = trace.initial, 0
