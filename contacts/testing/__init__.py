@@ -3,8 +3,6 @@
 `scene_properties` and `body_properties` are computed from the scene's own quantities and not from
 the guards that were run; `assertions` has their common checks. `symmetry` mirrors and rescales
 scenes and compares their runs, `violations` measures the violation of the contact laws.
-
-Assertions take the declared scene, its compiled `Subject`, and a trace of it.
 """
 
 from contacts.dynamics.mechanics import Mechanics

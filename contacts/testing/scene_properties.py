@@ -48,6 +48,11 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
 
     At the ends of steps closed contacts are on their constraints; in between dense output of a
     lower order may leave the surface by the defect of its rates.
+
+    Parameters
+    ----------
+    scene, subject, trace : Scene, Subject, Trace
+        Declaration, compiled scene, and a run of it.
     """
     gaps = [subject.automaton.observables[f"{name}.gap"] for name in scene.contacts]
     rigid = [contact.stiffness is None for contact in scene.contacts.values()]
@@ -75,7 +80,13 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
 
 
 def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that ``V >= 0`` and ``|H| <= mu V`` for every closed contact."""
+    """Check that ``V >= 0`` and ``|H| <= mu V`` for every closed contact.
+
+    Parameters
+    ----------
+    scene, subject, trace : Scene, Subject, Trace
+        Declaration, compiled scene, and a run of it.
+    """
     for arc, name, state, times, V, H, slips, used in _sampled_forces(scene, subject, trace):
         if state in OPEN:
             continue
@@ -94,7 +105,13 @@ def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
 
 
 def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that a free contact has no force."""
+    """Check that a free contact has no force.
+
+    Parameters
+    ----------
+    scene, subject, trace : Scene, Subject, Trace
+        Declaration, compiled scene, and a run of it.
+    """
     for _, name, state, times, V, H, *_ in _sampled_forces(scene, subject, trace):
         if state in OPEN and ((V != 0.0) | (H != 0.0)).any():
             raise AssertionError(f"{name} is {state} at t = {times[0]:.6g} and has a force")

@@ -3,9 +3,6 @@
 `subject` compiles a model for its engines, generates cases and runs them. `properties` are those of
 every automaton: a consistent trace on hybrid time, `guards` and relations, `agreement` of engines.
 `checking` tests them with Hypothesis, and reports.
-
-Assertions take a `Case`, a choice of parameters with its runs, or a `Subject`, the compiled model,
-and a trace of it. They raise `AssertionError` or `Undecidable`.
 """
 
 from statechart.testing.agreement import Reading, Sensitivity, Undecidable, assert_same

@@ -37,6 +37,11 @@ _PER_STEP = 9
 def dense(trace: Trace) -> Iterator[tuple[Arc, Array]]:
     """Yield every arc with local times at multiples of the golden ratio in its steps.
 
+    Parameters
+    ----------
+    trace : Trace
+        A run.
+
     Yields
     ------
     (Arc, (m,) array)
@@ -50,7 +55,13 @@ def dense(trace: Trace) -> Iterator[tuple[Arc, Array]]:
 
 
 def assert_margins(subject: Subject, trace: Trace) -> None:
-    """Check that no margin is negative between events, on a grid of its own."""
+    """Check that no margin is negative between events, on a grid of its own.
+
+    Parameters
+    ----------
+    subject, trace : Subject, Trace
+        The model, and a run of it.
+    """
     variation = _variation(trace)
     for arc, tau in dense(trace):
         mode = subject.mode(trace, arc)
@@ -62,6 +73,11 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
     """Check the declared invariants of the run and of active states, including extrema.
 
     For time stepping they hold up to the change of a variable in a step.
+
+    Parameters
+    ----------
+    subject, trace : Subject, Trace
+        The model, and a run of it.
     """
     observer = subject.observers[trace.engine.split()[0]]
     variation = _variation(trace)
@@ -201,7 +217,13 @@ def truth(term: Term, sides: Iterator[tuple[Array, Array]], active: Active, coun
 
 
 def assert_relations(subject: Subject, trace: Trace) -> None:
-    """Check that guards and stop conditions are false between events, and invariants true."""
+    """Check that guards and stop conditions are false between events, and invariants true.
+
+    Parameters
+    ----------
+    subject, trace : Subject, Trace
+        The model, and a run of it.
+    """
     _assert_claims(subject, trace, _claims)
 
 

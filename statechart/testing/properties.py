@@ -54,7 +54,13 @@ class Property:
 
 
 def assert_ended(case: Case) -> None:
-    """Check that every run reaches a declared end."""
+    """Check that every run reaches a declared end.
+
+    Parameters
+    ----------
+    case : Case
+        A choice of parameters and its runs.
+    """
     for trace in case.traces.values():
         if not trace.outcome.succeeded:
             raise AssertionError(
@@ -66,6 +72,11 @@ def assert_start(case: Case) -> None:
     """Check that runs start in the declared state, up to projection onto constraints.
 
     Variables that `entry` of an initial state updates are not compared.
+
+    Parameters
+    ----------
+    case : Case
+        A choice of parameters and its runs.
     """
     for trace in case.traces.values():
         declared = case.subject.automaton.setup(case.parameters, trace.tolerance).initial
@@ -90,7 +101,13 @@ def _entry_updates(automaton: Automaton, trace: Trace) -> Iterator[str]:
 
 
 def assert_engines_agree(case: Case) -> None:
-    """Check that all engines agree in modes, times of events and states."""
+    """Check that all engines agree in modes, times of events and states.
+
+    Parameters
+    ----------
+    case : Case
+        A choice of parameters and its runs.
+    """
     first, *others = case.sound
     for other in others:
         loosened = partial(case.loosened, other.tolerance)
@@ -98,7 +115,13 @@ def assert_engines_agree(case: Case) -> None:
 
 
 def assert_prefix(case: Case) -> None:
-    """Check causality: a shorter run is the beginning of the run."""
+    """Check causality: a shorter run is the beginning of the run.
+
+    Parameters
+    ----------
+    case : Case
+        A choice of parameters and its runs.
+    """
     trace = case.sound[0]
     if not trace.arcs:
         raise Undecidable("nothing flows")
@@ -140,7 +163,13 @@ def each(check: Callable[[Subject, Trace], None]) -> Callable[[Case], None]:
 
 
 def generic(subject: Subject) -> tuple[Property, ...]:
-    """Return the properties of every automaton."""
+    """Return the properties of every automaton.
+
+    Parameters
+    ----------
+    subject : Subject
+        The model.
+    """
     states = [(region, state) for region in subject.automaton.regions for state in region.states]
     of_states = any(region.build(Role(state)).invariants for region, state in states)
     no_invariants = not (of_states or subject.automaton.invariants)
@@ -174,7 +203,13 @@ _CONTINUOUS = 100.0
 
 
 def assert_ordered(trace: Trace) -> None:
-    """Check that arcs and jumps are contiguous on hybrid time (t, j)."""
+    """Check that arcs and jumps are contiguous on hybrid time (t, j).
+
+    Parameters
+    ----------
+    trace : Trace
+        A run.
+    """
     t, j = 0.0, 0
     # Sums of fixed steps have round-off.
     allowed = ROUND_OFF * trace.t_end if trace.step is not None else 0.0
@@ -196,7 +231,15 @@ def assert_ordered(trace: Trace) -> None:
 
 
 def assert_edges(automaton: Automaton, trace: Trace) -> None:
-    """Check that every jump is an edge of the automaton, region by region."""
+    """Check that every jump is an edge of the automaton, region by region.
+
+    Parameters
+    ----------
+    automaton : Automaton
+        Automaton of the model.
+    trace : Trace
+        A run of it.
+    """
     mode = trace.start_mode
     for jump in trace.jumps:
         place = f"jump {jump.j} at t = {jump.t:.7g} ({jump.region} {jump.cause})"
@@ -216,7 +259,13 @@ def assert_edges(automaton: Automaton, trace: Trace) -> None:
 
 
 def assert_continuous(trace: Trace) -> None:
-    """Check that states are continuous except at jumps."""
+    """Check that states are continuous except at jumps.
+
+    Parameters
+    ----------
+    trace : Trace
+        A run.
+    """
     error = ROUND_OFF if trace.step is not None else max(trace.tolerance, ROUND_OFF)
     allowed = _CONTINUOUS * error * sizes(trace) + largest_projection(trace)
     state, j = trace.initial, 0

@@ -293,6 +293,11 @@ def ranges(model: Declaration) -> dict[str, tuple[float, float]]:
 
     The declared ranges. Without any, from half to twice the value of every parameter that is a
     number other than 0 and inf, reduced to valid models (a restitution of 0.9 cannot be 1.8).
+
+    Parameters
+    ----------
+    model : Declaration
+        A chart, a scene.
     """
     if model.ranges:
         return dict(model.ranges)
@@ -325,6 +330,11 @@ def parameters(model: Declaration) -> SearchStrategy[dict[str, float]]:
     """Return the strategy over the `ranges` of a model.
 
     Shrinking leads to the declared values. Ends of ranges are drawn often.
+
+    Parameters
+    ----------
+    model : Declaration
+        A chart, a scene.
 
     Returns
     -------
